@@ -11,7 +11,7 @@ fn main() -> io::Result<()> {
         .map(|entry| entry.map(|entry| entry.path()))
         .collect::<Result<_, _>>()?;
     files.sort();
-    // FNV-1a is enough: nobody gains from a collision.
+    // FNV-1a suffices, because nobody would gain from a forged collision.
     let mut digest = 0xcbf2_9ce4_8422_2325_u64;
     for file in files.iter().filter(|file| file.is_file()) {
         for byte in fs::read(file)? {

@@ -360,14 +360,14 @@ fn assets(messages: &mut Messages) {
         },
         AssetsError::Refused { .. } => AssetsError::Refused { url: url(), status: 404 },
         AssetsError::NotInIndex { .. } => AssetsError::NotInIndex {
-            index: url(), project: "a".to_owned(), problem: "it answers 404".to_owned(),
+            index: url(), project: "a".to_owned(), problem: "the server answers 404".to_owned(),
         },
         AssetsError::NoWheel { .. } => AssetsError::NoWheel { path: path() },
         AssetsError::Answer { .. } => AssetsError::Answer {
             url: url(), problem: crate::json_error().to_string(),
         },
         AssetsError::Altered { .. } => AssetsError::Altered {
-            file: "a.xml".to_owned(), url: url(), problem: "it has 3 bytes, not 4".to_owned(),
+            file: "a.xml".to_owned(), url: url(), problem: "the file has 3 bytes, not 4".to_owned(),
             tries: 5,
         },
     );

@@ -45,7 +45,7 @@ impl Axis {
         Self::Actuation,
     ];
 
-    /// Name in rollout ids and manifests.
+    /// Returns the name in rollout ids and manifests.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Camera => "camera",
@@ -82,7 +82,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_misspelt_axis_lists_the_six() {
+    fn the_error_for_an_unknown_axis_lists_the_six() {
         let error = "camrea".parse::<Axis>().expect_err("no such axis");
         assert_eq!(
             error.to_string(),

@@ -42,13 +42,13 @@ impl AxisSet {
     }
 
     /// Returns true if the set is a subset of another; every set is a subset of itself.
-    pub const fn is_subset(self, of: Self) -> bool {
-        self.0 & of.0 == self.0
+    pub const fn is_subset(self, other: Self) -> bool {
+        self.0 & other.0 == self.0
     }
 
     /// Returns true if the set is a subset of another and not equal to it.
-    pub const fn is_proper_subset(self, of: Self) -> bool {
-        self.is_subset(of) && self.0 != of.0
+    pub const fn is_proper_subset(self, other: Self) -> bool {
+        self.is_subset(other) && self.0 != other.0
     }
 
     /// Returns the axes that are in either set.
@@ -61,19 +61,19 @@ impl AxisSet {
         Self(self.0 & !other.0)
     }
 
-    /// Returns its axes' names with `+` between, or `none`.
+    /// Returns the axes' names with `+` between, or `none`.
     pub fn name(self) -> &'static str {
         &NAMES[usize::from(self.0)]
     }
 
-    /// Returns its axes, in the protocol's order.
+    /// Returns the axes in the protocol's order.
     pub fn axes(self) -> impl Iterator<Item = Axis> + Clone {
         Axis::ALL
             .into_iter()
             .filter(move |&axis| self.contains(axis))
     }
 
-    /// Returns all its subsets in order, from the empty one to itself.
+    /// Returns all subsets in order, from the empty set to this set.
     pub fn subsets(self) -> Vec<Self> {
         let mut subsets: Vec<Self> = (0..=Self::ALL.0)
             .map(Self)
@@ -153,7 +153,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn all_64_sets_read_back_from_their_text_and_stand_behind_their_subsets() {
+    fn all_64_sets_are_parsed_from_their_text_and_sorted_after_their_subsets() {
         let sets = AxisSet::ALL.subsets();
         assert_eq!(sets.len(), 64);
         for (i, &set) in sets.iter().enumerate() {
@@ -171,7 +171,7 @@ mod tests {
     }
 
     #[test]
-    fn axes_may_come_in_any_order_and_only_once() {
+    fn axes_may_be_in_any_order_and_occur_only_once() {
         let set: AxisSet = "robot+camera".parse().expect("a set");
         assert_eq!(set.to_string(), "camera+robot");
         for text in ["camera+camera", "camera+", "camera robot", ""] {

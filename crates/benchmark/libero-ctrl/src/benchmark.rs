@@ -1,5 +1,5 @@
-//! Benchmarks of LIBERO's family, whose variants a campaign can run. `libero-family` knows what
-//! the variants are.
+//! Benchmarks of LIBERO's family, whose variants a campaign can run. `libero-family` defines the
+//! variants.
 
 use std::fmt;
 use std::str::FromStr;
@@ -18,7 +18,7 @@ pub enum Benchmark {
 impl Benchmark {
     const ALL: [Self; 2] = [Self::Plus, Self::Pro];
 
-    /// Name in results, and of the folder of its task files.
+    /// Returns the name in results, which is also the name of the folder of the task files.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Plus => "libero-plus",
@@ -26,7 +26,7 @@ impl Benchmark {
         }
     }
 
-    /// Name in rollout ids.
+    /// Returns the name in rollout ids.
     pub const fn tag(self) -> &'static str {
         match self {
             Self::Plus => "plus",
@@ -34,9 +34,11 @@ impl Benchmark {
         }
     }
 
-    /// Returns the benchmark of a name in rollout ids.
-    pub(crate) fn of_tag(tag: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|it| it.tag() == tag)
+    /// Returns the benchmark with the given name in rollout ids.
+    pub(crate) fn from_tag(tag: &str) -> Option<Self> {
+        Self::ALL
+            .into_iter()
+            .find(|benchmark| benchmark.tag() == tag)
     }
 }
 

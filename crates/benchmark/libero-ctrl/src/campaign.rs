@@ -32,10 +32,10 @@ pub const MAX_REPLICATES: u32 = 100;
 
 /// The specification of a campaign, as people and tools write it in JSON.
 ///
-/// The fields of [`Rollouts`] are flattened into the specification: `tasks`, `axes`, `levels`
-/// and optionally `subsets`, `configs`, `nominal`, `design_seed`, `directions`,
-/// `placebo_radius` and `placebo_configs`; or, instead of all these, `manifest`, `explains`,
-/// `thresholds` or `variants`. Tasks are written as `libero_goal/3`, `libero_goal` (its ten tasks) or `all`.
+/// The fields of [`Rollouts`] are flattened into the specification: `tasks`, `axes`, `levels` and
+/// optionally `subsets`, `configs`, `nominal`, `design_seed`, `directions`, `placebo_radius` and
+/// `placebo_configs`; or, instead of all these, `manifest`, `explains`, `thresholds` or `variants`.
+/// Tasks are written as `libero_goal/3`, `libero_goal` (its ten tasks) or `all`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "SpecText", into = "SpecText")]
 pub struct CampaignSpec {
@@ -67,9 +67,9 @@ pub enum Rollouts {
     Design(Design),
     /// Rows of a manifest, unchanged, including their instructions.
     Manifest(Vec<ManifestRow>),
-    /// Subsets of the axes that follow from the outcomes of another campaign.
+    /// Subsets of the axes, selected from the outcomes of another campaign.
     Explanation(Explanation),
-    /// Further radii that follow from the outcomes of another campaign.
+    /// Further radii, selected from the outcomes of another campaign.
     Thresholds(Thresholds),
     /// Variants of a benchmark of LIBERO's family, which `libero-family` expands.
     Variants(Variants),
@@ -85,14 +85,14 @@ impl Rollouts {
         }
     }
 
-    /// Returns the execution model of a campaign that names none: that of its manifest's rows,
-    /// which share one, or [`Execution::Wait`].
+    /// Returns the execution model of a campaign whose specification has none: the one that all
+    /// rows of its manifest share, or [`Execution::Wait`].
     pub fn execution(&self) -> Execution {
         match self {
             Self::Manifest(rows) => {
-                let mut others = rows.iter();
-                let other = others.find(|row| row.id.condition() != Condition::Latency);
-                other.map_or(Execution::Wait, |row| row.execution.clone())
+                let mut rows = rows.iter();
+                let first = rows.find(|row| row.id.condition() != Condition::Latency);
+                first.map_or(Execution::Wait, |row| row.execution.clone())
             }
             _ => Execution::Wait,
         }
@@ -152,7 +152,7 @@ pub enum SpecError {
         /// The text given.
         given: String,
     },
-    /// A campaign that follows from outcomes has a realisation other than `matched`.
+    /// A campaign derived from the outcomes of another has a realisation other than `matched`.
     #[error(
         "read campaign specification: `{field}` with `realisation` reference, in which each \
          condition perturbs an axis differently: write matched"
@@ -205,7 +205,7 @@ pub enum SpecError {
     /// The selection of variants is invalid.
     #[error("read campaign specification: {problem}")]
     Selection {
-        /// Problem and remedy, in the words of `libero-family`.
+        /// Problem and remedy, as `libero-family` formats them.
         problem: String,
     },
     /// A row of LIBERO's family in a manifest.
@@ -222,7 +222,8 @@ pub enum SpecError {
     Manifest(#[from] ManifestErrors),
 }
 
-// The message includes that of the inner error, which as a source would be printed twice.
+// The message includes that of the inner error, which would be printed twice if the inner error
+// were the source.
 impl From<StopError> for SpecError {
     fn from(error: StopError) -> Self {
         Self::Stop(error)
@@ -297,8 +298,8 @@ impl CampaignSpec {
                     return Err(SpecError::Execution { given, of_rows });
                 }
                 let mut ids = rows.iter().map(|row| row.id);
-                let is_late = ids.any(|id| id.condition() == Condition::Latency);
-                if is_late && !self.execution.is_wait() {
+                let has_latency = ids.any(|id| id.condition() == Condition::Latency);
+                if has_latency && !self.execution.is_wait() {
                     let given = self.execution.clone();
                     return Err(SpecError::Latency { given });
                 }
@@ -307,7 +308,7 @@ impl CampaignSpec {
                 let (execution, stops) = (&self.execution, self.stop.is_some());
                 let (realisation, replicates) = (self.realisation, self.replicates);
                 let excluded =
-                    VariantsError::of(realisation, replicates, self.record, execution, stops);
+                    VariantsError::excluded(realisation, replicates, self.record, execution, stops);
                 if let Some(error) = excluded {
                     return Err(error.into());
                 }
@@ -320,7 +321,7 @@ impl CampaignSpec {
             }
             Rollouts::Thresholds(thresholds) => {
                 if thresholds.campaign.is_empty() {
-                    return empty("thresholds.campaign", "name the campaign to go on with");
+                    return empty("thresholds.campaign", "name the campaign to measure");
                 }
                 if let Some((field, given, valid)) = thresholds.out_of_range() {
                     return Err(SpecError::Radius {
@@ -422,8 +423,8 @@ struct SpecText {
 #[derive(Debug, thiserror::Error)]
 enum TextError {
     #[error(
-        "the field `{0}` is not there: a campaign has `tasks`, `axes` and `levels`, or a \
-         `manifest`, or `explains` another, or measures `thresholds` of another, or has `variants`"
+        "the field `{0}` is not there: a specification has `tasks`, `axes` and \
+         `levels`, or one of `manifest`, `explains`, `thresholds` and `variants` instead"
     )]
     Missing(&'static str),
     #[error("`{other}` beside `{field}`, which alone sets the rollouts: take one of them out")]
@@ -441,7 +442,7 @@ impl TryFrom<SpecText> for CampaignSpec {
     type Error = TextError;
 
     fn try_from(mut text: SpecText) -> Result<Self, TextError> {
-        no_two_sources(&text)?;
+        check_single_source(&text)?;
         let rollouts = if let Some(rows) = text.manifest.take() {
             Rollouts::Manifest(rows)
         } else if let Some(explanation) = text.explains.take() {
@@ -508,7 +509,8 @@ impl From<CampaignSpec> for SpecText {
                     text.placebo_radius = Some(design.placebo.radius.radius());
                 }
                 text.placebo_configs = design.placebo.configs;
-                text.directions = Some(design.directions).filter(|it| *it != Directions::Shared);
+                text.directions =
+                    Some(design.directions).filter(|directions| *directions != Directions::Shared);
                 text.tasks = Some(design.tasks.iter().map(TaskRef::to_string).collect());
                 text.subsets = Some(design.subsets).filter(|subsets| !subsets.is_empty());
                 text.levels = Some(design.levels);
@@ -522,7 +524,7 @@ impl From<CampaignSpec> for SpecText {
 }
 
 /// Rejects specifications with more than one source of rollouts.
-fn no_two_sources(text: &SpecText) -> Result<(), TextError> {
+fn check_single_source(text: &SpecText) -> Result<(), TextError> {
     let written = [
         ("manifest", text.manifest.is_some()),
         ("explains", text.explains.is_some()),
@@ -539,11 +541,11 @@ fn no_two_sources(text: &SpecText) -> Result<(), TextError> {
         ("placebo_radius", text.placebo_radius.is_some()),
         ("placebo_configs", text.placebo_configs.is_some()),
     ];
-    let by_themselves = &written[..4];
-    let Some(&(field, _)) = by_themselves.iter().find(|(_, written)| *written) else {
+    let exclusive = &written[..4];
+    let Some(&(field, _)) = exclusive.iter().find(|(_, is_written)| *is_written) else {
         return Ok(());
     };
-    let is_other = |(name, written): &&(&str, bool)| *written && *name != field;
+    let is_other = |(name, is_written): &&(&str, bool)| *is_written && *name != field;
     match written.iter().find(is_other) {
         Some(&(other, _)) => Err(TextError::Beside { other, field }),
         None => Ok(()),

@@ -18,7 +18,8 @@ pub enum Condition {
     Clean,
     /// One axis alone.
     Single(Axis),
-    /// A late policy, without further perturbation. Latency is in no [`AxisSet`].
+    /// The latency axis: delayed responses without further perturbation. No [`AxisSet`] contains
+    /// it.
     Latency,
     /// Two to five axes; constructed by [`Self::of`].
     Subset(AxisSet),
@@ -123,7 +124,7 @@ pub enum Realisation {
 }
 
 impl Realisation {
-    /// Name in campaigns and results.
+    /// Returns the name in campaigns and results.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Matched => "matched",
@@ -156,7 +157,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn conditions_read_back_from_their_text() {
+    fn conditions_are_parsed_from_their_text() {
         let conditions: Vec<Condition> = AxisSet::ALL
             .subsets()
             .into_iter()
@@ -186,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn a_combination_perturbs_what_its_campaign_does() {
+    fn a_combination_perturbs_all_axes_of_its_campaign() {
         let campaign = AxisSet::from_iter([Axis::Camera, Axis::Robot]);
         assert_eq!(Condition::Combination.axes(campaign), campaign);
         assert_eq!(

@@ -27,13 +27,14 @@ pub struct Design {
     pub tasks: Vec<TaskRef>,
     /// Perturbed axes: each alone and, if there are two or more, all simultaneously.
     pub axes: Vec<Axis>,
-    /// True if the design has the latency axis: a late policy, without further perturbation.
+    /// True if the design has the latency axis, which delays the policy's responses and perturbs
+    /// nothing else.
     pub latency: bool,
     /// Further conditions: proper subsets of two or more axes.
     pub subsets: Vec<AxisSet>,
     /// Levels of every axis. L0 is the placebo level.
     pub levels: Vec<Level>,
-    /// Configurations: 0 to 9 are the protocol's presets, others are drawn.
+    /// Configurations: 0 to 9 are the protocol's presets; others are drawn.
     pub configs: Vec<u16>,
     /// Nominal rollouts of the design.
     pub nominal: Nominal,
@@ -121,15 +122,16 @@ pub enum DesignError {
     },
     /// The latency axis has no whole number of control steps at a level.
     #[error(
-        "axis `latency` is late by whole control steps, half as many as the radius, and has none \
-         at {level}: write L1, L2, L3 (1, 2 and 4 steps) or an even radius, or take it out of `axes`"
+        "axis `latency` delays responses by whole control steps, half as many as the radius, which \
+         is impossible at {level}: write L1, L2, L3 (1, 2 and 4 steps) or an even radius, or take \
+         it out of `axes`"
     )]
     Delay {
         /// The level.
         level: Level,
     },
     /// The design has more than [`MAX_ROWS`] rows.
-    #[error("it has {rows} rollouts, at most {MAX_ROWS} are expanded: divide it")]
+    #[error("the design has {rows} rollouts, at most {MAX_ROWS} are possible: divide it")]
     TooLarge {
         /// Number of rows.
         rows: usize,
@@ -191,11 +193,14 @@ impl Design {
             );
         }
         if perturbs_nothing && self.nominal == Nominal::None {
-            return empty("axes", "and no nominal rollouts are asked for either");
+            return empty(
+                "axes",
+                "and `nominal` is none, so that the design has no rollouts",
+            );
         }
         let axes = self.axis_set();
-        let is_one = |set: AxisSet| set.len() > 1 && set.is_subset(axes) && set != axes;
-        if let Some(&given) = self.subsets.iter().find(|&&set| !is_one(set)) {
+        let is_valid = |set: AxisSet| set.len() > 1 && set.is_subset(axes) && set != axes;
+        if let Some(&given) = self.subsets.iter().find(|&&set| !is_valid(set)) {
             return Err(DesignError::Subset { given, axes });
         }
         if self.configs.is_empty() {
@@ -209,8 +214,8 @@ impl Design {
             });
         }
         self.check_placebo()?;
-        let is_spoken = |level: &Level| level.is_named() || *level == Level::L0;
-        let unnamed = self.levels.iter().find(|level| !is_spoken(level));
+        let has_paraphrases = |level: &Level| level.is_named() || *level == Level::L0;
+        let unnamed = self.levels.iter().find(|level| !has_paraphrases(level));
         if let (true, Some(&level)) = (self.axes.contains(&Axis::Language), unnamed) {
             return Err(DesignError::NoParaphrase { level });
         }
@@ -220,7 +225,7 @@ impl Design {
         {
             return Err(DesignError::Delay { level });
         }
-        match self.rows_at_most() {
+        match self.max_rows() {
             rows if rows > MAX_ROWS => Err(DesignError::TooLarge { rows }),
             _ => Ok(()),
         }
@@ -236,7 +241,7 @@ impl Design {
             };
             return Err(DesignError::NoPlacebo { field });
         }
-        if !Placebo::may_have(*radius) {
+        if !Placebo::is_valid_radius(*radius) {
             let given = radius.radius();
             return Err(DesignError::PlaceboRadius { given });
         }
@@ -258,32 +263,33 @@ impl Design {
         self.levels.contains(&Level::L0)
     }
 
-    /// Returns true if a configuration is run at a level; only the placebo level may exclude
-    /// configurations.
-    pub(crate) fn runs(&self, level: Level, config: u16) -> bool {
-        level != Level::L0 || self.placebo.has(config)
+    /// Returns true if the design runs a configuration at a level; only the placebo level may
+    /// exclude configurations.
+    pub(crate) fn runs_config(&self, level: Level, config: u16) -> bool {
+        level != Level::L0 || self.placebo.includes(config)
     }
 
-    /// Returns the axes as a specification names them.
+    /// Returns the axes of the specification: the protocol's and latency.
     pub fn any_axes(&self) -> Vec<AnyAxis> {
         let axes = self.axes.iter().copied().map(AnyAxis::Protocol);
         axes.chain(self.latency.then_some(AnyAxis::Latency))
             .collect()
     }
 
-    /// Sets the axes that a specification names.
+    /// Sets the axes of the specification: the protocol's and latency.
     pub fn with_any_axes(mut self, axes: &[AnyAxis]) -> Self {
         self.latency = axes.contains(&AnyAxis::Latency);
-        let protocols = axes.iter().filter_map(|axis| match axis {
+        let protocol_axes = axes.iter().filter_map(|axis| match axis {
             AnyAxis::Protocol(axis) => Some(*axis),
             AnyAxis::Latency => None,
         });
-        self.axes = protocols.collect();
+        self.axes = protocol_axes.collect();
         self
     }
 
-    /// Returns true if a condition is run at a level. The placebo level has no latency rollouts.
-    pub(crate) fn has(&self, condition: Condition, level: Level) -> bool {
+    /// Returns true if the design runs a condition at a level. The placebo level has no latency
+    /// rollouts.
+    pub(crate) fn runs_condition(&self, condition: Condition, level: Level) -> bool {
         condition != Condition::Latency || level != Level::L0
     }
 
@@ -307,7 +313,7 @@ impl Design {
 
     /// Returns the version that identifies this design.
     pub fn version(&self) -> DesignVersion {
-        if self.is(&Self::v0_1()) {
+        if self.has_same_rollouts(&Self::v0_1()) {
             return DesignVersion::v0_1();
         }
         let text = serde_json::to_string(&(
@@ -339,28 +345,31 @@ impl Design {
     }
 
     /// Returns true if both designs have the same rollouts.
-    fn is(&self, other: &Self) -> bool {
-        let seedless = |design: &Self| Self {
+    fn has_same_rollouts(&self, other: &Self) -> bool {
+        let without_seed = |design: &Self| Self {
             seed: 0,
             ..design.clone()
         };
-        seedless(self) == seedless(other) && self.effective_seed() == other.effective_seed()
+        without_seed(self) == without_seed(other) && self.effective_seed() == other.effective_seed()
     }
 
-    /// Returns the seed if the design draws anything from it.
+    /// Returns the seed; `None` if the design draws nothing from it.
     fn effective_seed(&self) -> Option<u64> {
-        let drawn = self.configs.iter().any(|&config| config >= PRESETS);
-        (drawn || self.directions == Directions::Own).then_some(self.seed)
+        let draws_configs = self.configs.iter().any(|&config| config >= PRESETS);
+        (draws_configs || self.directions == Directions::Own).then_some(self.seed)
     }
 
-    fn rows_at_most(&self) -> usize {
+    /// Returns an upper bound of the number of rows.
+    fn max_rows(&self) -> usize {
         let at_level = |level: &Level| {
             let configs = self.configs.iter();
-            configs.filter(|&&config| self.runs(*level, config)).count()
+            configs
+                .filter(|&&config| self.runs_config(*level, config))
+                .count()
         };
         let units: usize = self.levels.iter().map(at_level).sum();
-        let of_task = units * self.conditions().len() + usize::from(INIT_STATES_PER_TASK);
-        self.tasks.len() * of_task
+        let rows_per_task = units * self.conditions().len() + usize::from(INIT_STATES_PER_TASK);
+        self.tasks.len() * rows_per_task
     }
 }
 
@@ -451,7 +460,7 @@ mod tests {
     }
 
     #[test]
-    fn imported_rows_are_v0_1_only_to_the_last_letter() {
+    fn imported_rows_have_version_v0_1_only_if_identical() {
         let mut rows = Design::v0_1().expand().expect("rows");
         rows.reverse();
         assert_eq!(DesignVersion::of_manifest(&rows).as_str(), "v0.1");
@@ -464,7 +473,7 @@ mod tests {
     }
 
     #[test]
-    fn a_subset_is_of_several_axes_of_the_design_and_not_of_all() {
+    fn a_subset_has_two_axes_of_the_design_or_more_but_not_all() {
         let check = |text: &str, axes: &[Axis]| {
             let design = Design {
                 axes: axes.to_vec(),
@@ -486,7 +495,7 @@ mod tests {
     }
 
     #[test]
-    fn a_placebo_without_a_level_of_another_configuration_or_too_strong_is_refused() {
+    fn a_placebo_without_l0_or_with_unknown_configurations_or_too_large_a_radius_is_refused() {
         let check = |levels: &[Level], radius: f64, configs: Option<Vec<u16>>| {
             let radius = Level::of_radius(radius).expect("a radius");
             let design = Design {
@@ -534,7 +543,7 @@ mod tests {
     }
 
     #[test]
-    fn a_design_that_nobody_could_run_is_refused_before_it_is_expanded() {
+    fn a_design_with_too_many_rollouts_is_refused_before_it_is_expanded() {
         let levels = (1..=9).map(|tenths| format!("r1.{tenths}").parse().expect("a level"));
         let design = Design {
             axes: Axis::METRIC.to_vec(),
@@ -544,7 +553,7 @@ mod tests {
         };
         let error = design.check().expect_err("too large").to_string();
         assert!(
-            error.contains("it has 2162000 rollouts, at most 250000"),
+            error.contains("the design has 2162000 rollouts, at most 250000"),
             "{error}"
         );
     }

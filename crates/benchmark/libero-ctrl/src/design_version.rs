@@ -1,4 +1,5 @@
-//! Identifiers of designs: of campaigns, of manifests, and of campaigns that follow from outcomes.
+//! Identifiers of designs: of campaigns, of manifests, and of campaigns that are derived from the
+//! outcomes of another campaign.
 
 use serde::Serialize;
 
@@ -64,7 +65,9 @@ impl DesignVersion {
             return self;
         }
         let prefixes = [MANIFEST, EXPLAINS, THRESHOLDS, VARIANTS];
-        let prefix = prefixes.into_iter().find(|it| self.0.starts_with(it));
+        let prefix = prefixes
+            .into_iter()
+            .find(|prefix| self.0.starts_with(prefix));
         let text = format!("{} {execution}", self.0);
         Self(format!(
             "{}{:08x}",
@@ -78,7 +81,7 @@ impl DesignVersion {
         Self(format!("{prefix}{:08x}", crc32fast::hash(text.as_bytes())))
     }
 
-    /// The text.
+    /// Returns the text.
     pub fn as_str(&self) -> &str {
         &self.0
     }

@@ -17,11 +17,11 @@ pub const MAX_CONFIGS: u16 = 1_000;
 #[serde(rename_all = "lowercase")]
 pub enum Directions {
     /// Shared by all tasks: a configuration has the same direction in each task, the
-    /// protocol's for 0 to 9. Figures then hold for these directions only.
+    /// protocol's for 0 to 9. Results then hold for these directions only.
     #[default]
     Shared,
     /// Drawn separately for each task from the design's seed, including the first ten.
-    /// Figures then generalise to all directions, which the configurations sample.
+    /// Results then generalise to all directions, because the configurations are a sample of them.
     Own,
 }
 
@@ -35,18 +35,18 @@ const VERSION: &str = "libero-ctrl/configurations/1";
 /// depends only on `design_seed`, axis and configuration and, for [`Directions::Own`], on the
 /// task.
 pub(crate) fn direction(
-    of: Directions,
+    directions: Directions,
     task: TaskRef,
     axis: Axis,
     config: u16,
     design_seed: u64,
 ) -> Vec<f64> {
-    let name = match of {
+    let name = match directions {
         Directions::Shared if config < PRESETS => return preset_direction(axis, config).to_vec(),
         Directions::Shared => format!("{axis}/c{config}"),
         Directions::Own => format!("{task}/{axis}/c{config}"),
     };
-    let mut rng = draws(design_seed, &name);
+    let mut rng = named_rng(design_seed, &name);
     // A normalised vector of independent normals is uniform on the sphere.
     let mut direction: Vec<f64> = unit(axis).iter().map(|_| rng.standard_normal()).collect();
     let length = direction.iter().map(|x| x * x).sum::<f64>().sqrt();
@@ -66,22 +66,22 @@ pub(crate) fn direction(
 /// fifty states. From the fifty-first configuration on, states repeat.
 pub(crate) fn init_id(task: TaskRef, config: u16, design_seed: u64) -> u16 {
     let evaluated = task.eval_init_ids();
-    let place = usize::from(config % INIT_STATES_PER_TASK);
-    if let Some(&init_id) = evaluated.get(place) {
+    let index = usize::from(config % INIT_STATES_PER_TASK);
+    if let Some(&init_id) = evaluated.get(index) {
         return init_id;
     }
     let mut others: Vec<u16> = (0..INIT_STATES_PER_TASK)
         .filter(|init_id| !evaluated.contains(init_id))
         .collect();
-    let mut rng = draws(design_seed, &format!("{task}/init"));
+    let mut rng = named_rng(design_seed, &format!("{task}/init"));
     for last in (1..others.len()).rev() {
         let other = (rng.random() * (last + 1) as f64) as usize;
         others.swap(last, other);
     }
-    others[place - evaluated.len()]
+    others[index - evaluated.len()]
 }
 
-fn draws(design_seed: u64, name: &str) -> MatchedRng {
+fn named_rng(design_seed: u64, name: &str) -> MatchedRng {
     MatchedStream::named(&format!("{VERSION}/{design_seed}/{name}")).fixed()
 }
 
@@ -97,21 +97,22 @@ mod tests {
 
     #[test]
     fn own_directions_differ_by_task_axis_configuration_and_seed() {
-        let own = |task: TaskRef, axis, config, seed| {
+        let draw = |task: TaskRef, axis, config, seed| {
             direction(Directions::Own, task, axis, config, seed)
         };
-        let [one, other] = ["libero_goal/3", "libero_goal/4"].map(|it| it.parse().expect("a task"));
+        let [one, other] =
+            ["libero_goal/3", "libero_goal/4"].map(|text| text.parse().expect("a task"));
         for config in [0, 10] {
-            let of_one = own(one, Axis::Camera, config, 1);
-            let length = of_one.iter().map(|x| x * x).sum::<f64>().sqrt();
+            let direction = draw(one, Axis::Camera, config, 1);
+            let length = direction.iter().map(|x| x * x).sum::<f64>().sqrt();
             assert!(
-                (length - 1.0).abs() < 1e-12 && of_one[2] >= 0.0,
-                "{of_one:?}"
+                (length - 1.0).abs() < 1e-12 && direction[2] >= 0.0,
+                "{direction:?}"
             );
-            assert_ne!(of_one, own(other, Axis::Camera, config, 1));
-            assert_ne!(of_one, own(one, Axis::Camera, config, 2));
-            assert_ne!(of_one, own(one, Axis::Lighting, config, 1));
-            assert_ne!(of_one, shared(Axis::Camera, config, 1));
+            assert_ne!(direction, draw(other, Axis::Camera, config, 1));
+            assert_ne!(direction, draw(one, Axis::Camera, config, 2));
+            assert_ne!(direction, draw(one, Axis::Lighting, config, 1));
+            assert_ne!(direction, shared(Axis::Camera, config, 1));
         }
     }
 
@@ -125,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn the_seed_of_a_design_changes_nothing_of_the_presets() {
+    fn the_presets_do_not_depend_on_the_seed_of_the_design() {
         let task: TaskRef = "libero_goal/3".parse().expect("a task");
         for config in 0..PRESETS {
             assert_eq!(
@@ -136,12 +137,12 @@ mod tests {
                 assert_eq!(shared(axis, config, 1), shared(axis, config, 2));
             }
         }
-        let of_seed = |seed| (10..50).map(|c| init_id(task, c, seed)).collect::<Vec<_>>();
-        assert_ne!(of_seed(1), of_seed(2));
+        let states = |seed| (10..50).map(|c| init_id(task, c, seed)).collect::<Vec<_>>();
+        assert_ne!(states(1), states(2));
         assert_ne!(shared(Axis::Camera, 10, 1), shared(Axis::Camera, 10, 2));
     }
 
-    /// Pins the draws: a change here changes the configurations of every
+    /// Pins the drawn values: a change here changes the configurations of every
     /// custom design and needs a new [`VERSION`].
     #[test]
     fn the_configurations_of_a_seed_never_change() {

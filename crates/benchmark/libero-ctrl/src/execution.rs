@@ -39,7 +39,7 @@ pub enum Execution {
     Overlap {
         /// Delay of a response.
         delays: Delays,
-        /// Real-time chunking: the policy receives the commands executed meanwhile.
+        /// Real-time chunking: the policy receives the commands that are executed during the delay.
         rtc: bool,
     },
 }
@@ -87,12 +87,12 @@ pub struct TooLate {
 }
 
 impl Execution {
-    /// Returns true for [`Self::Wait`], the behaviour of earlier releases.
+    /// Returns true for [`Self::Wait`].
     pub fn is_wait(&self) -> bool {
         *self == Self::Wait
     }
 
-    /// Returns true if the policy must receive the commands executed meanwhile.
+    /// Returns true if the policy must receive the commands that are executed during the delay.
     pub fn is_rtc(&self) -> bool {
         matches!(self, Self::Overlap { rtc: true, .. })
     }
@@ -130,7 +130,7 @@ impl Delays {
         Self::weighted([(steps, 1)]).ok()
     }
 
-    /// Creates a distribution; weights of the same delay are added. The error is a clause.
+    /// Creates a distribution; the weights of equal delays are added. The error is a clause.
     fn weighted(given: impl IntoIterator<Item = (u16, u32)>) -> Result<Self, String> {
         let mut weighted = std::collections::BTreeMap::<u16, u32>::new();
         for (steps, weight) in given {
@@ -143,7 +143,7 @@ impl Delays {
             *weighted.entry(steps).or_default() += weight;
         }
         match weighted.len() {
-            0 => Err("it has no delay".to_owned()),
+            0 => Err("no delay is given".to_owned()),
             1 => Ok(Self {
                 weighted: weighted.into_keys().map(|steps| (steps, 1)).collect(),
             }),
@@ -151,7 +151,7 @@ impl Delays {
                 weighted: weighted.into_iter().collect(),
             }),
             many => Err(format!(
-                "it has {many} different delays, at most {MAX_DISTINCT_DELAYS} are possible"
+                "{many} different delays are given, at most {MAX_DISTINCT_DELAYS} are possible"
             )),
         }
     }
@@ -164,7 +164,7 @@ impl Delays {
     pub fn measured(
         counts: impl IntoIterator<Item = (u16, u64)>,
     ) -> Result<Self, LatencyFileError> {
-        let counts: Vec<(u16, u64)> = counts.into_iter().filter(|(_, it)| *it > 0).collect();
+        let counts: Vec<(u16, u64)> = counts.into_iter().filter(|(_, count)| *count > 0).collect();
         let total = counts.iter().map(|(_, count)| *count as f64).sum::<f64>();
         let weight = |count: u64| {
             let thousandths = count as f64 / total * f64::from(MAX_WEIGHT);
@@ -210,12 +210,13 @@ impl Delays {
         self.pick(&mut stream.at(query, 0))
     }
 
+    /// Draws a delay.
     fn pick(&self, rng: &mut MatchedRng) -> u16 {
         let total: u32 = self.weighted.iter().map(|(_, weight)| weight).sum();
-        let mut place = rng.random() * f64::from(total);
+        let mut position = rng.random() * f64::from(total);
         for &(steps, weight) in &self.weighted {
-            place -= f64::from(weight);
-            if place < 0.0 {
+            position -= f64::from(weight);
+            if position < 0.0 {
                 return steps;
             }
         }
@@ -272,10 +273,10 @@ impl FromStr for Execution {
         match model {
             "hold" => Ok(Self::Hold(delays(rest).map_err(error)?)),
             "overlap" => {
-                let told = rest.strip_suffix(",rtc");
+                let without_rtc = rest.strip_suffix(",rtc");
                 Ok(Self::Overlap {
-                    delays: delays(told.unwrap_or(rest)).map_err(error)?,
-                    rtc: told.is_some(),
+                    delays: delays(without_rtc.unwrap_or(rest)).map_err(error)?,
+                    rtc: without_rtc.is_some(),
                 })
             }
             other => Err(error(format!("there is no model `{other}`"))),
@@ -283,12 +284,13 @@ impl FromStr for Execution {
     }
 }
 
+/// Parses delays; the error is a clause.
 fn delays(text: &str) -> Result<Delays, String> {
     let number = |text: &str| -> Result<u32, String> {
         // Rejects signs and spaces, so that each model has only one text.
-        let digits = Some(text).filter(|it| it.bytes().all(|byte| byte.is_ascii_digit()));
-        let read = digits.and_then(|it| it.parse().ok());
-        read.ok_or_else(|| match text {
+        let digits = Some(text).filter(|text| text.bytes().all(|byte| byte.is_ascii_digit()));
+        let value = digits.and_then(|digits| digits.parse().ok());
+        value.ok_or_else(|| match text {
             "" => "a number is missing".to_owned(),
             _ => format!("`{text}` is no number"),
         })

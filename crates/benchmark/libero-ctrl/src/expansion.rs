@@ -58,11 +58,11 @@ impl Design {
                     rows.push(clean_row(task, init_id));
                 }
                 for &level in &self.levels {
-                    if !self.runs(level, config) {
+                    if !self.runs_config(level, config) {
                         continue;
                     }
                     let mut conditions = self.conditions();
-                    conditions.retain(|condition| self.has(*condition, level));
+                    conditions.retain(|condition| self.runs_condition(*condition, level));
                     for condition in conditions {
                         rows.push(self.perturbed_row(task, condition, level, config));
                     }
@@ -91,7 +91,7 @@ impl Design {
         level: Level,
         config: u16,
     ) -> Result<ManifestRow, DesignError> {
-        let of_one = Self {
+        let single = Self {
             tasks: vec![task],
             axes: condition.axes(self.axis_set()).axes().collect(),
             latency: condition == Condition::Latency,
@@ -107,8 +107,8 @@ impl Design {
             },
             ..self.clone()
         };
-        of_one.check()?;
-        if !self.has(condition, level) {
+        single.check()?;
+        if !self.runs_condition(condition, level) {
             return Err(DesignError::Delay { level });
         }
         Ok(self.perturbed_row(task, condition, level, config))
@@ -161,8 +161,8 @@ fn paired_units_first(mut rows: Vec<ManifestRow>) -> Vec<ManifestRow> {
     let mut first_configs = BTreeMap::new();
     for row in &rows {
         if let Some(config) = row.id.config() {
-            let first = first_configs.entry((row.id.task(), row.init_id));
-            let first = first.or_insert(config);
+            let entry = first_configs.entry((row.id.task(), row.init_id));
+            let first = entry.or_insert(config);
             *first = config.min(*first);
         }
     }
@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn a_configuration_stands_together_with_its_nominal_rollout() {
+    fn a_configuration_follows_its_nominal_rollout() {
         let rows = metric_design().expand().expect("rows");
         let ids: Vec<String> = rows.iter().map(|row| row.id.to_string()).collect();
         assert_eq!(
@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn a_subset_perturbs_as_its_axes_do_elsewhere() {
+    fn a_subset_has_the_parameters_of_its_axes_in_other_conditions() {
         let whole = Design {
             nominal: Nominal::None,
             levels: vec![Level::L2],
@@ -290,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn a_configuration_is_itself_at_every_radius() {
+    fn a_configuration_has_one_direction_and_initial_state_at_every_radius() {
         let design = Design {
             axes: vec![Axis::Camera, Axis::Robot],
             configs: vec![4, 17],
@@ -303,10 +303,10 @@ mod tests {
             let Some(config) = id.config() else { continue };
             let at = |level: Level| design.row_at(id.task(), id.condition(), level, config);
             assert_eq!(at(id.level()), Ok(row.clone()));
-            let farther = at("r12".parse().expect("a level")).expect("a row");
-            assert_eq!(farther.init_id, row.init_id);
+            let far = at("r12".parse().expect("a level")).expect("a row");
+            assert_eq!(far.init_id, row.init_id);
             for axis in row.perturbation.axes() {
-                let pairs = farther.perturbation.values(axis).into_iter();
+                let pairs = far.perturbation.values(axis).into_iter();
                 for (far, near) in pairs.zip(row.perturbation.values(axis)) {
                     let expected = near * 12.0 / id.level().radius();
                     assert!((far - expected).abs() < 1e-5, "{id}: {far} {near}");
@@ -316,12 +316,12 @@ mod tests {
         let task = "libero_goal/3".parse().expect("a task");
         let between = "r3".parse().expect("a level");
         let all = Condition::Combination;
-        let spoken = Design::v0_1().row_at(task, all, between, 4);
-        assert_eq!(spoken, Err(DesignError::NoParaphrase { level: between }));
+        let row = Design::v0_1().row_at(task, all, between, 4);
+        assert_eq!(row, Err(DesignError::NoParaphrase { level: between }));
     }
 
     #[test]
-    fn a_placebo_is_the_same_configurations_at_a_radius_that_nobody_sees() {
+    fn a_placebo_has_the_same_configurations_at_a_small_radius() {
         let design = Design {
             levels: vec![Level::L0, Level::L2],
             configs: vec![4, 17],
@@ -366,7 +366,7 @@ mod tests {
     }
 
     #[test]
-    fn directions_of_ones_own_change_what_is_drawn_and_no_id() {
+    fn own_directions_change_only_the_parameters() {
         let shared = Design {
             configs: vec![4, 17],
             tasks: select("libero_goal/3"),
@@ -397,7 +397,7 @@ mod tests {
     }
 
     #[test]
-    fn nominal_rollouts_are_all_those_of_the_configurations_or_none() {
+    fn nominal_selects_all_initial_states_those_of_the_configurations_or_none() {
         let count = |nominal| {
             let design = Design {
                 nominal,
@@ -424,14 +424,14 @@ mod tests {
     #[test]
     fn an_imported_manifest_runs_in_the_order_of_a_design() {
         let rows = Design::v0_1().expand().expect("rows");
-        let mut as_written = rows.clone();
-        as_written.sort_by_key(|row| row.id);
-        assert_ne!(as_written, rows);
-        assert_eq!(paired_units_first(as_written), rows);
+        let mut unsorted = rows.clone();
+        unsorted.sort_by_key(|row| row.id);
+        assert_ne!(unsorted, rows);
+        assert_eq!(paired_units_first(unsorted), rows);
     }
 
     #[test]
-    fn the_language_axis_and_its_combination_say_the_same_and_the_others_speak_canonically() {
+    fn the_language_axis_and_the_combination_have_the_same_paraphrase_and_others_none() {
         let design = Design {
             axes: vec![Axis::Camera, Axis::Language],
             nominal: Nominal::None,

@@ -1,6 +1,6 @@
-//! The latency axis, beside the six of the protocol: the policy is late by whole control steps.
-//! It perturbs no value of the scene. Its rows run under `overlap` with their own delay, and
-//! simultaneous perturbation leaves it out.
+//! The latency axis, an addition to the six of the protocol: the policy's responses are delayed by
+//! whole control steps. The axis perturbs no value of the scene. Its rows run under `overlap` with
+//! their own delay, and simultaneous perturbation excludes it.
 
 use std::fmt;
 use std::str::FromStr;
@@ -30,9 +30,9 @@ pub(crate) fn execution_at(level: Level) -> Option<Execution> {
 /// An axis of a specification: one of the protocol's six, or latency.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum AnyAxis {
-    /// One of the six.
+    /// An axis of the protocol.
     Protocol(Axis),
-    /// A late policy.
+    /// The latency axis.
     Latency,
 }
 
@@ -66,7 +66,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn levels_are_whole_control_steps() {
+    fn levels_are_delays_of_whole_control_steps() {
         let delay = |level: &str| delay_at(level.parse().expect("a level"));
         assert_eq!(["L1", "L2", "L3"].map(delay), [Some(1), Some(2), Some(4)]);
         assert_eq!(
@@ -79,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn a_specification_names_it_beside_the_six() {
+    fn latency_is_a_valid_axis_of_specifications() {
         assert_eq!("latency".parse(), Ok(AnyAxis::Latency));
         assert_eq!("robot".parse(), Ok(AnyAxis::Protocol(Axis::Robot)));
         let error = "lag".parse::<AnyAxis>().expect_err("no axis").to_string();

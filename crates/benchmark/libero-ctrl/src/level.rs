@@ -15,7 +15,7 @@ use crate::names::{UnknownName, serde_as_text};
 /// whose radius is stored in the rows ([`crate::Placebo`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Level {
-    // Decimal, so that a level equals the one parsed from its text.
+    // An integer, so that a level equals the one parsed from its text.
     radius_micros: u32,
 }
 
@@ -29,14 +29,14 @@ impl Level {
     /// Radius 8.
     pub const L3: Self = Self::of_whole_radius(8);
 
-    /// The protocol's levels at which something is perturbed.
+    /// The protocol's levels of perturbed rollouts.
     pub const PERTURBED: [Self; 3] = [Self::L1, Self::L2, Self::L3];
 
     /// Returns the level of a radius, rounded to six decimals; `None` if the radius is out
     /// of range, see [`Self::from_str`].
     pub fn of_radius(radius: f64) -> Option<Self> {
         let radius_micros = (radius * f64::from(MICROS)).round();
-        let valid = f64::from(LEAST_MICROS)..=f64::from(MOST_MICROS);
+        let valid = f64::from(MIN_MICROS)..=f64::from(MAX_MICROS);
         valid.contains(&radius_micros).then_some(Self {
             radius_micros: radius_micros as u32,
         })
@@ -83,7 +83,7 @@ impl FromStr for Level {
         }
         let radius = text.strip_prefix('r').and_then(micros);
         radius
-            .filter(|radius| (LEAST_MICROS..=MOST_MICROS).contains(radius))
+            .filter(|radius| (MIN_MICROS..=MAX_MICROS).contains(radius))
             .map(|radius_micros| Self { radius_micros })
             .ok_or_else(|| UnknownName::new("level", text, &VALID))
     }
@@ -105,9 +105,9 @@ const MICROS: u32 = 1_000_000;
 /// Largest number of decimals of a radius.
 const DECIMALS: usize = 6;
 /// Smallest radius, micros; below it, parameters would be rounded to zero.
-const LEAST_MICROS: u32 = MICROS / 1_000;
+const MIN_MICROS: u32 = MICROS / 1_000;
 /// Largest radius, micros; above it, a light's brightness would overflow single precision.
-const MOST_MICROS: u32 = 100 * MICROS;
+const MAX_MICROS: u32 = 100 * MICROS;
 
 /// Parses a decimal number into micros; `None` if the text is not a valid number.
 fn micros(text: &str) -> Option<u32> {
@@ -126,7 +126,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_radius_is_what_its_text_says() {
+    fn a_level_is_parsed_from_its_text() {
         let check = |text: &str, radius: f64| {
             let level: Level = text.parse().expect("a level");
             assert_eq!(level.to_string(), text);
@@ -142,7 +142,7 @@ mod tests {
     }
 
     #[test]
-    fn a_radius_is_rounded_to_the_level_that_is_written_so() {
+    fn a_radius_is_rounded_to_six_decimals() {
         for text in ["r0.001", "r0.1", "r2.675", "L2", "r99.999999", "r100"] {
             let level: Level = text.parse().expect("a level");
             assert_eq!(Level::of_radius(level.radius()), Some(level), "{text}");

@@ -91,10 +91,10 @@ pub fn diff(left: &[ManifestRow], right: &[ManifestRow]) -> Vec<Difference> {
     };
     let (left, mut right) = (by_id(left), by_id(right));
     let mut differences = Vec::new();
-    for (id, here) in left {
+    for (id, left) in left {
         match right.remove(&id) {
             None => differences.push(Difference::OnlyLeft(id)),
-            Some(there) => compare("", &here, &there, &mut |column, left, right| {
+            Some(right) => compare("", &left, &right, &mut |column, left, right| {
                 differences.push(Difference::Value {
                     id,
                     column: column.to_owned(),
@@ -181,13 +181,13 @@ pub enum LineProblem {
         id: RolloutId,
         /// Names of the columns that differ.
         column: String,
-        /// Line of the row that it should agree with.
+        /// Line of the row that this row should agree with.
         first: usize,
     },
     /// The execution model differs from that of the first row.
     #[error(
-        "{id}: execution model `{given}`, and `{expected}` in line {first}: make it a manifest \
-             of its own"
+        "{id}: execution model `{given}`, but `{expected}` in line {first}: put rows of different \
+             models into separate manifests"
     )]
     Execution {
         /// The row.
@@ -242,12 +242,12 @@ impl ManifestErrors {
 
 impl fmt::Display for ManifestErrors {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let are = if self.count == 1 {
+        let lines_are = if self.count == 1 {
             "line is"
         } else {
             "lines are"
         };
-        write!(f, "read manifest: {} {are} refused", self.count)?;
+        write!(f, "read manifest: {} {lines_are} refused", self.count)?;
         for LineError { line, problem } in &self.listed {
             write!(f, "\n  line {line}: {problem}")?;
         }
@@ -313,21 +313,21 @@ impl Checker {
     /// contradicted row.
     fn difference(&mut self, line: usize, row: &ManifestRow) -> Option<(String, usize)> {
         let key = (row.id.task(), row.id.level(), row.id.config()?);
-        let known = self.configurations.entry(key);
-        let known = known.or_insert_with(|| Configuration {
+        let entry = self.configurations.entry(key);
+        let configuration = entry.or_insert_with(|| Configuration {
             init_id: (line, row.init_id),
             values: BTreeMap::new(),
         });
-        if known.init_id.1 != row.init_id {
-            return Some(("initial states".to_owned(), known.init_id.0));
+        if configuration.init_id.1 != row.init_id {
+            return Some(("initial states".to_owned(), configuration.init_id.0));
         }
         row.perturbation.axes().into_iter().find_map(|axis| {
             let values = row.perturbation.values(axis);
-            let (first, known) = known
+            let (first, expected) = configuration
                 .values
                 .entry(axis)
                 .or_insert_with(|| (line, values.clone()));
-            (*known != values).then(|| (format!("parameters of axis {axis}"), *first))
+            (*expected != values).then(|| (format!("parameters of axis {axis}"), *first))
         })
     }
 
@@ -367,20 +367,15 @@ fn check_radii(row: &ManifestRow) -> Result<(), LineProblem> {
     Ok(())
 }
 
-/// Calls `differs` for every value that differs, with its path.
-fn compare(
-    path: &str,
-    left: &Value,
-    right: &Value,
-    differs: &mut impl FnMut(&str, &Value, &Value),
-) {
-    let (Value::Object(here), Value::Object(there)) = (left, right) else {
+/// Calls `report` for every value that differs, with its path.
+fn compare(path: &str, left: &Value, right: &Value, report: &mut impl FnMut(&str, &Value, &Value)) {
+    let (Value::Object(left_fields), Value::Object(right_fields)) = (left, right) else {
         if left != right {
-            differs(path, left, right);
+            report(path, left, right);
         }
         return;
     };
-    let mut keys: Vec<&String> = here.keys().chain(there.keys()).collect();
+    let mut keys: Vec<&String> = left_fields.keys().chain(right_fields.keys()).collect();
     keys.sort_unstable();
     keys.dedup();
     for key in keys {
@@ -389,12 +384,12 @@ fn compare(
             path.push('.');
         }
         let _ = write!(path, "{key}");
-        let (left, right) = (here.get(key), there.get(key));
+        let (left, right) = (left_fields.get(key), right_fields.get(key));
         compare(
             &path,
             left.unwrap_or(&Value::Null),
             right.unwrap_or(&Value::Null),
-            differs,
+            report,
         );
     }
 }
@@ -418,7 +413,7 @@ mod tests {
     }
 
     #[test]
-    fn a_whole_manifest_reads_back() {
+    fn a_manifest_is_parsed_from_its_text() {
         let rows = rows();
         let read = parse(&to_text(&rows)).expect("reads back");
         assert_eq!(read, rows);
@@ -426,7 +421,7 @@ mod tests {
     }
 
     #[test]
-    fn refused_lines_are_numbered_and_say_why() {
+    fn refused_lines_are_listed_with_number_and_reason() {
         let rows = rows();
         let sensor = to_text(&rows[4..5]);
         assert!(sensor.contains("sensor/L1"), "{sensor}");

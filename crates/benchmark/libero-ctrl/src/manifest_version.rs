@@ -28,11 +28,11 @@ impl DesignVersion {
             rows.sort_by_key(|row| row.id);
             manifest::to_text(&rows)
         };
-        let ours = text(rows);
+        let imported = text(rows);
         let whole = Design::v0_1().expand().expect("v0.1 is a design");
-        if rows.len() == whole.len() && ours == text(&whole) {
+        if rows.len() == whole.len() && imported == text(&whole) {
             return Self::v0_1();
         }
-        Self::manifest(&ours)
+        Self::manifest(&imported)
     }
 }

@@ -8,7 +8,7 @@ use crate::thresholds::Thresholds;
 /// Reason why the thresholds of a campaign cannot be measured, with a remedy.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum NotMeasurable {
-    /// The rows are imported or follow from outcomes.
+    /// The rows are imported, or derived from the outcomes of another campaign.
     #[error(
         "its rows come from no design, so that their values at another radius are unknown; \
          create a campaign with `tasks`, `axes` and `levels`"
@@ -51,14 +51,17 @@ impl Thresholds {
         if valid.is_empty() || design.levels.iter().all(|level| *level == Level::L0) {
             return Err(NotMeasurable::NoCondition);
         }
-        let other = self.conditions.iter().find(|it| !valid.contains(it));
+        let other = self
+            .conditions
+            .iter()
+            .find(|condition| !valid.contains(condition));
         match other {
             None => Ok(()),
             Some(given) => Err(NotMeasurable::OtherCondition {
                 given: given.label(),
                 valid: valid
                     .iter()
-                    .map(|it| it.label())
+                    .map(|condition| condition.label())
                     .collect::<Vec<_>>()
                     .join(", "),
             }),
@@ -74,7 +77,7 @@ mod tests {
     use crate::condition::Condition;
     use crate::design::Design;
 
-    fn under(conditions: &[Condition]) -> Thresholds {
+    fn thresholds(conditions: &[Condition]) -> Thresholds {
         Thresholds {
             campaign: "first".to_owned(),
             conditions: conditions.to_vec(),
@@ -86,32 +89,33 @@ mod tests {
     }
 
     #[test]
-    fn what_a_campaign_cannot_be_asked_for_is_said_with_what_can() {
+    fn conditions_that_cannot_be_measured_are_refused_with_the_valid_ones() {
         let design = Design {
             axes: vec![Axis::Camera, Axis::Robot],
             ..Design::v0_1()
         };
-        let of = |change: fn(&mut Design), conditions: &[Condition]| {
+        let check = |change: fn(&mut Design), conditions: &[Condition]| {
             let mut design = design.clone();
             change(&mut design);
-            under(conditions).can_be_of(&Rollouts::Design(design))
+            thresholds(conditions).can_be_of(&Rollouts::Design(design))
         };
         let both = [Condition::Single(Axis::Camera), Condition::Combination];
-        assert_eq!(of(|_| (), &both), Ok(()));
-        assert_eq!(of(|_| (), &[]), Ok(()));
+        assert_eq!(check(|_| (), &both), Ok(()));
+        assert_eq!(check(|_| (), &[]), Ok(()));
         let subset = Condition::of(AxisSet::from_iter([Axis::Camera, Axis::Sensor]));
         for other in [Condition::Single(Axis::Sensor), Condition::Clean, subset] {
-            let error = of(|_| (), &[other]).expect_err("no condition of it");
+            let error =
+                check(|_| (), &[other]).expect_err("a condition that the campaign does not run");
             let valid = "its own are camera, robot, simultaneous";
             assert!(error.to_string().contains(valid), "{error}");
         }
-        let nothing = of(|design| design.nominal = Nominal::None, &[]);
-        assert_eq!(nothing, Err(NotMeasurable::NoNominal));
-        let nothing = of(|design| design.axes.clear(), &[]);
-        assert_eq!(nothing, Err(NotMeasurable::NoCondition));
-        let nothing = of(|design| design.levels = vec![Level::L0], &[]);
-        assert_eq!(nothing, Err(NotMeasurable::NoCondition));
-        let imported = under(&[]).can_be_of(&Rollouts::Manifest(Vec::new()));
+        let result = check(|design| design.nominal = Nominal::None, &[]);
+        assert_eq!(result, Err(NotMeasurable::NoNominal));
+        let result = check(|design| design.axes.clear(), &[]);
+        assert_eq!(result, Err(NotMeasurable::NoCondition));
+        let result = check(|design| design.levels = vec![Level::L0], &[]);
+        assert_eq!(result, Err(NotMeasurable::NoCondition));
+        let imported = thresholds(&[]).can_be_of(&Rollouts::Manifest(Vec::new()));
         assert_eq!(imported, Err(NotMeasurable::NoDesign));
     }
 }

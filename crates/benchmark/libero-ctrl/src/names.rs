@@ -15,7 +15,7 @@ pub struct UnknownName {
 /// Quotes the name for the message, after the kind of name expected.
 fn quoted(given: &str) -> String {
     match given {
-        "" => ", of which nothing was given".to_owned(),
+        "" => ", which is empty".to_owned(),
         given => format!(" `{given}`"),
     }
 }

@@ -7,14 +7,14 @@
 //! construction, because each is built from the choices of the one below:
 //!
 //! - **L1, vocabulary**: the task's construction in its canonical word order,
-//!   spoken with variant j of every verb, noun and preposition.
+//!   with variant j of every verb, noun and preposition.
 //! - **L2, local structure**: the same words in structure j of the construction
 //!   (relative clauses, fronted places, other attachments and orders).
 //! - **L3, frame**: the same words in the same structure inside frame j
 //!   (question, need, goal, subordinate clause), which sets the verbs' form.
 //!
 //! Words, structures, frames and tasks are in `data/paraphrases.json`, which
-//! also says how its templates are written. To add a task, name its
+//! also documents the syntax of its templates. To add a task, name its
 //! construction there and fill the construction's slots from `words`; a new
 //! construction needs its canonical order and ten structures. A word may only
 //! replace another if it names its object uniquely in the scenes of all tasks that
@@ -29,9 +29,9 @@ mod speech;
 use crate::level::Level;
 use crate::suite::TaskRef;
 use rules::{Form, VARIANTS, rules};
-use speech::Speaker;
+use speech::Renderer;
 
-/// An instruction in other words.
+/// A paraphrase of an instruction.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Paraphrase {
     /// The policy's instruction, verbatim: lower-case English without final
@@ -70,16 +70,16 @@ fn sentence(task: TaskRef, level: Level, variant: usize) -> String {
     let rules = rules();
     let task = &rules.tasks[&task];
     let construction = &rules.constructions[&task.construction];
-    let speaker = Speaker::new(rules, task, variant);
+    let renderer = Renderer::new(rules, task, variant);
     let structure = &construction.structures[variant];
     let (lead, body) = structure.split_once('|').unwrap_or(("", structure));
     let text = match level {
-        Level::L1 => speaker.say(&construction.plain, Form::Base),
-        Level::L2 => speaker.say(&format!("{lead}{body}"), Form::Base),
+        Level::L1 => renderer.render(&construction.plain, Form::Base),
+        Level::L2 => renderer.render(&format!("{lead}{body}"), Form::Base),
         Level::L3 => {
             let frame = &rules.frames[variant];
-            let before = speaker.say(&frame.before.replace("{lead}", lead), Form::Base);
-            format!("{before} {}", speaker.say(body, frame.form))
+            let before = renderer.render(&frame.before.replace("{lead}", lead), Form::Base);
+            format!("{before} {}", renderer.render(body, frame.form))
         }
         other => panic!("no paraphrase at {other}: valid are L1, L2, L3"),
     };
@@ -122,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn every_level_speaks_in_the_vocabulary_of_l1() {
+    fn every_level_uses_the_vocabulary_of_l1() {
         let rules = rules();
         for (task, variant) in variants() {
             let described = &rules.tasks[&task];
@@ -130,32 +130,32 @@ mod tests {
             for level in Level::PERTURBED {
                 let text = sentence(task, level, variant);
                 for list in lists(described, plain) {
-                    let spoken = match (rules.verbs.get(list), rules.words.get(list)) {
+                    let is_used = match (rules.verbs.get(list), rules.words.get(list)) {
                         (Some(verbs), None) => verbs
-                            .of(variant)
+                            .entry(variant)
                             .split('/')
                             .any(|form| form.split('~').all(|part| text.contains(part))),
-                        (None, Some(words)) => text.contains(words.of(variant)),
+                        (None, Some(words)) => text.contains(words.entry(variant)),
                         _ => panic!("`{list}` is not one list"),
                     };
-                    assert!(spoken, "`{text}` speaks without `{list}`");
+                    assert!(is_used, "`{text}` uses nothing of `{list}`");
                 }
             }
         }
     }
 
     #[test]
-    fn a_frame_changes_nothing_of_its_structure_but_the_form_of_verbs() {
+    fn a_frame_changes_only_the_form_of_verbs() {
         let rules = rules();
         let forms = rules.verbs.values().flat_map(|verbs| {
-            (0..VARIANTS).flat_map(|variant| verbs.of(variant).split(['/', '~', ' ']))
+            (0..VARIANTS).flat_map(|variant| verbs.entry(variant).split(['/', '~', ' ']))
         });
         let forms: BTreeSet<&str> = forms.collect();
         for (task, variant) in variants() {
             let [l2, l3] = [Level::L2, Level::L3].map(|level| sentence(task, level, variant));
             let frame = &rules.frames[variant];
-            let own = frame.before.replace("{lead}", "");
-            let unframed = l3.replacen(&format!("{} ", own.trim()), "", 1);
+            let frame_words = frame.before.replace("{lead}", "");
+            let unframed = l3.replacen(&format!("{} ", frame_words.trim()), "", 1);
             let [l2, l3]: [Vec<&str>; 2] = [&l2, &unframed].map(|text| text.split(' ').collect());
             assert_eq!(l2.len(), l3.len(), "{l2:?}, {l3:?}");
             for (below, above) in l2.iter().zip(&l3) {
@@ -170,12 +170,12 @@ mod tests {
     }
 
     #[test]
-    fn a_lead_has_a_frame_that_takes_it() {
+    fn a_structure_with_a_lead_has_a_frame_with_a_place_for_it() {
         let rules = rules();
         for (name, construction) in &rules.constructions {
             for (structure, frame) in construction.structures.iter().zip(&rules.frames) {
-                let takes = frame.before.contains("{lead}");
-                assert!(takes || !structure.contains('|'), "{name}: {structure}");
+                let has_lead = frame.before.contains("{lead}");
+                assert!(has_lead || !structure.contains('|'), "{name}: {structure}");
             }
         }
     }
@@ -191,11 +191,11 @@ mod tests {
             }
         }
         for list in rules.verbs.keys().chain(rules.words.keys()) {
-            assert!(used.contains(list.as_str()), "{list} is never spoken");
+            assert!(used.contains(list.as_str()), "{list} is never used");
         }
         for name in rules.constructions.keys() {
             let used = rules.tasks.values().any(|task| task.construction == *name);
-            assert!(used, "no task is built as {name}");
+            assert!(used, "no task uses construction {name}");
         }
     }
 }

@@ -294,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn every_shape_reads_back() {
+    fn the_perturbations_of_every_condition_are_parsed_from_their_json() {
         for axis in Axis::METRIC {
             let condition = Condition::Single(axis);
             let alone = preset(&[axis]);

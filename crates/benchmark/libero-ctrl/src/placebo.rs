@@ -21,12 +21,12 @@ impl Placebo {
     pub const DEFAULT_RADIUS: Level = Level::of_radius_micros(20_000);
 
     /// Returns true if a radius is valid for a placebo.
-    pub(crate) fn may_have(radius: Level) -> bool {
+    pub(crate) fn is_valid_radius(radius: Level) -> bool {
         (PLACEBO_RADII[0]..=PLACEBO_RADII[1]).contains(&radius.radius())
     }
 
-    /// Returns true if a configuration of the design is run at the placebo level.
-    pub(crate) fn has(&self, config: u16) -> bool {
+    /// Returns true if the placebo level includes a configuration of the design.
+    pub(crate) fn includes(&self, config: u16) -> bool {
         let configs = self.configs.as_ref();
         configs.is_none_or(|configs| configs.contains(&config))
     }

@@ -1,4 +1,4 @@
-//! The policy of a campaign, and which of its rollouts are filmed.
+//! The policy of a campaign, and the selection of rollouts to record on video.
 
 use serde::{Deserialize, Serialize};
 

@@ -35,8 +35,8 @@ pub fn unit(axis: Axis) -> &'static [f64] {
     presets.map_or(&[], |presets| &presets.unit)
 }
 
-/// Adds preset `config` of `axis` at `level` to a perturbation. The language
-/// axis has no parameters and adds nothing.
+/// Sets the parameters of preset `config` of `axis` at `level` in a perturbation. The language
+/// axis has no parameters.
 ///
 /// # Panics
 /// If `config` is not below [`PRESETS`].
@@ -44,8 +44,8 @@ pub fn apply_preset(perturbation: &mut Perturbation, axis: Axis, level: Level, c
     apply_direction(perturbation, axis, level, preset_direction(axis, config));
 }
 
-/// Adds the parameters of `axis` in `direction` at `level` to a perturbation. The
-/// language axis has no parameters and adds nothing.
+/// Sets the parameters of `axis` in `direction` at `level` in a perturbation. The
+/// language axis has no parameters.
 ///
 /// Every parameter is radius × unit × direction, rounded to six decimals.
 ///

@@ -11,14 +11,14 @@ use crate::suite::{INIT_STATES_PER_TASK, Suite, TaskRef};
 use crate::variant_name::VariantName;
 
 const PATTERN: &str = "SUITE/tN/CONDITION/LEVEL/cNN, for example spatial/t0/camera/L2/c00 or \
-                       spatial/t0/simultaneous/L2/c00, or SUITE/tN/nominal/iNN for initial state NN, or \
-                       SUITE/tN/BENCHMARK:CHANGE/iNN, for example goal/t8/plus:noise_30/i00";
+                       spatial/t0/simultaneous/L2/c00, or SUITE/tN/nominal/iNN for initial state \
+                       NN, or SUITE/tN/BENCHMARK:CHANGE/iNN, for example goal/t8/plus:noise_30/i00";
 
 /// Identifies one rollout: `spatial/t0/camera/L2/c00`.
 ///
 /// The last number is the configuration. A clean rollout has an initial state instead,
-/// `spatial/t0/clean/i07`, as in the reference's files; the text must match theirs because
-/// seeds are derived from it. The parser also accepts `spatial/t0/clean/L0/c07` and the
+/// `spatial/t0/clean/i07`, as in the reference's files; the text must match the reference's,
+/// because seeds are derived from it. The parser also accepts `spatial/t0/clean/L0/c07` and the
 /// paper's terms, as in `spatial/t0/nominal/i07` and `spatial/t0/simultaneous/L2/c00`.
 ///
 /// A rollout of LIBERO's family has the benchmark's name of the change and an initial state:
@@ -79,7 +79,7 @@ impl RolloutId {
         Ok(id)
     }
 
-    /// The task.
+    /// Returns the task.
     pub const fn task(&self) -> TaskRef {
         self.task
     }
@@ -159,8 +159,9 @@ impl FromStr for RolloutId {
         };
         match number {
             Some(state) if condition == Condition::Clean => {
-                let fits = level == Level::L0 && state < INIT_STATES_PER_TASK;
-                fits.then_some(Self::clean(task, state))
+                let is_valid = level == Level::L0 && state < INIT_STATES_PER_TASK;
+                is_valid
+                    .then_some(Self::clean(task, state))
                     .ok_or_else(|| unknown(text))
             }
             Some(config) => Self::perturbed(task, condition, level, config),
@@ -178,8 +179,8 @@ fn has_config(condition: Condition) -> bool {
 
 fn number(text: &str, prefix: &str) -> Option<u16> {
     let digits = text.strip_prefix(prefix)?;
-    let all_digits = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
-    all_digits.then(|| digits.parse().ok()).flatten()
+    let is_number = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
+    is_number.then(|| digits.parse().ok()).flatten()
 }
 
 fn unknown(given: &str) -> UnknownName {
@@ -198,7 +199,7 @@ mod tests {
     }
 
     #[test]
-    fn ids_read_back_from_their_text() {
+    fn ids_are_parsed_from_their_text() {
         check("spatial/t0/camera/L2/c00", "spatial/t0/camera/L2/c00");
         check("long/t5/combination/L3/c08", "long/t5/combination/L3/c08");
         check("goal/t9/robot/r2.5/c123", "goal/t9/robot/r2.5/c123");
@@ -218,7 +219,7 @@ mod tests {
     }
 
     #[test]
-    fn ids_of_variants_read_back_and_sort_by_task() {
+    fn ids_of_variants_are_parsed_and_sorted_by_task() {
         let texts = [
             "goal/t3/pro:swap/i07",
             "goal/t8/plus:level5_sample2/i00",
@@ -240,7 +241,9 @@ mod tests {
             (name.benchmark(), name.change()),
             (Benchmark::Plus, "noise_30")
         );
-        assert!(!name.is_unperturbed() && ids[3].variant().is_some_and(|it| it.is_unperturbed()));
+        assert!(
+            !name.is_unperturbed() && ids[3].variant().is_some_and(|name| name.is_unperturbed())
+        );
         assert!(ids.is_sorted());
         let clean: RolloutId = "goal/t8/clean/i00".parse().expect("an id");
         assert!(!ids.contains(&clean) && clean.variant().is_none());

@@ -50,8 +50,8 @@ pub struct ManifestRow {
     pub placebo_radius: Option<Level>,
     /// Behaviour of the robot while a response of its policy is pending.
     pub execution: Execution,
-    /// Name of the protocol of a row of LIBERO's family; `None` for all other rows. Its
-    /// instruction is empty if only the BDDL file has it.
+    /// Name of the protocol of a row of LIBERO's family; `None` for all other rows. The
+    /// instruction of such a row is empty if only the BDDL file has it.
     pub protocol: Option<String>,
 }
 
@@ -73,7 +73,7 @@ impl ManifestRow {
         }
     }
 
-    /// Returns the row under an execution model. A row of the latency axis keeps its own.
+    /// Returns the row under an execution model. A row of the latency axis keeps its own model.
     pub fn under(self, execution: &Execution) -> Self {
         match self.id.condition() {
             Condition::Latency => self,
@@ -147,7 +147,7 @@ pub enum RowError {
     #[error(
         "read row {id}: `placebo_radius` is {}, write {} to {} in perturbed rows at L0, and \
          leave it out of others",
-        told(*given), PLACEBO_RADII[0], PLACEBO_RADII[1]
+        radius_text(*given), PLACEBO_RADII[0], PLACEBO_RADII[1]
     )]
     Placebo {
         /// The row's id.
@@ -168,7 +168,7 @@ pub enum RowError {
         /// Model of the row's level, if it has one.
         expected: Option<Execution>,
     },
-    /// The row has a policy seed.
+    /// The row has a policy seed other than 0.
     #[error("read row {id}: `policy_seed` is {given}, but seeds follow from the id: write 0")]
     PolicySeed {
         /// The row's id.
@@ -178,7 +178,7 @@ pub enum RowError {
     },
     /// A row of LIBERO's family lacks its protocol, or another row has one.
     #[error(
-        "read row {id}: `protocol` is {}; rows of LIBERO-Plus and LIBERO-PRO have one, and no others",
+        "read row {id}: `protocol` is {}; write one in rows of LIBERO-Plus and LIBERO-PRO only",
         given.as_deref().unwrap_or("not there")
     )]
     Protocol {
@@ -270,18 +270,18 @@ impl TryFrom<FlatRow> for ManifestRow {
     fn try_from(flat: FlatRow) -> Result<Self, RowError> {
         let id = flat.rollout_id;
         let condition = id.condition();
-        agree(id, "split", flat.split.as_str(), split(condition))?;
-        agree(id, "suite", flat.suite, id.task().suite())?;
-        agree(id, "task_id", flat.task_id, id.task().index())?;
-        agree(id, "axis", flat.axis, condition)?;
-        agree(id, "level", flat.level, id.level())?;
+        check_column(id, "split", flat.split.as_str(), split(condition))?;
+        check_column(id, "suite", flat.suite, id.task().suite())?;
+        check_column(id, "task_id", flat.task_id, id.task().index())?;
+        check_column(id, "axis", flat.axis, condition)?;
+        check_column(id, "level", flat.level, id.level())?;
         match flat.config {
-            Some(given) => agree(id, "config", given, id.number())?,
+            Some(given) => check_column(id, "config", given, id.number())?,
             None if id.config().is_none() => {}
-            None => agree(id, "config", "null".to_owned(), id.number().to_string())?,
+            None => check_column(id, "config", "null".to_owned(), id.number().to_string())?,
         }
         if id.config().is_none() {
-            agree(id, "init_id", flat.init_id, id.number())?;
+            check_column(id, "init_id", flat.init_id, id.number())?;
         }
         if flat.init_id >= INIT_STATES_PER_TASK {
             let given = flat.init_id;
@@ -307,11 +307,11 @@ impl TryFrom<FlatRow> for ManifestRow {
         }
         let given = flat.placebo_radius;
         let placebo_radius = given.and_then(Level::of_radius);
-        let fits = match placebo_radius {
-            Some(radius) => id.is_placebo() && Placebo::may_have(radius),
+        let is_valid = match placebo_radius {
+            Some(radius) => id.is_placebo() && Placebo::is_valid_radius(radius),
             None => given.is_none() && !id.is_placebo(),
         };
-        if !fits {
+        if !is_valid {
             return Err(RowError::Placebo { id, given });
         }
         let perturbation = Perturbation::from_manifest(condition, flat.perturb)
@@ -332,11 +332,13 @@ impl TryFrom<FlatRow> for ManifestRow {
     }
 }
 
-fn told(radius: Option<f64>) -> String {
+/// Formats the placebo radius for a message.
+fn radius_text(radius: Option<f64>) -> String {
     radius.map_or_else(|| "not there".to_owned(), |radius| radius.to_string())
 }
 
-fn agree<T: PartialEq + ToString>(
+/// Checks that a column has the value that follows from the id.
+fn check_column<T: PartialEq + ToString>(
     id: RolloutId,
     column: &'static str,
     given: T,
@@ -368,7 +370,7 @@ mod tests {
         ManifestRow::new(id, id.number(), 6, perturbation)
     }
 
-    /// The shape of the reference's own rows.
+    /// The row has exactly the columns of the reference's rows.
     #[test]
     fn a_single_axis_row_has_the_references_columns() {
         let row = row("goal/t0/actuation/L1/c01", &[Axis::Actuation]);
@@ -390,7 +392,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_read_back() {
+    fn rows_are_parsed_from_their_json() {
         for row in [
             row("goal/t0/combination/L1/c01", &Axis::METRIC),
             row("goal/t0/sensor/L3/c09", &[Axis::Sensor]),

@@ -9,7 +9,7 @@ use crate::rollout_id::RolloutId;
 use crate::row::ManifestRow;
 use crate::suite::INIT_STATES_PER_TASK;
 
-/// Error: the id names no rollout of the protocol.
+/// Error: no rollout of the protocol has this id.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("make the manifest row of {id}: {problem}")]
 pub struct NoSuchRow {
@@ -51,8 +51,8 @@ pub fn row_of(id: RolloutId) -> Result<ManifestRow, NoSuchRow> {
         ..Design::v0_1()
     };
     design.check().map_err(|error| problem(error.to_string()))?;
-    if !design.has(id.condition(), id.level()) {
-        return Err(problem("a late policy has no placebo level".to_owned()));
+    if !design.runs_condition(id.condition(), id.level()) {
+        return Err(problem("the latency axis has no placebo level".to_owned()));
     }
     Ok(design.perturbed_row(id.task(), id.condition(), id.level(), config))
 }

@@ -36,16 +36,18 @@ pub struct Schedule {
     queries: u32,
     /// Step before which the next query is due.
     next_query: u32,
-    /// The response in effect.
+    /// The response whose actions are executed.
     current: Option<Answer>,
-    /// The pending response.
-    coming: Option<Answer>,
-    /// The gripper's last command.
+    /// The last response, until it takes effect.
+    pending: Option<Answer>,
+    /// Last command of the gripper.
     gripper: f64,
 }
 
+/// A response of the policy.
 #[derive(Clone, Debug)]
 struct Answer {
+    /// Number of the query.
     query: u32,
     /// Step of the first action, which may be dropped.
     first: u32,
@@ -86,7 +88,7 @@ impl Schedule {
             queries: 0,
             next_query: 0,
             current: None,
-            coming: None,
+            pending: None,
             gripper: OPEN,
         }
     }
@@ -101,13 +103,16 @@ impl Schedule {
     pub fn due(&self) -> Option<Query> {
         (self.step >= self.next_query).then(|| {
             let delay = self.delay();
-            let left = self.current().map_or(&[][..], |it| {
-                let done = (self.step - it.first) as usize;
-                it.actions.get(done..).unwrap_or_default()
+            let remaining = self.current().map_or(&[][..], |answer| {
+                let done = (self.step - answer.first) as usize;
+                answer.actions.get(done..).unwrap_or_default()
             });
-            let mut under_way = left.to_vec();
-            let gripper = left.last().map_or(self.gripper, |action| action[GRIPPER]);
-            // The arm holds still from the end of this response until the next one.
+            let mut under_way = remaining.to_vec();
+            let gripper = remaining
+                .last()
+                .map_or(self.gripper, |action| action[GRIPPER]);
+            // The arm holds still from the end of the current response until the next one takes
+            // effect.
             if under_way.len() < delay as usize {
                 under_way.resize(delay as usize, hold(gripper));
             }
@@ -127,14 +132,14 @@ impl Schedule {
                 (step + delay, delay + count)
             }
             Execution::Overlap { .. } => {
-                let left = count.saturating_sub(delay);
-                (step, delay.max(self.execute.min(left)))
+                let usable = count.saturating_sub(delay);
+                (step, delay.max(self.execute.min(usable)))
             }
         };
-        if let Some(arrived) = self.coming.take() {
+        if let Some(arrived) = self.pending.take() {
             self.current = Some(arrived);
         }
-        self.coming = Some(Answer {
+        self.pending = Some(Answer {
             query: self.queries,
             first,
             from: step + delay,
@@ -147,15 +152,15 @@ impl Schedule {
     /// Returns the command of the next step and advances the schedule.
     pub fn advance(&mut self) -> Command {
         let step = self.step;
-        if let Some(arrived) = self.coming.take_if(|it| it.from <= step) {
+        if let Some(arrived) = self.pending.take_if(|answer| answer.from <= step) {
             self.current = Some(arrived);
         }
-        let taken = self.current().and_then(|answer| {
-            let place = (step - answer.first) as usize;
-            Some((*answer.actions.get(place)?, (answer.query, place)))
+        let scheduled = self.current().and_then(|answer| {
+            let index = (step - answer.first) as usize;
+            Some((*answer.actions.get(index)?, (answer.query, index)))
         });
         self.step += 1;
-        match taken {
+        match scheduled {
             Some((action, source)) => {
                 self.gripper = action[GRIPPER];
                 Command {
@@ -172,7 +177,10 @@ impl Schedule {
 
     /// Returns the response in effect at the next step.
     fn current(&self) -> Option<&Answer> {
-        let arrived = self.coming.as_ref().filter(|it| it.from <= self.step);
+        let arrived = self
+            .pending
+            .as_ref()
+            .filter(|answer| answer.from <= self.step);
         arrived.or(self.current.as_ref())
     }
 

@@ -23,12 +23,12 @@ pub struct Stop {
     /// Seed of the order.
     #[serde(default)]
     pub seed: u64,
-    /// Strata of the order: each round has one configuration of each.
+    /// Strata of the order.
     #[serde(default)]
     pub strata: Strata,
 }
 
-/// Strata of a drawn order: each round has one configuration of each.
+/// Strata of a drawn order: each round of the order has one configuration of each stratum.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Strata {
@@ -51,7 +51,7 @@ impl Strata {
         }
     }
 
-    /// Name in specifications.
+    /// Returns the name in specifications.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Suites => "suites",
@@ -73,14 +73,14 @@ pub enum StopError {
          or take `stop` out"
     )]
     NotSimultaneous,
-    /// The rule has clauses about new tasks and others.
+    /// The rule has both clauses about new tasks and other clauses.
     #[error(
-        "`stop` with clauses for new tasks, which need whole tasks one after another, and others, \
-         which need every task from the start; write clauses of one kind"
+        "`stop` mixes clauses for new tasks, which need whole tasks one after another, with \
+         clauses that need every task from the start; write clauses of one kind"
     )]
     BothKinds,
     /// The strata do not fit the rule.
-    #[error("`stop` with `strata` {given}: `{rule}` needs {needed}; write that")]
+    #[error("`stop` with `strata` {given}: `{rule}` needs {needed}")]
     Strata {
         /// The strata given.
         given: &'static str,
@@ -91,14 +91,14 @@ pub enum StopError {
     },
     /// The campaign has several replicates.
     #[error(
-        "`stop` with {given} `replicates`: its intervals rest on one replicate; write 1, \
+        "`stop` with {given} `replicates`: its intervals assume one replicate; write 1, \
          or take `stop` out"
     )]
     Replicates {
         /// The number of replicates given.
         given: u32,
     },
-    /// The campaign follows from another campaign's outcomes.
+    /// The rollouts of the campaign are derived from the outcomes of another campaign.
     #[error("`stop` beside `{field}`, which ends by itself: take `stop` out")]
     Follows {
         /// The field that names the source campaign.
@@ -118,8 +118,8 @@ pub enum StopError {
 impl Stop {
     /// Checks that the rule can end a campaign with the given number of replicates.
     pub(crate) fn check(&self, replicates: u32) -> Result<(), StopError> {
-        let known = self.rule.check(&Measure::OF_ONE_POLICY);
-        known.map_err(StopError::Measure)?;
+        let checked = self.rule.check(&Measure::OF_ONE_POLICY);
+        checked.map_err(StopError::Measure)?;
         let mut clauses = self.rule.clauses().iter();
         let is_about_new_tasks = self.rule.is_about_new_tasks();
         if is_about_new_tasks && !clauses.all(Clause::is_about_new_tasks) {
@@ -143,7 +143,8 @@ impl Stop {
 }
 
 /// Checks that every configuration has the simultaneous rollout and one per single axis at
-/// every level. An incomplete configuration would never count, nor any drawn after it.
+/// every level. The rule would never
+/// count an incomplete configuration, nor any configuration drawn after it.
 pub(crate) fn check_rows(rows: &[ManifestRow]) -> Result<(), StopError> {
     let mut axes: BTreeSet<Axis> = BTreeSet::new();
     let mut levels: BTreeSet<Level> = BTreeSet::new();
@@ -166,9 +167,11 @@ pub(crate) fn check_rows(rows: &[ManifestRow]) -> Result<(), StopError> {
     }
     let conditions = axes.into_iter().map(Condition::Single);
     let conditions: Vec<Condition> = conditions.chain([Condition::Combination]).collect();
-    for (&(task, config), has) in &units {
+    for (&(task, config), rollouts) in &units {
         for &level in &levels {
-            let missing = conditions.iter().find(|&&it| !has.contains(&(level, it)));
+            let missing = conditions
+                .iter()
+                .find(|&&condition| !rollouts.contains(&(level, condition)));
             if let Some(&condition) = missing
                 && let Ok(rollout) = RolloutId::perturbed(task, condition, level, config)
             {

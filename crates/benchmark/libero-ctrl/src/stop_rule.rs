@@ -48,7 +48,7 @@ impl Measure {
     /// Measures of one policy.
     pub const OF_ONE_POLICY: [Self; 5] = [Self::SSim, Self::RE, Self::RC, Self::RD, Self::I];
 
-    /// Name in stop rules: `S_sim`, `R_e`, `R_c`, `R_d`, `I`, `difference`.
+    /// Returns the name in stop rules: `S_sim`, `R_e`, `R_c`, `R_d`, `I`, `difference`.
     pub const fn name(self) -> &'static str {
         match self {
             Self::SSim => "S_sim",
@@ -71,7 +71,7 @@ impl FromStr for Measure {
     type Err = UnknownName;
 
     fn from_str(text: &str) -> Result<Self, UnknownName> {
-        let found = Self::ALL.into_iter().find(|it| it.name() == text);
+        let found = Self::ALL.into_iter().find(|measure| measure.name() == text);
         found.ok_or_else(|| UnknownName {
             kind: "measure",
             given: text.to_owned(),
@@ -94,10 +94,10 @@ impl TryFrom<String> for Measure {
     }
 }
 
-/// A stop rule: a campaign ends early when all clauses hold at the same look.
+/// A stop rule: a campaign ends early when all clauses hold at the same evaluation.
 ///
-/// Confidence sequences hold at all looks, so that intervals stay valid under any stop
-/// rule.
+/// The intervals are confidence sequences, which are valid at all evaluations at once, and
+/// therefore under any stop rule.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(into = "String", try_from = "String")]
 pub struct StopRule {
@@ -196,7 +196,7 @@ impl FromStr for Clause {
         let value = value.ok_or_else(unknown)?;
         match new_tasks {
             None => Ok(Self::Excludes(measure, value)),
-            // Comparisons are over the rollouts that both policies have, not about new tasks.
+            // A comparison covers the rollouts that both policies have, not new tasks.
             Some(_) if measure == Measure::Difference => Err(unknown()),
             Some(_) => Ok(Self::ExcludesForNewTasks(measure, value)),
         }
@@ -248,7 +248,7 @@ fn unknown(given: &str) -> UnknownName {
 }
 
 fn listed(measures: &[Measure]) -> String {
-    let names: Vec<&str> = measures.iter().map(|it| it.name()).collect();
+    let names: Vec<&str> = measures.iter().map(|measure| measure.name()).collect();
     names.join(", ")
 }
 
@@ -261,7 +261,7 @@ mod tests {
         text.parse().expect(text)
     }
 
-    fn refusal(text: &str) -> String {
+    fn refusal_of(text: &str) -> String {
         text.parse::<StopRule>().expect_err(text).to_string()
     }
 
@@ -278,7 +278,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_rule_reads_back_from_its_text_and_from_json(
+        fn a_rule_is_parsed_from_its_text_and_from_json(
             clauses in proptest::collection::vec(clause(), 1..4),
         ) {
             let rule = StopRule { clauses };
@@ -294,7 +294,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rule_has_one_spelling() {
+    fn equivalent_rules_are_written_the_same() {
         for text in [
             "width(I) < 0.08 and S_sim excludes 0.5",
             "width( I )<0.080 and  S_sim  excludes  5e-1",
@@ -312,7 +312,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_rule_is_refused_with_what_is_one() {
+    fn an_invalid_rule_is_refused_with_the_valid_forms() {
         for text in [
             "",
             "I",
@@ -333,17 +333,20 @@ mod tests {
             "width(I) < 0.1 for new tasks",
             "difference excludes 0 for new tasks",
         ] {
-            assert!(refusal(text).contains("valid are width(M) < X"), "{text}");
+            assert!(
+                refusal_of(text).contains("valid are width(M) < X"),
+                "{text}"
+            );
         }
-        assert!(refusal("width(I) < 0.1 and and I excludes 0").contains("`and I`"));
+        assert!(refusal_of("width(I) < 0.1 and and I excludes 0").contains("`and I`"));
         assert_eq!(
-            refusal("width(S_conj) < 0.1"),
+            refusal_of("width(S_conj) < 0.1"),
             "read measure `S_conj`: valid are S_sim, R_e, R_c, R_d, I, difference"
         );
     }
 
     #[test]
-    fn a_rule_about_a_measure_that_a_campaign_has_not_is_refused() {
+    fn a_rule_with_a_measure_that_the_campaign_lacks_is_refused() {
         let rule = rule("width(difference) < 0.1");
         assert_eq!(rule.check(&[Measure::Difference]), Ok(()));
         let error = rule.check(&Measure::OF_ONE_POLICY).expect_err("one policy");

@@ -87,7 +87,7 @@ pub struct TaskRef {
 }
 
 impl TaskRef {
-    /// Task `index` of `suite`.
+    /// Returns the task with an index in a suite.
     ///
     /// # Errors
     /// If the suite has no such task.
@@ -103,7 +103,7 @@ impl TaskRef {
         Suite::ALL.into_iter().flat_map(Suite::tasks)
     }
 
-    /// The suite.
+    /// Returns the suite.
     pub const fn suite(self) -> Suite {
         self.suite
     }
@@ -113,7 +113,7 @@ impl TaskRef {
         self.index
     }
 
-    /// Stem of the task's files: `NAME.bddl`, `NAME.pruned_init`.
+    /// Returns the stem of the task's files: `NAME.bddl`, `NAME.pruned_init`.
     pub fn name(self) -> &'static str {
         TASK_NAMES[self.suite.ordinal()][usize::from(self.index)]
     }
@@ -163,7 +163,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn forty_tasks_read_back_from_their_text() {
+    fn forty_tasks_are_parsed_from_their_text() {
         let tasks: Vec<TaskRef> = TaskRef::all().collect();
         assert_eq!(tasks.len(), 40);
         for task in tasks {
@@ -187,7 +187,7 @@ mod tests {
     }
 
     #[test]
-    fn an_unknown_name_is_named_together_with_the_valid_ones() {
+    fn the_error_for_an_unknown_name_lists_the_valid_ones() {
         let error = |task: &str| task.parse::<TaskRef>().expect_err("no task").to_string();
         assert_eq!(
             error("libero_goat/3"),

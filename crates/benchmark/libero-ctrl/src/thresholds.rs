@@ -87,7 +87,7 @@ mod tests {
     }
 
     #[test]
-    fn the_grid_is_the_protocols_levels_and_goes_on() {
+    fn the_grid_continues_the_protocols_levels_by_doubling() {
         let grid = |max_radius| -> Vec<String> {
             let grid = up_to(max_radius).grid();
             grid.iter().map(Level::to_string).collect()

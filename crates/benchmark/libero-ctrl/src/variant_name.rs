@@ -1,6 +1,6 @@
-//! Name of a variant within its task, as rollout ids of LIBERO's family have it: `plus:noise_30`,
-//! `pro:swap`, `plus:unperturbed`. Only the form is checked here: `libero-family` knows which
-//! variants a benchmark has.
+//! Name of a variant within its task, as written in rollout ids of LIBERO's family:
+//! `plus:noise_30`, `pro:swap`, `plus:unperturbed`. Only the form is checked here: `libero-family`
+//! defines the variants of each benchmark.
 
 use std::fmt;
 use std::str::FromStr;
@@ -15,12 +15,12 @@ const MAX_CHANGE_BYTES: usize = 31;
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct VariantName {
     benchmark: Benchmark,
-    /// ASCII, filled up with zeros.
+    /// ASCII text, padded with zeros.
     change: [u8; MAX_CHANGE_BYTES],
 }
 
 impl VariantName {
-    /// Change of a rollout that is run beside the variants, with nothing changed.
+    /// Change of the unperturbed rollout of a task, which is run beside its variants.
     pub const UNPERTURBED: &'static str = "unperturbed";
 
     /// Creates a name from a change such as `noise_30`.
@@ -30,8 +30,8 @@ impl VariantName {
     /// letters, digits and `_`.
     pub fn new(benchmark: Benchmark, change: &str) -> Result<Self, UnknownName> {
         let is_valid = |byte: u8| matches!(byte, b'a'..=b'z' | b'0'..=b'9' | b'_');
-        let fits = (1..=MAX_CHANGE_BYTES).contains(&change.len());
-        if !fits || !change.bytes().all(is_valid) {
+        let has_valid_length = (1..=MAX_CHANGE_BYTES).contains(&change.len());
+        if !has_valid_length || !change.bytes().all(is_valid) {
             return Err(unknown(change));
         }
         let mut bytes = [0; MAX_CHANGE_BYTES];
@@ -77,7 +77,7 @@ impl FromStr for VariantName {
 
     fn from_str(text: &str) -> Result<Self, UnknownName> {
         let (tag, change) = text.split_once(':').ok_or_else(|| unknown(text))?;
-        let benchmark = Benchmark::of_tag(tag).ok_or_else(|| unknown(text))?;
+        let benchmark = Benchmark::from_tag(tag).ok_or_else(|| unknown(text))?;
         Self::new(benchmark, change).map_err(|_| unknown(text))
     }
 }

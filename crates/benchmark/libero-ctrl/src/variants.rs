@@ -20,7 +20,7 @@ pub struct Variants {
     /// Names of variants of LIBERO-Plus; empty for all.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub variants: Vec<String>,
-    /// Suites: LIBERO's for LIBERO-Plus, LIBERO-PRO's own for LIBERO-PRO; empty for all.
+    /// Suites, of LIBERO for LIBERO-Plus and of LIBERO-PRO for LIBERO-PRO; empty for all.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub suites: Vec<String>,
     /// Dimensions of LIBERO-Plus; empty for all.
@@ -32,7 +32,7 @@ pub struct Variants {
     /// Trials of each task of LIBERO-PRO.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trials: Option<u16>,
-    /// True if variants that no worker could run are left out.
+    /// True if variants that no worker can run are left out.
     #[serde(default, skip_serializing_if = "std::ops::Not::not")]
     pub runnable: bool,
 }
@@ -49,14 +49,14 @@ pub struct VariantsError {
 
 impl VariantsError {
     /// Returns the first field of a specification that variants exclude, if there is any.
-    pub(crate) fn of(
+    pub(crate) fn excluded(
         realisation: Realisation,
         replicates: u32,
         record: Record,
         execution: &Execution,
-        stops: bool,
+        has_stop_rule: bool,
     ) -> Option<Self> {
-        let refused = [
+        let rules = [
             (
                 "realisation",
                 realisation != Realisation::Matched,
@@ -65,7 +65,7 @@ impl VariantsError {
             (
                 "replicates",
                 replicates > 1,
-                "each variant runs once, as its benchmark counts it; write 1",
+                "the benchmarks' protocols run each variant once; write 1",
             ),
             (
                 "record",
@@ -74,17 +74,17 @@ impl VariantsError {
             ),
             (
                 "stop",
-                stops,
-                "the rules for stopping are about LIBERO-CTRL's measures; leave it out",
+                has_stop_rule,
+                "stop rules use LIBERO-CTRL's measures, which variants do not have; leave it out",
             ),
             (
                 "execution",
                 !execution.is_wait(),
-                "the benchmarks' protocols wait for the policy; leave it out",
+                "the benchmarks' protocols pause the simulation during inference; leave it out",
             ),
         ];
-        let mut refused = refused.into_iter();
-        let (field, _, problem) = refused.find(|(_, is_refused, _)| *is_refused)?;
+        let mut rules = rules.into_iter();
+        let (field, _, problem) = rules.find(|(_, is_refused, _)| *is_refused)?;
         Some(Self { field, problem })
     }
 }

@@ -30,9 +30,9 @@ pub enum RendererKind {
 }
 
 impl Wanted {
-    /// Returns the required assets if they are neither the name nor a digest of a pack.
+    /// Returns the required assets if they are neither the name nor the digest of a pack.
     pub(crate) fn unknown_assets(&self) -> Option<&str> {
-        let is_digit = |it| matches!(it, b'0'..=b'9' | b'a'..=b'f');
+        let is_digit = |byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f');
         let is_known = |text: &str| {
             PACKS.contains(&text) || text.len() >= MIN_DIGEST_DIGITS && text.bytes().all(is_digit)
         };
@@ -41,7 +41,7 @@ impl Wanted {
 }
 
 impl RendererKind {
-    /// Name in a specification and on a worker's command line.
+    /// Returns the name in a specification and on a worker's command line.
     pub fn name(self) -> &'static str {
         match self {
             RendererKind::Software => "software",
@@ -50,7 +50,7 @@ impl RendererKind {
     }
 }
 
-/// Writes "assets `libero` and renderer `software`"; empty without requirements.
+/// Writes "assets `libero` and renderer `software`"; nothing without requirements.
 impl fmt::Display for Wanted {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let assets = self.assets.iter().map(|name| format!("assets `{name}`"));

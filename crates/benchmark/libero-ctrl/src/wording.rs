@@ -57,7 +57,7 @@ pub fn plain_words(message: &str) -> String {
         return format!("the field {field} is not there");
     }
     if let Some(field) = about("duplicate field ") {
-        return format!("the field {field} is there twice");
+        return format!("the field {field} occurs twice");
     }
     if let Some(rest) = about("unknown field ") {
         return match rest.split_once(", expected ") {
@@ -69,8 +69,8 @@ pub fn plain_words(message: &str) -> String {
     }
     if let Some(rest) = about("unknown variant ") {
         return match rest.split_once(", expected ") {
-            Some((given, known)) => format!("{given} has no meaning; {}", choice("write", known)),
-            None => format!("{} has no meaning", first(rest)),
+            Some((given, known)) => format!("{given} is not valid; {}", choice("write", known)),
+            None => format!("{} is not valid", first(rest)),
         };
     }
     for prefix in ["invalid type: ", "invalid value: ", "invalid length "] {
@@ -82,16 +82,16 @@ pub fn plain_words(message: &str) -> String {
                 ""
             };
             return format!(
-                "{count}{} stands where {} belongs",
+                "{count}{} is given where {} is expected",
                 value(given),
                 kind(wanted)
             );
         }
     }
     match message {
-        "expected value" | "expected ident" => "what follows is no value".to_owned(),
+        "expected value" | "expected ident" => "a value is missing or malformed".to_owned(),
         message if message.starts_with("EOF while parsing") => "the text ends too early".to_owned(),
-        "trailing characters" => "something follows after the end".to_owned(),
+        "trailing characters" => "there is text after the end".to_owned(),
         message => message.replace("expected ", "missing here: "),
     }
 }
@@ -160,7 +160,7 @@ mod tests {
     #[derive(Debug, Deserialize)]
     #[serde(deny_unknown_fields)]
     #[expect(dead_code, reason = "only read")]
-    struct Asked {
+    struct Request {
         count: u32,
         kind: Option<Kind>,
         flag: Option<bool>,
@@ -176,9 +176,9 @@ mod tests {
     }
 
     #[test]
-    fn what_a_json_text_lacks_is_said_in_plain_words() {
+    fn errors_of_the_json_parser_are_reworded() {
         let check = |text: &str, expected: &str| {
-            let error = serde_json::from_str::<Asked>(text).expect_err(text);
+            let error = serde_json::from_str::<Request>(text).expect_err(text);
             assert_eq!(JsonError::from(error).to_string(), expected, "{text}");
         };
         check("{}", "the field `count` is not there (line 1, column 2)");
@@ -189,32 +189,32 @@ mod tests {
         );
         check(
             r#"{"count": 1, "count": 1}"#,
-            "the field `count` is there twice (line 1, column 20)",
+            "the field `count` occurs twice (line 1, column 20)",
         );
         check(
             r#"{"count": -1}"#,
-            "`-1` stands where a whole number, 0 or more, belongs (line 1, column 12)",
+            "`-1` is given where a whole number, 0 or more, is expected (line 1, column 12)",
         );
         check(
             r#"{"count": "x"}"#,
-            "\"x\" stands where a whole number, 0 or more, belongs (line 1, column 13)",
+            "\"x\" is given where a whole number, 0 or more, is expected (line 1, column 13)",
         );
         check(
             r#"{"count": 1, "kind": "vast"}"#,
-            "`vast` has no meaning; write one of `small`, `big`, `huge` (line 1, column 27)",
+            "`vast` is not valid; write one of `small`, `big`, `huge` (line 1, column 27)",
         );
         check(
             r#"{"count": 1, "flag": 3}"#,
-            "`3` stands where true or false belongs (line 1, column 22)",
+            "`3` is given where true or false is expected (line 1, column 22)",
         );
         check(
             r#"{"count": 1, "pair": [1]}"#,
-            "length 1 stands where a list of 2 belongs (line 1, column 24)",
+            "length 1 is given where a list of 2 is expected (line 1, column 24)",
         );
         check("", "the text ends too early (line 1, column 0)");
         check(
             r#"{"count": 1} x"#,
-            "something follows after the end (line 1, column 14)",
+            "there is text after the end (line 1, column 14)",
         );
         check("[1", "the text ends too early (line 1, column 2)");
         check("{1}", "key must be a string (line 1, column 2)");

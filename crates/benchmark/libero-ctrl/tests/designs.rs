@@ -1,4 +1,4 @@
-//! Designs beyond the paper's: other radii, more configurations, fewer axes.
+//! Tests of custom designs: other radii, more configurations, fewer axes.
 
 use std::collections::BTreeSet;
 
@@ -71,7 +71,7 @@ proptest! {
     })]
 
     #[test]
-    fn any_radius_reads_back_from_its_text_alone_and_in_an_id(
+    fn any_radius_is_parsed_from_its_text_alone_and_in_an_id(
         micros in 1_000..=100_000_000_u32,
         config in any::<u16>(),
     ) {
@@ -88,7 +88,7 @@ proptest! {
     }
 
     #[test]
-    fn parameters_lie_at_the_radius_in_a_direction_that_no_radius_changes(
+    fn parameters_have_the_radius_and_the_same_direction_at_every_radius(
         axis in select(Axis::METRIC.to_vec()),
         level in any_level(),
         config in 0..MAX_CONFIGS,
@@ -135,7 +135,7 @@ proptest! {
     }
 
     #[test]
-    fn the_manifest_of_any_design_reads_back_and_runs_in_its_order(design in any_design()) {
+    fn the_manifest_of_any_design_is_parsed_and_expanded_in_the_same_order(design in any_design()) {
         let rows = design.expand().expect("rows");
         let read = manifest::parse(&manifest::to_text(&rows)).expect("reads back");
         prop_assert_eq!(&read, &rows);
@@ -147,7 +147,7 @@ proptest! {
     }
 
     #[test]
-    fn a_custom_design_is_never_taken_for_v0_1_nor_for_another(
+    fn custom_designs_have_the_same_version_only_if_they_have_the_same_rows(
         one in any_design(),
         other in any_design(),
     ) {
@@ -161,13 +161,13 @@ proptest! {
 }
 
 #[test]
-fn drawn_directions_point_everywhere_alike() {
+fn drawn_directions_are_uniform_on_the_sphere() {
     for axis in Axis::METRIC {
         let configs = PRESETS..MAX_CONFIGS;
         let directions: Vec<Vec<f64>> = configs
             .map(|config| normalised(axis, &single(axis, Level::L3, config, 0)))
             .collect();
-        let folded = |component| HALF_SPACES.contains(&(axis, component));
+        let is_half_space = |component| HALF_SPACES.contains(&(axis, component));
         for component in 0..unit(axis).len() {
             let values = directions
                 .iter()
@@ -178,7 +178,7 @@ fn drawn_directions_point_everywhere_alike() {
             // Five standard errors of the mean of 990 values.
             let tolerance = 5.0 / (dimension * directions.len() as f64).sqrt();
             assert!(
-                mean.abs() < tolerance || folded(component),
+                mean.abs() < tolerance || is_half_space(component),
                 "{axis}: {mean}"
             );
             assert!((square * dimension - 1.0).abs() < 0.2, "{axis}: {square}");
@@ -187,7 +187,7 @@ fn drawn_directions_point_everywhere_alike() {
 }
 
 #[test]
-fn more_configurations_pair_with_all_initial_states_before_one_repeats() {
+fn fifty_configurations_cover_all_initial_states_before_one_repeats() {
     let design = Design {
         tasks: vec!["libero_goal/3".parse().expect("a task")],
         axes: vec![Axis::Camera],
@@ -207,7 +207,7 @@ fn more_configurations_pair_with_all_initial_states_before_one_repeats() {
 }
 
 #[test]
-fn a_configuration_beyond_the_variants_speaks_one_of_them_again() {
+fn configurations_beyond_the_ten_paraphrases_repeat_them() {
     let design = Design {
         tasks: vec!["libero_goal/3".parse().expect("a task")],
         axes: vec![Axis::Camera, Axis::Language],

@@ -1,4 +1,4 @@
-//! Texts of execution models, delays that are drawn, and files of measured latencies.
+//! Tests of the texts of execution models, of drawn delays, and of files of measured latencies.
 
 use libero_ctrl::{Delays, Execution, TaskRef};
 
@@ -7,7 +7,7 @@ fn execution(text: &str) -> Execution {
 }
 
 #[test]
-fn models_read_back_from_their_text() {
+fn models_are_parsed_from_their_text() {
     for text in [
         "wait",
         "hold:0",
@@ -24,8 +24,8 @@ fn models_read_back_from_their_text() {
 }
 
 #[test]
-fn other_texts_are_refused_with_what_is_wrong_and_what_is_right() {
-    let long: Vec<String> = (0..33).map(|it| format!("{it}*1")).collect();
+fn invalid_texts_are_refused_with_the_problem_and_the_valid_forms() {
+    let long: Vec<String> = (0..33).map(|steps| format!("{steps}*1")).collect();
     let long = format!("hold:{}", long.join("+"));
     for (text, problem) in [
         ("", "none is named"),
@@ -48,7 +48,7 @@ fn other_texts_are_refused_with_what_is_wrong_and_what_is_right() {
 }
 
 #[test]
-fn every_answer_has_a_delay_of_the_distribution_as_often_as_it_says() {
+fn drawn_delays_have_the_frequencies_of_the_distribution() {
     let delays: Delays = "2*700+3*200+9*100".parse().expect("delays");
     let task = TaskRef::all().next().expect("a task");
     let mut counts = std::collections::BTreeMap::<u16, u32>::new();
@@ -57,19 +57,23 @@ fn every_answer_has_a_delay_of_the_distribution_as_often_as_it_says() {
     }
     assert_eq!(counts.keys().copied().collect::<Vec<_>>(), [2, 3, 9]);
     for (steps, expected) in [(2, 14_000.0), (3, 4_000.0), (9, 2_000.0)] {
-        let off = f64::from(counts[&steps]) - expected;
-        assert!(off.abs() < 300.0, "{steps}: {counts:?}");
+        let deviation = f64::from(counts[&steps]) - expected;
+        assert!(deviation.abs() < 300.0, "{steps}: {counts:?}");
     }
-    let first: Vec<u16> = (0..9).map(|it| delays.of_query(task, 3, it)).collect();
-    let other: Vec<u16> = (0..9).map(|it| delays.of_query(task, 4, it)).collect();
-    assert_ne!(first, other, "each initial state has its own");
+    let first: Vec<u16> = (0..9)
+        .map(|query| delays.of_query(task, 3, query))
+        .collect();
+    let other: Vec<u16> = (0..9)
+        .map(|query| delays.of_query(task, 4, query))
+        .collect();
+    assert_ne!(first, other, "each initial state has its own delays");
     // Pins the stream: other draws need a new version of the stream's key.
     assert_eq!(first, [2, 9, 2, 2, 2, 2, 2, 2, 2]);
 }
 
 #[test]
-fn measured_latencies_become_weights_of_thousandths() {
-    let read = |text: &str| Delays::from_json(text).map(|it| it.to_string());
+fn measured_latencies_are_converted_to_weights_in_thousandths() {
+    let read = |text: &str| Delays::from_json(text).map(|delays| delays.to_string());
     let text = r#"{"server": "pi05", "delay_steps": {"3": 8120, "4": 1879, "30": 1, "5": 0}}"#;
     assert_eq!(read(text).expect("delays"), "3*812+4*188+30*1");
     assert_eq!(read(r#"{"delay_steps": {"2": 5}}"#).expect("one"), "2");
@@ -85,7 +89,7 @@ fn measured_latencies_become_weights_of_thousandths() {
 }
 
 #[test]
-fn a_delay_of_a_whole_answer_is_refused_with_the_remedy() {
+fn delays_as_long_as_a_response_are_refused_with_the_remedy() {
     for (text, horizon) in [
         ("wait", 1),
         ("hold:9", 1),

@@ -1,5 +1,5 @@
-//! The 1,200 paraphrases, checked by their text alone, against a table of what each task must name
-//! that is independent of the rules.
+//! Tests of the texts of the 1,200 paraphrases against a table of the words that each task's
+//! sentences must contain, which is independent of the rules.
 
 use std::collections::BTreeSet;
 
@@ -132,7 +132,7 @@ fn required(task: &str) -> Required {
         "libero_10/7" => &[&["both"], &["alphabet soup"], &["cream cheese"], IN, BASKET],
         "libero_10/8" => &[&["both"], MOKA, ON, STOVE],
         "libero_10/9" => &[YELLOW_MUG, IN, &["microwave"], CLOSE],
-        other => panic!("say what the paraphrases of {other} must name"),
+        other => panic!("add the words that the paraphrases of {other} must contain"),
     }
 }
 
@@ -259,7 +259,7 @@ fn a_higher_level_is_not_shorter_in_words_on_average() {
 }
 
 #[test]
-fn no_sentence_changes_unseen() {
+fn the_sentences_have_the_reviewed_digest() {
     let mut hash = Sha256::new();
     for Sentence {
         task,
@@ -282,7 +282,7 @@ fn no_sentence_changes_unseen() {
 }
 
 #[test]
-fn the_documented_task_is_spoken_as_documented() {
+fn the_documented_sentences_of_a_task_are_current() {
     let documented = include_str!("../../../../docs/PARAPHRASES.md");
     let task = "libero_10/2".parse().expect("a task");
     assert!(
@@ -292,7 +292,7 @@ fn the_documented_task_is_spoken_as_documented() {
     );
 }
 
-/// A task's sentences as the documentation lists them.
+/// Returns a task's sentences in the format of the documentation.
 fn task_text(task: TaskRef) -> String {
     let sentences = sentences().filter(|sentence| sentence.task == task);
     let mut lines: Vec<(u16, Level, String)> = sentences

@@ -1,4 +1,5 @@
-//! Compares the executed action of each control step with a plain model of the whole timeline.
+//! Compares the command of each control step with a timeline that a simple model computes as a
+//! whole.
 
 use std::ops::Range;
 
@@ -13,13 +14,13 @@ fn task() -> TaskRef {
 }
 
 /// Returns an action that identifies its query and its index in the response; the gripper varies.
-fn action(query: u32, place: usize) -> Action {
-    let gripper = if (query as usize + place).is_multiple_of(3) {
+fn action(query: u32, index: usize) -> Action {
+    let gripper = if (query as usize + index).is_multiple_of(3) {
         1.0
     } else {
         -1.0
     };
-    [f64::from(query), place as f64, 0.5, 0.0, 0.0, 0.0, gripper]
+    [f64::from(query), index as f64, 0.5, 0.0, 0.0, 0.0, gripper]
 }
 
 /// Returns the number of actions in a response, which may be below the policy's declared number.
@@ -27,30 +28,30 @@ fn length(lengths: &[usize], query: u32) -> usize {
     lengths[query as usize % lengths.len()]
 }
 
-struct Ran {
+struct Run {
     /// Step, delay and scheduled commands (`under_way`) of each query.
     queries: Vec<(usize, u32, Vec<Action>)>,
     commands: Vec<Command>,
 }
 
-fn run(execution: &str, execute: usize, lengths: &[usize]) -> Ran {
+fn run(execution: &str, execute: usize, lengths: &[usize]) -> Run {
     let execution: Execution = execution.parse().expect("an execution model");
     let mut schedule = Schedule::new(execution, execute, task(), INIT);
-    let mut ran = Ran {
+    let mut run_result = Run {
         queries: Vec::new(),
         commands: Vec::new(),
     };
     for step in 0..STEPS {
         if let Some(due) = schedule.due() {
-            let query = ran.queries.len() as u32;
-            ran.queries.push((step, due.delay, due.under_way));
+            let query = run_result.queries.len() as u32;
+            run_result.queries.push((step, due.delay, due.under_way));
             let count = length(lengths, query);
-            schedule.answer((0..count).map(|place| action(query, place)).collect());
+            schedule.answer((0..count).map(|index| action(query, index)).collect());
             assert_eq!(schedule.due(), None, "one query at a time");
         }
-        ran.commands.push(schedule.advance());
+        run_result.commands.push(schedule.advance());
     }
-    ran
+    run_result
 }
 
 /// Returns the timeline under `wait`: up to `execute` actions of each response, one after the
@@ -58,8 +59,8 @@ fn run(execution: &str, execute: usize, lengths: &[usize]) -> Ran {
 fn waiting(execute: usize, lengths: &[usize]) -> Vec<Option<(u32, usize)>> {
     let mut timeline = Vec::new();
     for query in 0.. {
-        for place in 0..length(lengths, query).min(execute) {
-            timeline.push(Some((query, place)));
+        for index in 0..length(lengths, query).min(execute) {
+            timeline.push(Some((query, index)));
             if timeline.len() == STEPS {
                 return timeline;
             }
@@ -76,29 +77,29 @@ fn timeline(
     execute: usize,
     lengths: &[usize],
 ) -> (Vec<usize>, Vec<Option<(u32, usize)>>) {
-    let mut line = vec![None; STEPS + 500];
-    let mut asked = Vec::new();
+    let mut timeline = vec![None; STEPS + 500];
+    let mut query_steps = Vec::new();
     let mut step = 0;
     while step < STEPS {
-        let query = asked.len() as u32;
+        let query = query_steps.len() as u32;
         let (delay, length) = (delays(query), length(lengths, query));
-        asked.push(step);
-        let taken: Range<usize> = match overlaps {
+        query_steps.push(step);
+        let used: Range<usize> = match overlaps {
             true => delay.min(length)..length,
             false => 0..length.min(execute),
         };
-        line[step + delay..].fill(None);
-        let count = taken.len();
-        for (later, place) in taken.enumerate() {
-            line[step + delay + later] = Some((query, place));
+        timeline[step + delay..].fill(None);
+        let count = used.len();
+        for (later, index) in used.enumerate() {
+            timeline[step + delay + later] = Some((query, index));
         }
         step += match overlaps {
             true => delay.max(count.min(execute)).max(1),
             false => delay + count,
         };
     }
-    line.truncate(STEPS);
-    (asked, line)
+    timeline.truncate(STEPS);
+    (query_steps, timeline)
 }
 
 /// Returns the commands of a timeline: where no action is executed, the arm rests and the gripper
@@ -107,7 +108,7 @@ fn commands(line: &[Option<(u32, usize)>]) -> Vec<Action> {
     let mut gripper = -1.0;
     let command = line.iter().map(|source| {
         let command = match *source {
-            Some((query, place)) => action(query, place),
+            Some((query, index)) => action(query, index),
             None => [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, gripper],
         };
         gripper = command[6];
@@ -121,17 +122,25 @@ fn check(text: &str, execute: usize, lengths: &[usize]) -> Result<(), TestCaseEr
     let overlaps = matches!(execution, Execution::Overlap { .. });
     let of_query = |query| {
         let delays = execution.delays();
-        usize::from(delays.map_or(0, |it| it.of_query(task(), INIT, query)))
+        usize::from(delays.map_or(0, |delays| delays.of_query(task(), INIT, query)))
     };
-    let (asked, line) = timeline(overlaps, &of_query, execute, lengths);
-    let ran = run(text, execute, lengths);
-    let sources: Vec<_> = ran.commands.iter().map(|command| command.source).collect();
+    let (query_steps, line) = timeline(overlaps, &of_query, execute, lengths);
+    let run_result = run(text, execute, lengths);
+    let sources: Vec<_> = run_result
+        .commands
+        .iter()
+        .map(|command| command.source)
+        .collect();
     prop_assert_eq!(&sources, &line);
-    let given: Vec<Action> = ran.commands.iter().map(|command| command.action).collect();
+    let given: Vec<Action> = run_result
+        .commands
+        .iter()
+        .map(|command| command.action)
+        .collect();
     prop_assert_eq!(&given, &commands(&line));
-    let steps: Vec<usize> = ran.queries.iter().map(|(step, ..)| *step).collect();
-    prop_assert_eq!(steps, asked);
-    for (query, (step, delay, under_way)) in ran.queries.iter().enumerate() {
+    let steps: Vec<usize> = run_result.queries.iter().map(|(step, ..)| *step).collect();
+    prop_assert_eq!(steps, query_steps);
+    for (query, (step, delay, under_way)) in run_result.queries.iter().enumerate() {
         prop_assert_eq!(*delay as usize, of_query(query as u32));
         // The commands sent with the query are those executed until its response takes effect.
         let until = STEPS.min(step + *delay as usize);
@@ -142,7 +151,7 @@ fn check(text: &str, execute: usize, lengths: &[usize]) -> Result<(), TestCaseEr
 
 proptest! {
     #[test]
-    fn every_step_executes_what_a_plain_model_says(
+    fn the_commands_equal_the_timeline_with_a_constant_delay(
         model in prop::sample::select(vec!["hold", "overlap"]),
         delay in 0_u16..40,
         execute in 1_usize..20,
@@ -152,54 +161,64 @@ proptest! {
     }
 
     #[test]
-    fn so_it_does_with_drawn_delays(
+    fn the_commands_equal_the_timeline_with_drawn_delays(
         model in prop::sample::select(vec!["hold", "overlap"]),
         delays in prop::collection::btree_map(0_u16..30, 1_u32..9, 1..6),
         execute in 1_usize..20,
         lengths in prop::collection::vec(1_usize..20, 1..5),
     ) {
-        let terms: Vec<String> = delays.iter().map(|(steps, weight)| format!("{steps}*{weight}")).collect();
+        let terms = delays.iter().map(|(steps, weight)| format!("{steps}*{weight}"));
+        let terms: Vec<String> = terms.collect();
         check(&format!("{model}:{}", terms.join("+")), execute, &lengths)?;
     }
 
     #[test]
-    fn no_delay_is_waiting_step_for_step(
+    fn a_delay_of_zero_is_equivalent_to_wait(
         execute in 1_usize..20,
         lengths in prop::collection::vec(1_usize..20, 1..5),
     ) {
         let expected = waiting(execute, &lengths);
         for model in ["wait", "hold:0", "overlap:0", "overlap:0,rtc"] {
-            let ran = run(model, execute, &lengths);
-            let sources: Vec<_> = ran.commands.iter().map(|command| command.source).collect();
+            let run_result = run(model, execute, &lengths);
+            let sources = run_result.commands.iter().map(|command| command.source);
+            let sources: Vec<_> = sources.collect();
             prop_assert_eq!(&sources, &expected, "{}", model);
         }
     }
 }
 
-/// A readable example: answers of 8 actions, of which 6 are executed, 3 steps late.
+/// A readable example: responses of 8 actions, of which up to 6 are executed, 3 steps late.
 #[test]
-fn an_answer_takes_over_three_steps_after_it_was_asked_for() {
-    let ran = run("overlap:3", 6, &[8]);
-    let asked: Vec<usize> = ran.queries.iter().map(|(step, ..)| *step).collect();
-    assert_eq!(asked[..4], [0, 5, 10, 15], "as early as no gap needs");
-    let places: Vec<_> = ran.commands.iter().map(|it| it.source).collect();
-    let of = |query, place| Some((query, place));
+fn a_response_takes_effect_three_steps_after_its_query() {
+    let run_result = run("overlap:3", 6, &[8]);
+    let query_steps: Vec<usize> = run_result.queries.iter().map(|(step, ..)| *step).collect();
     assert_eq!(
-        places[..13],
+        query_steps[..4],
+        [0, 5, 10, 15],
+        "as late as possible without a gap between responses"
+    );
+    let sources: Vec<_> = run_result
+        .commands
+        .iter()
+        .map(|command| command.source)
+        .collect();
+    let source = |query, index| Some((query, index));
+    assert_eq!(
+        sources[..13],
         [
             None,
             None,
             None,
-            of(0, 3),
-            of(0, 4),
-            of(0, 5),
-            of(0, 6),
-            of(0, 7),
-            of(1, 3),
-            of(1, 4),
-            of(1, 5),
-            of(1, 6),
-            of(1, 7),
+            source(0, 3),
+            source(0, 4),
+            source(0, 5),
+            source(0, 6),
+            source(0, 7),
+            source(1, 3),
+            source(1, 4),
+            source(1, 5),
+            source(1, 6),
+            source(1, 7),
         ]
     );
 }

@@ -20,7 +20,7 @@ fn sibling(id: RolloutId, condition: Condition) -> RolloutId {
 }
 
 #[test]
-fn every_replicate_of_every_rollout_has_a_policy_seed_of_its_own() {
+fn every_replicate_of_every_rollout_has_its_own_policy_seed() {
     for row in rows() {
         let seeds: BTreeSet<u64> = (0..REPLICATES).map(|k| policy_seed(&row.id, k)).collect();
         assert_eq!(seeds.len(), REPLICATES as usize, "{}", row.id);
@@ -37,7 +37,7 @@ fn the_first_replicate_has_the_references_seed() {
 /// The protocol derives the policy's seed from the rollout's id, so that conditions are paired in
 /// everything but the policy's own noise.
 #[test]
-fn conditions_of_a_configuration_differ_in_the_policys_seed_and_agree_in_the_matched_streams() {
+fn conditions_of_a_configuration_have_different_policy_seeds_and_the_same_matched_streams() {
     let rows = rows();
     let perturbed = rows.iter().filter(|row| row.id.config().is_some());
     for id in perturbed.map(|row| row.id) {
@@ -55,7 +55,7 @@ fn conditions_of_a_configuration_differ_in_the_policys_seed_and_agree_in_the_mat
 /// bias, the misalignment, the blur's angle and all noise anew in the
 /// combination.
 #[test]
-fn the_references_streams_of_a_configuration_never_agree_between_conditions() {
+fn the_references_seeds_of_a_configuration_differ_between_conditions() {
     let rows = rows();
     let perturbed = rows.iter().filter(|row| row.id.config().is_some());
     for id in perturbed.map(|row| row.id) {

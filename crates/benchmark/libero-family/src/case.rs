@@ -1,5 +1,5 @@
 //! One rollout of a benchmark: a variant of LIBERO-Plus, a task of LIBERO-PRO, or an unmodified
-//! task of LIBERO beside them, from one of its initial states.
+//! task of LIBERO for comparison, from one of its initial states.
 
 use libero_ctrl::{ManifestRow, Perturbation, RolloutId, TaskRef, VariantName};
 
@@ -26,17 +26,17 @@ pub struct Case {
     pub subject: Subject,
     /// LIBERO's task.
     pub task: TaskRef,
-    /// Number of the trial, from 0, which is also the index of its initial state.
+    /// Number of the trial, from 0, which is also the index of the initial state.
     pub trial: u16,
 }
 
 impl Case {
-    /// Returns the unperturbed rollouts of the cases' tasks and trials, to compare with.
+    /// Returns the unperturbed rollouts of the cases' tasks and trials, for comparison.
     pub fn unperturbed(cases: &[Self]) -> Vec<Self> {
-        let mut beside: Vec<_> = cases.iter().map(|case| (case.task, case.trial)).collect();
-        beside.sort();
-        beside.dedup();
-        let unperturbed = beside.into_iter().map(|(task, trial)| Self {
+        let mut trials: Vec<_> = cases.iter().map(|case| (case.task, case.trial)).collect();
+        trials.sort();
+        trials.dedup();
+        let unperturbed = trials.into_iter().map(|(task, trial)| Self {
             subject: Subject::Unperturbed,
             task,
             trial,
@@ -44,15 +44,15 @@ impl Case {
         unperturbed.collect()
     }
 
-    /// Returns the case that a rollout id names.
+    /// Returns the case of a rollout id.
     ///
     /// # Errors
     /// If the id is not of LIBERO's family, or its benchmark has no such change of the task.
     pub fn of_id(id: RolloutId) -> Result<Self, SelectionError> {
         let task = id.task();
-        let known = id.variant().and_then(|name| subject(task, name));
+        let subject = id.variant().and_then(|name| subject(task, name));
         Ok(Self {
-            subject: known.ok_or(SelectionError::Id { id })?,
+            subject: subject.ok_or(SelectionError::Id { id })?,
             task,
             trial: id.number(),
         })
@@ -61,7 +61,7 @@ impl Case {
     /// Returns the case of a manifest row, and its protocol.
     ///
     /// # Errors
-    /// If the row's id names no case, or its protocol is unknown or another benchmark's.
+    /// If no case has the row's id, or the protocol is unknown or belongs to another benchmark.
     pub fn of_row(row: &ManifestRow) -> Result<(Self, Protocol), SelectionError> {
         let case = Self::of_id(row.id)?;
         let protocol: Protocol = row.protocol.as_deref().unwrap_or_default().parse()?;
@@ -81,8 +81,8 @@ impl Case {
         }
     }
 
-    /// Returns the name used in results and for the output folder: the benchmark's own, with the
-    /// trial's number if there are several.
+    /// Returns the name in results and of the output folder: the name that the benchmark uses, with
+    /// the number of the trial if there are several trials.
     pub fn name(&self) -> String {
         let (task, trial) = (self.task.name(), self.trial);
         match self.subject {
@@ -92,14 +92,14 @@ impl Case {
         }
     }
 
-    /// Returns the rollout's id among those of a benchmark.
+    /// Returns the rollout's id in a benchmark.
     pub fn id(&self, benchmark: Benchmark) -> RolloutId {
         let change = match self.subject {
             Subject::Plus(entry) => entry.variant.change.label(),
             Subject::Pro(suite) => suite.kind.ending().to_owned(),
             Subject::Unperturbed => VariantName::UNPERTURBED.to_owned(),
         };
-        let name = VariantName::new(benchmark, &change).expect("tests write every change");
+        let name = VariantName::new(benchmark, &change).expect("a test covers every change");
         RolloutId::of_variant(self.task, name, self.trial)
     }
 
@@ -122,13 +122,13 @@ impl Case {
     }
 
     /// Returns the policy's prompt. `sentence` is that of the BDDL file, in lower case; without
-    /// it, prompts that consist of it are `None`.
+    /// the sentence, prompts that consist of it are `None`.
     pub fn prompt(&self, protocol: &Protocol, sentence: Option<&str>) -> Option<String> {
-        let is_of_the_file = match self.subject {
+        let is_file_sentence = match self.subject {
             Subject::Plus(entry) => matches!(entry.variant.change, Change::Language(_)),
             _ => false,
         };
-        if (is_of_the_file || protocol.prompt == Prompt::Bddl) && sentence.is_none() {
+        if (is_file_sentence || protocol.prompt == Prompt::Bddl) && sentence.is_none() {
             return None;
         }
         let sentence = sentence.unwrap_or_default();
@@ -139,7 +139,7 @@ impl Case {
     }
 
     /// Returns the manifest row of the rollout, with the trial's initial state and the protocol's
-    /// waits and step budget. The instruction is empty if only the BDDL file has it.
+    /// waiting steps and step budget. The instruction is empty if only the BDDL file has it.
     pub fn row(&self, protocol: &Protocol) -> ManifestRow {
         let id = self.id(protocol.benchmark);
         let row = ManifestRow::new(id, self.trial, self.trial, Perturbation::default());
@@ -152,8 +152,8 @@ impl Case {
         }
     }
 
-    /// Returns the files beyond LIBERO's and the benchmark's task files that no package index
-    /// has; `None` if the case needs none.
+    /// Returns the files that the case needs in addition to LIBERO's and to the benchmark's task
+    /// files, and that no package index has; `None` if the case needs none.
     pub fn further_assets(&self) -> Option<Further> {
         match self.subject {
             Subject::Unperturbed => None,
@@ -167,7 +167,7 @@ impl Case {
     }
 }
 
-/// Files that a worker has only if a person gives it a folder with them.
+/// Files that are in no package index, so that a user must provide a folder with them.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Further {
     /// Files of LIBERO-Plus' archive.
@@ -176,7 +176,7 @@ pub enum Further {
     Models,
 }
 
-/// Returns the origin that a name stands for in a task.
+/// Returns the origin of the variant of a task with the given name; `None` if there is none.
 fn subject(task: TaskRef, name: VariantName) -> Option<Subject> {
     if name.is_unperturbed() {
         return Some(Subject::Unperturbed);
@@ -189,7 +189,7 @@ fn subject(task: TaskRef, name: VariantName) -> Option<Subject> {
         Benchmark::Pro => {
             let kind = Kind::ALL
                 .into_iter()
-                .find(|it| it.ending() == name.change())?;
+                .find(|kind| kind.ending() == name.change())?;
             let suite = task.suite();
             Some(Subject::Pro(ProSuite { suite, kind }))
         }
@@ -201,7 +201,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ids_that_are_well_formed_and_name_nothing_are_refused() {
+    fn ids_of_no_variant_are_refused() {
         for text in [
             "goal/t8/plus:noise_51/i00",
             "goal/t8/plus:swap/i00",
@@ -219,17 +219,17 @@ mod tests {
     }
 
     #[test]
-    fn prompts_of_files_are_left_to_those_who_have_them() {
+    fn rows_lack_the_prompts_that_only_bddl_files_have() {
         let case = |text: &str| Case::of_id(text.parse().expect("an id")).expect("a case");
         let official = Protocol::PLUS_OFFICIAL;
         let noise = case("goal/t8/plus:noise_30/i00");
         let text = "put the bowl on the plate view 0 0 100 0 0 initstate 0 noise 30";
         assert_eq!(noise.row(&official).instruction, text);
-        let spoken = case("goal/t8/plus:language_1/i00");
-        assert_eq!(spoken.row(&official).instruction, "");
-        let prompt = spoken.prompt(&official, Some("set the bowl down"));
+        let language = case("goal/t8/plus:language_1/i00");
+        assert_eq!(language.row(&official).instruction, "");
+        let prompt = language.prompt(&official, Some("set the bowl down"));
         assert_eq!(prompt.as_deref(), Some("set the bowl down"));
-        let told: Protocol = "pro-bddl".parse().expect("a protocol");
-        assert_eq!(case("goal/t8/pro:lan/i00").prompt(&told, None), None);
+        let bddl: Protocol = "pro-bddl".parse().expect("a protocol");
+        assert_eq!(case("goal/t8/pro:lan/i00").prompt(&bddl, None), None);
     }
 }

@@ -1,7 +1,7 @@
 //! The fifty corruptions of `agentview`'s pictures in LIBERO-Plus, reproduced byte for byte:
 //! five kinds with ten severities each, computed like NumPy 1.26, SciPy, scikit-image 0.24 and
-//! ImageMagick 6.9.11-60 Q16. The random ones draw from NumPy's global generator, which
-//! placement and the corruption of every picture share.
+//! ImageMagick 6.9.11-60 Q16. The random kinds draw from NumPy's global generator, which
+//! the placement of objects and the corruption of every picture share.
 
 mod exponential;
 mod fog;
@@ -26,20 +26,20 @@ pub const MAX_FOG_SIDE: usize = fog::SIDE;
 /// Kind of a corruption.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Kind {
-    /// ImageMagick's motion blur at an angle drawn for each picture.
+    /// ImageMagick's motion blur, whose angle is drawn for each picture.
     Motion,
     /// Gaussian blur.
     Gaussian,
     /// Mean of magnified pictures.
     Zoom,
-    /// Plasma fractal drawn for each picture.
+    /// Fog as a plasma fractal, drawn for each picture.
     Fog,
     /// Pixels copied from nearby between two Gaussian blurs.
     Glass,
 }
 
 impl Kind {
-    /// All of them, in the order of their numbers.
+    /// All kinds, in the order of their numbers.
     pub const ALL: [Self; 5] = [
         Self::Motion,
         Self::Gaussian,
@@ -48,7 +48,7 @@ impl Kind {
         Self::Glass,
     ];
 
-    /// Name in reports.
+    /// Returns the name in reports.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Motion => "motion",
@@ -77,12 +77,12 @@ impl Corruption {
         Some(Self { kind, severity })
     }
 
-    /// Kind.
+    /// Returns the kind.
     pub const fn kind(self) -> Kind {
         self.kind
     }
 
-    /// Severity, 1 to 10.
+    /// Returns the severity, 1 to 10.
     pub const fn severity(self) -> usize {
         self.severity + 1
     }
@@ -108,13 +108,13 @@ impl Corruption {
         rng: &mut LegacyRng,
     ) -> Result<(), UnsuitedPicture> {
         let (height, width) = (picture.height, picture.width);
-        let whole = picture.rgb.len() == height * width * CHANNELS && !picture.rgb.is_empty();
-        let suited = match self.kind {
+        let is_complete = picture.rgb.len() == height * width * CHANNELS && !picture.rgb.is_empty();
+        let is_supported = match self.kind {
             Kind::Motion | Kind::Gaussian | Kind::Glass => true,
             Kind::Zoom => height == width && height > 1,
             Kind::Fog => height.max(width) <= fog::SIDE,
         };
-        if !whole || !suited {
+        if !is_complete || !is_supported {
             return Err(UnsuitedPicture {
                 kind: self.kind,
                 height,
@@ -126,7 +126,7 @@ impl Corruption {
             Kind::Motion => motion::blur(picture, self.severity, rng),
             Kind::Gaussian => gaussian::blur_picture(picture, self.severity),
             Kind::Zoom => zoom::blur(picture, self.severity),
-            Kind::Fog => fog::cover(picture, self.severity, rng),
+            Kind::Fog => fog::add_fog(picture, self.severity, rng),
             Kind::Glass => glass::blur(picture, self.severity, rng),
         }
         Ok(())
@@ -142,8 +142,8 @@ impl fmt::Display for Corruption {
 /// Error: the corruption does not support the size of the picture.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "corrupt a picture of {width}×{height} pixels and {bytes} bytes by `{}`: it takes square \
-     pictures of at most 256 pixels a side; have the policy ask for such", kind.name()
+    "corrupt a picture of {width}×{height} pixels and {bytes} bytes by `{}`, which supports square \
+     pictures of at most 256 pixels a side only; have the policy request that size", kind.name()
 )]
 pub struct UnsuitedPicture {
     kind: Kind,

@@ -1,4 +1,4 @@
-//! Reasons why a variant cannot run, in words.
+//! Reasons why a variant cannot run, as messages.
 
 use std::fmt;
 
@@ -6,7 +6,7 @@ use crate::case::{Case, Further};
 use crate::plus::Assets;
 use crate::protocol::Benchmark;
 
-/// Rollouts that a report names per reason; the others are counted.
+/// Largest number of rollouts that a report names per reason; the others are counted.
 const MAX_NAMED: usize = 3;
 
 /// Reason why a variant cannot run.
@@ -28,8 +28,8 @@ impl fmt::Display for Lack {
             ),
             Self::Further(Further::Models) => write!(
                 f,
-                "models of LIBERO-PRO; `worker variants` runs them with --assets and the folder of the \
-                 unpacked wheels, which docs/FAMILY.md tells how to make"
+                "models of LIBERO-PRO; give `worker variants` the folder of the unpacked wheels \
+                 with --assets (docs/FAMILY.md)"
             ),
             Self::Further(Further::Assets(assets @ Assets::Lights)) => {
                 write!(f, "{assets}, whose shadows are not drawn yet")
@@ -51,7 +51,7 @@ pub struct Lacking(pub Vec<(Lack, Vec<Case>)>);
 impl Lacking {
     /// Adds a rollout.
     pub fn add(&mut self, lack: Lack, case: Case) {
-        match self.0.iter_mut().find(|(known, _)| *known == lack) {
+        match self.0.iter_mut().find(|(listed, _)| *listed == lack) {
             Some((_, cases)) => cases.push(case),
             None => self.0.push((lack, vec![case])),
         }
@@ -64,13 +64,13 @@ impl Lacking {
 }
 
 impl fmt::Display for Lacking {
-    /// Lists the missing files, a line for each kind, with the rollouts that need them.
+    /// Lists the missing files, one line per kind, with the rollouts that need them.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (place, (lack, cases)) in self.0.iter().enumerate() {
+        for (index, (lack, cases)) in self.0.iter().enumerate() {
             let named: Vec<String> = cases.iter().take(MAX_NAMED).map(Case::name).collect();
-            let between = if place == 0 { "" } else { "\n" };
+            let separator = if index == 0 { "" } else { "\n" };
             let names = named.join(", ");
-            write!(f, "{between}{:>6}  {lack}: {names}", cases.len())?;
+            write!(f, "{separator}{:>6}  {lack}: {names}", cases.len())?;
             match cases.len() - named.len() {
                 0 => {}
                 more => write!(f, " and {more} more")?,

@@ -1,7 +1,7 @@
 //! LIBERO-Para: 4,092 sentences for the ten tasks of `libero_goal`, and its score PRIDE, which
 //! weights each success by the distance of the sentence from the original.
 
-/// A paraphrase's outcome.
+/// Outcome of a rollout with a paraphrase.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Paraphrased {
     /// True if the rollout succeeded.
@@ -15,9 +15,11 @@ pub struct Paraphrased {
 /// Returns PRIDE in percent; `alpha` is the weight of the content words, 0.5 in the released
 /// code. `None` if the distances of all sentences are 0.
 pub fn pride(outcomes: &[Paraphrased], alpha: f64) -> Option<f64> {
-    let distance = |it: &Paraphrased| 1.0 - (alpha * it.keywords + (1.0 - alpha) * it.structure);
+    let distance = |outcome: &Paraphrased| {
+        1.0 - (alpha * outcome.keywords + (1.0 - alpha) * outcome.structure)
+    };
     let all: f64 = outcomes.iter().map(distance).sum();
-    let successes = outcomes.iter().filter(|it| it.success);
+    let successes = outcomes.iter().filter(|outcome| outcome.success);
     let reached: f64 = successes.map(distance).sum();
     (all > 0.0).then(|| 100.0 * reached / all)
 }
@@ -28,7 +30,7 @@ mod tests {
 
     /// Expected values computed by hand: distances 0.25 and 0.75 at α = 0.5.
     #[test]
-    fn a_success_counts_by_its_sentences_distance() {
+    fn a_success_is_weighted_by_the_distance_of_its_sentence() {
         let near = Paraphrased {
             success: true,
             keywords: 1.0,
@@ -40,11 +42,11 @@ mod tests {
             structure: 0.0,
         };
         assert_eq!(pride(&[near, far], 0.5), Some(25.0));
-        let won = Paraphrased {
+        let far_success = Paraphrased {
             success: true,
             ..far
         };
-        assert_eq!(pride(&[near, won], 0.5), Some(100.0));
+        assert_eq!(pride(&[near, far_success], 0.5), Some(100.0));
         // Content words alone: distances 0 and 0.5.
         assert_eq!(pride(&[near, far], 1.0), Some(0.0));
         assert_eq!(pride(&[], 0.5), None);

@@ -9,7 +9,7 @@ use libero_ctrl::{Suite, UnknownName};
 /// Number of initial states of a task.
 pub const STATES: u16 = 50;
 
-/// The change of a suite.
+/// The change that a suite makes to LIBERO's tasks.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Kind {
     /// A different sentence, in the BDDL file.
@@ -23,10 +23,10 @@ pub enum Kind {
 }
 
 impl Kind {
-    /// All of them.
+    /// All kinds.
     pub const ALL: [Self; 4] = [Self::Language, Self::Object, Self::Position, Self::Task];
 
-    /// End of the suite's name, also used in rollout ids.
+    /// Returns the ending of the suite's name, also used in rollout ids.
     pub(crate) const fn ending(self) -> &'static str {
         match self {
             Self::Language => "lan",
@@ -47,10 +47,10 @@ pub struct ProSuite {
 }
 
 impl ProSuite {
-    /// The sixteen suites.
+    /// Returns the sixteen suites.
     pub fn all() -> impl Iterator<Item = Self> {
-        let of = |suite| Kind::ALL.into_iter().map(move |kind| Self { suite, kind });
-        Suite::ALL.into_iter().flat_map(of)
+        let changed = |suite| Kind::ALL.into_iter().map(move |kind| Self { suite, kind });
+        Suite::ALL.into_iter().flat_map(changed)
     }
 }
 
@@ -82,7 +82,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn sixteen_suites_read_back_from_their_names() {
+    fn sixteen_suites_are_parsed_from_their_names() {
         let suites: Vec<ProSuite> = ProSuite::all().collect();
         assert_eq!(suites.len(), 16);
         for suite in suites {

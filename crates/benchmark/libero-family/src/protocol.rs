@@ -20,7 +20,7 @@ pub enum Beginning {
 }
 
 impl Beginning {
-    /// Name in results.
+    /// Returns the name in results.
     pub const fn name(self) -> &'static str {
         match self {
             Self::InitialState => "initial-state",
@@ -63,7 +63,7 @@ pub const PROTOCOLS: [Protocol; 8] = [
         seed: 0,
         waits: 10,
         budgets: BUDGETS,
-        source: "openvla-oft as LIBERO-plus evaluates it, the source of the published table",
+        source: "openvla-oft as evaluated by LIBERO-plus, the source of the published table",
     },
     Protocol {
         name: "plus-openpi",
@@ -73,7 +73,8 @@ pub const PROTOCOLS: [Protocol; 8] = [
         seed: 7,
         waits: 10,
         budgets: BUDGETS,
-        source: "openpi 15a9616, examples/libero/main.py; starVLA 0ed0aad and vla-eval e1ee9ad alike",
+        source: "openpi 15a9616, examples/libero/main.py; the same in starVLA 0ed0aad and vla-eval \
+                 e1ee9ad",
     },
     Protocol {
         name: "plus-lerobot",
@@ -83,7 +84,7 @@ pub const PROTOCOLS: [Protocol; 8] = [
         seed: 0,
         waits: 10,
         budgets: [280, 280, 300, 520],
-        source: "lerobot 7427f31, which seeds by argument; 0 here",
+        source: "lerobot 7427f31, whose seed is an argument; 0 here",
     },
     Protocol {
         name: "plus-rlinf",
@@ -103,7 +104,7 @@ pub const PROTOCOLS: [Protocol; 8] = [
         seed: 0,
         waits: 10,
         budgets: BUDGETS,
-        source: "this project: plus-official with prompts that do not tell what was changed",
+        source: "this project: plus-official with prompts that do not reveal the change",
     },
     Protocol {
         name: "pro-official",
@@ -113,7 +114,7 @@ pub const PROTOCOLS: [Protocol; 8] = [
         seed: 0,
         waits: 10,
         budgets: BUDGETS,
-        source: "openvla-oft as LIBERO-PRO's README evaluates it; the prompt is of the unperturbed task",
+        source: "openvla-oft as in LIBERO-PRO's README; the prompt is that of the unperturbed task",
     },
     Protocol {
         name: "pro-openpi",
@@ -123,7 +124,8 @@ pub const PROTOCOLS: [Protocol; 8] = [
         seed: 7,
         waits: 10,
         budgets: BUDGETS,
-        source: "openpi 15a9616, examples/libero/main.py; the prompt is of the unperturbed task",
+        source: "openpi 15a9616, examples/libero/main.py; the prompt is that of the unperturbed \
+                 task",
     },
     Protocol {
         name: "pro-bddl",
@@ -133,7 +135,8 @@ pub const PROTOCOLS: [Protocol; 8] = [
         seed: 0,
         waits: 10,
         budgets: BUDGETS,
-        source: "this project: pro-official with the BDDL file's sentence, so that the policy is told",
+        source: "this project: pro-official with the BDDL file's sentence as prompt, which states \
+                 the changed task",
     },
 ];
 
@@ -151,10 +154,10 @@ impl Protocol {
         }
     }
 
-    /// Checks that the protocol is of a benchmark.
+    /// Checks that the protocol belongs to a benchmark.
     ///
     /// # Errors
-    /// If it belongs to another.
+    /// If the protocol belongs to another benchmark.
     pub fn check(&self, benchmark: Benchmark) -> Result<(), SelectionError> {
         match self.benchmark == benchmark {
             true => Ok(()),

@@ -18,16 +18,16 @@ pub enum Selection {
     Pro(ProFilters),
 }
 
-/// Filters of LIBERO-Plus' variants, which must match all that are not empty.
+/// Filters of LIBERO-Plus' variants. A variant must match all filters that are not empty.
 #[derive(Clone, Debug, Default)]
 pub struct PlusFilters {
-    /// The variants themselves.
+    /// Variants by name.
     pub variants: Vec<Variant>,
     /// LIBERO's suites.
     pub suites: Vec<Suite>,
     /// Dimensions.
     pub dimensions: Vec<Dimension>,
-    /// Difficulties, 1 to 5; 0 for variants without.
+    /// Difficulties, 1 to 5; 0 for variants without one.
     pub difficulties: Vec<u8>,
 }
 
@@ -36,15 +36,15 @@ pub struct PlusFilters {
 pub struct ProFilters {
     /// The suites.
     pub suites: Vec<ProSuite>,
-    /// Trials of each task, from the first initial states.
+    /// Number of trials of each task, from the first initial states.
     pub trials: u16,
 }
 
 impl Selection {
-    /// Reads the selection of a specification.
+    /// Returns the selection of a specification.
     ///
     /// # Errors
-    /// If a name is unknown, a number out of range, or a filter the other benchmark's.
+    /// If a name is unknown, a number is out of range, or only the other benchmark has a filter.
     pub fn of_spec(spec: &Variants) -> Result<Self, SelectionError> {
         let filter = |filter, is_given: bool| match is_given {
             true => Err(SelectionError::Filter {
@@ -56,7 +56,7 @@ impl Selection {
         match spec.benchmark {
             Benchmark::Plus => {
                 filter("trials", spec.trials.is_some())?;
-                if let Some(&given) = spec.difficulties.iter().find(|it| **it > 5) {
+                if let Some(&given) = spec.difficulties.iter().find(|difficulty| **difficulty > 5) {
                     let (field, given) = ("difficulties", given.into());
                     let valid = [0, 5];
                     return Err(SelectionError::Range {
@@ -68,8 +68,8 @@ impl Selection {
                 let variants = spec.variants.iter().map(|name| name.parse());
                 Ok(Self::Plus(PlusFilters {
                     variants: variants.collect::<Result<_, UnknownVariant>>()?,
-                    suites: read(&spec.suites)?,
-                    dimensions: read(&spec.dimensions)?,
+                    suites: parse_all(&spec.suites)?,
+                    dimensions: parse_all(&spec.dimensions)?,
                     difficulties: spec.difficulties.clone(),
                 }))
             }
@@ -86,7 +86,7 @@ impl Selection {
                         valid,
                     });
                 }
-                let suites: Vec<ProSuite> = read(&spec.suites)?;
+                let suites: Vec<ProSuite> = parse_all(&spec.suites)?;
                 Ok(Self::Pro(ProFilters {
                     suites: match suites.is_empty() {
                         true => ProSuite::all().collect(),
@@ -124,16 +124,20 @@ impl Selection {
 
 impl PlusFilters {
     fn cases(&self) -> Result<Vec<Case>, SelectionError> {
-        if let Some(unused) = self.variants.iter().find(|it| entry(it).is_none()) {
+        if let Some(unused) = self
+            .variants
+            .iter()
+            .find(|variant| entry(variant).is_none())
+        {
             return Err(SelectionError::Unused {
                 name: unused.to_string(),
             });
         }
         let chosen = inventory().iter().filter(|entry| {
-            is_of(&self.variants, &entry.variant)
-                && is_of(&self.suites, &entry.variant.task.suite())
-                && is_of(&self.dimensions, &entry.dimension())
-                && is_of(&self.difficulties, &entry.difficulty.unwrap_or(0))
+            matches_filter(&self.variants, &entry.variant)
+                && matches_filter(&self.suites, &entry.variant.task.suite())
+                && matches_filter(&self.dimensions, &entry.dimension())
+                && matches_filter(&self.difficulties, &entry.difficulty.unwrap_or(0))
         });
         let case = |entry: &'static Entry| Case {
             subject: Subject::Plus(entry),
@@ -161,12 +165,13 @@ impl ProFilters {
     }
 }
 
-/// Returns the rows of a campaign of any kind; see [`CampaignSpec::expand`]. Those of a campaign of
-/// LIBERO's family are the unperturbed rollouts, followed by the variants in the benchmark's order.
+/// Returns the rows of a campaign of any kind; see [`CampaignSpec::expand`]. The rows of a
+/// campaign of LIBERO's family are the unperturbed rollouts, followed by the variants in the
+/// benchmark's order.
 ///
 /// # Errors
-/// If the specification is invalid, or variants are chosen that no worker could run and that it
-/// does not leave out with `runnable`.
+/// If the specification is invalid, or no worker can run one of the chosen variants and
+/// `runnable` is not set.
 pub fn expand(spec: &CampaignSpec) -> Result<Vec<ManifestRow>, SpecError> {
     let Rollouts::Variants(variants) = &spec.rollouts else {
         return spec.expand();
@@ -182,8 +187,8 @@ fn rows(variants: &Variants) -> Result<Vec<ManifestRow>, SelectionError> {
     protocol.check(variants.benchmark)?;
     let chosen = Selection::of_spec(variants)?.cases()?;
     let (runnable, lacking) = audit(chosen);
-    let leaves_some = variants.runnable && !runnable.is_empty();
-    if lacking.count() > 0 && !leaves_some {
+    let may_leave_out = variants.runnable && !runnable.is_empty();
+    if lacking.count() > 0 && !may_leave_out {
         return Err(SelectionError::Lacking {
             lacking: lacking.count(),
             chosen: lacking.count() + runnable.len(),
@@ -195,7 +200,7 @@ fn rows(variants: &Variants) -> Result<Vec<ManifestRow>, SelectionError> {
     Ok(cases.iter().map(|case| case.row(&protocol)).collect())
 }
 
-/// Returns the chosen variants that a campaign leaves out because no worker could run them.
+/// Returns the chosen variants that a campaign leaves out because no worker can run them.
 ///
 /// # Errors
 /// If the selection is invalid.
@@ -204,8 +209,8 @@ pub fn left_out(variants: &Variants) -> Result<Lacking, SelectionError> {
     Ok(audit(chosen).1)
 }
 
-/// Separates the rollouts whose files are LIBERO's or in a package index from the others. A
-/// campaign's workers run the former only: its results are pinned to one asset pack.
+/// Separates the rollouts whose files are LIBERO's or in a package index from the others. The
+/// workers of a campaign run only the former, because its results are pinned to one asset pack.
 fn audit(chosen: Vec<Case>) -> (Vec<Case>, Lacking) {
     let (mut runnable, mut lacking) = (Vec::new(), Lacking::default());
     for case in chosen {
@@ -218,11 +223,14 @@ fn audit(chosen: Vec<Case>) -> (Vec<Case>, Lacking) {
 }
 
 /// Returns true if the filter is empty or contains the value.
-fn is_of<T: PartialEq>(asked: &[T], found: &T) -> bool {
-    asked.is_empty() || asked.contains(found)
+fn matches_filter<T: PartialEq>(filter: &[T], value: &T) -> bool {
+    filter.is_empty() || filter.contains(value)
 }
 
-fn read<T: std::str::FromStr<Err = UnknownName>>(names: &[String]) -> Result<Vec<T>, UnknownName> {
+/// Parses names.
+fn parse_all<T: std::str::FromStr<Err = UnknownName>>(
+    names: &[String],
+) -> Result<Vec<T>, UnknownName> {
     names.iter().map(|name| name.parse()).collect()
 }
 
@@ -251,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn every_rollout_of_both_benchmarks_has_an_id_of_its_own_that_reads_back() {
+    fn every_rollout_of_both_benchmarks_has_a_distinct_id_that_is_parsed() {
         let plus = Selection::Plus(PlusFilters::default());
         let pro = Selection::Pro(ProFilters {
             suites: ProSuite::all().collect(),
@@ -298,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn what_no_worker_could_run_is_named_and_left_out_only_if_told() {
+    fn variants_that_no_worker_can_run_are_refused_or_left_out_with_runnable() {
         let lights = r#"{"benchmark":"libero-plus","protocol":"plus-official",
                         "dimensions":["light","camera"]}"#;
         check_refused(lights, "whose shadows are not drawn yet: ");

@@ -8,12 +8,12 @@ use crate::plus::UnknownVariant;
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum SelectionError {
     /// No variant matches all filters.
-    #[error("choose variants: none is of all that was asked for; leave a filter out")]
+    #[error("choose variants: none matches all filters; leave a filter out")]
     Nothing,
     /// The protocol belongs to another benchmark.
     #[error(
-        "run {benchmark} under protocol `{protocol}`: it is another benchmark's; docs/FAMILY.md \
-         lists the protocols of each"
+        "run {benchmark} under protocol `{protocol}`: it is another benchmark's protocol; \
+         docs/FAMILY.md lists the protocols of each benchmark"
     )]
     Foreign {
         /// The protocol.
@@ -23,8 +23,8 @@ pub enum SelectionError {
     },
     /// LIBERO-Plus' task map lacks the variant.
     #[error(
-        "choose variant `{name}`: its name is well-formed, and LIBERO-Plus' task map does not \
-         have it; `worker variants --list` names those that it has"
+        "choose variant `{name}`: its name is well-formed, but LIBERO-Plus' task map does not \
+         have it; `worker variants --list` lists the variants"
     )]
     Unused {
         /// Name of the variant.
@@ -32,7 +32,8 @@ pub enum SelectionError {
     },
     /// A filter that the benchmark does not have.
     #[error(
-        "choose variants of {benchmark} by `{filter}`: it is the other benchmark's; leave it out"
+        "choose variants of {benchmark} by `{filter}`: only the other benchmark has this filter; \
+         leave it out"
     )]
     Filter {
         /// The benchmark.
@@ -50,7 +51,7 @@ pub enum SelectionError {
         /// The valid range.
         valid: [u16; 2],
     },
-    /// The id names no rollout of LIBERO's family.
+    /// No rollout of LIBERO's family has the id.
     #[error(
         "read rollout {id}: neither LIBERO-Plus nor LIBERO-PRO has it; `coordinator manifest \
          expand` prints the ids of a specification"
@@ -62,7 +63,7 @@ pub enum SelectionError {
     /// Some of the chosen variants cannot run.
     #[error(
         "run {lacking} of the {chosen} chosen rollouts, whose files are missing:\n{report}\nGive \
-         --runnable to run the others without them"
+         --runnable to run the other rollouts only"
     )]
     Lacking {
         /// Number of rollouts that cannot run.
@@ -72,7 +73,7 @@ pub enum SelectionError {
         /// Missing files, with the rollouts that need them.
         report: String,
     },
-    /// The name is no variant's.
+    /// No variant has the name.
     #[error(transparent)]
     Variant(#[from] UnknownVariant),
     /// A suite, dimension or protocol is unknown.

@@ -57,43 +57,50 @@ fn check(kind: Kind) {
         let mut skipping = LegacyRng::seed(1000 + u32::from(number));
         corruption.skip(side, side, &mut skipping);
         corruption.skip(side, side, &mut skipping);
-        assert!(skipping == rng, "{number} skips what it draws");
+        assert!(
+            skipping == rng,
+            "{number}: skip consumes as many numbers as apply"
+        );
         let next: f64 = next.parse().unwrap();
-        assert_eq!(rng.random_sample(), next, "{number} draws as many numbers");
+        assert_eq!(
+            rng.random_sample(),
+            next,
+            "{number}: the generator has the recorded state"
+        );
         checked += 1;
     }
     assert_eq!(checked, 20);
 }
 
 #[test]
-fn motion_blur_is_imagemagicks() {
+fn motion_blur_equals_imagemagicks() {
     check(Kind::Motion);
 }
 
 #[test]
-fn gaussian_blur_is_scikit_images() {
+fn gaussian_blur_equals_scikit_images() {
     check(Kind::Gaussian);
 }
 
 #[test]
-fn zoom_blur_is_scipys() {
+fn zoom_blur_equals_the_released_codes() {
     check(Kind::Zoom);
 }
 
 #[test]
-fn fog_is_the_released_one() {
+fn fog_equals_the_released_codes() {
     check(Kind::Fog);
 }
 
 #[test]
-fn glass_blur_is_the_released_one() {
+fn glass_blur_equals_the_released_codes() {
     check(Kind::Glass);
 }
 
 #[test]
-fn a_picture_that_cannot_be_corrupted_is_refused_and_left_as_it_is() {
+fn pictures_of_unsupported_size_are_refused_and_unchanged() {
     let mut rng = LegacyRng::seed(1);
-    let untouched = rng.clone();
+    let initial = rng.clone();
     let mut rgb = vec![7; 300 * 300 * 3];
     let mut large = Picture {
         height: 300,
@@ -106,7 +113,7 @@ fn a_picture_that_cannot_be_corrupted_is_refused_and_left_as_it_is() {
         error.contains("300×300") && error.contains("256"),
         "{error}"
     );
-    assert!(rng == untouched && rgb.iter().all(|byte| *byte == 7));
+    assert!(rng == initial && rgb.iter().all(|byte| *byte == 7));
     assert_eq!(Corruption::new(0), None);
     assert_eq!(Corruption::new(51), None);
 }

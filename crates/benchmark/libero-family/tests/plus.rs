@@ -13,10 +13,10 @@ use sha2::{Digest, Sha256};
 const RECORDED: &str = include_str!("recorded/plus.txt");
 
 /// Asserts that the lines have the recorded digest.
-fn check(what: &str, lines: &[String]) {
-    let recorded = RECORDED.lines().find(|line| line.starts_with(what));
+fn check(kind: &str, lines: &[String]) {
+    let recorded = RECORDED.lines().find(|line| line.starts_with(kind));
     let fields: Vec<&str> = recorded.unwrap().split(' ').collect();
-    assert_eq!(lines.len().to_string(), fields[1], "{what}");
+    assert_eq!(lines.len().to_string(), fields[1], "{kind}");
     let mut hash = Sha256::new();
     for line in lines {
         hash.update(format!("{line}\n"));
@@ -26,16 +26,16 @@ fn check(what: &str, lines: &[String]) {
         .iter()
         .map(|byte| format!("{byte:02x}"))
         .collect();
-    assert_eq!(digest, fields[2], "{what}, for example {:?}", &lines[..2]);
+    assert_eq!(digest, fields[2], "{kind}, for example {:?}", &lines[..2]);
 }
 
-fn name(line: impl Fn(&Entry) -> String) -> Vec<String> {
+fn all_lines(line: impl Fn(&Entry) -> String) -> Vec<String> {
     inventory().iter().map(line).collect()
 }
 
 #[test]
-fn names_numbers_dimensions_and_difficulties_are_the_benchmarks() {
-    let lines = name(|entry| {
+fn names_ids_dimensions_and_difficulties_equal_the_benchmarks() {
+    let lines = all_lines(|entry| {
         let difficulty = match entry.difficulty {
             Some(difficulty) => difficulty.to_string(),
             None => "None".to_owned(),
@@ -48,7 +48,7 @@ fn names_numbers_dimensions_and_difficulties_are_the_benchmarks() {
 }
 
 #[test]
-fn every_name_reads_back() {
+fn every_name_is_parsed_and_distinct() {
     let mut names = BTreeSet::new();
     for entry in inventory() {
         let name = entry.variant.to_string();
@@ -58,15 +58,17 @@ fn every_name_reads_back() {
 }
 
 #[test]
-fn states_are_read_from_the_released_codes_files() {
-    check("states", &name(|entry| entry.variant.states_file()));
-    let single = inventory().iter().filter(|it| it.variant.has_one_state());
+fn state_files_equal_the_released_codes() {
+    check("states", &all_lines(|entry| entry.variant.states_file()));
+    let single = inventory()
+        .iter()
+        .filter(|entry| entry.variant.has_one_state());
     assert_eq!(single.count(), 829 + 696);
 }
 
 #[test]
-fn every_variant_has_a_bddl_file_of_the_released_ones() {
-    let lines = name(|entry| {
+fn bddl_files_equal_the_released_codes() {
+    let lines = all_lines(|entry| {
         let variant = entry.variant;
         format!("{}/{}", variant.task.suite(), variant.bddl_stem())
     });
@@ -77,9 +79,9 @@ fn every_variant_has_a_bddl_file_of_the_released_ones() {
 }
 
 #[test]
-fn the_released_prompts_tell_what_was_changed() {
-    let language = |entry: &&Entry| entry.dimension() == Dimension::Language;
-    let leaks = |entry: &&Entry| {
+fn released_prompts_reveal_the_change() {
+    let is_language = |entry: &&Entry| entry.dimension() == Dimension::Language;
+    let reveals_change = |entry: &&Entry| {
         let released = Prompt::Released.of(&entry.variant, "the sentence");
         let stripped = Prompt::Stripped.of(&entry.variant, "the sentence");
         assert_eq!(
@@ -88,12 +90,12 @@ fn the_released_prompts_tell_what_was_changed() {
         );
         released != stripped
     };
-    assert_eq!(inventory().iter().filter(leaks).count(), 8493);
-    let others = inventory().iter().filter(|entry| !language(entry));
+    assert_eq!(inventory().iter().filter(reveals_change).count(), 8493);
+    let others = inventory().iter().filter(|entry| !is_language(entry));
     let others = others.map(|entry| Prompt::Released.of(&entry.variant, ""));
     check("released", &others.collect::<Vec<_>>());
     let all = inventory().iter();
-    assert!(all.filter(language).all(|entry| {
+    assert!(all.filter(is_language).all(|entry| {
         Prompt::ALL.map(|prompt| prompt.of(&entry.variant, "the sentence")) == ["the sentence"; 3]
     }));
     let variant: Variant = "put_the_bowl_on_the_plate_view_0_0_181_0_0_initstate_0"
@@ -113,10 +115,10 @@ fn the_released_prompts_tell_what_was_changed() {
 }
 
 #[test]
-fn counts_are_those_of_the_benchmarks_table() {
+fn counts_equal_the_benchmarks_table() {
     let count = |suite: Suite, dimension: Dimension| {
         let all = inventory().iter();
-        all.filter(|it| it.variant.task.suite() == suite && it.dimension() == dimension)
+        all.filter(|entry| entry.variant.task.suite() == suite && entry.dimension() == dimension)
             .count()
     };
     let table = Suite::ALL.map(|suite| Dimension::ALL.map(|dimension| count(suite, dimension)));
@@ -132,7 +134,7 @@ fn counts_are_those_of_the_benchmarks_table() {
     let levels = Dimension::ALL.map(|dimension| {
         [Some(1), Some(2), Some(3), Some(4), Some(5), None].map(|difficulty| {
             let all = inventory().iter();
-            all.filter(|it| it.dimension() == dimension && it.difficulty == difficulty)
+            all.filter(|entry| entry.dimension() == dimension && entry.difficulty == difficulty)
                 .count()
         })
     });
@@ -151,7 +153,7 @@ fn counts_are_those_of_the_benchmarks_table() {
 }
 
 #[test]
-fn what_each_variant_needs_is_known_before_anything_starts() {
+fn the_needed_assets_of_each_variant_are_counted() {
     let mut counts = BTreeMap::new();
     for entry in inventory() {
         *counts.entry(entry.assets()).or_insert(0) += 1;
@@ -168,13 +170,13 @@ fn what_each_variant_needs_is_known_before_anything_starts() {
     );
     let by_suite = Suite::ALL.map(|suite| {
         let all = inventory().iter();
-        all.filter(|it| it.variant.task.suite() == suite && it.assets() == Assets::Libero)
+        all.filter(|entry| entry.variant.task.suite() == suite && entry.assets() == Assets::Libero)
             .count()
     });
     assert_eq!(by_suite, [1644, 1827, 1791, 1783]);
     let scenes = |assets| {
-        let all = inventory().iter().filter(|it| it.assets() == assets);
-        let scenes = all.filter_map(|it| it.class.as_ref()?.scene.clone());
+        let all = inventory().iter().filter(|entry| entry.assets() == assets);
+        let scenes = all.filter_map(|entry| entry.class.as_ref()?.scene.clone());
         scenes.collect::<BTreeSet<_>>().len()
     };
     assert_eq!(scenes(Assets::Lights), 998);
@@ -182,7 +184,7 @@ fn what_each_variant_needs_is_known_before_anything_starts() {
 }
 
 #[test]
-fn postures_are_those_of_the_five_hundred_robots() {
+fn postures_equal_those_of_the_five_hundred_robot_classes() {
     let lines = (1..=500).map(|number| {
         let posture = start_posture(number).unwrap();
         let angles = posture.map(|angle| format!("{:.8}", angle + 0.0));
@@ -193,7 +195,7 @@ fn postures_are_those_of_the_five_hundred_robots() {
 }
 
 #[test]
-fn cameras_are_the_released_codes() {
+fn cameras_equal_the_released_codes() {
     const HIGH: [f64; 4] = [
         0.6380177736282349,
         0.3048497438430786,
@@ -261,10 +263,10 @@ fn cameras_are_the_released_codes() {
 }
 
 #[test]
-fn a_name_that_the_benchmark_does_not_have_is_refused_with_what_is_valid() {
-    let refused = |name: &str| name.parse::<Variant>().unwrap_err().to_string();
+fn unknown_names_are_refused_with_the_valid_forms() {
+    let refusal = |name: &str| name.parse::<Variant>().unwrap_err().to_string();
     let task = "put_the_bowl_on_the_plate";
-    assert!(refused("put_the_bowl_on_the_moon_light_1").contains("none of LIBERO's forty tasks"));
+    assert!(refusal("put_the_bowl_on_the_moon_light_1").contains("none of LIBERO's forty tasks"));
     for suffix in [
         "",
         "_",
@@ -282,7 +284,7 @@ fn a_name_that_the_benchmark_does_not_have_is_refused_with_what_is_valid() {
         "_language_5_view_0_0_110_0_0_initstate_0",
         "_noise_3",
     ] {
-        let message = refused(&format!("{task}{suffix}"));
+        let message = refusal(&format!("{task}{suffix}"));
         assert!(message.contains("_tb_T") || suffix.is_empty(), "{message}");
     }
     let unused: Variant = format!("{task}_table_19").parse().unwrap();

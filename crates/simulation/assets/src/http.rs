@@ -19,20 +19,19 @@ use crate::error::AssetsError;
 const MAX_TEXT_BYTES: u64 = 16 << 20;
 /// Bytes that have to arrive within each [`Deadlines::gain`].
 pub(crate) const GAIN_BYTES: u64 = 1 << 20;
-/// Variables that name a certificate file, as used by pip, OpenSSL and requests.
+/// Environment variables with the path of a certificate file, of pip, OpenSSL and requests.
 const CERTIFICATES: [&str; 3] = ["PIP_CERT", "SSL_CERT_FILE", "REQUESTS_CA_BUNDLE"];
 
 /// Reason why one request failed.
 #[derive(Debug)]
 pub(crate) enum RequestError {
-    /// A transient failure: another try may succeed.
-    Passing {
+    /// Another try may succeed.
+    Transient {
         /// Address, without credentials.
         url: String,
         problem: String,
     },
-    /// A permanent failure.
-    Final(AssetsError),
+    Permanent(AssetsError),
 }
 
 /// Timeouts of a request.
@@ -100,14 +99,14 @@ impl Address {
     }
 
     /// Resolves a reference in the page at this URL. Credentials are kept only for the same host.
-    pub(crate) fn refer(&self, reference: &str) -> Option<Self> {
+    pub(crate) fn resolve(&self, reference: &str) -> Option<Self> {
         let mut url = self.url.join(reference).ok()?;
         url.set_fragment(None);
-        let mut referred = Self::parse(url.as_str()).ok()?;
-        if referred.authorization.is_none() && referred.url.origin() == self.url.origin() {
-            referred.authorization.clone_from(&self.authorization);
+        let mut resolved = Self::parse(url.as_str()).ok()?;
+        if resolved.authorization.is_none() && resolved.url.origin() == self.url.origin() {
+            resolved.authorization.clone_from(&self.authorization);
         }
-        Some(referred)
+        Some(resolved)
     }
 }
 
@@ -117,13 +116,14 @@ fn authorization(url: &Url) -> Option<String> {
         return None;
     }
     let decoded = |text| percent_decode_str(text).collect::<Vec<u8>>();
-    let mut words = decoded(url.username());
-    words.push(b':');
-    words.extend(decoded(url.password().unwrap_or_default()));
-    Some(format!("Basic {}", BASE64_STANDARD.encode(words)))
+    let mut credentials = decoded(url.username());
+    credentials.push(b':');
+    credentials.extend(decoded(url.password().unwrap_or_default()));
+    Some(format!("Basic {}", BASE64_STANDARD.encode(credentials)))
 }
 
-/// HTTP client for package indices and the hub. Uses the proxies that the environment names.
+/// HTTP client for package indices and the hub. Uses the proxies that are set in the
+/// environment variables.
 #[derive(Debug)]
 pub(crate) struct Client {
     agent: Agent,
@@ -158,9 +158,9 @@ impl Client {
         self.get(address, "*/*", Some(range), None)
     }
 
-    /// Returns a reader of an answer that fails if the answer arrives too slowly.
+    /// Returns a reader that fails if the answer arrives too slowly.
     pub(crate) fn reader(&self, response: Response<Body>) -> impl Read + use<> {
-        Gaining {
+        MinimumRateReader {
             reader: response.into_body().into_reader(),
             within: self.deadlines.gain,
             since: Instant::now(),
@@ -174,10 +174,10 @@ impl Client {
         address: &Address,
         accept: &str,
         range: Option<std::ops::Range<u64>>,
-        whole: Option<Duration>,
+        timeout: Option<Duration>,
     ) -> Result<Response<Body>, RequestError> {
         let request = self.agent.get(address.as_str());
-        let request = request.config().timeout_global(whole).build();
+        let request = request.config().timeout_global(timeout).build();
         let mut request = request.header("Accept", accept);
         if let Some(range) = range {
             let (first, last) = (range.start, range.end - 1);
@@ -187,17 +187,17 @@ impl Client {
             request = request.header("Authorization", authorization);
         }
         let url = || address.as_str().to_owned();
-        let response = request.call().map_err(|error| RequestError::Passing {
+        let response = request.call().map_err(|error| RequestError::Transient {
             url: url(),
             problem: describe(&error),
         })?;
         match response.status().as_u16() {
             200 | 206 | 416 => Ok(response),
-            status @ (408 | 429 | 500..) => Err(RequestError::Passing {
+            status @ (408 | 429 | 500..) => Err(RequestError::Transient {
                 url: url(),
-                problem: format!("it answers {status}"),
+                problem: format!("the server answers {status}"),
             }),
-            status => Err(RequestError::Final(AssetsError::Refused {
+            status => Err(RequestError::Permanent(AssetsError::Refused {
                 url: url(),
                 status,
             })),
@@ -217,7 +217,7 @@ impl Client {
         let body = response.body_mut().with_config().limit(MAX_TEXT_BYTES);
         let text = body
             .read_to_string()
-            .map_err(|error| RequestError::Passing {
+            .map_err(|error| RequestError::Transient {
                 url: address.as_str().to_owned(),
                 problem: describe(&error),
             })?;
@@ -227,7 +227,7 @@ impl Client {
 
 /// A reader that fails unless [`GAIN_BYTES`] arrive within every period of a given length. With a
 /// timeout per read only, a server could occupy the reader by sending single bytes.
-struct Gaining<R> {
+struct MinimumRateReader<R> {
     reader: R,
     within: Duration,
     /// Start of the current period.
@@ -236,7 +236,7 @@ struct Gaining<R> {
     gained: u64,
 }
 
-impl<R: Read> Read for Gaining<R> {
+impl<R: Read> Read for MinimumRateReader<R> {
     fn read(&mut self, block: &mut [u8]) -> io::Result<usize> {
         let read = self.reader.read(block)?;
         self.gained += read as u64;
@@ -246,14 +246,15 @@ impl<R: Read> Read for Gaining<R> {
             let (gained, secs) = (self.gained, self.within.as_secs_f64());
             return Err(io::Error::new(
                 io::ErrorKind::TimedOut,
-                format!("it is too slow: it sent {gained} bytes in {secs} s"),
+                format!("the server is too slow: it sent {gained} bytes in {secs} s"),
             ));
         }
         Ok(read)
     }
 }
 
-/// Reads the certificates that the environment names; they replace the built-in ones.
+/// Reads the certificates that are set in the environment variables; they replace the built-in
+/// ones.
 fn certificates() -> Result<Option<RootCerts>, AssetsError> {
     let named = CERTIFICATES.iter().filter_map(std::env::var_os);
     let Some(path) = named.map(PathBuf::from).find(|path| path.is_file()) else {
@@ -274,8 +275,8 @@ fn certificates() -> Result<Option<RootCerts>, AssetsError> {
 fn describe(error: &ureq::Error) -> String {
     match error {
         ureq::Error::Io(error) => error.to_string(),
-        ureq::Error::HostNotFound => "no address is known for its name".to_owned(),
-        ureq::Error::Timeout(_) => "it does not answer in time".to_owned(),
+        ureq::Error::HostNotFound => "the host name cannot be resolved".to_owned(),
+        ureq::Error::Timeout(_) => "the server does not answer in time".to_owned(),
         other => other.to_string(),
     }
 }
@@ -285,16 +286,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn credentials_are_sent_to_their_host_and_shown_to_nobody() {
+    fn credentials_are_sent_to_their_host_only_and_never_displayed() {
         let index = Address::parse("https://a:p%40ss@mirror.example/simple/").expect("a URL");
         assert_eq!(index.as_str(), "https://mirror.example/simple/");
         assert_eq!(index.authorization.as_deref(), Some("Basic YTpwQHNz"));
         let page = index.below("some-project/");
         assert_eq!(page.as_str(), "https://mirror.example/simple/some-project/");
-        let same = page.refer("../../files/a.whl#sha256=1").expect("a URL");
+        let same = page.resolve("../../files/a.whl#sha256=1").expect("a URL");
         assert_eq!(same.as_str(), "https://mirror.example/files/a.whl");
         assert!(same.authorization.is_some());
-        let other = page.refer("https://files.example/a.whl").expect("a URL");
+        let other = page.resolve("https://files.example/a.whl").expect("a URL");
         assert!(other.authorization.is_none());
     }
 

@@ -8,7 +8,7 @@ use crate::table::Wheel;
 
 /// The Python package index.
 pub const INDEX: &str = "https://pypi.org/simple";
-/// Variables that name an index, as used by this project, pip and uv.
+/// Environment variables with the URL of a package index: of this project, pip and uv.
 const VARIABLES: [&str; 4] = [
     "ROLLOUT_INDEX_URL",
     "PIP_INDEX_URL",
@@ -19,13 +19,13 @@ const VARIABLES: [&str; 4] = [
 const ACCEPT: &str = "application/vnd.pypi.simple.v1+json, \
                       application/vnd.pypi.simple.v1+html;q=0.2, text/html;q=0.1";
 
-/// Returns the index that the environment names, or [`INDEX`].
+/// Returns the index that is set in the environment variables, or [`INDEX`].
 pub fn index_of_environment() -> String {
     let set = VARIABLES.iter().filter_map(|name| std::env::var(name).ok());
     let named = set.map(|value| value.trim().to_owned());
     let found = named.into_iter().find(|value| !value.is_empty());
     let url = found.unwrap_or_else(|| INDEX.to_owned());
-    // An index of uv may be named: `NAME=URL`.
+    // uv allows a name before the URL: `NAME=URL`.
     match url.split_once('=') {
         Some((name, url)) if !name.contains("://") => url.to_owned(),
         _ => url,
@@ -50,22 +50,22 @@ pub(crate) fn find_wheel(
     wheel: &Wheel,
 ) -> Result<Address, RequestError> {
     let page = index.below(&format!("{}/", wheel.project));
-    let lacking = |problem: String| {
-        RequestError::Final(AssetsError::NotInIndex {
+    let not_in_index = |problem: String| {
+        RequestError::Permanent(AssetsError::NotInIndex {
             index: index.as_str().to_owned(),
             project: wheel.project.to_owned(),
             problem,
         })
     };
     let (text, kind) = match client.text(&page, ACCEPT) {
-        Err(RequestError::Final(AssetsError::Refused { status, .. })) => {
-            return Err(lacking(format!("it answers {status}")));
+        Err(RequestError::Permanent(AssetsError::Refused { status, .. })) => {
+            return Err(not_in_index(format!("the server answers {status}")));
         }
         other => other?,
     };
     let files: Vec<(String, String)> = if kind.contains("json") {
         let read: Project = serde_json::from_str(&text).map_err(|error| {
-            RequestError::Final(AssetsError::Answer {
+            RequestError::Permanent(AssetsError::Answer {
                 url: page.as_str().to_owned(),
                 problem: libero_ctrl::JsonError::from(error).to_string(),
             })
@@ -77,8 +77,8 @@ pub(crate) fn find_wheel(
     };
     let mut files = files.into_iter();
     let found = files.find(|(name, _)| name == wheel.file);
-    let address = found.and_then(|(_, url)| page.refer(&url));
-    address.ok_or_else(|| lacking(format!("it has no file {}", wheel.file)))
+    let address = found.and_then(|(_, url)| page.resolve(&url));
+    address.ok_or_else(|| not_in_index(format!("the project has no file {}", wheel.file)))
 }
 
 /// Returns the links of an HTML page: the last part of each path, and the address.
@@ -104,7 +104,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_page_for_browsers_has_links() {
+    fn links_are_read_from_html() {
         let page = "<a href=\"../../packages/a-1.whl#sha256=12\" data-x='1'>a</a>\
                     <a class=b href='https://h/b-1.whl?x=1&amp;y=2'>b</a><a href=>none</a>";
         let expected = [

@@ -2,7 +2,7 @@
 //! index, a folder of wheels, or the hub. The crate `scene` composes scenes from them.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages say it")]
+#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 mod error;
 mod fetch;

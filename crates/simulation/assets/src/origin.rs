@@ -1,5 +1,5 @@
-//! Sources that files can be fetched from, behind one interface: parcels that contain files at
-//! known positions.
+//! Sources that files can be fetched from: a package index, a folder of wheels, the hub. Each
+//! offers parcels that contain files at known positions.
 
 use std::fs::File;
 use std::io::{Read, Seek, SeekFrom};
@@ -31,7 +31,7 @@ enum Kind {
 pub(crate) struct Parcel<'a> {
     /// Name for messages.
     pub(crate) name: String,
-    at: Location,
+    location: Location,
     /// Size of the resource, bytes.
     pub(crate) bytes: u64,
     /// Sorted by position.
@@ -64,7 +64,8 @@ impl Origin {
     /// Creates a source from a package index. The URL may contain credentials.
     ///
     /// # Errors
-    /// If the URL is invalid, or the certificates that the environment names cannot be read.
+    /// If the URL is invalid, or the certificates that are set in the environment variables cannot
+    /// be read.
     pub fn index(url: &str, deadlines: Deadlines) -> Result<Self, AssetsError> {
         let (client, index) = (Client::new(deadlines)?, address("package index", url)?);
         Ok(Self(Kind::Index { client, index }))
@@ -83,8 +84,8 @@ impl Origin {
         Self(Kind::Wheels(folder))
     }
 
-    /// Returns the source that the environment names: the folder `$ROLLOUT_WHEELS`, else the
-    /// package index `$ROLLOUT_INDEX_URL`, else the index of pip or uv, else PyPI.
+    /// Returns the source that is set in the environment variables: the folder `$ROLLOUT_WHEELS`,
+    /// else the package index `$ROLLOUT_INDEX_URL`, else the index of pip or uv, else PyPI.
     ///
     /// # Errors
     /// As [`Origin::index`].
@@ -113,7 +114,7 @@ impl Origin {
     }
 
     /// Groups files by the parcel that contains them.
-    pub(crate) fn groups<'a>(&self, files: &[&'a FileFacts]) -> Vec<Vec<&'a FileFacts>> {
+    pub(crate) fn group_by_parcel<'a>(&self, files: &[&'a FileFacts]) -> Vec<Vec<&'a FileFacts>> {
         if matches!(self.0, Kind::Hub { .. }) {
             return files.iter().map(|file| vec![*file]).collect();
         }
@@ -130,7 +131,7 @@ impl Origin {
         group: &[&'a FileFacts],
     ) -> Result<Parcel<'a>, RequestError> {
         let wheel = table.wheels[group[0].wheel];
-        let at = match &self.0 {
+        let location = match &self.0 {
             Kind::Index { client, index } => Location::Address(find_wheel(client, index, &wheel)?),
             Kind::Wheels(folder) => Location::File(folder.join(wheel.file)),
             Kind::Hub { hub, .. } => {
@@ -146,11 +147,11 @@ impl Origin {
             is_deflated: is_of_wheel && !file.is_a_wheel(),
         });
         Ok(Parcel {
-            name: match &at {
+            name: match &location {
                 Location::Address(address) => address.as_str().to_owned(),
                 Location::File(path) => path.display().to_string(),
             },
-            at,
+            location,
             bytes: if is_of_wheel {
                 wheel.bytes
             } else {
@@ -167,7 +168,7 @@ impl Origin {
         parcel: &Parcel<'_>,
         range: Range<u64>,
     ) -> Result<Stream, RequestError> {
-        let address = match &parcel.at {
+        let address = match &parcel.location {
             Location::Address(address) => address,
             Location::File(path) => return open_file(path, range),
         };
@@ -184,9 +185,11 @@ impl Origin {
             206 => {
                 let sent = header("content-range").unwrap_or_default();
                 if !sent.starts_with(&format!("bytes {from}-")) {
-                    return Err(RequestError::Passing {
+                    return Err(RequestError::Transient {
                         url: parcel.name.clone(),
-                        problem: format!("it sends `{sent}` and was asked for byte {from}"),
+                        problem: format!(
+                            "the server sent `{sent}` instead of a range from byte {from}"
+                        ),
                     });
                 }
                 (from, sent.rsplit('/').next().map(str::to_owned))
@@ -196,16 +199,16 @@ impl Origin {
         };
         let expected = parcel.bytes.to_string();
         if let Some(found) = total.filter(|total| *total != "*" && *total != expected) {
-            return Err(RequestError::Final(AssetsError::Answer {
+            return Err(RequestError::Permanent(AssetsError::Answer {
                 url: parcel.name.clone(),
-                problem: format!("it has {found} bytes and should have {expected}"),
+                problem: format!("the file has {found} bytes and should have {expected}"),
             }));
         }
         let reader = Box::new(client.reader(response));
         Ok(Stream { position, reader })
     }
 
-    /// Returns true if a further try may return other bytes.
+    /// Returns true if another try may return other bytes.
     pub(crate) fn is_remote(&self) -> bool {
         !matches!(self.0, Kind::Wheels(_))
     }
@@ -218,7 +221,7 @@ fn open_file(path: &PathBuf, range: Range<u64>) -> Result<Stream, RequestError> 
         Ok(file)
     };
     let file = open().map_err(|source: std::io::Error| {
-        RequestError::Final(match source.kind() {
+        RequestError::Permanent(match source.kind() {
             std::io::ErrorKind::NotFound => AssetsError::NoWheel { path: path.clone() },
             _ => AssetsError::Read {
                 path: path.clone(),

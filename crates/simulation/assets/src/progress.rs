@@ -9,7 +9,7 @@ const CELLS: u64 = 24;
 /// Interval of progress lines without a terminal, per cent.
 const QUIET_STEP_PERCENT: u64 = 10;
 /// Time before the rate is displayed.
-const SETTLE: Duration = Duration::from_secs(1);
+const RATE_DELAY: Duration = Duration::from_secs(1);
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Report {
@@ -48,7 +48,7 @@ impl Progress {
     /// Formats the rate since `first` and the remaining time at that rate.
     fn pace(self, first: Self, elapsed: Duration) -> Option<String> {
         let rate = (self.bytes - first.bytes.min(self.bytes)) as f64 / elapsed.as_secs_f64();
-        if elapsed < SETTLE || rate < 1.0 || self.bytes >= self.of_bytes {
+        if elapsed < RATE_DELAY || rate < 1.0 || self.bytes >= self.of_bytes {
             return None;
         }
         let left = ((self.of_bytes - self.bytes) as f64 / rate).ceil() as u64;
@@ -80,6 +80,7 @@ pub struct Bar {
     is_terminal: bool,
     last: Option<String>,
     first: Option<(Progress, Instant)>,
+    /// Length of the displayed line.
     width: usize,
 }
 
@@ -98,7 +99,7 @@ impl Bar {
     pub fn show(&mut self, report: Report) {
         let (key, line) = match report {
             Report::WaitingForAnotherFetch => {
-                let line = "another process fetches into the same folder: waiting for it";
+                let line = "waiting for another process that fetches into the same folder";
                 (line.to_owned(), line.to_owned())
             }
             Report::Arriving(progress) => self.arriving(progress),
@@ -118,6 +119,7 @@ impl Bar {
         let _ = io::stderr().lock().write_all(text.as_bytes());
     }
 
+    /// Returns a key that changes when a new line is due, and the line.
     fn arriving(&mut self, progress: Progress) -> (String, String) {
         let (first, since) = *self.first.get_or_insert((progress, Instant::now()));
         let pace = progress.pace(first, since.elapsed());
@@ -155,7 +157,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_line_says_how_far_it_is_and_how_long_it_will_take() {
+    fn line_has_amount_rate_and_remaining_time() {
         let half = Progress {
             files: 3,
             of_files: 8,

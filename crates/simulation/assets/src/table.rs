@@ -125,8 +125,8 @@ impl Table {
         }
         let by_path = files.iter().enumerate();
         let by_path = by_path.map(|(index, file)| (file.path, index)).collect();
-        let is_sound = files.iter().all(|file| file.wheel < wheels.len());
-        is_sound.then_some(Self {
+        let has_valid_wheels = files.iter().all(|file| file.wheel < wheels.len());
+        has_valid_wheels.then_some(Self {
             wheels,
             files,
             by_path,
@@ -150,8 +150,8 @@ impl Table {
         self.references.get(model).map_or(&[], Vec::as_slice)
     }
 
-    /// Returns the pack's digest: SHA-256 over the names and contents of all files, hex. A partial
-    /// pack has the same digest, because it is part of the same content.
+    /// Returns the pack's digest: SHA-256 over the names and contents of all files, hex. An
+    /// incomplete pack has the digest of the complete one.
     pub fn digest(&self) -> &str {
         self.digest
     }
@@ -173,7 +173,7 @@ mod tests {
     /// The pack's digest depends on the files' contents, so every edit of the table must also
     /// change the digest: `assets/libero/table.py` writes both.
     #[test]
-    fn the_committed_table_is_the_one_that_was_proved_from_the_wheels() {
+    fn the_committed_table_has_the_pinned_digest() {
         let mut hash = Sha256::new();
         for part in [LIBERO.wheels, LIBERO.files, LIBERO.models, LIBERO.digest] {
             hash.update(part);
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn the_family_is_two_whole_wheels() {
+    fn the_family_table_has_two_whole_wheels() {
         let table = Table::libero_family();
         assert_eq!((table.wheels.len(), table.files().len()), (2, 2));
         for (wheel, file) in table.wheels.iter().zip(table.files()) {

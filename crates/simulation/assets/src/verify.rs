@@ -66,7 +66,7 @@ struct Stamp {
 }
 
 impl VerifiedFolder {
-    /// Creates the folder of a pack with files of `table`; reads nothing.
+    /// Describes the folder of a pack with files of `table`, without reading it.
     pub fn new(table: &'static Table, folder: &Path) -> Self {
         Self {
             table,
@@ -124,18 +124,18 @@ impl VerifiedFolder {
         (differences, present)
     }
 
-    /// Ignores poisoning: no thread panics while it holds the lock.
+    /// Locks the map. Ignores poisoning: no thread panics while it holds the lock.
     fn lock(&self) -> std::sync::MutexGuard<'_, HashMap<&'static str, Stamp>> {
         self.verified.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-fn stamp(facts: &Metadata) -> Stamp {
+fn stamp(metadata: &Metadata) -> Stamp {
     Stamp {
-        bytes: facts.len(),
-        identity: (facts.dev(), facts.ino()),
-        modified: (facts.mtime(), facts.mtime_nsec()),
-        changed: (facts.ctime(), facts.ctime_nsec()),
+        bytes: metadata.len(),
+        identity: (metadata.dev(), metadata.ino()),
+        modified: (metadata.mtime(), metadata.mtime_nsec()),
+        changed: (metadata.ctime(), metadata.ctime_nsec()),
     }
 }
 

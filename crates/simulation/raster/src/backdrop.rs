@@ -15,17 +15,17 @@ use crate::window::Window;
 const FIRST_REST: u16 = 1;
 const LONGEST_REST: u16 = 256;
 /// Frames at rest after which a further geom justifies redrawing the whole cached picture.
-const WORTH_ADDING: u16 = 8;
+const REST_BEFORE_REDRAW: u16 = 8;
 
-/// Initial state of a frame's drawing.
+/// Way to begin the drawing of a frame.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum Start {
     /// Draw everything: no geom is known to be at rest.
-    Anew,
+    Redraw,
     /// Draw the geoms at rest and cache their picture.
-    Keep,
+    Cache,
     /// Reuse the cached picture, which is still valid.
-    Kept,
+    Reuse,
 }
 
 /// Tracks geoms at rest, and caches a picture of them.
@@ -36,8 +36,9 @@ pub(crate) struct Backdrop {
     rested: Vec<u16>,
     needed: Vec<u16>,
     /// True per geom if it is in the cached picture.
-    is_kept: Vec<bool>,
-    is_drawn: bool,
+    is_cached: Vec<bool>,
+    /// True if a picture is cached.
+    has_picture: bool,
     instances: Vec<Instance>,
     records: Vec<Record>,
     clipped: Vec<ClippedTriangle>,
@@ -62,12 +63,12 @@ impl Backdrop {
         if !same {
             self.rested = vec![0; count];
             self.needed = vec![FIRST_REST; count];
-            self.is_kept = vec![false; count];
-            self.is_drawn = false;
+            self.is_cached = vec![false; count];
+            self.has_picture = false;
             self.last = Some((scene.clone(), size));
-            return Start::Anew;
+            return Start::Redraw;
         }
-        let mut holds = self.is_drawn;
+        let mut is_valid = self.has_picture;
         if let Some((last, _)) = &mut self.last {
             for (index, (before, now)) in last.geoms.iter_mut().zip(&scene.geoms).enumerate() {
                 if same_bits(before, now) {
@@ -75,36 +76,37 @@ impl Backdrop {
                     continue;
                 }
                 self.rested[index] = 0;
-                if self.is_kept[index] {
+                if self.is_cached[index] {
                     self.needed[index] = (self.needed[index] * 4).min(LONGEST_REST);
-                    holds = false;
+                    is_valid = false;
                 }
                 *before = *now;
             }
         }
-        let is_late = |index: usize| {
-            !self.is_kept[index] && self.rested[index] >= self.needed[index].max(WORTH_ADDING)
+        let should_be_added = |index: usize| {
+            !self.is_cached[index]
+                && self.rested[index] >= self.needed[index].max(REST_BEFORE_REDRAW)
         };
-        if holds && !(0..count).any(is_late) {
-            return Start::Kept;
+        if is_valid && !(0..count).any(should_be_added) {
+            return Start::Reuse;
         }
         for index in 0..count {
-            self.is_kept[index] = self.rested[index] >= self.needed[index];
+            self.is_cached[index] = self.rested[index] >= self.needed[index];
         }
-        self.is_drawn = self.is_kept.iter().any(|kept| *kept);
-        match self.is_drawn {
-            true => Start::Keep,
-            false => Start::Anew,
+        self.has_picture = self.is_cached.iter().any(|is_cached| *is_cached);
+        match self.has_picture {
+            true => Start::Cache,
+            false => Start::Redraw,
         }
     }
 
     /// Returns true if a geom is part of the backdrop.
-    pub(crate) fn holds(&self, geom: usize) -> bool {
-        self.is_drawn && self.is_kept[geom]
+    pub(crate) fn contains(&self, geom: usize) -> bool {
+        self.has_picture && self.is_cached[geom]
     }
 
     /// Caches the picture of the geoms at rest.
-    pub(crate) fn keep(&mut self, picture: &Picture) {
+    pub(crate) fn store(&mut self, picture: &Picture) {
         let visible = &picture.visible;
         self.instances.clone_from(&picture.instances);
         self.records.clone_from(&visible.records);
@@ -130,11 +132,11 @@ impl Backdrop {
         visible.records.truncate(self.records.len());
         visible.clipped.truncate(self.clipped.len());
         visible.touched = None;
-        visible.depths_were_replaced();
+        visible.invalidate_bounds();
     }
 }
 
-/// Bits of a camera for comparison; zeros of different sign are unequal.
+/// Returns the bits of a camera for comparison; zeros of different sign are unequal.
 fn camera_bits(camera: &Camera) -> ([[u32; 3]; 3], [u32; 6], bool) {
     let vectors = [camera.pos, camera.forward, camera.up];
     let numbers = [
@@ -152,7 +154,7 @@ fn camera_bits(camera: &Camera) -> ([[u32; 3]; 3], [u32; 6], bool) {
     )
 }
 
-/// Bits of a light for comparison.
+/// Returns the bits of a light for comparison.
 fn light_bits(light: &Light) -> ([[u32; 3]; 5], Option<[u32; 5]>) {
     let vectors = [
         light.pos,
@@ -172,7 +174,7 @@ fn light_bits(light: &Light) -> ([[u32; 3]; 5], Option<[u32; 5]>) {
     (vectors.map(|vector| vector.map(f32::to_bits)), spot)
 }
 
-/// Bits of a texture use for comparison.
+/// Returns the bits of a texture use for comparison.
 fn texture_bits(used: &TextureUse) -> (usize, [u32; 2], bool, bool) {
     let repeat = used.repeat.map(f32::to_bits);
     (used.texture, repeat, used.uniform, used.by_corner)

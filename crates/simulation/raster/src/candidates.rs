@@ -5,18 +5,18 @@ use crate::drawing::Drawing;
 use crate::instance::Instance;
 use crate::lanes::{I, Ints as _, LANES, Mask};
 use crate::mesh::{CLUSTER, Cluster, Mesh};
-use crate::setup::{extent, has_samples, is_large, turned};
+use crate::setup::{extent, is_large, owns_samples, winding_order};
 
 /// A cluster's triangles that may cover a sample.
 pub(crate) struct Candidates {
     pub(crate) count: usize,
     /// Indices of the triangles in the cluster.
-    pub(crate) at: [u8; ROOM],
+    pub(crate) triangles: [u8; ROOM],
     /// Rows of the corners among the positions, in winding order.
     pub(crate) corners: [[u8; ROOM]; 3],
     /// Bit per triangle, by its index in the cluster: set if a part of it lies outside the view
     /// frustum.
-    pub(crate) cut: u64,
+    pub(crate) needs_clipping: u64,
 }
 
 /// Capacity for a cluster, plus room for reading eight at a time.
@@ -24,7 +24,7 @@ const ROOM: usize = CLUSTER + LANES;
 const _: () = assert!(CLUSTER <= u64::BITS as usize, "a bit for each triangle");
 
 impl Candidates {
-    /// Selects the candidates. `beyond` is true if any position lies outside the view frustum;
+    /// Selects the candidates. `is_beyond` is true if any position lies outside the view frustum;
     /// triangles that extend there are kept for clipping.
     #[inline(always)]
     pub(crate) fn find(
@@ -32,23 +32,24 @@ impl Candidates {
         mesh: &Mesh,
         cluster: &Cluster,
         drawing: &Drawing<'_>,
-        beyond: bool,
+        is_beyond: bool,
     ) -> Self {
         let mut found = Self {
             count: 0,
-            at: [0; ROOM],
+            triangles: [0; ROOM],
             corners: [[0; ROOM]; 3],
-            cut: 0,
+            needs_clipping: 0,
         };
-        let order = turned(instance.counter_clockwise);
+        let order = winding_order(instance.counter_clockwise);
         let first = cluster.first_triangle as usize;
         let count = cluster.triangles as usize;
         let splat = |value: i32| I::splat(value);
-        let [left, low] = [drawing.window.x, drawing.window.y].map(|it| splat(it[0] * 4));
-        let [right, high] = [drawing.window.x, drawing.window.y].map(|it| splat(it[1] * 4 + 3));
+        let [left, low] = [drawing.window.x, drawing.window.y].map(|range| splat(range[0] * 4));
+        let [right, high] =
+            [drawing.window.x, drawing.window.y].map(|range| splat(range[1] * 4 + 3));
         let positions = &*drawing.positions;
         let padded = count.next_multiple_of(LANES);
-        let places = order.map(|corner| &mesh.places[corner][first..first + padded]);
+        let places = order.map(|corner| &mesh.position_ids[corner][first..first + padded]);
         for at in (0..count).step_by(LANES) {
             let mut ids = [[0; LANES]; 3];
             for (ids, places) in ids.iter_mut().zip(places) {
@@ -59,12 +60,12 @@ impl Candidates {
             if at + LANES > count {
                 left_out = !0 << (count - at);
             }
-            if beyond {
+            if is_beyond {
                 let [a, b, c] = corners.beyond();
                 let reach_beyond = !(a | b | c).equals(splat(0));
                 let all_beyond = !(a & b & c).equals(splat(0));
-                let cut = (reach_beyond & !all_beyond).bits() & !left_out;
-                found.cut |= u64::from(cut) << at;
+                let clipped = (reach_beyond & !all_beyond).bits() & !left_out;
+                found.needs_clipping |= u64::from(clipped) << at;
                 left_out |= reach_beyond.bits();
             }
             let (x, y) = corners.snapped();
@@ -78,28 +79,30 @@ impl Candidates {
                 ((y0 + splat(31)) >> 6i32).max(low),
                 ((y1 - splat(32)) >> 6i32).min(high),
             );
-            let mut kept = column0.le(column1) & row0.le(row1);
+            let mut selected = column0.le(column1) & row0.le(row1);
             let three = splat(3);
-            let column_of_row = column_of(row0);
+            let column_of_row = sample_column(row0);
             let row_of_column = (splat(0x72) >> ((column0 & three) << 1i32)) & three;
             let one_row =
                 row0.equals(row1) & ((column_of_row - column0) & three).gt(column1 - column0);
             let one_column =
                 column0.equals(column1) & ((row_of_column - row0) & three).gt(row1 - row0);
-            kept = kept & !(one_row | one_column);
+            selected = selected & !(one_row | one_column);
             let area = (x[0] - x[1]) * (y[2] - y[0]) - (x[2] - x[0]) * (y[0] - y[1]);
-            kept = kept & (area.gt(splat(0)) | is_large([x0, x1], [y0, y1]));
-            if !kept.any() {
+            selected = selected & (area.gt(splat(0)) | is_large([x0, x1], [y0, y1]));
+            if !selected.any() {
                 continue;
             }
             let is_small =
                 (row1 - row0).lt(splat(SMALL[1])) & (column1 - column0).lt(splat(SMALL[0]));
             let grid = [[column0, column1], [row0, row1]];
-            let mut bits = (kept & (!is_small | small_covers(&x, &y, grid))).bits() & !left_out;
+            let mut bits = (selected & (!is_small | small_triangles_with_samples(&x, &y, grid)))
+                .bits()
+                & !left_out;
             while bits != 0 {
                 let lane = bits.trailing_zeros() as usize;
                 bits &= bits - 1;
-                found.at[found.count] = (at + lane) as u8;
+                found.triangles[found.count] = (at + lane) as u8;
                 for (corners, ids) in found.corners.iter_mut().zip(&ids) {
                     corners[found.count] = ids[lane];
                 }
@@ -116,14 +119,14 @@ const SMALL: [i32; 2] = [8, 4];
 
 /// Returns the column of a row's sample within a pixel.
 #[inline(always)]
-fn column_of(row: I) -> I {
+fn sample_column(row: I) -> I {
     (I::splat(0x8d) >> ((row & I::splat(3)) << 1i32)) & I::splat(3)
 }
 
 /// Returns the mask of the triangles, of eight small ones, that cover a sample. `columns` and
 /// `rows` are the first and last that they may cover.
 #[inline(always)]
-fn small_covers(x: &[I; 3], y: &[I; 3], [columns, rows]: [[I; 2]; 2]) -> Mask {
+fn small_triangles_with_samples(x: &[I; 3], y: &[I; 3], [columns, rows]: [[I; 2]; 2]) -> Mask {
     let splat = |value: i32| I::splat(value);
     // Positions of the first column and the first row of samples, in subpixel units.
     let [first_x, first_y] = [columns[0], rows[0]].map(|first| (first << 6i32) + splat(32));
@@ -133,14 +136,14 @@ fn small_covers(x: &[I; 3], y: &[I; 3], [columns, rows]: [[I; 2]; 2]) -> Mask {
         let next = (edge + 1) % 3;
         let (dx, dy) = (y[edge] - y[next], x[edge] - x[next]);
         let value = dx * (x[edge] - first_x) - dy * (y[edge] - first_y);
-        edges[edge] = value - has_samples(dx, dy).ints() - splat(1);
+        edges[edge] = value - owns_samples(dx, dy).ints() - splat(1);
         per_column[edge] = dx << 6i32;
         per_row[edge] = dy << 6i32;
     }
     let mut covers = Mask::from_bits(0);
     for row in 0..SMALL[1] {
         let row = rows[0] + splat(row);
-        let off = (column_of(row) - columns[0]) & splat(3);
+        let off = (sample_column(row) - columns[0]) & splat(3);
         let near = [0, 1, 2].map(|edge| edges[edge] - per_column[edge] * off);
         let far = [0, 1, 2].map(|edge| near[edge] - (per_column[edge] << 2i32));
         let covered = |values: [I; 3], column: I| {

@@ -59,11 +59,14 @@ impl Canvas {
         [width, height]: [usize; 2],
     ) -> Result<&[u8], DrawError> {
         check(model, scene, width, height)?;
-        for (texture, made) in model.textures.iter().enumerate() {
-            let (given, needed) = (largest.get(texture).map_or(0, |it| it.len()), made.bytes());
+        for (index, texture) in model.textures.iter().enumerate() {
+            let (given, needed) = (
+                largest.get(index).map_or(0, |bytes| bytes.len()),
+                texture.bytes(),
+            );
             if given != needed {
                 return Err(DrawError::Texels {
-                    texture,
+                    texture: index,
                     given,
                     needed,
                 });
@@ -81,12 +84,12 @@ impl Canvas {
         let before = self.dirty.take();
         let start = SCRATCH.with_borrow_mut(|Scratch { reflection, work }| {
             let start = self.draw_opaque(pass, scene, [width, height], before, work);
-            self.draw_special(pass, scene, reflection, work);
+            self.draw_reflections_and_glass(pass, scene, reflection, work);
             start
         });
         let resolved = match start {
-            Start::Kept => Window::around(before, self.dirty),
-            Start::Anew | Start::Keep => Some(pass.window),
+            Start::Reuse => Window::union(before, self.dirty),
+            Start::Redraw | Start::Cache => Some(pass.window),
         };
         self.rgb.resize(width * height * 3, 0);
         if let Some(window) = resolved {
@@ -122,10 +125,10 @@ impl Canvas {
         let Self {
             picture, backdrop, ..
         } = self;
-        let glassy = glass::see_through(scene, pass.view);
-        let add = |picture: &mut Picture, wanted: &dyn Fn(usize) -> bool| {
+        let translucent = glass::translucent_geoms(scene, pass.view);
+        let add = |picture: &mut Picture, is_selected: &dyn Fn(usize) -> bool| {
             for (index, geom) in scene.geoms.iter().enumerate() {
-                if wanted(index) && !glassy.contains(&index) {
+                if is_selected(index) && !translucent.contains(&index) {
                     instance::add(index, geom, pass.view, pass.model, &mut picture.instances);
                 }
             }
@@ -138,7 +141,7 @@ impl Canvas {
         };
         let start = backdrop.compare(scene, size);
         match start {
-            Start::Anew => {
+            Start::Redraw => {
                 picture.clear(size, pass.window);
                 add(picture, &|_| true);
                 sky(picture);
@@ -146,19 +149,19 @@ impl Canvas {
                 picture.paint(pass, 0, work);
                 return start;
             }
-            Start::Keep => {
+            Start::Cache => {
                 picture.clear(size, pass.window);
-                add(picture, &|index| backdrop.holds(index));
+                add(picture, &|index| backdrop.contains(index));
                 sky(picture);
                 picture.rasterise(pass, 0, work);
                 picture.paint(pass, 0, work);
-                backdrop.keep(picture);
+                backdrop.store(picture);
                 picture.visible.touched = None;
             }
-            Start::Kept => backdrop.restore(picture, before),
+            Start::Reuse => backdrop.restore(picture, before),
         }
         let (instances, records) = (picture.instances.len(), picture.visible.records.len());
-        add(picture, &|index| !backdrop.holds(index));
+        add(picture, &|index| !backdrop.contains(index));
         picture.rasterise(pass, instances, work);
         picture.paint(pass, records, work);
         self.dirty = picture.visible.touched;
@@ -166,7 +169,7 @@ impl Canvas {
     }
 
     /// Adds reflections and translucent geoms.
-    fn draw_special(
+    fn draw_reflections_and_glass(
         &mut self,
         pass: Pass<'_>,
         scene: &Scene,
@@ -174,15 +177,18 @@ impl Canvas {
         work: &mut Workspace,
     ) {
         let picture = &mut self.picture;
-        let glassy = glass::see_through(scene, pass.view);
-        if let Some(mirror) = mirror::find(scene, pass.view, &glassy) {
-            let of = (mirror, glassy.as_slice());
-            let changed = mirror::add(picture, reflection, pass, scene, of, work);
-            self.dirty = Window::around(self.dirty, changed);
+        let translucent = glass::translucent_geoms(scene, pass.view);
+        if let Some(mirror) = mirror::find(scene, pass.view, &translucent) {
+            let geoms = (mirror, translucent.as_slice());
+            let changed = mirror::add(picture, reflection, pass, scene, geoms, work);
+            self.dirty = Window::union(self.dirty, changed);
         }
-        let glassy: Vec<Geom> = glassy.iter().map(|index| scene.geoms[*index]).collect();
-        let changed = glass::add(picture, pass, &glassy, work);
-        self.dirty = Window::around(self.dirty, changed);
+        let translucent: Vec<Geom> = translucent
+            .iter()
+            .map(|index| scene.geoms[*index])
+            .collect();
+        let changed = glass::add(picture, pass, &translucent, work);
+        self.dirty = Window::union(self.dirty, changed);
     }
 
     /// Averages the samples of pixels.
@@ -204,7 +210,7 @@ impl Canvas {
     }
 }
 
-/// The mean of four samples, channel by channel.
+/// Returns the mean of four samples, channel by channel.
 #[inline(always)]
 fn mean(samples: &[u32; SAMPLES]) -> [u8; 4] {
     let [a, b, c, d] = samples.map(|sample| {
@@ -216,6 +222,7 @@ fn mean(samples: &[u32; SAMPLES]) -> [u8; 4] {
     whole.to_array().map(|part| part as u8)
 }
 
+/// Checks the frame size, the camera, and the references of geoms and sky.
 pub(crate) fn check(
     model: &Model,
     scene: &Scene,
@@ -226,7 +233,7 @@ pub(crate) fn check(
         return Err(DrawError::Size { width, height });
     }
     let camera = &scene.camera;
-    let demand = |holds: bool, what, value, needed| match holds {
+    let require = |is_valid: bool, what, value, needed| match is_valid {
         true => Ok(()),
         false => Err(DrawError::Camera {
             what,
@@ -236,15 +243,15 @@ pub(crate) fn check(
     };
     let (near, far) = (camera.near, camera.far);
     let needed = "it must be finite, positive and below the far plane's";
-    demand(near > 0.0 && near.is_finite(), "near plane", near, needed)?;
-    demand(
+    require(near > 0.0 && near.is_finite(), "near plane", near, needed)?;
+    require(
         far > near && far.is_finite(),
         "far plane",
         far,
         "it must be finite and above the near plane's",
     )?;
     let height_seen = camera.top - camera.bottom;
-    demand(
+    require(
         height_seen != 0.0 && height_seen.is_finite(),
         "height",
         height_seen,
@@ -256,7 +263,7 @@ pub(crate) fn check(
         .chain(camera.forward)
         .chain(camera.up);
     for value in finite {
-        demand(
+        require(
             value.is_finite(),
             "pose or width",
             value,

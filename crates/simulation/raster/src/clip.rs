@@ -21,14 +21,14 @@ pub(crate) struct ClippedTriangle {
     /// Index of the original triangle in its mesh, and first vertex of its cluster.
     pub(crate) triangle: u32,
     pub(crate) vertices: u32,
-    /// The clipping that made the piece, and the piece's index.
-    pub(crate) cut: Cut,
+    /// The clipping that produced the piece, and the piece's index.
+    pub(crate) clipping: Clipping,
     pub(crate) piece: u32,
 }
 
 /// Clipping of a triangle.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Cut {
+pub(crate) struct Clipping {
     /// Bit per plane that the triangle extends beyond.
     pub(crate) beyond: i32,
     /// The mirror plane, the last of these planes.
@@ -65,7 +65,7 @@ struct Corner<V> {
     pos: [f32; 4],
     values: V,
     /// True for corners of the original triangle, which are not divided by w yet.
-    fused: bool,
+    is_original: bool,
 }
 
 /// Planes of the view frustum and a mirror's plane.
@@ -79,13 +79,13 @@ const SIDE_PLANES: [[f32; 4]; SIDES - 1] = [
     [0.0, 0.0, -1.0, 1.0],
 ];
 
-/// Most corners after clipping by every plane: each adds one, and rounding may add another where a
-/// plane touches.
-const MOST_CORNERS: usize = 3 + SIDES + 2;
+/// Largest number of corners after clipping by every plane: each plane adds one corner, and
+/// rounding may add another where a plane touches.
+const MAX_CORNERS: usize = 3 + SIDES + 2;
 
 /// Polygon that remains of a triangle after clipping.
 pub(crate) struct Polygon<V> {
-    corners: [ClippedCorner<V>; MOST_CORNERS],
+    corners: [ClippedCorner<V>; MAX_CORNERS],
     count: usize,
 }
 
@@ -94,7 +94,7 @@ impl<V: Values> Polygon<V> {
     /// finite position are left out.
     pub(crate) fn pieces(&self) -> impl Iterator<Item = [ClippedCorner<V>; 3]> {
         let is_placed = |corners: &[ClippedCorner<V>; 3]| {
-            let mut places = corners.iter().flat_map(|it| it.window);
+            let mut places = corners.iter().flat_map(|corner| corner.window);
             places.all(f32::is_finite)
         };
         (2..self.count)
@@ -108,29 +108,29 @@ pub(crate) fn clip<V: Values>(
     instance: &Instance,
     corners: [Vec3; 3],
     values: [V; 3],
-    cut_at: &Cut,
+    clipping: &Clipping,
 ) -> Polygon<V> {
-    let mut polygons = [[Corner::default(); MOST_CORNERS]; 2];
+    let mut polygons = [[Corner::default(); MAX_CORNERS]; 2];
     let [polygon, other] = &mut polygons;
     let (mut polygon, mut other) = (polygon, other);
     for ((to, pos), values) in polygon.iter_mut().zip(corners).zip(values) {
         *to = Corner {
-            pos: carried(instance, pos),
+            pos: to_clip_space(instance, pos),
             values,
-            fused: true,
+            is_original: true,
         };
     }
     let mut count = 3;
-    for side in (0..SIDES).filter(|side| cut_at.beyond & (1 << side) != 0) {
-        let Some(normal) = SIDE_PLANES.get(side).copied().or(cut_at.plane) else {
+    for side in (0..SIDES).filter(|side| clipping.beyond & (1 << side) != 0) {
+        let Some(normal) = SIDE_PLANES.get(side).copied().or(clipping.plane) else {
             continue;
         };
-        count = cut(&polygon[..count], normal, other).unwrap_or(0);
+        count = clip_by_plane(&polygon[..count], normal, other).unwrap_or(0);
         std::mem::swap(&mut polygon, &mut other);
     }
-    let mut finished = [ClippedCorner::default(); MOST_CORNERS];
+    let mut finished = [ClippedCorner::default(); MAX_CORNERS];
     for (to, corner) in finished.iter_mut().zip(&polygon[..count]) {
-        *to = finish(corner, cut_at.half);
+        *to = to_window(corner, clipping.half);
     }
     Polygon {
         corners: finished,
@@ -138,52 +138,52 @@ pub(crate) fn clip<V: Values>(
     }
 }
 
-fn carried(instance: &Instance, [x, y, z]: Vec3) -> [f32; 4] {
+fn to_clip_space(instance: &Instance, [x, y, z]: Vec3) -> [f32; 4] {
     let m = &instance.to_clip.0;
     std::array::from_fn(|row| x * m[row] + y * m[row + 4] + z * m[row + 8] + m[row + 12])
 }
 
 /// Clips a convex polygon by a plane; returns the number of corners of the inner part, or 0 if
 /// distances are not comparable.
-fn cut<V: Values>(
+fn clip_by_plane<V: Values>(
     polygon: &[Corner<V>],
     plane: [f32; 4],
-    kept: &mut [Corner<V>; MOST_CORNERS],
+    output: &mut [Corner<V>; MAX_CORNERS],
 ) -> Option<usize> {
-    let distance = |it: &Corner<V>| {
-        let p = it.pos;
+    let distance = |corner: &Corner<V>| {
+        let p = corner.pos;
         p[0] * plane[0] + p[1] * plane[1] + p[2] * plane[2] + p[3] * plane[3]
     };
     let mut count = 0;
-    let mut keep = |corner: Corner<V>| {
-        let room = kept.get_mut(count)?;
-        *room = corner;
+    let mut push = |corner: Corner<V>| {
+        let target = output.get_mut(count)?;
+        *target = corner;
         count += 1;
         Some(())
     };
     let mut last = polygon.first()?;
     let mut last_distance = distance(last);
     for corner in polygon.iter().skip(1).chain(polygon.first()) {
-        let here = distance(corner);
-        if !here.is_finite() || !last_distance.is_finite() {
+        let corner_distance = distance(corner);
+        if !corner_distance.is_finite() || !last_distance.is_finite() {
             return None;
         }
         if last_distance >= 0.0 {
-            keep(*last)?;
+            push(*last)?;
         }
-        if (last_distance >= 0.0) != (here >= 0.0) {
+        if (last_distance >= 0.0) != (corner_distance >= 0.0) {
             // Interpolates from the nearer corner, for precision.
-            let between = here - last_distance;
-            let from_here = match here < 0.0 {
-                true => -here < last_distance,
-                false => -last_distance >= here,
+            let between = corner_distance - last_distance;
+            let from_corner = match corner_distance < 0.0 {
+                true => -corner_distance < last_distance,
+                false => -last_distance >= corner_distance,
             };
-            keep(match from_here {
-                true => toward(corner, last, here / between),
+            push(match from_corner {
+                true => toward(corner, last, corner_distance / between),
                 false => toward(last, corner, -last_distance / between),
             })?;
         }
-        (last, last_distance) = (corner, here);
+        (last, last_distance) = (corner, corner_distance);
     }
     Some(count)
 }
@@ -194,24 +194,24 @@ fn toward<V: Values>(from: &Corner<V>, to: &Corner<V>, share: f32) -> Corner<V> 
     Corner {
         pos: std::array::from_fn(|at| mix(from.pos[at], to.pos[at])),
         values: from.values.toward(to.values, share),
-        fused: false,
+        is_original: false,
     }
 }
 
 /// Divides by w and applies the viewport transform. Mesa fuses the last operation only for corners
 /// of original triangles.
-fn finish<V: Values>(it: &Corner<V>, half: [f32; 2]) -> ClippedCorner<V> {
-    let over_w = 1.0 / it.pos[3];
+fn to_window<V: Values>(corner: &Corner<V>, half: [f32; 2]) -> ClippedCorner<V> {
+    let over_w = 1.0 / corner.pos[3];
     let place = |axis: usize| {
-        let share = it.pos[axis] * over_w;
-        match it.fused {
+        let share = corner.pos[axis] * over_w;
+        match corner.is_original {
             true => share.mul_add(half[axis], half[axis]),
             false => share * half[axis] + half[axis],
         }
     };
     ClippedCorner {
-        window: [place(0), place(1), it.pos[2] * over_w],
+        window: [place(0), place(1), corner.pos[2] * over_w],
         over_w,
-        values: it.values,
+        values: corner.values,
     }
 }

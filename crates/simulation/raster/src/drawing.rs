@@ -4,7 +4,7 @@ use crate::instance::Instance;
 use crate::model::Model;
 use crate::positions::Positions;
 use crate::visible::{Layers, Visible};
-use crate::window::{Around, Window};
+use crate::window::{BoundingWindow, Window};
 
 /// Context needed to draw an instance.
 pub(crate) struct Drawing<'a> {
@@ -16,7 +16,7 @@ pub(crate) struct Drawing<'a> {
     pub(crate) positions: &'a mut Positions,
     pub(crate) visible: &'a mut Visible,
     /// Bounds of the samples that became visible.
-    pub(crate) touched: Around,
+    pub(crate) touched: BoundingWindow,
     /// Receives every layer that is not behind the visible one; without it, the nearest layer
     /// becomes visible.
     pub(crate) layers: Option<Layers<'a>>,

@@ -25,7 +25,7 @@ const ROW_SHIFT: i32 = POINTS_PER_PIXEL.ilog2() as i32;
 const PART_X: [i32; LANES] = [0, 64, 0, 64, 0, 64, 0, 64];
 const PART_Y: [i32; LANES] = [0, 0, 32, 32, 64, 64, 96, 96];
 /// Triangles that span more pairs of pixels than this are filled part by part.
-const MOST_PAIRS: i32 = 16;
+const MAX_PAIRS: i32 = 16;
 
 /// Fills one triangle of a setup.
 #[inline(always)]
@@ -34,14 +34,14 @@ pub(crate) fn fill(lane: usize, setup: &Setup, record: Record, drawing: &mut Dra
     let lane = lane % LANES;
     let (x, y) = (setup.x.map(|end| end[lane]), setup.y.map(|end| end[lane]));
     let id = drawing.visible.records.len() as u32;
-    let place = (x, y, (record, id));
+    let area = (x, y, (record, id));
     let touched = if setup.large & (1 << lane) != 0 {
-        fill_large(lane, setup, place, drawing)
-    } else if ((x[1] >> 1) - (x[0] >> 1) + 1) * (y[1] - y[0] + 1) > MOST_PAIRS {
-        fill_medium(lane, setup, place, drawing)
+        fill_large(lane, setup, area, drawing)
+    } else if ((x[1] >> 1) - (x[0] >> 1) + 1) * (y[1] - y[0] + 1) > MAX_PAIRS {
+        fill_medium(lane, setup, area, drawing)
     } else {
         let edges = [0, 1, 2].map(|edge| setup.edge[edge][lane]);
-        let touched = fill_block::<false>(lane, setup, edges, place, drawing);
+        let touched = fill_block::<false>(lane, setup, edges, area, drawing);
         if touched {
             drawing.visible.mark_written(x, y, 1);
         }
@@ -53,23 +53,23 @@ pub(crate) fn fill(lane: usize, setup: &Setup, record: Record, drawing: &mut Dra
     }
 }
 
-/// Inclusive ranges of pixels, and the triangle in them.
-type Part = ([i32; 2], [i32; 2], (Record, u32));
+/// Inclusive ranges of pixels along x and y, and the triangle in them.
+type Area = ([i32; 2], [i32; 2], (Record, u32));
 
 /// Returns the first pixels and the indices of the blocks that contain a range of pixels.
 fn blocks(x: [i32; 2], y: [i32; 2]) -> impl Iterator<Item = ([i32; 2], [i64; 2])> {
     let [left, low] = [x[0], y[0]].map(|first| first / BLOCK);
     (low..=y[1] / BLOCK).flat_map(move |row| {
         (left..=x[1] / BLOCK).map(move |column| {
-            let place = [i64::from(column - left), i64::from(row - low)];
-            ([column * BLOCK, row * BLOCK], place)
+            let index = [i64::from(column - left), i64::from(row - low)];
+            ([column * BLOCK, row * BLOCK], index)
         })
     })
 }
 
 #[inline(never)]
-fn fill_large(lane: usize, setup: &Setup, place: Part, drawing: &mut Drawing<'_>) -> bool {
-    let (x, y, _) = place;
+fn fill_large(lane: usize, setup: &Setup, area: Area, drawing: &mut Drawing<'_>) -> bool {
+    let (x, y, _) = area;
     let corners = setup
         .corners
         .each_ref()
@@ -81,15 +81,15 @@ fn fill_large(lane: usize, setup: &Setup, place: Part, drawing: &mut Drawing<'_>
     let first = [x[0] & !(BLOCK - 1), y[0] & !(BLOCK - 1)];
     let edges = [0, 1, 2].map(|edge| LongEdge::new(corners[edge], corners[(edge + 1) % 3], first));
     let mut touched = false;
-    for (block, place_of_block) in blocks(x, y) {
-        if edges.iter().any(|edge| edge.is_beyond(place_of_block)) {
+    for (block, block_index) in blocks(x, y) {
+        if edges.iter().any(|edge| edge.is_beyond(block_index)) {
             continue;
         }
-        let at = edges.each_ref().map(|edge| edge.at(place_of_block));
-        if edges.iter().all(|edge| edge.is_before(place_of_block)) {
-            touched |= fill_parts::<true>(lane, setup, (block, at), place, drawing);
+        let at = edges.each_ref().map(|edge| edge.at(block_index));
+        if edges.iter().all(|edge| edge.is_before(block_index)) {
+            touched |= fill_parts::<true>(lane, setup, (block, at), area, drawing);
         } else {
-            touched |= fill_parts::<false>(lane, setup, (block, at), place, drawing);
+            touched |= fill_parts::<false>(lane, setup, (block, at), area, drawing);
         }
     }
     touched
@@ -97,8 +97,8 @@ fn fill_large(lane: usize, setup: &Setup, place: Part, drawing: &mut Drawing<'_>
 
 /// Fills a triangle whose products fit in 32 bits.
 #[inline(never)]
-fn fill_medium(lane: usize, setup: &Setup, place: Part, drawing: &mut Drawing<'_>) -> bool {
-    let (x, y, _) = place;
+fn fill_medium(lane: usize, setup: &Setup, area: Area, drawing: &mut Drawing<'_>) -> bool {
+    let (x, y, _) = area;
     let mut touched = false;
     for (block, _) in blocks(x, y) {
         let off = [block[0] - (x[0] & !1), block[1] - y[0]].map(|off| off * POINTS_PER_PIXEL);
@@ -106,27 +106,27 @@ fn fill_medium(lane: usize, setup: &Setup, place: Part, drawing: &mut Drawing<'_
             let (dx, dy) = (setup.along_x[edge][lane], setup.along_y[edge][lane]);
             setup.edge[edge][lane] + dx * off[0] + dy * off[1]
         });
-        touched |= fill_parts::<false>(lane, setup, (block, at), place, drawing);
+        touched |= fill_parts::<false>(lane, setup, (block, at), area, drawing);
     }
     touched
 }
 
-/// Fills those parts of a block that the triangle reaches and that do not occlude it; `at` are the
-/// edge values at the block's corner. An `INSIDE` block contains no edge.
+/// Fills those parts of a block that the triangle reaches and that do not occlude it; `at` holds
+/// the edge values at the block's corner. An `INSIDE` block contains no edge.
 #[inline(always)]
 fn fill_parts<const INSIDE: bool>(
     lane: usize,
     setup: &Setup,
     (block, at): ([i32; 2], [i32; 3]),
-    (x, y, triangle): Part,
+    (x, y, triangle): Area,
     drawing: &mut Drawing<'_>,
 ) -> bool {
-    let (parts, whole) = drawing.visible.hidden_beyond(block);
-    let most = most_depths(lane, setup, block);
+    let (parts, whole) = drawing.visible.depth_bounds(block);
+    let most = max_depths(lane, setup, block);
     if most.lt(F::splat(whole)).all() {
         return false;
     }
-    let mut seen = !most.lt(parts);
+    let mut reached = !most.lt(parts);
     let mut inside = !0;
     if !INSIDE {
         let zero = I::splat(0);
@@ -137,12 +137,12 @@ fn fill_parts<const INSIDE: bool>(
             let corners =
                 I::splat(start) + I::splat(dx) * I::new(PART_X) + I::splat(dy) * I::new(PART_Y);
             let (across, up) = (dx * wide, dy * high);
-            seen = seen & (corners + I::splat(across.max(0) + up.max(0))).ge(zero);
+            reached = reached & (corners + I::splat(across.max(0) + up.max(0))).ge(zero);
             is_inside = is_inside & (corners + I::splat(across.min(0) + up.min(0))).ge(zero);
         }
         inside = is_inside.bits();
     }
-    let mut bits = seen.bits();
+    let mut bits = reached.bits();
     let mut touched = false;
     while bits != 0 {
         let part = bits.trailing_zeros();
@@ -174,7 +174,7 @@ fn fill_parts<const INSIDE: bool>(
     }
     if touched {
         // Every part that the triangle may cover counts as two writes.
-        let parts = seen.bits().count_ones() as u8;
+        let parts = reached.bits().count_ones() as u8;
         drawing
             .visible
             .mark_written([block[0]; 2], [block[1]; 2], 2 * parts);
@@ -185,7 +185,7 @@ fn fill_parts<const INSIDE: bool>(
 /// Returns upper bounds of the depths of a triangle's plane in the parts of a block, including
 /// rounding.
 #[inline(always)]
-fn most_depths(lane: usize, setup: &Setup, [x, y]: [i32; 2]) -> F {
+fn max_depths(lane: usize, setup: &Setup, [x, y]: [i32; 2]) -> F {
     let real = |value: f32| F::splat(value);
     let pixel = |first: i32, points: [i32; LANES]| -> F {
         let points: F = I::new(points).float();
@@ -214,11 +214,11 @@ impl LongEdge {
         let (dx, dy) = (y - next_y, x - next_x);
         let [from_x, from_y] = pixel.map(|pixel| i64::from(pixel) * i64::from(SUBPIXELS));
         let value = dx * (x - from_x) - dy * (y - from_y);
-        let is_in = i64::from(dx < 0 || dx == 0 && dy > 0);
+        let owned = i64::from(dx < 0 || dx == 0 && dy > 0);
         let block = i64::from(BLOCK * POINTS_PER_PIXEL);
         Self {
             // Rounded down, which preserves the sign.
-            value: (value + is_in - 1).div_euclid(i64::from(LATTICE)),
+            value: (value + owned - 1).div_euclid(i64::from(LATTICE)),
             along: [-dx * block, dy * block],
         }
     }
@@ -245,9 +245,9 @@ impl LongEdge {
     }
 }
 
-/// Fills the part of a triangle in a range of pixels; `edges` are the values at the corner of the
-/// first even pixel. An `INSIDE` part contains no edge. Returns true if the triangle is visible
-/// anywhere.
+/// Fills the part of a triangle in a range of pixels; `edges` holds the edge values at the corner
+/// of the first even pixel. An `INSIDE` part contains no edge. Returns true if the triangle is
+/// visible anywhere.
 #[inline(always)]
 fn fill_block<const INSIDE: bool>(
     lane: usize,
@@ -309,37 +309,37 @@ fn fill_block<const INSIDE: bool>(
             let z = depth_y.fused(sample_y, depth_x.fused(sample_x, depth));
             sample_x += real(2.0);
             let nearest = F::load(depths);
-            let mut seen = match INSIDE {
+            let mut passed = match INSIDE {
                 true => z.ge(nearest),
                 false => inside & z.ge(nearest),
             };
-            if !seen.any() {
+            if !passed.any() {
                 continue;
             }
             if let Some(layers) = &mut drawing.layers {
                 touched = true;
                 layers.list.push(Layer {
-                    rank: ranks.of(&record),
+                    rank: ranks.rank(&record),
                     id,
                     x: (first_x + 2 * pair as i32) as u16,
                     y: pixel_y as u16,
-                    samples: seen.bits(),
+                    samples: passed.bits(),
                 });
                 continue;
             }
-            let ties = seen & z.equals(nearest);
+            let ties = passed & z.equals(nearest);
             if ties.any() {
                 let lost = ranks.lost_ties(ties.bits(), ids, &record);
-                seen = seen & !Mask::from_bits(lost);
-                if !seen.any() {
+                passed = passed & !Mask::from_bits(lost);
+                if !passed.any() {
                     continue;
                 }
             }
             touched = true;
-            seen.select(z, nearest).store(depths);
+            passed.select(z, nearest).store(depths);
             let before = I::load_unsigned(ids);
             let now = I::splat(id.cast_signed());
-            seen.select_ints(now, before).store_unsigned(ids);
+            passed.select_ints(now, before).store_unsigned(ids);
         }
         rows = [0, 1, 2].map(|at| rows[at] + per_row[at]);
     }

@@ -15,7 +15,7 @@ pub(crate) struct Frustum {
 }
 
 impl Frustum {
-    pub(crate) fn of(instance: &Instance, drawing: &Drawing<'_>) -> Self {
+    pub(crate) fn new(instance: &Instance, drawing: &Drawing<'_>) -> Self {
         let m = &instance.to_clip.0;
         let row = |row: usize| [m[row], m[row + 4], m[row + 8], m[row + 12]];
         let (x, y, z, w) = (row(0), row(1), row(2), row(3));
@@ -57,7 +57,7 @@ impl Frustum {
     }
 
     /// Returns true if a sphere lies entirely inside the frustum of the whole picture.
-    pub(crate) fn contain(&self, center: Vec3, radius: f32) -> bool {
+    pub(crate) fn contains(&self, center: Vec3, radius: f32) -> bool {
         self.frame.iter().all(|side| {
             let (distance, slack) = distance(side, center);
             distance > radius * length(side) * 1.001 + slack
@@ -65,7 +65,7 @@ impl Frustum {
     }
 
     /// Returns true if a sphere lies entirely outside one plane, including a margin for rounding.
-    pub(crate) fn hide(&self, center: Vec3, radius: f32) -> bool {
+    pub(crate) fn excludes(&self, center: Vec3, radius: f32) -> bool {
         self.sides.iter().zip(&self.lengths).any(|(side, length)| {
             let (distance, slack) = distance(side, center);
             distance < -(radius * length * 1.001 + slack)

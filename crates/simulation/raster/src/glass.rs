@@ -9,24 +9,24 @@ use crate::raster;
 use crate::scene::{Geom, Scene, Shape};
 use crate::shade::{self, Fragment, Lists};
 use crate::visible::{Layer, Layers, SAMPLES, Visible};
-use crate::window::{Around, Window};
+use crate::window::{BoundingWindow, Window};
 
 /// Geoms with an opacity below this are translucent.
 const OPAQUE_FROM: f64 = 0.995;
 /// Distance assumed for planes when sorting.
 const PLANE_DISTANCE: f32 = 1e10;
-/// Most pixels blended at once, and most layers, one per triangle and pair of pixels: a mesh may
-/// have any number of overlapping triangles. This bounds the memory of a frame to some hundred
-/// megabytes.
-const MOST_PIXELS: i32 = 1 << 17;
-const MOST_LAYERS: usize = 1 << 21;
+/// Limits on the pixels and on the layers blended at once, one layer per triangle and pair of
+/// pixels: a mesh may have any number of overlapping triangles. This bounds the memory of a frame
+/// to some hundred megabytes.
+const MAX_PIXELS: i32 = 1 << 17;
+const MAX_LAYERS: usize = 1 << 21;
 
 /// Returns the translucent geoms, which include planes seen from behind, nearest first.
-pub(crate) fn see_through(scene: &Scene, view: &View) -> Vec<usize> {
+pub(crate) fn translucent_geoms(scene: &Scene, view: &View) -> Vec<usize> {
     let mut found: Vec<(f32, usize)> = Vec::new();
     for (index, geom) in scene.geoms.iter().enumerate() {
-        let shows_its_back = is_plane(geom) && is_behind(view.head, geom);
-        if f64::from(geom.rgba[3]) >= OPAQUE_FROM && !shows_its_back {
+        let shows_back = is_plane(geom) && is_behind(view.head, geom);
+        if f64::from(geom.rgba[3]) >= OPAQUE_FROM && !shows_back {
             continue;
         }
         let distance = match is_plane(geom) {
@@ -62,20 +62,20 @@ pub(crate) fn add(
     work: &mut Workspace,
 ) -> Option<Window> {
     let mut changed = None;
-    let mut left = vec![pass.window];
-    while let Some(window) = left.pop() {
+    let mut pending = vec![pass.window];
+    while let Some(window) = pending.pop() {
         let halves = halves(window);
-        if let Some(halves) = halves.filter(|_| pixels(window) > MOST_PIXELS) {
-            left.extend(halves);
+        if let Some(halves) = halves.filter(|_| pixels(window) > MAX_PIXELS) {
+            pending.extend(halves);
             continue;
         }
         let part = Pass { window, ..pass };
-        let most = halves.map_or(usize::MAX, |_| MOST_LAYERS);
-        match (paint_all(picture, part, geoms, work, most), halves) {
-            (None, Some(halves)) => left.extend(halves),
+        let max_layers = halves.map_or(usize::MAX, |_| MAX_LAYERS);
+        match (paint_all(picture, part, geoms, work, max_layers), halves) {
+            (None, Some(halves)) => pending.extend(halves),
             (painted, _) => {
                 let painted = painted.unwrap_or_default();
-                changed = Window::around(changed, blend(picture, &painted));
+                changed = Window::union(changed, blend(picture, &painted));
             }
         }
     }
@@ -106,14 +106,14 @@ fn paint_all(
     pass: Pass<'_>,
     geoms: &[Geom],
     work: &mut Workspace,
-    most: usize,
+    max_layers: usize,
 ) -> Option<Vec<Painted>> {
-    let mut left = most;
+    let mut remaining = max_layers;
     geoms
         .iter()
         .map(|geom| {
-            let painted = paint(picture, pass, geom, work, left)?;
-            left = left.saturating_sub(painted.len());
+            let painted = paint(picture, pass, geom, work, remaining)?;
+            remaining = remaining.saturating_sub(painted.len());
             Some(painted)
         })
         .collect()
@@ -130,8 +130,8 @@ fn blend(picture: &mut Picture, painted: &[Painted]) -> Option<Window> {
                 *under = blended(*under, *colour);
             }
         }
-        let here = Window::pixel(fragment.x() as i32, fragment.y() as i32);
-        window = Window::around(window, Some(here));
+        let pixel = Window::pixel(fragment.x() as i32, fragment.y() as i32);
+        window = Window::union(window, Some(pixel));
     }
     window
 }
@@ -143,7 +143,7 @@ fn paint(
     pass: Pass<'_>,
     geom: &Geom,
     work: &mut Workspace,
-    most: usize,
+    max_layers: usize,
 ) -> Option<Painted> {
     let Picture {
         instances, visible, ..
@@ -165,15 +165,15 @@ fn paint(
                 plane: pass.view.clip,
                 positions: &mut work.positions,
                 visible,
-                touched: Around::NOTHING,
+                touched: BoundingWindow::EMPTY,
                 layers: Some(Layers {
                     list: &mut layers,
-                    most,
+                    max: max_layers,
                 }),
             },
         );
     }
-    let painted = (layers.len() <= most).then(|| {
+    let painted = (layers.len() <= max_layers).then(|| {
         let shown = (instances.as_slice(), &*visible, before.1);
         colour(shown, pass, &mut layers, &mut work.lists)
     });
@@ -196,7 +196,7 @@ fn colour(
     // Colours are computed list by list; `order` restores the drawing order.
     let mut order = Vec::with_capacity(2 * layers.len());
     for layer in &*layers {
-        let (surface, list) = lists.need(layer.id, &visible.records, instances);
+        let (surface, list) = lists.request_surface(layer.id, &visible.records, instances);
         for (pixel, samples) in [(0, layer.samples & 0xf), (1, layer.samples >> SAMPLES)] {
             // Pixels are drawn in pairs, of which one may lie outside the window.
             let x = i32::from(layer.x + pixel);
@@ -208,13 +208,13 @@ fn colour(
             }
         }
     }
-    shade::work_out_surfaces(pass.model, visible, instances, pass.lights, lists);
+    shade::compute_surfaces(pass.model, visible, instances, pass.lights, lists);
     order.sort_unstable();
     let mut painted = vec![(Fragment::default(), 0); order.len()];
-    let mut places = order.into_iter();
+    let mut positions = order.into_iter();
     shade::colour(pass.model, pass.largest, lists, |fragment, colour| {
-        if let Some((_, place)) = places.next() {
-            painted[place] = (*fragment, colour);
+        if let Some((_, position)) = positions.next() {
+            painted[position] = (*fragment, colour);
         }
     });
     painted
@@ -239,7 +239,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn nothing_and_all_of_a_colour_leave_one_of_both() {
+    fn blending_with_no_or_full_opacity_keeps_one_colour() {
         let under = u32::from_le_bytes([10, 20, 30, 255]);
         let over = |opacity| u32::from_le_bytes([200, 100, 50, opacity]);
         assert_eq!(blended(under, over(0)).to_le_bytes()[..3], [10, 20, 30]);

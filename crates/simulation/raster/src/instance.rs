@@ -102,7 +102,7 @@ pub(crate) enum Mapping {
 /// A mesh in a pass.
 #[derive(Debug, Clone)]
 pub(crate) struct Instance {
-    pub(crate) mesh: MeshOf,
+    pub(crate) mesh: MeshRef,
     /// Index of its geom in the scene.
     pub(crate) geom: usize,
     pub(crate) to_eye: Matrix,
@@ -134,7 +134,7 @@ pub(crate) struct Instance {
 
 /// Reference to a mesh of a model.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub(crate) enum MeshOf {
+pub(crate) enum MeshRef {
     Mesh(usize),
     Plane(usize),
     Rectangle,
@@ -146,8 +146,8 @@ pub(crate) enum MeshOf {
     OpenCylinder,
 }
 
-impl MeshOf {
-    pub(crate) fn of(self, model: &Model) -> &Mesh {
+impl MeshRef {
+    pub(crate) fn resolve(self, model: &Model) -> &Mesh {
         match self {
             Self::Mesh(index) => &model.meshes[index],
             Self::Plane(index) => &model.planes[index],
@@ -162,58 +162,64 @@ impl MeshOf {
     }
 }
 
-/// Most meshes of one geom.
-const MOST_PARTS: u32 = 4;
+/// Largest number of meshes of one geom.
+const MAX_PARTS: u32 = 4;
 
 /// Adds the instances of a geom.
-pub(crate) fn add(geom: usize, it: &Geom, view: &View, model: &Model, into: &mut Vec<Instance>) {
+pub(crate) fn add(
+    geom_index: usize,
+    geom: &Geom,
+    view: &View,
+    model: &Model,
+    into: &mut Vec<Instance>,
+) {
     let placed = view
         .world_to_eye
-        .translated(it.pos)
-        .times(&Matrix::rotation(&it.mat));
-    let [x, y, z] = it.size;
-    let behind = is_plane(it) && is_behind(view.head, it);
+        .translated(geom.pos)
+        .times(&Matrix::rotation(&geom.mat));
+    let [x, y, z] = geom.size;
+    let behind = is_plane(geom) && is_behind(view.head, geom);
     let mut parts = 0;
-    let mut add = |mesh: MeshOf, to_eye: Matrix| {
-        let Some(mut instance) = Instance::new(mesh, geom, to_eye, view, model) else {
+    let mut add = |mesh: MeshRef, to_eye: Matrix| {
+        let Some(mut instance) = Instance::new(mesh, geom_index, to_eye, view, model) else {
             return;
         };
         instance.counter_clockwise = view.mirrored == behind;
         instance.inside_out = behind;
-        instance.rank = geom as u32 * MOST_PARTS + parts;
+        instance.rank = geom_index as u32 * MAX_PARTS + parts;
         parts += 1;
-        instance.rgba = it.rgba;
+        instance.rgba = geom.rgba;
         if behind {
             // In double precision, as C multiplies by such a constant.
             instance.rgba[3] = (f64::from(instance.rgba[3]) * 0.3) as f32;
         }
-        instance.emission = it.emission;
-        instance.specular = it.specular;
-        instance.shininess = it.shininess * 128.0;
-        if let Some(used) = it.texture {
+        instance.emission = geom.emission;
+        instance.specular = geom.specular;
+        instance.shininess = geom.shininess * 128.0;
+        if let Some(used) = geom.texture {
             instance.texture = Some(used.texture);
-            instance.mapping = mapping(it, &used, model);
+            instance.mapping = mapping(geom, &used, model);
         }
         into.push(instance);
     };
-    match it.shape {
-        Shape::Mesh(index) => add(MeshOf::Mesh(index), placed),
-        Shape::Plane(index) => add(MeshOf::Plane(index), placed),
-        Shape::Rectangle => add(MeshOf::Rectangle, placed.scaled([x, y, 1.0])),
-        Shape::Box => add(MeshOf::Cuboid, placed.scaled(it.size)),
-        Shape::Ellipsoid => add(MeshOf::Sphere, placed.scaled(it.size)),
-        Shape::Cylinder => add(MeshOf::Cylinder, placed.scaled(it.size)),
+    match geom.shape {
+        Shape::Mesh(index) => add(MeshRef::Mesh(index), placed),
+        Shape::Plane(index) => add(MeshRef::Plane(index), placed),
+        Shape::Rectangle => add(MeshRef::Rectangle, placed.scaled([x, y, 1.0])),
+        Shape::Box => add(MeshRef::Cuboid, placed.scaled(geom.size)),
+        Shape::Ellipsoid => add(MeshRef::Sphere, placed.scaled(geom.size)),
+        Shape::Cylinder => add(MeshRef::Cylinder, placed.scaled(geom.size)),
         Shape::Capsule => {
             let radius = (0.5 * f64::from(x + y)) as f32;
-            let middle = placed.scaled(it.size);
-            add(MeshOf::OpenCylinder, middle);
+            let middle = placed.scaled(geom.size);
+            add(MeshRef::OpenCylinder, middle);
             let above =
                 middle
                     .scaled([1.0, 1.0, radius / z])
                     .translated([0.0, 0.0, (z - radius) / radius]);
-            add(MeshOf::UpperHalf, above);
+            add(MeshRef::UpperHalf, above);
             let below = above.translated([0.0, 0.0, 2.0 * (radius - z) / radius]);
-            add(MeshOf::LowerHalf, below);
+            add(MeshRef::LowerHalf, below);
         }
     }
 }
@@ -223,7 +229,7 @@ pub(crate) fn sky(texture: usize, view: &View, model: &Model) -> Option<Instance
     // Just below the reciprocal of √2, so that no corner is beyond the far plane.
     let size = (f64::from(view.far) * f64::from(0.70f32)) as f32;
     let placed = view.world_to_eye.translated(view.head).scaled([size; 3]);
-    let mut sky = Instance::new(MeshOf::Cylinder, usize::MAX, placed, view, model)?;
+    let mut sky = Instance::new(MeshRef::Cylinder, usize::MAX, placed, view, model)?;
     sky.counter_clockwise = false;
     sky.inside_out = true;
     sky.is_lit = false;
@@ -235,8 +241,8 @@ pub(crate) fn sky(texture: usize, view: &View, model: &Model) -> Option<Instance
 
 impl Instance {
     /// Returns `None` if no part of the mesh can be visible.
-    fn new(mesh: MeshOf, geom: usize, to_eye: Matrix, view: &View, model: &Model) -> Option<Self> {
-        let bounds = mesh.of(model).bounds;
+    fn new(mesh: MeshRef, geom: usize, to_eye: Matrix, view: &View, model: &Model) -> Option<Self> {
+        let bounds = mesh.resolve(model).bounds;
         let finite = to_eye.0.iter().all(|value| value.is_finite());
         if bounds.radius == 0.0 || !finite {
             return None;

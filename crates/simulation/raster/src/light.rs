@@ -6,12 +6,12 @@ use crate::lanes::{F, Floats as _, I, Ints as _};
 use crate::matrix::{Vec3, dot};
 use crate::scene::{Light, LightKind, Scene};
 
-/// Most lights in OpenGL.
-const MOST_LIGHTS: usize = 8;
+/// Largest number of lights in OpenGL.
+const MAX_LIGHTS: usize = 8;
 /// Ambient light in a scene without lights.
 const AMBIENT_WITHOUT_LIGHTS: f32 = 0.3;
 /// Largest exponent of a highlight.
-const MOST_SHININESS: f32 = 128.0;
+const MAX_SHININESS: f32 = 128.0;
 
 /// A light in the eye's frame.
 #[derive(Debug, Clone, Copy)]
@@ -47,7 +47,7 @@ fn unit(v: Vec3) -> Vec3 {
 impl EyeLight {
     /// Returns the lights of the scene, up to OpenGL's limit.
     pub(crate) fn all(scene: &Scene, view: &View) -> Vec<Self> {
-        let lights = scene.lights.iter().take(MOST_LIGHTS);
+        let lights = scene.lights.iter().take(MAX_LIGHTS);
         lights.map(|light| Self::new(light, view)).collect()
     }
 
@@ -94,10 +94,10 @@ pub(crate) struct Shading<'a> {
     lights: &'a [EyeLight],
     /// Colour without any light.
     base: Vec3,
-    products: [[Vec3; 3]; MOST_LIGHTS],
+    products: [[Vec3; 3]; MAX_LIGHTS],
     /// True per light if it adds only its ambient part to corners that face away. Requires finite
     /// values, since infinity times zero is not zero.
-    is_tame: [bool; MOST_LIGHTS],
+    adds_only_ambient: [bool; MAX_LIGHTS],
     shininess: f32,
 }
 
@@ -113,7 +113,7 @@ impl<'a> Shading<'a> {
         let times = |light: Vec3, material: Vec3| -> Vec3 {
             std::array::from_fn(|channel| light[channel] * material[channel])
         };
-        let products: [[Vec3; 3]; MOST_LIGHTS] = std::array::from_fn(|at| {
+        let products: [[Vec3; 3]; MAX_LIGHTS] = std::array::from_fn(|at| {
             lights.get(at).map_or([[0.0; 3]; 3], |light| {
                 [
                     times(light.ambient, colour),
@@ -122,7 +122,7 @@ impl<'a> Shading<'a> {
                 ]
             })
         });
-        let is_tame = |light: &EyeLight, products: &[Vec3; 3]| {
+        let adds_only_ambient = |light: &EyeLight, products: &[Vec3; 3]| {
             let is_finite = products.as_flattened().iter().all(|part| part.is_finite());
             let is_dimmed_finitely = light.attenuation.is_none()
                 && light
@@ -133,10 +133,10 @@ impl<'a> Shading<'a> {
         Self {
             lights,
             base: colour.map(|part| everywhere * part + instance.emission * part),
-            is_tame: std::array::from_fn(|at| {
+            adds_only_ambient: std::array::from_fn(|at| {
                 lights
                     .get(at)
-                    .is_some_and(|light| is_tame(light, &products[at]))
+                    .is_some_and(|light| adds_only_ambient(light, &products[at]))
             }),
             products,
             shininess: instance.shininess,
@@ -146,20 +146,20 @@ impl<'a> Shading<'a> {
 
 type Vec3x8 = [F; 3];
 
-/// Dot product in Mesa's order of summation, last component first.
+/// Returns the dot product in Mesa's order of summation, last component first.
 #[inline(always)]
 fn dot8(a: Vec3x8, b: Vec3x8) -> F {
     a[2] * b[2] + a[1] * b[1] + a[0] * b[0]
 }
 
 #[inline(always)]
-fn unit8(v: Vec3x8) -> Vec3x8 {
+fn normalize8(v: Vec3x8) -> Vec3x8 {
     let scale = F::splat(1.0) / dot8(v, v).sqrt();
     v.map(|part| part * scale)
 }
 
 #[inline(always)]
-fn minus8(a: Vec3x8, b: Vec3x8) -> Vec3x8 {
+fn subtract8(a: Vec3x8, b: Vec3x8) -> Vec3x8 {
     [a[0] - b[0], a[1] - b[1], a[2] - b[2]]
 }
 
@@ -170,25 +170,25 @@ pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x
     let splat = |value: f32| F::splat(value);
     let (zero, one) = (splat(0.0), splat(1.0));
     let vec = |v: Vec3| v.map(splat);
-    let normal = unit8(normal);
+    let normal = normalize8(normal);
     let has_highlights = shading.shininess != 0.0;
     let towards_pos = match has_highlights {
-        true => unit8(pos),
+        true => normalize8(pos),
         false => pos,
     };
     let mut colour = vec(shading.base);
-    let materials = shading.products.iter().zip(&shading.is_tame);
-    for (light, (products, is_tame)) in shading.lights.iter().zip(materials) {
+    let materials = shading.products.iter().zip(&shading.adds_only_ambient);
+    for (light, (products, adds_only_ambient)) in shading.lights.iter().zip(materials) {
         let [ambient, diffuse, specular] = products.map(vec);
         let (to_light, over_distance) = if light.is_directional {
             (vec(light.place), one)
         } else {
-            let off = minus8(vec(light.place), pos);
-            let over_distance = one / dot8(off, off).sqrt();
-            (off.map(|part| part * over_distance), over_distance)
+            let offset = subtract8(vec(light.place), pos);
+            let over_distance = one / dot8(offset, offset).sqrt();
+            (offset.map(|part| part * over_distance), over_distance)
         };
         let facing = dot8(normal, to_light);
-        if *is_tame && facing.le(zero).all() {
+        if *adds_only_ambient && facing.le(zero).all() {
             for channel in 0..3 {
                 colour[channel] = ambient[channel] + colour[channel];
             }
@@ -201,10 +201,10 @@ pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x
         let (is_lit, lit) = (facing.gt(zero), facing.max(zero));
         // Without shininess, Mesa's program uses the register of the dot product `facing`.
         let (near, exponent) = if has_highlights && products[2] != [0.0; 3] {
-            let half = unit8(minus8(to_light, towards_pos));
+            let half = normalize8(subtract8(to_light, towards_pos));
             (
                 dot8(normal, half),
-                splat(shading.shininess.min(MOST_SHININESS)),
+                splat(shading.shininess.min(MAX_SHININESS)),
             )
         } else {
             (facing, facing)
@@ -318,9 +318,9 @@ mod tests {
         for exponent in [0.5f32, 1.0, 10.0, 64.0] {
             let found = power(F::new(bases), F::splat(exponent)).to_array();
             for (base, found) in bases.iter().zip(found) {
-                let wanted = base.powf(exponent);
+                let expected = base.powf(exponent);
                 assert!(
-                    (found - wanted).abs() < 2e-4 * wanted.max(1.0),
+                    (found - expected).abs() < 2e-4 * expected.max(1.0),
                     "{base}^{exponent}: {found}"
                 );
             }

@@ -275,12 +275,12 @@ mod tests {
     fn a_general_inverse_undoes_its_matrix() {
         let matrix = Matrix::rotation(&[0.0, -1.0, 0.0, 1.0, 0.0, 0.0, 0.0, 0.0, 1.0])
             .scaled([2.0, 3.0, 0.5]);
-        let inverse = matrix.inverse_of_linear_part().expect("it has one");
-        let carried = matrix.direction([1.0, 2.0, 3.0]);
+        let inverse = matrix.inverse_of_linear_part().expect("an inverse");
+        let transformed = matrix.direction([1.0, 2.0, 3.0]);
         let back: Vec3 = std::array::from_fn(|row| {
             dot(
                 [inverse[3 * row], inverse[3 * row + 1], inverse[3 * row + 2]],
-                carried,
+                transformed,
             )
         });
         assert_eq!(back, [1.0, 2.0, 3.0]);

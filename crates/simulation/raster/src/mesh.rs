@@ -1,6 +1,6 @@
 //! Meshes, prepared once. Triangles are grouped into clusters of neighbours with similar normals,
-//! so that whole clusters can be culled. Corners at one place share a position of their cluster,
-//! which is transformed once; identical corners share a vertex, which is lit once.
+//! so that whole clusters can be culled. Corners at the same position share one position of
+//! their cluster, which is transformed once; identical corners share a vertex, which is lit once.
 
 use std::collections::HashMap;
 
@@ -48,10 +48,10 @@ pub struct Mesh {
     pub(crate) vertices: Values<Vertex>,
     /// Per triangle, cluster by cluster, padded to a multiple of eight: position indices of its
     /// corners within the cluster.
-    pub(crate) places: [Values<u8>; 3],
+    pub(crate) position_ids: [Values<u8>; 3],
     /// Vertex indices of the same triangles' corners within the cluster.
     pub(crate) corners: [Values<u8>; 3],
-    /// Per triangle: position in the mesh's drawing order.
+    /// Per triangle: its index in the mesh's drawing order.
     pub(crate) order: Values<u32>,
     pub(crate) bounds: Sphere,
 }
@@ -116,24 +116,24 @@ impl MeshBuilder {
         self.triangle([b, c, d]);
     }
 
-    /// Prepares the mesh. Triangles with a NaN position or with two corners at one place are
-    /// invisible and left out.
+    /// Prepares the mesh. Triangles with a NaN position or with two corners at the same position
+    /// are invisible and left out.
     pub fn build(self) -> Mesh {
         let bits = |corner: &Corner| corner.pos.map(f32::to_bits);
-        let seen = |corners: &[Corner; 3]| {
+        let is_visible = |corners: &[Corner; 3]| {
             let [a, b, c] = corners.each_ref().map(bits);
             let finite = corners
                 .iter()
-                .all(|it| it.pos.iter().all(|x| x.is_finite()));
+                .all(|corner| corner.pos.iter().all(|x| x.is_finite()));
             finite && a != b && b != c && c != a
         };
         let all = self.triangles.iter().enumerate();
         let mut pieces: Vec<Piece> = all
-            .filter(|(_, corners)| seen(corners))
+            .filter(|(_, corners)| is_visible(corners))
             .map(|(order, corners)| Piece::new(order as u32, corners))
             .collect();
         let mut mesh = Mesh {
-            bounds: ball(pieces.iter().flat_map(|piece| piece.pos)),
+            bounds: bounding_sphere(pieces.iter().flat_map(|piece| piece.pos)),
             ..Mesh::default()
         };
         let weight = mesh.bounds.radius * FACING_WEIGHT;
@@ -142,7 +142,7 @@ impl MeshBuilder {
                 piece.key[3 + axis] = piece.facing[axis] * weight;
             }
         }
-        cut(&mut pieces, &mut |cluster| {
+        split(&mut pieces, &mut |cluster| {
             mesh.add_cluster(cluster, &self.triangles);
         });
         mesh
@@ -181,7 +181,7 @@ impl Piece {
 }
 
 /// Splits along the widest dimension until the pieces fit a cluster.
-fn cut(pieces: &mut [Piece], emit: &mut impl FnMut(&mut [Piece])) {
+fn split(pieces: &mut [Piece], emit: &mut impl FnMut(&mut [Piece])) {
     if pieces.is_empty() {
         return;
     }
@@ -204,13 +204,13 @@ fn cut(pieces: &mut [Piece], emit: &mut impl FnMut(&mut [Piece])) {
     let middle = (pieces.len() / 2).next_multiple_of(CLUSTER);
     pieces.select_nth_unstable_by(middle - 1, |a, b| a.key[axis].total_cmp(&b.key[axis]));
     let (left, right) = pieces.split_at_mut(middle);
-    cut(left, emit);
-    cut(right, emit);
+    split(left, emit);
+    split(right, emit);
 }
 
 impl Mesh {
     fn add_cluster(&mut self, pieces: &mut [Piece], triangles: &[[Corner; 3]]) {
-        // In drawing order: a later triangle wins at equal depth.
+        // Sorted by drawing order: a later triangle wins at equal depth.
         pieces.sort_unstable_by_key(|piece| piece.order);
         let (first_position, first_vertex) = (self.xs.len() as u32, self.vertices.len() as u32);
         let first_triangle = self.order.len() as u32;
@@ -220,13 +220,13 @@ impl Mesh {
             for (at, corner) in triangles[piece.order as usize].iter().enumerate() {
                 let next = positions.len() as u8;
                 let bits = corner.bits();
-                let place = *positions
+                let position = *positions
                     .entry([bits[0], bits[1], bits[2]])
                     .or_insert_with(|| {
                         self.push_position(corner.pos);
                         next
                     });
-                self.places[at].push(place);
+                self.position_ids[at].push(position);
                 let next = vertices.len() as u8;
                 let vertex = *vertices.entry(bits).or_insert_with(|| {
                     self.vertices.push(bits.map(f32::from_bits));
@@ -236,8 +236,8 @@ impl Mesh {
             }
             self.order.push(piece.order);
         }
-        let bounds = ball(pieces.iter().flat_map(|piece| piece.pos));
-        let (axis, sine) = cone(pieces);
+        let bounds = bounding_sphere(pieces.iter().flat_map(|piece| piece.pos));
+        let (axis, sine) = normal_cone(pieces);
         self.clusters.push(Cluster {
             bounds,
             axis,
@@ -253,7 +253,7 @@ impl Mesh {
             self.push_position(pieces[0].pos[0]);
         }
         while !self.order.len().is_multiple_of(LANES) {
-            let lists = self.places.iter_mut().chain(&mut self.corners);
+            let lists = self.position_ids.iter_mut().chain(&mut self.corners);
             lists.for_each(|corners| corners.push(0));
             self.order.push(0);
         }
@@ -274,7 +274,7 @@ impl Mesh {
             ys,
             zs,
             vertices,
-            places,
+            position_ids,
             corners,
             order,
             bounds,
@@ -291,7 +291,7 @@ impl Mesh {
         }
         bytes.extend_from_slice(bytemuck::cast_slice(vertices));
         bytes.extend_from_slice(bytemuck::cast_slice(order));
-        for values in places.iter().chain(corners) {
+        for values in position_ids.iter().chain(corners) {
             bytes.extend_from_slice(values);
         }
         bytes
@@ -309,16 +309,16 @@ impl Mesh {
     fn read(mut blob: Blob) -> Option<Self> {
         let counts = blob.take::<u32>(4)?;
         let [clusters, positions, vertices, triangles] = [0, 1, 2, 3].map(|at| counts[at] as usize);
-        let bounds = Sphere::of_words(blob.take::<[u32; 4]>(1)?[0]);
+        let bounds = Sphere::from_words(blob.take::<[u32; 4]>(1)?[0]);
         let clusters = blob.take::<[u32; WORDS]>(clusters)?;
         let mesh = Self {
-            clusters: clusters.iter().copied().map(Cluster::of_words).collect(),
+            clusters: clusters.iter().copied().map(Cluster::from_words).collect(),
             xs: blob.take(positions)?,
             ys: blob.take(positions)?,
             zs: blob.take(positions)?,
             vertices: blob.take(vertices)?,
             order: blob.take(triangles)?,
-            places: [
+            position_ids: [
                 blob.take(triangles)?,
                 blob.take(triangles)?,
                 blob.take(triangles)?,
@@ -361,7 +361,7 @@ impl Sphere {
         [x, y, z, self.radius].map(f32::to_bits)
     }
 
-    fn of_words(words: [u32; 4]) -> Self {
+    fn from_words(words: [u32; 4]) -> Self {
         let [x, y, z, radius] = words.map(f32::from_bits);
         Self {
             center: [x, y, z],
@@ -384,10 +384,10 @@ impl Cluster {
         [a, b, c, d, x, y, z, sine, p, q, v, w, t, u]
     }
 
-    fn of_words(words: [u32; WORDS]) -> Self {
+    fn from_words(words: [u32; WORDS]) -> Self {
         let [a, b, c, d, x, y, z, sine, p, q, v, w, t, u] = words;
         Self {
-            bounds: Sphere::of_words([a, b, c, d]),
+            bounds: Sphere::from_words([a, b, c, d]),
             axis: [x, y, z].map(f32::from_bits),
             sine: f32::from_bits(sine),
             first_position: p,
@@ -401,7 +401,7 @@ impl Cluster {
 }
 
 /// Returns a bounding sphere of points, not necessarily the smallest.
-fn ball(points: impl Iterator<Item = Vec3> + Clone) -> Sphere {
+fn bounding_sphere(points: impl Iterator<Item = Vec3> + Clone) -> Sphere {
     let (mut low, mut high) = ([f32::INFINITY; 3], [f32::NEG_INFINITY; 3]);
     for point in points.clone() {
         for axis in 0..3 {
@@ -428,8 +428,8 @@ fn ball(points: impl Iterator<Item = Vec3> + Clone) -> Sphere {
 
 /// Returns the mean normal of triangles and the sine of the largest angle from it; a zero axis if
 /// the normals differ too much.
-fn cone(pieces: &[Piece]) -> (Vec3, f32) {
-    const EVERYWHERE: (Vec3, f32) = ([0.0; 3], 1.0);
+fn normal_cone(pieces: &[Piece]) -> (Vec3, f32) {
+    const NO_CONE: (Vec3, f32) = ([0.0; 3], 1.0);
     let mut sum = [0.0; 3];
     for piece in pieces {
         for (sum, part) in sum.iter_mut().zip(piece.facing) {
@@ -439,7 +439,7 @@ fn cone(pieces: &[Piece]) -> (Vec3, f32) {
     let length = dot(sum, sum).sqrt();
     // No cone is useful if the normals cancel or a triangle has none.
     if length.is_nan() || length <= 1e-3 || pieces.iter().any(|piece| piece.facing == [0.0; 3]) {
-        return EVERYWHERE;
+        return NO_CONE;
     }
     let axis = sum.map(|part| part / length);
     let cosine = pieces
@@ -447,7 +447,7 @@ fn cone(pieces: &[Piece]) -> (Vec3, f32) {
         .map(|piece| dot(piece.facing, axis))
         .fold(1.0, f32::min);
     if cosine <= 0.05 {
-        return EVERYWHERE;
+        return NO_CONE;
     }
     (axis, (1.0 - cosine * cosine).max(0.0).sqrt())
 }
@@ -476,7 +476,7 @@ mod tests {
                 corner(x, y + 1.0, 0.0),
             ]);
         }
-        let wanted = builder.triangles.clone();
+        let expected = builder.triangles.clone();
         let mesh = builder.build();
         assert_eq!(mesh.triangles(), 1000);
         let mut found = vec![0; 1000];
@@ -486,9 +486,9 @@ mod tests {
             for triangle in first..first + cluster.triangles as usize {
                 let order = mesh.order[triangle] as usize;
                 found[order] += 1;
-                for (at, corner) in wanted[order].iter().enumerate() {
-                    let place = mesh.places[at][triangle];
-                    assert_eq!(mesh.position(cluster, place), corner.pos);
+                for (at, corner) in expected[order].iter().enumerate() {
+                    let position = mesh.position_ids[at][triangle];
+                    assert_eq!(mesh.position(cluster, position), corner.pos);
                     let vertex =
                         cluster.first_vertex as usize + usize::from(mesh.corners[at][triangle]);
                     assert_eq!(mesh.vertices[vertex].map(f32::to_bits), corner.bits());
@@ -499,7 +499,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mesh_comes_back_from_its_bytes_and_from_no_others() {
+    fn a_mesh_is_restored_from_its_bytes_only() {
         let mut builder = MeshBuilder::default();
         for index in 0..200 {
             let x = index as f32;
@@ -517,8 +517,8 @@ mod tests {
         assert_eq!(back.triangles(), 200);
         assert!(back.to_bytes() == bytes);
         for length in [0, 4, 30, bytes.len() / 2, bytes.len() - 1] {
-            let cut = Mesh::from_bytes(aligned.slice(..length));
-            assert_eq!(cut.err(), Some(ModelError::Bytes), "{length} bytes");
+            let truncated = Mesh::from_bytes(aligned.slice(..length));
+            assert_eq!(truncated.err(), Some(ModelError::Bytes), "{length} bytes");
         }
     }
 
@@ -531,7 +531,7 @@ mod tests {
     }
 
     #[test]
-    fn triangles_that_are_never_seen_are_left_out() {
+    fn invisible_triangles_are_left_out() {
         let mut builder = MeshBuilder::default();
         builder.triangle([
             corner(0.0, 0.0, 0.0),

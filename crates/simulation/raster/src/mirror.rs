@@ -13,11 +13,11 @@ use crate::visible::{Ranks, SAMPLES};
 use crate::window::Window;
 
 /// Returns the mirroring geom, if the camera is in front of its face.
-pub(crate) fn find(scene: &Scene, view: &View, glassy: &[usize]) -> Option<usize> {
-    let can = |geom: &Geom| is_plane(geom) || geom.shape == Shape::Box;
+pub(crate) fn find(scene: &Scene, view: &View, translucent: &[usize]) -> Option<usize> {
+    let can_mirror = |geom: &Geom| is_plane(geom) || geom.shape == Shape::Box;
     let found = (0..scene.geoms.len()).find(|index| {
         let geom = &scene.geoms[*index];
-        can(geom) && geom.reflectance > 0.0 && !glassy.contains(index)
+        can_mirror(geom) && geom.reflectance > 0.0 && !translucent.contains(index)
     })?;
     let (pos, _) = plane(&scene.geoms[found]);
     let face = Geom {
@@ -39,16 +39,16 @@ fn plane(geom: &Geom) -> ([f32; 3], [f32; 3]) {
 }
 
 /// Adds the reflection to the samples at which the mirror face is visible; returns the changed
-/// window. The reflection is first drawn into `other`.
+/// window. The reflection is first drawn into `reflection`.
 pub(crate) fn add(
     picture: &mut Picture,
-    other: &mut Picture,
+    reflection: &mut Picture,
     pass: Pass<'_>,
     scene: &Scene,
-    (mirror, glassy): (usize, &[usize]),
+    (mirror, translucent): (usize, &[usize]),
     work: &mut Workspace,
 ) -> Option<Window> {
-    let face = Face::of(picture, pass.model, mirror, &scene.geoms[mirror])?;
+    let face = Face::find(picture, pass.model, mirror, &scene.geoms[mirror])?;
     let (pos, normal) = plane(&scene.geoms[mirror]);
     let view = pass.view.in_mirror(pos, normal);
     let lights: Vec<EyeLight> = EyeLight::all(scene, &view);
@@ -66,24 +66,26 @@ pub(crate) fn add(
         ..pass
     };
     let size = [picture.visible.width, picture.visible.height];
-    other.clear(size, face.window);
-    for index in (0..scene.geoms.len()).filter(|it| *it != mirror && !glassy.contains(it)) {
+    reflection.clear(size, face.window);
+    for index in
+        (0..scene.geoms.len()).filter(|index| *index != mirror && !translucent.contains(index))
+    {
         instance::add(
             index,
             &dimmed(index),
             &view,
             pass.model,
-            &mut other.instances,
+            &mut reflection.instances,
         );
     }
-    other.rasterise(mirrored, 0, work);
-    other.paint(mirrored, 0, work);
-    let glassy: Vec<Geom> = glassy.iter().map(|index| dimmed(*index)).collect();
-    glass::add(other, mirrored, &glassy, work);
+    reflection.rasterise(mirrored, 0, work);
+    reflection.paint(mirrored, 0, work);
+    let translucent: Vec<Geom> = translucent.iter().map(|index| dimmed(*index)).collect();
+    glass::add(reflection, mirrored, &translucent, work);
     for (pixel, samples) in face.pixels {
         for sample in (0..SAMPLES).filter(|sample| samples & (1 << sample) != 0) {
-            let own = &mut picture.samples[pixel][sample];
-            *own = saturating_sum(*own, other.samples[pixel][sample]);
+            let reflecting = &mut picture.samples[pixel][sample];
+            *reflecting = saturating_sum(*reflecting, reflection.samples[pixel][sample]);
         }
     }
     Some(face.window)
@@ -97,23 +99,25 @@ struct Face {
 }
 
 impl Face {
-    fn of(picture: &Picture, model: &Model, mirror: usize, geom: &Geom) -> Option<Self> {
+    fn find(picture: &Picture, model: &Model, mirror: usize, geom: &Geom) -> Option<Self> {
         let visible = &picture.visible;
         let instances = picture.instances.iter();
         let bounds = instances
             .filter(|instance| instance.geom == mirror)
-            .fold(None, |bounds, it| Window::around(bounds, it.window))?;
+            .fold(None, |bounds, instance| {
+                Window::union(bounds, instance.window)
+            })?;
         let ranks = Ranks {
             model,
             instances: &picture.instances,
             records: &visible.records,
             clipped: &visible.clipped,
         };
-        let shows = |sample: usize| {
+        let shows_mirror = |sample: usize| {
             let record = visible.records.get(visible.ids[sample] as usize);
             record.is_some_and(|record| {
                 picture.instances[record.instance as usize].geom == mirror
-                    && (geom.shape != Shape::Box || is_upper_face(ranks.of(record).1))
+                    && (geom.shape != Shape::Box || is_upper_face(ranks.rank(record).1))
             })
         };
         let mut pixels = Vec::new();
@@ -121,11 +125,11 @@ impl Face {
         for (row, y) in bounds.rows(visible.stride).zip(bounds.y[0]..) {
             for (pixel, x) in row.zip(bounds.x[0]..) {
                 let samples = (0..SAMPLES)
-                    .filter(|sample| shows(pixel * SAMPLES + sample))
+                    .filter(|sample| shows_mirror(pixel * SAMPLES + sample))
                     .fold(0, |bits, sample| bits | 1 << sample);
                 if samples != 0 {
                     pixels.push((pixel, samples));
-                    window = Window::around(window, Some(Window::pixel(x, y)));
+                    window = Window::union(window, Some(Window::pixel(x, y)));
                 }
             }
         }

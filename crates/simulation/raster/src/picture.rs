@@ -8,7 +8,7 @@ use crate::positions::Positions;
 use crate::raster;
 use crate::shade::{self, Lists};
 use crate::visible::{SAMPLES, Visible};
-use crate::window::{Around, Window};
+use crate::window::{BoundingWindow, Window};
 
 /// A picture being drawn.
 #[derive(Default)]
@@ -40,7 +40,7 @@ pub(crate) struct Workspace {
 }
 
 /// Per set of samples: a mask with all bits of these samples' colours.
-const OWN_SAMPLES: [[u32; SAMPLES]; 1 << SAMPLES] = {
+const SAMPLE_MASKS: [[u32; SAMPLES]; 1 << SAMPLES] = {
     let mut masks = [[0; SAMPLES]; 1 << SAMPLES];
     let mut at = 0;
     while at < SAMPLES << SAMPLES {
@@ -81,13 +81,13 @@ impl Picture {
                 plane: pass.view.clip,
                 positions: &mut work.positions,
                 visible: &mut self.visible,
-                touched: Around::NOTHING,
+                touched: BoundingWindow::EMPTY,
                 layers: None,
             };
             raster::draw(*index, &mut drawing);
             let touched = drawing.touched.window();
             self.instances[*index].window = touched;
-            self.visible.touched = Window::around(self.visible.touched, touched);
+            self.visible.touched = Window::union(self.visible.touched, touched);
         }
     }
 
@@ -99,13 +99,13 @@ impl Picture {
         let (visible, lists) = (&self.visible, &mut work.lists);
         lists.clear(first, visible.records.len(), pass.model.textures.len());
         shade::list_fragments(visible, &self.instances, window, lists);
-        shade::work_out_surfaces(pass.model, visible, &self.instances, pass.lights, lists);
+        shade::compute_surfaces(pass.model, visible, &self.instances, pass.lights, lists);
         let (stride, samples) = (visible.stride, &mut self.samples);
         shade::colour(pass.model, pass.largest, lists, |fragment, colour| {
             let pixel = &mut samples[fragment.y() * stride + fragment.x()];
-            let own = OWN_SAMPLES[fragment.samples()];
-            for (value, own) in pixel.iter_mut().zip(own) {
-                *value = *value & !own | colour & own;
+            let masks = SAMPLE_MASKS[fragment.samples()];
+            for (value, mask) in pixel.iter_mut().zip(masks) {
+                *value = *value & !mask | colour & mask;
             }
         });
     }

@@ -4,26 +4,26 @@ use crate::drawing::Drawing;
 use crate::instance::Instance;
 use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
 use crate::mesh::{Cluster, Mesh};
-use crate::positions::{EightPositions, FURTHEST, SUBPIXELS};
+use crate::positions::{EightPositions, MAX_COORDINATE, SUBPIXELS};
 
 /// Extent of a cluster after its positions were transformed.
-pub(crate) struct Placed {
+pub(crate) struct ClusterExtent {
     /// True if any position lies beyond a side of the view frustum.
-    pub(crate) beyond: bool,
+    pub(crate) is_beyond: bool,
     /// True if the whole cluster lies outside the window.
-    pub(crate) outside: bool,
+    pub(crate) is_outside: bool,
 }
 
-/// Transforms a cluster's positions to the picture. `inside` clusters cannot extend beyond the view
-/// frustum.
+/// Transforms a cluster's positions to the picture. If `is_inside` is true, the cluster
+/// does not extend beyond the view frustum.
 #[inline(always)]
-pub(crate) fn place(
+pub(crate) fn transform(
     instance: &Instance,
     mesh: &Mesh,
     cluster: &Cluster,
-    inside: bool,
+    is_inside: bool,
     drawing: &mut Drawing<'_>,
-) -> Placed {
+) -> ClusterExtent {
     let half_width = F::splat(drawing.visible.width as f32 * 0.5);
     let half_height = F::splat(drawing.visible.height as f32 * 0.5);
     let (zero, one) = (F::splat(0.0), F::splat(1.0));
@@ -39,7 +39,7 @@ pub(crate) fn place(
         let row = instance.to_clip.rows([x, y, z]);
         let (cx, cy, cz, cw) = (row(0), row(1), row(2), row(3));
         let mut beyond = I::splat(0);
-        if !inside {
+        if !is_inside {
             let bit = |mask: Mask, bit: i32| mask.ints() & I::splat(bit);
             beyond = bit(cx.gt(cw), 1)
                 | bit((cx + cw).lt(zero), 2)
@@ -62,7 +62,8 @@ pub(crate) fn place(
         let subpixels = F::splat(SUBPIXELS as f32);
         let snapped = [wx, wy].map(|at| {
             let at: I = (at * subpixels).nearest();
-            at.max(I::splat(-FURTHEST)).min(I::splat(FURTHEST))
+            at.max(I::splat(-MAX_COORDINATE))
+                .min(I::splat(MAX_COORDINATE))
         });
         let exact = [wx, wy, wz];
         to.store(
@@ -78,12 +79,12 @@ pub(crate) fn place(
             high[axis] = high[axis].max(snapped[axis]);
         }
     }
-    let beyond = (!any.equals(I::splat(0))).any();
-    let is_outside = |axis: usize, [first, last]: [i32; 2]| {
+    let is_beyond = (!any.equals(I::splat(0))).any();
+    let misses = |axis: usize, [first, last]: [i32; 2]| {
         (low[axis].reduce_min() >> 8) > last || (high[axis].reduce_max() >> 8) < first
     };
-    Placed {
-        beyond,
-        outside: !beyond && (is_outside(0, drawing.window.x) || is_outside(1, drawing.window.y)),
+    ClusterExtent {
+        is_beyond,
+        is_outside: !is_beyond && (misses(0, drawing.window.x) || misses(1, drawing.window.y)),
     }
 }

@@ -7,16 +7,17 @@ pub(crate) const SUBPIXELS: i32 = 256;
 /// Limit of a corner's distance from the picture, subpixel units. Few corners lie that far out:
 /// those so close to the eye that their position is unreliable. The product of two such distances
 /// fits in 64 bits.
-pub(crate) const FURTHEST: i32 = 1 << 24;
+pub(crate) const MAX_COORDINATE: i32 = 1 << 24;
 
-/// Most positions of a cluster: as many as a byte can index, so that indices need no bounds check.
-const MOST: usize = 256;
+/// Largest number of positions of a cluster: as many as a byte can index, so that indices need no
+/// bounds check.
+const CAPACITY: usize = 256;
 
 /// Positions of a cluster in the picture, eight numbers per row: x, y and depth in pixels, snapped
 /// x and y as bits, and the bits of the planes of [`clip`](crate::clip) that the position lies
 /// beyond. One load reads a whole row.
 pub(crate) struct Positions {
-    rows: [[f32; LANES]; MOST],
+    rows: [[f32; LANES]; CAPACITY],
 }
 
 /// Columns of a row.
@@ -37,7 +38,7 @@ pub(crate) struct EightTriangles([[F; LANES]; 3]);
 impl Default for Positions {
     fn default() -> Self {
         Self {
-            rows: [[0.0; LANES]; MOST],
+            rows: [[0.0; LANES]; CAPACITY],
         }
     }
 }
@@ -80,8 +81,7 @@ impl EightTriangles {
     /// Returns the snapped corners in subpixel units: x of each corner, and y.
     #[inline(always)]
     pub(crate) fn snapped(&self) -> ([I; 3], [I; 3]) {
-        let of = |column: usize| self.ints(column);
-        (of(SNAPPED), of(SNAPPED + 1))
+        (self.ints(SNAPPED), self.ints(SNAPPED + 1))
     }
 
     /// Returns the unsnapped corners in pixels, and their depths.

@@ -2,13 +2,13 @@
 //! triangles, edges, samples.
 
 use crate::candidates::Candidates;
-use crate::clip::{self, ClippedTriangle, Cut};
+use crate::clip::{self, ClippedTriangle, Clipping};
 use crate::drawing::Drawing;
 use crate::fill::fill;
 use crate::frustum::Frustum;
 use crate::lanes::LANES;
 use crate::mesh::{Cluster, Mesh};
-use crate::place::{Placed, place};
+use crate::place::{ClusterExtent, transform};
 use crate::setup::Setup;
 use crate::visible::{CLIPPED, Record};
 
@@ -16,9 +16,9 @@ use crate::visible::{CLIPPED, Record};
 #[inline(always)]
 pub(crate) fn draw(index: usize, drawing: &mut Drawing<'_>) {
     let instance = &drawing.instances[index];
-    let mesh = instance.mesh.of(drawing.model);
-    let frustum = Frustum::of(instance, drawing);
-    if frustum.hide(mesh.bounds.center, mesh.bounds.radius) {
+    let mesh = instance.mesh.resolve(drawing.model);
+    let frustum = Frustum::new(instance, drawing);
+    if frustum.excludes(mesh.bounds.center, mesh.bounds.radius) {
         return;
     }
     for cluster in &mesh.clusters {
@@ -27,14 +27,14 @@ pub(crate) fn draw(index: usize, drawing: &mut Drawing<'_>) {
                 true => cluster.faces_along(instance.eye),
                 false => cluster.faces_away_from(instance.eye),
             };
-        if faces_away || frustum.hide(cluster.bounds.center, cluster.bounds.radius) {
+        if faces_away || frustum.excludes(cluster.bounds.center, cluster.bounds.radius) {
             continue;
         }
-        let inside = drawing.plane.is_none()
-            && frustum.contain(cluster.bounds.center, cluster.bounds.radius);
-        draw_cluster(index, mesh, cluster, inside, drawing);
+        let is_inside = drawing.plane.is_none()
+            && frustum.contains(cluster.bounds.center, cluster.bounds.radius);
+        draw_cluster(index, mesh, cluster, is_inside, drawing);
         let layers = drawing.layers.as_ref();
-        if layers.is_some_and(|layers| layers.list.len() > layers.most) {
+        if layers.is_some_and(|layers| layers.list.len() > layers.max) {
             return;
         }
     }
@@ -45,17 +45,20 @@ fn draw_cluster(
     index: usize,
     mesh: &Mesh,
     cluster: &Cluster,
-    inside: bool,
+    is_inside: bool,
     drawing: &mut Drawing<'_>,
 ) {
     let instance = &drawing.instances[index];
-    let Placed { beyond, outside } = place(instance, mesh, cluster, inside, drawing);
-    if outside {
+    let ClusterExtent {
+        is_beyond,
+        is_outside,
+    } = transform(instance, mesh, cluster, is_inside, drawing);
+    if is_outside {
         return;
     }
-    let candidates = Candidates::find(instance, mesh, cluster, drawing, beyond);
-    if candidates.cut != 0 {
-        cut_off(index, mesh, cluster, candidates.cut, drawing);
+    let candidates = Candidates::find(instance, mesh, cluster, drawing, is_beyond);
+    if candidates.needs_clipping != 0 {
+        clip_triangles(index, mesh, cluster, candidates.needs_clipping, drawing);
     }
     let mut setup = Setup::default();
     for first in (0..candidates.count).step_by(LANES) {
@@ -65,7 +68,10 @@ fn draw_cluster(
             rows.copy_from_slice(&corners[first..first + LANES]);
         }
         setup.eight(drawing, &rows);
-        for (lane, &triangle) in candidates.at[first..first + count].iter().enumerate() {
+        for (lane, &triangle) in candidates.triangles[first..first + count]
+            .iter()
+            .enumerate()
+        {
             let triangle = cluster.first_triangle + u32::from(triangle);
             let record = Record {
                 instance: index as u32,
@@ -79,7 +85,7 @@ fn draw_cluster(
 
 /// Clips those triangles of a cluster whose bits are set.
 #[inline(never)]
-fn cut_off(
+fn clip_triangles(
     index: usize,
     mesh: &Mesh,
     cluster: &Cluster,
@@ -95,14 +101,14 @@ fn cut_off(
     while triangles != 0 {
         let triangle = cluster.first_triangle as usize + triangles.trailing_zeros() as usize;
         triangles &= triangles - 1;
-        let ids = mesh.places.each_ref().map(|ids| ids[triangle]);
-        let cut = Cut {
+        let ids = mesh.position_ids.each_ref().map(|ids| ids[triangle]);
+        let clipping = Clipping {
             beyond: drawing.positions.any_beyond(ids),
             plane: drawing.plane,
             half,
         };
         let corners = ids.map(|id| mesh.position(cluster, id));
-        let polygon = clip::clip(instance, corners, [(); 3], &cut);
+        let polygon = clip::clip(instance, corners, [(); 3], &clipping);
         for (piece, corners) in polygon.pieces().enumerate() {
             if !setup.clipped(instance, &corners, drawing.window) {
                 continue;
@@ -115,7 +121,7 @@ fn cut_off(
             drawing.visible.clipped.push(ClippedTriangle {
                 triangle: triangle as u32,
                 vertices: cluster.first_vertex,
-                cut,
+                clipping,
                 piece: piece as u32,
             });
             fill(0, &setup, record, drawing);

@@ -25,12 +25,12 @@ pub(crate) struct Place {
 pub(crate) fn flat(
     texels: Texels<'_>,
     srgb: bool,
-    own: Place,
+    place: Place,
     [corner, right, above]: [Place; 3],
 ) -> Colour {
     let changes = [right, above].map(|to| [0, 1].map(|axis| to.at[axis] - corner.at[axis]));
     let levels = Levels::choose(texels, footprint(texels, changes));
-    let [s, t, _] = own.at;
+    let [s, t, _] = place.at;
     match srgb {
         false => flat_in_bytes(texels, &levels, s, t),
         true => flat_in_floats(texels, &levels, s, t),
@@ -41,15 +41,19 @@ pub(crate) fn flat(
 /// along x and y in each 2 × 2 quad: on a cube every pixel has its own level of detail. The sign of
 /// a difference does not matter, so a neighbour may be on either side.
 #[inline(always)]
-pub(crate) fn cube(texels: Texels<'_>, own: Place, [beside, over]: [Place; 2]) -> Colour {
-    let changes = [beside, over].map(|to| [0, 1, 2].map(|axis| to.at[axis] - own.at[axis]));
-    let (face, changes) = Face::of(&own, &changes);
+pub(crate) fn cube(texels: Texels<'_>, place: Place, [beside, over]: [Place; 2]) -> Colour {
+    let changes = [beside, over].map(|to| [0, 1, 2].map(|axis| to.at[axis] - place.at[axis]));
+    let (face, changes) = Face::new(&place, &changes);
     let levels = Levels::choose(texels, footprint(texels, changes));
-    let first = cube_on(texels, &levels.first, &face);
+    let first = sample_cube_level(texels, &levels.first, &face);
     if levels.is_one {
         return first;
     }
-    between(first, cube_on(texels, &levels.second, &face), levels.share)
+    between(
+        first,
+        sample_cube_level(texels, &levels.second, &face),
+        levels.share,
+    )
 }
 
 /// Returns the larger of the squared lengths of two differences, in texels of the largest level.
@@ -113,7 +117,7 @@ struct Sizes {
 
 impl Sizes {
     #[inline(always)]
-    fn of(texels: Texels<'_>, levels: &[u8; LANES]) -> Self {
+    fn new(texels: Texels<'_>, levels: &[u8; LANES]) -> Self {
         let one = levels[0];
         if levels.iter().all(|level| *level == one) {
             let level = &texels.texture.levels[usize::from(one)];
@@ -161,20 +165,20 @@ fn fetch_two(texels: Texels<'_>, row: I, [x0, x1]: [I; 2], is_beside: bool) -> [
     }
 }
 
-/// The four texels around each of eight places of a flat texture, and the weight of the second
-/// texel along each axis. `W` is the type of the weights.
-struct Around<W> {
+/// The four texels around each of eight places of a flat texture, and the weight of the
+/// second texel along each axis. `W` is the type of the weights.
+struct Neighbours<W> {
     texels: [I; 4],
     shares: [W; 2],
 }
 
 #[inline(always)]
-fn around<W>(
+fn fetch_neighbours<W>(
     texels: Texels<'_>,
     sizes: &Sizes,
     (x, share_x): (I, W),
     (y, share_y): (I, W),
-) -> Around<W> {
+) -> Neighbours<W> {
     let one = I::splat(1);
     let next = |at: I, size: I| {
         let is_last = at.equals(size - one);
@@ -186,7 +190,7 @@ fn around<W>(
     let is_beside = x1.equals(x + one).all();
     let [a, b] = fetch_two(texels, row0, [x, x1], is_beside);
     let [c, d] = fetch_two(texels, row1, [x, x1], is_beside);
-    Around {
+    Neighbours {
         texels: [a, b, c, d],
         shares: [share_x, share_y],
     }
@@ -194,23 +198,23 @@ fn around<W>(
 
 #[inline(always)]
 fn flat_in_bytes(texels: Texels<'_>, levels: &Levels, s: F, t: F) -> Colour {
-    let on = |level: &[u8; LANES]| {
-        let sizes = Sizes::of(texels, level);
+    let sample_level = |level: &[u8; LANES]| {
+        let sizes = Sizes::new(texels, level);
         let base = &texels.texture.levels[0];
         let x = texel_in_256ths(s, sizes.width, base.width.is_power_of_two());
         let y = texel_in_256ths(t, sizes.height, base.height.is_power_of_two());
-        let Around {
+        let Neighbours {
             texels: [a, b, c, d],
             shares: [u, v],
-        } = around(texels, &sizes, x, y);
+        } = fetch_neighbours(texels, &sizes, x, y);
         let (u, v) = (Share::new(u), Share::new(v));
         let top = Bytes::new(a).blended(&Bytes::new(b), u);
         top.blended(&Bytes::new(c).blended(&Bytes::new(d), u), v)
     };
-    let mut colour = on(&levels.first);
+    let mut colour = sample_level(&levels.first);
     if !levels.is_one {
         let share: I = (levels.share * F::splat(256.0)).whole();
-        colour = colour.blended(&on(&levels.second), Share::new(share));
+        colour = colour.blended(&sample_level(&levels.second), Share::new(share));
     }
     let Bytes([even, odd]) = colour;
     let (even, odd): (I, I) = (cast(even), cast(odd));
@@ -281,19 +285,19 @@ fn texel_in_256ths(at: F, size: I, is_power_of_two: bool) -> (I, I) {
 
 #[inline(always)]
 fn flat_in_floats(texels: Texels<'_>, levels: &Levels, s: F, t: F) -> Colour {
-    let on = |level: &[u8; LANES]| {
-        let sizes = Sizes::of(texels, level);
+    let sample_level = |level: &[u8; LANES]| {
+        let sizes = Sizes::new(texels, level);
         let base = &texels.texture.levels[0];
         let x = texel_and_share(s, sizes.width, base.width.is_power_of_two());
         let y = texel_and_share(t, sizes.height, base.height.is_power_of_two());
-        let Around { texels, shares } = around(texels, &sizes, x, y);
+        let Neighbours { texels, shares } = fetch_neighbours(texels, &sizes, x, y);
         mix_four(texels, shares, true)
     };
-    let first = on(&levels.first);
+    let first = sample_level(&levels.first);
     if levels.is_one {
         return first;
     }
-    between(first, on(&levels.second), levels.share)
+    between(first, sample_level(&levels.second), levels.share)
 }
 
 #[inline(always)]
@@ -364,7 +368,7 @@ impl Face {
     /// Returns the faces that directions meet, and the derivatives of the places on them for two
     /// changes of direction.
     #[inline(always)]
-    fn of(place: &Place, changes: &[[F; 3]; 2]) -> (Self, [[F; 2]; 2]) {
+    fn new(place: &Place, changes: &[[F; 3]; 2]) -> (Self, [[F; 2]; 2]) {
         let [x, y, z] = place.at;
         let half = F::splat(0.5);
         let widest_is_x = x.abs().gt(y.abs());
@@ -400,8 +404,8 @@ impl Face {
 }
 
 #[inline(always)]
-fn cube_on(cube: Texels<'_>, level: &[u8; LANES], face: &Face) -> Colour {
-    let sizes = Sizes::of(cube, level);
+fn sample_cube_level(cube: Texels<'_>, level: &[u8; LANES], face: &Face) -> Colour {
+    let sizes = Sizes::new(cube, level);
     let whole = |value: i32| I::splat(value);
     let side: F = sizes.width.float();
     let place = |at: F| {
@@ -436,7 +440,7 @@ fn cube_on(cube: Texels<'_>, level: &[u8; LANES], face: &Face) -> Colour {
                 y: y.as_array()[lane],
                 shares: [u.as_array()[lane], v.as_array()[lane]],
             };
-            for (channel, value) in over_edge(cube, &at).into_iter().enumerate() {
+            for (channel, value) in blend_over_edge(cube, &at).into_iter().enumerate() {
                 colour[channel].as_mut_array()[lane] = value;
             }
         }
@@ -456,7 +460,7 @@ struct EdgePlace<'a> {
 /// Blends with the texels of the neighbouring face beyond an edge; at a corner, blends the three
 /// texels that meet there.
 #[inline(never)]
-fn over_edge(cube: Texels<'_>, at: &EdgePlace<'_>) -> [f32; CHANNELS] {
+fn blend_over_edge(cube: Texels<'_>, at: &EdgePlace<'_>) -> [f32; CHANNELS] {
     let side = at.level.width as i32;
     let off = |index: i32| index < 0 || index >= side;
     let places = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| (at.x + dx, at.y + dy));
@@ -534,7 +538,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn going_over_an_edge_and_back_ends_where_it_began() {
+    fn crossing_an_edge_twice_returns_to_the_same_texel() {
         let side = 4;
         for face in 0..6 {
             for along in 0..side {

@@ -44,11 +44,11 @@ pub fn segments(
     }
     picture.rasterise(pass, 0, &mut Workspace::default());
     let visible = &picture.visible;
-    let seen = |pixel: usize| {
+    let visible_segment = |pixel: usize| {
         let record = visible.records.get(visible.ids[pixel * SAMPLES] as usize)?;
         let instance = &picture.instances[record.instance as usize];
         scene.geoms[instance.geom].segment
     };
     let rows = pass.window.rows(visible.stride);
-    Ok(rows.flatten().map(seen).collect())
+    Ok(rows.flatten().map(visible_segment).collect())
 }

@@ -4,7 +4,7 @@ use crate::clip::ClippedCorner;
 use crate::drawing::Drawing;
 use crate::instance::Instance;
 use crate::lanes::{F, Floats as _, I, Ints as _, LANES, Mask};
-use crate::positions::{FURTHEST, SUBPIXELS};
+use crate::positions::{MAX_COORDINATE, SUBPIXELS};
 use crate::window::Window;
 
 /// Triangles of at least this extent, in subpixel units, are split into blocks, so that no product
@@ -14,7 +14,7 @@ const LARGE: i32 = 32 * SUBPIXELS;
 /// Returns the winding order of a triangle's corners. Mesa swaps the first two corners of a
 /// triangle whose front is wound counter-clockwise.
 #[inline(always)]
-pub(crate) fn turned(counter_clockwise: bool) -> [usize; 3] {
+pub(crate) fn winding_order(counter_clockwise: bool) -> [usize; 3] {
     match counter_clockwise {
         true => [1, 0, 2],
         false => [0, 1, 2],
@@ -38,7 +38,7 @@ pub(crate) fn is_large(x: [I; 2], y: [I; 2]) -> Mask {
 /// their ends along y and x: true for left and lower edges. This is the top-left rule in a frame
 /// buffer object, whose first row is the lowest.
 #[inline(always)]
-pub(crate) fn has_samples(dx: I, dy: I) -> Mask {
+pub(crate) fn owns_samples(dx: I, dy: I) -> Mask {
     let zero = I::splat(0);
     dx.lt(zero) | dx.equals(zero) & dy.gt(zero)
 }
@@ -84,7 +84,7 @@ impl Setup {
             let next = (edge + 1) % 3;
             let (dx, dy) = (y[edge] - y[next], x[edge] - x[next]);
             let value = dx * (x[edge] - origin_x) - dy * (y[edge] - origin_y);
-            let value = (value - has_samples(dx, dy).ints() - splat(1)) >> 5i32;
+            let value = (value - owns_samples(dx, dy).ints() - splat(1)) >> 5i32;
             value.store(&mut self.edge[edge]);
             (-dx).store(&mut self.along_x[edge]);
             dy.store(&mut self.along_y[edge]);
@@ -97,7 +97,7 @@ impl Setup {
             pixels_y[end].store(&mut self.y[end]);
         }
         let [x, y, z] = corners.exact();
-        let [at_corner, per_x, per_y] = Slopes::new(&x, &y).of(&z);
+        let [at_corner, per_x, per_y] = Slopes::new(&x, &y).plane(&z);
         at_corner.store(&mut self.depth);
         per_x.store(&mut self.depth_x);
         per_y.store(&mut self.depth_y);
@@ -110,14 +110,14 @@ impl Setup {
         piece: &[ClippedCorner<()>; 3],
         window: Window,
     ) -> bool {
-        let corners = turned(instance.counter_clockwise).map(|corner| piece[corner]);
+        let corners = winding_order(instance.counter_clockwise).map(|corner| piece[corner]);
         let snap = |value: f32| {
             let at = (value * SUBPIXELS as f32).round_ties_even() as i32;
-            at.clamp(-FURTHEST, FURTHEST)
+            at.clamp(-MAX_COORDINATE, MAX_COORDINATE)
         };
         let [x, y] = [0, 1].map(|axis| corners.map(|corner| snap(corner.window[axis])));
-        let wide = |a: i32, b: i32| i64::from(a) * i64::from(b);
-        let area = wide(x[0] - x[1], y[2] - y[0]) - wide(x[2] - x[0], y[0] - y[1]);
+        let product = |a: i32, b: i32| i64::from(a) * i64::from(b);
+        let area = product(x[0] - x[1], y[2] - y[0]) - product(x[2] - x[0], y[0] - y[1]);
         if area <= 0 {
             return false;
         }
@@ -143,8 +143,8 @@ impl Setup {
             let (dx, dy) = (y[edge] - y[next], x[edge] - x[next]);
             if self.large == 0 {
                 let value = dx * (x[edge] - origin[0]) - dy * (y[edge] - origin[1]);
-                let is_in = i32::from(dx < 0 || dx == 0 && dy > 0);
-                self.edge[edge][0] = (value + is_in - 1) >> 5i32;
+                let owned = i32::from(dx < 0 || dx == 0 && dy > 0);
+                self.edge[edge][0] = (value + owned - 1) >> 5i32;
             }
             self.along_x[edge][0] = -dx;
             self.along_y[edge][0] = dy;
@@ -152,8 +152,8 @@ impl Setup {
             self.corners[edge][1][0] = y[edge];
         }
         let [x, y, z] = [0, 1, 2].map(|axis| corners.map(|corner| F::splat(corner.window[axis])));
-        let slopes = Slopes::new(&x, &y).of(&z);
-        [self.depth[0], self.depth_x[0], self.depth_y[0]] = slopes.map(|it| it.as_array()[0]);
+        let slopes = Slopes::new(&x, &y).plane(&z);
+        [self.depth[0], self.depth_x[0], self.depth_y[0]] = slopes.map(|slope| slope.as_array()[0]);
         true
     }
 }
@@ -197,21 +197,21 @@ impl Slopes {
             dy20,
         } = self;
         std::array::from_fn(|lane| {
-            let of = |all: &F| F::splat(all.as_array()[lane]);
+            let broadcast = |all: &F| F::splat(all.as_array()[lane]);
             Self {
-                x: of(x),
-                y: of(y),
-                dx01: of(dx01),
-                dy01: of(dy01),
-                dx20: of(dx20),
-                dy20: of(dy20),
+                x: broadcast(x),
+                y: broadcast(y),
+                dx01: broadcast(dx01),
+                dy01: broadcast(dy01),
+                dx20: broadcast(dx20),
+                dy20: broadcast(dy20),
             }
         })
     }
 
     /// Returns the value at the picture's corner, and its changes per pixel.
     #[inline(always)]
-    pub(crate) fn of(&self, values: &[F; 3]) -> [F; 3] {
+    pub(crate) fn plane(&self, values: &[F; 3]) -> [F; 3] {
         let (d01, d20) = (values[0] - values[1], values[2] - values[0]);
         let per_x = d01 * self.dy20 - d20 * self.dy01;
         let per_y = d20 * self.dx01 - d01 * self.dx20;

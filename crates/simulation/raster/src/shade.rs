@@ -7,7 +7,9 @@ use crate::lanes::{F, Floats as _, I, Ints as _, LANES};
 use crate::light::{EyeLight, Shading};
 use crate::model::Model;
 use crate::sample::{self, Place};
-use crate::surface::{self, COLOUR, COORDINATES, OPACITY, OVER_W, Surface, Vertices, Wanted};
+use crate::surface::{
+    self, COLOUR, COORDINATES, OPACITY, OVER_W, Surface, SurfaceRequest, Vertices,
+};
 use crate::texture::{Texels, TextureKind};
 use crate::visible::{CLIPPED, NOTHING, Record, SAMPLES, Visible};
 use crate::window::Window;
@@ -26,10 +28,13 @@ pub(crate) const MAX_SIDE: usize = 4096;
 /// Bits of a column or row number, which is below [`MAX_SIDE`].
 const SIDE_BITS: u32 = MAX_SIDE.ilog2();
 const SIDE_MASK: u32 = (1 << SIDE_BITS) - 1;
-const _: () = assert!(MAX_SIDE.is_power_of_two(), "each side fits its bits");
+const _: () = assert!(
+    MAX_SIDE.is_power_of_two(),
+    "column and row numbers fit in their bits"
+);
 const _: () = assert!(
     2 * SIDE_BITS + SAMPLES as u32 <= u32::BITS,
-    "all fits a number"
+    "column, row and samples fit in 32 bits"
 );
 
 impl Fragment {
@@ -66,8 +71,8 @@ pub(crate) struct Lists {
     first: usize,
     /// Per record from `first` on: list that holds its fragments, or [`NOTHING`].
     list_of: Vec<u32>,
-    /// Work list of one cluster.
-    wanted: Vec<Wanted>,
+    /// Surfaces to compute in one cluster.
+    requests: Vec<SurfaceRequest>,
     vertices: Box<Vertices>,
     /// Fragments by texture; the last list holds those without a texture.
     pub(crate) fragments: Vec<Vec<Fragment>>,
@@ -83,10 +88,10 @@ impl Lists {
         self.fragments.iter_mut().for_each(Vec::clear);
     }
 
-    /// Notes that a record's surface is needed; returns the surface's index, and the list for its
+    /// Requests a record's surface; returns the surface's index, and the list for its
     /// fragments.
     #[inline(always)]
-    pub(crate) fn need(
+    pub(crate) fn request_surface(
         &mut self,
         id: u32,
         records: &[Record],
@@ -153,17 +158,17 @@ impl Listing<'_> {
             return;
         }
         let [a, b, c, d] = *ids;
-        let of = |same: bool, sample: u32| u32::from(same) << sample;
-        let with_first = 1 | of(b == a, 1) | of(c == a, 2) | of(d == a, 3);
+        let bit = |same: bool, sample: u32| u32::from(same) << sample;
+        let with_first = 1 | bit(b == a, 1) | bit(c == a, 2) | bit(d == a, 3);
         self.push(a, x, y, with_first);
         if with_first == 0xf {
             return;
         }
         if b != a {
-            self.push(b, x, y, 2 | of(c == b, 2) | of(d == b, 3));
+            self.push(b, x, y, 2 | bit(c == b, 2) | bit(d == b, 3));
         }
         if c != a && c != b {
-            self.push(c, x, y, 4 | of(d == c, 3));
+            self.push(c, x, y, 4 | bit(d == c, 3));
         }
         if d != a && d != b && d != c {
             self.push(d, x, y, 8);
@@ -172,7 +177,7 @@ impl Listing<'_> {
 
     #[inline(always)]
     fn push(&mut self, id: u32, x: u32, y: u32, samples: u32) {
-        if id != self.id && !self.turn_to(id) {
+        if id != self.id && !self.select_record(id) {
             return;
         }
         self.list.push(Fragment::new(x, y, samples, self.surface));
@@ -180,11 +185,11 @@ impl Listing<'_> {
 
     /// Makes a record the current one; returns false if it is not listed.
     #[inline(always)]
-    fn turn_to(&mut self, id: u32) -> bool {
+    fn select_record(&mut self, id: u32) -> bool {
         if id == NOTHING || (id as usize) < self.lists.first {
             return false;
         }
-        let (surface, number) = self.lists.need(id, self.records, self.instances);
+        let (surface, number) = self.lists.request_surface(id, self.records, self.instances);
         (self.id, self.surface) = (id, surface);
         if number != self.number {
             self.close();
@@ -205,7 +210,7 @@ impl Listing<'_> {
 
 /// Computes the listed surfaces.
 #[inline(always)]
-pub(crate) fn work_out_surfaces(
+pub(crate) fn compute_surfaces(
     model: &Model,
     visible: &Visible,
     instances: &[Instance],
@@ -223,11 +228,11 @@ pub(crate) fn work_out_surfaces(
         surfaces,
         first,
         list_of,
-        wanted,
+        requests,
         vertices,
         ..
     } = lists;
-    let mut shading = ShadingOf { lights, last: None };
+    let mut shading = ShadingCache { lights, last: None };
     let records = visible.records[*first..].iter().zip(&*list_of).zip(0u32..);
     let mut needed = records
         .filter(|((_, list), _)| **list != NOTHING)
@@ -235,40 +240,40 @@ pub(crate) fn work_out_surfaces(
         .peekable();
     while let Some((record, surface)) = needed.next() {
         let instance = &instances[record.instance as usize];
-        let mesh = instance.mesh.of(model);
-        let shading = shading.of(record.instance, instance);
+        let mesh = instance.mesh.resolve(model);
+        let shading = shading.get(record.instance, instance);
         if record.vertices == CLIPPED {
             surfaces[surface as usize] =
-                surface::work_out_clipped(instance, mesh, shading, visible, record);
+                surface::compute_clipped(instance, mesh, shading, visible, record);
             continue;
         }
-        wanted.clear();
-        wanted.push(Wanted {
+        requests.clear();
+        requests.push(SurfaceRequest {
             triangle: record.triangle,
             surface,
         });
-        let is_of_same =
+        let is_in_same_cluster =
             |next: &Record| (next.instance, next.vertices) == (record.instance, record.vertices);
-        while let Some((next, surface)) = needed.next_if(|(next, _)| is_of_same(next)) {
-            wanted.push(Wanted {
+        while let Some((next, surface)) = needed.next_if(|(next, _)| is_in_same_cluster(next)) {
+            requests.push(SurfaceRequest {
                 triangle: next.triangle,
                 surface,
             });
         }
-        let cluster = (record.vertices, wanted.as_slice());
-        surface::work_out(instance, mesh, shading, size, cluster, vertices, surfaces);
+        let cluster = (record.vertices, requests.as_slice());
+        surface::compute_cluster(instance, mesh, shading, size, cluster, vertices, surfaces);
     }
 }
 
 /// Cached shading of the last instance.
-struct ShadingOf<'a> {
+struct ShadingCache<'a> {
     lights: &'a [EyeLight],
     last: Option<(u32, Option<Shading<'a>>)>,
 }
 
-impl<'a> ShadingOf<'a> {
+impl<'a> ShadingCache<'a> {
     /// Returns `None` if lights do not affect the instance's colour.
-    fn of(&mut self, index: u32, instance: &Instance) -> Option<&Shading<'a>> {
+    fn get(&mut self, index: u32, instance: &Instance) -> Option<&Shading<'a>> {
         if self.last.as_ref().is_none_or(|(last, _)| *last != index) {
             let shading = instance.is_lit.then(|| Shading::new(instance, self.lights));
             self.last = Some((index, shading));
@@ -312,19 +317,23 @@ struct Planes {
 impl Planes {
     /// Gathers every interpolated value of eight surfaces.
     #[inline(always)]
-    fn gather(of: &[&Surface; LANES]) -> [Self; VARYING] {
-        let first = of[0];
-        if of.iter().all(|surface| std::ptr::eq(*surface, first)) {
+    fn gather(surfaces: &[&Surface; LANES]) -> [Self; VARYING] {
+        let first = surfaces[0];
+        if surfaces.iter().all(|surface| std::ptr::eq(*surface, first)) {
             return std::array::from_fn(|at| Self {
                 at_corner: F::splat(first.at_corner[at]),
                 per_x: F::splat(first.per_x[at]),
                 per_y: F::splat(first.per_y[at]),
             });
         }
-        let columns =
-            |part: fn(&Surface) -> [f32; VARYING]| F::transpose(of.map(|it| F::new(part(it))));
-        let at_corner = columns(|it| it.at_corner);
-        let (per_x, per_y) = (columns(|it| it.per_x), columns(|it| it.per_y));
+        let columns = |part: fn(&Surface) -> [f32; VARYING]| {
+            F::transpose(surfaces.map(|surface| F::new(part(surface))))
+        };
+        let at_corner = columns(|surface| surface.at_corner);
+        let (per_x, per_y) = (
+            columns(|surface| surface.per_x),
+            columns(|surface| surface.per_y),
+        );
         std::array::from_fn(|at| Self {
             at_corner: at_corner[at],
             per_x: per_x[at],
@@ -346,13 +355,17 @@ fn colour_eight(
     fragments: &[Fragment; LANES],
 ) -> [u32; LANES] {
     let splat = |value: f32| F::splat(value);
-    let of: [&Surface; LANES] = fragments
+    let eight: [&Surface; LANES] = fragments
         .each_ref()
-        .map(|it| &surfaces[it.surface as usize]);
-    let all = Planes::gather(&of);
+        .map(|fragment| &surfaces[fragment.surface as usize]);
+    let all = Planes::gather(&eight);
     let planes = |at: usize| all[at];
     let (one, half) = (splat(1.0), splat(0.5));
-    let places = I::new(fragments.each_ref().map(|it| it.place.cast_signed()));
+    let places = I::new(
+        fragments
+            .each_ref()
+            .map(|fragment| fragment.place.cast_signed()),
+    );
     let side = I::splat(SIDE_MASK.cast_signed());
     let (x, y) = (places & side, (places >> SIDE_BITS.cast_signed()) & side);
     let centre = |at: I| -> F { at.float() + half };
@@ -373,18 +386,18 @@ fn colour_eight(
                 at: along.map(|plane| plane.at(px, py) * w * over_fourth),
             }
         };
-        let own = at(px, py);
+        let place = at(px, py);
         let texel = match texture.texture.kind {
             TextureKind::Flat { srgb } => {
                 let even = I::splat(!1);
                 let (qx, qy) = (centre(x & even), centre(y & even));
                 let square = [at(qx, qy), at(qx + one, qy), at(qx, qy + one)];
-                sample::flat(texture, srgb, own, square)
+                sample::flat(texture, srgb, place, square)
             }
             TextureKind::Cube => {
-                let other = I::splat(1);
-                let neighbours = [at(centre(x ^ other), py), at(px, centre(y ^ other))];
-                sample::cube(texture, own, neighbours)
+                let last_bit = I::splat(1);
+                let neighbours = [at(centre(x ^ last_bit), py), at(px, centre(y ^ last_bit))];
+                sample::cube(texture, place, neighbours)
             }
         };
         for (part, texel) in colour.iter_mut().zip(texel) {

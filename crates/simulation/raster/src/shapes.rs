@@ -159,7 +159,7 @@ fn dome(
     rings: usize,
 ) {
     let tip = corner([0.0, 0.0, raised + side as f32], [0.0, 0.0, side as f32]);
-    let turned = |mut corners: Vec<Corner>| {
+    let wound = |mut corners: Vec<Corner>| {
         if side < 0 {
             corners.reverse();
         }
@@ -168,7 +168,7 @@ fn dome(
     for slice in 0..slices {
         let (a, b) = (azimuth(slice, slices), azimuth(slice + 1, slices));
         let low = elevation(rings - 1);
-        let corners = turned(vec![
+        let corners = wound(vec![
             on_sphere(a, low, raised),
             on_sphere(b, low, raised),
             tip,
@@ -179,7 +179,7 @@ fn dome(
         let (low, high) = (elevation(ring), elevation(ring + 1));
         for slice in 0..slices {
             let (a, b) = (azimuth(slice, slices), azimuth(slice + 1, slices));
-            let corners = turned(vec![
+            let corners = wound(vec![
                 on_sphere(a, low, raised),
                 on_sphere(b, low, raised),
                 on_sphere(b, high, raised),
@@ -217,7 +217,7 @@ fn disk(builder: &mut MeshBuilder, side: i32, slices: usize, stacks: usize) {
         ];
         corner(pos, [0.0, 0.0, z])
     };
-    let turned = |mut corners: Vec<Corner>| {
+    let wound = |mut corners: Vec<Corner>| {
         if side < 0 {
             corners.reverse();
         }
@@ -227,7 +227,7 @@ fn disk(builder: &mut MeshBuilder, side: i32, slices: usize, stacks: usize) {
     for slice in 0..slices {
         let (a, b) = (azimuth(slice, slices), azimuth(slice + 1, slices));
         let middle = corner([0.0, 0.0, z], [0.0, 0.0, z]);
-        let corners = turned(vec![at(a, inner), at(b, inner), middle]);
+        let corners = wound(vec![at(a, inner), at(b, inner), middle]);
         builder.triangle([corners[0], corners[1], corners[2]]);
     }
     for ring in 0..stacks - 1 {
@@ -235,7 +235,7 @@ fn disk(builder: &mut MeshBuilder, side: i32, slices: usize, stacks: usize) {
         let (r1, r2) = (radius(ring + 1), radius(ring + 2));
         for slice in 0..slices {
             let (a, b) = (azimuth(slice, slices), azimuth(slice + 1, slices));
-            let corners = turned(vec![at(a, r2), at(b, r2), at(b, r1), at(a, r1)]);
+            let corners = wound(vec![at(a, r2), at(b, r2), at(b, r1), at(a, r1)]);
             builder.quad([corners[0], corners[1], corners[2], corners[3]]);
         }
     }

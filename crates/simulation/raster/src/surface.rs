@@ -6,7 +6,7 @@ use crate::instance::{Instance, Mapping};
 use crate::lanes::{F, Floats as _, LANES};
 use crate::light::{Shading, shade};
 use crate::mesh::{CLUSTER, Mesh, Vertex};
-use crate::setup::{Slopes, turned};
+use crate::setup::{Slopes, winding_order};
 use crate::visible::{CLIPPED, Record, Visible};
 
 /// Index at which each interpolated value starts; all are divided by w.
@@ -25,9 +25,9 @@ pub(crate) struct Surface {
     pub(crate) per_y: [f32; VARYING],
 }
 
-/// A triangle of a cluster, and its index among the surfaces.
+/// A triangle of a cluster, and the index of its surface among all surfaces.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Wanted {
+pub(crate) struct SurfaceRequest {
     pub(crate) triangle: u32,
     pub(crate) surface: u32,
 }
@@ -36,18 +36,18 @@ pub(crate) struct Wanted {
 #[derive(Debug)]
 pub(crate) struct Vertices {
     /// Per vertex: its index in the other lists, or [`UNLIT`].
-    slots: [u8; MOST],
-    x: [f32; MOST],
-    y: [f32; MOST],
-    varying: [[f32; VARYING]; MOST],
+    slots: [u8; CAPACITY],
+    x: [f32; CAPACITY],
+    y: [f32; CAPACITY],
+    varying: [[f32; VARYING]; CAPACITY],
 }
 
-/// Most vertices of a cluster: as many as a byte can index, so that indices need no bounds check.
-/// Includes padding, since vertices are computed eight at a time.
-const MOST: usize = 256;
+/// Largest number of vertices of a cluster: as many as a byte can index, so that indices need no
+/// bounds check. Includes padding, since vertices are computed eight at a time.
+const CAPACITY: usize = 256;
 const _: () = assert!(
-    3 * CLUSTER + LANES <= MOST,
-    "a byte names any vertex, or none"
+    3 * CLUSTER + LANES <= CAPACITY,
+    "a byte indexes every vertex, and UNLIT"
 );
 /// Marks a vertex that no triangle has needed so far.
 const UNLIT: u8 = u8::MAX;
@@ -55,10 +55,10 @@ const UNLIT: u8 = u8::MAX;
 impl Default for Vertices {
     fn default() -> Self {
         Self {
-            slots: [UNLIT; MOST],
-            x: [0.0; MOST],
-            y: [0.0; MOST],
-            varying: [[0.0; VARYING]; MOST],
+            slots: [UNLIT; CAPACITY],
+            x: [0.0; CAPACITY],
+            y: [0.0; CAPACITY],
+            varying: [[0.0; VARYING]; CAPACITY],
         }
     }
 }
@@ -72,13 +72,13 @@ impl Vertices {
         mesh: &Mesh,
         shading: Option<&Shading<'_>>,
         size: [f32; 2],
-        (first, wanted): (u32, &[Wanted]),
+        (first, requests): (u32, &[SurfaceRequest]),
     ) {
         let vertices = &mesh.vertices[first as usize..];
         let corners = mesh.corners.each_ref().map(|corners| &corners[..]);
         self.slots.fill(UNLIT);
-        let (mut needed, mut count) = ([0; MOST], 0);
-        for triangle in wanted.iter().map(|it| it.triangle as usize) {
+        let (mut needed, mut count) = ([0; CAPACITY], 0);
+        for triangle in requests.iter().map(|request| request.triangle as usize) {
             for corners in corners {
                 let slot = &mut self.slots[usize::from(corners[triangle])];
                 if *slot == UNLIT {
@@ -94,10 +94,10 @@ impl Vertices {
                 *vertex = vertices[usize::from(*id)];
             }
             let from = Corners::new(eight);
-            let placed = from.place(instance, size);
-            placed.x.store(&mut self.x[at..at + LANES]);
-            placed.y.store(&mut self.y[at..at + LANES]);
-            let values = F::transpose(from.values(instance, shading, placed.over_w));
+            let projected = from.project(instance, size);
+            projected.x.store(&mut self.x[at..at + LANES]);
+            projected.y.store(&mut self.y[at..at + LANES]);
+            let values = F::transpose(from.values(instance, shading, projected.over_w));
             for (varying, values) in self.varying[at..at + LANES].iter_mut().zip(values) {
                 *varying = values.to_array();
             }
@@ -107,23 +107,23 @@ impl Vertices {
 
 /// Computes the surfaces of triangles in one cluster, whose vertices start at `first`.
 #[inline(always)]
-pub(crate) fn work_out(
+pub(crate) fn compute_cluster(
     instance: &Instance,
     mesh: &Mesh,
     shading: Option<&Shading<'_>>,
     size: [f32; 2],
-    (first, wanted): (u32, &[Wanted]),
+    (first, requests): (u32, &[SurfaceRequest]),
     vertices: &mut Vertices,
     into: &mut [Surface],
 ) {
-    vertices.light(instance, mesh, shading, size, (first, wanted));
-    let order = turned(instance.counter_clockwise).map(|corner| &mesh.corners[corner][..]);
-    for wanted in wanted.chunks(LANES) {
+    vertices.light(instance, mesh, shading, size, (first, requests));
+    let order = winding_order(instance.counter_clockwise).map(|corner| &mesh.corners[corner][..]);
+    for requests in requests.chunks(LANES) {
         let mut slots = [[0u8; 3]; LANES];
         let (mut x, mut y) = ([[0.0; LANES]; 3], [[0.0; LANES]; 3]);
-        for (lane, wanted) in wanted.iter().enumerate() {
+        for (lane, request) in requests.iter().enumerate() {
             for (turn, corners) in order.into_iter().enumerate() {
-                let vertex = corners[wanted.triangle as usize];
+                let vertex = corners[request.triangle as usize];
                 let slot = vertices.slots[usize::from(vertex)];
                 slots[lane][turn] = slot;
                 x[turn][lane] = vertices.x[usize::from(slot)];
@@ -131,11 +131,11 @@ pub(crate) fn work_out(
             }
         }
         let slopes = Slopes::new(&x.map(F::new), &y.map(F::new)).each();
-        for ((wanted, slots), slopes) in wanted.iter().zip(slots).zip(slopes) {
+        for ((request, slots), slopes) in requests.iter().zip(slots).zip(slopes) {
             // One lane per interpolated value.
             let values = slots.map(|slot| F::new(vertices.varying[usize::from(slot)]));
-            let [at_corner, per_x, per_y] = slopes.of(&values);
-            into[wanted.surface as usize] = Surface {
+            let [at_corner, per_x, per_y] = slopes.plane(&values);
+            into[request.surface as usize] = Surface {
                 at_corner: at_corner.to_array(),
                 per_x: per_x.to_array(),
                 per_y: per_y.to_array(),
@@ -151,7 +151,8 @@ struct Corners {
     st: [F; 2],
 }
 
-struct Placed {
+/// Positions of eight vertices in the picture, and 1/w.
+struct Projected {
     x: F,
     y: F,
     over_w: F,
@@ -168,14 +169,14 @@ impl Corners {
         }
     }
 
-    /// Repeats the computation of [`Positions`](crate::setup::Positions) bit for bit.
+    /// Repeats the computation of [`transform`](crate::place::transform) bit for bit.
     #[inline(always)]
-    fn place(&self, instance: &Instance, size: [f32; 2]) -> Placed {
+    fn project(&self, instance: &Instance, size: [f32; 2]) -> Projected {
         let [x, y, z] = self.pos;
         let row = instance.to_clip.rows([x, y, z]);
         let half = size.map(|size| F::splat(size * 0.5));
         let over_w = F::splat(1.0) / row(3);
-        Placed {
+        Projected {
             x: (row(0) * over_w).fused(half[0], half[0]),
             y: (row(1) * over_w).fused(half[1], half[1]),
             over_w,
@@ -198,12 +199,12 @@ impl Corners {
                 let row = instance.to_eye.rows([x, y, z]);
                 let normal = self.normal;
                 let inverse = instance.normals.map(splat);
-                let turned = [0, 1, 2].map(|axis| {
+                let eye_normal = [0, 1, 2].map(|axis| {
                     normal[2] * inverse[6 + axis]
                         + normal[1] * inverse[3 + axis]
                         + normal[0] * inverse[axis]
                 });
-                shade(shading, [row(0), row(1), row(2)], turned)
+                shade(shading, [row(0), row(1), row(2)], eye_normal)
             }
         };
         let [s, t] = self.st;
@@ -228,7 +229,7 @@ impl Corners {
 /// Computes the surface of a clipped piece by clipping its triangle again with all interpolated
 /// values.
 #[inline(never)]
-pub(crate) fn work_out_clipped(
+pub(crate) fn compute_clipped(
     instance: &Instance,
     mesh: &Mesh,
     shading: Option<&Shading<'_>>,
@@ -245,16 +246,16 @@ pub(crate) fn work_out_clipped(
     let from = Corners::new([a, b, c, c, c, c, c, c]);
     let [a, b, c, ..] = F::transpose(from.values(instance, shading, F::splat(1.0)));
     let pos = [0, 1, 2].map(|lane| from.pos.map(|axis| axis.as_array()[lane]));
-    let polygon = clip::clip(instance, pos, [a, b, c], &piece.cut);
+    let polygon = clip::clip(instance, pos, [a, b, c], &piece.clipping);
     let Some(corners) = polygon.pieces().nth(piece.piece as usize) else {
         return Surface::default();
     };
-    let corners = turned(instance.counter_clockwise).map(|corner| corners[corner]);
+    let corners = winding_order(instance.counter_clockwise).map(|corner| corners[corner]);
     let place = |axis: usize| corners.map(|corner| F::splat(corner.window[axis]));
     let slopes = Slopes::new(&place(0), &place(1));
     // One lane per interpolated value.
     let values = corners.map(|corner| corner.values * F::splat(corner.over_w));
-    let [at_corner, per_x, per_y] = slopes.of(&values);
+    let [at_corner, per_x, per_y] = slopes.plane(&values);
     Surface {
         at_corner: at_corner.to_array(),
         per_x: per_x.to_array(),

@@ -181,7 +181,7 @@ impl Texture {
         channels: usize,
         bytes: &[u8],
     ) -> Result<Self, ModelError> {
-        let images = images_of(kind, width, height, channels)
+        let images = image_count(kind, width, height, channels)
             .filter(|_| bytes.len() == width * height * channels)
             .ok_or(ModelError::Texture {
                 width,
@@ -189,7 +189,7 @@ impl Texture {
                 channels,
                 bytes: bytes.len(),
             })?;
-        let mut texture = Self::sized(kind, [width, height, channels], images);
+        let mut texture = Self::with_sizes(kind, [width, height, channels], images);
         texture.smaller = Values::with_capacity(texture.smaller_bytes(images));
         texture.add_smaller_levels(images, bytes);
         texture.smaller.push(0);
@@ -212,10 +212,10 @@ impl Texture {
         [width, height, channels]: [usize; 3],
         smaller: Bytes,
     ) -> Result<Self, ModelError> {
-        let images = images_of(kind, width, height, channels).ok_or(ModelError::Bytes)?;
+        let images = image_count(kind, width, height, channels).ok_or(ModelError::Bytes)?;
         let texture = Self {
             smaller: Values::Shared(smaller),
-            ..Self::sized(kind, [width, height, channels], images)
+            ..Self::with_sizes(kind, [width, height, channels], images)
         };
         match texture.smaller.len() == texture.smaller_bytes(images) {
             true => Ok(texture),
@@ -224,7 +224,7 @@ impl Texture {
     }
 
     /// Creates a texture with the sizes of its levels, without bytes of the smaller ones.
-    fn sized(kind: TextureKind, [width, height, channels]: [usize; 3], images: usize) -> Self {
+    fn with_sizes(kind: TextureKind, [width, height, channels]: [usize; 3], images: usize) -> Self {
         let first = Level::new(width, height / images, 0, images);
         let next = |last: &Level| last.next(images);
         Self {
@@ -254,7 +254,7 @@ impl Texture {
                     let t = (y as f32 + 0.5) / height as f32;
                     for x in 0..width {
                         let s = (x as f32 + 0.5) / width as f32;
-                        let texel = Texels::new(self, bytes).middle(&last, image, s, t);
+                        let texel = Texels::new(self, bytes).downsampled(&last, image, s, t);
                         self.smaller.extend(&texel.to_le_bytes()[..self.channels]);
                     }
                 }
@@ -266,7 +266,7 @@ impl Texture {
 impl Texels<'_> {
     /// Returns the colour of a level at a point, 0 to 1 in both directions, as a texel of the next
     /// smaller level.
-    fn middle(&self, level: &Level, image: usize, s: f32, t: f32) -> u32 {
+    fn downsampled(&self, level: &Level, image: usize, s: f32, t: f32) -> u32 {
         let first = level.start + image * level.image;
         let texel = |x: usize, y: usize| self.at(first + y * level.width + x).to_le_bytes();
         let srgb = self.texture.kind == (TextureKind::Flat { srgb: true });
@@ -329,7 +329,7 @@ impl Level {
 }
 
 /// Returns the number of images in the largest level; `None` if the dimensions are invalid.
-fn images_of(kind: TextureKind, width: usize, height: usize, channels: usize) -> Option<usize> {
+fn image_count(kind: TextureKind, width: usize, height: usize, channels: usize) -> Option<usize> {
     let is_sized = (1..=MAX_SIDE).contains(&width)
         && (1..=6 * MAX_SIDE).contains(&height)
         && matches!(channels, 3 | 4);
@@ -340,7 +340,7 @@ fn images_of(kind: TextureKind, width: usize, height: usize, channels: usize) ->
     }
 }
 
-/// Returns the two texels beside a point between 0 and 1, and its distance from the first in
+/// Returns the two texels around a point between 0 and 1, and its distance from the first in
 /// 256ths.
 fn fixed(at: f32, size: usize) -> (usize, usize, i32) {
     let place = (at * (size * 256) as f32).round_ties_even() as i32 - 128;
@@ -393,8 +393,8 @@ fn encoded(value: f32) -> u8 {
     let scaled = if value <= 0.003_130_8 {
         value * (12.92 * 255.0)
     } else {
-        let root = value * over_root(value);
-        let power = over_root(over_root(root * value));
+        let root = value * reciprocal_sqrt(value);
+        let power = reciprocal_sqrt(reciprocal_sqrt(root * value));
         let factor = |share: f32| (f64::from(share) * 1.0622 * 255.0) as f32;
         factor(0.675) * power + factor(0.325).mul_add(root, -0.0620 * 255.0)
     };
@@ -404,7 +404,7 @@ fn encoded(value: f32) -> u8 {
 /// Returns the reciprocal square root of a positive number as estimated by Intel's processors:
 /// evaluated at the centre of one of 1,024 intervals per octave, and rounded to 12 bits. Mipmap
 /// levels of sRGB textures equal Mesa's only with this estimate.
-fn over_root(value: f32) -> f32 {
+fn reciprocal_sqrt(value: f32) -> f32 {
     const PART: u32 = 1 << 13;
     let bits = value.to_bits();
     // Scales by an even power of two into the range from 1/4 to 1.
@@ -426,10 +426,13 @@ mod tests {
         for value in [
             0.0032f32, 0.01, 0.2499, 0.25, 0.3, 0.5, 0.99, 1.0, 2.0, 17.3,
         ] {
-            let wanted = 1.0 / value.sqrt();
-            assert!((over_root(value) / wanted - 1.0).abs() < 5e-4, "{value}");
+            let expected = 1.0 / value.sqrt();
+            assert!(
+                (reciprocal_sqrt(value) / expected - 1.0).abs() < 5e-4,
+                "{value}"
+            );
         }
-        assert_eq!(over_root(1.0), 4095.0 / 4096.0);
+        assert_eq!(reciprocal_sqrt(1.0), 4095.0 / 4096.0);
     }
 
     #[test]
@@ -458,14 +461,14 @@ mod tests {
             for value in [0u8, 1, 15, 16, 100, 254, 255] {
                 let bytes = vec![value; 8 * 8 * 3];
                 let texture = Texture::new(kind, 8, 8, 3, &bytes).expect("it fits");
-                let wanted = u32::from_le_bytes([value, value, value, 255]);
+                let expected = u32::from_le_bytes([value, value, value, 255]);
                 let texels = Texels::new(&texture, &bytes);
                 let all = texture
                     .levels
                     .iter()
                     .map(|level| level.width * level.height);
                 assert!(
-                    (0..all.sum()).all(|at| texels.at(at) == wanted),
+                    (0..all.sum()).all(|at| texels.at(at) == expected),
                     "{kind:?} {value}"
                 );
             }

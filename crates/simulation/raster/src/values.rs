@@ -9,21 +9,21 @@ use bytes::Bytes;
 #[derive(Debug, Clone)]
 pub(crate) enum Values<T> {
     /// Owned values.
-    Own(Vec<T>),
+    Owned(Vec<T>),
     /// Shared bytes, whose alignment and length were checked once.
     Shared(Bytes),
 }
 
 impl<T> Default for Values<T> {
     fn default() -> Self {
-        Self::Own(Vec::new())
+        Self::Owned(Vec::new())
     }
 }
 
 impl<T> Values<T> {
     /// Creates an empty array with capacity for `count` values.
     pub(crate) fn with_capacity(count: usize) -> Self {
-        Self::Own(Vec::with_capacity(count))
+        Self::Owned(Vec::with_capacity(count))
     }
 }
 
@@ -36,22 +36,22 @@ impl<T: AnyBitPattern> Values<T> {
 }
 
 impl<T: NoUninit + AnyBitPattern> Values<T> {
-    /// Appends a value, after copying shared ones.
+    /// Appends a value; shared values are copied first.
     pub(crate) fn push(&mut self, value: T) {
-        self.own().push(value);
+        self.owned_mut().push(value);
     }
 
-    /// Appends values, after copying shared ones.
+    /// Appends values; shared values are copied first.
     pub(crate) fn extend(&mut self, values: &[T]) {
-        self.own().extend_from_slice(values);
+        self.owned_mut().extend_from_slice(values);
     }
 
-    fn own(&mut self) -> &mut Vec<T> {
+    fn owned_mut(&mut self) -> &mut Vec<T> {
         if let Self::Shared(_) = self {
-            *self = Self::Own(self.to_vec());
+            *self = Self::Owned(self.to_vec());
         }
         match self {
-            Self::Own(values) => values,
+            Self::Owned(values) => values,
             Self::Shared(_) => unreachable!("copied above"),
         }
     }
@@ -63,13 +63,13 @@ impl<T: AnyBitPattern> Deref for Values<T> {
     #[inline(always)]
     fn deref(&self) -> &[T] {
         match self {
-            Self::Own(values) => values,
+            Self::Owned(values) => values,
             Self::Shared(bytes) => bytemuck::cast_slice(bytes),
         }
     }
 }
 
-/// Numbers at the start of a blob, and the arrays that follow them.
+/// Reader of serialised numbers and arrays.
 pub(crate) struct Blob {
     bytes: Bytes,
 }

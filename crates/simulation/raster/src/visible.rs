@@ -16,7 +16,7 @@ pub(crate) const PART: [i32; 2] = [8, 4];
 
 /// Number of writes to a block after which its depth bounds are recomputed. A small triangle counts
 /// as one write.
-const WORTH_FINDING: u8 = 16;
+const WRITES_PER_UPDATE: u8 = 16;
 
 /// Marks a sample without a triangle.
 pub(crate) const NOTHING: u32 = u32::MAX;
@@ -87,15 +87,15 @@ impl Visible {
         self.records.clear();
         self.clipped.clear();
         self.touched = None;
-        self.forget_what_is_hidden(0);
+        self.reset_blocks(0);
     }
 
     /// Invalidates the depth bounds. Must be called after code outside this module changed depths.
-    pub(crate) fn depths_were_replaced(&mut self) {
-        self.forget_what_is_hidden(WORTH_FINDING);
+    pub(crate) fn invalidate_bounds(&mut self) {
+        self.reset_blocks(WRITES_PER_UPDATE);
     }
 
-    fn forget_what_is_hidden(&mut self, writes: u8) {
+    fn reset_blocks(&mut self, writes: u8) {
         self.blocks_in_row = self.width.div_ceil(BLOCK as usize);
         let blocks = self.blocks_in_row * self.height.div_ceil(BLOCK as usize);
         self.blocks.clear();
@@ -115,7 +115,7 @@ impl Visible {
     }
 
     /// Adds `writes` to the write counts of the blocks that contain an inclusive range of pixels;
-    /// see [`WORTH_FINDING`].
+    /// see [`WRITES_PER_UPDATE`].
     #[inline(always)]
     pub(crate) fn mark_written(&mut self, x: [i32; 2], y: [i32; 2], writes: u8) {
         let mark = |block: &mut Block| block.writes = block.writes.saturating_add(writes);
@@ -135,9 +135,9 @@ impl Visible {
     /// Returns lower bounds of the depths in the parts of the block with this first pixel, and in
     /// the whole block.
     #[inline(always)]
-    pub(crate) fn hidden_beyond(&mut self, [x, y]: [i32; 2]) -> (F, f32) {
+    pub(crate) fn depth_bounds(&mut self, [x, y]: [i32; 2]) -> (F, f32) {
         let at = self.block_of(x, y);
-        if self.blocks[at].writes >= WORTH_FINDING {
+        if self.blocks[at].writes >= WRITES_PER_UPDATE {
             self.blocks[at] = self.bounds([x as usize, y as usize]);
         }
         let block = &self.blocks[at];
@@ -194,10 +194,10 @@ pub(crate) struct Layer {
     pub(crate) samples: u32,
 }
 
-/// Receives layers. Drawing stops when there are more than `most`, and the list is then incomplete.
+/// Receives layers. Drawing stops when there are more than `max`, and the list is then incomplete.
 pub(crate) struct Layers<'a> {
     pub(crate) list: &'a mut Vec<Layer>,
-    pub(crate) most: usize,
+    pub(crate) max: usize,
 }
 
 /// Tables for comparing the drawing order of two triangles.
@@ -210,13 +210,13 @@ pub(crate) struct Ranks<'a> {
 
 impl Ranks<'_> {
     /// Returns the drawing order of the instance and of the triangle within its mesh.
-    pub(crate) fn of(&self, record: &Record) -> (u32, u32) {
+    pub(crate) fn rank(&self, record: &Record) -> (u32, u32) {
         let triangle = match record.vertices {
             CLIPPED => self.clipped[record.triangle as usize].triangle,
             _ => record.triangle,
         };
         let instance = &self.instances[record.instance as usize];
-        let mesh = instance.mesh.of(self.model);
+        let mesh = instance.mesh.resolve(self.model);
         (instance.rank, mesh.order[triangle as usize])
     }
 
@@ -224,11 +224,11 @@ impl Ranks<'_> {
     /// in the drawing order.
     #[inline(never)]
     pub(crate) fn lost_ties(&self, ties: u32, ids: &[u32], record: &Record) -> u32 {
-        let ours = self.of(record);
+        let rank = self.rank(record);
         let mut lost = 0;
         for (lane, id) in ids.iter().enumerate() {
-            let theirs = self.records.get(*id as usize);
-            if ties & (1 << lane) != 0 && theirs.is_some_and(|it| self.of(it) > ours) {
+            let current = self.records.get(*id as usize);
+            if ties & (1 << lane) != 0 && current.is_some_and(|current| self.rank(current) > rank) {
                 lost |= 1 << lane;
             }
         }

@@ -1,4 +1,4 @@
-//! Rectangle of pixels in a picture.
+//! Rectangles of pixels in a picture.
 
 use std::ops::Range;
 
@@ -11,13 +11,13 @@ pub(crate) struct Window {
 
 /// Accumulates the bounding window of pixels.
 #[derive(Debug, Clone, Copy)]
-pub(crate) struct Around {
+pub(crate) struct BoundingWindow {
     low: [i32; 2],
     high: [i32; 2],
 }
 
-impl Around {
-    pub(crate) const NOTHING: Self = Self {
+impl BoundingWindow {
+    pub(crate) const EMPTY: Self = Self {
         low: [i32::MAX; 2],
         high: [i32::MIN; 2],
     };
@@ -57,19 +57,19 @@ impl Window {
         }
     }
 
-    /// Returns the bounding window of both.
-    pub(crate) fn with(self, other: Self) -> Self {
-        let around = |a: [i32; 2], b: [i32; 2]| [a[0].min(b[0]), a[1].max(b[1])];
+    /// Returns the smallest window that contains both windows.
+    pub(crate) fn enclosing(self, other: Self) -> Self {
+        let range = |a: [i32; 2], b: [i32; 2]| [a[0].min(b[0]), a[1].max(b[1])];
         Self {
-            x: around(self.x, other.x),
-            y: around(self.y, other.y),
+            x: range(self.x, other.x),
+            y: range(self.y, other.y),
         }
     }
 
     /// Returns the bounding window of two windows, of which either may be empty.
-    pub(crate) fn around(one: Option<Self>, other: Option<Self>) -> Option<Self> {
+    pub(crate) fn union(one: Option<Self>, other: Option<Self>) -> Option<Self> {
         match (one, other) {
-            (Some(one), Some(other)) => Some(one.with(other)),
+            (Some(one), Some(other)) => Some(one.enclosing(other)),
             (one, other) => one.or(other),
         }
     }

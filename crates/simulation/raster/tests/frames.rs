@@ -1,5 +1,5 @@
-//! Frames have the same bits on every machine, independent of earlier frames, and every possible
-//! request gives a frame.
+//! Frames have the same bits on every machine, independent of earlier frames, and every
+//! valid request gives a frame.
 
 mod opengl;
 mod scenes;
@@ -38,12 +38,12 @@ fn golden_frames_have_the_same_bits_on_every_machine() {
             .expect("a frame");
         (width, height, digest(frame))
     });
-    let wanted = GOLDEN.map(|(width, height, digest)| (width, height, digest.to_owned()));
-    assert_eq!(found, wanted);
+    let expected = GOLDEN.map(|(width, height, digest)| (width, height, digest.to_owned()));
+    assert_eq!(found, expected);
 }
 
 #[test]
-fn every_part_of_the_room_is_seen() {
+fn every_part_of_the_room_changes_the_frame() {
     let model = model();
     let scene = room();
     let draw = |scene: &Scene| {
@@ -110,15 +110,16 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
-    fn what_was_drawn_before_changes_no_bit(changes in prop::collection::vec(change(), 1..24)) {
+    fn earlier_frames_change_no_bit(changes in prop::collection::vec(change(), 1..24)) {
         let model = model();
         let mut scene = room();
         let mut canvas = Canvas::new();
         for (frame, change) in changes.iter().enumerate() {
             change.apply(&mut scene);
-            let anew = Canvas::new().draw(&model, &largest(), &scene, [64, 48]).expect("a frame").to_vec();
+            let mut fresh = Canvas::new();
+            let expected = fresh.draw(&model, &largest(), &scene, [64, 48]).expect("a frame");
             let drawn = canvas.draw(&model, &largest(), &scene, [64, 48]).expect("a frame");
-            prop_assert!(drawn == anew, "frame {frame} after {changes:?}");
+            prop_assert!(drawn == expected, "frame {frame} after {changes:?}");
         }
     }
 
@@ -225,26 +226,26 @@ fn a_scene_that_cannot_be_drawn_is_refused_with_the_reason() {
 
 /// Draws scenes one after the other on one canvas, each often enough to be cached, and compares the
 /// frames with those of new canvases.
-fn assert_the_same_anew(scenes: &[Scene], size: [usize; 2]) {
+fn assert_equal_to_new_canvases(scenes: &[Scene], size: [usize; 2]) {
     let model = model();
     let mut canvas = Canvas::new();
     for (number, scene) in scenes.iter().enumerate() {
         let mut fresh = Canvas::new();
-        let anew = fresh
+        let expected = fresh
             .draw(&model, &largest(), scene, size)
             .expect("a frame");
         for time in 0..4 {
             let drawn = canvas
                 .draw(&model, &largest(), scene, size)
                 .expect("a frame");
-            assert!(drawn == anew, "scene {number}, time {time}");
+            assert!(drawn == expected, "scene {number}, time {time}");
         }
     }
 }
 
 /// Zeros of both signs compare as equal, but their reciprocals do not.
 #[test]
-fn zeros_of_both_signs_are_told_apart() {
+fn zeros_of_both_signs_are_distinguished() {
     let with_attenuation = |zero: f32| {
         let mut scene = room();
         scene.lights[1].kind = raster::LightKind::Spot {
@@ -255,13 +256,13 @@ fn zeros_of_both_signs_are_told_apart() {
         scene.lights[1].ambient = [0.1; 3];
         scene
     };
-    assert_the_same_anew(&[with_attenuation(0.0), with_attenuation(-0.0)], [32, 32]);
+    assert_equal_to_new_canvases(&[with_attenuation(0.0), with_attenuation(-0.0)], [32, 32]);
 }
 
-/// Glass with more layers than are blended at once is drawn in parts. The expected digest is that
-/// of a frame whose layers were all blended at once.
+/// A translucent geom with more layers than are blended at once is drawn in parts. The expected
+/// digest is that of a frame whose layers were all blended at once.
 #[test]
-fn glass_that_is_blended_in_parts_is_the_same() {
+fn translucent_geoms_blended_in_parts_give_the_same_frame() {
     let mut builder = MeshBuilder::default();
     for layer in 0..1500 {
         let z = layer as f32 * 1e-3;
@@ -294,15 +295,15 @@ fn glass_that_is_blended_in_parts_is_the_same() {
 
 /// The reciprocal of the corners' distance overflows, so their position becomes NaN.
 #[test]
-fn corners_a_hair_from_the_eye_give_a_frame() {
+fn corners_very_close_to_the_eye_give_a_frame() {
     let mut builder = MeshBuilder::default();
     let near = 1e-40;
     for [x, y] in [[0.1, 0.05], [-0.1, 0.05], [0.05, -0.1], [0.1, 0.1]] {
-        let hair = [x * near, y * near, -near];
+        let tip = [x * near, y * near, -near];
         let far = [[-1.0, 0.8, -2.0], [-1.0, -0.9, -2.0], [1.0, 0.7, -2.0]];
-        builder.triangle([hair, far[0], far[1]].map(corner));
-        builder.triangle([hair, far[1], far[2]].map(corner));
-        builder.triangle([hair, far[2], far[0]].map(corner));
+        builder.triangle([tip, far[0], far[1]].map(corner));
+        builder.triangle([tip, far[1], far[2]].map(corner));
+        builder.triangle([tip, far[2], far[0]].map(corner));
     }
     let mut model = model();
     model.meshes.push(builder.build().into());
@@ -318,7 +319,7 @@ fn corners_a_hair_from_the_eye_give_a_frame() {
 
 /// Directions whose reciprocal length is not finite: they hit no face of a cube.
 #[test]
-fn a_cube_in_directions_too_short_to_be_told_gives_a_frame() {
+fn a_cube_sampled_in_very_short_directions_gives_a_frame() {
     let mut scene = room();
     let ball = &mut scene.geoms[6];
     ball.size = [1e-39; 3];

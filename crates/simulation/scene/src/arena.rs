@@ -5,7 +5,7 @@ use std::borrow::Cow;
 
 use libero_family::plus::{CameraPose, ProblemClass};
 
-/// One problem class.
+/// Workspace of one problem class.
 #[derive(Debug, Clone, PartialEq)]
 pub struct Arena {
     /// Problem class as in BDDL files, lower case.
@@ -19,7 +19,7 @@ pub struct Arena {
     /// Category of the fixture that represents the workspace itself; no separate model is loaded
     /// for it.
     pub workspace_category: &'static str,
-    /// A region whose name contains this is a zone on the workspace.
+    /// Text that the names of zones (regions on the workspace) contain.
     pub zone_marker: &'static str,
     /// Body that the zones' sites are attached to.
     pub zone_body: &'static str,
@@ -75,18 +75,18 @@ impl Arena {
     }
 }
 
-/// Finds a problem class: one of LIBERO's, or one of LIBERO-Plus, which are LIBERO's with another
-/// scene file or other textures.
+/// Returns the arena of a problem class of LIBERO or LIBERO-Plus. The classes of LIBERO-Plus are
+/// LIBERO's with another scene file or other textures.
 pub fn arena(problem: &str) -> Option<Arena> {
-    let known = |problem: &str| {
+    let libero_arena = |problem: &str| {
         ARENAS
             .iter()
             .find(|arena| arena.problem == problem)
             .cloned()
     };
-    known(problem).or_else(|| {
+    libero_arena(problem).or_else(|| {
         let class = ProblemClass::parse(problem).ok()?;
-        let arena = known(class.parent)?;
+        let arena = libero_arena(class.parent)?;
         Some(Arena {
             file: class.scene.map_or(arena.file, Cow::Owned),
             floor_texture: class

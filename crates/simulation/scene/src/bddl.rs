@@ -89,15 +89,15 @@ impl Problem {
             return Err(root.error("no `(problem NAME)`"));
         }
         if problem.goal.is_empty() {
-            return Err(root.error("no `(:goal …)`: nothing could ever succeed"));
+            return Err(root.error("no `(:goal …)`"));
         }
         Ok(problem)
     }
 
     /// Finds the region with this full name.
     pub fn region(&self, name: &str) -> Option<&Region> {
-        // The original keeps regions in a dictionary; of two regions with one name, the last one
-        // wins.
+        // hf-libero keeps regions in a dictionary; of two regions with the same
+        // name, the last one wins.
         self.regions.iter().rev().find(|region| region.name == name)
     }
 
@@ -317,7 +317,7 @@ mod tests {
       (:goal (And (In milk_1 basket_1_contain_region))))";
 
     #[test]
-    fn a_small_problem_is_read_whole() {
+    fn a_small_problem_is_parsed_and_written() {
         let problem = Problem::parse(SMALL).unwrap();
         assert_eq!(problem.name, "libero_floor_manipulation");
         assert_eq!(problem.objects.len(), 3);

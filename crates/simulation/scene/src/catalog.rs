@@ -59,7 +59,7 @@ pub enum Threshold {
 }
 
 impl Threshold {
-    /// Returns true if `q` is on this side.
+    /// Returns true if `q` is on this side of the limit.
     pub fn holds(self, q: f64) -> bool {
         match self {
             Self::Above(limit) => q > limit,
@@ -99,14 +99,15 @@ const fn articulated(
     }
 }
 
-const NOT_X: Rotation = Rotation::About(Axis::X, [0.0, 0.0]);
-const NOT_Y: Rotation = Rotation::About(Axis::Y, [0.0, 0.0]);
-const QUARTER_X: Rotation = Rotation::About(Axis::X, [FRAC_PI_2, FRAC_PI_2]);
-const QUARTER_Z: Rotation = Rotation::About(Axis::Z, [FRAC_PI_2, FRAC_PI_2]);
-const QUARTER_BACK: Rotation = Rotation::About(Axis::X, [-FRAC_PI_2, -FRAC_PI_2]);
-const SOME_BACK: Rotation = Rotation::About(Axis::X, [-FRAC_PI_2, -FRAC_PI_4]);
-const SOME: Rotation = Rotation::About(Axis::X, [FRAC_PI_4, FRAC_PI_2]);
-const QUARTER_X_THEN_Z: Rotation = Rotation::InTurn(&[
+// Named for the axis and the angle in degrees. Those with `TO` draw the angle from a range.
+const X_0: Rotation = Rotation::About(Axis::X, [0.0, 0.0]);
+const Y_0: Rotation = Rotation::About(Axis::Y, [0.0, 0.0]);
+const X_90: Rotation = Rotation::About(Axis::X, [FRAC_PI_2, FRAC_PI_2]);
+const Z_90: Rotation = Rotation::About(Axis::Z, [FRAC_PI_2, FRAC_PI_2]);
+const X_MINUS_90: Rotation = Rotation::About(Axis::X, [-FRAC_PI_2, -FRAC_PI_2]);
+const X_MINUS_90_TO_45: Rotation = Rotation::About(Axis::X, [-FRAC_PI_2, -FRAC_PI_4]);
+const X_45_TO_90: Rotation = Rotation::About(Axis::X, [FRAC_PI_4, FRAC_PI_2]);
+const X_90_Z_90: Rotation = Rotation::InTurn(&[
     (Axis::X, [FRAC_PI_2, FRAC_PI_2]),
     (Axis::Z, [FRAC_PI_2, FRAC_PI_2]),
 ]);
@@ -132,93 +133,93 @@ const PRO_CATEGORIES: &[Category] = &[
     rigid(
         "bigger_akita_black_bowl",
         "stable_scanned_objects/bigger_akita_black_bowl/bigger_akita_black_bowl.xml",
-        QUARTER_X,
+        X_90,
     ),
     rigid(
         "bigger_alphabet_soup",
         "stable_hope_objects/bigger_alphabet_soup/bigger_alphabet_soup.xml",
-        QUARTER_Z,
+        Z_90,
     ),
     rigid(
         "black_bowl",
         "stable_scanned_objects/black_bowl/black_bowl.xml",
-        QUARTER_X,
+        X_90,
     ),
     rigid(
         "blue_ketchup",
         "stable_hope_objects/blue_ketchup/blue_ketchup.xml",
-        QUARTER_Z,
+        Z_90,
     ),
     rigid(
         "brown_rack",
         "turbosquid_objects/brown_rack/brown_rack.xml",
-        NOT_X,
+        X_0,
     ),
     rigid(
         "green_bbq_sauce",
         "stable_hope_objects/green_bbq_sauce/green_bbq_sauce.xml",
-        QUARTER_X,
+        X_90,
     ),
     rigid(
         "green_butter",
         "stable_hope_objects/green_butter/green_butter.xml",
-        NOT_X,
+        X_0,
     ),
     rigid(
         "green_chocolate_pudding",
         "stable_hope_objects/green_chocolate_pudding/green_chocolate_pudding.xml",
-        NOT_X,
+        X_0,
     ),
     rigid(
         "red_basket",
         "stable_scanned_objects/red_basket/red_basket.xml",
-        QUARTER_X,
+        X_90,
     ),
     rigid(
         "red_cream_cheese",
         "stable_hope_objects/red_cream_cheese/red_cream_cheese.xml",
-        NOT_X,
+        X_0,
     ),
     rigid(
         "red_salad_dressing",
         "stable_hope_objects/red_salad_dressing/red_salad_dressing.xml",
-        QUARTER_X_THEN_Z,
+        X_90_Z_90,
     ),
     rigid(
         "white_bottle",
         "turbosquid_objects/white_bottle/white_bottle.xml",
-        NOT_X,
+        X_0,
     ),
     rigid(
         "yellow_milk",
         "stable_hope_objects/yellow_milk/yellow_milk.xml",
-        QUARTER_Z,
+        Z_90,
     ),
     rigid(
         "yellow_moka_pot",
         "turbosquid_objects/yellow_moka_pot/yellow_moka_pot.xml",
-        NOT_X,
+        X_0,
     ),
     rigid(
         "yellow_plate",
         "stable_scanned_objects/yellow_plate/yellow_plate.xml",
-        QUARTER_X,
+        X_90,
     ),
     rigid(
         "yellow_tomato_sauce",
         "stable_hope_objects/yellow_tomato_sauce/yellow_tomato_sauce.xml",
-        QUARTER_Z,
+        Z_90,
     ),
     articulated(
         "yellow_cabinet",
         "articulated_objects/yellow_cabinet.xml",
-        SOME,
+        X_45_TO_90,
         CABINET,
     ),
     articulated(
         "yellow_stove",
         "articulated_objects/yellow_stove.xml",
-        NOT_Y,
+        Y_0,
         STOVE,
     ),
 ];
@@ -227,102 +228,94 @@ const CATEGORIES: &[Category] = &[
     rigid(
         "akita_black_bowl",
         "stable_scanned_objects/akita_black_bowl/akita_black_bowl.xml",
-        QUARTER_X,
+        X_90,
     ),
     rigid(
         "alphabet_soup",
         "stable_hope_objects/alphabet_soup/alphabet_soup.xml",
-        QUARTER_Z,
+        Z_90,
     ),
-    rigid("basin_faucet", "articulated_objects/basin_faucet.xml", SOME),
     rigid(
-        "basket",
-        "stable_scanned_objects/basket/basket.xml",
-        QUARTER_X,
+        "basin_faucet",
+        "articulated_objects/basin_faucet.xml",
+        X_45_TO_90,
     ),
+    rigid("basket", "stable_scanned_objects/basket/basket.xml", X_90),
     rigid(
         "bbq_sauce",
         "stable_hope_objects/bbq_sauce/bbq_sauce.xml",
-        QUARTER_X,
+        X_90,
     ),
     rigid(
         "black_book",
         "turbosquid_objects/black_book/black_book.xml",
-        SOME_BACK,
+        X_MINUS_90_TO_45,
     ),
     rigid(
         "bowl_drainer",
         "turbosquid_objects/bowl_drainer/bowl_drainer.xml",
-        NOT_X,
+        X_0,
     ),
-    rigid("butter", "stable_hope_objects/butter/butter.xml", NOT_X),
+    rigid("butter", "stable_hope_objects/butter/butter.xml", X_0),
     rigid(
         "chefmate_8_frypan",
         "stable_scanned_objects/chefmate_8_frypan/chefmate_8_frypan.xml",
-        QUARTER_X,
+        X_90,
     ),
     rigid(
         "cherries",
         "stable_hope_objects/cherries/cherries.xml",
-        QUARTER_X,
+        X_90,
     ),
     rigid(
         "chocolate_pudding",
         "stable_hope_objects/chocolate_pudding/chocolate_pudding.xml",
-        NOT_X,
+        X_0,
     ),
-    rigid(
-        "cookies",
-        "stable_hope_objects/cookies/cookies.xml",
-        QUARTER_X,
-    ),
-    rigid("corn", "stable_hope_objects/corn/corn.xml", QUARTER_X),
+    rigid("cookies", "stable_hope_objects/cookies/cookies.xml", X_90),
+    rigid("corn", "stable_hope_objects/corn/corn.xml", X_90),
     rigid(
         "cream_cheese",
         "stable_hope_objects/cream_cheese/cream_cheese.xml",
-        NOT_X,
+        X_0,
     ),
     rigid(
         "desk_caddy",
         "turbosquid_objects/desk_caddy/desk_caddy.xml",
-        NOT_X,
+        X_0,
     ),
     rigid(
         "dining_set_group",
         "turbosquid_objects/dining_set_group/dining_set_group.xml",
-        NOT_X,
+        X_0,
     ),
-    rigid("faucet", "articulated_objects/faucet.xml", SOME),
+    rigid("faucet", "articulated_objects/faucet.xml", X_45_TO_90),
     articulated(
         "flat_stove",
         "articulated_objects/flat_stove.xml",
-        NOT_Y,
+        Y_0,
         STOVE,
     ),
     rigid(
         "glazed_rim_porcelain_ramekin",
         "stable_scanned_objects/glazed_rim_porcelain_ramekin/glazed_rim_porcelain_ramekin.xml",
-        QUARTER_X,
+        X_90,
     ),
     rigid(
         "ketchup",
         "stable_hope_objects/ketchup/ketchup.xml",
-        QUARTER_X_THEN_Z,
+        X_90_Z_90,
     ),
     rigid(
         "macaroni_and_cheese",
         "stable_hope_objects/macaroni_and_cheese/macaroni_and_cheese.xml",
-        QUARTER_X_THEN_Z,
+        X_90_Z_90,
     ),
-    rigid(
-        "mayo",
-        "stable_hope_objects/mayo/mayo.xml",
-        QUARTER_X_THEN_Z,
-    ),
+    rigid("mayo", "stable_hope_objects/mayo/mayo.xml", X_90_Z_90),
     articulated(
         "microwave",
         "articulated_objects/microwave.xml",
-        SOME,
+        X_45_TO_90,
         Articulation::OpenClose {
             open: Threshold::Below(-1.3),
             close: Threshold::Above(-0.005),
@@ -330,52 +323,44 @@ const CATEGORIES: &[Category] = &[
             close_range: [-0.005, 0.0],
         },
     ),
-    rigid(
-        "milk",
-        "stable_hope_objects/milk/milk.xml",
-        QUARTER_X_THEN_Z,
-    ),
-    rigid(
-        "moka_pot",
-        "turbosquid_objects/moka_pot/moka_pot.xml",
-        NOT_X,
-    ),
+    rigid("milk", "stable_hope_objects/milk/milk.xml", X_90_Z_90),
+    rigid("moka_pot", "turbosquid_objects/moka_pot/moka_pot.xml", X_0),
     rigid(
         "new_salad_dressing",
         "stable_hope_objects/new_salad_dressing/new_salad_dressing.xml",
-        QUARTER_X_THEN_Z,
+        X_90_Z_90,
     ),
     rigid(
         "orange_juice",
         "stable_hope_objects/orange_juice/orange_juice.xml",
-        QUARTER_X_THEN_Z,
+        X_90_Z_90,
     ),
-    rigid("plate", "stable_scanned_objects/plate/plate.xml", QUARTER_X),
-    rigid("popcorn", "stable_hope_objects/popcorn/popcorn.xml", NOT_X),
+    rigid("plate", "stable_scanned_objects/plate/plate.xml", X_90),
+    rigid("popcorn", "stable_hope_objects/popcorn/popcorn.xml", X_0),
     rigid(
         "porcelain_mug",
         "turbosquid_objects/porcelain_mug/porcelain_mug.xml",
-        QUARTER_BACK,
+        X_MINUS_90,
     ),
     rigid(
         "rack",
         "stable_scanned_objects/simple_rack/simple_rack.xml",
-        NOT_X,
+        X_0,
     ),
     rigid(
         "red_coffee_mug",
         "turbosquid_objects/red_coffee_mug/red_coffee_mug.xml",
-        QUARTER_BACK,
+        X_MINUS_90,
     ),
     rigid(
         "salad_dressing",
         "stable_hope_objects/salad_dressing/salad_dressing.xml",
-        QUARTER_X_THEN_Z,
+        X_90_Z_90,
     ),
     articulated(
         "short_cabinet",
         "articulated_objects/short_cabinet.xml",
-        SOME,
+        X_45_TO_90,
         Articulation::OpenClose {
             open: Threshold::Above(0.10),
             close: Threshold::Below(0.0),
@@ -386,7 +371,7 @@ const CATEGORIES: &[Category] = &[
     articulated(
         "short_fridge",
         "articulated_objects/short_fridge.xml",
-        SOME,
+        X_45_TO_90,
         Articulation::OpenClose {
             open: Threshold::Above(2.0),
             close: Threshold::Below(0.0),
@@ -397,69 +382,69 @@ const CATEGORIES: &[Category] = &[
     rigid(
         "slide_cabinet",
         "articulated_objects/slide_cabinet.xml",
-        SOME,
+        X_45_TO_90,
     ),
     rigid(
         "tomato_sauce",
         "stable_hope_objects/tomato_sauce/tomato_sauce.xml",
-        QUARTER_Z,
+        Z_90,
     ),
     rigid(
         "white_bowl",
         "stable_scanned_objects/white_bowl/white_bowl.xml",
-        QUARTER_X,
+        X_90,
     ),
     articulated(
         "white_cabinet",
         "articulated_objects/white_cabinet.xml",
-        SOME,
+        X_45_TO_90,
         CABINET,
     ),
     rigid(
         "white_storage_box",
         "turbosquid_objects/white_storage_box/white_storage_box.xml",
-        NOT_Y,
+        Y_0,
     ),
     rigid(
         "white_yellow_mug",
         "turbosquid_objects/white_yellow_mug/white_yellow_mug.xml",
-        QUARTER_BACK,
+        X_MINUS_90,
     ),
-    rigid("window", "articulated_objects/window.xml", SOME),
+    rigid("window", "articulated_objects/window.xml", X_45_TO_90),
     rigid(
         "wine_bottle",
         "turbosquid_objects/wine_bottle/wine_bottle.xml",
-        NOT_X,
+        X_0,
     ),
     rigid(
         "wine_rack",
         "turbosquid_objects/wine_rack/wine_rack.xml",
-        NOT_X,
+        X_0,
     ),
     articulated(
         "wooden_cabinet",
         "articulated_objects/wooden_cabinet.xml",
-        SOME,
+        X_45_TO_90,
         CABINET,
     ),
     rigid(
         "wooden_shelf",
         "turbosquid_objects/wooden_shelf/wooden_shelf.xml",
-        NOT_X,
+        X_0,
     ),
     rigid(
         "wooden_tray",
         "turbosquid_objects/wooden_tray/wooden_tray.xml",
-        NOT_X,
+        X_0,
     ),
     rigid(
         "wooden_two_layer_shelf",
         "turbosquid_objects/wooden_two_layer_shelf/wooden_two_layer_shelf.xml",
-        NOT_X,
+        X_0,
     ),
     rigid(
         "yellow_book",
         "turbosquid_objects/yellow_book/yellow_book.xml",
-        SOME_BACK,
+        X_MINUS_90_TO_45,
     ),
 ];

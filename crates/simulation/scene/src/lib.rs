@@ -6,7 +6,7 @@
 //! compares it with their output.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages say it")]
+#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 pub mod arena;
 pub mod bddl;

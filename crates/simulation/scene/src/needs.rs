@@ -1,5 +1,5 @@
-//! Files of LIBERO's assets that a scene requires. The table lists the files that each model
-//! references, so the files themselves are not needed.
+//! Files of LIBERO's assets that a scene requires. The asset table lists the files that each
+//! model references, so no model has to be read.
 
 use assets::{FileFacts, Table};
 
@@ -11,10 +11,11 @@ use crate::error::SceneError;
 /// Folder of the arenas' textures in LIBERO's assets.
 const TEXTURES: &str = "textures";
 
-/// Lists the files that [`compose`](fn@crate::compose) and MuJoCo read for a problem, sorted by path.
+/// Lists the files that [`compose`](fn@crate::compose) and MuJoCo read for a problem, sorted by
+/// path.
 ///
 /// # Errors
-/// If the problem's arena or one of its categories is unknown, or LIBERO does not have such a file.
+/// If the problem's arena or one of its categories is unknown, or a required file is not LIBERO's.
 pub fn needed_files(problem: &Problem) -> Result<Vec<&'static FileFacts>, SceneError> {
     let arena = arena(&problem.name).ok_or_else(|| SceneError::UnknownProblem {
         problem: problem.name.clone(),

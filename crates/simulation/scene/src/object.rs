@@ -12,7 +12,7 @@ use crate::part::{Part, add_prefix, is_collision_geom};
 #[derive(Debug, Clone)]
 pub(crate) struct ObjectPart {
     pub(crate) instance: Instance,
-    /// Part with the assets, and with the regions as its file defines them.
+    /// The whole model: assets, and regions as its file defines them.
     pub(crate) part: Part,
     /// Body to insert into the scene.
     pub(crate) body: Element,
@@ -67,7 +67,7 @@ pub(crate) fn build(
         .ok_or("no body `object` inside the outermost body")?
         .clone();
     body.set("name", "main");
-    keep_named_geoms(&mut body);
+    filter_and_name_geoms(&mut body);
     if kind == InstanceKind::Object {
         body.children.push(
             Element::new("joint")
@@ -118,7 +118,7 @@ pub(crate) fn build(
 
 /// Drops geoms in neither the collision group 0 nor the visual group 1, and names unnamed geoms
 /// `g<i>`, counting all geoms.
-fn keep_named_geoms(body: &mut Element) {
+fn filter_and_name_geoms(body: &mut Element) {
     fn visit(element: &mut Element, count: &mut usize) {
         element.children.retain_mut(|child| {
             if child.tag == "geom" {

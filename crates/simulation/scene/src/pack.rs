@@ -19,10 +19,11 @@ mod builtin {
     include!(concat!(env!("OUT_DIR"), "/primitives.rs"));
 }
 
+/// Name of the built-in pack.
 pub const PRIMITIVES: &str = "primitives";
 /// Name of LIBERO's assets.
 pub const LIBERO: &str = "libero";
-/// Name of any other pack.
+/// Name of every other pack.
 pub const CUSTOM: &str = "custom";
 
 #[derive(Debug, Clone)]
@@ -100,7 +101,7 @@ impl AssetPack {
     fn open_folder(dir: &Path) -> Result<Self, SceneError> {
         let dir = existing_folder(dir)?;
         let pack = Self::libero(dir, false);
-        let verified = pack.verified.as_ref().expect("LIBERO's");
+        let verified = pack.verified.as_ref().expect("a pack of LIBERO's assets");
         let (differences, present) = verified.differences();
         if differences.is_empty() && present > 0 {
             return Ok(pack);
@@ -128,8 +129,8 @@ impl AssetPack {
         self.name
     }
 
-    /// Returns the SHA-256 over the names and contents of all files, hex. A part of LIBERO's assets
-    /// has the digest of the whole.
+    /// Returns the SHA-256 over the names and contents of all files, hex. An incomplete
+    /// `libero` pack has the digest of the complete one.
     pub fn digest(&self) -> &str {
         &self.digest
     }
@@ -172,20 +173,20 @@ impl AssetPack {
         if !dir.is_dir() {
             // Written to a temporary folder and renamed, so that slots that start together never
             // see an incomplete pack.
-            let aside = packs.join(format!(".{PRIMITIVES}-{}", std::process::id()));
+            let temporary = packs.join(format!(".{PRIMITIVES}-{}", std::process::id()));
             for (inside, bytes) in builtin::FILES {
-                let path = aside.join(inside);
+                let path = temporary.join(inside);
                 let folder = path.parent().expect("inside the pack");
                 std::fs::create_dir_all(folder).map_err(|source| write_error(folder, source))?;
                 std::fs::write(&path, bytes).map_err(|source| write_error(&path, source))?;
             }
-            if let Err(source) = std::fs::rename(&aside, &dir)
+            if let Err(source) = std::fs::rename(&temporary, &dir)
                 && !dir.is_dir()
             {
                 return Err(write_error(&dir, source));
             }
             // Removes the copy if another process was faster; its pack is identical.
-            let _ = std::fs::remove_dir_all(&aside);
+            let _ = std::fs::remove_dir_all(&temporary);
         }
         Ok(Self {
             name: PRIMITIVES,
@@ -214,7 +215,7 @@ pub fn digest_of_folder(dir: &Path) -> Result<String, SceneError> {
     files.sort();
     let mut hash = Sha256::new();
     for path in &files {
-        let inside = path.strip_prefix(dir).expect("listed below it");
+        let inside = path.strip_prefix(dir).expect("listed below the folder");
         let bytes = std::fs::read(path).map_err(|source| read_error(path, source))?;
         hash_file(&mut hash, &inside.to_string_lossy(), &bytes);
     }
@@ -265,7 +266,7 @@ fn write_error(path: &Path, source: std::io::Error) -> SceneError {
     }
 }
 
-/// Lower-case hexadecimal.
+/// Formats bytes as lower-case hexadecimal.
 pub(crate) fn hex(bytes: &[u8]) -> String {
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -98,7 +98,7 @@ impl Part {
         if tree.tag != "mujoco" {
             return Err(format!("expected `<mujoco>`, found `<{}>`", tree.tag));
         }
-        write_defaults_out(&mut tree)?;
+        expand_defaults(&mut tree)?;
         let folder = Path::new(file).parent().unwrap_or(Path::new(""));
         for asset in &mut tree.child_mut("asset").children {
             if let Some(name) = asset.get("file") {
@@ -128,7 +128,7 @@ impl Part {
             Some(name) => self
                 .worldbody_mut()
                 .find_mut("body", name)
-                .ok_or_else(|| format!("no body `{name}` to attach to"))?,
+                .ok_or_else(|| format!("no body `{name}` to attach bodies to"))?,
         };
         target.children.extend(bodies);
         self.merge_assets(other);
@@ -150,11 +150,11 @@ impl Part {
             .child("asset")
             .map_or(&[][..], |section| &section.children);
         for asset in incoming {
-            let known = assets
+            let exists = assets
                 .children
                 .iter()
-                .any(|have| have.tag == asset.tag && have.name() == asset.name());
-            if !known {
+                .any(|existing| existing.tag == asset.tag && existing.name() == asset.name());
+            if !exists {
                 assets.children.push(asset.clone());
             }
         }
@@ -180,7 +180,7 @@ pub(crate) fn is_collision_geom(element: &Element) -> bool {
     element.tag == "geom" && matches!(element.get("group"), None | Some("0"))
 }
 
-/// Sets one colour on every collision geom and removes its material, except on those named
+/// Sets one colour on every collision geom and removes its material, except on the geom named
 /// `except`.
 pub(crate) fn recolor_collision_geoms(root: &mut Element, rgba: &str, except: Option<&str>) {
     root.for_each_mut(&mut |element| {
@@ -193,7 +193,7 @@ pub(crate) fn recolor_collision_geoms(root: &mut Element, rgba: &str, except: Op
 
 /// Replaces `class="c"` by the attributes of that default class and removes the `<default>`
 /// section.
-fn write_defaults_out(root: &mut Element) -> Result<(), String> {
+fn expand_defaults(root: &mut Element) -> Result<(), String> {
     let mut classes: HashMap<String, Vec<Element>> = HashMap::new();
     root.children.retain(|child| {
         if child.tag != "default" {
@@ -231,13 +231,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn default_classes_fill_in_what_is_not_given() {
+    fn default_classes_set_missing_attributes_only() {
         let mut root = Element::parse(
             r#"<mujoco><default><default class="c"><geom rgba="1 0 0 1" group="1"/></default>
             </default><worldbody><geom class="c" group="0"/><site class="c"/></worldbody></mujoco>"#,
         )
         .unwrap();
-        write_defaults_out(&mut root).unwrap();
+        expand_defaults(&mut root).unwrap();
         let geom = &root.child("worldbody").unwrap().children[0];
         assert_eq!(geom.get("rgba"), Some("1 0 0 1"));
         assert_eq!(geom.get("group"), Some("0"));
@@ -249,7 +249,7 @@ mod tests {
     fn an_unknown_class_is_refused() {
         let mut root = Element::parse(r#"<mujoco><geom class="c"/></mujoco>"#).unwrap();
         assert_eq!(
-            write_defaults_out(&mut root).unwrap_err(),
+            expand_defaults(&mut root).unwrap_err(),
             "class `c` has no `<default>`"
         );
     }

@@ -13,8 +13,8 @@ pub(crate) struct Matrix {
     pub(crate) values: Vec<f64>,
 }
 
-/// Value on the unpickler's stack. Copies share their contents, so that a file cannot multiply its
-/// memory by recalling nested tuples.
+/// Value on the unpickler's stack. Copies share their contents, so that nested tuples that a file
+/// reads from the memo again and again take no more memory.
 #[derive(Clone)]
 enum Value {
     None,
@@ -47,22 +47,22 @@ impl Value {
     /// Returns the kind of the value, for messages.
     fn kind(&self) -> &'static str {
         match self {
-            Self::None => "nothing",
-            Self::Bool(_) => "a truth value",
+            Self::None => "`None`",
+            Self::Bool(_) => "a boolean",
             Self::Int(_) => "an integer",
             Self::Text(_) => "a text",
             Self::Bytes(_) => "bytes",
             Self::Tuple(_) => "a tuple",
             Self::Global(_) => "a function",
             Self::Array(_) => "an array",
-            Self::Dtype => "a kind of number",
+            Self::Dtype => "a dtype",
             Self::Mark => "a mark",
         }
     }
 }
 
-/// Limit of opcodes, four times those of a released file. Bounds the nesting of values and the
-/// number of decoded texts.
+/// Limit on the number of opcodes, four times that of a released file. Bounds the nesting of values
+/// and the number of decoded texts.
 const MAX_OPCODES: usize = 256;
 
 /// Unpickles a matrix.
@@ -78,7 +78,7 @@ pub(crate) fn read_matrix(bytes: &[u8]) -> Result<Matrix, String> {
         data,
     })) = value
     else {
-        return Err("it holds no two-dimensional array".to_owned());
+        return Err("the pickle holds no two-dimensional array".to_owned());
     };
     if rows
         .checked_mul(columns)
@@ -163,14 +163,14 @@ impl Machine<'_> {
                 other => return Err(format!("opcode 0x{other:02x} is not allowed")),
             }
         }
-        Err("it is more complicated than an array".to_owned())
+        Err("the pickle has more opcodes than an array needs".to_owned())
     }
 
     fn take(&mut self, count: usize) -> Result<&[u8], String> {
         let (taken, rest) = self
             .input
             .split_at_checked(count)
-            .ok_or_else(|| "it ends in the middle (truncated?)".to_owned())?;
+            .ok_or_else(|| "the pickle ends early (truncated?)".to_owned())?;
         self.input = rest;
         Ok(taken)
     }
@@ -191,11 +191,11 @@ impl Machine<'_> {
     fn pop(&mut self) -> Result<Value, String> {
         self.stack
             .pop()
-            .ok_or_else(|| "its stack runs empty".to_owned())
+            .ok_or_else(|| "the stack is empty".to_owned())
     }
 
     fn memoize(&mut self, slot: u32) -> Result<(), String> {
-        let value = self.stack.last().cloned().ok_or("its stack runs empty")?;
+        let value = self.stack.last().cloned().ok_or("the stack is empty")?;
         self.memo.insert(slot, value);
         Ok(())
     }
@@ -205,14 +205,14 @@ impl Machine<'_> {
             .memo
             .get(&slot)
             .cloned()
-            .ok_or("it recalls what it never stored")?;
+            .ok_or("a memo slot is read before it is set")?;
         self.stack.push(value);
         Ok(())
     }
 
     fn line(&mut self) -> Result<String, String> {
         let end = self.input.iter().position(|byte| *byte == b'\n');
-        let end = end.ok_or("it ends in the middle (truncated?)")?;
+        let end = end.ok_or("the pickle ends early (truncated?)")?;
         let line = String::from_utf8_lossy(self.take(end)?).into_owned();
         self.take(1)?;
         Ok(line)
@@ -236,7 +236,7 @@ impl Machine<'_> {
             .stack
             .len()
             .checked_sub(count)
-            .ok_or("its stack runs empty")?;
+            .ok_or("the stack has too few values")?;
         let items = self.stack.split_off(start);
         self.stack.push(Value::Tuple(items.into()));
         Ok(())
@@ -247,7 +247,7 @@ impl Machine<'_> {
             .stack
             .iter()
             .rposition(|value| matches!(value, Value::Mark));
-        let mark = mark.ok_or("a tuple without a start")?;
+        let mark = mark.ok_or("a tuple has no start mark")?;
         let items = self.stack.split_off(mark + 1);
         self.stack.pop();
         self.stack.push(Value::Tuple(items.into()));
@@ -256,7 +256,7 @@ impl Machine<'_> {
 
     fn reduce(&mut self) -> Result<(), String> {
         let Value::Tuple(arguments) = self.pop()? else {
-            return Err("a call without arguments".to_owned());
+            return Err("a call has no argument tuple".to_owned());
         };
         let result = match (self.pop()?, &*arguments) {
             (Value::Global(Global::Reconstruct), [Value::Global(Global::Ndarray), ..]) => {
@@ -266,14 +266,19 @@ impl Machine<'_> {
                 Value::Dtype
             }
             (Value::Global(Global::Dtype), [Value::Text(kind), ..]) => {
-                return Err(format!("its numbers are `{kind}`, not doubles (`f8`)"));
+                return Err(format!("the numbers are `{kind}`, not doubles (`f8`)"));
             }
             (Value::Global(Global::Encode), [Value::Text(text), Value::Text(encoding)])
                 if &**encoding == "latin1" =>
             {
                 Value::Bytes(latin1(text)?.into())
             }
-            (called, _) => return Err(format!("calling {} so is not allowed", called.kind())),
+            (called, _) => {
+                return Err(format!(
+                    "calling {} with these arguments is not allowed",
+                    called.kind()
+                ));
+            }
         };
         self.stack.push(result);
         Ok(())
@@ -281,11 +286,11 @@ impl Machine<'_> {
 
     fn build(&mut self) -> Result<(), String> {
         let Value::Tuple(state) = self.pop()? else {
-            return Err("a state that is no tuple".to_owned());
+            return Err("the state of an object is not a tuple".to_owned());
         };
         let built = match (self.pop()?, &*state) {
             (Value::Dtype, [_, Value::Text(order), ..]) if &**order == "<" => Value::Dtype,
-            (Value::Dtype, _) => return Err("its doubles are not little-endian".to_owned()),
+            (Value::Dtype, _) => return Err("the doubles are not little-endian".to_owned()),
             (
                 Value::Array(None),
                 [
@@ -307,11 +312,11 @@ impl Machine<'_> {
                     shape: [1, *columns as usize],
                     data: data.clone(),
                 })),
-                _ => return Err("its array has neither one nor two dimensions".to_owned()),
+                _ => return Err("the array has neither one nor two dimensions".to_owned()),
             },
             (value, _) => {
                 return Err(format!(
-                    "setting the state of {} so is not allowed",
+                    "setting this state of {} is not allowed",
                     value.kind()
                 ));
             }
@@ -323,7 +328,7 @@ impl Machine<'_> {
 
 fn latin1(text: &str) -> Result<Vec<u8>, String> {
     text.chars()
-        .map(|c| u8::try_from(u32::from(c)).map_err(|_| "its bytes are not Latin-1".to_owned()))
+        .map(|c| u8::try_from(u32::from(c)).map_err(|_| "the bytes are not Latin-1".to_owned()))
         .collect()
 }
 
@@ -356,6 +361,6 @@ mod tests {
         assert!(problem.contains("not allowed"), "{problem}");
         let endless = [b")".as_slice(), &b"\x85".repeat(100_000)].concat();
         let problem = read_matrix(&endless).unwrap_err();
-        assert!(problem.contains("more complicated"), "{problem}");
+        assert!(problem.contains("more opcodes"), "{problem}");
     }
 }

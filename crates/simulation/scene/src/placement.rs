@@ -28,8 +28,8 @@ const MAX_ATTEMPTS: usize = 5000;
 /// Draws of the whole placement after which a scene counts as too crowded. The original's wrapper
 /// never gives up; a scene with enough room needs one or two draws.
 pub const MAX_DRAWS: usize = 1000;
-/// Arm joints. A reset draws one normal number for each, even though LIBERO scales this noise by
-/// zero.
+/// Number of arm joints. A reset draws one normal number for each, even though LIBERO scales this
+/// noise by zero.
 const ARM_JOINTS: usize = 7;
 /// Rounds of joint samples in the first seeded reset: the original has appended all joint samplers
 /// to its list twice by then, at construction and in the reset itself.
@@ -75,7 +75,7 @@ pub struct PoseSampler {
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub enum PoseTarget {
     FreeJoint(String),
-    /// The body of a fixture, by its pose in the model.
+    /// Body of a fixture; its pose in the model is changed.
     Body(String),
 }
 
@@ -89,7 +89,7 @@ enum Base {
     Top(usize),
     /// A site of another object or fixture, relative to its top or to its origin.
     Site {
-        of: usize,
+        carrier: usize,
         over_top: bool,
         site: usize,
     },
@@ -142,14 +142,18 @@ impl Samplers {
         for sampler in &self.poses {
             let (origin, site) = match sampler.base {
                 Base::Point(origin) => (origin, [0.0; 3]),
-                Base::Top(of) => (self.top(of, &poses), [0.0; 3]),
-                Base::Site { of, over_top, site } => {
+                Base::Top(carrier) => (self.top(carrier, &poses), [0.0; 3]),
+                Base::Site {
+                    carrier,
+                    over_top,
+                    site,
+                } => {
                     let origin = if over_top {
-                        self.top(of, &poses)
+                        self.top(carrier, &poses)
                     } else {
-                        poses[of].pos
+                        poses[carrier].pos
                     };
-                    (origin, turned(poses[of].quat, site_positions[site]))
+                    (origin, rotate(poses[carrier].quat, site_positions[site]))
                 }
             };
             poses.push(sampler.sample(rng, origin, site, &poses, &self.poses)?);
@@ -202,9 +206,9 @@ impl Samplers {
         Ok(fixtures)
     }
 
-    fn top(&self, of: usize, poses: &[Pose]) -> [f64; 3] {
-        let [x, y, z] = poses[of].pos;
-        [x, y, z + self.poses[of].footprint.top]
+    fn top(&self, carrier: usize, poses: &[Pose]) -> [f64; 3] {
+        let [x, y, z] = poses[carrier].pos;
+        [x, y, z + self.poses[carrier].footprint.top]
     }
 }
 
@@ -216,15 +220,15 @@ impl JointSampler {
 }
 
 impl PoseSampler {
-    /// Samples a pose around `origin` + `site` that does not overlap those instances of `all` that
-    /// are placed, at `placed`.
+    /// Samples a pose around `origin` + `site` that overlaps no instance placed before. `placed`
+    /// are the poses of the first of `samplers`.
     fn sample(
         &self,
         rng: &mut LegacyRng,
         origin: [f64; 3],
         site: [f64; 3],
         placed: &[Pose],
-        all: &[Self],
+        samplers: &[Self],
     ) -> Result<Pose, SceneError> {
         let attempts = if self.ranges.is_empty() {
             0
@@ -240,7 +244,7 @@ impl PoseSampler {
                 y + origin[1] + site[1],
                 self.z_offset + origin[2] + site[2] - self.footprint.bottom,
             ];
-            let mut others = placed.iter().zip(all);
+            let mut others = placed.iter().zip(samplers);
             if !self.avoids_others
                 || others.all(|(pose, other)| self.is_clear(pos, pose.pos, other.footprint))
             {
@@ -264,6 +268,6 @@ impl PoseSampler {
 }
 
 /// Rotates a vector by a quaternion w x y z.
-fn turned(quat: [f64; 4], [x, y, z]: [f64; 3]) -> [f64; 3] {
+fn rotate(quat: [f64; 4], [x, y, z]: [f64; 3]) -> [f64; 3] {
     single_precision_matrix(quat).map(|row| row[0] * x + row[1] * y + row[2] * z)
 }

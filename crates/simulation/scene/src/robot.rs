@@ -23,21 +23,21 @@ const GRIPPER_COLLISION_RGBA: &str = "0 0 0.5 1";
 const PEDESTAL_TOP: f64 = -0.01;
 
 pub(crate) fn load(robosuite: &AssetRoot, stand: RobotStand) -> Result<Part, SceneError> {
-    let piece = |file: &str, prefix: &str, rgba: &str| -> Result<Part, SceneError> {
+    let load_part = |file: &str, prefix: &str, rgba: &str| -> Result<Part, SceneError> {
         let mut part = Part::load(robosuite, file, "robot model")?;
         name_geoms(&mut part.root);
         add_prefix(&mut part.root, prefix);
         recolor_collision_geoms(part.worldbody_mut(), rgba, None);
         Ok(part)
     };
-    let mut robot = piece("robots/panda/robot.xml", "robot0_", ROBOT_COLLISION_RGBA)?;
+    let mut robot = load_part("robots/panda/robot.xml", "robot0_", ROBOT_COLLISION_RGBA)?;
     set_joint_properties(&mut robot);
 
     let (mount_file, mount_top, foot) = match stand {
         RobotStand::Pedestal(foot) => ("mounts/rethink_mount.xml", PEDESTAL_TOP, foot),
         RobotStand::Ground(foot) => ("mounts/null_mount.xml", 0.0, foot),
     };
-    let mut mount = piece(mount_file, "mount0_", MOUNT_COLLISION_RGBA)?;
+    let mut mount = load_part(mount_file, "mount0_", MOUNT_COLLISION_RGBA)?;
     let inconsistent = SceneError::Inconsistent;
     let mount_bottom = root_height(&mount).map_err(inconsistent)?;
     let body = root_body(&mut mount).map_err(inconsistent)?;
@@ -46,7 +46,7 @@ pub(crate) fn load(robosuite: &AssetRoot, stand: RobotStand) -> Result<Part, Sce
         .merge(&mount, Some("robot0_base"))
         .map_err(inconsistent)?;
 
-    let gripper = piece(
+    let gripper = load_part(
         "grippers/panda_gripper.xml",
         "gripper0_",
         GRIPPER_COLLISION_RGBA,
@@ -95,7 +95,7 @@ fn root_body(part: &mut Part) -> Result<&mut Element, String> {
     part.worldbody_mut()
         .children
         .first_mut()
-        .ok_or_else(|| "a model without a body".to_owned())
+        .ok_or_else(|| "a model has no body".to_owned())
 }
 
 fn root_height(part: &Part) -> Result<f64, String> {

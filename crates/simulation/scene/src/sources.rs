@@ -33,7 +33,7 @@ impl Sources {
             std::fs::metadata(&path).map_err(|source| SceneError::Read {
                 what: "simulation source".to_owned(),
                 path,
-                remedy: "run `cargo xtask setup`, or point --sources at the folder it filled"
+                remedy: "run `cargo xtask setup`, or point --sources at the folder that it fills"
                     .to_owned(),
                 source,
             })?;
@@ -47,7 +47,7 @@ impl Sources {
         if let Some(dir) = std::env::var_os("ROLLOUT_SOURCES") {
             return PathBuf::from(dir);
         }
-        if let Some(dir) = Self::of_release() {
+        if let Some(dir) = Self::release_dir() {
             return dir;
         }
         Self::in_cache()
@@ -80,19 +80,19 @@ impl Sources {
     }
 
     fn fetched(dir: &Path, name: &str) -> PathBuf {
-        let here = dir.join(name);
-        let is_of_release = || {
+        let in_dir = dir.join(name);
+        let is_release_dir = || {
             let canonical = dir.canonicalize().ok();
-            canonical.is_some() && canonical == Self::of_release()
+            canonical.is_some() && canonical == Self::release_dir()
         };
-        if !here.is_dir() && is_of_release() {
+        if !in_dir.is_dir() && is_release_dir() {
             return Self::in_cache().join(name);
         }
-        here
+        in_dir
     }
 
-    /// Returns `share/rollout/sources` beside the `bin` folder of this program.
-    fn of_release() -> Option<PathBuf> {
+    /// Returns `share/rollout/sources` beside the `bin` folder of this program, if it exists.
+    fn release_dir() -> Option<PathBuf> {
         let program = std::env::current_exe().ok()?.canonicalize().ok()?;
         let dir = program.parent()?.with_file_name("share/rollout/sources");
         dir.is_dir().then_some(dir)
@@ -152,7 +152,7 @@ impl RootKind {
 pub(crate) struct AssetRoot {
     pub(crate) kind: RootKind,
     pub(crate) dir: PathBuf,
-    /// Verified files, if they must be LIBERO's.
+    /// LIBERO's files and their digests, if the folder's files must be LIBERO's.
     pub(crate) verified: Option<Arc<VerifiedFolder>>,
 }
 
@@ -165,8 +165,8 @@ impl AssetRoot {
         self.dir.join(file)
     }
 
-    /// Returns the path inside this folder of a file that composed MJCF names, if it is in this
-    /// folder.
+    /// Strips the folder's placeholder from a file name of composed MJCF; `None` if the file is in
+    /// the other folder.
     pub(crate) fn inside<'a>(&self, file: &'a str) -> Option<&'a str> {
         file.strip_prefix(self.kind.token())?.strip_prefix('/')
     }
@@ -194,8 +194,8 @@ impl AssetRoot {
     pub(crate) fn remedy(&self) -> String {
         match self.kind {
             RootKind::Pack => format!(
-                "the asset pack {} lacks it; `worker assets fetch` gets LIBERO's own, which \
-                 `--assets libero` names",
+                "the asset pack {} lacks the file; `worker assets fetch` fetches LIBERO's \
+                 assets, which `--assets libero` selects",
                 self.dir.display()
             ),
             RootKind::Robosuite => "run `cargo xtask setup` again".to_owned(),

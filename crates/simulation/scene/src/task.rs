@@ -31,16 +31,16 @@ impl TaskFiles {
     /// Returns the files of a LIBERO-Plus variant: LIBERO's own if the variant has none, else those
     /// that `worker assets fetch --suite libero-plus` has put beside them.
     pub fn of_variant(sources: &Sources, variant: &Variant) -> Self {
-        let liberos = Self::of_task(sources, variant.task);
+        let libero_files = Self::of_task(sources, variant.task);
         let (suite, stem) = (variant.task.suite(), variant.bddl_stem());
         let fetched = Sources::family(sources.dir(), Benchmark::Plus);
         let bddl = match stem == variant.task.name() {
-            true => liberos.bddl,
+            true => libero_files.bddl,
             false => fetched.join(format!("bddl_files/{suite}/{stem}.bddl")),
         };
         let init = match variant.has_one_state() {
             true => fetched.join("init_files").join(variant.states_file()),
-            false => liberos.init,
+            false => libero_files.init,
         };
         Self { bddl, init }
     }
@@ -60,7 +60,7 @@ impl TaskFiles {
         let text = std::fs::read_to_string(&self.bddl).map_err(|source| SceneError::Read {
             what: what.to_owned(),
             path: self.bddl.clone(),
-            remedy: "run `cargo xtask setup`, or give the file's right name".to_owned(),
+            remedy: "run `cargo xtask setup`, or correct the file's name".to_owned(),
             source,
         })?;
         Problem::parse(&text).map_err(|error| SceneError::Malformed {

@@ -11,7 +11,7 @@ use crate::mujoco::{Model, ObjectKind, return_freed_memory};
 use crate::predicates::Goal;
 use crate::render::Prepared;
 use crate::reset::Resets;
-use crate::scene_files::{Obtained, Preparation, SceneFolder, name_of_scene};
+use crate::scene_files::{LoadedScene, Preparation, SceneFolder, name_of_scene};
 
 /// `mjDSBL_CONSTRAINT`: disables contacts, limits and friction.
 pub(crate) const DISABLE_CONSTRAINT: i32 = 1;
@@ -42,7 +42,7 @@ pub(crate) struct Burner {
     pub(crate) site: usize,
     /// Position coordinates of the stove's joints.
     pub(crate) knobs: Vec<usize>,
-    pub(crate) on_at: f64,
+    pub(crate) on_threshold: f64,
     /// Current opacity, and the opacity that the last observation shows.
     pub(crate) opacity: f32,
     pub(crate) observed_opacity: f32,
@@ -59,12 +59,12 @@ impl CompiledScene {
             scene.verify_files(pack)?;
             Model::compile(&scene.mjcf(pack, sources))
         };
-        let Obtained {
+        let LoadedScene {
             mut model,
             prepared,
         } = match SceneFolder::of_process() {
             Some(folder) => folder.obtain(&name_of_scene(&scene, pack, sources), compile)?,
-            None => Obtained::of(compile()?),
+            None => LoadedScene::in_memory(compile()?),
         };
         model.disable(DISABLE_NATIVE_CCD | DISABLE_AUTORESET);
         let resets = Resets::resolve(&scene.samplers, &model)?;
@@ -102,10 +102,10 @@ impl CompiledScene {
             return Ok(Arc::clone(prepared));
         }
         let prepared = match &self.preparation {
-            Preparation::Made(prepared) => Arc::clone(prepared),
-            Preparation::Kept(bytes) => Arc::new(Prepared::of_bytes(&self.model, bytes)?),
+            Preparation::InMemory(prepared) => Arc::clone(prepared),
+            Preparation::InFile(bytes) => Arc::new(Prepared::from_bytes(&self.model, bytes)?),
             Preparation::Missing => {
-                let prepared = Arc::new(Prepared::of(&self.model)?);
+                let prepared = Arc::new(Prepared::from_model(&self.model)?);
                 return_freed_memory();
                 prepared
             }
@@ -159,7 +159,7 @@ fn find_burners(scene: &Scene, model: &Model) -> Result<Vec<Burner>, SimError> {
         burners.push(Burner {
             site,
             knobs,
-            on_at: on,
+            on_threshold: on,
             opacity: model.site_rgba()[site * 4 + 3],
             observed_opacity: 0.0,
         });

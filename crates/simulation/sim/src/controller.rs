@@ -57,9 +57,9 @@ pub struct Controller {
     torque_limits: [[f64; 2]; ARM_JOINTS],
     finger_range: [[f64; 2]; 2],
     /// The arm at the reset pose, which the original still uses in the first simulation step after
-    /// an initial state was loaded.
+    /// an initial state is loaded.
     reset_arm: ArmState,
-    sees_reset_arm: bool,
+    uses_reset_arm: bool,
     last_pose: (Vector3<f64>, Matrix3<f64>),
     goal_pos: Vector3<f64>,
     goal_orientation: Matrix3<f64>,
@@ -108,7 +108,7 @@ impl Controller {
             site,
             torque_limits: std::array::from_fn(range),
             finger_range: [range(ARM_JOINTS), range(ARM_JOINTS + 1)],
-            sees_reset_arm: true,
+            uses_reset_arm: true,
             last_pose: (reset_arm.pos, reset_arm.orientation),
             goal_pos: reset_arm.pos,
             goal_orientation: reset_arm.orientation,
@@ -137,17 +137,17 @@ impl Controller {
     pub fn reset_arm(&mut self) {
         self.last_pose = (self.reset_arm.pos, self.reset_arm.orientation);
         self.goal_orientation = self.reset_arm.orientation;
-        self.sees_reset_arm = true;
+        self.uses_reset_arm = true;
     }
 
     /// Sets the goal from a new action; `data` is after the first half of a step (positions and
     /// velocities are up to date).
-    pub fn set_goal(&mut self, model: &Model, data: &Data, action: &[f64; 7], of: ActionFrame) {
-        if of == ActionFrame::Absolute {
+    pub fn set_goal(&mut self, model: &Model, data: &Data, action: &[f64; 7], frame: ActionFrame) {
+        if frame == ActionFrame::Absolute {
             let [x, y, z, turns @ ..] = *action;
             self.goal_pos = Vector3::new(x, y, z);
             self.goal_orientation = match Vector3::new(turns[0], turns[1], turns[2]) {
-                none if none == Vector3::zeros() => Matrix3::identity(),
+                zero if zero == Vector3::zeros() => Matrix3::identity(),
                 rotation => rotation_of(rotation),
             };
             return;
@@ -160,7 +160,7 @@ impl Controller {
             };
             action[axis].clamp(-1.0, 1.0) * scale
         });
-        let (pos, orientation) = if self.sees_reset_arm {
+        let (pos, orientation) = if self.uses_reset_arm {
             (self.reset_arm.pos, self.reset_arm.orientation)
         } else {
             site_pose(model, data, self.site)
@@ -177,7 +177,7 @@ impl Controller {
     /// Returns false if the arm's inertia cannot be inverted.
     #[must_use]
     pub fn run(&mut self, model: &Model, data: &mut Data, action: &[f64; 7]) -> bool {
-        let arm = if std::mem::take(&mut self.sees_reset_arm) {
+        let arm = if std::mem::take(&mut self.uses_reset_arm) {
             ArmState {
                 bias: arm_vector(data.qfrc_bias(model)),
                 ..self.reset_arm.clone()
@@ -203,8 +203,8 @@ impl Controller {
         true
     }
 
-    /// Khatib's operational-space law with decoupled position and orientation, plus a null-space
-    /// posture.
+    /// Computes the joint torques by Khatib's operational-space law with decoupled position and
+    /// orientation, plus a null-space posture.
     fn torques(&self, arm: &ArmState) -> Option<ArmVector> {
         let damping = 2.0 * STIFFNESS.sqrt();
         let velocity = arm.jacobian * arm.joint_vel;
@@ -291,7 +291,7 @@ fn orientation_error(goal: &Matrix3<f64>, current: &Matrix3<f64>) -> Vector3<f64
     (cross(0) + cross(1) + cross(2)) * 0.5
 }
 
-/// NumPy's sign: zero for zero.
+/// Returns the sign as NumPy does: zero for zero.
 fn sign(value: f64) -> f64 {
     if value == 0.0 { 0.0 } else { value.signum() }
 }
@@ -312,7 +312,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_rotation_is_right_to_single_precision() {
+    fn a_rotation_is_exact_to_single_precision() {
         let vector = Vector3::new(0.1, -0.3, 0.2);
         let exact = nalgebra::Rotation3::from_scaled_axis(vector);
         let difference = (rotation_of(vector) - exact.matrix()).abs().max();

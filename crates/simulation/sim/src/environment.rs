@@ -61,7 +61,7 @@ impl Environment {
         Ok(environment)
     }
 
-    /// Creates an environment that must be loaded or reset before use. It computes the home pose of
+    /// Creates an environment that must be loaded or reset before use. Computes the home pose of
     /// the arm but no contacts: unplaced objects overlap, and solving their contacts takes longer
     /// than everything else here.
     pub(crate) fn before_load(compiled: Arc<CompiledScene>) -> Result<Self, SimError> {
@@ -170,8 +170,8 @@ impl Environment {
         self.step_in(action, ActionFrame::Relative)
     }
 
-    /// As [`step`](Self::step), with an action that may be a pose.
-    pub fn step_in(&mut self, action: &[f64; 7], of: ActionFrame) -> Result<bool, SimError> {
+    /// As [`step`](Self::step), with an action that is a displacement or a pose.
+    pub fn step_in(&mut self, action: &[f64; 7], frame: ActionFrame) -> Result<bool, SimError> {
         // Discards warnings of a failed step of any environment on this thread.
         mujoco::take_warnings();
         for burner in &mut self.burners {
@@ -184,7 +184,7 @@ impl Environment {
             self.data.step1(&self.model);
             if substep == 0 {
                 self.controller
-                    .set_goal(&self.model, &self.data, action, of);
+                    .set_goal(&self.model, &self.data, action, frame);
             }
             if !self.controller.run(&self.model, &mut self.data, action) {
                 return Err(SimError::Singular {
@@ -314,7 +314,7 @@ impl Environment {
         if self
             .canvas
             .as_ref()
-            .is_none_or(|canvas| !canvas.suits(drawer, wide, high))
+            .is_none_or(|canvas| !canvas.is_usable_for(drawer, wide, high))
         {
             self.canvas = None;
             self.canvas = Some(Canvas::new(
@@ -325,7 +325,7 @@ impl Environment {
             )?);
         }
         self.show_burners(|burner| burner.observed_opacity);
-        let canvas = self.canvas.as_mut().expect("made above");
+        let canvas = self.canvas.as_mut().expect("created above");
         let view = View {
             model: &self.model,
             data: &mut self.observed,
@@ -393,7 +393,10 @@ impl Environment {
     pub(crate) fn update_burners(&mut self) {
         let qpos = self.data.qpos(&self.model);
         for burner in &mut self.burners {
-            let on = burner.knobs.iter().any(|knob| qpos[*knob] >= burner.on_at);
+            let on = burner
+                .knobs
+                .iter()
+                .any(|knob| qpos[*knob] >= burner.on_threshold);
             if on != (burner.opacity > 0.0) {
                 burner.opacity = 1.0 - burner.opacity;
             }

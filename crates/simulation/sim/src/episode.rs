@@ -306,7 +306,7 @@ impl<'a> Episode<'a> {
     /// whose outcome changes because of it is chaotic at this point.
     pub fn nudge(&mut self) {
         let site = self.environment.model().id(ObjectKind::Site, GRIP_SITE);
-        let site = site.expect("the controller has it");
+        let site = site.expect("the controller requires the site");
         let (model, data) = self.environment.model_and_data();
         let jacobian = arm_state(model, data, site).jacobian;
         let jacobian = jacobian.fixed_rows::<3>(0).into_owned();
@@ -332,7 +332,7 @@ impl<'a> Episode<'a> {
             let mut frame = self.environment.draw(drawer, &camera.name, width, height)?;
             self.conditions.see(&mut frame);
             if let Some(noise) = &mut self.conditions.noise {
-                noise.see(&mut frame, self.environment.control_steps())?;
+                noise.corrupt(&mut frame, self.environment.control_steps())?;
             }
             frames.push(frame);
         }
@@ -433,7 +433,7 @@ fn displaced_arm(environment: &mut Environment, state: &[f64], shift: &RobotShif
     let site = environment
         .model()
         .id(ObjectKind::Site, GRIP_SITE)
-        .expect("the controller has it");
+        .expect("the controller requires the site");
     let kinematics = |joints: &perturb::JointVector| {
         let (model, data) = environment.model_and_data();
         data.qpos_mut(model)[..ARM_JOINTS].copy_from_slice(joints.as_slice());

@@ -13,8 +13,8 @@ pub enum SimError {
     #[error("find {kind:?} `{name}` in the model; is the asset pack complete?")]
     Missing { kind: ObjectKind, name: String },
     #[error(
-        "load initial state {id} of {file}: it has {found} numbers and the model needs {needed}; \
-         do the BDDL file, the initial states and the asset pack belong together?"
+        "load initial state {id} of {file}: the state has {found} numbers and the model needs \
+         {needed}; do the BDDL file, the initial states and the asset pack belong together?"
     )]
     StateWidth {
         id: usize,
@@ -23,7 +23,7 @@ pub enum SimError {
         /// Numbers that the model needs: 1 + nq + nv.
         needed: usize,
     },
-    #[error("load initial state {id} of {file}: it holds {count}")]
+    #[error("load initial state {id} of {file}: the file has {count} states")]
     NoSuchState {
         id: usize,
         file: String,

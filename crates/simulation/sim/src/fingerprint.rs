@@ -24,7 +24,7 @@ const ARM_JOINTS: usize = 7;
 /// which keeps any two joints from moving alike.
 const AMPLITUDE: f64 = 6.0;
 const DETUNING: f64 = 0.37;
-/// Frames: cameras, widths and heights, pixels.
+/// Cameras of the frames, with widths and heights, pixels.
 const FRAMES: [(&str, u32, u32); 2] = [("front", 96, 64), ("hand", 64, 64)];
 
 /// Returns the fingerprint of this process with a renderer: SHA-256, hex.
@@ -87,8 +87,8 @@ fn operational_space(model: &Model, data: &Data, hand: usize) -> Vec<f64> {
     numbers
 }
 
-/// Functions of the C library whose last bit differs between machines. The argument must be unknown
-/// at compile time, since a compiler would insert its own machine's values.
+/// Evaluates functions of the C library whose last bit differs between machines. The argument must
+/// be unknown at compile time, since a compiler would insert its own machine's values.
 fn functions(secs: f64) -> [f64; 11] {
     let x = black_box(secs + 0.1);
     [
@@ -110,7 +110,7 @@ fn frames(drawer: &Drawer, model: &mut Model, data: &mut Data) -> Result<Vec<Vec
     let (width, height) = FRAMES.iter().fold((0, 0), |(wide, high), frame| {
         (frame.1.max(wide), frame.2.max(high))
     });
-    let prepare = |model: &Model| Prepared::of(model).map(Arc::new);
+    let prepare = |model: &Model| Prepared::from_model(model).map(Arc::new);
     let mut canvas = Canvas::new(drawer, model, prepare, [width, height])?;
     let frames = FRAMES.iter().map(|(camera, width, height)| {
         let camera = model.id(ObjectKind::Camera, camera)?;
@@ -145,7 +145,7 @@ mod tests {
     use super::*;
     use crate::render::Renderer;
 
-    fn moved() -> (Model, Data, Vec<f64>) {
+    fn simulated() -> (Model, Data, Vec<f64>) {
         let mut model = Model::compile(SCENE).expect("a model");
         model.disable(DISABLE_NATIVE_CCD | DISABLE_AUTORESET);
         let mut data = Data::new(&model).expect("data");
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_renderer_twice_has_one_fingerprint_in_well_under_a_second() {
+    fn a_fingerprint_is_repeatable_and_takes_less_than_three_seconds() {
         let drawer = Drawer::open(Renderer::default()).expect("a renderer");
         let started = Instant::now();
         let one = fingerprint(&drawer).expect("a fingerprint");
@@ -167,8 +167,8 @@ mod tests {
     }
 
     #[test]
-    fn every_bit_of_motion_and_frames_counts() {
-        let (_, _, numbers) = moved();
+    fn the_fingerprint_depends_on_every_bit_of_motion_and_frames() {
+        let (_, _, numbers) = simulated();
         let frames = vec![vec![1, 2, 3], vec![4]];
         let whole = digest(&numbers, &frames);
         for place in [0, numbers.len() / 2, numbers.len() - 1] {
@@ -181,8 +181,8 @@ mod tests {
     }
 
     #[test]
-    fn the_motion_is_sound_and_things_touch() {
-        let (model, data, numbers) = moved();
+    fn the_motion_is_finite_and_has_contacts() {
+        let (model, data, numbers) = simulated();
         assert!(numbers.iter().all(|number| number.is_finite()));
         assert_eq!(data.instabilities(), 0);
         let touching: BTreeSet<i32> = data.contacts().flat_map(|touch| touch.geoms).collect();
@@ -196,7 +196,7 @@ mod tests {
 
     #[test]
     fn the_frames_show_the_scene() {
-        let (mut model, mut data, _) = moved();
+        let (mut model, mut data, _) = simulated();
         let drawer = Drawer::open(Renderer::default()).expect("a renderer");
         let frames = frames(&drawer, &mut model, &mut data).expect("frames");
         for (frame, (camera, width, height)) in frames.iter().zip(FRAMES) {

@@ -5,7 +5,7 @@
 //! [`render`], and in the mapping of scene files. It is behind safe types, with a reason at every
 //! block.
 
-#![allow(missing_docs, reason = "names and messages say it")]
+#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 mod compiled_scene;
 pub mod controller;

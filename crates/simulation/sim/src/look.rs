@@ -30,9 +30,9 @@ impl Environment {
     pub fn seeing<T>(&mut self, look: &Look, see: impl FnOnce(&mut Self) -> T) -> T {
         let present = self.look();
         self.show(look);
-        let seen = see(self);
+        let result = see(self);
         self.show(&present);
-        seen
+        result
     }
 
     fn show(&mut self, look: &Look) {

@@ -1,9 +1,9 @@
 //! The five metric axes of the protocol as pure arithmetic on values of a scene, a picture or an
 //! action.
 //!
-//! Reading or writing a MuJoCo model and rendering are done elsewhere. Parameters come from the
-//! manifest row, and random elements from [`libero_ctrl::streams`]. Section 4 of the protocol
-//! defines the effect of each axis and its time in a rollout.
+//! The module neither accesses MuJoCo models nor renders. Parameters come from the manifest row,
+//! and random elements from [`libero_ctrl::streams`]. `docs/PROTOCOL.md` defines the effect of each
+//! axis and the step of a rollout at which it acts.
 
 mod actuation;
 mod camera;

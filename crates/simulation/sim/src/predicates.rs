@@ -14,31 +14,31 @@ use crate::mujoco::{Data, Model, ObjectKind};
 /// A goal resolved to ids: all its checks must hold.
 pub struct Goal {
     checks: Vec<Check>,
-    /// Per geom: index of the instance whose collision geom it is.
+    /// For each geom, the instance that has it as a collision geom.
     owner_of_geom: Vec<Option<usize>>,
 }
 
 enum Check {
     /// One object on another.
-    OnObject { upper: Thing, lower: Thing },
+    OnObject { upper: ObjectRef, lower: ObjectRef },
     /// An object on a region, in contact with the instance that has the region, if any.
     OnSite {
-        object: Thing,
+        object: ObjectRef,
         site: Site,
         parent: Option<usize>,
     },
     /// An object in a region.
-    InSite { object: Thing, site: Site },
+    InSite { object: ObjectRef, site: Site },
     /// Joints beyond a threshold: one of them or all of them.
     Joints {
         addresses: Vec<usize>,
-        beyond: Beyond,
+        condition: JointCondition,
         quantifier: Quantifier,
     },
 }
 
 #[derive(Clone, Copy)]
-struct Thing {
+struct ObjectRef {
     instance: usize,
     body: usize,
 }
@@ -49,7 +49,7 @@ struct Site {
 }
 
 #[derive(Clone, Copy)]
-enum Beyond {
+enum JointCondition {
     Side(Threshold),
     AtLeast(f64),
 }
@@ -99,30 +99,30 @@ impl Goal {
     }
 
     fn check_holds(&self, check: &Check, model: &Model, data: &Data) -> bool {
-        let position = |thing: &Thing| vector(data.xpos(model), thing.body);
+        let position = |object: &ObjectRef| vector(data.xpos(model), object.body);
         match check {
             Check::OnObject { upper, lower } => {
                 let (above, below) = (position(upper), position(lower));
                 let apart = (below[0] - above[0]).hypot(below[1] - above[1]);
                 below[2] <= above[2]
                     && apart < STACKED_DISTANCE
-                    && self.touch(data, upper.instance, lower.instance)
+                    && self.are_touching(data, upper.instance, lower.instance)
             }
             Check::OnSite {
                 object,
                 site,
                 parent,
             } => {
-                site.carries(model, data, position(object))
-                    && parent.is_none_or(|parent| self.touch(data, parent, object.instance))
+                site.supports(model, data, position(object))
+                    && parent.is_none_or(|parent| self.are_touching(data, parent, object.instance))
             }
             Check::InSite { object, site } => site.contains(model, data, position(object)),
             Check::Joints {
                 addresses,
-                beyond,
+                condition,
                 quantifier,
             } => {
-                let holds = |address: &usize| beyond.holds(data.qpos(model)[*address]);
+                let holds = |address: &usize| condition.holds(data.qpos(model)[*address]);
                 match quantifier {
                     Quantifier::Any => addresses.iter().any(holds),
                     Quantifier::All => addresses.iter().all(holds),
@@ -131,7 +131,7 @@ impl Goal {
         }
     }
 
-    fn touch(&self, data: &Data, a: usize, b: usize) -> bool {
+    fn are_touching(&self, data: &Data, a: usize, b: usize) -> bool {
         let owner = |geom: i32| {
             usize::try_from(geom)
                 .ok()
@@ -145,8 +145,9 @@ impl Goal {
 }
 
 impl Site {
-    /// Rotates the offset by the site's matrix rather than its transpose, like the original.
-    fn carries(&self, model: &Model, data: &Data, position: [f64; 3]) -> bool {
+    /// Returns true if an object at `position` is on the site. Rotates the offset by the site's
+    /// matrix rather than its transpose, like the original.
+    fn supports(&self, model: &Model, data: &Data, position: [f64; 3]) -> bool {
         let offset = self.offset(model, data, position);
         let rotation = &data.site_xmat(model)[self.id * 9..self.id * 9 + 9];
         let along = |row: usize| -> f64 {
@@ -162,6 +163,7 @@ impl Site {
             && along(1).abs() < half_y
     }
 
+    /// Returns true if an object at `position` is in the site.
     fn contains(&self, model: &Model, data: &Data, position: [f64; 3]) -> bool {
         let rotation = &data.site_xmat(model)[self.id * 9..self.id * 9 + 9];
         let centre = vector(data.site_xpos(model), self.id);
@@ -184,7 +186,7 @@ impl Site {
     }
 }
 
-impl Beyond {
+impl JointCondition {
     fn holds(self, q: f64) -> bool {
         match self {
             Self::Side(threshold) => threshold.holds(q),
@@ -213,19 +215,19 @@ impl<'a> Resolver<'a> {
             predicate: predicate.to_string(),
             problem: problem.to_owned(),
         };
-        let refer = |name: &str| {
-            self.refer(name)
+        let referent = |name: &str| {
+            self.referent(name)
                 .ok_or_else(|| problem(&format!("`{name}` is not in the scene")))
         };
-        let object = |name: &str| match refer(name)? {
-            Referent::Instance(index, instance) => self.thing(index, instance),
+        let object = |name: &str| match referent(name)? {
+            Referent::Instance(index, instance) => self.object_ref(index, instance),
             Referent::Region(_) => Err(problem(&format!("`{name}` is a region, not an object"))),
         };
         match (predicate.name.as_str(), predicate.arguments.as_slice()) {
-            ("on", [upper, lower]) => match refer(lower)? {
+            ("on", [upper, lower]) => match referent(lower)? {
                 Referent::Instance(index, instance) => Ok(Check::OnObject {
                     upper: object(upper)?,
-                    lower: self.thing(index, instance)?,
+                    lower: self.object_ref(index, instance)?,
                 }),
                 Referent::Region(region) => Ok(Check::OnSite {
                     object: object(upper)?,
@@ -233,10 +235,10 @@ impl<'a> Resolver<'a> {
                     parent: region
                         .parent
                         .as_deref()
-                        .and_then(|name| self.position(name)),
+                        .and_then(|name| self.instance_index(name)),
                 }),
             },
-            ("in", [inner, outer]) => match refer(outer)? {
+            ("in", [inner, outer]) => match referent(outer)? {
                 Referent::Region(region) => Ok(Check::InSite {
                     object: object(inner)?,
                     site: self.site(region)?,
@@ -246,49 +248,55 @@ impl<'a> Resolver<'a> {
                 ))),
             },
             ("open" | "close" | "turnon" | "turnoff", [name]) => {
-                let (instance, joints) = match refer(name)? {
+                let (instance, joints) = match referent(name)? {
                     Referent::Instance(_, instance) => (instance, &instance.joints),
                     Referent::Region(region) => {
                         let parent = region
                             .parent
                             .as_deref()
                             .and_then(|p| self.scene.instance(p));
-                        let parent = parent
-                            .ok_or_else(|| problem(&format!("`{name}` has nothing to move")))?;
+                        let parent = parent.ok_or_else(|| {
+                            problem(&format!("`{name}` belongs to no object or fixture"))
+                        })?;
                         (parent, &region.joints)
                     }
                 };
-                let (beyond, quantifier) =
+                let (condition, quantifier) =
                     articulation_check(&predicate.name, instance.category.articulation)
                         .ok_or_else(|| {
-                            problem(&format!("a {} cannot do that", instance.category.name))
+                            problem(&format!(
+                                "a {} does not support `{}`",
+                                instance.category.name, predicate.name
+                            ))
                         })?;
                 Ok(Check::Joints {
                     addresses: self.addresses(joints)?,
-                    beyond,
+                    condition,
                     quantifier,
                 })
             }
-            _ => Err(problem("no such predicate with so many arguments")),
+            _ => Err(problem(
+                "no predicate has this name and number of arguments",
+            )),
         }
     }
 
-    fn position(&self, name: &str) -> Option<usize> {
+    fn instance_index(&self, name: &str) -> Option<usize> {
         self.scene
             .instances
             .iter()
             .position(|instance| instance.name == name)
     }
 
-    fn refer(&self, name: &str) -> Option<Referent<'a>> {
+    fn referent(&self, name: &str) -> Option<Referent<'a>> {
         let scene = self.scene;
-        self.position(name)
+        self.instance_index(name)
             .map(|index| Referent::Instance(index, &scene.instances[index]))
             .or_else(|| scene.region(name).map(Referent::Region))
     }
 
-    fn thing(&self, instance: usize, names: &Instance) -> Result<Thing, SimError> {
-        Ok(Thing {
+    fn object_ref(&self, instance: usize, names: &Instance) -> Result<ObjectRef, SimError> {
+        Ok(ObjectRef {
             instance,
             body: self.model.id(ObjectKind::Body, &names.root_body)?,
         })
@@ -311,17 +319,22 @@ impl<'a> Resolver<'a> {
     }
 }
 
-fn articulation_check(predicate: &str, articulation: Articulation) -> Option<(Beyond, Quantifier)> {
+fn articulation_check(
+    predicate: &str,
+    articulation: Articulation,
+) -> Option<(JointCondition, Quantifier)> {
     match (predicate, articulation) {
         ("open", Articulation::OpenClose { open, .. }) => {
-            Some((Beyond::Side(open), Quantifier::Any))
+            Some((JointCondition::Side(open), Quantifier::Any))
         }
         ("close", Articulation::OpenClose { close, .. }) => {
-            Some((Beyond::Side(close), Quantifier::All))
+            Some((JointCondition::Side(close), Quantifier::All))
         }
-        ("turnon", Articulation::OnOff { on, .. }) => Some((Beyond::AtLeast(on), Quantifier::Any)),
+        ("turnon", Articulation::OnOff { on, .. }) => {
+            Some((JointCondition::AtLeast(on), Quantifier::Any))
+        }
         ("turnoff", Articulation::OnOff { off, .. }) => {
-            Some((Beyond::Side(Threshold::Below(off)), Quantifier::All))
+            Some((JointCondition::Side(Threshold::Below(off)), Quantifier::All))
         }
         _ => None,
     }

@@ -9,7 +9,7 @@ mod prepare;
 mod software;
 #[allow(
     unsafe_code,
-    reason = "what a thread owns is carried, not used, by others"
+    reason = "other threads may move the value but never use it"
 )]
 mod thread_bound;
 mod view;
@@ -162,12 +162,12 @@ impl Canvas {
 
     /// Returns true if this canvas was made for the renderer and has room for a picture of this
     /// size.
-    pub(crate) fn suits(&self, drawer: &Drawer, width: u32, height: u32) -> bool {
+    pub(crate) fn is_usable_for(&self, drawer: &Drawer, width: u32, height: u32) -> bool {
         match (self, drawer) {
             (Self::Software(_), Drawer::Software) => true,
             (Self::Gl(canvas), Drawer::Gl(context)) => canvas
                 .get()
-                .is_some_and(|canvas| canvas.suits(context, [width, height])),
+                .is_some_and(|canvas| canvas.is_usable_for(context, [width, height])),
             _ => false,
         }
     }
@@ -212,7 +212,7 @@ mod tests {
 
     /// Returns a canvas of 64 × 48 pixels.
     fn canvas(drawer: &Drawer, model: &mut Model) -> Canvas {
-        let prepare = |model: &Model| Prepared::of(model).map(Arc::new);
+        let prepare = |model: &Model| Prepared::from_model(model).map(Arc::new);
         Canvas::new(drawer, model, prepare, [64, 48]).expect("a canvas")
     }
 
@@ -270,7 +270,7 @@ mod tests {
         let mut first = canvas(&one, &mut model);
         let picture = first.draw(view(&model, &mut data)).expect("a picture");
         let mut second = canvas(&other, &mut model);
-        assert!(first.suits(&one, 64, 48) && !first.suits(&other, 64, 48));
+        assert!(first.is_usable_for(&one, 64, 48) && !first.is_usable_for(&other, 64, 48));
         for _ in 0..2 {
             for canvas in [&mut first, &mut second] {
                 let again = canvas.draw(view(&model, &mut data)).expect("a picture");
@@ -291,7 +291,10 @@ mod tests {
         let (mut model, _) = scene();
         let canvas = canvas(&drawer, &mut model);
         for size in [4096, i32::MAX as u32 + 1, u32::MAX] {
-            assert!(!canvas.suits(&drawer, size, 48), "{size} pixels wide");
+            assert!(
+                !canvas.is_usable_for(&drawer, size, 48),
+                "{size} pixels wide"
+            );
         }
     }
 
@@ -310,8 +313,9 @@ mod tests {
             canvas.draw(view(&own, &mut data)).expect("a picture");
             let mut refused = |model: &Model, data: &mut Data| {
                 let drawn = AssertUnwindSafe(|| canvas.draw(view(model, data)));
-                let said = catch_unwind(drawn).expect_err("another model");
-                said.downcast_ref::<&str>()
+                let message = catch_unwind(drawn).expect_err("another model");
+                message
+                    .downcast_ref::<&str>()
                     .copied()
                     .unwrap_or_default()
                     .to_owned()
@@ -325,7 +329,7 @@ mod tests {
     }
 
     #[test]
-    fn a_renderer_is_named_in_three_ways() {
+    fn renderers_are_parsed_and_displayed_in_three_forms() {
         for (text, renderer) in [
             ("software", Renderer::Software),
             ("gl", Renderer::Gl(GlDevice::Auto)),

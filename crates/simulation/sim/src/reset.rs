@@ -14,11 +14,11 @@ const RESET_FINGERS: [f64; 2] = [0.020833, -0.020833];
 /// Starting point of a reset: robosuite's `hard_reset`, whose two modes lead to different scenes.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Reset {
-    /// The model as compiled, as if loaded again: fixtures at their poses in the file until they
-    /// are placed, nothing perturbed, the gripper's ramp at its middle.
+    /// Starts from the compiled model: fixtures at their poses in the file until they are placed,
+    /// nothing perturbed, the gripper's ramp at its middle.
     Hard,
-    /// The current model: fixtures stay at their last poses, relative to which objects on their
-    /// sites are placed, and the gripper's ramp keeps its position.
+    /// Starts from the current model: objects on sites of fixtures are placed relative to the
+    /// fixtures' last poses, and the gripper's ramp keeps its position.
     Soft,
 }
 
@@ -28,8 +28,8 @@ pub(crate) struct Resets {
     joints: Vec<Vec<usize>>,
     targets: Vec<Target>,
     sites: Vec<usize>,
-    /// Fixtures of the compiled model: body, position, orientation.
-    compiled: Vec<(usize, [f64; 3], [f64; 4])>,
+    /// Poses of the fixtures in the compiled model: body, position, orientation.
+    compiled_fixtures: Vec<(usize, [f64; 3], [f64; 4])>,
 }
 
 enum Target {
@@ -40,8 +40,7 @@ enum Target {
 
 impl Resets {
     /// Resolves the samplers of a scene in its compiled model.
-    pub(crate) fn resolve(samplers: &Samplers, compiled: &Model) -> Result<Self, SimError> {
-        let model = compiled;
+    pub(crate) fn resolve(samplers: &Samplers, model: &Model) -> Result<Self, SimError> {
         let address = |joint: &String| {
             let id = model.id(ObjectKind::Joint, joint)?;
             Ok::<_, SimError>(model.jnt_qposadr()[id] as usize)
@@ -52,13 +51,13 @@ impl Resets {
             .map(|sampler| sampler.joints.iter().map(address).collect())
             .collect::<Result<_, _>>()?;
         let mut targets = Vec::new();
-        let mut compiled = Vec::new();
+        let mut compiled_fixtures = Vec::new();
         for sampler in samplers.poses() {
             targets.push(match &sampler.target {
                 PoseTarget::FreeJoint(joint) => Target::FreeJoint(address(joint)?),
                 PoseTarget::Body(body) => {
                     let body = model.id(ObjectKind::Body, body)?;
-                    compiled.push((
+                    compiled_fixtures.push((
                         body,
                         std::array::from_fn(|axis| model.body_pos()[body * 3 + axis]),
                         std::array::from_fn(|index| model.body_quat()[body * 4 + index]),
@@ -76,13 +75,13 @@ impl Resets {
             joints,
             targets,
             sites,
-            compiled,
+            compiled_fixtures,
         })
     }
 
     /// Restores the compiled poses of the fixtures.
-    pub(crate) fn put_fixtures_back(&self, model: &mut Model) {
-        for (body, pos, quat) in &self.compiled {
+    pub(crate) fn restore_fixtures(&self, model: &mut Model) {
+        for (body, pos, quat) in &self.compiled_fixtures {
             model.body_pos_mut()[body * 3..][..3].copy_from_slice(pos);
             model.body_quat_mut()[body * 4..][..4].copy_from_slice(quat);
         }

@@ -6,7 +6,7 @@
 //! truncated, since truncating a mapped file kills the process that maps it. Its name is a digest
 //! of everything that it depends on, so different builds never share a file. Textures have files of
 //! their own, since scenes share them. On any failure, the scene is compiled into the process's own
-//! memory, and the first error is kept for [`SceneFolder::take_problem`].
+//! memory, and [`SceneFolder::take_problem`] returns the first error.
 
 mod container;
 mod evict;
@@ -32,7 +32,7 @@ use crate::mujoco::{self, Model, STRUCTURE};
 use crate::render::{Prepared, PreparedBytes};
 
 const FORMAT: u32 = 1;
-/// Length of a name, hexadecimal digits.
+/// Length of a [`Name`].
 const NAME_DIGITS: usize = 32;
 /// Value of the environment variable and option that disables scene files.
 const OFF: &str = "off";
@@ -40,28 +40,28 @@ const OFF: &str = "off";
 /// Name of a scene or texture: hexadecimal digits.
 type Name = [u8; NAME_DIGITS];
 
-/// A scene's model and its preparation for the software renderer.
-pub(crate) struct Obtained {
+/// A scene's model and its rendering data, from a file or just compiled.
+pub(crate) struct LoadedScene {
     pub(crate) model: Model,
     pub(crate) prepared: Preparation,
 }
 
-/// Preparation of a model for the software renderer.
+/// Rendering data of a model for the software renderer.
 pub(crate) enum Preparation {
-    /// The model is not prepared.
+    /// The data has not been prepared yet.
     Missing,
-    /// Prepared in this process's memory.
-    Made(Arc<Prepared>),
-    /// Prepared, in a scene file.
-    Kept(PreparedBytes),
+    /// The data is in this process's memory.
+    InMemory(Arc<Prepared>),
+    /// The data is in a scene file.
+    InFile(PreparedBytes),
 }
 
 impl SceneFolder {
-    /// Returns the folder of this process: the argument of [`SceneFolder::choose`], else
+    /// Returns the scene folder of this process: the argument of [`SceneFolder::choose`], else
     /// `$ROLLOUT_SCENES`, else `rollout/scenes` in the user's cache folder. `None` if scene files
     /// are disabled.
     pub fn of_process() -> Option<&'static Self> {
-        let chosen = CHOSEN.get_or_init(|| {
+        let chosen = CHOSEN_FOLDER.get_or_init(|| {
             let setting = std::env::var_os("ROLLOUT_SCENES");
             from_setting(setting.as_deref())
         });
@@ -71,15 +71,15 @@ impl SceneFolder {
     /// Chooses the folder of this process, or `off`; must be called before the folder is used.
     pub fn choose(setting: &OsStr) {
         // An earlier choice is kept, since its scenes may be mapped.
-        let _ = CHOSEN.set(from_setting(Some(setting)));
+        let _ = CHOSEN_FOLDER.set(from_setting(Some(setting)));
     }
 
     /// Returns the first error of scene files in this process, once.
     pub fn take_problem() -> Option<String> {
         let mut problem = PROBLEM.lock().unwrap_or_else(PoisonError::into_inner);
-        match std::mem::replace(&mut *problem, Problem::Said) {
-            Problem::Found(words) => Some(words),
-            Problem::Said => None,
+        match std::mem::replace(&mut *problem, Problem::Reported) {
+            Problem::Found(problem) => Some(problem),
+            Problem::Reported => None,
             Problem::None => {
                 *problem = Problem::None;
                 None
@@ -96,51 +96,51 @@ impl SceneFolder {
         &self,
         name: &Name,
         compile: impl FnOnce() -> Result<Model, SimError>,
-    ) -> Result<Obtained, SimError> {
+    ) -> Result<LoadedScene, SimError> {
         let lock = match self.load_or_lock(name) {
-            Ok(Ok(kept)) => return Ok(kept),
+            Ok(Ok(loaded)) => return Ok(loaded),
             Ok(Err(lock)) => lock,
             Err(problem) => {
-                note_problem(&problem);
-                return Ok(Obtained::of(compile()?));
+                record_problem(&problem);
+                return Ok(LoadedScene::in_memory(compile()?));
             }
         };
         let model = compile()?;
         // A scene that the software renderer cannot draw is rejected when it is drawn.
-        let Ok(prepared) = Prepared::of(&model) else {
-            return Ok(Obtained::of(model));
+        let Ok(prepared) = Prepared::from_model(&model) else {
+            return Ok(LoadedScene::in_memory(model));
         };
         let stored = self.store(name, &model, &prepared);
         drop(lock);
         match stored.and_then(|()| self.load(name)) {
-            Ok(Some(kept)) => {
+            Ok(Some(loaded)) => {
                 drop((model, prepared));
                 mujoco::return_freed_memory();
-                return Ok(kept);
+                return Ok(loaded);
             }
             Ok(None) => {}
-            Err(problem) => note_problem(&problem),
+            Err(problem) => record_problem(&problem),
         }
-        Ok(Obtained {
+        Ok(LoadedScene {
             model,
-            prepared: Preparation::Made(Arc::new(prepared)),
+            prepared: Preparation::InMemory(Arc::new(prepared)),
         })
     }
 
-    /// Returns the scene, or the lock that permits compiling it.
-    fn load_or_lock(&self, name: &Name) -> Result<Result<Obtained, fs::File>, SceneFileError> {
-        if let Some(kept) = self.load(name)? {
-            return Ok(Ok(kept));
+    /// Returns the scene, or the lock that a process holds while it compiles the scene.
+    fn load_or_lock(&self, name: &Name) -> Result<Result<LoadedScene, fs::File>, SceneFileError> {
+        if let Some(loaded) = self.load(name)? {
+            return Ok(Ok(loaded));
         }
-        let lock = self.lock(&format!("{}.lock", text(name)))?;
+        let lock = self.lock(&format!("{}.lock", name_text(name)))?;
         // Another process may have stored the scene in the meantime.
         Ok(self.load(name)?.ok_or(lock))
     }
 }
 
-impl Obtained {
-    /// Returns a model in the memory of this process.
-    pub(crate) fn of(model: Model) -> Self {
+impl LoadedScene {
+    /// Wraps a model in the memory of this process.
+    pub(crate) fn in_memory(model: Model) -> Self {
         Self {
             model,
             prepared: Preparation::Missing,
@@ -153,12 +153,16 @@ pub(crate) fn name_of_scene(scene: &Scene, pack: &AssetPack, sources: &Sources) 
     let mut hash = Sha256::new();
     hash.update(layout());
     hash.update(pack.digest());
-    // Unlike the pack's files, these have no stored digest, and reading them would take longer than
-    // everything else. Size and modification time suffice, since they are written only at
-    // installation.
+    // Unlike the pack's files, the robot's have no stored digest, and reading them would take
+    // longer than everything else. Size and modification time suffice, since they are written only
+    // at installation.
     for file in scene.robot_files(sources) {
-        if let Ok(facts) = fs::metadata(&file) {
-            for number in [facts.len() as i64, facts.mtime(), facts.mtime_nsec()] {
+        if let Ok(metadata) = fs::metadata(&file) {
+            for number in [
+                metadata.len() as i64,
+                metadata.mtime(),
+                metadata.mtime_nsec(),
+            ] {
                 hash.update(number.to_le_bytes());
             }
         }
@@ -187,11 +191,11 @@ fn digits(digest: &[u8]) -> Name {
     })
 }
 
-fn text(name: &Name) -> &str {
+fn name_text(name: &Name) -> &str {
     std::str::from_utf8(name).expect("digits")
 }
 
-static CHOSEN: OnceLock<Option<SceneFolder>> = OnceLock::new();
+static CHOSEN_FOLDER: OnceLock<Option<SceneFolder>> = OnceLock::new();
 
 fn from_setting(setting: Option<&OsStr>) -> Option<SceneFolder> {
     match setting.filter(|setting| !setting.is_empty()) {
@@ -204,12 +208,12 @@ fn from_setting(setting: Option<&OsStr>) -> Option<SceneFolder> {
 enum Problem {
     None,
     Found(String),
-    Said,
+    Reported,
 }
 
 static PROBLEM: Mutex<Problem> = Mutex::new(Problem::None);
 
-fn note_problem(error: &SceneFileError) {
+fn record_problem(error: &SceneFileError) {
     let mut problem = PROBLEM.lock().unwrap_or_else(PoisonError::into_inner);
     if let Problem::None = *problem {
         let cause = error.source().map(|cause| format!(": {cause}"));

@@ -89,7 +89,7 @@ impl Simulator {
         row: &ManifestRow,
         realisation: Realisation,
     ) -> Result<Episode<'_>, SimError> {
-        self.begin_either(files, row, realisation, None)
+        self.begin_episode(files, row, realisation, None)
     }
 
     /// Prepares a rollout of a LIBERO-family variant up to the state in which its waits begin. Only
@@ -100,10 +100,10 @@ impl Simulator {
         row: &ManifestRow,
         variant: &VariantStart,
     ) -> Result<Episode<'_>, SimError> {
-        self.begin_either(files, row, Realisation::Matched, Some(variant))
+        self.begin_episode(files, row, Realisation::Matched, Some(variant))
     }
 
-    fn begin_either(
+    fn begin_episode(
         &mut self,
         files: TaskFiles,
         row: &ManifestRow,

@@ -1,5 +1,5 @@
 //! State of an environment in robosuite's terms: reset without an initial state, the state as one
-//! vector, and observation on request; and snapshots, which are complete.
+//! vector, and observation on request. Also snapshots, which hold the complete state.
 
 use libero_ctrl::numpy::LegacyRng;
 use scene::placement::MAX_DRAWS;
@@ -33,12 +33,12 @@ impl Environment {
     /// 1 at construction, plus 1 for each hard reset. Each time, its list of samplers for joints
     /// that start open, closed, on or off grows by one copy.
     ///
-    /// If there is no room for an object, everything is drawn again, as in the original's wrapper,
-    /// which counts as another hard reset if this is one. Returns the resulting number of rounds,
-    /// to be passed to the next reset.
+    /// If there is no room for an object, everything is drawn again, as in the original's wrapper;
+    /// in a hard reset, each repetition counts as another hard reset. Returns the resulting number
+    /// of rounds, to be passed to the next reset.
     ///
     /// # Errors
-    /// [`NoRoom`](scene::SceneError::NoRoom) if this fails a thousand times.
+    /// [`NoRoom`](scene::SceneError::NoRoom) if a thousand attempts find no room.
     pub fn reset(
         &mut self,
         rng: &mut LegacyRng,
@@ -54,7 +54,7 @@ impl Environment {
         } = self;
         if reset == Reset::Hard {
             model.copy_own(&compiled.model);
-            compiled.resets.put_fixtures_back(model);
+            compiled.resets.restore_fixtures(model);
         }
         let samplers = &compiled.scene.samplers;
         let mut rounds = joint_sampler_rounds;
@@ -139,9 +139,9 @@ impl Environment {
     /// # Errors
     /// If memory is exhausted.
     pub fn snapshot(&self) -> Result<Snapshot, SimError> {
-        let copy = |of: &Data| {
+        let copy = |source: &Data| {
             let mut data = Data::new(&self.model)?;
-            data.copy_from(&self.model, of);
+            data.copy_from(&self.model, source);
             Ok::<_, SimError>(data)
         };
         Ok(Snapshot {

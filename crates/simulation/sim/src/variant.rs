@@ -36,8 +36,8 @@ pub struct VariantStart {
     /// Angles of the arm's joints at the reset, rad; `None` for LIBERO's.
     pub posture: Option<[f64; ARM_JOINTS]>,
     pub seed: u32,
-    /// Resets with the same generator before the actual one: the number of preceding trials, since
-    /// harnesses seed only once.
+    /// Number of resets with the same generator before the actual one: that of the preceding
+    /// trials, since harnesses seed only once.
     pub earlier_resets: u32,
     /// State in which the waits begin.
     pub start: Start,
@@ -101,7 +101,11 @@ impl VariantStart {
 impl Noise {
     /// Corrupts a picture that is rendered after `control_steps`. Random numbers are also drawn for
     /// the earlier pictures that were not requested.
-    pub(crate) fn see(&mut self, frame: &mut Frame, control_steps: u32) -> Result<(), SimError> {
+    pub(crate) fn corrupt(
+        &mut self,
+        frame: &mut Frame,
+        control_steps: u32,
+    ) -> Result<(), SimError> {
         if frame.camera != PERTURBED_CAMERA {
             return Ok(());
         }
@@ -114,7 +118,7 @@ impl Noise {
             width: frame.width as usize,
             rgb: &mut frame.rgb,
         };
-        // From a copy, since the same picture may be requested again.
+        // Uses a copy of the generator, since the same picture may be requested again.
         let corrupted = self.corruption.apply(&mut picture, &mut self.rng.clone());
         Ok(corrupted?)
     }

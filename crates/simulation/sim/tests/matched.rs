@@ -1,6 +1,6 @@
 //! Basis of pairing: in `matched` mode, an axis is realised with the same bits alone and in any
 //! combination, for any configuration and radius. Runs without MuJoCo: camera, lights and arm are
-//! made up.
+//! synthetic.
 
 use std::collections::BTreeMap;
 
@@ -29,14 +29,14 @@ const ACTIONS: usize = 30;
 /// number that affects the rollout.
 #[derive(Debug)]
 struct Realised {
-    kept: rollout_types::Realised,
+    stored: rollout_types::Realised,
     bits: BTreeMap<Axis, Vec<u64>>,
 }
 
 fn realise(row: &ManifestRow, mode: Realisation) -> Realised {
     let perturbation = &row.perturbation;
     let mut realised = Realised {
-        kept: rollout_types::Realised::default(),
+        stored: rollout_types::Realised::default(),
         bits: BTreeMap::new(),
     };
     let camera = nominal_camera();
@@ -60,16 +60,16 @@ fn realise(row: &ManifestRow, mode: Realisation) -> Realised {
         let randomness = Randomness::of(&row.id, Axis::Sensor, mode);
         let mut stage = SensorStage::new(corruption, &randomness);
         let fixed = stage.realised();
-        let seen = pictures(&mut stage);
-        realised.add(Axis::Sensor, &corruption.values(), &fixed, &seen);
+        let pixels = pictures(&mut stage);
+        realised.add(Axis::Sensor, &corruption.values(), &fixed, &pixels);
     }
     if let Some(distortion) = &perturbation.actuation {
         let randomness = Randomness::of(&row.id, Axis::Actuation, mode);
         let rms = row.id.task().suite().demo_action_rms();
         let mut stage = ActuationStage::new(distortion, rms, &randomness);
         let fixed = stage.realised();
-        let acted = actions(&mut stage);
-        realised.add(Axis::Actuation, &distortion.values(), &fixed, &acted);
+        let outputs = actions(&mut stage);
+        realised.add(Axis::Actuation, &distortion.values(), &fixed, &outputs);
     }
     realised
 }
@@ -77,7 +77,7 @@ fn realise(row: &ManifestRow, mode: Realisation) -> Realised {
 impl Realised {
     /// Adds an axis: the values that a result keeps, and the values of each step.
     fn add(&mut self, axis: Axis, parameters: &[f64], fixed: &[f64], steps: &[f64]) {
-        self.kept.add(axis, parameters.to_vec(), fixed.to_vec());
+        self.stored.add(axis, parameters.to_vec(), fixed.to_vec());
         let values = fixed.iter().chain(steps);
         self.bits
             .insert(axis, values.map(|value| value.to_bits()).collect());
@@ -85,7 +85,7 @@ impl Realised {
 }
 
 fn pictures(stage: &mut SensorStage) -> Vec<f64> {
-    let mut seen = Vec::new();
+    let mut pixels = Vec::new();
     for step in PICTURED_STEPS {
         for source in FrameSource::ALL {
             let bytes = 0..PICTURE_PX * PICTURE_PX * 3;
@@ -97,10 +97,10 @@ fn pictures(stage: &mut SensorStage) -> Vec<f64> {
                 height: PICTURE_PX,
                 rgb: &mut rgb,
             });
-            seen.extend(rgb.into_iter().map(f64::from));
+            pixels.extend(rgb.into_iter().map(f64::from));
         }
     }
-    seen
+    pixels
 }
 
 fn actions(stage: &mut ActuationStage) -> Vec<f64> {
@@ -200,8 +200,8 @@ proptest! {
         let mut compared = 0;
         each_axis(&design, Realisation::Matched, |axis, alone, combined| {
             assert_eq!(alone.bits[&axis], combined.bits[&axis], "{axis}");
-            assert!(alone.kept.of(axis).is_some());
-            assert_eq!(alone.kept.of(axis), combined.kept.of(axis), "{axis}");
+            assert!(alone.stored.of(axis).is_some());
+            assert_eq!(alone.stored.of(axis), combined.stored.of(axis), "{axis}");
             compared += 1;
         });
         prop_assert_eq!(compared, design.axes.len() + 2 * design.subsets.len());
@@ -210,7 +210,7 @@ proptest! {
     /// This difference is the reason for the `matched` mode: in `reference` mode, each condition
     /// draws its random elements anew.
     #[test]
-    fn in_reference_mode_what_is_drawn_is_drawn_anew(
+    fn in_reference_mode_each_condition_draws_anew(
         task in select(TaskRef::all().collect::<Vec<_>>()),
         config in 0..10_u16,
     ) {

@@ -103,7 +103,7 @@ fn bad_lines_are_named_by_their_numbers_and_nothing_is_taken() {
         "3 lines are bad",
         "line 2: ",
         "line 3: read level `L9`",
-        "line 4: \"yes\" stands where true or false belongs",
+        "line 4: \"yes\" is given where true or false is expected",
     ] {
         assert!(told.contains(expected), "{expected}: {told}");
     }

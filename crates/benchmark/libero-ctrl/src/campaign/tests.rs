@@ -23,7 +23,7 @@ fn spec(changes: &[(&str, serde_json::Value)]) -> Result<CampaignSpec, SpecError
 }
 
 #[test]
-fn a_specification_reads_back_and_is_in_order() {
+fn a_specification_is_parsed_with_sorted_lists() {
     let spec = spec(&[]).expect("a specification");
     let design = design(&spec);
     assert_eq!(design.tasks.len(), 2);
@@ -41,7 +41,7 @@ fn design(spec: &CampaignSpec) -> &Design {
 }
 
 #[test]
-fn an_execution_model_is_written_unless_the_world_waits_and_makes_another_design() {
+fn an_execution_model_other_than_wait_is_written_and_changes_the_version() {
     let waiting = spec(&[]).expect("a specification");
     let text = serde_json::to_string(&waiting).expect("JSON");
     assert!(!text.contains("execution"), "{text}");
@@ -86,7 +86,7 @@ fn imported(rows: &[ManifestRow], model: Option<&str>) -> Result<CampaignSpec, S
 }
 
 #[test]
-fn a_manifest_stands_in_place_of_a_design() {
+fn a_manifest_replaces_a_design() {
     let rows = Design::v0_1().expand().expect("rows");
     let row = &rows[..1];
     let mut json = serde_json::json!({
@@ -108,7 +108,7 @@ fn a_manifest_stands_in_place_of_a_design() {
 }
 
 #[test]
-fn rows_of_the_latency_axis_run_beside_no_other_model() {
+fn latency_rows_exclude_execution_models_other_than_wait() {
     let row = |id: &str| crate::row_of(id.parse().expect("an id")).expect("a row");
     let [late, nominal] = ["goal/t0/latency/L2/c00", "goal/t0/clean/i06"].map(row);
     let holding = nominal.clone().under(&"hold:2".parse().expect("a model"));
@@ -122,7 +122,7 @@ fn rows_of_the_latency_axis_run_beside_no_other_model() {
 
 /// An expanded manifest names its execution model in each row.
 #[test]
-fn a_campaign_runs_under_the_model_of_its_manifest() {
+fn a_campaign_has_the_execution_model_of_its_manifest() {
     let late = spec(&[("execution", "overlap:4".into())]).expect("a specification");
     let rows = late.expand().expect("rows");
     assert!(rows.iter().all(|row| row.execution == late.execution));
@@ -131,10 +131,10 @@ fn a_campaign_runs_under_the_model_of_its_manifest() {
     assert_eq!(lines, rows.len());
     assert_eq!(manifest::parse(&text), Ok(rows.clone()));
 
-    let told = imported(&rows, None).expect("a specification");
-    assert_eq!(told.execution, late.execution);
-    assert_eq!(told.version(), DesignVersion::of_manifest(&rows));
-    assert_eq!(imported(&rows, Some("overlap:4")), Ok(told.clone()));
+    let read = imported(&rows, None).expect("a specification");
+    assert_eq!(read.execution, late.execution);
+    assert_eq!(read.version(), DesignVersion::of_manifest(&rows));
+    assert_eq!(imported(&rows, Some("overlap:4")), Ok(read.clone()));
     let error = imported(&rows, Some("hold:2")).expect_err("another model");
     for part in [
         "`execution` is hold:2",
@@ -143,19 +143,19 @@ fn a_campaign_runs_under_the_model_of_its_manifest() {
     ] {
         assert!(error.to_string().contains(part), "{error}");
     }
-    let silent: Vec<ManifestRow> = rows
+    let without_model: Vec<ManifestRow> = rows
         .iter()
         .map(|row| row.clone().under(&Execution::Wait))
         .collect();
-    let given = imported(&silent, Some("overlap:4")).expect("a specification");
+    let given = imported(&without_model, Some("overlap:4")).expect("a specification");
     assert_eq!(given.expand().expect("rows"), rows);
-    assert_eq!(given.version(), told.version());
+    assert_eq!(given.version(), read.version());
     assert_ne!(
-        imported(&silent, None).expect("waits").version(),
-        told.version()
+        imported(&without_model, None).expect("waits").version(),
+        read.version()
     );
 
-    let mixed = [rows[0].clone(), silent[1].clone()];
+    let mixed = [rows[0].clone(), without_model[1].clone()];
     let error = imported(&mixed, None).expect_err("two models");
     for part in ["execution model `wait`", "`overlap:4` in line 1"] {
         assert!(error.to_string().contains(part), "{error}");
@@ -163,7 +163,7 @@ fn a_campaign_runs_under_the_model_of_its_manifest() {
 }
 
 #[test]
-fn latency_is_an_axis_beside_the_six_and_never_simultaneous() {
+fn latency_is_a_further_axis_that_combinations_exclude() {
     let axes = serde_json::json!(["camera", "robot", "latency"]);
     let levels = serde_json::json!(["L0", "L1", "L3", "r6"]);
     let late = [("axes", axes), ("levels", levels)];
@@ -207,7 +207,7 @@ fn latency_is_an_axis_beside_the_six_and_never_simultaneous() {
     assert_eq!(
         waits.expand().expect("rows"),
         without,
-        "the others are as without it"
+        "the other rows are the same as without latency"
     );
     assert_ne!(late.version(), waits.version());
 
@@ -215,7 +215,7 @@ fn latency_is_an_axis_beside_the_six_and_never_simultaneous() {
     let text = manifest::to_text(&rows);
     assert_eq!(manifest::parse(&text), Ok(rows.clone()));
     let wrong = text.replace(r#""execution":"overlap:4""#, r#""execution":"overlap:2""#);
-    let error = manifest::parse(&wrong).expect_err("another delay than its level's");
+    let error = manifest::parse(&wrong).expect_err("a delay other than that of its level");
     assert!(
         error.to_string().contains("its level: overlap:4"),
         "{error}"
@@ -223,7 +223,7 @@ fn latency_is_an_axis_beside_the_six_and_never_simultaneous() {
 }
 
 #[test]
-fn a_delay_that_is_no_whole_step_or_beside_another_is_refused() {
+fn delays_of_fractional_steps_or_with_another_execution_model_are_refused() {
     let refused = |axes: serde_json::Value, levels: serde_json::Value, model: &str| {
         let changes = [
             ("axes", axes),
@@ -251,7 +251,7 @@ fn a_delay_that_is_no_whole_step_or_beside_another_is_refused() {
 }
 
 #[test]
-fn an_explanation_stands_in_place_of_a_design_and_has_no_rows_of_its_own() {
+fn an_explanation_replaces_a_design_and_starts_without_rows() {
     let mut json = serde_json::json!({
         "name": "why",
         "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
@@ -275,7 +275,7 @@ fn an_explanation_stands_in_place_of_a_design_and_has_no_rows_of_its_own() {
 }
 
 #[test]
-fn thresholds_stand_in_place_of_a_design_and_have_defaults() {
+fn thresholds_replace_a_design_and_have_defaults() {
     let mut json = serde_json::json!({
         "name": "far",
         "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
@@ -331,7 +331,7 @@ fn imported_rows_are_checked_like_those_of_a_file() {
 }
 
 #[test]
-fn bad_names_and_numbers_are_named_with_the_valid_ones() {
+fn errors_for_invalid_names_and_numbers_list_the_valid_ones() {
     let check = |field: &str, value: serde_json::Value, expected: &str| {
         let error = spec(&[(field, value)]).expect_err(field).to_string();
         assert!(error.contains(expected), "{error}");
@@ -368,7 +368,7 @@ fn bad_names_and_numbers_are_named_with_the_valid_ones() {
     check(
         "directions",
         json(r#""mine""#),
-        "`mine` has no meaning; write",
+        "`mine` is not valid; write",
     );
     check("levels", json("null"), "the field `levels` is not there");
     check(
@@ -376,7 +376,7 @@ fn bad_names_and_numbers_are_named_with_the_valid_ones() {
         json("[1000]"),
         "`configs` has 1000, valid are 0 to 999",
     );
-    check("nominal", json(r#""some""#), "`some` has no meaning; write");
+    check("nominal", json(r#""some""#), "`some` is not valid; write");
     check(
         "replicates",
         json("0"),

@@ -192,7 +192,7 @@ mod tests {
         (words, sum, state.position, state.has_gauss, state.gauss)
     }
 
-    fn made_up(position: usize, has_gauss: bool, gauss: f64) -> LegacyState {
+    fn synthetic_state(position: usize, has_gauss: bool, gauss: f64) -> LegacyState {
         LegacyState {
             words: std::array::from_fn(|index| (index as u32).wrapping_mul(2_654_435_761)),
             position,
@@ -203,7 +203,7 @@ mod tests {
 
     /// Values of NumPy 2.4.6's `get_state(legacy=True)`.
     #[test]
-    fn the_state_is_the_one_that_numpy_gives() {
+    fn the_state_equals_numpys() {
         let mut rng = LegacyRng::seed(20_260_904);
         let seeded = [20_260_904, 3_851_304_905, 396_305_077, 1_212_441_072];
         assert_eq!(summary(&rng), (seeded, 1_309_321_831_312, 624, false, 0.0));
@@ -224,8 +224,8 @@ mod tests {
     /// Values of NumPy 2.4.6 after `set_state`. As in NumPy, a consumed normal stays in the
     /// state until the next pair.
     #[test]
-    fn a_generator_goes_on_from_the_state_that_it_was_given() {
-        let mut rng = LegacyRng::from_state(made_up(623, false, 1.25)).unwrap();
+    fn a_generator_continues_from_a_given_state() {
+        let mut rng = LegacyRng::from_state(synthetic_state(623, false, 1.25)).unwrap();
         assert_eq!(rng.random_sample(), 0.662_176_810_485_979_8);
         assert_eq!((rng.state().position, rng.state().gauss), (1, 1.25));
         assert_eq!(rng.randn(), 0.195_226_206_183_389_73);
@@ -233,9 +233,12 @@ mod tests {
         let gauss = 0.612_771_913_430_686_7;
         assert_eq!(summary(&rng), (words, 1_418_623_342_209, 5, true, gauss));
 
-        let mut rng = LegacyRng::from_state(made_up(624, true, -0.5)).unwrap();
+        let mut rng = LegacyRng::from_state(synthetic_state(624, true, -0.5)).unwrap();
         assert_eq!(rng.randn(), -0.5);
-        assert_eq!(*rng.state(), made_up(624, false, 0.0));
-        assert_eq!(LegacyRng::from_state(made_up(625, false, 0.0)), None);
+        assert_eq!(*rng.state(), synthetic_state(624, false, 0.0));
+        assert_eq!(
+            LegacyRng::from_state(synthetic_state(625, false, 0.0)),
+            None
+        );
     }
 }

@@ -1,8 +1,8 @@
-//! The 256 layers of the ziggurat under the normal density, as NumPy carries
-//! them. It holds numbers only; the sampler is in `ziggurat`.
+//! The 256 layers of the ziggurat under the normal density, from NumPy.
+//! The sampler is in `ziggurat`.
 //!
 //! Source: the arrays `ki_double`, `wi_double` and `fi_double` of NumPy 2.4.6
-//! (`ziggurat_constants.h`, BSD-3-Clause). They are carried, not computed:
+//! (`ziggurat_constants.h`, BSD-3-Clause). They are copied, not computed:
 //! NumPy's own tables differ from the exact ones by a few units in the last
 //! place, and a sample must not depend on the platform's `exp` and `log`.
 
@@ -12,7 +12,7 @@ pub(super) const RIGHT_EDGE: f64 = 3.654_152_885_361_009;
 /// `1 / RIGHT_EDGE`, rounded as NumPy rounds it.
 pub(super) const INV_RIGHT_EDGE: f64 = 0.273_661_237_329_758_3;
 
-/// A 52-bit magnitude below this lies inside its layer for certain.
+/// By layer, the bound below which a 52-bit magnitude certainly lies inside the layer.
 #[rustfmt::skip]
 pub(super) const ACCEPT_BELOW: [u64; 256] = [
     0xef33d8025ef6a, 0x0000000000000, 0xc08be98fbc6a8, 0xda354fabd8142,

@@ -77,7 +77,8 @@ pub(super) enum Entries {
 }
 
 impl Entries {
-    pub(super) fn of(&self, variant: usize) -> &str {
+    /// Returns the entry of a variant.
+    pub(super) fn entry(&self, variant: usize) -> &str {
         match self {
             Self::Same(entry) => entry,
             Self::ByVariant(entries) => &entries[variant],
@@ -85,7 +86,7 @@ impl Entries {
     }
 }
 
-/// Content of an instruction, in the slots of its construction.
+/// A task: the construction of its instruction and the contents of the slots.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Task {

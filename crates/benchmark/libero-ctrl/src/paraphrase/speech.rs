@@ -1,15 +1,15 @@
-//! Renders templates into sentences for one task and variant, independent of levels.
+//! Renders templates of `data/paraphrases.json` into sentences.
 
 use super::rules::{Form, Rules, Task};
 
 /// Renders templates for one task with the words of one variant.
-pub(super) struct Speaker<'r> {
+pub(super) struct Renderer<'r> {
     rules: &'r Rules,
     task: &'r Task,
     variant: usize,
 }
 
-impl<'r> Speaker<'r> {
+impl<'r> Renderer<'r> {
     pub(super) fn new(rules: &'r Rules, task: &'r Task, variant: usize) -> Self {
         Self {
             rules,
@@ -22,7 +22,7 @@ impl<'r> Speaker<'r> {
     ///
     /// # Panics
     /// If the template uses an undefined name.
-    pub(super) fn say(&self, template: &str, form: Form) -> String {
+    pub(super) fn render(&self, template: &str, form: Form) -> String {
         let mut text = String::new();
         let mut rest = template;
         while let Some((before, mark)) = rest.split_once(['{', '<']) {
@@ -51,13 +51,13 @@ impl<'r> Speaker<'r> {
             &rules.numbers[&task.number],
         ];
         if let Some(slot) = slots.into_iter().find_map(|slots| slots.get(name)) {
-            return self.say(slot, form);
+            return self.render(slot, form);
         }
         let words = rules
             .words
             .get(name)
             .unwrap_or_else(|| panic!("no slot and no word `{name}`"));
-        words.of(self.variant).to_owned()
+        words.entry(self.variant).to_owned()
     }
 
     /// Renders a verb: `name`, optionally `+` and a fixed form, optionally a space and the
@@ -81,11 +81,11 @@ impl<'r> Speaker<'r> {
             .verbs
             .get(name)
             .unwrap_or_else(|| panic!("no verb `{name}` in <{mark}>"));
-        let forms = verbs.of(self.variant);
+        let forms = verbs.entry(self.variant);
         let verb = forms
             .split('/')
             .nth(form as usize)
-            .unwrap_or_else(|| panic!("verb `{forms}` has not three forms"));
+            .unwrap_or_else(|| panic!("verb `{forms}` does not have three forms"));
         match verb.contains('~') {
             true => verb.replace('~', &format!(" {object} ")),
             false => format!("{verb} {object}").trim_end().to_owned(),

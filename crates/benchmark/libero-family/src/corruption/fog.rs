@@ -1,4 +1,4 @@
-//! Fog: a plasma fractal by the diamond-square algorithm, drawn anew for each picture.
+//! Fog: a plasma fractal by the diamond-square algorithm, drawn for each picture.
 
 use libero_ctrl::numpy::LegacyRng;
 
@@ -7,8 +7,9 @@ use super::picture::{CHANNELS, Picture, truncated, unit};
 /// Side of the fog's map, pixels.
 pub(super) const SIDE: usize = 256;
 /// Initial range of the fractal's random values.
-const COARSEST: f64 = 100.0;
-/// Density of the fog, and divisor of the range from one level to the next, by severity.
+const INITIAL_RANGE: f64 = 100.0;
+/// Density of the fog, and divisor of the range of the random values from one step to the next,
+/// by severity.
 const SEVERITIES: [(f64, f64); 10] = [
     (0.5, 3.0),
     (1.0, 2.8),
@@ -23,7 +24,7 @@ const SEVERITIES: [(f64, f64); 10] = [
 ];
 
 /// Corrupts a picture.
-pub(super) fn cover(picture: &mut Picture<'_>, severity: usize, rng: &mut LegacyRng) {
+pub(super) fn add_fog(picture: &mut Picture<'_>, severity: usize, rng: &mut LegacyRng) {
     let (density, decay) = SEVERITIES[severity];
     let map = plasma(decay, rng);
     let values = unit(picture);
@@ -50,32 +51,32 @@ pub(super) fn skip(rng: &mut LegacyRng) {
 fn plasma(decay: f64, rng: &mut LegacyRng) -> Vec<f64> {
     let mut map = vec![0.0; SIDE * SIDE];
     let mut step = SIDE;
-    let mut range = COARSEST;
+    let mut range = INITIAL_RANGE;
     while step >= 2 {
         let (count, half) = (SIDE / step, step / 2);
-        // Values at the corners and the centres of the squares, which wrap around.
+        // Indices of the corners and the centres of the squares, which wrap around.
         let corner =
             |row: usize, column: usize| (row % count) * step * SIDE + (column % count) * step;
         let centre = |row: usize, column: usize| {
             ((row % count) * step + half) * SIDE + (column % count) * step + half
         };
-        let mut fill = |map: &mut Vec<f64>, at: usize, sum: f64| {
+        let mut fill = |map: &mut Vec<f64>, index: usize, sum: f64| {
             // The amplitude is the square of `range`, because the released code applies `range`
             // twice.
-            map[at] = sum / 4.0 + range * rng.uniform(-range, range);
+            map[index] = sum / 4.0 + range * rng.uniform(-range, range);
         };
-        let places = || (0..count).flat_map(|row| (0..count).map(move |column| (row, column)));
-        for (row, column) in places() {
+        let squares = || (0..count).flat_map(|row| (0..count).map(move |column| (row, column)));
+        for (row, column) in squares() {
             let left = map[corner(row, column)] + map[corner(row + 1, column)];
             let right = map[corner(row, column + 1)] + map[corner(row + 1, column + 1)];
             fill(&mut map, centre(row, column), left + right);
         }
-        for (row, column) in places() {
+        for (row, column) in squares() {
             let centres = map[centre(row, column)] + map[centre(row + count - 1, column)];
             let corners = map[corner(row, column)] + map[corner(row, column + 1)];
             fill(&mut map, corner(row, column) + half, centres + corners);
         }
-        for (row, column) in places() {
+        for (row, column) in squares() {
             let centres = map[centre(row, column)] + map[centre(row, column + count - 1)];
             let corners = map[corner(row, column)] + map[corner(row + 1, column)];
             fill(

@@ -27,36 +27,36 @@ pub(super) fn blur_picture(picture: &mut Picture<'_>, severity: usize) {
 pub(super) fn blur(values: Vec<f64>, height: usize, width: usize, sigma: f64) -> Vec<f64> {
     let weights = weights(sigma);
     let row = width * CHANNELS;
-    let down = along(&values, &weights, height, row, |line, at| at * row + line);
-    along(&down, &weights, width, height * CHANNELS, |line, at| {
+    let filtered = filter_lines(&values, &weights, height, row, |line, at| at * row + line);
+    filter_lines(&filtered, &weights, width, height * CHANNELS, |line, at| {
         (line / CHANNELS) * row + at * CHANNELS + line % CHANNELS
     })
 }
 
-/// Filters `lines` lines of `length` values each; `place` maps a line and a position in it to
-/// an index.
-fn along(
+/// Filters `lines` lines of `length` values each; `index_of` maps a line and a position in the
+/// line to an index of `values`.
+fn filter_lines(
     values: &[f64],
     weights: &[f64],
     length: usize,
     lines: usize,
-    place: impl Fn(usize, usize) -> usize,
+    index_of: impl Fn(usize, usize) -> usize,
 ) -> Vec<f64> {
     let radius = weights.len() - 1;
     let mut filtered = vec![0.0; values.len()];
     let mut padded = vec![0.0; length + 2 * radius];
     for line in 0..lines {
         for (index, value) in padded.iter_mut().enumerate() {
-            let at = index.saturating_sub(radius).min(length - 1);
-            *value = values[place(line, at)];
+            let position = index.saturating_sub(radius).min(length - 1);
+            *value = values[index_of(line, position)];
         }
-        for at in 0..length {
-            let centre = at + radius;
+        for position in 0..length {
+            let centre = position + radius;
             let mut sum = padded[centre] * weights[0];
             for distance in (1..=radius).rev() {
                 sum += (padded[centre - distance] + padded[centre + distance]) * weights[distance];
             }
-            filtered[place(line, at)] = sum;
+            filtered[index_of(line, position)] = sum;
         }
     }
     filtered

@@ -47,7 +47,7 @@ pub(super) fn skip(height: usize, width: usize, severity: usize, rng: &mut Legac
     displace(height, width, reach, rounds, rng, |_, _| {});
 }
 
-/// Draws the pairs of pixels and calls the closure to copy each.
+/// Draws pairs of pixels and calls `copy` with the source and the target of each.
 fn displace(
     height: usize,
     width: usize,
@@ -56,13 +56,13 @@ fn displace(
     rng: &mut LegacyRng,
     mut copy: impl FnMut(usize, usize),
 ) {
-    let far = reach as usize;
+    let max_offset = reach as usize;
     let offset = |rng: &mut LegacyRng| rng.randint(2 * reach) as usize;
     for _ in 0..rounds {
-        for row in (far + 1..=height.saturating_sub(far)).rev() {
-            for column in (far + 1..=width.saturating_sub(far)).rev() {
-                let from_column = column + offset(rng) - far;
-                let from_row = row + offset(rng) - far;
+        for row in (max_offset + 1..=height.saturating_sub(max_offset)).rev() {
+            for column in (max_offset + 1..=width.saturating_sub(max_offset)).rev() {
+                let from_column = column + offset(rng) - max_offset;
+                let from_row = row + offset(rng) - max_offset;
                 copy(from_row * width + from_column, row * width + column);
             }
         }

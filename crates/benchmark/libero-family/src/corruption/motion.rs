@@ -33,14 +33,15 @@ pub(super) fn blur(picture: &mut Picture<'_>, severity: usize, rng: &mut LegacyR
     let offsets = offsets(length, angle);
     let (height, width) = (picture.height, picture.width);
     let source: Vec<f64> = picture.rgb.iter().map(|byte| quantum(*byte)).collect();
-    let moved =
-        |at: usize, offset: isize, end: usize| at.saturating_add_signed(offset).min(end - 1);
+    let shift = |position: usize, offset: isize, end: usize| {
+        position.saturating_add_signed(offset).min(end - 1)
+    };
     for row in 0..height {
         for column in 0..width {
             let mut sum = [0.0; CHANNELS];
             for (weight, (right, down)) in weights.iter().zip(&offsets) {
-                let at = moved(row, *down, height) * width + moved(column, *right, width);
-                let pixel = &source[at * CHANNELS..][..CHANNELS];
+                let index = shift(row, *down, height) * width + shift(column, *right, width);
+                let pixel = &source[index * CHANNELS..][..CHANNELS];
                 for (sum, value) in sum.iter_mut().zip(pixel) {
                     *sum += weight * value;
                 }
@@ -62,6 +63,7 @@ fn draw_angle(rng: &mut LegacyRng) -> f64 {
     rng.uniform(-MAX_ANGLE, MAX_ANGLE)
 }
 
+/// Converts a byte to a 16-bit channel value.
 fn quantum(byte: u8) -> f64 {
     f64::from(u32::from(byte) * QUANTA)
 }
@@ -82,8 +84,8 @@ fn weights(length: usize, sigma: f64) -> Vec<f64> {
 fn offsets(length: usize, angle: f64) -> Vec<(isize, isize)> {
     let (sin, cos) = libm::sincos(angle.to_radians());
     let (across, along) = (length as f64 * sin, length as f64 * cos);
-    let whole = libm::hypot(across, along);
-    let step = |index: usize, part: f64| (index as f64 * part / whole - 0.5).ceil() as isize;
+    let hypotenuse = libm::hypot(across, along);
+    let step = |index: usize, part: f64| (index as f64 * part / hypotenuse - 0.5).ceil() as isize;
     (0..length)
         .map(|index| (step(index, along), step(index, across)))
         .collect()

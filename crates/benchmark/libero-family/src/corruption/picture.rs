@@ -6,9 +6,9 @@ pub(super) const CHANNELS: usize = 3;
 /// A picture: rows of pixels of three bytes, in the order in which corruptions process them.
 #[derive(Debug)]
 pub struct Picture<'a> {
-    /// Rows.
+    /// Number of rows.
     pub height: usize,
-    /// Pixels of a row.
+    /// Number of pixels in a row.
     pub width: usize,
     /// `height × width × 3` bytes.
     pub rgb: &'a mut [u8],

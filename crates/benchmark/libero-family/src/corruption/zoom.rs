@@ -36,7 +36,7 @@ pub(super) fn blur(picture: &mut Picture<'_>, severity: usize) {
     }
 }
 
-/// `numpy.arange(1, end, step)`.
+/// Returns `numpy.arange(1, end, step)`.
 fn factors(severity: usize) -> Vec<f64> {
     let (end, step) = SEVERITIES[severity];
     let count = ((end - 1.0) / step).ceil() as u32;
@@ -46,7 +46,7 @@ fn factors(severity: usize) -> Vec<f64> {
         .collect()
 }
 
-/// Adds the centre of a picture, magnified to the full size.
+/// Adds the magnified centre of a picture to `sum`.
 fn add_magnified(sum: &mut [f32], values: &[f32], side: usize, factor: f64) {
     let cropped = (side as f64 / factor).ceil() as usize;
     let margin = (side - cropped) / 2;
@@ -56,10 +56,10 @@ fn add_magnified(sum: &mut [f32], values: &[f32], side: usize, factor: f64) {
     // For each output pixel: the two neighbours and the weight of the second.
     let sources: Vec<(usize, usize, f64)> = (0..side)
         .map(|index| {
-            let at = (index + trimmed) as f64 * scale;
-            let first = at.floor() as usize;
+            let position = (index + trimmed) as f64 * scale;
+            let first = position.floor() as usize;
             let second = (first + 1).min(cropped - 1);
-            (margin + first, margin + second, at - at.floor())
+            (margin + first, margin + second, position - position.floor())
         })
         .collect();
     for (row, (above, below, down)) in sources.iter().enumerate() {

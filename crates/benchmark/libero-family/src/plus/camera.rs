@@ -1,11 +1,10 @@
-//! Pose of `agentview` in LIBERO-Plus: rotated about a point over the table, scaled away
-//! from it, and rotated in place, rounded to four decimals after every step. Every variant is
-//! processed and therefore rounded, so that none has exactly LIBERO's camera.
+//! Pose of `agentview` in LIBERO-Plus: rotated about a pivot above the floor, moved to a multiple
+//! of the distance from the pivot, and rotated in place, rounded to four decimals after every step.
+//! The pose of every variant is rounded, so that no variant has exactly LIBERO's camera.
 
 use std::fmt;
 
-/// Height of the point that the camera rotates about, m: that of the table, also used in
-/// scenes without one.
+/// Height of the pivot, m: that of the table, also used in scenes without a table.
 const PIVOT_HEIGHT: f64 = 0.8;
 
 /// Pose of a camera.
@@ -42,7 +41,7 @@ impl View {
         tilt: 0,
     };
 
-    /// Returns true if the view changes nothing except for rounding.
+    /// Returns true if the view is LIBERO's, except for rounding.
     pub fn is_nominal(&self) -> bool {
         *self == Self::NOMINAL
     }
@@ -77,11 +76,11 @@ impl View {
             pose = pose.rounded();
         }
         if self.pan != 0 {
-            pose.quat = turn(f64::from(self.pan), 3, pose.quat);
+            pose.quat = rotate(f64::from(self.pan), 3, pose.quat);
             pose = pose.rounded();
         }
         if self.tilt != 0 {
-            pose.quat = turn(-f64::from(self.tilt), 2, pose.quat);
+            pose.quat = rotate(-f64::from(self.tilt), 2, pose.quat);
             pose = pose.rounded();
         }
         pose
@@ -104,26 +103,28 @@ impl fmt::Display for View {
 const PIVOT: [f64; 3] = [0.0, 0.0, PIVOT_HEIGHT];
 
 impl CameraPose {
+    /// Rotates the camera about the y axis through the pivot.
     fn swing_up(self, degrees: f64) -> Self {
         let (sin, cos) = libm::sincos((-degrees).to_radians());
         let [x, y, z] = self.pos;
-        let above = z - PIVOT_HEIGHT;
+        let height = z - PIVOT_HEIGHT;
         Self {
             pos: [
-                x * cos + above * sin,
+                x * cos + height * sin,
                 y,
-                -x * sin + above * cos + PIVOT_HEIGHT,
+                -x * sin + height * cos + PIVOT_HEIGHT,
             ],
-            quat: turn(-degrees, 2, self.quat),
+            quat: rotate(-degrees, 2, self.quat),
         }
     }
 
+    /// Rotates the camera about the vertical axis through the pivot.
     fn swing_around(self, degrees: f64) -> Self {
         let (sin, cos) = libm::sincos(degrees.to_radians());
         let [x, y, z] = self.pos;
         Self {
             pos: [x * cos - y * sin, x * sin + y * cos, z],
-            quat: turn(degrees, 3, self.quat),
+            quat: rotate(degrees, 3, self.quat),
         }
     }
 
@@ -136,8 +137,8 @@ impl CameraPose {
     }
 }
 
-/// Normalises an orientation and rotates it about an axis of the world; axis 1 is x.
-fn turn(degrees: f64, axis: usize, quat: [f64; 4]) -> [f64; 4] {
+/// Normalises an orientation and rotates it about an axis of the world: 1 is x, 2 is y, 3 is z.
+fn rotate(degrees: f64, axis: usize, quat: [f64; 4]) -> [f64; 4] {
     let length = quat.iter().map(|part| part * part).sum::<f64>().sqrt();
     let [w, x, y, z] = quat.map(|part| part / length);
     let (sin, c) = libm::sincos(degrees.to_radians() / 2.0);

@@ -1,6 +1,6 @@
 //! Problem classes of LIBERO-Plus: 1,919 names in its BDDL files in addition to LIBERO's
-//! five. Each is one of the five with a different scene file or different textures, which
-//! its name encodes.
+//! five. Each is one of LIBERO's classes with a different scene file or different textures, which
+//! the name of the class encodes.
 
 use std::fmt;
 
@@ -20,7 +20,7 @@ pub enum Assets {
 }
 
 impl Assets {
-    /// All of them.
+    /// All kinds of files.
     pub const ALL: [Self; 5] = [
         Self::Libero,
         Self::NewObjects,
@@ -78,7 +78,8 @@ const PARENTS: [(&str, &str); 5] = [
     ("libero_floor_manipulation", "floor"),
 ];
 
-/// Floor styles whose file has a different name; the first twelve are LIBERO's.
+/// Floor styles and the names of their files; the first twelve are LIBERO's. The file of any other
+/// style has the style's name.
 const FLOORS: [(&str, &str); 25] = [
     ("dark", "dark_floor_texture.png"),
     ("rustic", "rustic_floor.png"),
@@ -104,7 +105,7 @@ const FLOORS: [(&str, &str); 25] = [
     ("brick_col", "Bricks02_COL_VAR1_6K.png"),
     ("cliffde_col", "CliffDesert006_COL_VAR1_HIRES.png"),
     ("cliffde_nrm", "CliffDesert006_NRM_HIRES.png"),
-    // The space is in the released table.
+    // The released table has this space.
     ("cobble01_disp", "Cobblestone01_DISP_6K copy.png"),
     ("marble_gloss", "Marble01_GLOSS_3K.png"),
     ("woodfine01_g", "WoodFine001_GLOSS_6K.png"),
@@ -112,7 +113,7 @@ const FLOORS: [(&str, &str); 25] = [
 ];
 const LIBEROS_FLOORS: usize = 12;
 
-/// Walls; the first sixteen are LIBERO's.
+/// Wall styles and the names of their files; the first sixteen are LIBERO's.
 const WALLS: [(&str, &str); 18] = [
     ("light_blue", "light_blue_wall.png"),
     ("dark_blue", "dark_blue_wall.png"),
@@ -136,8 +137,8 @@ const WALLS: [(&str, &str); 18] = [
 ];
 const LIBEROS_WALLS: usize = 16;
 
-/// Prefixes of the textures whose scenes are directly in `scenes/`; all others are in a
-/// folder of 250 scenes.
+/// Prefixes of the textures whose scenes are directly in `scenes/`; the scenes of all other
+/// textures are in a folder such as `scenes/kitchen250/`.
 const FIRST_TEXTURES: [&str; 6] = ["bricks", "cliff", "cobble", "marble", "tiles", "woodfine"];
 
 /// Error: LIBERO-Plus has no problem class of this name.
@@ -160,18 +161,18 @@ impl ProblemClass {
         let Some(rest) = name[parent.len()..].strip_prefix('_') else {
             let is_parent = lower.len() == parent.len();
             return is_parent
-                .then(|| Self::of_parent(parent))
+                .then(|| Self::from_parent(parent))
                 .ok_or_else(unknown);
         };
         let class = match prefix {
-            "floor" if !rest.starts_with("floor_light") => of_floor(rest),
-            _ => of_scene(prefix, rest),
+            "floor" if !rest.starts_with("floor_light") => parse_floor(rest),
+            _ => parse_scene(prefix, rest),
         };
         let class = class.ok_or_else(unknown)?;
         Ok(Self { parent, ..class })
     }
 
-    fn of_parent(parent: &'static str) -> Self {
+    fn from_parent(parent: &'static str) -> Self {
         Self {
             parent,
             scene: None,
@@ -183,18 +184,18 @@ impl ProblemClass {
     /// Returns the files that the class needs.
     pub fn assets(&self) -> Assets {
         let styles = [&self.floor, &self.wall];
-        let all_liberos = styles.into_iter().flatten().all(|style| style.is_liberos);
+        let has_only_liberos = styles.into_iter().flatten().all(|style| style.is_liberos);
         match &self.scene {
             Some(scene) if scene.starts_with("scenes/lights/") => Assets::Lights,
             Some(_) => Assets::Scenes,
-            None if all_liberos => Assets::Libero,
+            None if has_only_liberos => Assets::Libero,
             None => Assets::FloorTextures,
         }
     }
 }
 
 /// Parses `FloorSTYLE` or `Combined_FloorSTYLE_WallSTYLE`.
-fn of_floor(rest: &str) -> Option<ProblemClass> {
+fn parse_floor(rest: &str) -> Option<ProblemClass> {
     let (floor, wall) = match strip(rest, "combined_floor") {
         Some(styles) => {
             let at = find(styles, "_wall")?;
@@ -205,41 +206,42 @@ fn of_floor(rest: &str) -> Option<ProblemClass> {
     Some(ProblemClass {
         floor: Some(style(floor, &FLOORS, LIBEROS_FLOORS)),
         wall: wall.map(|wall| style(wall, &WALLS, LIBEROS_WALLS)),
-        ..ProblemClass::of_parent("")
+        ..ProblemClass::from_parent("")
     })
 }
 
 /// Parses `PREFIX_light_sync_modified_N`, or `PREFIX_table_TEXTURE` with optional
 /// `_bg_TEXTURE` or `_Wall_STYLE`.
-fn of_scene(prefix: &str, rest: &str) -> Option<ProblemClass> {
+fn parse_scene(prefix: &str, rest: &str) -> Option<ProblemClass> {
     let kind = strip(rest, prefix)?;
-    let of = |scene: String, wall| ProblemClass {
+    let with_scene = |scene: String, wall| ProblemClass {
         scene: Some(scene),
         wall,
-        ..ProblemClass::of_parent("")
+        ..ProblemClass::from_parent("")
     };
     if let Some(number) = strip(kind, "_light_sync_modified_") {
         let number: u16 = number.parse().ok()?;
         let scene = format!("scenes/lights/{prefix}_light_sync_modified_{number}.xml");
-        return Some(of(scene, None));
+        return Some(with_scene(scene, None));
     }
     let textures = strip(kind, "_table_")?;
     if find(textures, "_bg_").is_some() {
-        return Some(of(format!("scenes/{prefix}xml/{rest}.xml"), None));
+        return Some(with_scene(format!("scenes/{prefix}xml/{rest}.xml"), None));
     }
     if let Some(at) = find(textures, "_wall_") {
         let wall = style(&textures[at + "_wall_".len()..], &WALLS, LIBEROS_WALLS);
         let scene = &rest[..rest.len() - (textures.len() - at)];
-        return Some(of(format!("scenes/{scene}.xml"), Some(wall)));
+        return Some(with_scene(format!("scenes/{scene}.xml"), Some(wall)));
     }
     let lower = textures.to_lowercase();
     let folder = match FIRST_TEXTURES.iter().any(|first| lower.starts_with(first)) {
         true => String::new(),
         false => format!("{prefix}250/"),
     };
-    Some(of(format!("scenes/{folder}{rest}.xml"), None))
+    Some(with_scene(format!("scenes/{folder}{rest}.xml"), None))
 }
 
+/// Returns the texture of a style; the first `liberos` known styles are LIBERO's.
 fn style(name: &str, known: &[(&str, &str)], liberos: usize) -> Style {
     let key = name.to_lowercase();
     match known.iter().position(|(style, _)| *style == key) {
@@ -255,12 +257,13 @@ fn style(name: &str, known: &[(&str, &str)], liberos: usize) -> Style {
 }
 
 /// Strips an ASCII prefix, ignoring case.
-fn strip<'a>(text: &'a str, beginning: &str) -> Option<&'a str> {
-    let head = text.get(..beginning.len())?;
-    head.eq_ignore_ascii_case(beginning)
-        .then(|| &text[beginning.len()..])
+fn strip<'a>(text: &'a str, prefix: &str) -> Option<&'a str> {
+    let head = text.get(..prefix.len())?;
+    head.eq_ignore_ascii_case(prefix)
+        .then(|| &text[prefix.len()..])
 }
 
+/// Returns the index of an ASCII part, ignoring case.
 fn find(text: &str, part: &str) -> Option<usize> {
     text.to_ascii_lowercase().find(part)
 }

@@ -1,4 +1,4 @@
-//! Prompt of the policy. LIBERO-Plus derives it from the file's name, which reveals the
+//! Prompt of the policy. LIBERO-Plus derives the prompt from the file's name, which reveals the
 //! change to the policy; harnesses correct this in different ways.
 
 use std::fmt;
@@ -11,20 +11,20 @@ use super::variant::{Change, Variant};
 /// Source of the prompt.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Prompt {
-    /// Like the released code: the file's name including the description of the change, or
+    /// As in the released code: the file's name including the description of the change, or
     /// the BDDL file's sentence for language variants.
     Released,
-    /// The file's name without the description of the change: LIBERO's own prompts.
+    /// The file's name without the description of the change: LIBERO's prompt of the task.
     Stripped,
     /// The BDDL file's sentence.
     Bddl,
 }
 
 impl Prompt {
-    /// All of them.
+    /// All sources.
     pub const ALL: [Self; 3] = [Self::Released, Self::Stripped, Self::Bddl];
 
-    /// Name on the command line.
+    /// Returns the name on the command line.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Released => "released",

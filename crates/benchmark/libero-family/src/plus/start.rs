@@ -1,6 +1,6 @@
-//! Postures of the arm at a reset; LIBERO-Plus has a robot class for each. All 500 are
-//! reproduced by a rule: a displacement in a random direction in joint space, drawn from
-//! NumPy's generator with seed 42, whose length grows with each hundred of numbers.
+//! Postures of the arm at a reset; LIBERO-Plus has a robot class for each. All 500 follow from a
+//! rule: a displacement in joint space whose direction is drawn from NumPy's generator with seed
+//! 42, and whose length increases with each hundred of numbers.
 
 use std::sync::OnceLock;
 

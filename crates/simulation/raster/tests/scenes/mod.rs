@@ -10,7 +10,7 @@ use raster::{
 /// Identity rotation.
 pub(crate) const UPRIGHT: [f32; 9] = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0];
 
-/// A model with a bumpy mesh, a plane, and textures of each kind.
+/// Returns a model with a bumpy mesh, a plane, and textures of each kind.
 pub(crate) fn model() -> Model {
     let quality = Quality {
         slices: 12,
@@ -96,13 +96,13 @@ pub(crate) fn room() -> Scene {
         [0.4, 0.4, 0.5, 1.0],
     );
     mirror.reflectance = 0.4;
-    let mut turned = geom(
+    let mut tilted = geom(
         Shape::Capsule,
         [-0.2, 0.3, 0.4],
         [0.08, 0.08, 0.2],
         [0.2, 0.7, 0.3, 1.0],
     );
-    turned.mat = [0.8, 0.0, 0.6, 0.0, 1.0, 0.0, -0.6, 0.0, 0.8];
+    tilted.mat = [0.8, 0.0, 0.6, 0.0, 1.0, 0.0, -0.6, 0.0, 0.8];
     let mut dull = geom(
         Shape::Cylinder,
         [0.0, -0.5, 0.3],
@@ -118,7 +118,7 @@ pub(crate) fn room() -> Scene {
                 false,
             ),
             mirror,
-            turned,
+            tilted,
             dull,
             with_texture(
                 geom(Shape::Mesh(0), [-0.4, -0.1, 0.3], [0.3; 3], white),

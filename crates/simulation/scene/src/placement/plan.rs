@@ -37,7 +37,7 @@ impl Samplers {
     ///
     /// # Errors
     /// [`SceneError::Inconsistent`] where the original fails too: the initial state places an
-    /// object twice or on something without a place, or opens something that cannot be opened.
+    /// object twice or on an instance that is not placed, or opens one that cannot be opened.
     pub(crate) fn new(
         problem: &Problem,
         arena: &Arena,
@@ -83,7 +83,7 @@ impl<'a> Plan<'a> {
         self.parts.iter().find(|part| part.instance.name == name)
     }
 
-    fn is(&self, name: &str, kind: InstanceKind) -> bool {
+    fn has_kind(&self, name: &str, kind: InstanceKind) -> bool {
         self.part(name)
             .is_some_and(|part| part.instance.kind == kind)
     }
@@ -96,7 +96,7 @@ impl<'a> Plan<'a> {
         };
         let region = self.problem.region(place);
         match predicate.name.as_str() {
-            "on" if self.is(place, InstanceKind::Object) => Some(Place::OnObject(place)),
+            "on" if self.has_kind(place, InstanceKind::Object) => Some(Place::OnObject(place)),
             "on" => region.map(|region| match self.part(&region.target) {
                 Some(_) => Place::OnSite(region),
                 None => Place::Workspace(region),
@@ -134,11 +134,11 @@ impl<'a> Plan<'a> {
             _ => {
                 return Err(inconsistent(
                     predicate,
-                    &format!("`{name}` has nothing that could {statement}"),
+                    &format!("`{name}` does not support `{statement}`"),
                 ));
             }
         };
-        if self.is(name, InstanceKind::Object) {
+        if self.has_kind(name, InstanceKind::Object) {
             let problem = format!("`{name}` moves freely; declare it under `:fixtures`");
             return Err(inconsistent(predicate, &problem));
         }
@@ -158,25 +158,26 @@ impl<'a> Plan<'a> {
             )
         })?;
         if self.index(name).is_some() {
-            let problem = format!("`{name}` has a place already");
+            let problem = format!("`{name}` is already placed");
             return Err(inconsistent(predicate, &problem));
         }
         let instance = &part.instance;
-        let fixture = instance.kind == InstanceKind::Fixture;
-        if fixture && !matches!(place, Place::Workspace(_)) {
-            let problem = format!("`{name}` is a fixture, and those stand on the workspace only");
+        let is_fixture = instance.kind == InstanceKind::Fixture;
+        if is_fixture && !matches!(place, Place::Workspace(_)) {
+            let problem =
+                format!("`{name}` is a fixture, and fixtures can only stand on the workspace");
             return Err(inconsistent(predicate, &problem));
         }
         let arena = self.arena;
         let radius = part.footprint.radius;
         let (base, ranges, z_offset) = match place {
             Place::Workspace(region) => {
-                let whole = !fixture && arena.whole_object_in_region;
+                let whole = !is_fixture && arena.whole_object_in_region;
                 let inset = if whole { radius } else { 0.0 };
                 (
                     Base::Point(arena.workspace_offset),
                     region.ranges.iter().map(|r| bounds(r, inset)).collect(),
-                    if fixture {
+                    if is_fixture {
                         arena.fixture_z_offset
                     } else {
                         OBJECT_Z_OFFSET
@@ -196,17 +197,17 @@ impl<'a> Plan<'a> {
                 (base, vec![[[0.0; 2]; 2]], 0.0)
             }
             Place::OnObject(other) => (
-                Base::Top(self.placed(predicate, other)?),
+                Base::Top(self.placed_index(predicate, other)?),
                 vec![[[0.0; 2]; 2]],
                 OBJECT_Z_OFFSET,
             ),
         };
         let rotation = match place {
-            Place::Workspace(region) if fixture => Rotation::Yaw(region.yaw),
+            Place::Workspace(region) if is_fixture => Rotation::Yaw(region.yaw),
             _ => instance.category.rotation,
         };
         let target = match instance.joints.last() {
-            Some(joint) if !fixture => PoseTarget::FreeJoint(joint.clone()),
+            Some(joint) if !is_fixture => PoseTarget::FreeJoint(joint.clone()),
             _ => PoseTarget::Body(instance.root_body.clone()),
         };
         self.samplers.poses.push(PoseSampler {
@@ -216,23 +217,23 @@ impl<'a> Plan<'a> {
             ranges,
             z_offset,
             footprint: part.footprint,
-            avoids_others: !fixture && !matches!(place, Place::OnObject(_)),
+            avoids_others: !is_fixture && !matches!(place, Place::OnObject(_)),
             rotation,
             target,
         });
         Ok(())
     }
 
-    /// Returns the base at a region's site, and the site's half extents, m.
+    /// Returns the base for a place on or in a region's site, and the site's half extents, m.
     fn site(
         &mut self,
         predicate: &Predicate,
         region: &Region,
         over_top: bool,
     ) -> Result<(Base, [f64; 3]), SceneError> {
-        let of = self.placed(predicate, &region.target)?;
-        let found = self.regions.iter().find(|site| site.name == region.name);
-        let found = found.ok_or_else(|| {
+        let carrier = self.placed_index(predicate, &region.target)?;
+        let region_site = self.regions.iter().find(|site| site.name == region.name);
+        let region_site = region_site.ok_or_else(|| {
             let problem = format!(
                 "the model of `{}` has no site `{}`; is the asset pack complete?",
                 region.target, region.name
@@ -240,12 +241,19 @@ impl<'a> Plan<'a> {
             inconsistent(predicate, &problem)
         })?;
         let sites = &mut self.samplers.sites;
-        let known = sites.iter().position(|site| *site == region.name);
-        let site = known.unwrap_or_else(|| {
+        let listed = sites.iter().position(|site| *site == region.name);
+        let site = listed.unwrap_or_else(|| {
             sites.push(region.name.clone());
             sites.len() - 1
         });
-        Ok((Base::Site { of, over_top, site }, found.half_size))
+        Ok((
+            Base::Site {
+                carrier,
+                over_top,
+                site,
+            },
+            region_site.half_size,
+        ))
     }
 
     fn index(&self, name: &str) -> Option<usize> {
@@ -253,11 +261,11 @@ impl<'a> Plan<'a> {
         poses.iter().position(|sampler| sampler.instance == name)
     }
 
-    fn placed(&self, predicate: &Predicate, name: &str) -> Result<usize, SceneError> {
+    fn placed_index(&self, predicate: &Predicate, name: &str) -> Result<usize, SceneError> {
         self.index(name).ok_or_else(|| {
             inconsistent(
                 predicate,
-                &format!("`{name}` has no place itself; say first what it stands on"),
+                &format!("`{name}` is not placed; state its own place first"),
             )
         })
     }

@@ -3,7 +3,7 @@
 use super::model::Model;
 use super::own::each_own_array;
 
-/// Mutable slice of one of these arrays.
+/// Mutable slice of one of a model's own arrays.
 pub enum OwnArray<'a> {
     Double(&'a mut [f64]),
     Single(&'a mut [f32]),
@@ -42,7 +42,8 @@ macro_rules! change {
                 }
             )*
 
-            /// Returns a mutable array by MuJoCo's name; `None` if it is not one of these.
+            /// Returns an own array by MuJoCo's name; `None` if the model has no own array of that
+            /// name.
             pub fn own_array_mut(&mut self, name: &str) -> Option<OwnArray<'_>> {
                 match name {
                     $(stringify!($name) => Some(self.$method().into()),)*
@@ -70,12 +71,12 @@ mod tests {
     </worldbody></mujoco>"#;
 
     #[test]
-    fn what_a_model_changes_is_its_own() {
+    fn changes_of_one_model_do_not_affect_another() {
         let mut first = Model::compile(SCENE).expect("a model");
         let before = first.cam_pos().to_vec();
         let mut second = first.share();
         for name in Model::OWN_ARRAYS {
-            match second.own_array_mut(name).expect("one of them") {
+            match second.own_array_mut(name).expect("an own array") {
                 OwnArray::Double(values) => values.fill(7.0),
                 OwnArray::Single(values) => values.fill(7.0),
             }
@@ -98,7 +99,7 @@ mod tests {
 
     #[test]
     #[should_panic(expected = "another compilation")]
-    fn a_model_takes_nothing_over_from_another_compilation() {
+    fn copying_own_arrays_from_another_compilation_panics() {
         let [mut one, other] = [SCENE; 2].map(|scene| Model::compile(scene).expect("a model"));
         one.copy_own(&other);
     }

@@ -303,9 +303,9 @@ mod tests {
             let same = Data::new(&own).expect("a state");
             call(&mut data, &own, &same);
             let refused = catch_unwind(AssertUnwindSafe(|| call(&mut data, &other, &foreign)));
-            let said = refused.expect_err(name);
-            let said = said.downcast_ref::<&str>().copied().unwrap_or_default();
-            assert_eq!(said, "this is a state of another model", "{name}");
+            let message = refused.expect_err(name);
+            let message = message.downcast_ref::<&str>().copied().unwrap_or_default();
+            assert_eq!(message, "this is a state of another model", "{name}");
         }
         let mut data = Data::new(&own).expect("a state");
         let copied = catch_unwind(AssertUnwindSafe(|| data.copy_from(&own, &foreign)));
@@ -313,7 +313,7 @@ mod tests {
     }
 
     #[test]
-    fn a_state_knows_its_model_wherever_that_is_moved() {
+    fn a_state_belongs_to_its_model_after_the_model_has_moved() {
         let (mut own, mut other) = (chain(2), chain(40));
         let data = Data::new(&own).expect("a state");
         std::mem::swap(&mut own, &mut other);

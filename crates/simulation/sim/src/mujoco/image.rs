@@ -8,7 +8,7 @@ use std::sync::Arc;
 use bytes::Bytes;
 use mujoco_rs::mujoco_c::mjModel;
 
-use super::model::{Compilation, Kept, Model};
+use super::model::{Compilation, MemoryOwner, Model};
 use super::slices::values;
 
 /// Alignment of MuJoCo's arrays, bytes; required of the bytes that an image is restored from.
@@ -31,7 +31,7 @@ const _: () = assert!(
 
 /// A serialised compiled model.
 pub(crate) struct ModelImage<'a> {
-    /// MuJoCo's structure with offsets in place of pointers.
+    /// MuJoCo's structure with offsets in target of pointers.
     pub(crate) structure: Vec<u8>,
     /// The arrays, split where the textures' texels were removed.
     pub(crate) arrays: [&'a [u8]; 2],
@@ -45,8 +45,9 @@ impl Model {
         let compiled = self.compilation().structure();
         let (start, length) = (compiled.buffer as usize, compiled.nbuffer as usize);
         let texels = compiled.ntexdata as usize;
-        let is_known = start.is_multiple_of(ALIGNMENT) && (texels == 0 || !self.lacks_texels());
-        if !is_known {
+        let has_expected_layout =
+            start.is_multiple_of(ALIGNMENT) && (texels == 0 || !self.lacks_texels());
+        if !has_expected_layout {
             return None;
         }
         let cut = match texels {
@@ -96,16 +97,16 @@ impl Model {
     /// # Safety
     /// The bytes must come from [`Model::image`] of the same version of MuJoCo on the same kind of
     /// machine.
-    pub(crate) unsafe fn of_image(structure: &[u8], arrays: Bytes) -> Option<Self> {
+    pub(crate) unsafe fn from_image(structure: &[u8], arrays: Bytes) -> Option<Self> {
         super::install_handlers();
         let start = arrays.as_ptr();
         if structure.len() != STRUCTURE || !start.addr().is_multiple_of(ALIGNMENT) {
             return None;
         }
         let mut raw = Box::<mjModel>::new_uninit();
-        let place = raw.as_mut_ptr().cast::<u8>();
+        let target = raw.as_mut_ptr().cast::<u8>();
         // SAFETY: the structure has as many bytes as the box has room for.
-        unsafe { place.copy_from_nonoverlapping(structure.as_ptr(), STRUCTURE) };
+        unsafe { target.copy_from_nonoverlapping(structure.as_ptr(), STRUCTURE) };
         for at in POINTERS.step_by(size_of::<usize>()) {
             let word = &structure[at..][..size_of::<usize>()];
             let offset = usize::from_ne_bytes(word.try_into().expect("a word"));
@@ -114,16 +115,16 @@ impl Model {
                 offset if offset <= arrays.len() => start.cast_mut().wrapping_add(offset),
                 _ => return None,
             };
-            // SAFETY: `at` is a pointer's place in the structure, aligned as asserted above.
-            unsafe { place.add(at).cast::<*mut u8>().write(pointer) };
+            // SAFETY: `at` is a pointer's position in the structure, aligned as asserted above.
+            unsafe { target.add(at).cast::<*mut u8>().write(pointer) };
         }
         // SAFETY: the structure was written whole, from a model of the same version as the caller
         // promises; its pointers point into `arrays`, which the compilation keeps alive. Nobody
         // writes through them: arrays that a model changes are copied first.
         let raw = NonNull::from(Box::leak(unsafe { raw.assume_init() }));
-        Some(Self::of(Arc::new(Compilation::new(
+        Some(Self::from_compilation(Arc::new(Compilation::new(
             raw,
-            Kept::Shared(arrays),
+            MemoryOwner::Shared(arrays),
         ))))
     }
 

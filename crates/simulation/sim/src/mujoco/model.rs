@@ -28,14 +28,14 @@ pub struct Model {
 /// Immutable result of a MuJoCo compilation.
 pub(super) struct Compilation {
     raw: NonNull<c::mjModel>,
-    kept: Kept,
+    owner: MemoryOwner,
     /// Unique in the process. States and scenes have the sizes of the model that they were made
     /// for, and check this number before they are used with a model.
     serial: u64,
 }
 
 /// Owner of a compilation's memory.
-pub(super) enum Kept {
+pub(super) enum MemoryOwner {
     /// MuJoCo owns structure and arrays.
     Compiled,
     /// A box owns the structure; the arrays are in these bytes.
@@ -43,12 +43,12 @@ pub(super) enum Kept {
 }
 
 impl Compilation {
-    /// Takes ownership of a structure, which is freed on drop according to `kept`.
-    pub(super) fn new(raw: NonNull<c::mjModel>, kept: Kept) -> Self {
+    /// Takes ownership of a structure, which is freed on drop according to `owner`.
+    pub(super) fn new(raw: NonNull<c::mjModel>, owner: MemoryOwner) -> Self {
         static COMPILED: AtomicU64 = AtomicU64::new(0);
         Self {
             raw,
-            kept,
+            owner,
             serial: COMPILED.fetch_add(1, Ordering::Relaxed),
         }
     }
@@ -141,24 +141,27 @@ impl Model {
         };
         super::return_freed_memory();
         let raw = NonNull::new(model).ok_or(SimError::Compile(message))?;
-        Ok(Self::of(Arc::new(Compilation::new(raw, Kept::Compiled))))
+        Ok(Self::from_compilation(Arc::new(Compilation::new(
+            raw,
+            MemoryOwner::Compiled,
+        ))))
     }
 
     /// Returns another model of this compilation, whose own arrays are copies of this model's
     /// current ones.
     #[must_use]
     pub fn share(&self) -> Self {
-        let mut other = Self::of(Arc::clone(&self.compilation));
+        let mut other = Self::from_compilation(Arc::clone(&self.compilation));
         other.copy_own(self);
         other
     }
 
-    pub(super) fn of(compilation: Arc<Compilation>) -> Self {
+    pub(super) fn from_compilation(compilation: Arc<Compilation>) -> Self {
         // SAFETY: compiled, and alive for as long as the compilation is shared. The
         // copy frees nothing.
         let mut raw = Box::new(unsafe { compilation.raw.read() });
         Self {
-            _own: OwnArrays::of(&mut raw),
+            _own: OwnArrays::copy_of(&mut raw),
             raw,
             compilation,
         }
@@ -265,7 +268,7 @@ impl Model {
         arrays::all(self.raw())
     }
 
-    /// Returns one of these arrays; `None` if there is none with this name.
+    /// Returns one numeric array; `None` if no array has this name.
     pub fn array(&self, name: &str) -> Option<ModelArray> {
         arrays::one(self.raw(), name)
     }
@@ -299,20 +302,20 @@ impl Model {
         let raw = self.raw();
         // SAFETY: the fields point at this many values while the model lives; a
         // model without textures may have null pointers.
-        let of = |pointer: *const i32| unsafe { values(pointer, raw.ntex) };
-        let (kinds, spaces) = (of(raw.tex_type), of(raw.tex_colorspace));
-        let (widths, heights) = (of(raw.tex_width), of(raw.tex_height));
-        let (channels, starts) = (of(raw.tex_nchannel), of(raw.tex_adr));
-        (0..kinds.len()).map(move |at| {
-            let (width, height) = (widths[at] as usize, heights[at] as usize);
-            let channels = channels[at] as usize;
+        let field = |pointer: *const i32| unsafe { values(pointer, raw.ntex) };
+        let (kinds, spaces) = (field(raw.tex_type), field(raw.tex_colorspace));
+        let (widths, heights) = (field(raw.tex_width), field(raw.tex_height));
+        let (channels, starts) = (field(raw.tex_nchannel), field(raw.tex_adr));
+        (0..kinds.len()).map(move |index| {
+            let (width, height) = (widths[index] as usize, heights[index] as usize);
+            let channels = channels[index] as usize;
             TextureData {
-                kind: kinds[at],
-                colorspace: spaces[at],
+                kind: kinds[index],
+                colorspace: spaces[index],
                 width,
                 height,
                 channels,
-                start: starts[at] as usize,
+                start: starts[index] as usize,
             }
         })
     }
@@ -414,29 +417,29 @@ impl<'a> Meshes<'a> {
         // SAFETY: the fields point at this many values while the model lives; a
         // model without meshes may have null pointers.
         unsafe {
-            let of = |pointer: *const i32| values(pointer, raw.nmesh)[index];
+            let field = |pointer: *const i32| values(pointer, raw.nmesh)[index];
             let part = |pointer: *const f32, count: i32, start: i32, length: i32, width: usize| {
                 &values(pointer, count * width as i32)[start as usize * width..]
                     [..length as usize * width]
             };
-            let (first, length) = (of(raw.mesh_faceadr), of(raw.mesh_facenum));
+            let (first, length) = (field(raw.mesh_faceadr), field(raw.mesh_facenum));
             let faces = |pointer: *const i32| {
                 &values(pointer, raw.nmeshface * 3)[first as usize * 3..][..length as usize * 3]
             };
-            let (start, count) = (of(raw.mesh_texcoordadr), of(raw.mesh_texcoordnum));
+            let (start, count) = (field(raw.mesh_texcoordadr), field(raw.mesh_texcoordnum));
             MeshData {
                 vertices: part(
                     raw.mesh_vert,
                     raw.nmeshvert,
-                    of(raw.mesh_vertadr),
-                    of(raw.mesh_vertnum),
+                    field(raw.mesh_vertadr),
+                    field(raw.mesh_vertnum),
                     3,
                 ),
                 normals: part(
                     raw.mesh_normal,
                     raw.nmeshnormal,
-                    of(raw.mesh_normaladr),
-                    of(raw.mesh_normalnum),
+                    field(raw.mesh_normaladr),
+                    field(raw.mesh_normalnum),
                     3,
                 ),
                 texture_coordinates: (start >= 0)
@@ -451,11 +454,11 @@ impl<'a> Meshes<'a> {
 
 impl Drop for Compilation {
     fn drop(&mut self) {
-        match self.kept {
+        match self.owner {
             // SAFETY: owned, freed once, with the last model of it.
-            Kept::Compiled => unsafe { c::mj_deleteModel(self.raw.as_ptr()) },
+            MemoryOwner::Compiled => unsafe { c::mj_deleteModel(self.raw.as_ptr()) },
             // SAFETY: leaked from a box, freed once, with the last model of it.
-            Kept::Shared(_) => drop(unsafe { Box::from_raw(self.raw.as_ptr()) }),
+            MemoryOwner::Shared(_) => drop(unsafe { Box::from_raw(self.raw.as_ptr()) }),
         }
     }
 }

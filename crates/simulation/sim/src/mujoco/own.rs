@@ -49,7 +49,7 @@ impl<T> Drop for Allocation<T> {
     }
 }
 
-macro_rules! keep {
+macro_rules! define_own_arrays {
     ($($method:ident: $name:ident: $kind:ty = $rows:ident * $columns:literal;)*) => {
         #[expect(dead_code, reason = "they are reached through the model")]
         pub(super) struct OwnArrays {
@@ -58,7 +58,7 @@ macro_rules! keep {
 
         impl OwnArrays {
             /// Copies a model's arrays and sets its pointers to the copies.
-            pub(super) fn of(model: &mut mjModel) -> Self {
+            pub(super) fn copy_of(model: &mut mjModel) -> Self {
                 $(
                     // SAFETY: the field points at this many values.
                     let $name = Allocation::copy_of(unsafe {
@@ -72,7 +72,7 @@ macro_rules! keep {
     };
 }
 
-each_own_array!(keep);
+each_own_array!(define_own_arrays);
 
 #[cfg(test)]
 #[allow(unsafe_code, reason = "accesses as MuJoCo makes them")]
@@ -89,12 +89,13 @@ mod tests {
             }
 
             impl Arrays {
-                fn of(rows: usize) -> Self {
+                fn with_rows(rows: usize) -> Self {
                     let mut start = 0.0;
                     Self {
                         $($name: {
                             start += 100.0;
-                            (0..rows * $columns).map(|it| start as $kind + it as $kind).collect()
+                            let length = rows * $columns;
+                            (0..length).map(|index| start as $kind + index as $kind).collect()
                         },)*
                     }
                 }
@@ -135,20 +136,24 @@ mod tests {
     /// Also meant for Miri, which detects pointers that a move has invalidated.
     #[test]
     fn pointers_outlive_moves_of_the_owner_and_lead_to_copies() {
-        let mut shared = Arrays::of(2);
+        let mut shared = Arrays::with_rows(2);
         let mut model = shared.model(2);
-        let own = OwnArrays::of(&mut model);
-        let moved = Box::new(own);
+        let arrays = OwnArrays::copy_of(&mut model);
+        let boxed = Box::new(arrays);
         add_one(&model);
-        let again = std::iter::once(*moved).collect::<Vec<_>>();
+        let moved = std::iter::once(*boxed).collect::<Vec<_>>();
         add_one(&model);
-        let [last] = <[OwnArrays; 1]>::try_from(again).ok().expect("one");
-        let mut expected = Arrays::of(2);
+        let [last] = <[OwnArrays; 1]>::try_from(moved).ok().expect("one");
+        let mut expected = Arrays::with_rows(2);
         let plain = expected.model(2);
         add_one(&plain);
         add_one(&plain);
         assert_eq!(read(&model), read(&plain));
-        assert_eq!(shared, Arrays::of(2), "the shared arrays were written to");
+        assert_eq!(
+            shared,
+            Arrays::with_rows(2),
+            "the shared arrays were written to"
+        );
         drop(last);
     }
 
@@ -156,8 +161,8 @@ mod tests {
     fn a_model_without_cameras_and_lights_has_empty_arrays() {
         let mut none = Arrays::default();
         let mut model = none.model(0);
-        let own = OwnArrays::of(&mut model);
+        let arrays = OwnArrays::copy_of(&mut model);
         assert_eq!(read(&model), Arrays::default());
-        drop(own);
+        drop(arrays);
     }
 }

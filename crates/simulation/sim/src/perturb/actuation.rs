@@ -42,8 +42,8 @@ enum StepNoise {
 }
 
 impl ActuationStage {
-    /// Creates the stage at the start of a rollout. `demo_action_rms` is the suite's, for
-    /// translation and rotation ([`libero_ctrl::Suite::demo_action_rms`]).
+    /// Creates the stage at the start of a rollout. `demo_action_rms` is the suite's value
+    /// for translation and for rotation ([`libero_ctrl::Suite::demo_action_rms`]).
     pub fn new(
         distortion: &ActuationDistortion,
         demo_action_rms: [f64; 2],
@@ -190,7 +190,7 @@ mod tests {
     }
 
     #[test]
-    fn the_gripper_is_never_touched() {
+    fn the_gripper_component_is_unchanged() {
         let distortion = ActuationDistortion::from([1.0, 2.0, 30.0, 1.0, 2.0]);
         let mut stage = stage("goal/t0/actuation/L3/c00", &distortion);
         for _ in 0..20 {
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn alone_and_combined_distort_alike_step_for_step() {
+    fn single_axis_and_combination_distort_alike_at_every_step() {
         let distortion = ActuationDistortion::from([0.1, 0.2, 3.0, 1.0, 0.3]);
         let mut alone = stage("goal/t0/actuation/L3/c07", &distortion);
         let mut combined = stage("goal/t0/combination/L3/c07", &distortion);

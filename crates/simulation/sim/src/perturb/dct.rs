@@ -26,7 +26,7 @@ const F_3_072: i32 = 25172;
 pub(super) fn forward(samples: &Block) -> Block {
     let mut block = *samples;
     for row in 0..8 {
-        pass(
+        transform_line(
             &mut block,
             8 * row,
             1,
@@ -35,7 +35,7 @@ pub(super) fn forward(samples: &Block) -> Block {
         );
     }
     for column in 0..8 {
-        pass(&mut block, column, 8, forward_line, FACTOR_BITS + PASS_BITS);
+        transform_line(&mut block, column, 8, forward_line, FACTOR_BITS + PASS_BITS);
     }
     block
 }
@@ -44,17 +44,17 @@ pub(super) fn forward(samples: &Block) -> Block {
 pub(super) fn inverse(coefficients: &Block) -> Block {
     let mut block = *coefficients;
     for column in 0..8 {
-        pass(&mut block, column, 8, inverse_line, FACTOR_BITS - PASS_BITS);
+        transform_line(&mut block, column, 8, inverse_line, FACTOR_BITS - PASS_BITS);
     }
     for row in 0..8 {
         let shift = FACTOR_BITS + PASS_BITS + 3;
-        pass(&mut block, 8 * row, 1, inverse_line, shift);
+        transform_line(&mut block, 8 * row, 1, inverse_line, shift);
     }
     block
 }
 
 /// Transforms one line of a block and rounds away `shift` bits.
-fn pass(
+fn transform_line(
     block: &mut Block,
     start: usize,
     stride: usize,

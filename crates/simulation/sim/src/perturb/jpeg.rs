@@ -243,10 +243,11 @@ mod tests {
         };
         assert!(loss(90) < loss(50) && loss(50) < loss(10));
     }
+
     /// SHA-256 (first eight bytes) of Pillow 13's results for the same pictures, whose sides are
     /// not multiples of the block size.
     #[test]
-    fn borders_are_pillows() {
+    fn borders_equal_pillows() {
         let check = |width: usize, height: usize, quality, expected: &str| {
             let mut rgb: Vec<u8> = (0..width * height * 3)
                 .map(|i| (i * i % 251) as u8)

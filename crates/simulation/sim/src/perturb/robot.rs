@@ -160,7 +160,7 @@ mod tests {
     }
 
     #[test]
-    fn joints_stop_at_their_limits_and_the_residual_says_so() {
+    fn joints_stop_at_their_limits_with_a_residual_error() {
         let mut ranges = WIDE;
         for (range, q) in ranges.iter_mut().zip(nominal_arm().iter()) {
             *range = [q - 0.01, q + 0.01];

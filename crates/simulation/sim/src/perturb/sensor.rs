@@ -38,6 +38,7 @@ impl FrameSource {
     /// Cameras in the order in which they draw from NumPy's stream.
     pub const ALL: [Self; 2] = [Self::Agentview, Self::Wrist];
 
+    /// Returns the camera's lane in random streams.
     const fn lane(self) -> u32 {
         self as u32
     }
@@ -445,21 +446,21 @@ mod tests {
     const STRONG: [f64; 4] = [0.05, 1.5, 1.8, 6.0];
 
     #[test]
-    fn alone_and_combined_see_the_same_pictures_whoever_looks_when() {
+    fn single_axis_and_combination_give_equal_pictures_in_any_order() {
         let corruption = SensorCorruption::from(STRONG);
         let mut alone = stage("goal/t3/sensor/L3/c02", &corruption);
         let mut combined = stage("goal/t3/combination/L3/c02", &corruption);
         assert_eq!(alone.realised(), combined.realised());
-        let looks = [
+        let requests = [
             (FrameSource::Wrist, 4),
             (FrameSource::Agentview, 0),
             (FrameSource::Agentview, 4),
         ];
-        let seen = looks.map(|(source, step)| corrupted(&mut alone, source, step));
+        let pictures = requests.map(|(source, step)| corrupted(&mut alone, source, step));
         let late = corrupted(&mut combined, FrameSource::Agentview, 4);
-        assert_eq!(seen[2], late);
-        assert_ne!(seen[1], late, "noise changes from step to step");
-        assert_ne!(seen[0], late, "cameras have noise of their own");
+        assert_eq!(pictures[2], late);
+        assert_ne!(pictures[1], late, "noise changes from step to step");
+        assert_ne!(pictures[0], late, "cameras have noise of their own");
     }
 
     #[test]
@@ -467,8 +468,8 @@ mod tests {
         let id = "goal/t3/sensor/L3/c02";
         let positive = SensorCorruption::from(STRONG);
         let negative = SensorCorruption::from(STRONG.map(|x| -x));
-        let look = |corruption| corrupted(&mut stage(id, corruption), FrameSource::Wrist, 1);
-        assert_eq!(look(&positive), look(&negative));
+        let picture = |corruption| corrupted(&mut stage(id, corruption), FrameSource::Wrist, 1);
+        assert_eq!(picture(&positive), picture(&negative));
     }
 
     #[test]

@@ -49,7 +49,7 @@ impl GlCanvas {
             opengl: Rc::clone(opengl),
         };
         let offscreen = c::mjtFramebuffer::mjFB_OFFSCREEN as i32;
-        if canvas.context.currentBuffer != offscreen || !canvas.holds([width, height]) {
+        if canvas.context.currentBuffer != offscreen || !canvas.fits([width, height]) {
             return Err(SimError::Graphics {
                 problem: format!("no off-screen buffer of {width} × {height}"),
                 remedy: "try a smaller picture or another device with --renderer gl:N",
@@ -59,11 +59,11 @@ impl GlCanvas {
     }
 
     /// Returns true if this was made in the context, and a picture of this size fits the buffers.
-    pub(crate) fn suits(&self, opengl: &Rc<GlContext>, size: [u32; 2]) -> bool {
-        Rc::ptr_eq(&self.opengl, opengl) && self.holds(size)
+    pub(crate) fn is_usable_for(&self, opengl: &Rc<GlContext>, size: [u32; 2]) -> bool {
+        Rc::ptr_eq(&self.opengl, opengl) && self.fits(size)
     }
 
-    fn holds(&self, size: [u32; 2]) -> bool {
+    fn fits(&self, size: [u32; 2]) -> bool {
         let room = [self.context.offWidth, self.context.offHeight];
         size.into_iter()
             .zip(room)
@@ -110,7 +110,7 @@ impl GlCanvas {
         flags: &[c::mjtRndFlag],
         target: Target<'_>,
     ) -> Result<(), SimError> {
-        assert!(self.holds(view.size), "a picture that fits the buffers");
+        assert!(self.fits(view.size), "a picture that fits the buffers");
         let pixels = pixels(view.size);
         let viewport = c::mjrRect {
             left: 0,

@@ -71,10 +71,10 @@ impl GlContext {
     }
 
     pub(super) fn make_current(&self) -> Result<(), SimError> {
-        let made = self
+        let result = self
             .egl
             .make_current(self.display, None, None, Some(self.context));
-        made.map_err(|error| graphics(format!("the OpenGL context is lost ({error})")))
+        result.map_err(|error| graphics(format!("the OpenGL context is lost ({error})")))
     }
 
     /// Returns the driver's name of the renderer, for example `llvmpipe (…)`.

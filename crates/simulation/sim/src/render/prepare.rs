@@ -23,10 +23,10 @@ const COLOUR_ROLE: usize = c::mjtTextureRole::mjTEXROLE_RGB as usize;
 
 /// Prepared items of this process by the digest of their source. The digest is chosen for speed: a
 /// forged collision would gain nothing.
-type Known<T> = LazyLock<Mutex<HashMap<u128, Weak<T>>>>;
+type Cache<T> = LazyLock<Mutex<HashMap<u128, Weak<T>>>>;
 
-static MESHES: Known<Mesh> = LazyLock::new(Mutex::default);
-static TEXTURES: Known<Texture> = LazyLock::new(Mutex::default);
+static MESHES: Cache<Mesh> = LazyLock::new(Mutex::default);
+static TEXTURES: Cache<Texture> = LazyLock::new(Mutex::default);
 
 /// The colour texture of a material, and its repetition.
 #[derive(Clone, Copy)]
@@ -58,7 +58,7 @@ impl Prepared {
     ///
     /// # Errors
     /// If the software renderer cannot draw the model.
-    pub(crate) fn of(model: &Model) -> Result<Self, SimError> {
+    pub(crate) fn from_model(model: &Model) -> Result<Self, SimError> {
         let texels = model.texels();
         let largest: Vec<Bytes> = model
             .textures()
@@ -67,11 +67,11 @@ impl Prepared {
         let meshes = model.meshes();
         let mesh = |index| {
             let mesh = meshes.get(index);
-            shared(&MESHES, digest_of_mesh(&mesh), || Ok(mesh_of(&mesh)))
+            shared(&MESHES, digest_of_mesh(&mesh), || Ok(build_mesh(&mesh)))
         };
         let texture = |(texture, texels): (TextureData, &Bytes)| {
             shared(&TEXTURES, digest_of_texture(&texture, texels), || {
-                texture_of(&texture, texels)
+                build_texture(&texture, texels)
             })
         };
         let textures = model.textures().zip(&largest).map(texture);
@@ -87,18 +87,18 @@ impl Prepared {
     ///
     /// # Errors
     /// If the bytes do not belong to this model.
-    pub(crate) fn of_bytes(model: &Model, bytes: &PreparedBytes) -> Result<Self, SimError> {
+    pub(crate) fn from_bytes(model: &Model, bytes: &PreparedBytes) -> Result<Self, SimError> {
         let meshes = bytes.meshes.iter().cloned().map(Mesh::from_bytes);
         let textures = model.textures().zip(&bytes.textures);
         let textures = textures.map(|(texture, [_, smaller])| {
             let sizes = [texture.width, texture.height, texture.channels];
-            Texture::with_smaller(kind_of(&texture), sizes, smaller.clone())
+            Texture::with_smaller(texture_kind(&texture), sizes, smaller.clone())
         });
         let largest = bytes.textures.iter().map(|[largest, _]| largest.clone());
         Self::assemble(
             model,
-            meshes.map(made).collect::<Result<_, _>>()?,
-            textures.map(made).collect::<Result<_, _>>()?,
+            meshes.map(share_part).collect::<Result<_, _>>()?,
+            textures.map(share_part).collect::<Result<_, _>>()?,
             largest.collect(),
         )
     }
@@ -142,7 +142,7 @@ impl Prepared {
     }
 }
 
-fn made<T>(part: Result<T, ModelError>) -> Result<Arc<T>, SimError> {
+fn share_part<T>(part: Result<T, ModelError>) -> Result<Arc<T>, SimError> {
     part.map(Arc::new)
         .map_err(|error| graphics(error.to_string()))
 }
@@ -179,19 +179,19 @@ fn with_planes(model: &Model) -> Result<raster::Model, SimError> {
 
 /// Returns the cached item of the same source if it is still in use, or creates it.
 fn shared<T>(
-    known: &Known<T>,
+    cache: &Cache<T>,
     digest: u128,
     make: impl FnOnce() -> Result<T, SimError>,
 ) -> Result<Arc<T>, SimError> {
-    let lock = || known.lock().unwrap_or_else(PoisonError::into_inner);
+    let lock = || cache.lock().unwrap_or_else(PoisonError::into_inner);
     if let Some(found) = lock().get(&digest).and_then(Weak::upgrade) {
         return Ok(found);
     }
-    let made = Arc::new(make()?);
-    let mut known = lock();
-    known.retain(|_, it| it.strong_count() > 0);
-    known.insert(digest, Arc::downgrade(&made));
-    Ok(made)
+    let item = Arc::new(make()?);
+    let mut cache = lock();
+    cache.retain(|_, item| item.strong_count() > 0);
+    cache.insert(digest, Arc::downgrade(&item));
+    Ok(item)
 }
 
 fn digest_of_mesh(mesh: &MeshData<'_>) -> u128 {
@@ -226,7 +226,7 @@ fn digest<'a>(parts: impl Iterator<Item = &'a [u8]>) -> u128 {
     hash.finish_128()
 }
 
-fn kind_of(texture: &TextureData) -> TextureKind {
+fn texture_kind(texture: &TextureData) -> TextureKind {
     match texture.kind {
         kind if kind == c::mjtTexture::mjTEXTURE_2D as i32 => TextureKind::Flat {
             srgb: texture.colorspace == c::mjtColorSpace::mjCOLORSPACE_SRGB as i32,
@@ -235,18 +235,18 @@ fn kind_of(texture: &TextureData) -> TextureKind {
     }
 }
 
-fn texture_of(texture: &TextureData, texels: &[u8]) -> Result<Texture, SimError> {
+fn build_texture(texture: &TextureData, texels: &[u8]) -> Result<Texture, SimError> {
     let TextureData {
         width,
         height,
         channels,
         ..
     } = *texture;
-    Texture::new(kind_of(texture), width, height, channels, texels)
+    Texture::new(texture_kind(texture), width, height, channels, texels)
         .map_err(|error| graphics(error.to_string()))
 }
 
-fn mesh_of(mesh: &MeshData<'_>) -> Mesh {
+fn build_mesh(mesh: &MeshData<'_>) -> Mesh {
     let mut builder = MeshBuilder::default();
     for face in 0..mesh.faces.len() / 3 {
         let three = |ids: &[i32], values: &[f32]| {
@@ -296,7 +296,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_models_have_in_common_is_prepared_once_and_freed_with_the_last() {
+    fn models_share_equal_meshes_and_textures_until_the_last_is_dropped() {
         let scene = |height: f32| {
             Model::compile(&format!(
                 r#"<mujoco><asset>
@@ -309,8 +309,11 @@ mod tests {
             ))
             .expect("a model")
         };
-        let [one, other] =
-            [2.5, 3.5].map(|height| Prepared::of(&scene(height)).expect("prepared").model);
+        let [one, other] = [2.5, 3.5].map(|height| {
+            Prepared::from_model(&scene(height))
+                .expect("prepared")
+                .model
+        });
         assert!(Arc::ptr_eq(&one.meshes[0], &other.meshes[0]));
         assert!(!Arc::ptr_eq(&one.meshes[1], &other.meshes[1]));
         assert!(Arc::ptr_eq(&one.textures[0], &other.textures[0]));

@@ -83,7 +83,7 @@ impl SoftwareCanvas {
         let size = view.size.map(|side| side as usize);
         self.update(view)?;
         let canvas = self.canvases.entry(camera).or_default();
-        let largest: Vec<&[u8]> = self.prepared.largest.iter().map(|it| &**it).collect();
+        let largest: Vec<&[u8]> = self.prepared.largest.iter().map(|level| &**level).collect();
         canvas
             .draw(&self.prepared.model, &largest, &self.scene, size)
             .map_err(|error| graphics(error.to_string()))
@@ -92,9 +92,9 @@ impl SoftwareCanvas {
     /// Updates the scene to the model's state.
     fn update(&mut self, view: View<'_>) -> Result<(), SimError> {
         self.visual_scene.update(view.model, view.data, view.camera);
-        let seen = self.visual_scene.scene();
+        let visual = self.visual_scene.scene();
         let eye = self.visual_scene.eye();
-        let flag = |flag: c::mjtRndFlag| seen.flags[flag as usize] != 0;
+        let flag = |flag: c::mjtRndFlag| visual.flags[flag as usize] != 0;
         self.scene.camera = Camera {
             pos: eye.pos,
             forward: eye.forward,
@@ -114,7 +114,7 @@ impl SoftwareCanvas {
             .filter(|_| flag(c::mjtRndFlag::mjRND_SKYBOX));
         let shadows = flag(c::mjtRndFlag::mjRND_SHADOW);
         self.scene.lights.clear();
-        for light in &seen.lights[..seen.nlight as usize] {
+        for light in &visual.lights[..visual.nlight as usize] {
             self.scene.lights.push(read_light(light, shadows)?);
         }
         let is_endless =

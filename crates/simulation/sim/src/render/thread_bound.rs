@@ -1,5 +1,5 @@
 //! Container that can move between threads although its value may be used and freed only on the
-//! thread that made it.
+//! thread that created it.
 
 use std::mem::ManuallyDrop;
 use std::thread::{self, ThreadId};
@@ -21,13 +21,13 @@ impl<T> ThreadBound<T> {
         }
     }
 
-    fn is_here(&self) -> bool {
+    fn is_owner_thread(&self) -> bool {
         self.owner == thread::current().id()
     }
 
     /// Returns the value; `None` on another thread.
     pub(crate) fn get(&self) -> Option<&T> {
-        self.is_here().then(|| &*self.value)
+        self.is_owner_thread().then(|| &*self.value)
     }
 
     /// Returns the value for mutation.
@@ -35,14 +35,17 @@ impl<T> ThreadBound<T> {
     /// # Panics
     /// On another thread.
     pub(crate) fn get_mut(&mut self) -> &mut T {
-        assert!(self.is_here(), "this belongs to another thread");
+        assert!(
+            self.is_owner_thread(),
+            "the value belongs to another thread"
+        );
         &mut self.value
     }
 }
 
 impl<T> Drop for ThreadBound<T> {
     fn drop(&mut self) {
-        if self.is_here() {
+        if self.is_owner_thread() {
             // SAFETY: dropped once, here.
             unsafe { ManuallyDrop::drop(&mut self.value) }
         }
@@ -56,7 +59,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn another_thread_neither_reaches_nor_drops_it() {
+    fn other_threads_can_neither_access_nor_drop_the_value() {
         let value = Rc::new(());
         let [there, here] = [(); 2].map(|()| ThreadBound::new(Rc::clone(&value)));
         assert!(here.get().is_some());

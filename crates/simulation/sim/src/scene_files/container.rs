@@ -39,15 +39,15 @@ pub(super) fn write(
         table.extend([start as u64, length as u64]);
         end = start + length;
     }
-    let mut out = Summing {
+    let mut out = ChecksumWriter {
         out: BufWriter::with_capacity(BLOCK, out),
         sum: XxHash3_128::new(),
-        place: HEAD,
+        position: HEAD,
     };
     out.out.write_all(&[0; HEAD])?;
     out.write(bytemuck::cast_slice(&table))?;
     for parts in sections {
-        let gap = out.place.next_multiple_of(ALIGNMENT) - out.place;
+        let gap = out.position.next_multiple_of(ALIGNMENT) - out.position;
         out.write(&[0; ALIGNMENT][..gap])?;
         for part in parts {
             out.write(part)?;
@@ -63,16 +63,16 @@ pub(super) fn write(
     out.out.flush()
 }
 
-struct Summing<W: Write> {
+struct ChecksumWriter<W: Write> {
     out: BufWriter<W>,
     sum: XxHash3_128,
-    place: usize,
+    position: usize,
 }
 
-impl<W: Write> Summing<W> {
+impl<W: Write> ChecksumWriter<W> {
     fn write(&mut self, bytes: &[u8]) -> io::Result<()> {
         self.sum.write(bytes);
-        self.place += bytes.len();
+        self.position += bytes.len();
         self.out.write_all(bytes)
     }
 }
@@ -86,10 +86,10 @@ pub(super) fn read_head(mut file: &File, name: &Name, length: u64) -> io::Result
     }
     file.seek(SeekFrom::Start(0))?;
     file.read_exact(&mut head)?;
-    let fits =
+    let is_valid =
         head.starts_with(MAGIC) && head[NAME] == *name && head[LENGTH] == length.to_ne_bytes();
     let checksum = u128::from_ne_bytes(head[CHECKSUM].try_into().expect("sixteen bytes"));
-    Ok(fits.then_some(checksum))
+    Ok(is_valid.then_some(checksum))
 }
 
 /// Returns true if everything after the header has this checksum. Reads the file rather than a

@@ -6,8 +6,8 @@ use std::io;
 use std::time::SystemTime;
 
 use super::container;
-use super::folder::{ASIDE, SceneFolder, names_of_textures};
-use super::text;
+use super::folder::{SceneFolder, TEMPORARY_PREFIX, names_of_textures};
+use super::name_text;
 
 struct Scene {
     name: String,
@@ -20,15 +20,15 @@ impl SceneFolder {
     /// the scene `keep` or a mapped one. The caller holds the folder's lock.
     pub(super) fn make_room(&self, keep: &str) -> io::Result<()> {
         let (mut total, mut scenes, mut textures) = (0, Vec::<Scene>::new(), Vec::new());
-        let mut notes = Vec::new();
+        let mut records = Vec::new();
         for entry in fs::read_dir(&self.dir)? {
             let entry = entry?;
             // The file is already gone: a replaced check record or a temporary file.
-            let Ok(facts) = entry.metadata() else {
+            let Ok(metadata) = entry.metadata() else {
                 continue;
             };
             let file = entry.file_name().to_string_lossy().into_owned();
-            if file.starts_with(ASIDE) {
+            if file.starts_with(TEMPORARY_PREFIX) {
                 if File::open(entry.path()).is_ok_and(|file| file.try_lock().is_ok()) {
                     let _ = fs::remove_file(entry.path());
                 }
@@ -37,16 +37,16 @@ impl SceneFolder {
             let Some((name, kind)) = file.split_once('.') else {
                 continue;
             };
-            total += facts.len();
-            let used = facts.modified()?;
+            total += metadata.len();
+            let used = metadata.modified()?;
             match kind {
                 "scene" => scenes.push(Scene {
                     name: name.to_owned(),
-                    bytes: facts.len(),
+                    bytes: metadata.len(),
                     used,
                 }),
-                "texture" => textures.push((name.to_owned(), facts.len())),
-                _ if kind.ends_with(".checked") => notes.push((name.to_owned(), used, file)),
+                "texture" => textures.push((name.to_owned(), metadata.len())),
+                _ if kind.ends_with(".checked") => records.push((name.to_owned(), used, file)),
                 _ => {}
             }
         }
@@ -54,23 +54,23 @@ impl SceneFolder {
             return Ok(());
         }
         for scene in &mut scenes {
-            let of_it = notes.iter().filter(|(name, ..)| *name == scene.name);
-            scene.used = of_it
+            let own_records = records.iter().filter(|(name, ..)| *name == scene.name);
+            scene.used = own_records
                 .map(|(_, used, _)| *used)
                 .fold(scene.used, SystemTime::max);
         }
         scenes.sort_by_key(|scene| scene.used);
-        let mut left: Vec<&str> = scenes.iter().map(|scene| &*scene.name).collect();
+        let mut remaining: Vec<&str> = scenes.iter().map(|scene| &*scene.name).collect();
         let mut candidates = scenes.iter().filter(|scene| scene.name != keep);
         loop {
             // Textures that no scene uses are removed first.
-            let needed = self.textures_of(&left);
+            let needed = self.textures_of(&remaining);
             textures.retain(|(name, bytes)| {
-                let stays = needed.contains(name);
-                if !stays && fs::remove_file(self.texture(name)).is_ok() {
+                let is_used = needed.contains(name);
+                if !is_used && fs::remove_file(self.texture(name)).is_ok() {
                     total -= bytes;
                 }
-                stays
+                is_used
             });
             let Some(scene) = candidates.next().filter(|_| total > self.limit) else {
                 return Ok(());
@@ -81,10 +81,10 @@ impl SceneFolder {
             }
             fs::remove_file(&path)?;
             total -= scene.bytes;
-            left.retain(|name| *name != scene.name);
+            remaining.retain(|name| *name != scene.name);
             let _ = fs::remove_file(self.dir.join(format!("{}.lock", scene.name)));
-            for (.., note) in notes.iter().filter(|(name, ..)| *name == scene.name) {
-                let _ = fs::remove_file(self.dir.join(note));
+            for (.., record) in records.iter().filter(|(name, ..)| *name == scene.name) {
+                let _ = fs::remove_file(self.dir.join(record));
             }
         }
     }
@@ -99,7 +99,9 @@ impl SceneFolder {
         let all = scenes.iter().filter_map(sections);
         all.flat_map(|sections| {
             let names = names_of_textures(&sections).unwrap_or_default().iter();
-            names.map(|name| text(name).to_owned()).collect::<Vec<_>>()
+            names
+                .map(|name| name_text(name).to_owned())
+                .collect::<Vec<_>>()
         })
         .collect()
     }

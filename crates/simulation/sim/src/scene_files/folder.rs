@@ -11,7 +11,7 @@ use bytes::Bytes;
 use rustix::fs::{OFlags, Timespec, Timestamps, UTIME_NOW, futimens};
 
 use super::container;
-use super::{Name, Obtained, Preparation, digits, layout, text};
+use super::{LoadedScene, Name, Preparation, digits, layout, name_text};
 use crate::mujoco::Model;
 use crate::render::{Prepared, PreparedBytes, digest_of_texture};
 
@@ -19,17 +19,17 @@ use crate::render::{Prepared, PreparedBytes, digest_of_texture};
 const LIMIT_GIB: u64 = 16;
 /// Longest wait for another process that compiles or writes a scene. Compiling takes seconds, and a
 /// worker treats a slot without progress for minutes as stuck.
-const PATIENCE: Duration = Duration::from_secs(60);
-/// Interval of lock attempts.
+const MAX_LOCK_WAIT: Duration = Duration::from_secs(60);
+/// Interval between attempts to lock a file.
 const POLL: Duration = Duration::from_millis(10);
 /// Permissions of a finished file.
 const READ_ONLY: u32 = 0o444;
 /// Permission bits for writing by others.
 const OTHERS_WRITE: u32 = 0o022;
-/// Root, whose files are always trusted.
+/// User id of root, whose files are always trusted.
 const ROOT: u32 = 0;
 /// Prefix of the names of files being written.
-pub(super) const ASIDE: &str = ".aside-";
+pub(super) const TEMPORARY_PREFIX: &str = ".aside-";
 /// Sections of a scene file before its meshes.
 const TEXTURES: usize = 0;
 const STRUCTURE: usize = 1;
@@ -75,7 +75,7 @@ pub struct SceneFolder {
     /// Layout of MuJoCo's arrays; see [`layout`].
     pub(super) layout: String,
     /// Longest wait for another process.
-    pub(super) patience: Duration,
+    pub(super) max_wait: Duration,
     /// Simulated free disk space in tests, bytes.
     #[cfg(test)]
     pub(super) room: std::sync::atomic::AtomicU64,
@@ -99,7 +99,7 @@ impl SceneFolder {
             limit: gib << 30,
             user: rustix::process::geteuid().as_raw(),
             layout: layout(),
-            patience: PATIENCE,
+            max_wait: MAX_LOCK_WAIT,
             #[cfg(test)]
             room: std::sync::atomic::AtomicU64::new(u64::MAX),
         }
@@ -111,26 +111,26 @@ impl SceneFolder {
     /// # Errors
     /// If it cannot be created or is not trusted.
     pub fn check(&self) -> Result<(), SceneFileError> {
-        if self.is_there()? {
+        if self.exists_and_is_trusted()? {
             return Ok(());
         }
-        let made = DirBuilder::new()
+        let created = DirBuilder::new()
             .recursive(true)
             .mode(0o700)
             .create(&self.dir);
-        made.map_err(|source| failure("make", &self.dir, source))?;
-        self.is_there().map(drop)
+        created.map_err(|source| failure("make", &self.dir, source))?;
+        self.exists_and_is_trusted().map(drop)
     }
 
     /// Maps a scene; `None` if it is missing or incomplete.
     ///
     /// # Errors
     /// If the folder is not trusted, or a file cannot be read.
-    pub(super) fn load(&self, name: &Name) -> Result<Option<Obtained>, SceneFileError> {
-        if !self.is_there()? {
+    pub(super) fn load(&self, name: &Name) -> Result<Option<LoadedScene>, SceneFileError> {
+        if !self.exists_and_is_trusted()? {
             return Ok(None);
         }
-        let path = self.scene(text(name));
+        let path = self.scene(name_text(name));
         let Some(scene) = self.open(&path, name)? else {
             return Ok(None);
         };
@@ -152,7 +152,7 @@ impl SceneFolder {
         };
         let mut textures = Vec::new();
         for texture in names {
-            let path = self.texture(text(texture));
+            let path = self.texture(name_text(texture));
             let Some(opened) = self.open(&path, texture)? else {
                 return Ok(None);
             };
@@ -167,7 +167,7 @@ impl SceneFolder {
                     return Ok(None);
                 }
             }
-            self.note_check(name, &stamps);
+            self.record_check(name, &stamps);
         }
         Ok(assemble(&sections, textures))
     }
@@ -192,7 +192,7 @@ impl SceneFolder {
             hash.write(self.layout.as_bytes());
             hash.write(&digest.to_le_bytes());
             let name = digits(&hash.finish_128().to_be_bytes());
-            let path = self.texture(text(&name));
+            let path = self.texture(name_text(&name));
             if !self.is_whole(&path, &name)? {
                 self.write(&path, &name, &[vec![largest], vec![smaller]])?;
             }
@@ -205,8 +205,8 @@ impl SceneFolder {
             image.arrays.to_vec(),
         ];
         sections.extend(meshes.iter().map(|mesh| vec![mesh.as_slice()]));
-        self.write(&self.scene(text(name)), name, &sections)?;
-        self.make_room(text(name))
+        self.write(&self.scene(name_text(name)), name, &sections)?;
+        self.make_room(name_text(name))
             .map_err(|source| failure("make room in", &self.dir, source))
     }
 
@@ -229,13 +229,13 @@ impl SceneFolder {
                 // A file system without locks never evicts files in use, since eviction requires a
                 // lock; and two processes that write one scene write identical files.
                 Err(TryLockError::Error(_)) => return Ok(file),
-                Err(TryLockError::WouldBlock) if begun.elapsed() < self.patience => {
+                Err(TryLockError::WouldBlock) if begun.elapsed() < self.max_wait => {
                     thread::sleep(POLL);
                 }
                 Err(TryLockError::WouldBlock) => {
                     return Err(SceneFileError::Busy {
                         path,
-                        secs: self.patience.as_secs(),
+                        secs: self.max_wait.as_secs(),
                     });
                 }
             }
@@ -251,24 +251,24 @@ impl SceneFolder {
     }
 
     /// Returns true if the folder exists and is trusted, false if it does not exist.
-    fn is_there(&self) -> Result<bool, SceneFileError> {
-        let facts = match fs::metadata(&self.dir) {
-            Ok(facts) => facts,
+    fn exists_and_is_trusted(&self) -> Result<bool, SceneFileError> {
+        let metadata = match fs::metadata(&self.dir) {
+            Ok(metadata) => metadata,
             Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(false),
             Err(error) => return Err(failure("read", &self.dir, error)),
         };
-        match self.trusts(&facts) {
+        match self.is_trusted(&metadata) {
             true => Ok(true),
             false => Err(SceneFileError::Untrusted {
                 path: self.dir.clone(),
-                owner: facts.uid(),
-                mode: facts.mode() & 0o7777,
+                owner: metadata.uid(),
+                mode: metadata.mode() & 0o7777,
             }),
         }
     }
 
-    fn trusts(&self, facts: &fs::Metadata) -> bool {
-        [self.user, ROOT].contains(&facts.uid()) && facts.mode() & OTHERS_WRITE == 0
+    fn is_trusted(&self, metadata: &fs::Metadata) -> bool {
+        [self.user, ROOT].contains(&metadata.uid()) && metadata.mode() & OTHERS_WRITE == 0
     }
 
     /// Opens a file; `None` if it is missing, not trusted, or has another length.
@@ -283,21 +283,21 @@ impl SceneFolder {
             Err(error) => return Err(failure("read", path, error)),
         };
         let failed = |source| failure("read", path, source);
-        let facts = file.metadata().map_err(failed)?;
-        if !(facts.is_file() && self.trusts(&facts)) {
+        let metadata = file.metadata().map_err(failed)?;
+        if !(metadata.is_file() && self.is_trusted(&metadata)) {
             return Ok(None);
         }
-        let checksum = container::read_head(&file, name, facts.len()).map_err(failed)?;
+        let checksum = container::read_head(&file, name, metadata.len()).map_err(failed)?;
         Ok(checksum.map(|checksum| Opened {
             stamp: format!(
                 "{} {} {} {}.{:09} {}.{:09}\n",
-                text(name),
-                facts.ino(),
-                facts.len(),
-                facts.mtime(),
-                facts.mtime_nsec(),
-                facts.ctime(),
-                facts.ctime_nsec()
+                name_text(name),
+                metadata.ino(),
+                metadata.len(),
+                metadata.mtime(),
+                metadata.mtime_nsec(),
+                metadata.ctime(),
+                metadata.ctime_nsec()
             ),
             checksum,
             file,
@@ -320,13 +320,13 @@ impl SceneFolder {
         sections: &[Vec<&[u8]>],
     ) -> Result<(), SceneFileError> {
         let written = (|| {
-            let mut aside = tempfile::Builder::new()
-                .prefix(ASIDE)
+            let mut temporary = tempfile::Builder::new()
+                .prefix(TEMPORARY_PREFIX)
                 .tempfile_in(&self.dir)?;
             // The lock is released when this process ends, even if it is killed; a process that
             // then acquires the lock may remove the file.
-            let _ = aside.as_file().try_lock();
-            let out = aside.as_file_mut();
+            let _ = temporary.as_file().try_lock();
+            let out = temporary.as_file_mut();
             #[cfg(test)]
             let out = &mut super::tests::Disk {
                 file: out,
@@ -334,11 +334,14 @@ impl SceneFolder {
             };
             container::write(out, name, sections)?;
             // Some file systems report a full disk only here.
-            aside.as_file().sync_data()?;
-            aside
+            temporary.as_file().sync_data()?;
+            temporary
                 .as_file()
                 .set_permissions(Permissions::from_mode(READ_ONLY))?;
-            aside.persist(path).map_err(|error| error.error).map(drop)
+            temporary
+                .persist(path)
+                .map_err(|error| error.error)
+                .map(drop)
         })();
         written.map_err(|source| failure("write", path, source))
     }
@@ -346,12 +349,12 @@ impl SceneFolder {
     /// Returns true if these files in their current state were checked since this machine booted;
     /// marks them as used.
     fn was_checked(&self, name: &Name, stamps: &str) -> bool {
-        let Some(note) = self.note(name) else {
+        let Some(record) = self.check_record_path(name) else {
             return false;
         };
-        if fs::read_to_string(&note).is_ok_and(|noted| noted == stamps) {
+        if fs::read_to_string(&record).is_ok_and(|recorded| recorded == stamps) {
             // Eviction uses the time of last use. Folders of other users are read-only.
-            if let Ok(file) = OpenOptions::new().write(true).open(note) {
+            if let Ok(file) = OpenOptions::new().write(true).open(record) {
                 let now = Timespec {
                     tv_sec: 0,
                     tv_nsec: UTIME_NOW,
@@ -370,25 +373,25 @@ impl SceneFolder {
     }
 
     /// Records the check. If that fails, the files are checked again next time.
-    fn note_check(&self, name: &Name, stamps: &str) {
-        let Some(note) = self.note(name) else {
+    fn record_check(&self, name: &Name, stamps: &str) {
+        let Some(record) = self.check_record_path(name) else {
             return;
         };
         let written = (|| {
-            let aside = tempfile::Builder::new()
-                .prefix(ASIDE)
+            let temporary = tempfile::Builder::new()
+                .prefix(TEMPORARY_PREFIX)
                 .tempfile_in(&self.dir)?;
-            fs::write(aside.path(), stamps)?;
-            aside.persist(note).map_err(|error| error.error)
+            fs::write(temporary.path(), stamps)?;
+            temporary.persist(record).map_err(|error| error.error)
         })();
         drop(written);
     }
 
-    /// Path of the record that this machine has checked a file since it booted; other machines that
-    /// share the folder have their own records.
-    fn note(&self, name: &Name) -> Option<PathBuf> {
+    /// Returns the path of the record that this machine has checked a file since it booted; other
+    /// machines that share the folder have their own records.
+    fn check_record_path(&self, name: &Name) -> Option<PathBuf> {
         let boot = fs::read_to_string("/proc/sys/kernel/random/boot_id").ok()?;
-        let file = format!("{}.{}.checked", text(name), boot.trim());
+        let file = format!("{}.{}.checked", name_text(name), boot.trim());
         Some(self.dir.join(file))
     }
 }
@@ -402,18 +405,18 @@ pub(super) fn names_of_textures(sections: &[Bytes]) -> Option<&[Name]> {
 }
 
 /// Restores a scene from mapped sections; `None` if they do not belong to a scene.
-fn assemble(sections: &[Bytes], textures: Vec<Option<Vec<Bytes>>>) -> Option<Obtained> {
+fn assemble(sections: &[Bytes], textures: Vec<Option<Vec<Bytes>>>) -> Option<LoadedScene> {
     let (structure, arrays) = (sections.get(STRUCTURE)?, sections.get(ARRAYS)?);
     // SAFETY: `store` wrote the sections; the name shows that the layout is the same, and the
     // checksum that the sections were not changed since.
     #[allow(unsafe_code, reason = "a model of mapped arrays")]
-    let model = unsafe { Model::of_image(structure, arrays.clone())? };
+    let model = unsafe { Model::from_image(structure, arrays.clone())? };
     let textures = textures
         .into_iter()
         .map(|sections| <[Bytes; 2]>::try_from(sections?).ok());
-    Some(Obtained {
+    Some(LoadedScene {
         model,
-        prepared: Preparation::Kept(PreparedBytes {
+        prepared: Preparation::InFile(PreparedBytes {
             meshes: sections[MESHES..].to_vec(),
             textures: textures.collect::<Option<_>>()?,
         }),

@@ -90,8 +90,8 @@ fn compile(size: f64) -> Result<Model, SimError> {
 }
 
 /// Returns the positions after half a second, and a frame of them.
-fn behaviour(obtained: Obtained) -> (Vec<f64>, Vec<u8>) {
-    let Obtained {
+fn behaviour(obtained: LoadedScene) -> (Vec<f64>, Vec<u8>) {
+    let LoadedScene {
         model: shared,
         prepared,
     } = obtained;
@@ -102,9 +102,9 @@ fn behaviour(obtained: Obtained) -> (Vec<f64>, Vec<u8>) {
         data.step2(&model);
     }
     let prepared = |model: &Model| match prepared {
-        Preparation::Kept(bytes) => Prepared::of_bytes(model, &bytes).map(Arc::new),
-        Preparation::Made(prepared) => Ok(prepared),
-        Preparation::Missing => Prepared::of(model).map(Arc::new),
+        Preparation::InFile(bytes) => Prepared::from_bytes(model, &bytes).map(Arc::new),
+        Preparation::InMemory(prepared) => Ok(prepared),
+        Preparation::Missing => Prepared::from_model(model).map(Arc::new),
     };
     let size = [64, 48];
     let mut canvas = Canvas::new(&Drawer::Software, &mut model, prepared, size).expect("a canvas");
@@ -120,23 +120,23 @@ fn behaviour(obtained: Obtained) -> (Vec<f64>, Vec<u8>) {
 
 struct Fixture {
     /// Keeps the temporary folder alive.
-    _aside: TempDir,
+    _temporary: TempDir,
     folder: SceneFolder,
-    wanted: (Vec<f64>, Vec<u8>),
+    expected: (Vec<f64>, Vec<u8>),
 }
 
 impl Fixture {
     fn new() -> Self {
-        let aside = tempfile::tempdir().expect("a folder");
+        let temporary = tempfile::tempdir().expect("a folder");
         Self {
-            folder: SceneFolder::new(&aside.path().join("scenes")),
-            _aside: aside,
-            wanted: behaviour(Obtained::of(compile(0.1).expect("a model"))),
+            folder: SceneFolder::new(&temporary.path().join("scenes")),
+            _temporary: temporary,
+            expected: behaviour(LoadedScene::in_memory(compile(0.1).expect("a model"))),
         }
     }
 
-    /// Obtains the scene and checks its behaviour. Returns whether it was compiled, and whether it
-    /// is mapped.
+    /// Obtains the scene and checks its behaviour. Returns true if the scene was compiled, and true
+    /// if it is mapped.
     fn obtain(&self) -> (bool, bool) {
         let mut compiled = false;
         let obtained = self.folder.obtain(&NAME, || {
@@ -144,8 +144,8 @@ impl Fixture {
             compile(0.1)
         });
         let obtained = obtained.expect("a scene");
-        let mapped = matches!(obtained.prepared, Preparation::Kept(_));
-        assert!(behaviour(obtained) == self.wanted, "it behaves otherwise");
+        let mapped = matches!(obtained.prepared, Preparation::InFile(_));
+        assert!(behaviour(obtained) == self.expected, "it behaves otherwise");
         (compiled, mapped)
     }
 
@@ -158,16 +158,16 @@ impl Fixture {
         files
     }
 
-    fn aside(&self) -> usize {
+    fn temporary_files(&self) -> usize {
         let entries = fs::read_dir(&self.folder.dir).into_iter().flatten();
         let names = entries.map(|entry| entry.expect("an entry").file_name());
         names
-            .filter(|name| name.to_string_lossy().starts_with(folder::ASIDE))
+            .filter(|name| name.to_string_lossy().starts_with(folder::TEMPORARY_PREFIX))
             .count()
     }
 }
 
-/// Modifies a file illegally: in place, or by truncating it.
+/// Replaces a file by a modified copy with the same name.
 fn tamper(file: &Path, change: impl FnOnce(&mut Vec<u8>)) {
     let mut bytes = fs::read(file).expect("read");
     change(&mut bytes);
@@ -177,7 +177,7 @@ fn tamper(file: &Path, change: impl FnOnce(&mut Vec<u8>)) {
 }
 
 #[test]
-fn a_scene_is_compiled_once_and_moves_and_looks_the_same_from_its_file() {
+fn a_scene_is_compiled_once_and_behaves_alike_from_its_file() {
     let fixture = Fixture::new();
     assert_eq!(fixture.obtain(), (true, true));
     assert_eq!(fixture.obtain(), (false, true));
@@ -210,7 +210,7 @@ fn writers_that_begin_together_compile_once() {
                     compiled.fetch_add(1, Ordering::Relaxed);
                     compile(0.1)
                 });
-                assert!(behaviour(kept.expect("a scene")) == fixture.wanted);
+                assert!(behaviour(kept.expect("a scene")) == fixture.expected);
             });
         }
     });
@@ -218,20 +218,20 @@ fn writers_that_begin_together_compile_once() {
 }
 
 #[test]
-fn a_writer_that_stands_still_is_not_waited_for() {
+fn waiting_for_a_stalled_writer_times_out() {
     let mut fixture = Fixture::new();
-    fixture.folder.patience = Duration::from_millis(30);
-    let lock = fixture.folder.lock(&format!("{}.lock", text(&NAME)));
+    fixture.folder.max_wait = Duration::from_millis(30);
+    let lock = fixture.folder.lock(&format!("{}.lock", name_text(&NAME)));
     let lock = lock.expect("a lock");
     assert_eq!(fixture.obtain(), (true, false));
-    let said = SceneFolder::take_problem().expect("a problem");
-    assert!(said.contains("another process has held"), "{said}");
+    let message = SceneFolder::take_problem().expect("a problem");
+    assert!(message.contains("another process has held"), "{message}");
     drop(lock);
     assert_eq!(fixture.obtain(), (true, true));
 }
 
 #[test]
-fn a_reader_that_locks_a_scene_holds_nobody_up() {
+fn a_reader_that_locks_a_scene_blocks_no_other_reader() {
     let fixture = Fixture::new();
     fixture.obtain();
     let locked = File::open(&fixture.files(".scene")[0]).expect("readable");
@@ -243,18 +243,18 @@ fn a_reader_that_locks_a_scene_holds_nobody_up() {
         sender.send(behaviour(obtained)).expect("awaited");
     });
     let behaviour = loaded.recv_timeout(Duration::from_secs(10));
-    assert!(behaviour.expect("it waits for the lock") == fixture.wanted);
+    assert!(behaviour.expect("it waits for the lock") == fixture.expected);
 }
 
 #[test]
-fn a_disk_that_is_full_at_any_point_leaves_nothing_half() {
+fn a_full_disk_leaves_no_incomplete_file() {
     let fixture = Fixture::new();
     let mut full_at = 0;
     loop {
         fixture.folder.room.store(full_at, Ordering::Relaxed);
         let (compiled, mapped) = fixture.obtain();
         assert!(compiled, "{full_at} bytes are no scene");
-        assert_eq!(fixture.aside(), 0, "full at {full_at}");
+        assert_eq!(fixture.temporary_files(), 0, "full at {full_at}");
         if mapped {
             break;
         }
@@ -262,17 +262,17 @@ fn a_disk_that_is_full_at_any_point_leaves_nothing_half() {
         full_at += 6000;
     }
     assert!(full_at > 12_000, "it was full {full_at} bytes at the most");
-    let said = SceneFolder::take_problem().expect("a problem");
+    let message = SceneFolder::take_problem().expect("a problem");
     assert!(
-        said.contains(".texture") && said.contains("ROLLOUT_SCENES=off"),
-        "{said}"
+        message.contains(".texture") && message.contains("ROLLOUT_SCENES=off"),
+        "{message}"
     );
-    assert_eq!(SceneFolder::take_problem(), None, "said twice");
+    assert_eq!(SceneFolder::take_problem(), None, "reported twice");
     assert_eq!(fixture.obtain(), (false, true));
 }
 
 #[test]
-fn a_writer_that_is_killed_at_any_point_leaves_nothing_half() {
+fn a_killed_writer_leaves_no_incomplete_file() {
     if let (Some(dir), Ok(at)) = (std::env::var_os(KILLED_IN), std::env::var(KILLED_AT)) {
         let folder = SceneFolder::new(Path::new(&dir));
         folder
@@ -282,7 +282,7 @@ fn a_writer_that_is_killed_at_any_point_leaves_nothing_half() {
         return;
     }
     let fixture = Fixture::new();
-    let name = "scene_files::tests::a_writer_that_is_killed_at_any_point_leaves_nothing_half";
+    let name = "scene_files::tests::a_killed_writer_leaves_no_incomplete_file";
     let mut killed_at = 0;
     loop {
         let mut writer = Command::new(std::env::current_exe().expect("this program"));
@@ -296,7 +296,7 @@ fn a_writer_that_is_killed_at_any_point_leaves_nothing_half() {
         assert_eq!(ended.signal(), Some(Signal::KILL.as_raw()), "{killed_at}");
         assert!(fixture.files(".scene").is_empty(), "killed at {killed_at}");
         assert_eq!(fixture.obtain(), (true, true), "killed at {killed_at}");
-        assert_eq!(fixture.aside(), 0, "killed at {killed_at}");
+        assert_eq!(fixture.temporary_files(), 0, "killed at {killed_at}");
         fs::remove_dir_all(&fixture.folder.dir).expect("removed");
         killed_at += 6000;
     }
@@ -305,22 +305,25 @@ fn a_writer_that_is_killed_at_any_point_leaves_nothing_half() {
 }
 
 #[test]
-fn what_a_crashed_writer_left_is_not_read_and_goes() {
+fn temporary_files_of_a_crashed_writer_are_ignored_and_removed() {
     let fixture = Fixture::new();
     fixture.obtain();
     let whole = fs::read(&fixture.files(".scene")[0]).expect("read");
     for length in [0, 40, whole.len() / 2, whole.len()] {
         fs::remove_dir_all(&fixture.folder.dir).expect("removed");
         fixture.folder.check().expect("a folder");
-        let left = fixture.folder.dir.join(format!("{}left", folder::ASIDE));
+        let left = fixture
+            .folder
+            .dir
+            .join(format!("{}left", folder::TEMPORARY_PREFIX));
         fs::write(left, &whole[..length]).expect("written");
         assert_eq!(fixture.obtain(), (true, true), "{length} bytes");
-        assert_eq!(fixture.aside(), 0, "{length} bytes");
+        assert_eq!(fixture.temporary_files(), 0, "{length} bytes");
     }
 }
 
 #[test]
-fn a_file_that_is_cut_or_changed_is_compiled_anew() {
+fn a_truncated_or_changed_file_is_compiled_again() {
     let fixture = Fixture::new();
     fixture.obtain();
     let mut files = fixture.files(".scene");
@@ -348,21 +351,21 @@ fn a_file_that_is_cut_or_changed_is_compiled_anew() {
 }
 
 #[test]
-fn a_file_is_checked_once_and_again_after_it_or_the_machine_changed() {
+fn a_check_is_recorded_and_repeated_without_the_record() {
     let fixture = Fixture::new();
     fixture.obtain();
-    let [note] = &fixture.files(".checked")[..] else {
-        panic!("one note");
+    let [record] = &fixture.files(".checked")[..] else {
+        panic!("one record");
     };
-    let noted = fs::read_to_string(note).expect("read");
-    assert_eq!(noted.lines().count(), 4);
-    fs::remove_file(note).expect("removed");
+    let recorded = fs::read_to_string(record).expect("read");
+    assert_eq!(recorded.lines().count(), 4);
+    fs::remove_file(record).expect("removed");
     assert_eq!(fixture.obtain(), (false, true));
-    assert_eq!(fs::read_to_string(note).expect("read"), noted);
+    assert_eq!(fs::read_to_string(record).expect("read"), recorded);
 }
 
 #[test]
-fn a_folder_that_cannot_be_made_costs_memory_and_is_said() {
+fn without_a_folder_scenes_stay_in_memory_and_the_error_names_it() {
     let mut fixture = Fixture::new();
     // Not even root can create folders there, as in a read-only folder.
     fixture.folder.dir = "/proc/rollout-scenes".into();
@@ -372,10 +375,10 @@ fn a_folder_that_cannot_be_made_costs_memory_and_is_said() {
 }
 
 #[test]
-fn a_read_only_folder_gives_its_scenes_and_takes_none() {
+fn a_read_only_folder_is_read_and_never_written() {
     let fixture = Fixture::new();
     fixture.obtain();
-    let (above, dir) = (fixture._aside.path(), &fixture.folder.dir);
+    let (above, dir) = (fixture._temporary.path(), &fixture.folder.dir);
     for dir in [above, dir] {
         fs::set_permissions(dir, Permissions::from_mode(0o555)).expect("rights");
     }
@@ -388,13 +391,13 @@ fn a_read_only_folder_gives_its_scenes_and_takes_none() {
             assert_eq!(fixture.obtain(), (false, true));
             let other = fixture.folder.obtain(&OTHER, || compile(0.1));
             let other = other.expect("a scene");
-            assert!(!matches!(other.prepared, Preparation::Kept(_)));
-            assert!(behaviour(other) == fixture.wanted);
+            assert!(!matches!(other.prepared, Preparation::InFile(_)));
+            assert!(behaviour(other) == fixture.expected);
         });
         reader.join().expect("the reader's assertions hold");
     });
-    let said = SceneFolder::take_problem().expect("a problem");
-    assert!(said.contains("Permission denied"), "{said}");
+    let message = SceneFolder::take_problem().expect("a problem");
+    assert!(message.contains("Permission denied"), "{message}");
     assert_eq!(fixture.files(".scene").len(), 1);
     for dir in [above, dir] {
         fs::set_permissions(dir, Permissions::from_mode(0o700)).expect("rights");
@@ -435,26 +438,26 @@ fn a_file_that_others_may_write_to_is_replaced() {
 }
 
 #[test]
-fn another_program_has_other_textures() {
+fn another_program_has_its_own_texture_files() {
     let mut fixture = Fixture::new();
     fixture.obtain();
     let before = fixture.files(".texture");
     fixture.folder.layout += "another";
     // Another program would also use other scene names; `OTHER` stands for one of them.
     let obtained = fixture.folder.obtain(&OTHER, || compile(0.1));
-    assert!(behaviour(obtained.expect("a scene")) == fixture.wanted);
+    assert!(behaviour(obtained.expect("a scene")) == fixture.expected);
     assert_eq!(fixture.files(".texture").len(), 2 * before.len());
     assert_eq!(fixture.obtain(), (false, true));
 }
 
 #[test]
-fn room_is_made_by_the_oldest_scene_that_is_not_mapped() {
+fn eviction_removes_the_oldest_scene_that_is_not_mapped() {
     let mut fixture = Fixture::new();
-    let keep = |fixture: &Fixture, name, size| {
+    let obtain = |fixture: &Fixture, name, size| {
         let kept = fixture.folder.obtain(name, || compile(size));
         kept.expect("a scene")
     };
-    let first = keep(&fixture, &NAME, 0.1);
+    let first = obtain(&fixture, &NAME, 0.1);
     fixture.folder.limit = 0;
     let names = |fixture: &Fixture| -> Vec<String> {
         let files = fixture.files(".scene").into_iter();
@@ -464,14 +467,14 @@ fn room_is_made_by_the_oldest_scene_that_is_not_mapped() {
         names.sort();
         names
     };
-    drop(keep(&fixture, &OTHER, 0.2));
+    drop(obtain(&fixture, &OTHER, 0.2));
     assert_eq!(names(&fixture), ["a", "b"], "one is mapped, one is new");
-    drop(keep(&fixture, &[b'c'; NAME_DIGITS], 0.3));
+    drop(obtain(&fixture, &[b'c'; NAME_DIGITS], 0.3));
     assert_eq!(names(&fixture), ["a", "c"], "nobody maps the second");
     // Each scene shares two of its three textures with the other one.
     assert_eq!(fixture.files(".texture").len(), 4);
-    assert!(behaviour(first) == fixture.wanted);
-    drop(keep(&fixture, &[b'd'; NAME_DIGITS], 0.4));
+    assert!(behaviour(first) == fixture.expected);
+    drop(obtain(&fixture, &[b'd'; NAME_DIGITS], 0.4));
     assert_eq!(names(&fixture), ["d"]);
     assert_eq!(fixture.files(".checked").len(), 1);
     assert_eq!(fixture.obtain(), (true, true), "it was removed");

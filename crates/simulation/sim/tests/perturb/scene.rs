@@ -43,7 +43,7 @@ fn lights_of_all_presets_equal_the_reference() {
         let look_at = group(&model["L0"], 0);
         for (level, config, perturbation) in presets(Axis::Lighting) {
             let shift = perturbation.lighting.expect("set");
-            let shift = as_the_reference_rounds(shift, level, config);
+            let shift = rounded_like_the_reference(shift, level, config);
             let shifted = shift_lighting(&nominal, look_at, &shift);
             let column = |array: &str| format!("{level}_{array}");
             let expected = lighting(&model, column, config.into());
@@ -67,7 +67,7 @@ fn lights_of_all_presets_equal_the_reference() {
 /// Two parameters of the thirty presets lie on a decimal tie. Python's `round`, which the protocol
 /// and the published manifest use, and NumPy's, which made these arrays, differ there in the sixth
 /// decimal.
-fn as_the_reference_rounds(shift: LightingShift, level: Level, config: u16) -> LightingShift {
+fn rounded_like_the_reference(shift: LightingShift, level: Level, config: u16) -> LightingShift {
     let (by_python, by_numpy) = match (level, config) {
         (Level::L2, 1) => (-0.617393, -0.617392),
         (Level::L2, 5) => (-0.148987, -0.148988),

@@ -95,18 +95,18 @@ fn resets_of_libero_10_draw_what_the_original_draws() {
 
 fn check(task: TaskRef, recorded: &Recorded) {
     let calls = &recorded.rng_calls_seed0;
-    let mut theirs = LegacyRng::seed(SEED);
+    let mut recorded_rng = LegacyRng::seed(SEED);
     for (function, arguments, ..) in calls {
-        replay(&mut theirs, function, arguments);
+        replay(&mut recorded_rng, function, arguments);
     }
     let files = TaskFiles::of_task(&sources(), task);
     let text = std::fs::read_to_string(&files.bddl).unwrap();
     let mut environment = compile(&text, &packs()[0]).unwrap();
-    let mut ours = LegacyRng::seed(SEED);
+    let mut rng = LegacyRng::seed(SEED);
     environment
-        .reset(&mut ours, Reset::Hard, LOADED_TWICE)
+        .reset(&mut rng, Reset::Hard, LOADED_TWICE)
         .unwrap();
-    assert_eq!(ours, theirs, "{task}: another number of draws");
+    assert_eq!(rng, recorded_rng, "{task}: the number of draws differs");
     let model = environment.model();
     for (name, (pos, quat)) in &recorded.body_pos_seed0 {
         let body = model.id(ObjectKind::Body, name).unwrap();

@@ -7,7 +7,8 @@ use libero_ctrl::presets::ENV_SEED;
 use scene::{AssetPack, Problem, Sources, TaskFiles, compose};
 use sim::{Environment, SimError};
 
-/// Returns a scene outside all suites, which [`recorded`](crate::recorded) also resets.
+/// Returns the BDDL text of a scene outside all suites, which [`recorded`](crate::recorded) also
+/// resets.
 pub(crate) fn crowded() -> String {
     include_str!("crowded.bddl").to_owned()
 }
@@ -31,7 +32,8 @@ pub(crate) fn packs() -> Vec<AssetPack> {
     std::iter::once(open("primitives")).chain(libero).collect()
 }
 
-/// Returns a folder beside this checkout; if there is none, prints this and returns `None`.
+/// Returns a folder of the reference data beside this checkout; prints that the test is skipped and
+/// returns `None` if it does not exist.
 pub(crate) fn shared(name: &str) -> Option<PathBuf> {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR"))
         .join("../../../../shared")

@@ -14,7 +14,7 @@ use files::{compile, crowded, packs};
 const LOADED_TWICE: u32 = 2;
 
 #[test]
-fn a_state_loaded_after_a_reset_finds_the_fixtures_where_campaigns_have_them() {
+fn loading_a_state_after_a_reset_restores_the_campaign_fixtures() {
     let mut environment = compile(&crowded(), &packs()[0]).unwrap();
     let poses = |environment: &Environment| environment.model().body_pos().to_vec();
     let mut state = vec![0.0];
@@ -34,7 +34,7 @@ fn a_state_loaded_after_a_reset_finds_the_fixtures_where_campaigns_have_them() {
 
 /// MuJoCo keeps its warnings per thread, not per environment.
 #[test]
-fn an_environment_that_diverges_ends_no_other_of_its_thread() {
+fn a_diverging_environment_does_not_stop_others_on_its_thread() {
     let pack = &packs()[0];
     let [mut first, mut second] = [(); 2].map(|()| compile(&crowded(), pack).unwrap());
     for joints in [1..8, 1..3, 7..8] {
@@ -44,12 +44,14 @@ fn an_environment_that_diverges_ends_no_other_of_its_thread() {
         state[joints].fill(1e9);
         first.load(&state);
         assert!(first.step(&[0.0; 7]).is_err());
-        second.step(&[0.0; 7]).expect("the other one is sound");
+        second
+            .step(&[0.0; 7])
+            .expect("the second environment is stable");
     }
 }
 
 #[test]
-fn a_hard_reset_undoes_what_was_perturbed_and_a_soft_one_keeps_it() {
+fn a_hard_reset_removes_perturbations_and_a_soft_one_keeps_them() {
     let mut environment = compile(&crowded(), &packs()[0]).unwrap();
     let lit = environment.model().light_diffuse().to_vec();
     let mut rng = LegacyRng::seed(2);
@@ -71,7 +73,7 @@ fn a_hard_reset_undoes_what_was_perturbed_and_a_soft_one_keeps_it() {
 }
 
 #[test]
-fn what_is_observed_after_a_reset_is_the_reset() {
+fn a_reset_updates_the_observation() {
     let mut environment = compile(&crowded(), &packs()[0]).unwrap();
     let mut rng = LegacyRng::seed(3);
     environment
@@ -107,23 +109,23 @@ fn a_scene_without_room_is_refused_with_the_object_named() {
 }
 
 #[test]
-fn what_the_initial_state_cannot_mean_is_refused_with_the_statement() {
+fn an_inconsistent_initial_state_is_refused_with_the_statement() {
     let cases = [
         (
             "(Open white_cabinet_1_bottom_region)",
             "(On butter_1 kitchen_table_basket_region)",
-            "(on butter_1 ketchup_1), but `butter_1` has a place already",
+            "(on butter_1 ketchup_1), but `butter_1` is already placed",
         ),
         (
             "(On basket_1 kitchen_table_basket_region)",
             "",
-            "(on cream_cheese_1 basket_1_contain_region), but `basket_1` has no place itself",
+            "(on cream_cheese_1 basket_1_contain_region), but `basket_1` is not placed",
         ),
         (
             "(Open white_cabinet_1_bottom_region)",
             "(TurnOn white_cabinet_1_bottom_region)",
-            "(turnon white_cabinet_1_bottom_region), but `white_cabinet_1_bottom_region` has \
-             nothing that could turnon",
+            "(turnon white_cabinet_1_bottom_region), but `white_cabinet_1_bottom_region` does \
+             not support `turnon`",
         ),
         (
             "(On white_cabinet_1 kitchen_table_cabinet_region)",
@@ -139,12 +141,12 @@ fn what_the_initial_state_cannot_mean_is_refused_with_the_statement() {
     for (from, to, expected) in cases {
         let text = crowded().replace(from, to);
         let refused = compile(&text, &packs()[0]).map(drop).unwrap_err();
-        let said = refused.to_string();
-        assert!(said.contains(expected), "{to}: {said}");
+        let message = refused.to_string();
+        assert!(message.contains(expected), "{to}: {message}");
     }
 }
 
-/// Names of the bodies that a scene's samplers write to, in the order in which they draw.
+/// Returns the names of the fixtures' bodies in the order in which the samplers draw.
 fn fixtures(scene: &Scene) -> Vec<&str> {
     let bodies = scene.samplers.poses().iter();
     bodies

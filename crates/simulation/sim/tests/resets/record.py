@@ -1,4 +1,6 @@
-"""Records what the original LIBERO places at resets: python record.py recorded.json
+"""Records the placements and random draws of resets of the original LIBERO.
+
+    python record.py recorded.json
 
 Needs hf-libero 0.1.4, robosuite 1.4.0 and MuJoCo 3.3.7 with LIBERO's assets. No frame is
 rendered. Every scenario seeds NumPy's global generator, constructs an environment and
@@ -20,7 +22,7 @@ HERE = pathlib.Path(__file__).parent
 ACTION = [0.2, -0.1, 0.15, 0.0, 0.1, 0.0, 1.0]
 STEPS = 2
 CROWDED = "crowded.bddl"
-# File, seed, whether resets are hard, how many resets.
+# File, seed, True for hard resets, number of resets.
 SCENARIOS = [
     *(
         (f"libero_spatial/pick_up_the_black_bowl_{where}_and_place_it_on_the_plate.bddl", seed, hard, 3)
@@ -51,7 +53,7 @@ SCENARIOS = [
 
 
 def generator():
-    """State of NumPy's global generator, with a digest in place of its words."""
+    """Returns the state of NumPy's global generator, with a digest in place of the words."""
     _, words, position, has_gauss, gauss = np.random.get_state(legacy=True)
     digest = hashlib.sha256(words.astype("<u4").tobytes()).hexdigest()
     return {"words_sha256": digest, "position": position, "has_gauss": has_gauss, "gauss": gauss}
@@ -69,7 +71,7 @@ def fixtures(env):
 
 
 def construct(file, seed, hard):
-    """An environment, and the seed with which its construction found room."""
+    """Returns the first seed from `seed` on with which all objects find room, and the environment."""
     while True:
         np.random.seed(seed)
         try:

@@ -52,7 +52,7 @@ struct Generator {
 }
 
 impl Generator {
-    fn of(rng: &LegacyRng) -> Self {
+    fn from_rng(rng: &LegacyRng) -> Self {
         let state = rng.state();
         let mut hash = Sha256::new();
         for word in state.words {
@@ -76,7 +76,7 @@ fn check(scenario: &Scenario, environment: &mut Environment, action: &[f64; 7], 
     let mut rng = LegacyRng::seed(scenario.seed);
     let mut rounds = environment.reset(&mut rng, Reset::Hard, 1).unwrap();
     assert_eq!(rounds, 1, "construction finds room at once");
-    assert_eq!(Generator::of(&rng), scenario.constructed);
+    assert_eq!(Generator::from_rng(&rng), scenario.constructed);
     for (index, expected) in scenario.resets.iter().enumerate() {
         let place = format!("{} from {}, reset {index}", scenario.file, scenario.seed);
         let before = rounds;
@@ -84,7 +84,7 @@ fn check(scenario: &Scenario, environment: &mut Environment, action: &[f64; 7], 
         rounds = environment.reset(&mut rng, kind, rounds).unwrap();
         let loads = if scenario.hard { expected.attempts } else { 0 };
         assert_eq!(rounds, before + loads, "{place}");
-        assert_eq!(Generator::of(&rng), expected.generator, "{place}");
+        assert_eq!(Generator::from_rng(&rng), expected.generator, "{place}");
 
         let (model, data) = (environment.model(), environment.data());
         assert_close(data.qpos(model), &expected.qpos, PLACED_WITHIN, &place);
@@ -124,14 +124,14 @@ fn assert_close(ours: &[f64], theirs: &[f64], within: f64, place: &str) {
 }
 
 #[test]
-fn resets_place_everything_where_the_original_does_and_leave_the_same_generator() {
+fn resets_reproduce_the_originals_placements_and_generator_state() {
     let recorded: Recorded = serde_json::from_str(include_str!("recorded.json")).unwrap();
     for pack in packs() {
         let mut compiled: Option<(&str, Environment)> = None;
         for scenario in &recorded.scenarios {
             // Two consecutive scenarios may share a scene, because their first reset is hard.
-            let known = compiled.take().filter(|(file, _)| *file == scenario.file);
-            let mut environment = known.map_or_else(
+            let reused = compiled.take().filter(|(file, _)| *file == scenario.file);
+            let mut environment = reused.map_or_else(
                 || {
                     let text = match scenario.file.as_str() {
                         "crowded.bddl" => crowded(),

@@ -28,7 +28,7 @@ pub(super) const UNWANTED: &str = "scenes/unwanted.stl";
 pub(super) enum Fault {
     None,
     /// Pages are HTML only, as on simple mirrors.
-    PagesForBrowsers,
+    HtmlPages,
     /// Every connection ends half-way through its answer.
     CutsMidway,
     /// A range request gets the whole wheel.
@@ -51,9 +51,9 @@ pub(super) enum Fault {
     /// Bytes arrive slowly but steadily.
     Slow,
     /// Pages arrive byte by byte, too slowly for any timeout.
-    DripsPages,
+    SlowPages,
     /// Wheels arrive byte by byte.
-    DripsWheels,
+    SlowWheels,
     /// The wheels have the wrong size.
     OtherWheel,
     /// Requests without credentials are refused.
@@ -141,7 +141,7 @@ pub(super) struct TestIndex {
 struct Server {
     wheels: Wheels,
     fault: Fault,
-    seen: Mutex<Vec<String>>,
+    requests: Mutex<Vec<String>>,
 }
 
 impl TestIndex {
@@ -152,7 +152,7 @@ impl TestIndex {
         let server = Arc::new(Server {
             wheels: Wheels::make(),
             fault,
-            seen: Mutex::default(),
+            requests: Mutex::default(),
         });
         let serving = Arc::clone(&server);
         thread::spawn(move || {
@@ -177,16 +177,16 @@ impl TestIndex {
         self.server.wheels.table
     }
 
-    /// Returns `PATH`, or `PATH FIRST-LAST`, of every request.
-    pub(super) fn seen(&self) -> Vec<String> {
-        self.server.seen.lock().expect("not poisoned").clone()
+    /// Returns all requests, each as `PATH` or `PATH FIRST-LAST`.
+    pub(super) fn requests(&self) -> Vec<String> {
+        self.server.requests.lock().expect("not poisoned").clone()
     }
 
     /// Returns the requests for wheels.
-    pub(super) fn seen_of_wheels(&self) -> Vec<String> {
-        let mut seen = self.seen();
-        seen.retain(|request| request.contains(".whl"));
-        seen
+    pub(super) fn wheel_requests(&self) -> Vec<String> {
+        let mut requests = self.requests();
+        requests.retain(|request| request.contains(".whl"));
+        requests
     }
 }
 
@@ -203,11 +203,11 @@ impl Server {
             return Ok(());
         };
         let earlier = {
-            let mut seen = self.seen.lock().expect("not poisoned");
+            let mut requests = self.requests.lock().expect("not poisoned");
             let range = request.range.as_ref();
             let range = range.map(|range| format!(" {}-{}", range.start, range.end - 1));
-            seen.push(format!("{}{}", request.path, range.unwrap_or_default()));
-            seen.len() - 1
+            requests.push(format!("{}{}", request.path, range.unwrap_or_default()));
+            requests.len() - 1
         };
         if self.fault == Fault::BusyAtFirst && earlier < 2 {
             return send(stream, "503 Service Unavailable", "", b"");
@@ -261,7 +261,7 @@ impl Server {
             Fault::NoWheel => format!("part_{wheel}-2.0-py3-none-any.whl"),
             _ => Wheels::name(wheel),
         };
-        if self.fault == Fault::PagesForBrowsers {
+        if self.fault == Fault::HtmlPages {
             let page = format!("<a href=\"../../files/{name}#sha256=0\">{name}</a>");
             return send(
                 stream,
@@ -276,9 +276,9 @@ impl Server {
                 {{\"filename\": \"{name}\", \"url\": \"/files/{name}\", \"hashes\": {{}}}}]}}"
         );
         let kind = "Content-Type: application/vnd.pypi.simple.v1+json\r\n";
-        if self.fault == Fault::DripsPages {
+        if self.fault == Fault::SlowPages {
             send_head(&stream, "200 OK", kind, page.len())?;
-            return drip(stream, page.as_bytes());
+            return send_slowly(stream, page.as_bytes());
         }
         send(stream, "200 OK", kind, page.as_bytes())
     }
@@ -290,7 +290,7 @@ impl Server {
         range: Option<Range<usize>>,
     ) -> std::io::Result<()> {
         let mut whole = self.wheels.bytes[wheel].clone();
-        let is_first = self.of_wheels() == 1;
+        let is_first = self.wheel_request_count() == 1;
         match self.fault {
             Fault::Forbidden => return send(stream, "403 Forbidden", "", b"no"),
             Fault::WrongBytes => whole[1000] ^= 1,
@@ -298,8 +298,8 @@ impl Server {
             Fault::OtherWheel => whole.push(0),
             _ => {}
         }
-        let knows_ranges = !matches!(self.fault, Fault::NoRanges | Fault::NoRangesAndCutsOnce);
-        let range = range.filter(|_| knows_ranges);
+        let supports_ranges = !matches!(self.fault, Fault::NoRanges | Fault::NoRangesAndCutsOnce);
+        let range = range.filter(|_| supports_ranges);
         let (status, headers, part) = match range {
             None => ("200 OK", String::new(), &whole[..]),
             Some(Range { start, end }) => {
@@ -320,7 +320,7 @@ impl Server {
                 let _ = BufReader::new(&stream).read_line(&mut String::new());
                 Ok(())
             }
-            Fault::DripsWheels => drip(stream, part),
+            Fault::SlowWheels => send_slowly(stream, part),
             Fault::Slow => {
                 for piece in part.chunks(part.len().div_ceil(8)) {
                     stream.write_all(piece)?;
@@ -333,10 +333,13 @@ impl Server {
         }
     }
 
-    /// Number of requests for wheels so far.
-    fn of_wheels(&self) -> usize {
-        let seen = self.seen.lock().expect("not poisoned");
-        seen.iter().filter(|it| it.contains(".whl")).count()
+    /// Returns the number of requests for wheels so far.
+    fn wheel_request_count(&self) -> usize {
+        let requests = self.requests.lock().expect("not poisoned");
+        requests
+            .iter()
+            .filter(|request| request.contains(".whl"))
+            .count()
     }
 }
 
@@ -358,7 +361,7 @@ fn send_head(
 }
 
 /// Sends a byte every few milliseconds until the client has closed the connection.
-fn drip(mut stream: TcpStream, body: &[u8]) -> std::io::Result<()> {
+fn send_slowly(mut stream: TcpStream, body: &[u8]) -> std::io::Result<()> {
     stream.set_nodelay(true)?;
     for byte in body.chunks(1) {
         stream.write_all(byte)?;
