@@ -76,8 +76,8 @@ pub fn minimum_detectable_effect(design: &PairedDesign) -> Option<f64> {
 /// correlation coefficient, International Statistical Review 54 (1986), 67–82,
 /// section 2.
 pub fn task_correlation(configurations: &[Configuration]) -> Option<f64> {
-    correlation(configurations, |it| {
-        f64::from(it.simultaneous) - f64::from(it.conjunction())
+    correlation(configurations, |configuration| {
+        f64::from(configuration.simultaneous) - f64::from(configuration.conjunction())
     })
 }
 

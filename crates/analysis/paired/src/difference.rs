@@ -294,8 +294,11 @@ impl Profile {
                     _ => Some((task, change)),
                 }
             };
-        let [least, most] =
-            [1.0, -1.0].map(|sign| self.tasks.iter().fold(None, |it, of| pick(it, of, sign)));
+        let [least, most] = [1.0, -1.0].map(|sign| {
+            self.tasks
+                .iter()
+                .fold(None, |worst, task| pick(worst, task, sign))
+        });
         Some([least?, most?])
     }
 
@@ -350,13 +353,16 @@ impl Profile {
 /// Corrects the rows of a comparison for multiplicity: Holm's p-values and max-t intervals.
 fn together(differences: &mut [Option<Difference>], bootstrap: &Bootstrap) {
     let mut made: Vec<&mut Difference> = differences.iter_mut().flatten().collect();
-    let p_values: Vec<f64> = made.iter().map(|it| it.sign_flip_p).collect();
+    let p_values: Vec<f64> = made
+        .iter()
+        .map(|difference| difference.sign_flip_p)
+        .collect();
     for (difference, p) in made.iter_mut().zip(holm(&p_values)) {
         difference.holm_p = p;
     }
     let tasks: BTreeSet<TaskRef> = made
         .iter()
-        .flat_map(|it| it.profile.tasks.keys().copied())
+        .flat_map(|difference| difference.profile.tasks.keys().copied())
         .collect();
     let tasks: Vec<TaskRef> = tasks.into_iter().collect();
     let strata = strata(&tasks);
@@ -371,7 +377,7 @@ fn together(differences: &mut [Option<Difference>], bootstrap: &Bootstrap) {
             rest = others;
             let own: Vec<f64> = stratum
                 .iter()
-                .filter_map(|it| of.get(it).copied())
+                .filter_map(|task| of.get(task).copied())
                 .collect();
             let mean = own.iter().sum::<f64>() / own.len() as f64;
             let value = |task| of.get(task).map_or(0.0, |change| change - mean);

@@ -108,7 +108,7 @@ impl Assumed {
     pub fn of(records: &[Record]) -> Result<Vec<Self>, DuplicateRecord> {
         let records = Records::new(records)?;
         let first = records.configurations().iter();
-        let first = first.filter(|it| it.replicate == 0 && it.alone.len() > 1);
+        let first = first.filter(|matched| matched.replicate == 0 && matched.alone.len() > 1);
         let mut levels: BTreeMap<Level, Vec<Configuration>> = BTreeMap::new();
         for matched in first {
             if let Some(configuration) = matched.configuration() {
@@ -123,18 +123,23 @@ impl Assumed {
 
     fn of_level(level: Level, configurations: &[Configuration]) -> Self {
         let share = |is: fn(&Configuration) -> bool| {
-            let count = configurations.iter().filter(|it| is(it)).count();
+            let count = configurations
+                .iter()
+                .filter(|configuration| is(configuration))
+                .count();
             count as f64 / configurations.len() as f64
         };
         let over_tasks = |is: fn(&Configuration) -> bool| {
-            correlation(configurations, |it| f64::from(is(it))).unwrap_or_default()
+            correlation(configurations, |configuration| f64::from(is(configuration)))
+                .unwrap_or_default()
         };
-        let is_changed: fn(&Configuration) -> bool = |it| it.simultaneous != it.conjunction();
+        let is_changed: fn(&Configuration) -> bool =
+            |configuration| configuration.simultaneous != configuration.conjunction();
         Self {
             level,
-            s_sim: share(|it| it.simultaneous),
+            s_sim: share(|configuration| configuration.simultaneous),
             r_d: share(is_changed),
-            of_success: over_tasks(|it| it.simultaneous),
+            of_success: over_tasks(|configuration| configuration.simultaneous),
             of_change: task_correlation(configurations).unwrap_or_default(),
             of_changed: over_tasks(is_changed),
         }
@@ -142,9 +147,9 @@ impl Assumed {
 
     /// Returns the entry of a level, or of the perturbed level with the nearest radius.
     pub fn nearest(all: &[Self], level: Level) -> Option<&Self> {
-        let perturbed = all.iter().filter(|it| it.level != Level::L0);
+        let perturbed = all.iter().filter(|assumed| assumed.level != Level::L0);
         perturbed.min_by(|a, b| {
-            let far = |it: &Self| (it.level.radius() - level.radius()).abs();
+            let far = |assumed: &Self| (assumed.level.radius() - level.radius()).abs();
             far(a).total_cmp(&far(b))
         })
     }
@@ -275,7 +280,7 @@ mod tests {
             let uniform = || f64::from(rng.next_u32()) / f64::from(u32::MAX);
             let n = of.of_all();
             let hits = std::iter::repeat_with(uniform).take(n as usize);
-            hits.filter(|it| *it < rate).count() as f64 / n
+            hits.filter(|draw| *draw < rate).count() as f64 / n
         };
         let campaigns = 2_000;
         let is_found = |_: &u32| {
@@ -296,8 +301,12 @@ mod tests {
             planned: planned(40, configs),
         };
         let usual = assumed(0.27, 0.05);
-        let all = |it: Detectable| [it.difference, it.i, it.r_d].map(|it| it.expect("some"));
-        let of = |it: Assumed, tasks, against| all(it.detectable(planned(tasks, 10.0), against));
+        let all = |detectable: Detectable| {
+            [detectable.difference, detectable.i, detectable.r_d].map(|value| value.expect("some"))
+        };
+        let of = |assumed: Assumed, tasks, against| {
+            all(assumed.detectable(planned(tasks, 10.0), against))
+        };
         let here = of(usual, 40, floor(10.0));
         for (better, worse) in [
             (

@@ -404,7 +404,8 @@ fn push_replication(text: &mut String, report: &Report) {
         }
         let share = |part: &f64| format!("{:.0} %", 100.0 * part / total);
         let effect = components.design_effect;
-        let effect = effect.map_or_else(String::new, |it| format!("; design effect {it:.1}"));
+        let effect =
+            effect.map_or_else(String::new, |effect| format!("; design effect {effect:.1}"));
         let line = format!(
             "variance of S_sim at {level}, {replicates} replicates: {} between tasks, {} between \
              configurations, {} chance{effect}; standard error {} points, {} with one more replicate, \

@@ -69,11 +69,14 @@ fn campaign(name: &str, rows: &[Record]) -> Value {
         published_by_suite: Suite::ALL.map(|suite| (suite, PUBLISHED)).into(),
         ..Options::default()
     };
-    let nominal = rows.iter().filter(|it| it.replicate == 0);
-    let nominal = nominal.filter(|it| it.id.condition() == Condition::Clean);
+    let nominal = rows.iter().filter(|record| record.replicate == 0);
+    let nominal = nominal.filter(|record| record.id.condition() == Condition::Clean);
     let nominal: Vec<Value> = nominal
-        .map(|it| {
-            let (task, success) = (it.id.task(), it.outcome.success().expect("an outcome"));
+        .map(|record| {
+            let (task, success) = (
+                record.id.task(),
+                record.outcome.success().expect("an outcome"),
+            );
             json!([task.suite() as u8, task.index(), u8::from(success)])
         })
         .collect();
@@ -88,7 +91,7 @@ fn campaign(name: &str, rows: &[Record]) -> Value {
             configuration
                 .alone
                 .values()
-                .map(|&it| u8::from(it))
+                .map(|&success| u8::from(success))
                 .collect::<Vec<_>>(),
             u8::from(configuration.simultaneous),
         ])
@@ -119,27 +122,29 @@ fn campaign(name: &str, rows: &[Record]) -> Value {
 /// Pairs of outcomes and the comparison in the form that the script reads.
 fn comparison(name: &str, a: Compared<'_>, b: Compared<'_>) -> Value {
     let found = Comparison::of(a, b, &Bootstrap::default(), |_| None);
-    let of_b: BTreeMap<RolloutId, &Record> = b.records.iter().map(|it| (it.id, it)).collect();
-    let progress = [a, b].map(|it| {
-        let by_id = it.progress.iter().map(|it| (it.id, it));
+    let of_b: BTreeMap<RolloutId, &Record> =
+        b.records.iter().map(|record| (record.id, record)).collect();
+    let progress = [a, b].map(|side| {
+        let by_id = side.progress.iter().map(|progress| (progress.id, progress));
         by_id.collect::<BTreeMap<RolloutId, &Progress>>()
     });
     let cell = |cell: &ComparedCell| {
-        let of_cell =
-            |it: &&Record| (it.id.level(), it.id.condition()) == (cell.level, cell.condition);
+        let of_cell = |record: &&Record| {
+            (record.id.level(), record.id.condition()) == (cell.level, cell.condition)
+        };
         let pairs = a.records.iter().filter(of_cell).filter_map(|a| {
             let b = of_b.get(&a.id)?;
-            let came = progress.each_ref().map(|it| it.get(&a.id));
+            let came = progress.each_ref().map(|by_id| by_id.get(&a.id));
             Some(json!([
                 a.id.task().suite() as u8,
                 a.id.task().index(),
                 a.id.config().unwrap_or(a.init_id),
                 u8::from(a.outcome.success()?),
                 u8::from(b.outcome.success()?),
-                came.map(|it| it
-                    .and_then(|it| it.goal)
-                    .map(|it| [it.at_most, it.predicates])),
-                came.map(|it| it.and_then(|it| it.steps)),
+                came.map(|progress| progress
+                    .and_then(|progress| progress.goal)
+                    .map(|goal| [goal.at_most, goal.predicates])),
+                came.map(|progress| progress.and_then(|progress| progress.steps)),
             ]))
         });
         json!({
@@ -194,7 +199,7 @@ fn simulated_comparison(seed: u64) -> Value {
     let effects = population.tasks(tasks, &mut chance);
     let directions = population.directions(CONFIGURATIONS, &mut chance);
     let [a, b] = [0, 1].map(|_| population.campaign(&effects, suites, &directions, &mut chance));
-    let [of_a, of_b] = [&a, &b].map(|it| simulated_progress(it, &mut chance));
+    let [of_a, of_b] = [&a, &b].map(|records| simulated_progress(records, &mut chance));
     let directions = match (seed / 4).is_multiple_of(2) {
         true => Directions::Shared,
         false => Directions::Own,
@@ -225,7 +230,10 @@ fn simulated_campaign(seed: u64) -> Value {
         1
     } {
         let again = population.campaign(&effects, suites, &directions, &mut chance);
-        records.extend(again.into_iter().map(|it| Record { replicate, ..it }));
+        records.extend(again.into_iter().map(|record| Record {
+            replicate,
+            ..record
+        }));
     }
     campaign(&format!("simulated {seed}"), &records)
 }

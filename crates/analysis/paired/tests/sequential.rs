@@ -52,7 +52,9 @@ fn all_intervals_hold_at_all_looks_at_published_outcomes() {
         (Design::Suites, FEW_ORDERS),
         (Design::Simple, FEW_ORDERS),
     ] {
-        let missed = misses(orders, design, |it, order| it.replay(order, &[]).0);
+        let missed = misses(orders, design, |population, order| {
+            population.replay(order, &[]).0
+        });
         assert!(missed <= most_misses(orders), "{design:?}: {missed}");
     }
 }
@@ -151,7 +153,7 @@ fn threes() -> Vec<[Transition; 3]> {
     let all = || Transition::ALL.into_iter();
     let pairs = || all().flat_map(|a| all().map(move |b| (a, b)));
     let threes = pairs().flat_map(|(a, b)| all().map(move |c| [a, b, c]));
-    threes.filter(|it| it.is_sorted()).collect()
+    threes.filter(|three| three.is_sorted()).collect()
 }
 
 /// Returns true if all intervals hold at all looks if the units of each stratum
@@ -163,7 +165,11 @@ fn all_hold(order: &Order<Small>, strata: &[[Transition; 3]], alpha: f64) -> boo
         taken.expect("a unit of the order");
         let look = sequential.look();
         look.intervals.iter().all(|(&measure, interval)| {
-            let total = strata.iter().flatten().map(|&it| value(measure, it)).sum();
+            let total = strata
+                .iter()
+                .flatten()
+                .map(|&transition| value(measure, transition))
+                .sum();
             (interval.least..=interval.greatest).contains(&total)
         })
     })
@@ -256,14 +262,14 @@ proptest! {
         let mut ab = SequentialDifference::new(&order, ALPHA);
         let mut ba = SequentialDifference::new(&order, ALPHA);
         for (unit, outcome) in outcomes.iter().enumerate() {
-            let [a, b] = [outcome % 4, outcome / 4].map(|it| match it {
+            let [a, b] = [outcome % 4, outcome / 4].map(|code| match code {
                 0 => Outcome::Failure,
                 1 => Outcome::Quarantined,
                 _ => Outcome::Success,
             });
             ab.complete(&unit, a, b).expect("in the order");
             ba.complete(&unit, b, a).expect("in the order");
-            let [ab, ba] = [&ab, &ba].map(|it| it.look().intervals[&Measure::Difference]);
+            let [ab, ba] = [&ab, &ba].map(|sequence| sequence.look().intervals[&Measure::Difference]);
             prop_assert_eq!([ab.least, ab.greatest], [-ba.greatest, -ba.least]);
         }
     }
@@ -355,7 +361,10 @@ fn what_is_in_quarantine_leaves_every_value_that_it_could_have_led_to() {
             known.extend((unit != quarantined).then_some(transition[0]));
         }
         for (measure, interval) in sequential.look().intervals {
-            let sum: i64 = known.iter().map(|&it| value(measure, it)).sum();
+            let sum: i64 = known
+                .iter()
+                .map(|&transition| value(measure, transition))
+                .sum();
             let least = if measure == Measure::I { sum - 1 } else { sum };
             assert_eq!([interval.least, interval.greatest], [least, sum + 1]);
         }
@@ -380,9 +389,9 @@ fn possible_transitions_are_those_over_every_outcome_of_what_is_in_quarantine() 
                 expected.sort();
                 let is_missing = [camera, robot, simultaneous].contains(&Missing);
                 let possible = matched.possible_transitions();
-                let possible = possible.map(|mut it| {
-                    it.sort();
-                    it
+                let possible = possible.map(|mut transitions| {
+                    transitions.sort();
+                    transitions
                 });
                 assert_eq!(possible, (!is_missing).then_some(expected), "{matched:?}");
             }

@@ -29,8 +29,10 @@ fn right(planted: Planted, expected: &[(FindingKind, &str)]) -> usize {
         let report = report(&records, &options).expect("each rollout once");
         let about = |kind| matches!(kind, FindingKind::Simultaneity | FindingKind::Directions);
         let said = report.findings.iter();
-        let said: Vec<_> = said.filter(|it| it.claims && about(it.kind)).collect();
-        let kinds: BTreeSet<_> = said.iter().map(|it| it.kind).collect();
+        let said: Vec<_> = said
+            .filter(|finding| finding.claims && about(finding.kind))
+            .collect();
+        let kinds: BTreeSet<_> = said.iter().map(|finding| finding.kind).collect();
         kinds == expected.iter().map(|(kind, _)| *kind).collect()
             && said.iter().all(|finding| {
                 let words = expected.iter().filter(|(kind, _)| *kind == finding.kind);

@@ -85,7 +85,7 @@ impl Comparison {
         reasons.extend(
             SHARED
                 .iter()
-                .filter_map(|it| different(it, subjects, &sides)),
+                .filter_map(|property| different(property, subjects, &sides)),
         );
         reasons.extend(different_realisation(subjects, &sides));
         warnings.extend(different_directions(subjects, &sides));

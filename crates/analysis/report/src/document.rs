@@ -184,7 +184,10 @@ impl Document {
             report: &analysis.report,
             explanation: analysis.findings.as_ref(),
             thresholds: analysis.thresholds.as_ref(),
-            interactions: analysis.interactions.as_ref().map(|it| it.form()),
+            interactions: analysis
+                .interactions
+                .as_ref()
+                .map(|interactions| interactions.form()),
         });
         let text = serde_json::to_string_pretty(&JsonForm {
             warnings: &self.warnings,
@@ -253,8 +256,8 @@ impl Document {
             }
             text.push_str(&tail(&analysis.subject));
         }
-        let measured = self.analyses.iter().filter(|it| it.is_paired());
-        let reports: Vec<&Report> = measured.map(|it| &it.report).collect();
+        let measured = self.analyses.iter().filter(|analysis| analysis.is_paired());
+        let reports: Vec<&Report> = measured.map(|analysis| &analysis.report).collect();
         let legend = paired::legend(&reports);
         if !legend.is_empty() {
             text.push('\n');

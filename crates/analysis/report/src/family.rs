@@ -257,7 +257,7 @@ impl Family {
             })
         });
         let (unperturbed, variants): (Vec<Counted>, Vec<Counted>) =
-            counted.partition(|it| it.case.subject == CaseSubject::Unperturbed);
+            counted.partition(|rollout| rollout.case.subject == CaseSubject::Unperturbed);
         let mut groups: BTreeMap<_, Vec<&Counted>> = BTreeMap::new();
         let mut difficulties: BTreeMap<_, Vec<&Counted>> = BTreeMap::new();
         let mut cells: BTreeMap<_, Vec<&Counted>> = BTreeMap::new();
@@ -386,8 +386,8 @@ fn group(case: &Case) -> (usize, String) {
         CaseSubject::Unperturbed => None,
         CaseSubject::Plus(entry) => Dimension::ALL
             .into_iter()
-            .position(|it| it == entry.dimension()),
-        CaseSubject::Pro(suite) => ProSuite::all().position(|it| it == suite),
+            .position(|dimension| dimension == entry.dimension()),
+        CaseSubject::Pro(suite) => ProSuite::all().position(|other| other == suite),
     };
     (place.unwrap_or_default(), case.group().unwrap_or_default())
 }

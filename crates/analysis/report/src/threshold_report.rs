@@ -156,7 +156,11 @@ impl ThresholdReport {
         let (thresholds, records) = by.measures()?;
         let measurement = Measurement::of(records, &by.records, thresholds);
         let is_settled = |record: &Record| record.outcome != Outcome::Missing;
-        let waiting = by.records.iter().filter(|it| !is_settled(it)).count();
+        let waiting = by
+            .records
+            .iter()
+            .filter(|record| !is_settled(record))
+            .count();
         let rays = measurement.rays();
         let measured: Vec<Measured> = rays
             .map(|(ray, outcomes)| Measured::of(&measurement, ray, outcomes))
@@ -171,7 +175,7 @@ impl ThresholdReport {
                 && waiting == 0
                 && measurement.plan().is_empty(),
             looked_for: measured.len() as u64,
-            found: measured.iter().filter(|it| it.is_found).count() as u64,
+            found: measured.iter().filter(|measured| measured.is_found).count() as u64,
             beyond_budget: (measurement.of_rays() - measured.len()) as u64,
             rollouts: by.records.len() as u64,
             waiting: waiting as u64,
@@ -196,14 +200,14 @@ impl ThresholdReport {
             "",
             &format!("{} {}", self.measured_by, self.standing()),
         );
-        let curves: Vec<&Curve> = self.curves.iter().filter(|it| it.n > 0).collect();
+        let curves: Vec<&Curve> = self.curves.iter().filter(|curve| curve.n > 0).collect();
         if !curves.is_empty() {
             push_survival(&mut text, &curves);
             push_half_success(&mut text, &curves);
         }
         let not_monotone = self.thresholds.iter();
         let not_monotone: Vec<&Measured> = not_monotone
-            .filter(|it| !it.recovers_at.is_empty())
+            .filter(|measured| !measured.recovers_at.is_empty())
             .collect();
         if !not_monotone.is_empty() {
             text.push_str("\nnot monotone: they succeed again beyond a failure\n");
@@ -273,8 +277,8 @@ impl Measured {
     /// Lists the radii that succeed or, if `success` is false, those that fail.
     pub(crate) fn radii(&self, success: bool) -> String {
         let such = self.outcomes.iter();
-        let such = such.filter(|it| it.outcome.success() == Some(success));
-        let radii: Vec<String> = such.map(|it| it.radius.to_string()).collect();
+        let such = such.filter(|point| point.outcome.success() == Some(success));
+        let radii: Vec<String> = such.map(|point| point.radius.to_string()).collect();
         radii.join(", ")
     }
 }
@@ -283,7 +287,7 @@ impl Measured {
 fn largest_success(outcomes: &Outcomes<Level>) -> Option<Level> {
     let succeeds = outcomes
         .perturbed()
-        .filter(|(_, it)| *it == Outcome::Success);
+        .filter(|(_, outcome)| *outcome == Outcome::Success);
     Some(succeeds.map(|(level, _)| level).max().unwrap_or(Level::L0))
 }
 

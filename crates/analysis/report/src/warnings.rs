@@ -159,7 +159,7 @@ fn executions(subject: &Subject) -> impl Iterator<Item = String> {
     let models = subject
         .provenances
         .iter()
-        .map(|it| it.execution().to_owned());
+        .map(|provenance| provenance.execution().to_owned());
     models.filter(move |model| !late.contains(model))
 }
 

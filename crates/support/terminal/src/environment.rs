@@ -116,7 +116,12 @@ mod tests {
         };
         let arguments = command.get_arguments();
         arguments
-            .map(|arg| (arg.get_id().as_str(), name(arg).map(|it| &*it.leak())))
+            .map(|arg| {
+                (
+                    arg.get_id().as_str(),
+                    name(arg).map(|variable| &*variable.leak()),
+                )
+            })
             .collect()
     }
 

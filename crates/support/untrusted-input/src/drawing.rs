@@ -551,7 +551,7 @@ fn bumps() -> Vec<u8> {
             let pos = three.concat();
             let st: Vec<f32> = three
                 .iter()
-                .flat_map(|it| [it[0] * 3.0, it[1] * 3.0])
+                .flat_map(|point| [point[0] * 3.0, point[1] * 3.0])
                 .collect();
             mesh.extend(written(&[], &pos));
             mesh.extend(written(&[], &st));

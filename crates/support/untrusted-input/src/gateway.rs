@@ -77,7 +77,11 @@ pub(crate) fn answers(input: &[u8]) -> bool {
         is_an_answer = true;
         let grippers = response.actions.chunks(ACTION_WIDTH);
         if policy_protocol::actions(&response, 1).is_ok() {
-            assert!(grippers.flat_map(|it| it.last()).all(|it| it.abs() == 1.0));
+            assert!(
+                grippers
+                    .flat_map(|action| action.last())
+                    .all(|gripper| gripper.abs() == 1.0)
+            );
         }
     }
     is_an_answer

@@ -181,7 +181,8 @@ impl Curve {
         let known = findings.iter();
         let known = known.filter_map(|(task, finding)| Some((*task, Survives::of(finding)?)));
         let known: Vec<(TaskRef, Survives)> = known.collect();
-        let count = |is: fn(&Survives) -> bool| known.iter().filter(|(_, it)| is(it)).count();
+        let count =
+            |is: fn(&Survives) -> bool| known.iter().filter(|(_, survives)| is(survives)).count();
         let recovers = |(_, finding): &&(TaskRef, Finding)| !finding.recovers_at.is_empty();
         let largest_radius = search.largest().map_or(0.0, Level::radius);
         let clusters = Clusters::of(&known, search);
@@ -195,9 +196,9 @@ impl Curve {
             n: known.len() as u64,
             tasks: clusters.tasks.len(),
             left_out: (findings.len() - known.len()) as u64,
-            nominal_fails: count(|it| matches!(it, Survives::Never)) as u64,
-            beyond: count(|it| matches!(it, Survives::Throughout)) as u64,
-            censored: count(|it| matches!(it, Survives::AtLeast(_))) as u64,
+            nominal_fails: count(|survives| matches!(survives, Survives::Never)) as u64,
+            beyond: count(|survives| matches!(survives, Survives::Throughout)) as u64,
+            censored: count(|survives| matches!(survives, Survives::AtLeast(_))) as u64,
             not_monotone: findings.iter().filter(recovers).count() as u64,
             points,
             half_success,
@@ -291,8 +292,8 @@ impl Clusters {
             band: [values[2 * k], values[2 * k + 1]],
             ci95: interval(k).ok(),
         });
-        let crosses = survival.first().is_some_and(|it| *it >= HALF)
-            && survival.last().is_some_and(|it| *it <= HALF);
+        let crosses = survival.first().is_some_and(|share| *share >= HALF)
+            && survival.last().is_some_and(|share| *share <= HALF);
         let of_half = interval(self.radii.len());
         let half = HalfSuccess {
             radius: crosses.then(|| self.crossing(&survival)),
@@ -311,11 +312,13 @@ impl Clusters {
         let mut survival = vec![1.0; self.radii.len()];
         for _ in 0..MOST_ROUNDS {
             let others = |radius: f64| {
-                let place = self.radii.partition_point(|it| *it < radius);
+                let place = self.radii.partition_point(|other| *other < radius);
                 survival[place]
             };
             let share = |&radius: &f64| {
-                let expected = known.iter().map(|(_, it)| it.expected(radius, others));
+                let expected = known
+                    .iter()
+                    .map(|(_, survives)| survives.expected(radius, others));
                 expected.sum::<f64>() / known.len() as f64
             };
             let next: Vec<f64> = self.radii.iter().map(share).collect();

@@ -36,7 +36,7 @@ impl Measurement {
         let source = decisive(source, false);
         let nominal = source
             .iter()
-            .filter(|it| it.id.condition() == Condition::Clean);
+            .filter(|record| record.id.condition() == Condition::Clean);
         let nominal: BTreeMap<RolloutId, Outcome> =
             nominal.map(|record| (record.id, record.outcome)).collect();
         let is_asked_for = |condition: Condition| {
@@ -107,7 +107,10 @@ impl Measurement {
 
     /// Returns the upper bound of the number of rollouts of each sampled configuration.
     pub fn most_rollouts(&self) -> impl Iterator<Item = (TaskRef, u32)> {
-        let sampled = self.costs.iter().filter(|(it, _)| self.sample.contains(it));
+        let sampled = self
+            .costs
+            .iter()
+            .filter(|(configuration, _)| self.sample.contains(configuration));
         sampled.map(|((task, _), most)| (*task, *most))
     }
 

@@ -223,7 +223,9 @@ impl Search {
         };
         let largest_below = |set: AxisSet| {
             let unflipped = self.unflipped.iter().copied();
-            let below: Vec<AxisSet> = unflipped.filter(|it| it.is_proper_subset(set)).collect();
+            let below: Vec<AxisSet> = unflipped
+                .filter(|subset| subset.is_proper_subset(set))
+                .collect();
             match below.is_empty() {
                 true => vec![self.start],
                 false => maximal(&below),

@@ -209,7 +209,7 @@ fn hold_together(estimates: &mut [Estimate], deviations: &[Vec<f64>], bootstrap:
     };
     for (estimate, row) in estimates.iter_mut().zip(deviations) {
         let tasks = row.len() as f64;
-        let squares: f64 = row.iter().map(|it| it * it).sum();
+        let squares: f64 = row.iter().map(|value| value * value).sum();
         let half = critical * (squares / (tasks * (tasks - 1.0))).sqrt();
         let interval = [estimate.value - half, estimate.value + half];
         estimate.simultaneous_ci95 = estimate.ci95.map(|_| interval);

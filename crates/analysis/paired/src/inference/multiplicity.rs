@@ -126,7 +126,7 @@ mod tests {
             values.extend(own.iter().map(|value| value - mean));
         }
         let of = |strata: &[usize]| max_t(&[values.clone()], strata, &Bootstrap::default());
-        let [pooled, stratified] = [of(&[12]), of(&[3; 4])].map(|it| it.expect("a spread"));
+        let [pooled, stratified] = [of(&[12]), of(&[3; 4])].map(|width| width.expect("a spread"));
         assert!(stratified > 1.03 * pooled, "{stratified} {pooled}");
         assert_eq!(of(&[11, 1]), None);
         // With two pairs of tasks, one in four assignments of signs leaves no variance.

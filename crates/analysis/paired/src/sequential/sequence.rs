@@ -199,7 +199,9 @@ mod tests {
                 );
             }
             for alpha in ALPHAS {
-                let missed = orders.iter().filter(|it| !holds(it, sizes, range, alpha));
+                let missed = orders
+                    .iter()
+                    .filter(|order| !holds(order, sizes, range, alpha));
                 let missed = missed.count() as f64 / count;
                 assert!(missed <= alpha, "{population:?}: {missed} at {alpha}");
                 greatest = greatest.max(missed);

@@ -219,7 +219,7 @@ impl TwoPolicies {
                         for (z, weight) in normal_points() {
                             let logit = logit + of_condition * z;
                             let each = directions.effects[which].iter();
-                            let of = successes(each.map(|it| logistic(logit + it[row])));
+                            let of = successes(each.map(|effects| logistic(logit + effects[row])));
                             let terms = counts.iter_mut().zip(of);
                             terms.for_each(|(count, of)| *count += weight * of);
                         }

@@ -122,16 +122,16 @@ fn profiles(comparison: &Comparison) -> Markup {
         "A − B least",
         "A − B most",
     ];
-    let row = |(cell, it): (&ComparedCell, &Difference)| {
-        let profile = &it.profile;
+    let row = |(cell, delta): (&ComparedCell, &Difference)| {
+        let profile = &delta.profile;
         let better = &profile.improvement;
         let extremes = profile.extremes().map(|of| of.map(of_task));
         let [least, most] = extremes.map_or([None, None], |of| of.map(Some));
         vec![
             plain(cell.name()),
-            interval(it.estimate.new_tasks_and_directions, points),
-            interval(it.simultaneous_ci95, points),
-            or_dash(it.equivalence_p.map(words::p_value)),
+            interval(delta.estimate.new_tasks_and_directions, points),
+            interval(delta.simultaneous_ci95, points),
+            or_dash(delta.equivalence_p.map(words::p_value)),
             plain(format!("{}:{}", profile.a_better, profile.b_better)),
             with(
                 percent(better.value),
@@ -167,7 +167,7 @@ fn tasks(comparison: &Comparison) -> Markup {
     let is_whole = |condition| matches!(condition, Condition::Clean | Condition::Combination);
     let columns = compared(comparison).filter(|(cell, _)| is_whole(cell.condition));
     let columns: Vec<(String, &Profile)> = columns
-        .map(|(cell, it)| (cell.name(), &it.profile))
+        .map(|(cell, delta)| (cell.name(), &delta.profile))
         .collect();
     let mut heads = vec!["task"];
     heads.extend(columns.iter().map(|(name, _)| name.as_str()));
@@ -200,7 +200,7 @@ fn progress(comparison: &Comparison) -> Markup {
         "new tasks and directions",
         "Holm p",
     ];
-    let row = |name: String, what: &str, it: &MeanDifference, number: fn(f64) -> String| {
+    let row = |name: String, what: &str, mean: &MeanDifference, number: fn(f64) -> String| {
         let signed = |value: f64| match value < 0.0 {
             true => number(value),
             false => format!("+{}", number(value)),
@@ -208,13 +208,13 @@ fn progress(comparison: &Comparison) -> Markup {
         vec![
             plain(name),
             plain(what),
-            plain(it.n),
-            plain(number(it.mean_a)),
-            plain(number(it.mean_b)),
-            plain(signed(it.difference.value)),
-            interval(it.difference.new_tasks, signed),
-            interval(it.difference.new_tasks_and_directions, signed),
-            or_dash(it.holm_p.map(words::p_value)),
+            plain(mean.n),
+            plain(number(mean.mean_a)),
+            plain(number(mean.mean_b)),
+            plain(signed(mean.difference.value)),
+            interval(mean.difference.new_tasks, signed),
+            interval(mean.difference.new_tasks_and_directions, signed),
+            or_dash(mean.holm_p.map(words::p_value)),
         ]
     };
     let cells = comparison.statistics.cells.iter();
@@ -223,8 +223,8 @@ fn progress(comparison: &Comparison) -> Markup {
         let of = cell.progress.as_ref();
         let goal = of.and_then(|of| of.goal.as_ref());
         let steps = of.and_then(|of| of.steps.as_ref());
-        let goal = goal.map(|it| row(cell.name(), "goal %", it, percent));
-        let steps = steps.map(|it| row(cell.name(), "steps", it, words::steps));
+        let goal = goal.map(|mean| row(cell.name(), "goal %", mean, percent));
+        let steps = steps.map(|mean| row(cell.name(), "steps", mean, words::steps));
         goal.into_iter().chain(steps)
     });
     let rows: Vec<_> = rows.collect();
@@ -258,9 +258,9 @@ fn interval(ends: Option<Interval>, number: impl Fn(f64) -> String) -> Markup {
 }
 
 fn row(cell: &ComparedCell) -> Vec<Markup> {
-    let it = cell.difference.as_ref();
-    let n = it.map_or(0, |it| it.n);
-    let of = |value: fn(&Difference) -> Markup| or_dash(it.map(value));
+    let delta = cell.difference.as_ref();
+    let n = delta.map_or(0, |delta| delta.n);
+    let of = |value: fn(&Difference) -> Markup| or_dash(delta.map(value));
     let gap = match (cell.missing, cell.quarantined) {
         (0, 0) => String::new(),
         (missing, 0) => format!("{missing} missing"),
@@ -270,12 +270,12 @@ fn row(cell: &ComparedCell) -> Vec<Markup> {
     vec![
         plain(cell.name()),
         with(n, &gap),
-        of(|it| plain(percent(it.s_a))),
-        of(|it| plain(percent(it.s_b))),
-        of(|it| difference(it.difference, it.difference_ci95, it.no_interval)),
-        of(|it| plain(it.a_only)),
-        of(|it| plain(it.b_only)),
-        of(|it| plain(words::p_value(it.holm_p))),
+        of(|delta| plain(percent(delta.s_a))),
+        of(|delta| plain(percent(delta.s_b))),
+        of(|delta| difference(delta.difference, delta.difference_ci95, delta.no_interval)),
+        of(|delta| plain(delta.a_only)),
+        of(|delta| plain(delta.b_only)),
+        of(|delta| plain(words::p_value(delta.holm_p))),
     ]
 }
 

@@ -20,10 +20,10 @@ pub(super) fn subtitle(document: &Document) -> Markup {
     html! {
         p.muted {
             (rollouts)
-            @if document.analyses.iter().all(|it| it.findings.is_some()) {
+            @if document.analyses.iter().all(|analysis| analysis.findings.is_some()) {
                 " rollouts under subsets of the axes, of configurations whose outcome changes under \
                 all of them at once."
-            } @else if document.analyses.iter().all(|it| it.thresholds.is_some()) {
+            } @else if document.analyses.iter().all(|analysis| analysis.thresholds.is_some()) {
                 " rollouts of the same configurations, perturbed at further radii."
             } @else {
                 " rollouts: the same configurations under each axis alone, and under simultaneous \

@@ -83,7 +83,9 @@ fn of_policy(analysis: &Analysis) -> Markup {
         ),
         (
             "actions beyond ±1",
-            subject.beyond.map(|it| beyond(it, subject.realisation)),
+            subject
+                .beyond
+                .map(|range| beyond(range, subject.realisation)),
         ),
         ("batch mode", distinct(|p| p.batch_mode.clone())),
         (

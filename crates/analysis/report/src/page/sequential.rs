@@ -12,7 +12,8 @@ use crate::sequential::percent_text;
 /// Renders the section; empty if no campaign may end early.
 pub(super) fn of_campaigns(document: &Document) -> Markup {
     let analyses = document.analyses.iter();
-    let all = analyses.filter_map(|it| Some((it.label.as_str(), it.sequential.as_ref()?)));
+    let all = analyses
+        .filter_map(|analysis| Some((analysis.label.as_str(), analysis.sequential.as_ref()?)));
     let all: Vec<_> = all.collect();
     let mut heads = vec!["policy", "level", "configurations"];
     heads.extend(["S_sim %", "R_e %", "R_c %", "R_d %", "I points"]);
@@ -27,7 +28,8 @@ pub(super) fn of_campaigns(document: &Document) -> Markup {
                 ];
                 Some(plain(format!("{estimate} {ends}").replace('-', "−")))
             };
-            let cells = Measure::OF_ONE_POLICY.map(|it| of(it).unwrap_or_else(|| plain("–")));
+            let cells =
+                Measure::OF_ONE_POLICY.map(|measure| of(measure).unwrap_or_else(|| plain("–")));
             row.extend(cells);
             row
         })

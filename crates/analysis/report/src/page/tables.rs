@@ -141,7 +141,7 @@ pub(super) fn paired(document: &Document) -> Markup {
         values.extend(PAIRED.map(|(head, value)| {
             let is_overstated = overstated
                 .iter()
-                .any(|it| head.split(' ').next() == Some(it.name()));
+                .any(|measure| head.split(' ').next() == Some(measure.name()));
             html! {
                 @if is_overstated { abbr title=(OVERSTATED) { "*" } }
                 (or_dash(measures.map(value)))
@@ -422,9 +422,13 @@ pub(super) fn bounds(document: &Document) -> Markup {
 pub(super) fn quarantine(document: &Document) -> Markup {
     let of_policy = |analysis: &Analysis| -> Vec<Vec<Markup>> {
         let errors = analysis.subject.errors.iter();
-        let row = errors.map(|it| {
-            let rollout = html! { code { (it.rollout) } };
-            vec![rollout, plain(&analysis.label), plain(&it.last_error)]
+        let row = errors.map(|quarantined| {
+            let rollout = html! { code { (quarantined.rollout) } };
+            vec![
+                rollout,
+                plain(&analysis.label),
+                plain(&quarantined.last_error),
+            ]
         });
         row.collect()
     };

@@ -73,16 +73,18 @@ fn not_monotone(thresholds: &[Measured]) -> Markup {
         "succeeds at.",
         "fails at.",
     ];
-    let row = |it: &Measured| {
+    let row = |measured: &Measured| {
         vec![
-            plain(it.task),
-            plain(it.condition.label()),
-            plain(it.config),
-            plain(it.radii(true)),
-            plain(it.radii(false)),
+            plain(measured.task),
+            plain(measured.condition.label()),
+            plain(measured.config),
+            plain(measured.radii(true)),
+            plain(measured.radii(false)),
         ]
     };
-    let not_monotone = thresholds.iter().filter(|it| !it.recovers_at.is_empty());
+    let not_monotone = thresholds
+        .iter()
+        .filter(|measured| !measured.recovers_at.is_empty());
     let rows: Vec<Vec<Markup>> = not_monotone.map(row).collect();
     html! {
         @if !rows.is_empty() {

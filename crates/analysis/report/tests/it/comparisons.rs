@@ -91,18 +91,18 @@ fn json_has_every_condition_at_every_level_with_its_counts() {
     assert_eq!(cells.len(), 3 * 7);
     let is_asked = |cell: &&Value| cell["level"] == "L2" && cell["condition"] == "combination";
     let cell = cells.iter().find(is_asked).expect("a cell");
-    let it = &cell["difference"];
-    assert_eq!((&it["n"], &it["tasks"]), (&json!(400), &json!(40)));
+    let found = &cell["difference"];
+    assert_eq!((&found["n"], &found["tasks"]), (&json!(400), &json!(40)));
     assert_eq!(
-        (&it["a_only"], &it["b_only"]),
+        (&found["a_only"], &found["b_only"]),
         (&json!(a_only), &json!(b_only))
     );
     let difference = (a_only as f64 - b_only as f64) / 400.0;
-    assert!((it["difference"].as_f64().expect("a number") - difference).abs() < 1e-12);
-    let ends = it["difference_ci95"].as_array().expect("an interval");
+    assert!((found["difference"].as_f64().expect("a number") - difference).abs() < 1e-12);
+    let ends = found["difference_ci95"].as_array().expect("an interval");
     let ends: Vec<f64> = ends.iter().filter_map(Value::as_f64).collect();
-    assert!(ends[0] < difference && difference < ends[1], "{it}");
-    assert_eq!(it["no_interval"], Value::Null);
+    assert!(ends[0] < difference && difference < ends[1], "{found}");
+    assert_eq!(found["no_interval"], Value::Null);
 }
 
 #[test]
@@ -113,9 +113,15 @@ fn a_policy_against_itself_differs_nowhere_and_has_no_interval() {
         ("one (of-one)", "one (of-one) 2")
     );
     for cell in &comparison.statistics.cells {
-        let it = cell.difference.as_ref().expect("outcomes");
-        assert_eq!((it.a_only, it.b_only, it.mcnemar_p), (0, 0, 1.0));
-        assert_eq!((it.difference, it.difference_ci95), (0.0, None));
+        let difference = cell.difference.as_ref().expect("outcomes");
+        assert_eq!(
+            (difference.a_only, difference.b_only, difference.mcnemar_p),
+            (0, 0, 1.0)
+        );
+        assert_eq!(
+            (difference.difference, difference.difference_ci95),
+            (0.0, None)
+        );
     }
     assert!(comparison.text().contains("no spread"));
 }
@@ -214,9 +220,13 @@ fn rollouts_of_another_scene_or_perturbation_are_left_out_and_named() {
     let (id, init_id) = (a.records[0].id, a.records[0].init_id);
     let state = RolloutId::clean(id.task(), init_id);
     let of_state = a.records.iter();
-    let of_state = of_state.filter(|it| it.id.task() == id.task() && it.init_id == init_id);
+    let of_state =
+        of_state.filter(|record| record.id.task() == id.task() && record.init_id == init_id);
     let of_state = of_state.count();
-    let elsewhere = a.records.iter().find(|it| it.id.task() != id.task());
+    let elsewhere = a
+        .records
+        .iter()
+        .find(|record| record.id.task() != id.task());
     let elsewhere = elsewhere.expect("forty tasks").id;
     let setups = |scene: &str, row: &str| Setups {
         rollouts: [(elsewhere, row.to_owned())].into(),
@@ -271,7 +281,7 @@ fn quarantined_rollouts_of_either_are_in_no_rate_and_bounded() {
     let comparison = compare(a, b).expect("comparable");
     let cell = |id: RolloutId| {
         let mut cells = comparison.statistics.cells.iter();
-        let cell = cells.find(|it| (it.level, it.condition) == (id.level(), id.condition()));
+        let cell = cells.find(|cell| (cell.level, cell.condition) == (id.level(), id.condition()));
         cell.expect("a cell")
     };
     let quarantined = cell(cells[0]);

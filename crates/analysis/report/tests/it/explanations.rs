@@ -120,7 +120,7 @@ fn an_upset_plot_counts_each_minimal_subset_and_what_is_established_of_it() {
     assert!(texts(&compensated).contains(said));
     let names: Vec<String> = figures::all(&document)
         .into_iter()
-        .map(|it| it.name)
+        .map(|figure| figure.name)
         .collect();
     assert_eq!(
         names,
@@ -164,7 +164,7 @@ fn a_lattice_has_a_node_for_every_subset_and_tells_outcomes_by_shape() {
     let fails = explained
         .outcomes
         .iter()
-        .filter(|it| it.verdict.success() == Some(false));
+        .filter(|outcome| outcome.verdict.success() == Some(false));
     assert_eq!(count("class=\"fails\""), 1 + fails.count());
     assert_eq!(count("<rect class=\"fails\""), count("class=\"fails\""));
     assert_eq!(
@@ -204,7 +204,12 @@ fn the_table_of_explanations_has_a_row_for_each_minimal_subset() {
     write_csv(&document, &mut bytes).expect("written");
     let mut csv = csv::Reader::from_reader(bytes.as_slice());
     let header = csv.headers().expect("names").clone();
-    let column = |name: &str| header.iter().position(|it| it == name).expect("a column");
+    let column = |name: &str| {
+        header
+            .iter()
+            .position(|head| head == name)
+            .expect("a column")
+    };
     let (subset, undone, open) = (column("subset"), column("undone_by"), column("open"));
     let rows: Vec<csv::StringRecord> = csv.records().collect::<Result<_, _>>().expect("rows");
     assert_eq!(rows.len(), 12);
@@ -247,7 +252,11 @@ fn interactions_add_up_to_what_the_report_measures() {
         .and_then(|cell| cell.paired.as_ref());
     let s_sim = s_sim.expect("measures").s_sim;
     let nominal = interactions.success[&AxisSet::EMPTY];
-    let all: i64 = interactions.moebius.values().map(|it| it.numerator).sum();
+    let all: i64 = interactions
+        .moebius
+        .values()
+        .map(|estimate| estimate.numerator)
+        .sum();
     let total = (nominal.numerator + all) as f64 / nominal.denominator as f64;
     assert_eq!(total, s_sim, "to the last bit");
 
@@ -358,7 +367,7 @@ fn repeats_are_foreseen_for_every_subset_and_too_few_are_refused() {
         };
         Findings::prospect(&campaign, &explanation)
     };
-    let rollouts = |repeats| of(repeats).map(|it| (it.subjects, it.rollouts()));
+    let rollouts = |repeats| of(repeats).map(|prospect| (prospect.subjects, prospect.rollouts()));
     assert_eq!(rollouts(None), Ok((12, 12 * 56)));
     assert_eq!(rollouts(Some(12)), Ok((12, 12 * 63 * 12)));
     let refused = rollouts(Some(11)).expect_err("2⁻¹⁰ is above 5 % of 56 subsets");

@@ -61,15 +61,15 @@ fn figures_of_a_stopped_campaign_are_of_what_its_intervals_rest_on() {
     let analysis = &stopped.analyses[0];
     let mut others = early("width(I) < 0.2", true);
     for record in &mut others.records {
-        let is_used = |it: &&paired::Matched| {
-            (it.task, Some(it.config)) == (record.id.task(), record.id.config())
+        let is_used = |matched: &&paired::Matched| {
+            (matched.task, Some(matched.config)) == (record.id.task(), record.id.config())
         };
         let is_perturbed = record.id.level() != Level::L0;
         let used = analysis
             .records
             .configurations()
             .iter()
-            .any(|it| is_used(&it));
+            .any(|matched| is_used(&matched));
         if is_perturbed && !used {
             record.outcome = Outcome::Success;
         }

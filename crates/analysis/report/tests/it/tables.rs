@@ -100,7 +100,11 @@ fn parquet_columns_have_types_and_say_so_to_pandas() {
         };
         assert_eq!(said["numpy_type"], expected, "{name}");
     }
-    let of = |kind: &str| said.iter().filter(|it| it["numpy_type"] == kind).count();
+    let of = |kind: &str| {
+        said.iter()
+            .filter(|column| column["numpy_type"] == kind)
+            .count()
+    };
     assert_eq!((of("boolean"), of("int64"), of("string")), (10, 4, 6));
     assert_eq!((of("float64"), of("Int64")), (8, 8));
 }

@@ -134,7 +134,7 @@ fn calls(said: &[&Said]) -> Vec<u8> {
 }
 
 fn number(method: &str) -> u8 {
-    let place = METHODS.iter().position(|it| *it == method);
+    let place = METHODS.iter().position(|name| *name == method);
     u8::try_from(place.expect("a method")).expect("few")
 }
 

@@ -52,7 +52,7 @@ impl Population {
         }
         let place = |task: TaskRef, config: u16| {
             let task = TaskRef::all()
-                .position(|it| it == task)
+                .position(|other| other == task)
                 .expect("one of all");
             fails_at[task * usize::from(CONFIGS) + usize::from(config)]
         };
@@ -73,13 +73,13 @@ impl Population {
             let conditions = conditions.clone();
             (0..CONFIGS).flat_map(move |config| {
                 let own = conditions.clone();
-                let own = own.map(move |it| perturbed(task, it, Level::L2, config));
+                let own = own.map(move |condition| perturbed(task, condition, Level::L2, config));
                 own.chain([RolloutId::clean(task, config)])
             })
         });
         let mut source: Vec<Record> = source.map(|id| record(id, outcome(id))).collect();
-        source.sort_by_key(|it| it.id);
-        source.dedup_by_key(|it| it.id);
+        source.sort_by_key(|record| record.id);
+        source.dedup_by_key(|record| record.id);
         let thresholds = Thresholds {
             conditions: vec![self.condition],
             ..thresholds(0.5, LARGEST)

@@ -50,13 +50,15 @@ fn any(seed: u64, level: Level, failing: u64, quarantined: u64) -> Outcome {
 
 /// Returns the first failure and all successes beyond it, without the code under test.
 fn by_hand(outcomes: &Outcomes<Level>) -> (Option<Level>, Vec<Level>) {
-    let fails = outcomes.perturbed().find(|(_, it)| *it == Outcome::Failure);
+    let fails = outcomes
+        .perturbed()
+        .find(|(_, outcome)| *outcome == Outcome::Failure);
     let fails = fails.map(|(level, _)| level);
     let succeeds = outcomes
         .perturbed()
-        .filter(|(_, it)| *it == Outcome::Success);
+        .filter(|(_, outcome)| *outcome == Outcome::Success);
     let beyond = succeeds.map(|(level, _)| level);
-    let beyond = beyond.filter(|it| fails.is_some_and(|fails| *it > fails));
+    let beyond = beyond.filter(|level| fails.is_some_and(|fails| *level > fails));
     (fails, beyond.collect())
 }
 
@@ -76,9 +78,9 @@ proptest! {
                 let [low, high] = [succeeds_at.radius(), fails_at.radius()];
                 prop_assert!(low < at && at <= high);
                 prop_assert!(high - low <= tolerance + 1e-5);
-                let grid = || search.grid.iter().map(|it| it.radius());
-                let below = grid().filter(|it| *it < at).fold(0.0, f64::max);
-                let above = grid().find(|it| *it >= at).expect("it fails in the grid");
+                let grid = || search.grid.iter().map(|level| level.radius());
+                let below = grid().filter(|radius| *radius < at).fold(0.0, f64::max);
+                let above = grid().find(|radius| *radius >= at).expect("it fails in the grid");
                 halvings = ((above - below) / (tolerance + 1e-5)).log2().ceil().max(0.0);
             }
             other => prop_assert!(false, "{other:?}"),
@@ -139,7 +141,7 @@ proptest! {
                     prop_assert_eq!(settled.insert(level, Outcome::Missing), None);
                 }
             }
-            let waiting = settled.iter().filter(|(_, it)| **it == Outcome::Missing);
+            let waiting = settled.iter().filter(|(_, outcome)| **outcome == Outcome::Missing);
             let waiting: Vec<Level> = waiting.map(|(&level, _)| level).collect();
             if waiting.is_empty() {
                 break;

@@ -232,8 +232,8 @@ proptest! {
                 };
                 added.expect("a subset");
             };
-            rollouts.iter().for_each(|it| add(&mut forwards, it));
-            rollouts.iter().rev().for_each(|it| add(&mut backwards, it));
+            rollouts.iter().for_each(|rollout| add(&mut forwards, rollout));
+            rollouts.iter().rev().for_each(|rollout| add(&mut backwards, rollout));
             for strategy in Strategy::ALL {
                 let decision = next(&forwards, strategy);
                 prop_assert_eq!(&decision, &next(&backwards, strategy));
