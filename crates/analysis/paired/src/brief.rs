@@ -19,10 +19,10 @@ pub fn brief(report: &Report) -> String {
     }
     separate(&mut text);
     let last = cells(report).last().map(|cell| cell.level);
-    let said = report.findings.iter();
-    let said = said.filter(|finding| finding.level.is_none() || finding.level == last);
+    let findings = report.findings.iter();
+    let findings = findings.filter(|finding| finding.level.is_none() || finding.level == last);
     let (further, first): (Vec<&Finding>, Vec<&Finding>) =
-        said.partition(|finding| finding.kind == FindingKind::Directions);
+        findings.partition(|finding| finding.kind == FindingKind::Directions);
     for finding in first {
         push_wrapped(&mut text, "", &finding.sentence);
     }

@@ -189,7 +189,7 @@ fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding
     let Some(excess) = &inference.excess else {
         return without_floor(cell, report, claims);
     };
-    let known = [
+    let measured = [
         (
             Hypothesis::Emergent,
             "failures emerge",
@@ -208,7 +208,7 @@ fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding
     let is_shown = |hypothesis, excess: &Estimate| {
         claims.p(cell, hypothesis) < FINDING_ALPHA && excess.value > 0.0
     };
-    let shown = known
+    let shown = measured
         .iter()
         .filter(|(hypothesis, .., excess)| is_shown(*hypothesis, excess));
     let parts: Vec<String> = shown
@@ -233,7 +233,7 @@ fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding
         ),
         parts => format!("At {level}, {}.", parts.join("; ")),
     };
-    let p = known.map(|(hypothesis, ..)| claims.p(cell, hypothesis));
+    let p = measured.map(|(hypothesis, ..)| claims.p(cell, hypothesis));
     Some(Finding {
         kind: FindingKind::Simultaneity,
         level: Some(level),

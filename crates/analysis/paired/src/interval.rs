@@ -124,7 +124,7 @@ mod tests {
     }
 
     #[test]
-    fn each_of_many_has_the_interval_and_the_reason_that_it_has_alone() {
+    fn each_statistic_has_the_same_interval_alone_and_among_many() {
         let columns: [Vec<f64>; 2] = [(0..12).map(f64::from).collect(), vec![1.0; 12]];
         for tasks in [9, 12] {
             let mean = |draws: &[u32], column: &[f64]| {

@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn an_excess_that_is_called_detectable_is_found_in_four_of_five_campaigns() {
+    fn a_detectable_excess_is_found_in_four_of_five_campaigns() {
         let [here, there] = [planned(40, 10.0), planned(40, 2.0)];
         let base = 0.05;
         let excess = excess(base, 0.0, [here, there]).expect("some");
@@ -295,7 +295,7 @@ mod tests {
     }
 
     #[test]
-    fn more_configurations_show_less_and_tasks_that_resemble_themselves_show_more() {
+    fn more_configurations_and_less_correlation_detect_smaller_effects() {
         let floor = |configs| Against::Floor {
             r_d: 0.05,
             planned: planned(40, configs),
@@ -326,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_assumed_at_a_level_is_what_is_known_of_the_nearest() {
+    fn assumptions_of_a_level_are_those_of_the_nearest_known_level() {
         let at = |text: &str| text.parse::<Level>().expect("a level");
         let all = [at("L0"), at("L1"), at("L3")].map(|level| Assumed {
             level,

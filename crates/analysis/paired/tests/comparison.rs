@@ -127,7 +127,7 @@ fn compare(a: &[Record], b: &[Record]) -> Comparison {
 }
 
 #[test]
-fn conditions_are_compared_one_by_one_nominal_first_over_what_both_have() {
+fn conditions_are_compared_one_by_one_nominal_first_over_common_rollouts() {
     let a = [
         record(SENSOR, 0, 7, S),
         record(Condition::Combination, 0, 7, S),
@@ -160,7 +160,7 @@ fn conditions_are_compared_one_by_one_nominal_first_over_what_both_have() {
 }
 
 #[test]
-fn what_differs_under_one_name_is_not_paired_and_named() {
+fn rollouts_of_one_id_that_differ_are_not_paired_but_named() {
     let a = [
         record(CAMERA, 0, 7, S),
         record(CAMERA, 1, 8, S),
@@ -175,11 +175,11 @@ fn what_differs_under_one_name_is_not_paired_and_named() {
         record(SENSOR, 0, 7, S),
         a[3],
     ];
-    let told = |record: &Record| {
+    let obstacle = |record: &Record| {
         let is_third = record.id.config() == Some(2);
         is_third.then_some(Obstacle::Scene)
     };
-    let comparison = Comparison::of(a.as_slice(), b.as_slice(), &Bootstrap::default(), told);
+    let comparison = Comparison::of(a.as_slice(), b.as_slice(), &Bootstrap::default(), obstacle);
     let unpaired: Vec<_> = comparison.unpaired.into_iter().collect();
     assert_eq!(
         unpaired,
@@ -276,14 +276,14 @@ fn the_table_fits_a_terminal_and_explains_every_symbol() {
 }
 
 fn outcomes() -> impl Strategy<Value = Vec<Pair>> {
-    let known = |code: u8| [S, F, Q, M][usize::from(code)];
+    let outcome_of = |code: u8| [S, F, Q, M][usize::from(code)];
     vec((0..14_usize, 0..4_u8, 0..4_u8), 1..80).prop_map(move |drawn| {
         let of = drawn.into_iter();
         of.map(|(index, a, b)| Pair {
             task: task(index),
             number: 0,
-            a: known(a),
-            b: known(b),
+            a: outcome_of(a),
+            b: outcome_of(b),
         })
         .collect()
     })
@@ -323,7 +323,7 @@ proptest! {
     }
 
     #[test]
-    fn a_set_alone_and_among_others_has_the_same_difference(
+    fn a_set_has_the_same_difference_alone_and_among_others(
         pairs in outcomes(),
         other in outcomes(),
     ) {

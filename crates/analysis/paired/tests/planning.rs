@@ -6,7 +6,7 @@ use serde_json::Value;
 const STUDENT: &str = include_str!("../../../../examples/student/rollouts.jsonl");
 
 #[test]
-fn what_is_assumed_without_outcomes_is_what_the_students_published_ones_are_like() {
+fn built_in_assumptions_agree_with_the_students_published_outcomes() {
     let record = |line: &str| {
         let row: Value = serde_json::from_str(line).expect("JSON");
         Record {

@@ -109,7 +109,7 @@ fn steps_and_predicates_differ_as_worked_out_by_hand() {
 }
 
 #[test]
-fn what_is_known_of_one_policy_only_counts_nowhere() {
+fn progress_known_for_one_policy_only_is_excluded() {
     let (a, mut b) = (records(|_| true), records(|at| at % 2 == 0));
     b[0].outcome = Outcome::Quarantined;
     let of_a = progress(&a, |_| (100, 3));

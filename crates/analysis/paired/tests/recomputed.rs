@@ -241,10 +241,10 @@ fn simulated_campaign(seed: u64) -> Value {
 #[test]
 fn three_examples_and_two_hundred_campaigns_are_recomputed_by_numpy_and_scipy() {
     let python = std::env::var_os("ROLLOUT_PYTHON").unwrap_or_else(|| "python3".into());
-    let asked = Command::new(&python)
+    let probe = Command::new(&python)
         .args(["-c", "import numpy, scipy"])
         .output();
-    if !asked.is_ok_and(|output| output.status.success()) {
+    if !probe.is_ok_and(|output| output.status.success()) {
         println!("skipped: {} has no NumPy and SciPy", python.display());
         return;
     }
@@ -275,8 +275,8 @@ fn three_examples_and_two_hundred_campaigns_are_recomputed_by_numpy_and_scipy() 
         .output()
         .expect("Python");
     std::fs::remove_dir_all(&folder).expect("removed");
-    let said = String::from_utf8_lossy(&output.stdout);
+    let stdout = String::from_utf8_lossy(&output.stdout);
     let error = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{said}{error}");
-    println!("{said}");
+    assert!(output.status.success(), "{stdout}{error}");
+    println!("{stdout}");
 }

@@ -127,7 +127,7 @@ fn pairs(data_set: &Value) -> Vec<Pair> {
 }
 
 #[test]
-fn twelve_random_pairs_of_policies_differ_as_numpy_and_scipy_say() {
+fn twelve_random_pairs_of_policies_agree_with_numpy_and_scipy() {
     let expected = expected();
     let data_sets = expected["paired_sets"].as_array().expect("data sets");
     assert_eq!(data_sets.len(), 12);

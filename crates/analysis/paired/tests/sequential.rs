@@ -255,7 +255,7 @@ proptest! {
     }
 
     #[test]
-    fn the_difference_of_two_policies_changes_its_sign_with_their_places(
+    fn exchanging_the_policies_negates_the_difference(
         outcomes in proptest::collection::vec(0..16_u8, 30), strata in 1_usize..6,
     ) {
         let order = Order::new(3, 0..30_usize, |unit| unit % strata);
@@ -346,7 +346,7 @@ fn a_configuration_counts_once_and_only_if_it_is_in_the_order() {
 }
 
 #[test]
-fn what_is_in_quarantine_leaves_every_value_that_it_could_have_led_to() {
+fn quarantined_rollouts_leave_every_possible_value_in_the_interval() {
     let order = small_order(4);
     for quarantined in order.units() {
         let mut sequential = SequentialMeasures::new(&order, ALPHA);
@@ -372,7 +372,7 @@ fn what_is_in_quarantine_leaves_every_value_that_it_could_have_led_to() {
 }
 
 #[test]
-fn possible_transitions_are_those_over_every_outcome_of_what_is_in_quarantine() {
+fn possible_transitions_cover_every_outcome_of_quarantined_rollouts() {
     use Outcome::{Failure, Missing, Quarantined, Success};
     let all = [Success, Failure, Quarantined, Missing];
     for camera in all {

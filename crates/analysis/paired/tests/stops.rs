@@ -89,7 +89,7 @@ fn a_campaign_ends_when_its_rule_has_been_met_at_every_level() {
 }
 
 #[test]
-fn what_lies_beyond_the_look_changes_nothing_and_what_lies_before_it_is_needed() {
+fn outcomes_after_the_look_change_nothing_and_those_before_are_needed() {
     let mut records = published();
     let stop = stop("width(S_sim) < 0.25", Strata::Suites);
     let look = when_met(&records, &stop).expect("it is met");

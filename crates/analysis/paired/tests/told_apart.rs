@@ -28,13 +28,13 @@ fn right(planted: Planted, expected: &[(FindingKind, &str)]) -> usize {
         let records = planted.campaign(&mut Chance::new(*seed));
         let report = report(&records, &options).expect("each rollout once");
         let about = |kind| matches!(kind, FindingKind::Simultaneity | FindingKind::Directions);
-        let said = report.findings.iter();
-        let said: Vec<_> = said
+        let findings = report.findings.iter();
+        let findings: Vec<_> = findings
             .filter(|finding| finding.claims && about(finding.kind))
             .collect();
-        let kinds: BTreeSet<_> = said.iter().map(|finding| finding.kind).collect();
+        let kinds: BTreeSet<_> = findings.iter().map(|finding| finding.kind).collect();
         kinds == expected.iter().map(|(kind, _)| *kind).collect()
-            && said.iter().all(|finding| {
+            && findings.iter().all(|finding| {
                 let words = expected.iter().filter(|(kind, _)| *kind == finding.kind);
                 words
                     .into_iter()
@@ -46,7 +46,7 @@ fn right(planted: Planted, expected: &[(FindingKind, &str)]) -> usize {
 }
 
 #[test]
-fn coins_an_interaction_and_directions_are_told_apart_by_their_sentences() {
+fn sentences_distinguish_coins_an_interaction_and_directions() {
     let emerge = (FindingKind::Simultaneity, "failures emerge beyond chance");
     let depends = (FindingKind::Directions, "success depends on the direction");
     for (planted, name, expected) in [

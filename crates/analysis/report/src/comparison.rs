@@ -170,8 +170,8 @@ impl Comparison {
         }
         text.push('\n');
         let left_out = self.statistics.left_out();
-        let said = self.warnings.iter().chain(&self.notes).chain(&left_out);
-        for warning in said {
+        let warnings = self.warnings.iter().chain(&self.notes).chain(&left_out);
+        for warning in warnings {
             push_wrapped(&mut text, "! ", warning);
         }
         if !text.ends_with("\n\n") {
@@ -259,14 +259,14 @@ fn different(
     if values.iter().any(BTreeSet::is_empty) || values[0] == values[1] && values[0].len() == 1 {
         return None;
     }
-    let said = sides.iter().zip(values).map(|(side, values)| {
+    let of_sides = sides.iter().zip(values).map(|(side, values)| {
         let values: Vec<String> = values.into_iter().collect();
         format!("{} with {}", side.label, values.join(" and "))
     });
-    let said: Vec<String> = said.collect();
+    let of_sides: Vec<String> = of_sides.collect();
     Some(format!(
         "they were measured with more than one {what} ({}): run both with one",
-        said.join(", ")
+        of_sides.join(", ")
     ))
 }
 

@@ -225,8 +225,8 @@ impl Family {
             return Ok(None);
         };
         let campaign = subject.origin_name().to_owned();
-        let known: Result<Protocol, UnknownName> = protocol.parse();
-        let protocol = known.map_err(|source| FamilyError::Protocol {
+        let parsed: Result<Protocol, UnknownName> = protocol.parse();
+        let protocol = parsed.map_err(|source| FamilyError::Protocol {
             campaign: campaign.clone(),
             source,
         })?;

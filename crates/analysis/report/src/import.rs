@@ -41,7 +41,11 @@ pub enum ImportError {
         path: PathBuf,
         source: std::io::Error,
     },
-    #[error("import {path}: {} bad, nothing was taken of it: {}", counted(.bad), said(.named, .bad))]
+    #[error(
+        "import {path}: {} bad, nothing was taken of it: {}",
+        counted(.bad),
+        listed(.named, .bad)
+    )]
     Lines {
         path: PathBuf,
         bad: usize,
@@ -356,7 +360,7 @@ impl Row {
     /// rollout's own, or the protocol's for configurations 0 to 9.
     fn initial_state(&self) -> Result<u16, String> {
         let own = self.rollout_id.config();
-        let known = match own {
+        let default_state = match own {
             None => Some(self.rollout_id.number()),
             Some(config) => self
                 .rollout_id
@@ -365,7 +369,7 @@ impl Row {
                 .get(usize::from(config))
                 .copied(),
         };
-        let stated = self.init_id.or(known);
+        let stated = self.init_id.or(default_state);
         stated.ok_or_else(|| format!("{} has no `init_id`", self.rollout_id))
     }
 }
@@ -377,13 +381,13 @@ fn counted(bad: &usize) -> String {
     }
 }
 
-fn said(named: &[BadLine], bad: &usize) -> String {
-    let mut said: Vec<String> = named
+fn listed(named: &[BadLine], bad: &usize) -> String {
+    let mut lines: Vec<String> = named
         .iter()
         .map(|line| format!("line {}: {}", line.number, line.reason))
         .collect();
     if *bad > named.len() {
-        said.push(format!("and {} more", bad - named.len()));
+        lines.push(format!("and {} more", bad - named.len()));
     }
-    said.join("; ")
+    lines.join("; ")
 }

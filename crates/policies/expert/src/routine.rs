@@ -8,7 +8,7 @@ use std::f64::consts::FRAC_PI_2;
 use crate::error::ExpertError;
 use crate::geometry::{Quat, Vec3};
 use crate::motion::{
-    Command, Errand, FINGERTIP_M, Fingers, HandPose, Motion, OPEN_M as OPEN_FINGERS_M, detour,
+    Command, FINGERTIP_M, Fingers, HandLoad, HandPose, Motion, OPEN_M as OPEN_FINGERS_M, detour,
     pointing_down, tilted,
 };
 use crate::world::{Entity, HANDLE_OUT_M, HANDLE_UP_M, World, drawer_joint};
@@ -71,7 +71,7 @@ const DRAG_LEAD_M: f64 = 0.05;
 
 /// Task of a routine.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Deed {
+pub(crate) enum RoutineTask {
     /// Open the drawer that contains the region to the joint position `to`, m.
     PullDrawer { region: String, to: f64 },
     /// Close the drawer of this region.
@@ -87,7 +87,7 @@ pub(crate) enum Deed {
 /// State of a routine in progress.
 #[derive(Clone, Debug)]
 pub(crate) struct Routine {
-    deed: Deed,
+    task: RoutineTask,
     stage: u32,
     /// Steps spent in this stage.
     ticks: u32,
@@ -104,7 +104,7 @@ enum Until {
     /// The hand has reached the pose by a detour over obstacles.
     Travelled,
     /// The hand has reached the pose or was stopped.
-    There,
+    Arrived,
     /// The given number of steps has passed.
     Steps(u32),
     /// The mechanism has reached its target position.
@@ -112,16 +112,16 @@ enum Until {
 }
 
 impl Routine {
-    pub(crate) fn new(deed: Deed) -> Self {
+    pub(crate) fn new(task: RoutineTask) -> Self {
         Self {
-            deed,
+            task,
             stage: 0,
             ticks: 0,
         }
     }
 
-    pub(crate) fn deed(&self) -> &Deed {
-        &self.deed
+    pub(crate) fn task(&self) -> &RoutineTask {
+        &self.task
     }
 
     /// Resumes at the stage derived from the state of the world.
@@ -129,7 +129,7 @@ impl Routine {
     /// # Errors
     /// If the scene lacks an entity or joint.
     pub(crate) fn resume(&mut self, world: &World, motion: &Motion) -> Result<(), ExpertError> {
-        self.stage = self.deed.seen(world, motion)?;
+        self.stage = self.task.current_stage(world, motion)?;
         self.ticks = 0;
         Ok(())
     }
@@ -143,13 +143,13 @@ impl Routine {
         world: &World,
         motion: &Motion,
     ) -> Result<Option<Command>, ExpertError> {
-        while let Some(stage) = self.deed.stage(self.stage, world)? {
+        while let Some(stage) = self.task.stage(self.stage, world)? {
             if !self.over(&stage, world, motion) {
                 self.ticks += 1;
                 let travelling = matches!(stage.until, Until::Travelled);
                 let mut hand = stage.hand;
                 if travelling {
-                    hand.pos = detour(world, hand.pos, Errand::Empty(STANDOFF_M));
+                    hand.pos = detour(world, hand.pos, HandLoad::Empty(STANDOFF_M));
                 }
                 let pace = if travelling { 1.0 } else { GENTLE };
                 return Ok(Some(Command {
@@ -169,7 +169,7 @@ impl Routine {
         let stopped = self.ticks > 5 && motion.still_steps() >= 3;
         let over = match stage.until {
             Until::Travelled => near,
-            Until::There => near || stopped,
+            Until::Arrived => near || stopped,
             Until::Steps(steps) => self.ticks >= steps,
             Until::Reached(reached) => reached,
         };
@@ -177,14 +177,14 @@ impl Routine {
     }
 }
 
-impl Deed {
+impl RoutineTask {
     /// Derives the number of the current stage from the state of the world.
-    fn seen(&self, world: &World, motion: &Motion) -> Result<u32, ExpertError> {
+    fn current_stage(&self, world: &World, motion: &Motion) -> Result<u32, ExpertError> {
         let (Some(ready), Some(begun)) = (self.stage(0, world)?, self.stage(1, world)?) else {
             return Ok(0);
         };
         let (from, to) = (ready.hand, begun.hand);
-        let is_on_the_way = from.leads(to, world, ASIDE_M);
+        let is_on_the_way = from.is_on_path_to(to, world, ASIDE_M);
         let is_there = (to.pos - world.grip).norm();
         Ok(match self {
             Self::PullDrawer { .. } | Self::TurnKnob { .. } => {
@@ -283,7 +283,7 @@ fn pull_drawer(
     };
     Ok(Some(match number {
         0 => stage(at(STANDOFF_M), Fingers::Open, Until::Travelled),
-        1 => stage(at(0.0), Fingers::Open, Until::There),
+        1 => stage(at(0.0), Fingers::Open, Until::Arrived),
         2 => stage(at(0.0), Fingers::Close, Until::Steps(FINGER_STEPS)),
         3 => {
             let open = drawer.position < to;
@@ -291,7 +291,7 @@ fn pull_drawer(
             stage(at(LEAD_M), Fingers::Close, Until::Reached(open || lost))
         }
         4 => stage(here, Fingers::Open, Until::Steps(FINGER_STEPS)),
-        5 => stage(at(STANDOFF_M), Fingers::Open, Until::There),
+        5 => stage(at(STANDOFF_M), Fingers::Open, Until::Arrived),
         _ => return Ok(None),
     }))
 }
@@ -311,7 +311,7 @@ fn push_drawer(number: u32, world: &World, region: &str) -> Result<Option<Stage>
             let closed = drawer.position > DRAWER_CLOSED_M;
             stage(at(-LEAD_M), Fingers::Close, Until::Reached(closed))
         }
-        2 => stage(at(STANDOFF_M), Fingers::Close, Until::There),
+        2 => stage(at(STANDOFF_M), Fingers::Close, Until::Arrived),
         _ => return Ok(None),
     }))
 }
@@ -327,7 +327,7 @@ fn turn_knob(number: u32, world: &World, stove: &str) -> Result<Option<Stage>, E
     };
     Ok(Some(match number {
         0 => stage(at(0.0, STANDOFF_M / 2.0), Fingers::Open, Until::Travelled),
-        1 => stage(at(0.0, -KNOB_DEPTH_M), Fingers::Open, Until::There),
+        1 => stage(at(0.0, -KNOB_DEPTH_M), Fingers::Open, Until::Arrived),
         2 => stage(
             at(0.0, -KNOB_DEPTH_M),
             Fingers::Close,
@@ -346,7 +346,7 @@ fn turn_knob(number: u32, world: &World, stove: &str) -> Result<Option<Stage>, E
             Fingers::Open,
             Until::Steps(FINGER_STEPS),
         ),
-        5 => stage(at(0.0, STANDOFF_M / 2.0), Fingers::Open, Until::There),
+        5 => stage(at(0.0, STANDOFF_M / 2.0), Fingers::Open, Until::Arrived),
         _ => return Ok(None),
     }))
 }
@@ -377,7 +377,7 @@ fn push_door(number: u32, world: &World, microwave: &str) -> Result<Option<Stage
         2 => stage(
             at(angle, DOOR_FRONT_M + STANDOFF_M),
             Fingers::Close,
-            Until::There,
+            Until::Arrived,
         ),
         _ => return Ok(None),
     }))
@@ -406,7 +406,7 @@ fn drag(
             Fingers::Close,
             Until::Travelled,
         ),
-        1 => stage(at(DRAG_FROM_M, pressing), Fingers::Close, Until::There),
+        1 => stage(at(DRAG_FROM_M, pressing), Fingers::Close, Until::Arrived),
         2 => {
             let slipped = (world.grip - thing.centre).horizontal_norm() > widest;
             let over = left < DRAG_DONE_M || slipped;
@@ -416,7 +416,7 @@ fn drag(
         3 => stage(
             at(DRAG_FROM_M, thing.top() + STANDOFF_M / 2.0),
             Fingers::Close,
-            Until::There,
+            Until::Arrived,
         ),
         _ => return Ok(None),
     }))

@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_hold_what_windows_see() {
+    fn columns_hold_the_values_of_each_window() {
         let values: Vec<f32> = (1..=3 * 8 * 8).map(|value| value as f32).collect();
         let planes = Planes {
             values: &values,

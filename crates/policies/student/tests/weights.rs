@@ -18,7 +18,7 @@ fn spoilt(change: impl FnOnce(&mut Weights)) -> WeightsError {
 }
 
 #[test]
-fn weights_say_what_they_are() {
+fn weights_have_a_name_and_a_digest() {
     let bytes = Weights::random(3).bytes();
     let network = Network::from_safetensors(&bytes).expect("weights");
     assert_eq!(network.name(), "student");

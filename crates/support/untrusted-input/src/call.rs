@@ -35,7 +35,7 @@ pub(crate) async fn call(
 }
 
 /// Returns true if a status reports a fault of the service itself.
-pub(crate) fn blames_itself(refusal: &Status) -> bool {
+pub(crate) fn is_internal_fault(refusal: &Status) -> bool {
     match refusal.code() {
         // tonic uses this code also for bytes that cannot be decoded.
         Code::Internal => !refusal

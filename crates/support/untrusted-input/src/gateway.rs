@@ -13,7 +13,7 @@ use proto::policy as wire;
 use proto::policy::policy_server::PolicyServer;
 use tonic::service::Routes;
 
-use crate::call::{blames_itself, block_on, call};
+use crate::call::{block_on, call, is_internal_fault};
 use crate::script;
 
 /// Prefix of the gateway's message for a query that the policy refused.
@@ -37,8 +37,9 @@ pub(crate) fn messages(input: &[u8]) -> bool {
             let method = METHODS[usize::from(called.method) % METHODS.len()];
             let path = format!("/rollout.policy.v1.Policy/{method}");
             if let Err(refusal) = call(&mut services, &path, &called.messages).await {
-                let blames_itself = blames_itself(&refusal) && !refusal.message().contains(POLICY);
-                assert!(!blames_itself, "{method} {called:?}: {refusal}");
+                let is_internal_fault =
+                    is_internal_fault(&refusal) && !refusal.message().contains(POLICY);
+                assert!(!is_internal_fault, "{method} {called:?}: {refusal}");
                 all_accepted = false;
             }
         }

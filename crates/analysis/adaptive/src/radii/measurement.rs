@@ -127,12 +127,12 @@ impl Measurement {
     /// Returns the rollouts to run next, in order; empty if every threshold is found or all
     /// needed rollouts are requested.
     pub fn plan(&self) -> Vec<(Ray, Level)> {
-        let asked: u32 = self.rays.values().map(Outcomes::requested).sum();
+        let requested: u32 = self.rays.values().map(Outcomes::requested).sum();
         let left = self
             .thresholds
             .budget
             .unwrap_or(u32::MAX)
-            .saturating_sub(asked);
+            .saturating_sub(requested);
         let wanted = self.rays().flat_map(|(ray, outcomes)| {
             let levels = match self.decision(ray, outcomes) {
                 Decision::Run(levels) => levels,

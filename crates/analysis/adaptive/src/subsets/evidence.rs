@@ -312,13 +312,13 @@ mod tests {
     /// in `begun`, by enumerating every reachable state: the numbers of rollouts and of
     /// successes so far.
     fn probability_of_success(repeats: Repeats, role: Role, p: f64, begun: Tally) -> f64 {
-        let mut said = 0.0;
+        let mut probability = 0.0;
         let mut states = BTreeMap::from([((begun.asked(), begun.successes), 1.0)]);
         while let Some(((n, successes), weight)) = states.pop_first() {
             let tally = tally(successes, n - successes);
             let more = match Evidence::Repeated(repeats).verdict(&tally, role) {
                 Verdict::Success => {
-                    said += weight;
+                    probability += weight;
                     continue;
                 }
                 Verdict::NotRun => repeats.looks(role).batch,
@@ -332,7 +332,7 @@ mod tests {
                 ways *= f64::from(more - k) / f64::from(k + 1);
             }
         }
-        said
+        probability
     }
 
     #[test]
@@ -367,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_asked_beyond_the_bound() {
+    fn requests_never_exceed_the_bound() {
         let repeated = |successes, failures, role| {
             Evidence::Repeated(Repeats::default()).verdict(&tally(successes, failures), role)
         };

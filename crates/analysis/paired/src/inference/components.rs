@@ -120,7 +120,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_differs_only_between_replicates_is_chance() {
+    fn variance_between_replicates_only_counts_as_chance() {
         let of = |outcomes: [[f64; 2]; 4]| {
             let keys = TaskRef::all()
                 .take(2)

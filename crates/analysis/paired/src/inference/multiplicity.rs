@@ -89,7 +89,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn holm_is_what_it_is_in_the_paper() {
+    fn holm_agrees_with_the_published_example() {
         let adjusted = holm(&[0.01, 0.04, 0.03, 0.005]);
         for (p, expected) in adjusted.iter().zip([0.03, 0.06, 0.06, 0.02]) {
             assert!((p - expected).abs() < 1e-12, "{adjusted:?}");

@@ -244,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn totals_with_values_that_are_never_known_are_covered_too() {
+    fn totals_with_unknown_values_are_covered_too() {
         assert!(check([0, 1], &QUARANTINE, &[5]) > 0.0);
         check([0, 1], &QUARANTINE, &[3, 3]);
     }

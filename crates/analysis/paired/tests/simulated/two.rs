@@ -171,11 +171,11 @@ impl TwoPolicies {
         let mut truth = [[0.0; ROWS]; 4];
         for (sign, which) in [(1.0, 0), (-1.0, 1)] {
             let policy = &self.0[which];
-            let known = directions.map(|directions| &directions.effects[which]);
-            let directions = known.unwrap_or(&none);
+            let of_directions = directions.map(|directions| &directions.effects[which]);
+            let directions = of_directions.unwrap_or(&none);
             for row in 0..ROWS {
                 // Nominal rollouts have no direction.
-                let unknown = match known {
+                let unknown = match of_directions {
                     None if row < CONDITIONS => of_direction,
                     _ => 0.0,
                 };

@@ -76,7 +76,7 @@ fn row(
     y: f64,
 ) -> Markup {
     let middle = y + ROW / 2.0;
-    let said = format!(
+    let tooltip = format!(
         "{}: {}{}; only A {}, only B {}, of {}",
         cell.name(),
         words::points(delta.difference),
@@ -87,7 +87,7 @@ fn row(
     );
     html! {
         g {
-            title { (said) }
+            title { (tooltip) }
             @if names_level { (text(0.0, middle + 4.0, "name small", &cell.level.to_string())) }
             text class="small end" x=(number(LABELS - 10.0)) y=(number(middle + 4.0)) {
                 (cell.condition.label())

@@ -42,7 +42,7 @@ pub fn lattice(
     let subsets = full.subsets();
     let places = places(full, &subsets);
     let bottom = HEAD + LAYER * (full.len() + 1) as f64;
-    let known = verdicts
+    let with_outcome = verdicts
         .values()
         .filter(|verdict| verdict.success().is_some())
         .count();
@@ -60,7 +60,7 @@ pub fn lattice(
     let body = html! {
         (text(0.0, 15.0, "head", "Every subset of the axes"))
         (text(WIDE, 15.0, "small muted end",
-            &format!("{known} of {} subsets have an outcome", subsets.len())))
+            &format!("{with_outcome} of {} subsets have an outcome", subsets.len())))
         @for size in 0..=full.len() {
             @let y = HEAD + LAYER * (size as f64 + 0.5);
             @let words = match size { 1 => "1 axis".to_owned(), size => format!("{size} axes") };

@@ -89,7 +89,7 @@ fn column(occurrence: &Occurrence, axes: &[Axis], most: u64, [x, base, rows]: [f
         Transition::Compensated => "compensated",
         _ => "emergent",
     };
-    let said = format!(
+    let tooltip = format!(
         "{}: {} configurations, established in {}",
         subset(occurrence.start, occurrence.set),
         occurrence.configurations,
@@ -101,7 +101,7 @@ fn column(occurrence: &Occurrence, axes: &[Axis], most: u64, [x, base, rows]: [f
         .collect();
     html! {
         g {
-            title { (said) }
+            title { (tooltip) }
             (rect(x - 7.0, base - all, 14.0, all, &format!("{class} pale")))
             (rect(x - 7.0, base - established, 14.0, established, class))
             (text(x, base - all - 5.0, "tiny middle", &occurrence.configurations.to_string()))

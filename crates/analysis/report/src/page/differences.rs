@@ -48,16 +48,16 @@ pub(super) fn of_pairs(pairs: &[Result<Comparison, Unpairable>]) -> Markup {
 
 /// Renders one comparison, for a page of its own.
 pub(super) fn of_one(comparison: &Comparison) -> Markup {
-    let said: Vec<&String> = comparison
+    let notes: Vec<&String> = comparison
         .warnings
         .iter()
         .chain(&comparison.notes)
         .collect();
     html! {
-        @if !said.is_empty() {
+        @if !notes.is_empty() {
             section.warnings role="note" aria-label="Warnings" {
                 h2 { "Before you believe these figures" }
-                (sentences(&said))
+                (sentences(&notes))
             }
         }
         (left_out(comparison, &[]))
@@ -73,14 +73,14 @@ pub(super) fn of_one(comparison: &Comparison) -> Markup {
 const CAPTION: &str = "Difference of success over the same rollouts, in points: to the right of \
     zero, the first policy succeeds more often. Whiskers: 95 % intervals.";
 
-fn sentences(said: &[impl AsRef<str>]) -> Markup {
-    html! { ul { @for said in said { li { (sentence(said.as_ref())) } } } }
+fn sentences(texts: &[impl AsRef<str>]) -> Markup {
+    html! { ul { @for text in texts { li { (sentence(text.as_ref())) } } } }
 }
 
 fn left_out(comparison: &Comparison, warnings: &[String]) -> Markup {
     let left_out = comparison.statistics.left_out();
-    let said: Vec<&String> = warnings.iter().chain(&left_out).collect();
-    html! { @if !said.is_empty() { (sentences(&said)) } }
+    let notes: Vec<&String> = warnings.iter().chain(&left_out).collect();
+    html! { @if !notes.is_empty() { (sentences(&notes)) } }
 }
 
 fn cells(comparison: &Comparison) -> Markup {

@@ -96,20 +96,20 @@ fn in_code(text: &str) -> Markup {
 
 /// Renders the findings of each policy: first those about the last level, then all others.
 pub(super) fn in_words(document: &Document) -> Markup {
-    let said = document.analyses.iter().map(|analysis| {
+    let policies = document.analyses.iter().map(|analysis| {
         let findings = &analysis.report.findings;
         let last = findings.last().and_then(|finding| finding.level);
         let is_first = |finding: &&Finding| finding.level.is_none() || finding.level == last;
         let (first, others): (Vec<&Finding>, Vec<&Finding>) = findings.iter().partition(is_first);
         (analysis, first, others)
     });
-    let said: Vec<_> = said.filter(|(_, first, _)| !first.is_empty()).collect();
+    let policies: Vec<_> = policies.filter(|(_, first, _)| !first.is_empty()).collect();
     let several = document.analyses.len() > 1;
     html! {
-        @if !said.is_empty() {
+        @if !policies.is_empty() {
             section {
                 h2 { "What it shows" }
-                @for (analysis, first, others) in said {
+                @for (analysis, first, others) in policies {
                     @if several { h3 { (analysis.label) } }
                     @for finding in first { p { (finding_in_words(finding)) } }
                     @if !others.is_empty() {

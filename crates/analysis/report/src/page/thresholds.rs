@@ -60,8 +60,8 @@ fn half_success(curves: &[Curve]) -> Markup {
             plain(curve.left_out),
         ]
     };
-    let known = curves.iter().filter(|curve| curve.n > 0);
-    table("Half-success radius", &heads, known.map(row).collect())
+    let drawn = curves.iter().filter(|curve| curve.n > 0);
+    table("Half-success radius", &heads, drawn.map(row).collect())
 }
 
 /// Renders the table of configurations that succeed again beyond a failure.

@@ -132,33 +132,36 @@ fn reasons(a: Subject, b: Subject) -> String {
 }
 
 #[test]
-fn what_was_measured_otherwise_is_not_compared_and_the_difference_is_named() {
+fn policies_measured_differently_are_not_compared_and_the_difference_is_named() {
     let with = |alter: fn(&mut Pin)| {
         let mut subject = other("second");
         alter(&mut subject.provenances[0].pin);
         reasons(campaign("first"), subject)
     };
-    let said = with(|pin| {
+    let message = with(|pin| {
         "primitives".clone_into(&mut pin.asset_pack);
         pin.asset_pack_digest = "b".repeat(64);
     });
     assert!(
-        said.contains(
+        message.contains(
             "more than one asset pack (first with libero (aaaaaaaaaaaa), second with primitives \
              (bbbbbbbbbbbb))"
         ),
-        "{said}"
+        "{message}"
     );
-    let said = with(|pin| "llvmpipe".clone_into(&mut pin.renderer));
-    assert!(said.contains("more than one renderer"), "{said}");
-    let said = with(|pin| "3.9.9".clone_into(&mut pin.mujoco_version));
-    assert!(said.contains("more than one MuJoCo version"), "{said}");
+    let message = with(|pin| "llvmpipe".clone_into(&mut pin.renderer));
+    assert!(message.contains("more than one renderer"), "{message}");
+    let message = with(|pin| "3.9.9".clone_into(&mut pin.mujoco_version));
+    assert!(
+        message.contains("more than one MuJoCo version"),
+        "{message}"
+    );
     let mut reference = other("second");
     reference.realisation = Some("reference".parse().expect("a mode"));
-    let said = reasons(campaign("first"), reference);
+    let message = reasons(campaign("first"), reference);
     assert!(
-        said.contains("first: matched, second: reference") && said.contains("--realisation"),
-        "{said}"
+        message.contains("first: matched, second: reference") && message.contains("--realisation"),
+        "{message}"
     );
     // A subject that mixes two packs is comparable with neither.
     let mut mixed = other("second");
@@ -175,12 +178,12 @@ fn policies_without_a_common_rollout_are_not_compared() {
     let (mut a, mut b) = (campaign("first"), other("second"));
     a.records.retain(|record| is_l1(&record.id));
     b.records.retain(|record| !is_l1(&record.id));
-    let said = reasons(a, b);
-    assert!(said.contains("no rollout in common"), "{said}");
+    let message = reasons(a, b);
+    assert!(message.contains("no rollout in common"), "{message}");
 }
 
 #[test]
-fn result_files_are_compared_with_a_warning_of_what_they_do_not_say() {
+fn result_files_are_compared_with_a_warning_of_unknown_properties() {
     let mut file = other("second");
     file.provenances.clear();
     file.realisation = None;
@@ -190,9 +193,9 @@ fn result_files_are_compared_with_a_warning_of_what_they_do_not_say() {
         source: String::new(),
     };
     let comparison = compare(campaign("first"), file).expect("comparable");
-    let said = comparison.warnings.join("\n");
+    let message = comparison.warnings.join("\n");
     let expected = "`second`: asset pack, MuJoCo version, renderer, realisation mode not known";
-    assert!(said.starts_with(expected), "{said}");
+    assert!(message.starts_with(expected), "{message}");
     let text = comparison.text();
     assert!(text.contains("! `second`: asset pack, MuJoCo"), "{text}");
 }
@@ -246,7 +249,7 @@ fn rollouts_of_another_scene_or_perturbation_are_left_out_and_named() {
 }
 
 #[test]
-fn a_page_of_several_policies_shows_every_pair_and_says_which_it_cannot() {
+fn a_page_of_several_policies_shows_every_pair_or_the_reason_against_it() {
     let mut elsewhere = other("third <b>");
     elsewhere.provenances[0].pin.renderer = "llvmpipe".to_owned();
     let subjects = vec![campaign("first"), other("second"), elsewhere];
@@ -360,7 +363,7 @@ fn partial_progress_is_in_text_page_and_json_beside_success() {
 }
 
 #[test]
-fn designs_with_other_directions_or_placebos_are_said_to_differ() {
+fn differing_directions_or_placebos_give_a_warning() {
     let (mut a, b) = (campaign("first"), other("second"));
     let same = compare(a.clone(), b.clone()).expect("comparable");
     assert_eq!(same.warnings, [] as [String; 0]);

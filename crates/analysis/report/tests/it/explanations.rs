@@ -101,23 +101,23 @@ fn texts(figure: &figures::Figure) -> String {
 }
 
 #[test]
-fn an_upset_plot_counts_each_minimal_subset_and_what_is_established_of_it() {
+fn an_upset_plot_counts_each_minimal_subset_and_its_established_share() {
     let document = document(vec![explaining()]);
     let findings = document.analyses[0].findings.as_ref().expect("findings");
     let emergent = figures::upset(findings, Transition::Emergent).expect("a figure");
     let emergent = texts(&emergent);
-    for said in [
+    for expected in [
         "camera+robot: 3 configurations, established in 3",
         // Its pair camera+lighting was not run.
         "camera+lighting+sensor: 3 configurations, established in 0",
         "lighting+actuation: 3 configurations, established in 3",
         "n = 9",
     ] {
-        assert!(emergent.contains(said), "{said}: {emergent}");
+        assert!(emergent.contains(expected), "{expected}: {emergent}");
     }
     let compensated = figures::upset(findings, Transition::Compensated).expect("a figure");
-    let said = "robot with camera: 3 configurations, established in 3";
-    assert!(texts(&compensated).contains(said));
+    let expected = "robot with camera: 3 configurations, established in 3";
+    assert!(texts(&compensated).contains(expected));
     let names: Vec<String> = figures::all(&document)
         .into_iter()
         .map(|figure| figure.name)
@@ -141,7 +141,7 @@ fn a_lattice_has_a_node_for_every_subset_and_tells_outcomes_by_shape() {
         Some(&explained.explanation),
         &link,
     );
-    let said = texts(&figure);
+    let found = texts(&figure);
     for words in [
         "camera+robot: fails; minimal",
         "camera+lighting: not run",
@@ -149,7 +149,7 @@ fn a_lattice_has_a_node_for_every_subset_and_tells_outcomes_by_shape() {
         "nominal: succeeds",
         "simultaneous: fails",
     ] {
-        assert!(said.contains(words), "{words}: {said}");
+        assert!(found.contains(words), "{words}: {found}");
     }
     let file = figure.standalone();
     let count = |what: &str| file.matches(what).count();
@@ -174,17 +174,17 @@ fn a_lattice_has_a_node_for_every_subset_and_tells_outcomes_by_shape() {
 }
 
 #[test]
-fn the_report_of_an_explaining_campaign_is_what_it_found() {
+fn the_report_of_an_explaining_campaign_shows_its_findings() {
     let document = document(vec![explaining()]);
     let html = page(&document);
-    for said in [
+    for expected in [
         "Why outcomes of OpenVLA-OFT change",
         "emergent failures were explained",
         "More axes can undo what fewer do",
         "lighting+actuation is undone by lighting+sensor+actuation",
         "first &lt;b&gt;",
     ] {
-        assert!(html.contains(said), "{said}");
+        assert!(html.contains(expected), "{expected}");
     }
     for absent in ["Paired outcomes", "Nominal success", "NaN", "<b>"] {
         assert!(!html.contains(absent), "{absent}");
@@ -263,8 +263,8 @@ fn interactions_add_up_to_what_the_report_measures() {
     let matrix = texts(&figures::interaction_matrix(analysis, level));
     let pair = set("camera+robot");
     let index = 100.0 * interactions.pairs[&pair].value;
-    let said = format!("camera+robot: {index:+.1} points").replace('-', "−");
-    assert!(matrix.contains(&said), "{said}: {matrix}");
+    let expected = format!("camera+robot: {index:+.1} points").replace('-', "−");
+    assert!(matrix.contains(&expected), "{expected}: {matrix}");
     let additive = texts(&figures::additive(analysis, level));
     assert!(
         additive.contains("+ triples") && additive.contains("n = 12"),

@@ -103,7 +103,7 @@ fn a_curve_is_the_reports_rate_less_those_that_recover() {
 }
 
 #[test]
-fn the_text_fits_a_terminal_and_says_what_is_left() {
+fn the_text_fits_a_terminal_and_counts_remaining_work() {
     let text = at_levels().text();
     for line in text.lines() {
         assert!(line.chars().count() <= 80, "{line}");
@@ -139,8 +139,8 @@ fn every_condition_has_a_figure_that_stands_alone() {
         for text in ["L1", "L2", "L3", "100 %", "radius of the perturbation"] {
             assert!(texts.contains(&text), "{}: {texts:?}", figure.name);
         }
-        let says = |end: &str| texts.iter().any(|text| text.ends_with(end));
-        assert!(says(", n = 400"), "{}: {texts:?}", figure.name);
+        let ends_a_text = |end: &str| texts.iter().any(|text| text.ends_with(end));
+        assert!(ends_a_text(", n = 400"), "{}: {texts:?}", figure.name);
         assert!(
             !svg.contains("NaN") && !svg.contains("inf"),
             "{}",
@@ -165,15 +165,15 @@ fn without_outcomes_there_is_no_curve() {
 }
 
 #[test]
-fn the_report_of_a_measuring_campaign_is_what_it_found() {
+fn the_report_of_a_measuring_campaign_shows_its_findings() {
     let document = document(vec![measuring(&nominal(), Vec::new(), 8.0)]);
     let html = page(&document);
-    for said in [
+    for expected in [
         "How far OpenVLA-OFT goes",
         "class=\"curve\"",
         "Half-success radius",
     ] {
-        assert!(html.contains(said), "{said}");
+        assert!(html.contains(expected), "{expected}");
     }
     for absent in ["Paired outcomes", "Nominal success and single axes", "NaN"] {
         assert!(!html.contains(absent), "{absent}");

@@ -122,7 +122,7 @@ fn an_interval_covers_the_median_of_the_population() {
 }
 
 #[test]
-fn thresholds_whose_failure_is_not_known_are_censored_and_bias_nothing() {
+fn thresholds_without_a_known_failure_are_censored_and_cause_no_bias() {
     let population = Population {
         median: 9.0,
         quarantined: 0.3,
@@ -142,7 +142,7 @@ fn thresholds_whose_failure_is_not_known_are_censored_and_bias_nothing() {
 }
 
 #[test]
-fn where_no_radius_between_is_run_the_interval_is_as_wide_as_the_bracket() {
+fn without_radii_between_levels_the_interval_is_as_wide_as_the_bracket() {
     // Medians near L1, halfway, and near L2.
     for median in [2.1, 3.0, 3.9] {
         let population = Population {

@@ -141,7 +141,7 @@ fn the_half_success_radius_is_found_within_the_tolerance() {
 }
 
 #[test]
-fn what_has_no_outcome_is_left_out_and_counted() {
+fn rollouts_without_an_outcome_are_left_out_and_counted() {
     let source = campaign(10);
     let thresholds = thresholds(None, 0);
     let before = Measurement::of(&source, &[], &thresholds).curves(&Bootstrap::default());

@@ -91,7 +91,7 @@ proptest! {
     }
 
     #[test]
-    fn whatever_the_outcomes_are_the_first_failure_and_every_recovery_are_named(
+    fn the_first_failure_and_every_recovery_are_found_for_any_outcomes(
         seed: u64, failing in 0_u64..16, quarantined in 0_u64..6, tolerance in 0.05_f64..3.0,
     ) {
         let search = search(tolerance, 16.0);
@@ -122,7 +122,7 @@ proptest! {
     }
 
     #[test]
-    fn what_is_asked_for_depends_on_outcomes_and_on_no_order(
+    fn requests_depend_on_outcomes_and_not_on_their_order(
         seed: u64, failing in 0_u64..16, order: u64,
     ) {
         let search = search(0.25, 16.0);
@@ -154,7 +154,7 @@ proptest! {
     }
 
     #[test]
-    fn outcomes_that_are_supplied_are_not_asked_for(at in 0.001_f64..20.0, tolerance in 0.05_f64..3.0) {
+    fn supplied_outcomes_are_not_requested_again(at in 0.001_f64..20.0, tolerance in 0.05_f64..3.0) {
         let search = search(tolerance, 16.0);
         let outcome = |level: Level| Outcome::from(level.radius() < at);
         let alone = run(&search, outcome);
@@ -218,7 +218,7 @@ fn a_delay_is_found_to_the_control_step() {
 }
 
 #[test]
-fn what_fails_nominally_is_not_perturbed_further() {
+fn configurations_that_fail_nominally_are_not_perturbed_further() {
     let search = search(0.5, 16.0);
     let mut outcomes = Outcomes::from_nominal(Outcome::Failure);
     assert_eq!(next(&outcomes, &search), Decision::Done);

@@ -125,7 +125,7 @@ fn minimal_sets(lattice: &Lattice) -> Vec<(AxisSet, Vec<AxisSet>)> {
 
 proptest! {
     #[test]
-    fn an_explanation_says_what_the_definitions_say(outcomes in transitions(), run in prop::collection::vec(any::<bool>(), 64)) {
+    fn explanations_agree_with_their_definitions(outcomes in transitions(), run in prop::collection::vec(any::<bool>(), 64)) {
         let full = full_of(&outcomes);
         let mut lattice = campaign(&outcomes);
         for ((&set, &outcome), run) in outcomes.iter().zip(run) {
@@ -191,7 +191,7 @@ proptest! {
     }
 
     #[test]
-    fn what_is_named_is_verified_and_all_minimal_pairs_are_named(outcomes in transitions(), cut in 1..20_usize) {
+    fn reported_subsets_are_verified_and_include_all_minimal_pairs(outcomes in transitions(), cut in 1..20_usize) {
         let truth = minimal_sets(&complete(&outcomes));
         for strategy in [Strategy::Adaptive, Strategy::TopDown] {
             let lattice = search(&outcomes, strategy, cut);
@@ -251,7 +251,7 @@ proptest! {
     }
 
     #[test]
-    fn while_anything_is_pending_nothing_more_is_asked(outcomes in transitions(), which in any::<prop::sample::Index>()) {
+    fn no_rollout_is_requested_while_one_is_pending(outcomes in transitions(), which in any::<prop::sample::Index>()) {
         let mut lattice = campaign(&outcomes);
         if let Decision::Run(batch) = next(&lattice, Strategy::Adaptive) {
             let one = which.get(&batch).set;
