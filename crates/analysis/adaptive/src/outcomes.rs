@@ -51,9 +51,9 @@ impl Tally {
     }
 }
 
-/// Outcomes of one search by point: a subset of the axes, or a radius. Those of the source
-/// campaign and those of the campaign that runs the requests stay apart, because a budget
-/// pays for the latter only, and only they are evidence if the former select what is tested.
+/// Outcomes of one search by point: a subset of the axes, or a radius. The tallies of the source
+/// campaign are separate from those of requested rollouts: only requested rollouts count against
+/// the budget, and only they are evidence if source outcomes select the tested hypotheses.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Outcomes<P>(BTreeMap<P, Tallies>);
 

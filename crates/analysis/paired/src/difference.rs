@@ -13,7 +13,7 @@ use crate::inference::estimate::{Estimate, Scale};
 use crate::inference::multiplicity::{holm, max_t};
 use crate::inference::sample::{Row, Sample};
 use crate::inference::sign_flip::sign_flip_p;
-use crate::interval::{MIN_TASKS, NoInterval, shown};
+use crate::interval::{MIN_TASKS, NoInterval, interval_or_reason};
 use crate::mcnemar::mcnemar_exact;
 use crate::outcomes::Outcome;
 
@@ -172,7 +172,7 @@ impl Difference {
                 Self::new(pairs, *directions, clusters, interval)
             })
             .collect();
-        together(&mut differences, bootstrap);
+        correct_for_multiplicity(&mut differences, bootstrap);
         differences
     }
 
@@ -192,7 +192,7 @@ impl Difference {
         if total.n() == 0 {
             return None;
         }
-        let interval = shown(clusters.len(), interval);
+        let interval = interval_or_reason(clusters.len(), interval);
         let net = |task: &Tally| task.a_only as i64 - task.b_only as i64;
         let sign_flip_p = sign_flip_p(&clusters.iter().map(net).collect::<Vec<_>>());
         let estimate = estimate(pairs, directions)?;
@@ -351,7 +351,7 @@ impl Profile {
 }
 
 /// Corrects the rows of a comparison for multiplicity: Holm's p-values and max-t intervals.
-fn together(differences: &mut [Option<Difference>], bootstrap: &Bootstrap) {
+fn correct_for_multiplicity(differences: &mut [Option<Difference>], bootstrap: &Bootstrap) {
     let mut made: Vec<&mut Difference> = differences.iter_mut().flatten().collect();
     let p_values: Vec<f64> = made
         .iter()

@@ -67,7 +67,7 @@ pub(crate) fn intervals<const N: usize>(
     // Skips the computation of intervals that would be withheld.
     let intervals = (tasks >= MIN_TASKS).then(|| bootstrap.intervals(tasks, statistics));
     let intervals = intervals.flatten().map_or([None; N], |all| all.map(Some));
-    let shown = intervals.map(|interval| shown(tasks, interval));
+    let shown = intervals.map(|interval| interval_or_reason(tasks, interval));
     let why = shown.iter().find_map(|interval| interval.err());
     (shown.map(Result::ok), why)
 }
@@ -84,11 +84,15 @@ pub fn intervals_of_many(
     let made = (tasks >= MIN_TASKS).then(|| bootstrap.intervals_of_many(tasks, count, statistics));
     let made = made.flatten();
     let each = (0..count).map(|i| made.as_ref().map(|all| all[i]));
-    each.map(|interval| shown(tasks, interval)).collect()
+    each.map(|interval| interval_or_reason(tasks, interval))
+        .collect()
 }
 
 /// Returns the interval, or the reason why it is withheld.
-pub(crate) fn shown(tasks: usize, interval: Option<Interval>) -> Result<Interval, NoInterval> {
+pub(crate) fn interval_or_reason(
+    tasks: usize,
+    interval: Option<Interval>,
+) -> Result<Interval, NoInterval> {
     if tasks < MIN_TASKS {
         return Err(NoInterval::TooFewTasks);
     }

@@ -23,8 +23,7 @@ const EXAMPLES: [&str; 3] = ["openvla_oft", "student", "student_randomised"];
 const CAMPAIGNS: u64 = 200;
 const COMPARISONS: u64 = 20;
 
-/// Published rate that the gates of all campaigns are held against, over all suites and for each
-/// suite.
+/// Published rate in the gates of all campaigns, over all suites and for each suite.
 const PUBLISHED: f64 = 0.87;
 
 /// Records and progress of an example.

@@ -413,7 +413,7 @@ fn a_rollout_recorded_twice_is_refused() {
     );
 }
 
-/// A late policy is beside the six axes: it has a rate, and nothing else changes.
+/// Latency is not one of the six axes: it has a rate of its own and changes no other figure.
 #[test]
 fn a_late_policy_has_a_rate_and_is_in_no_paired_measure() {
     let record = |condition: Condition, index: usize, outcome| Record {

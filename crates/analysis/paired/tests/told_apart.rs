@@ -15,7 +15,7 @@ const CAMPAIGNS: u64 = 100;
 
 /// Number of campaigns, of a hundred, whose sentences about simultaneity and directions
 /// claim what was planted and nothing else.
-fn right(planted: Planted, expected: &[(FindingKind, &str)]) -> usize {
+fn count_correct(planted: Planted, expected: &[(FindingKind, &str)]) -> usize {
     let options = Options {
         // No sentence uses the paper's intervals.
         bootstrap: Bootstrap {
@@ -54,8 +54,8 @@ fn sentences_distinguish_coins_an_interaction_and_directions() {
         (Planted::Interaction, "interaction", &[emerge]),
         (Planted::Directions, "directions", &[depends]),
     ] {
-        let right = right(planted, expected);
-        println!("{name}: {right} of {CAMPAIGNS}");
-        assert!(right >= 95, "{name}: {right} of {CAMPAIGNS}");
+        let correct = count_correct(planted, expected);
+        println!("{name}: {correct} of {CAMPAIGNS}");
+        assert!(correct >= 95, "{name}: {correct} of {CAMPAIGNS}");
     }
 }

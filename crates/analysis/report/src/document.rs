@@ -43,7 +43,8 @@ pub enum DocumentError {
     /// A campaign of LIBERO's family has a variant or protocol that this program does not know.
     #[error(transparent)]
     Family(#[from] FamilyError),
-    /// Rollouts of LIBERO's family beside others, or without their protocol.
+    /// Rollouts of LIBERO's family are reported together with other subjects, or lack their
+    /// protocol.
     #[error(
         "report on policy `{policy}`: its rollouts are of LIBERO-Plus or LIBERO-PRO, which are \
          never pooled with others: report on its campaign alone, at its coordinator"

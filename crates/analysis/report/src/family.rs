@@ -27,7 +27,7 @@ pub struct Family {
     pub protocol: String,
     /// Rollouts of the campaign without an outcome so far, the unperturbed ones included.
     pub missing: u64,
-    /// Rollouts given up after too many failed attempts, which are in no figure.
+    /// Quarantined rollouts, that is, those with too many failed attempts; in no figure.
     pub quarantined: u64,
     /// The unperturbed rollouts.
     pub unperturbed: Line,
@@ -50,7 +50,7 @@ pub struct Line {
     pub tasks: u64,
     /// Rollouts with an outcome.
     pub rollouts: u64,
-    /// Successful ones.
+    /// Successful rollouts.
     pub successes: u64,
     /// Successes over rollouts, per cent, as the benchmark's table has it.
     pub percent: Option<f64>,
@@ -100,12 +100,12 @@ impl Line {
 /// Failure to report on a campaign of LIBERO's family.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FamilyError {
-    /// A rollout is of no variant.
+    /// A rollout's variant is unknown.
     #[error("report on campaign `{campaign}`")]
     Rollout {
         /// The campaign.
         campaign: String,
-        /// The rollout.
+        /// Error that names the rollout.
         #[source]
         source: SelectionError,
     },
@@ -114,7 +114,7 @@ pub enum FamilyError {
     Protocol {
         /// The campaign.
         campaign: String,
-        /// The protocol.
+        /// Error that names the protocol.
         #[source]
         source: UnknownName,
     },
@@ -125,7 +125,7 @@ struct Counted {
     case: Case,
     success: bool,
     /// Success of the unperturbed rollout from the same state, if it has an outcome.
-    beside: Option<bool>,
+    unperturbed_success: Option<bool>,
 }
 
 /// Sums over the rollouts of a task.
@@ -142,9 +142,9 @@ impl Sums {
     fn add(&mut self, of: &Counted) {
         self.rollouts += 1;
         self.successes += u64::from(of.success);
-        self.pairs += u64::from(of.beside.is_some());
-        self.broken += u64::from(!of.success && of.beside == Some(true));
-        self.gained += u64::from(of.success && of.beside == Some(false));
+        self.pairs += u64::from(of.unperturbed_success.is_some());
+        self.broken += u64::from(!of.success && of.unperturbed_success == Some(true));
+        self.gained += u64::from(of.success && of.unperturbed_success == Some(false));
     }
 
     /// Returns the sums with each task counted as often as it was drawn.
@@ -253,7 +253,7 @@ impl Family {
             Some(Counted {
                 case: *case,
                 success: outcome.success()?,
-                beside: of_state.get(&(case.task, case.trial)).copied(),
+                unperturbed_success: of_state.get(&(case.task, case.trial)).copied(),
             })
         });
         let (unperturbed, variants): (Vec<Counted>, Vec<Counted>) =

@@ -42,7 +42,7 @@ pub enum ImportError {
         source: std::io::Error,
     },
     #[error(
-        "import {path}: {} bad, nothing was taken of it: {}",
+        "import {path}: {} bad, nothing was imported: {}",
         counted(.bad),
         listed(.named, .bad)
     )]
@@ -58,7 +58,7 @@ pub enum ImportError {
     #[error("import {path}: it has no row")]
     Empty { path: PathBuf },
     /// `about.json` cannot be parsed.
-    #[error("read {path}, which says what the rows are")]
+    #[error("read {path}, which describes the rows")]
     About { path: PathBuf, source: JsonError },
 }
 

@@ -357,7 +357,7 @@ fn push_half_success(text: &mut String, curves: &[&Curve]) {
     let late = curves
         .iter()
         .find(|curve| curve.condition == Condition::Latency);
-    if let Some(words) = late.map(|curve| bears(curve)) {
+    if let Some(words) = late.map(|curve| tolerated_delay(curve)) {
         push_wrapped(text, "", &words);
     }
     if curves.iter().any(|curve| !curve.is_bisected) {
@@ -368,7 +368,7 @@ fn push_half_success(text: &mut String, curves: &[&Curve]) {
 }
 
 /// Describes the delay up to which half of the configurations succeed, in whole control steps.
-pub(crate) fn bears(curve: &Curve) -> String {
+pub(crate) fn tolerated_delay(curve: &Curve) -> String {
     let delay = |radius: f64| {
         let steps = (radius * STEPS_PER_RADIUS).floor();
         let milliseconds = steps * 1000.0 / f64::from(CONTROL_HZ);

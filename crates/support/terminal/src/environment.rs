@@ -85,7 +85,7 @@ fn variable(arg: &Arg) -> Option<String> {
     arg.get_long().filter(|_| is_public).map(variable_name)
 }
 
-/// Empty lines of an environment file restore defaults.
+/// Returns true if a variable is set to the empty string, which restores its option's default.
 fn is_empty(variable: &String) -> bool {
     var_os(variable).is_some_and(|value| value.is_empty())
 }

@@ -39,22 +39,22 @@ pub(crate) fn messages(input: &[u8]) -> bool {
         let folder = tempfile::tempdir().expect("a temporary folder");
         std::fs::write(folder.path().join(DATABASE_FILE), database).expect("a file");
         let mut coordinator = TestCoordinator::in_folder(folder.path()).await;
-        let mut witness = Witness::of(folder.path()).await;
+        let mut detector = ChangeDetector::of(folder.path()).await;
         let mut all_accepted = true;
         for called in script::read(input) {
-            let before = witness.snapshot().await;
+            let before = detector.snapshot().await;
             let method = METHODS[usize::from(called.method) % METHODS.len()];
             if let Some(Err(refusal)) = coordinator.call(method, &called.messages).await {
                 // The coordinator returns Unavailable when its database fails.
                 let is_internal_fault =
                     is_internal_fault(&refusal) || refusal.code() == Code::Unavailable;
                 assert!(!is_internal_fault, "{method} {called:?}: {refusal}");
-                let after = witness.snapshot().await;
+                let after = detector.snapshot().await;
                 assert_eq!(before, after, "{method} {called:?}: {refusal}");
                 all_accepted = false;
             }
         }
-        witness.0.close().await.expect("closes");
+        detector.0.close().await.expect("closes");
         assert_eq!(check(folder.path()).await.expect("a database"), []);
         let (method, message) = messages::registration("next");
         let next = coordinator.call(method, &[&message]).await;
@@ -65,14 +65,14 @@ pub(crate) fn messages(input: &[u8]) -> bool {
 }
 
 /// Detects changes of a database and of the files beside it.
-struct Witness(SqliteConnection, PathBuf);
+struct ChangeDetector(SqliteConnection, PathBuf);
 
-impl Witness {
-    async fn of(data: &Path) -> Witness {
+impl ChangeDetector {
+    async fn of(data: &Path) -> ChangeDetector {
         let file = data.join(DATABASE_FILE);
         let options = SqliteConnectOptions::new().filename(file).read_only(true);
         let connection = options.connect().await.expect("a database");
-        Witness(connection, data.join(ARTIFACTS_FOLDER))
+        ChangeDetector(connection, data.join(ARTIFACTS_FOLDER))
     }
 
     /// Returns a number that changes with every commit of another connection, and the number of

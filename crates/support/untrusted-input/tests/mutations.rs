@@ -11,15 +11,15 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use untrusted_input::{TARGETS, Target};
 
-/// Inputs of a target that opens a database for each.
+/// Number of inputs of a target that opens a database for each input.
 const DATABASE_INPUTS: usize = 150;
-/// Inputs of each of the others.
+/// Number of inputs of every other target.
 const INPUTS: usize = 2_000;
-/// Most changes that make one input.
+/// Largest number of changes to one input.
 const MAX_CHANGES: usize = 8;
-/// Longest piece that is taken out, doubled or replaced, bytes.
+/// Longest range that is removed, doubled or replaced, bytes.
 const MAX_RANGE_BYTES: usize = 64;
-/// Pieces that are inserted: limits of number types, and tokens of the formats.
+/// Byte strings that are inserted: limits of number types, and tokens of the formats.
 const PIECES: [&[u8]; 16] = [
     b"\x00",
     b"\xff",
@@ -106,7 +106,7 @@ fn rng_seeds() -> RangeInclusive<u64> {
     first.parse().expect("a number")..=last.parse().expect("a number")
 }
 
-/// A seed, or two joined, with a few changes.
+/// Returns a seed, or two joined seeds, with a few changes.
 fn mutated(seeds: &[Vec<u8>], rng: &mut ChaCha8Rng) -> Vec<u8> {
     let mut input = seeds[below(rng, seeds.len())].clone();
     if below(rng, 4) == 0 {

@@ -110,7 +110,7 @@ pub struct Repeats {
     pub error: f64,
 }
 
-/// The looks at the rollouts of one subset.
+/// Schedule of the looks, that is, tests, at the rollouts of one subset.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Looks {
     /// Rollouts per batch.
@@ -122,9 +122,9 @@ pub struct Looks {
 }
 
 impl Default for Repeats {
-    /// Eight equal outcomes decide about an axis alone; among 16 outcomes three may differ,
-    /// among 24 six. Of six axes, 13 equal outcomes decide about a further subset; among 24
-    /// three may differ.
+    /// For an axis alone, eight equal outcomes decide, or 16 of which at most three differ, or 24
+    /// of which at most six differ. For a further subset of six axes, 13 equal outcomes decide, or
+    /// 24 of which at most three differ.
     fn default() -> Self {
         Self {
             batch: 8,

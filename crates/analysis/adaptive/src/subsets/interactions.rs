@@ -160,7 +160,7 @@ impl Interactions {
         let deviations = deviations(&clusters, &subsets, &estimates);
         for family in point.families() {
             let own = &deviations[family.clone()];
-            hold_together(&mut estimates[family], own, bootstrap);
+            set_simultaneous_intervals(&mut estimates[family], own, bootstrap);
         }
         let mut estimates = estimates.into_iter();
         let success = subsets.iter().copied().zip(estimates.by_ref()).collect();
@@ -201,7 +201,11 @@ fn deviations(clusters: &[Tally], subsets: &[AxisSet], estimates: &[Estimate]) -
 }
 
 /// Sets the simultaneous intervals of a family of estimates.
-fn hold_together(estimates: &mut [Estimate], deviations: &[Vec<f64>], bootstrap: &Bootstrap) {
+fn set_simultaneous_intervals(
+    estimates: &mut [Estimate],
+    deviations: &[Vec<f64>],
+    bootstrap: &Bootstrap,
+) {
     // The standard errors below pool all tasks.
     let tasks = deviations.first().map_or(0, Vec::len);
     let Some(critical) = max_t(deviations, &[tasks], bootstrap) else {

@@ -17,9 +17,9 @@
 //! ignored.
 //!
 //! # Sample size
-//! A task's mean may have any value in the range. However many tasks succeed somewhere, one
-//! that fails in all of its configurations remains possible, so that 40 tasks exclude I = 0
-//! only if |I| is about 0.15. The command `cargo run --release -p paired --example new_tasks`
+//! A task's mean may have any value in the range. A task that fails in all of its configurations
+//! remains possible, however many observed tasks do not, so that 40 tasks exclude I = 0 only if
+//! |I| is at least about 0.15. The command `cargo run --release -p paired --example new_tasks`
 //! prints error rates and savings.
 //!
 //! # Sources

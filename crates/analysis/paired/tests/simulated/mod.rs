@@ -15,7 +15,7 @@ const AXES: usize = Axis::ALL.len();
 /// Conditions at a level: each axis alone, and simultaneous.
 const CONDITIONS: usize = AXES + 1;
 
-/// Random numbers.
+/// Generator of random numbers.
 pub(crate) struct Chance(ChaCha12Rng);
 
 impl Chance {
@@ -128,7 +128,8 @@ pub(crate) struct Population {
 type Effects = Vec<[f64; CONDITIONS + 1]>;
 
 impl Population {
-    /// Suites of unequal difficulty, axes of unequal cost, directions that matter.
+    /// Returns a population with suites of unequal difficulty, axes of unequal cost, and an effect
+    /// of the direction.
     pub(crate) const fn usual() -> Self {
         Self {
             ease: [2.8, 3.2, 2.4, 1.4],

@@ -151,14 +151,14 @@ fn square(matched: &Matched, link: Option<Link>, place: [f64; 2]) -> Markup {
     };
     html! {
         @match link {
-            Some(link) => a href=(link(shown_first(matched), matched.replicate)) { (content) },
+            Some(link) => a href=(link(simultaneous_rollout(matched), matched.replicate)) { (content) },
             None => g { (content) },
         }
     }
 }
 
 /// Returns the simultaneous rollout, which identifies a configuration in links.
-fn shown_first(matched: &Matched) -> RolloutId {
+fn simultaneous_rollout(matched: &Matched) -> RolloutId {
     RolloutId::perturbed(
         matched.task,
         Condition::Combination,

@@ -187,8 +187,8 @@ fn a_delay_is_found_to_the_control_step() {
         let search = Search::of(&measured, Condition::Latency, AxisSet::ALL);
         let radii: Vec<String> = search.grid.iter().map(Level::to_string).collect();
         assert_eq!(radii.join(" "), grid);
-        for bears in 0..=7_u16 {
-            let radius = 2.0 * f64::from(bears);
+        for tolerated in 0..=7_u16 {
+            let radius = 2.0 * f64::from(tolerated);
             let outcome = |level: Level| Outcome::from(level.radius() <= radius);
             let outcomes = run(&search, outcome);
             let steps = |level: Level| level.radius() / 2.0;
@@ -201,7 +201,7 @@ fn a_delay_is_found_to_the_control_step() {
             let expected = match radius >= largest.radius() {
                 true => Threshold::Beyond,
                 false => Threshold::Between {
-                    succeeds_at: match bears {
+                    succeeds_at: match tolerated {
                         0 => Level::L0,
                         _ => level(radius),
                     },
@@ -211,7 +211,7 @@ fn a_delay_is_found_to_the_control_step() {
             assert_eq!(
                 Finding::new(&outcomes, &search).threshold,
                 expected,
-                "{bears} steps"
+                "{tolerated} steps"
             );
         }
     }
