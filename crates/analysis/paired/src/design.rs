@@ -88,8 +88,8 @@ pub(crate) fn correlation(
 ) -> Option<f64> {
     let mut tasks: BTreeMap<TaskRef, Vec<f64>> = BTreeMap::new();
     for configuration in configurations {
-        let own = tasks.entry(configuration.task).or_default();
-        own.push(value(configuration));
+        let values = tasks.entry(configuration.task).or_default();
+        values.push(value(configuration));
     }
     let (k, n) = (tasks.len() as f64, configurations.len() as f64);
     if k < 2.0 || n <= k {
@@ -99,9 +99,9 @@ pub(crate) fn correlation(
     let (mut between, mut within, mut squares) = (0.0, 0.0, 0.0);
     for changes in tasks.values() {
         let m = changes.len() as f64;
-        let own = changes.iter().sum::<f64>() / m;
-        between += m * (own - mean).powi(2);
-        within += changes.iter().map(|c| (c - own).powi(2)).sum::<f64>();
+        let task_mean = changes.iter().sum::<f64>() / m;
+        between += m * (task_mean - mean).powi(2);
+        within += changes.iter().map(|c| (c - task_mean).powi(2)).sum::<f64>();
         squares += m * m;
     }
     let (between, within) = (between / (k - 1.0), within / (n - k));

@@ -81,9 +81,10 @@ pub fn intervals_of_many(
     count: usize,
     statistics: impl Fn(&[u32], &mut [f64]) + Sync,
 ) -> Vec<Result<Interval, NoInterval>> {
-    let made = (tasks >= MIN_TASKS).then(|| bootstrap.intervals_of_many(tasks, count, statistics));
-    let made = made.flatten();
-    let each = (0..count).map(|i| made.as_ref().map(|all| all[i]));
+    let computed =
+        (tasks >= MIN_TASKS).then(|| bootstrap.intervals_of_many(tasks, count, statistics));
+    let computed = computed.flatten();
+    let each = (0..count).map(|i| computed.as_ref().map(|all| all[i]));
     each.map(|interval| interval_or_reason(tasks, interval))
         .collect()
 }

@@ -149,8 +149,8 @@ impl Assumed {
     pub fn nearest(all: &[Self], level: Level) -> Option<&Self> {
         let perturbed = all.iter().filter(|assumed| assumed.level != Level::L0);
         perturbed.min_by(|a, b| {
-            let far = |assumed: &Self| (assumed.level.radius() - level.radius()).abs();
-            far(a).total_cmp(&far(b))
+            let distance = |assumed: &Self| (assumed.level.radius() - level.radius()).abs();
+            distance(a).total_cmp(&distance(b))
         })
     }
 

@@ -84,8 +84,9 @@ impl ProgressDifference {
     ) -> Vec<Option<Self>> {
         let each = |value: Value, scale: Scale| {
             let sets = sets.iter().zip(directions);
-            let each = sets.map(|(pairs, of)| MeanDifference::of(pairs, *of, scale, value));
-            corrected(each.collect())
+            let each = sets
+                .map(|(pairs, directions)| MeanDifference::of(pairs, *directions, scale, value));
+            with_holm(each.collect())
         };
         let goals = each(Progress::goal_share, Scale::Difference);
         let steps = each(|progress| progress.steps.map(f64::from), Scale::Mean);
@@ -130,7 +131,7 @@ impl MeanDifference {
 }
 
 /// Fills in Holm's p-values over the rows that have a p-value.
-fn corrected(mut each: Vec<Option<MeanDifference>>) -> Vec<Option<MeanDifference>> {
+fn with_holm(mut each: Vec<Option<MeanDifference>>) -> Vec<Option<MeanDifference>> {
     let tested = each.iter_mut().flatten().filter(|mean| mean.p.is_some());
     let tested: Vec<&mut MeanDifference> = tested.collect();
     let p_values: Vec<f64> = tested.iter().filter_map(|mean| mean.p).collect();

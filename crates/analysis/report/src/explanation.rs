@@ -153,7 +153,7 @@ impl Findings {
         push_wrapped(
             &mut text,
             "",
-            &format!("{} {}", self.explained_by, self.standing()),
+            &format!("{} {}", self.explained_by, self.progress_in_words()),
         );
         let emergent = |occurrence: &&Occurrence| occurrence.transition == Transition::Emergent;
         let (emergent, compensated): (Vec<&Occurrence>, Vec<&Occurrence>) =
@@ -178,7 +178,7 @@ impl Findings {
     }
 
     /// Returns the progress of the explanation: a sentence without subject and full stop.
-    pub(crate) fn standing(&self) -> String {
+    pub(crate) fn progress_in_words(&self) -> String {
         let Self {
             transitions,
             explained,

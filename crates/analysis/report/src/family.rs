@@ -139,12 +139,12 @@ struct Sums {
 }
 
 impl Sums {
-    fn add(&mut self, of: &Counted) {
+    fn add(&mut self, rollout: &Counted) {
         self.rollouts += 1;
-        self.successes += u64::from(of.success);
-        self.pairs += u64::from(of.unperturbed_success.is_some());
-        self.broken += u64::from(!of.success && of.unperturbed_success == Some(true));
-        self.gained += u64::from(of.success && of.unperturbed_success == Some(false));
+        self.successes += u64::from(rollout.success);
+        self.pairs += u64::from(rollout.unperturbed_success.is_some());
+        self.broken += u64::from(!rollout.success && rollout.unperturbed_success == Some(true));
+        self.gained += u64::from(rollout.success && rollout.unperturbed_success == Some(false));
     }
 
     /// Returns the sums with each task counted as often as it was drawn.
@@ -175,18 +175,18 @@ impl Sums {
 impl Line {
     fn new<'a>(name: &str, counted: impl Iterator<Item = &'a Counted>) -> Self {
         let mut by_task: BTreeMap<TaskRef, Sums> = BTreeMap::new();
-        for of in counted {
-            by_task.entry(of.case.task).or_default().add(of);
+        for rollout in counted {
+            by_task.entry(rollout.case.task).or_default().add(rollout);
         }
         let tasks: Vec<Sums> = by_task.into_values().collect();
         let sum = Sums::of(&tasks, |_| 1);
         let bootstrap = Bootstrap::default();
-        let each = intervals_of_many(&bootstrap, tasks.len(), 2, |draws, values| {
+        let intervals = intervals_of_many(&bootstrap, tasks.len(), 2, |draws, values| {
             let drawn = Sums::of(&tasks, |place| u64::from(draws[place]));
             values[0] = drawn.percent().unwrap_or_default();
             values[1] = drawn.loss().unwrap_or_default();
         });
-        let (of_percent, of_loss) = (each[0], each[1]);
+        let (of_percent, of_loss) = (intervals[0], intervals[1]);
         let has_pairs = sum.pairs > 0;
         Self {
             name: name.to_owned(),

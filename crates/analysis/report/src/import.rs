@@ -113,14 +113,14 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
         true => (path.join(ROWS), read_about(&path.join(ABOUT))?),
         false => (path.to_owned(), About::default()),
     };
-    let in_rows = |source| ImportError::Read {
+    let read_error = |source| ImportError::Read {
         path: rows.clone(),
         source,
     };
     let mut reading = Reading::default();
     let mut digest = Sha256::new();
-    let file = File::open(&rows).map_err(in_rows)?;
-    let size_bytes = file.metadata().map_err(in_rows)?.len();
+    let file = File::open(&rows).map_err(read_error)?;
+    let size_bytes = file.metadata().map_err(read_error)?.len();
     let mut read_bytes = 0;
     let mut file = BufReader::new(file);
     let mut line = Vec::new();
@@ -133,7 +133,7 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
             .by_ref()
             .take(MAX_LINE_BYTES)
             .read_until(b'\n', &mut line);
-        let read = read.map_err(in_rows)? as u64;
+        let read = read.map_err(read_error)? as u64;
         if read == 0 {
             break;
         }
@@ -256,7 +256,7 @@ impl Reading {
                 None => error.problem().to_owned(),
             }
         })?;
-        row.agrees_with_itself()?;
+        row.check_consistency()?;
         let key = (row.rollout_id, row.replicate);
         if let Some(earlier) = self.lines.insert(key, self.number) {
             return Err(format!("{} is on line {earlier} too", row.rollout_id));
@@ -265,20 +265,20 @@ impl Reading {
         match (&self.policy, policy) {
             (Some(one), Some(other)) if *one != other => {
                 return Err(format!(
-                    "it is of policy `{other}`, those before are of `{one}`: one policy per file"
+                    "it is of policy `{other}`, earlier lines are of `{one}`: one policy per file"
                 ));
             }
             (None, Some(policy)) => self.policy = Some(policy),
             _ => {}
         }
         let is_late = row.rollout_id.condition() == Condition::Latency;
-        let of_first = self.execution.get_or_insert_with(|| match is_late {
+        let first = self.execution.get_or_insert_with(|| match is_late {
             true => Execution::Wait,
             false => row.execution.clone(),
         });
-        if !is_late && *of_first != row.execution {
+        if !is_late && *first != row.execution {
             return Err(format!(
-                "it ran under execution model `{}`, those before under `{of_first}`: one model per \
+                "it ran under execution model `{}`, earlier lines under `{first}`: one model per \
                  file",
                 row.execution
             ));
@@ -286,7 +286,7 @@ impl Reading {
         match (self.placebo_radius, row.placebo_radius) {
             (Some(one), Some(other)) if one != other => {
                 return Err(format!(
-                    "its `placebo_radius` is {other}, that of those before {one}: one radius per \
+                    "its `placebo_radius` is {other}, that of earlier lines {one}: one radius per \
                      file"
                 ));
             }
@@ -312,7 +312,7 @@ impl Reading {
 }
 
 impl Row {
-    fn agrees_with_itself(&self) -> Result<(), String> {
+    fn check_consistency(&self) -> Result<(), String> {
         let (id, task) = (self.rollout_id, self.rollout_id.task());
         let of_id = [
             ("axis", self.axis.is_none_or(|axis| axis == id.condition())),
@@ -332,7 +332,7 @@ impl Row {
             ),
         ];
         if let Some((field, _)) = of_id.iter().find(|(_, agrees)| !agrees) {
-            return Err(format!("`{field}` is another than in its id {id}"));
+            return Err(format!("`{field}` differs from its id {id}"));
         }
         match self
             .goal()

@@ -65,11 +65,11 @@ impl Sequential {
             return Ok(None);
         };
         let records = Records::new(&subject.records)?;
-        let met = match has_stopped {
+        let stopped = match has_stopped {
             true => CampaignLook::when_met(&records, stop),
             false => None,
         };
-        let look = met.or_else(|| CampaignLook::now(&records, stop));
+        let look = stopped.or_else(|| CampaignLook::now(&records, stop));
         let missing = subject.records.iter();
         let missing = missing.filter(|record| record.outcome == Outcome::Missing);
         Ok(look.map(|look| Self {

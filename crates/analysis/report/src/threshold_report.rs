@@ -198,7 +198,7 @@ impl ThresholdReport {
         push_wrapped(
             &mut text,
             "",
-            &format!("{} {}", self.measured_by, self.standing()),
+            &format!("{} {}", self.measured_by, self.progress_in_words()),
         );
         let curves: Vec<&Curve> = self.curves.iter().filter(|curve| curve.n > 0).collect();
         if !curves.is_empty() {
@@ -219,7 +219,7 @@ impl ThresholdReport {
     }
 
     /// Returns the progress of the measurement: a sentence without subject and full stop.
-    pub(crate) fn standing(&self) -> String {
+    pub(crate) fn progress_in_words(&self) -> String {
         let mut words = format!(
             "measures thresholds of {}: {} of {} found in {}",
             self.campaign,
@@ -276,9 +276,9 @@ impl Measured {
 
     /// Lists the radii that succeed or, if `success` is false, those that fail.
     pub(crate) fn radii(&self, success: bool) -> String {
-        let such = self.outcomes.iter();
-        let such = such.filter(|point| point.outcome.success() == Some(success));
-        let radii: Vec<String> = such.map(|point| point.radius.to_string()).collect();
+        let points = self.outcomes.iter();
+        let points = points.filter(|point| point.outcome.success() == Some(success));
+        let radii: Vec<String> = points.map(|point| point.radius.to_string()).collect();
         radii.join(", ")
     }
 }

@@ -206,7 +206,7 @@ impl Transfer {
         motion: &Motion,
     ) -> Result<Option<Command>, ExpertError> {
         loop {
-            match self.look(world, motion)? {
+            match self.decide(world, motion)? {
                 Next::Stay(command) => {
                     self.ticks += 1;
                     return Ok(Some(command));
@@ -229,7 +229,7 @@ impl Transfer {
         self.ticks = 0;
     }
 
-    fn look(&self, world: &World, motion: &Motion) -> Result<Next, ExpertError> {
+    fn decide(&self, world: &World, motion: &Motion) -> Result<Next, ExpertError> {
         let object = world.entity(&self.object)?;
         Ok(match self.phase {
             Phase::Choose => self.choose(world, object)?,

@@ -148,11 +148,11 @@ impl Repeats {
     /// Returns the fewest rollouts per subset that can decide about every subset of a lattice
     /// of `axes` axes.
     pub fn fewest(axes: usize) -> u32 {
-        let of = |role| {
+        let fewest_for = |role| {
             let can_decide = |most: &u32| Self::up_to(*most).looks(role).can_decide();
             (1..).find(can_decide).expect("2⁻ⁿ falls below any level")
         };
-        of(Role::Transition).max(of(Role::further(axes)))
+        fewest_for(Role::Transition).max(fewest_for(Role::further(axes)))
     }
 
     /// Returns the looks at a subset. The first batch is large enough that equal outcomes

@@ -159,8 +159,8 @@ impl Interactions {
         let mut estimates: Vec<Estimate> = point.all().zip(intervals).map(estimate).collect();
         let deviations = deviations(&clusters, &subsets, &estimates);
         for family in point.families() {
-            let own = &deviations[family.clone()];
-            set_simultaneous_intervals(&mut estimates[family], own, bootstrap);
+            let of_family = &deviations[family.clone()];
+            set_simultaneous_intervals(&mut estimates[family], of_family, bootstrap);
         }
         let mut estimates = estimates.into_iter();
         let success = subsets.iter().copied().zip(estimates.by_ref()).collect();
@@ -193,8 +193,8 @@ fn deviations(clusters: &[Tally], subsets: &[AxisSet], estimates: &[Estimate]) -
         let numerators = Numerators::of(subsets, &task.successes);
         let values = rows.iter_mut().zip(estimates).zip(numerators.all());
         for ((row, estimate), (numerator, scale)) in values {
-            let own = numerator as f64 / scale as f64;
-            row.push((own - estimate.value * task.n as f64) / mean);
+            let value = numerator as f64 / scale as f64;
+            row.push((value - estimate.value * task.n as f64) / mean);
         }
     }
     rows

@@ -88,9 +88,12 @@ impl Components {
         let mean = tasks.values().flatten().sum::<f64>() / n;
         let (mut between_tasks, mut between_configurations) = (0.0, 0.0);
         for means in tasks.values() {
-            let own = means.iter().sum::<f64>() / means.len() as f64;
-            between_tasks += means.len() as f64 * (own - mean).powi(2);
-            between_configurations += means.iter().map(|mean| (mean - own).powi(2)).sum::<f64>();
+            let task_mean = means.iter().sum::<f64>() / means.len() as f64;
+            between_tasks += means.len() as f64 * (task_mean - mean).powi(2);
+            between_configurations += means
+                .iter()
+                .map(|mean| (mean - task_mean).powi(2))
+                .sum::<f64>();
         }
         let m = n / t;
         let chance = within / (n * (k - 1.0));

@@ -73,10 +73,10 @@ fn under_signs(values: &[f64], signs: &[f64], strata: &[usize]) -> (f64, f64) {
             squares += u * u;
         }
         let g = tasks as f64;
-        let rest = squares - sum * sum / g;
+        let deviation_squares = squares - sum * sum / g;
         // With two tasks, opposite signs may leave a variance that is only a rounding error.
-        if rest > 1e-12 * squares {
-            variance += rest * g / (g - 1.0);
+        if deviation_squares > 1e-12 * squares {
+            variance += deviation_squares * g / (g - 1.0);
         }
         total += sum;
         first += tasks;

@@ -36,8 +36,8 @@ pub fn upset(findings: &Findings, transition: Transition) -> Option<Figure> {
         .map(|occurrence| occurrence.configurations)
         .max()?;
     let (shown, further) = all.split_at(all.len().min(MOST));
-    let of = findings.configurations.iter();
-    let n = of.filter(|explained| explained.explanation.transition == transition);
+    let configurations = findings.configurations.iter();
+    let n = configurations.filter(|explained| explained.explanation.transition == transition);
     let n = n.count();
     let top = HEAD + NUMBERS;
     let base = top + BARS;

@@ -31,7 +31,7 @@ fn of_campaign(found: &Findings, link: Option<Link>) -> Markup {
     html! {
         section {
             h2 { "Which axes it takes" }
-            p { code { (found.explained_by) } " " (found.standing()) "." }
+            p { code { (found.explained_by) } " " (found.progress_in_words()) "." }
             ul.findings {
                 @for transition in transitions { (in_words(found, transition)) }
                 (non_monotone(found))

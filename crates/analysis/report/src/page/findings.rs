@@ -45,7 +45,7 @@ pub(super) fn subtitle(document: &Document) -> Markup {
 
 pub(super) fn warnings(document: &Document) -> Markup {
     let several = document.analyses.len() > 1;
-    let of = |analysis: &Analysis| html! { @if several { strong { (analysis.label) ": " } } };
+    let label = |analysis: &Analysis| html! { @if several { strong { (analysis.label) ": " } } };
     let any = document.analyses.iter().any(|analysis| {
         !(analysis.report.notes.is_empty() && analysis.report.quarantined.is_empty())
     });
@@ -57,12 +57,12 @@ pub(super) fn warnings(document: &Document) -> Markup {
                     @for warning in &document.warnings { li { (sentence(warning)) } }
                     @for analysis in &document.analyses {
                         @for warning in &analysis.report.notes {
-                            li { (of(analysis)) (sentence(warning)) }
+                            li { (label(analysis)) (sentence(warning)) }
                         }
                         @let quarantined = analysis.report.quarantined.len();
                         @if quarantined > 0 {
                             li {
-                                (of(analysis)) (quarantined)
+                                (label(analysis)) (quarantined)
                                 @if quarantined == 1 { " rollout is" } @else { " rollouts are" }
                                 " in quarantine after repeated errors: in no rate, bounded and listed \
                                 below."

@@ -61,8 +61,8 @@ pub(super) fn methods(document: &Document) -> Markup {
 
 fn of_policy(analysis: &Analysis) -> Markup {
     let subject = &analysis.subject;
-    let distinct = |of: fn(&Provenance) -> String| -> Option<String> {
-        let values: BTreeSet<String> = subject.provenances.iter().map(of).collect();
+    let distinct = |property: fn(&Provenance) -> String| -> Option<String> {
+        let values: BTreeSet<String> = subject.provenances.iter().map(property).collect();
         let values: Vec<String> = values
             .into_iter()
             .filter(|value| !value.is_empty())

@@ -17,19 +17,19 @@ pub(super) fn of_campaigns(document: &Document) -> Markup {
     let all: Vec<_> = all.collect();
     let mut heads = vec!["policy", "level", "configurations"];
     heads.extend(["S_sim %", "R_e %", "R_c %", "R_d %", "I points"]);
-    let rows = all.iter().flat_map(|(label, of)| {
-        of.levels.iter().map(move |(level, intervals)| {
-            let used = format!("{} of {}", of.used, of.configurations);
+    let rows = all.iter().flat_map(|(label, sequential)| {
+        sequential.levels.iter().map(move |(level, intervals)| {
+            let used = format!("{} of {}", sequential.used, sequential.configurations);
             let mut row = vec![plain(label), plain(level), plain(used)];
-            let of = |measure| {
+            let estimate_cell = |measure| {
                 let [ends, estimate] = [
                     percent_text(measure, *intervals.get(&measure)?),
-                    of.estimate_text(*level, measure),
+                    sequential.estimate_text(*level, measure),
                 ];
                 Some(plain(format!("{estimate} {ends}").replace('-', "−")))
             };
-            let cells =
-                Measure::OF_ONE_POLICY.map(|measure| of(measure).unwrap_or_else(|| plain("–")));
+            let cells = Measure::OF_ONE_POLICY
+                .map(|measure| estimate_cell(measure).unwrap_or_else(|| plain("–")));
             row.extend(cells);
             row
         })
@@ -39,8 +39,8 @@ pub(super) fn of_campaigns(document: &Document) -> Markup {
             section {
                 h2 { "Confidence sequences" }
                 (table("Confidence sequences", &heads, rows.collect()))
-                @for (label, of) in &all {
-                    p.muted { (label) ": " (sentence(&of.explanation())) }
+                @for (label, sequential) in &all {
+                    p.muted { (label) ": " (sentence(&sequential.explanation())) }
                 }
             }
         }

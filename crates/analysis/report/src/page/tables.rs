@@ -128,14 +128,14 @@ pub(super) fn paired(document: &Document) -> Markup {
             overstated,
         } = row;
         let completeness = &cell.completeness;
-        let of = match completeness.complete < completeness.expected {
+        let expected = match completeness.complete < completeness.expected {
             true => format!("of {}", completeness.expected),
             false => String::new(),
         };
         let mut values = vec![
             plain(policy),
             plain(cell.level),
-            with(completeness.complete, &of),
+            with(completeness.complete, &expected),
         ];
         let measures = cell.paired.as_ref();
         values.extend(PAIRED.map(|(head, value)| {

@@ -22,7 +22,7 @@ fn section(report: &ThresholdReport) -> Markup {
     html! {
         section {
             h2 { "How far" }
-            p { code { (report.measured_by) } " " (report.standing()) "." }
+            p { code { (report.measured_by) } " " (report.progress_in_words()) "." }
             (figure("How many configurations still succeed, by how strongly they are perturbed: \
                 nominally, and at every radius up to this one that was run. L1, L2 and L3 are the \
                 paper's levels. A configuration fails somewhere between two radii that were run: \

@@ -81,7 +81,7 @@ fn a_file_has_one_execution_model() {
     let message = refused(&[ROW, &other]);
     assert!(
         message.contains(
-            "line 2: it ran under execution model `overlap:4`, those before under `wait`"
+            "line 2: it ran under execution model `overlap:4`, earlier lines under `wait`"
         ),
         "{message}"
     );
@@ -123,7 +123,7 @@ fn many_bad_lines_are_counted() {
 fn a_row_that_contradicts_itself_or_another_is_bad() {
     let wrong = |from: &str, to: &str| ROW.replace(from, to);
     for (from, to, expected) in [
-        ("\"L2\",", "\"L3\",", "`level` is another than in its id"),
+        ("\"L2\",", "\"L3\",", "`level` differs from its id"),
         ("\"camera\",", "\"robot\",", "`axis` is another"),
         ("libero_goal", "libero_object", "`suite` is another"),
         ("\"task_id\": 0", "\"task_id\": 7", "`task_id` is another"),
