@@ -124,10 +124,10 @@ impl Expert {
             Some(plan) => plan,
             None => goal::plan(world)?.into(),
         };
-        let mut wanted = None;
-        while let (None, Some(skill)) = (wanted, plan.front_mut()) {
-            wanted = skill.step(world, &self.motion)?;
-            if wanted.is_none() {
+        let mut next = None;
+        while let (None, Some(skill)) = (next, plan.front_mut()) {
+            next = skill.step(world, &self.motion)?;
+            if next.is_none() {
                 plan.pop_front();
             }
         }
@@ -136,7 +136,7 @@ impl Expert {
             pos: world.grip,
             quat: world.grip_quat,
         };
-        Ok(wanted.unwrap_or(Command {
+        Ok(next.unwrap_or(Command {
             hand: here,
             fingers: Fingers::Open,
             pace: 1.0,

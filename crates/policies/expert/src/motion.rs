@@ -131,8 +131,8 @@ pub(crate) struct Command {
 
 /// Computes the action that follows `command`: seven numbers in [-1, 1].
 pub(crate) fn servo(world: &World, motion: &Motion, command: &Command) -> Action {
-    let foretold = world.grip + motion.per_step() * LOOKAHEAD_STEPS;
-    let shift = (command.hand.pos - foretold) * (POSITION_GAIN / UNIT_M);
+    let predicted = world.grip + motion.per_step() * LOOKAHEAD_STEPS;
+    let shift = (command.hand.pos - predicted) * (POSITION_GAIN / UNIT_M);
     let turn = command
         .hand
         .quat
@@ -172,7 +172,7 @@ pub(crate) enum HandLoad<'a> {
 }
 
 impl HandLoad<'_> {
-    fn is_about(&self, solid: &Solid) -> bool {
+    fn is_load(&self, solid: &Solid) -> bool {
         match self {
             Self::Empty(_) => false,
             Self::For(object) | Self::With(object) => object.name == solid.owner,
@@ -222,7 +222,7 @@ fn highest_on_the_way(world: &World, goal: Vec3, load: HandLoad) -> Option<f64> 
             solid.gap_from_above(p) < CORRIDOR_M
         })
     };
-    let others = world.solids().iter().filter(|solid| !load.is_about(solid));
+    let others = world.solids().iter().filter(|solid| !load.is_load(solid));
     others
         .filter(crossed)
         .map(Solid::top)
@@ -240,7 +240,7 @@ fn way_from_under(world: &World, load: HandLoad) -> Option<Vec3> {
         Vec3::new(0.0, object.half.y + room, 0.0),
     ];
     let overhead = |solid: &&Solid| {
-        let above = solid.bottom() > object.centre.z && !load.is_about(solid);
+        let above = solid.bottom() > object.centre.z && !load.is_load(solid);
         above && solid.overlaps_from_above(object.centre, reach)
     };
     let solid = world.solids().iter().find(overhead)?;
@@ -255,8 +255,8 @@ pub(crate) struct Motion {
     per_step: Vec3,
     still_steps: u32,
     finger_still_steps: u32,
-    /// Opening of the fingers in the last step, m.
-    opened: f64,
+    /// Change of the opening of the fingers in the last step, m.
+    opening_change: f64,
     /// Positions of the hand in the last steps, the latest last.
     trail: [Vec3; TRAIL_STEPS],
 }
@@ -267,8 +267,8 @@ impl Motion {
             self.per_step = world.grip - grip;
             let still = self.per_step.norm() < STILL_M;
             self.still_steps = if still { self.still_steps + 1 } else { 0 };
-            self.opened = world.opening - opening;
-            let fingers_still = self.opened.abs() < STILL_M;
+            self.opening_change = world.opening - opening;
+            let fingers_still = self.opening_change.abs() < STILL_M;
             self.finger_still_steps = if fingers_still {
                 self.finger_still_steps + 1
             } else {
@@ -307,7 +307,7 @@ impl Motion {
     /// Returns true if fingers at a grasp should close: they are open, or have only just
     /// stopped closing.
     pub(crate) fn may_close(&self, world: &World) -> bool {
-        let stops = self.opened < STILL_M && self.finger_still_steps < AT_REST_STEPS;
+        let stops = self.opening_change < STILL_M && self.finger_still_steps < AT_REST_STEPS;
         world.opening > OPEN_M || stops
     }
 

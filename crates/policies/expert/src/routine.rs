@@ -144,7 +144,7 @@ impl Routine {
         motion: &Motion,
     ) -> Result<Option<Command>, ExpertError> {
         while let Some(stage) = self.task.stage(self.stage, world)? {
-            if !self.over(&stage, world, motion) {
+            if !self.is_complete(&stage, world, motion) {
                 self.ticks += 1;
                 let travelling = matches!(stage.until, Until::Travelled);
                 let mut hand = stage.hand;
@@ -164,16 +164,16 @@ impl Routine {
         Ok(None)
     }
 
-    fn over(&self, stage: &Stage, world: &World, motion: &Motion) -> bool {
+    fn is_complete(&self, stage: &Stage, world: &World, motion: &Motion) -> bool {
         let near = stage.hand.is_near(world, NEAR_M, NEAR_RAD);
         let stopped = self.ticks > 5 && motion.still_steps() >= 3;
-        let over = match stage.until {
+        let is_complete = match stage.until {
             Until::Travelled => near,
             Until::Arrived => near || stopped,
             Until::Steps(steps) => self.ticks >= steps,
             Until::Reached(reached) => reached,
         };
-        over || self.ticks >= PATIENCE_STEPS
+        is_complete || self.ticks >= PATIENCE_STEPS
     }
 }
 
@@ -390,9 +390,9 @@ fn drag(
     region: &str,
 ) -> Result<Option<Stage>, ExpertError> {
     let (thing, goal) = (world.entity(object)?, world.entity(region)?);
-    let way = (goal.pos - thing.pos).at_height(0.0);
-    let left = way.norm();
-    let ahead = way * (1.0 / left.max(DRAG_DONE_M));
+    let to_goal = (goal.pos - thing.pos).at_height(0.0);
+    let distance = to_goal.norm();
+    let ahead = to_goal * (1.0 / distance.max(DRAG_DONE_M));
     let quat = pointing_down(ahead.y.atan2(ahead.x) + FRAC_PI_2);
     let at = |along: f64, height: f64| HandPose {
         pos: (thing.centre + ahead * along).at_height(height),
@@ -409,9 +409,9 @@ fn drag(
         1 => stage(at(DRAG_FROM_M, pressing), Fingers::Close, Until::Arrived),
         2 => {
             let slipped = (world.grip - thing.centre).horizontal_norm() > widest;
-            let over = left < DRAG_DONE_M || slipped;
+            let is_done = distance < DRAG_DONE_M || slipped;
             let pulled = at(DRAG_FROM_M + DRAG_LEAD_M, pressing);
-            stage(pulled, Fingers::Close, Until::Reached(over))
+            stage(pulled, Fingers::Close, Until::Reached(is_done))
         }
         3 => stage(
             at(DRAG_FROM_M, thing.top() + STANDOFF_M / 2.0),
@@ -433,8 +433,8 @@ pub(crate) fn only_joint(world: &World, fixture: &str) -> Result<f64, ExpertErro
 
 /// Returns true if `object` is too flat and too wide for the hand to lift.
 pub(crate) fn must_be_dragged(object: &Entity) -> bool {
-    let widest = object.half.x.min(object.half.y);
-    widest > 0.04 && object.half.z < 0.25 * widest
+    let narrower = object.half.x.min(object.half.y);
+    narrower > 0.04 && object.half.z < 0.25 * narrower
 }
 
 fn stage(hand: HandPose, fingers: Fingers, until: Until) -> Stage {

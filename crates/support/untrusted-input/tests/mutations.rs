@@ -74,10 +74,10 @@ fn survives(target: Target, inputs: usize) {
     static COUNTING: Once = Once::new();
     // A panic in a task normally ends only that task; here it is counted as a failure.
     COUNTING.call_once(|| {
-        let tell = panic::take_hook();
+        let default_hook = panic::take_hook();
         panic::set_hook(Box::new(move |panic| {
             PANICS.fetch_add(1, Ordering::SeqCst);
-            tell(panic);
+            default_hook(panic);
         }));
     });
     let seeds = (target.seeds)();
@@ -92,7 +92,10 @@ fn survives(target: Target, inputs: usize) {
             let name = format!("{}-{seed}-{number}", target.name);
             let file = std::env::temp_dir().join(&name);
             std::fs::write(&file, &input).expect("written");
-            panic!("{name} is not survived; it is in {}", file.display());
+            panic!(
+                "input {name} makes the target fail; it is stored in {}",
+                file.display()
+            );
         }
     }
 }

@@ -46,7 +46,7 @@ pub fn plan<'a>(
     // Configurations in progress come first; a new one starts only if it can be finished.
     candidates.sort_by_key(|&(is_new, rank, name, _)| (is_new, rank, name));
     let mut left = sample.budget.saturating_sub(spent);
-    let mut alone = true;
+    let mut is_first = true;
     let mut batches = Vec::new();
     for (is_new, _, name, lattice) in candidates {
         let batch = match next(lattice, sample.strategy) {
@@ -55,21 +55,21 @@ pub fn plan<'a>(
             Decision::Wait | Decision::Done => continue,
         };
         let reserve = lattice.most_further_rollouts();
-        if reserve > left && !alone {
+        if reserve > left && !is_first {
             break;
         }
-        let batch = within(left, batch);
+        let batch = truncated(left, batch);
         if !batch.is_empty() {
             batches.push((name, batch));
         }
         left = left.saturating_sub(reserve);
-        alone = false;
+        is_first = false;
     }
     batches
 }
 
 /// Truncates a batch to the affordable rollouts.
-fn within(mut left: u32, batch: Vec<Request>) -> Vec<Request> {
+fn truncated(mut left: u32, batch: Vec<Request>) -> Vec<Request> {
     let cut = |request: Request| {
         let rollouts = request.rollouts.min(left);
         left -= rollouts;
