@@ -140,7 +140,7 @@ const EXCESS_LINES: [ExcessLine; 12] = [
 
 /// Appends the table: intervals for each target, rates among eligible configurations,
 /// relative independence, and the excess over the noise floor.
-pub(crate) fn push_inference(text: &mut String, cells: &[&Cell], of: &str) {
+pub(crate) fn push_inference(text: &mut String, cells: &[&Cell], suffix: &str) {
     for cells in cells.chunks(CELLS) {
         let inferred: Vec<(Level, &Inference)> = cells
             .iter()
@@ -150,7 +150,7 @@ pub(crate) fn push_inference(text: &mut String, cells: &[&Cell], of: &str) {
             continue;
         }
         separate(text);
-        let _ = writeln!(text, "how sure, and about what: 95 % intervals, %{of}");
+        let _ = writeln!(text, "how sure, and about what: 95 % intervals, %{suffix}");
         let levels = inferred.iter().map(|(level, _)| level.to_string());
         push_row(text, LABEL, COLUMN, "", levels);
         for (label, value) in LINES {
@@ -170,12 +170,12 @@ pub(crate) fn push_inference(text: &mut String, cells: &[&Cell], of: &str) {
             push_row(text, LABEL, COLUMN, label, values);
         }
     }
-    push_losses(text, cells, of);
+    push_losses(text, cells, suffix);
 }
 
 /// Writes the table of success lost under each condition, against matched nominal
 /// rollouts.
-fn push_losses(text: &mut String, cells: &[&Cell], of: &str) {
+fn push_losses(text: &mut String, cells: &[&Cell], suffix: &str) {
     let heads = [
         "n",
         "nominal",
@@ -217,7 +217,7 @@ fn push_losses(text: &mut String, cells: &[&Cell], of: &str) {
         separate(text);
         let _ = writeln!(
             text,
-            "loss against nominal rollouts of the same initial states, %{of}"
+            "loss against nominal rollouts of the same initial states, %{suffix}"
         );
         push_columns(text, &rows);
     }

@@ -133,20 +133,20 @@ impl Measurement {
             .budget
             .unwrap_or(u32::MAX)
             .saturating_sub(requested);
-        let wanted = self.rays().flat_map(|(ray, outcomes)| {
+        let requests = self.rays().flat_map(|(ray, outcomes)| {
             let levels = match self.decision(ray, outcomes) {
                 Decision::Run(levels) => levels,
                 Decision::Wait | Decision::Done => Vec::new(),
             };
             levels.into_iter().map(move |level| (ray, level))
         });
-        let mut wanted: Vec<(Ray, Level)> = wanted.collect();
+        let mut requests: Vec<(Ray, Level)> = requests.collect();
         // Sorted by configuration first, so that early results cover all tasks.
-        wanted.sort_by_key(|(ray, level)| (ray.config, ray.task, ray.condition, *level));
+        requests.sort_by_key(|(ray, level)| (ray.config, ray.task, ray.condition, *level));
         // The sample fits the budget, so that this cuts nothing off unless rollouts return
         // from quarantine after their brackets were halved without them.
-        wanted.truncate(left as usize);
-        wanted
+        requests.truncate(left as usize);
+        requests
     }
 
     /// Returns the curves of configurations that still succeed at each radius, by condition.
