@@ -149,11 +149,11 @@ const PERMUTATIONS: [[usize; 3]; 6] = [
 ];
 
 /// Returns all triples of transitions, in ascending order.
-fn threes() -> Vec<[Transition; 3]> {
+fn triples() -> Vec<[Transition; 3]> {
     let all = || Transition::ALL.into_iter();
     let pairs = || all().flat_map(|a| all().map(move |b| (a, b)));
-    let threes = pairs().flat_map(|(a, b)| all().map(move |c| [a, b, c]));
-    threes.filter(|three| three.is_sorted()).collect()
+    let triples = pairs().flat_map(|(a, b)| all().map(move |c| [a, b, c]));
+    triples.filter(|triple| triple.is_sorted()).collect()
 }
 
 /// Returns true if all intervals hold at all looks if the units of each stratum
@@ -191,8 +191,8 @@ fn the_five_intervals_hold_together_over_all_orders_of_all_small_populations() {
     let order = small_order(2);
     for alpha in [0.3, 0.6, 0.95] {
         let mut worst: f64 = 0.0;
-        for first in threes() {
-            for second in threes() {
+        for first in triples() {
+            for second in triples() {
                 worst = worst.max(share_missed(&order, [first, second], alpha));
             }
         }

@@ -238,10 +238,10 @@ impl Family {
             })?;
             cases.push((case, record.outcome));
         }
-        let count = |wanted| {
+        let count = |expected| {
             cases
                 .iter()
-                .filter(|(_, outcome)| *outcome == wanted)
+                .filter(|(_, outcome)| *outcome == expected)
                 .count() as u64
         };
         let of_state: BTreeMap<(TaskRef, u16), bool> = cases
@@ -275,7 +275,7 @@ impl Family {
                 cell.push(variant);
             }
         }
-        let line = |name: &str, of: &[&Counted]| Line::new(name, of.iter().copied());
+        let line = |name: &str, rollouts: &[&Counted]| Line::new(name, rollouts.iter().copied());
         Ok(Some(Self {
             campaign,
             policy: subject.policy.clone(),
@@ -286,16 +286,16 @@ impl Family {
             unperturbed: Line::new("unperturbed", unperturbed.iter()),
             groups: groups
                 .iter()
-                .map(|((_, name), of)| line(name, of))
+                .map(|((_, name), rollouts)| line(name, rollouts))
                 .collect(),
             difficulties: difficulties
                 .iter()
-                .map(|(difficulty, of)| line(&in_words(*difficulty), of))
+                .map(|(difficulty, rollouts)| line(&in_words(*difficulty), rollouts))
                 .collect(),
             cells: cells
                 .iter()
-                .map(|((_, difficulty, group), of)| {
-                    line(&format!("{group} {}", in_words(*difficulty)), of)
+                .map(|((_, difficulty, group), rollouts)| {
+                    line(&format!("{group} {}", in_words(*difficulty)), rollouts)
                 })
                 .collect(),
             all: Line::new("all", variants.iter()),

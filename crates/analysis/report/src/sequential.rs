@@ -199,7 +199,10 @@ impl Sequential {
 
     /// Formats an estimate, percent or points, with a star if the early stop overstates it.
     pub(crate) fn estimate_text(&self, level: Level, measure: Measure) -> String {
-        let estimate = self.estimates.get(&level).and_then(|of| of.get(&measure));
+        let estimate = self
+            .estimates
+            .get(&level)
+            .and_then(|measures| measures.get(&measure));
         let Some(estimate) = estimate.map(|estimate| 100.0 * estimate) else {
             return "–".to_owned();
         };

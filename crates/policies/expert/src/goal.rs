@@ -197,20 +197,20 @@ fn turn_on(world: &World, stove: &str) -> Result<Option<Skill>, ExpertError> {
 }
 
 /// Plans to close a drawer, given by its region, or a door, given by its fixture.
-fn close(world: &World, what: &str) -> Result<Option<Skill>, ExpertError> {
-    let drawer = drawer_joint(what).and_then(|joint| world.joint(&joint).ok());
+fn close(world: &World, target: &str) -> Result<Option<Skill>, ExpertError> {
+    let drawer = drawer_joint(target).and_then(|joint| world.joint(&joint).ok());
     let (task, closed) = match drawer {
         Some(position) => (
             RoutineTask::PushDrawer {
-                region: what.to_owned(),
+                region: target.to_owned(),
             },
             routine::drawer_is_closed(position),
         ),
         None => {
-            let position = routine::only_joint(world, what)?;
+            let position = routine::only_joint(world, target)?;
             (
                 RoutineTask::PushDoor {
-                    microwave: what.to_owned(),
+                    microwave: target.to_owned(),
                 },
                 routine::door_is_closed(position),
             )
@@ -239,8 +239,8 @@ fn put_on(
             object: object.to_owned(),
             region: on.to_owned(),
         };
-        let there = place.holds(world, world.entity(object)?)?;
-        return Ok((!there).then(|| Skill::Routine(Routine::new(task))));
+        let is_placed = place.holds(world, world.entity(object)?)?;
+        return Ok((!is_placed).then(|| Skill::Routine(Routine::new(task))));
     }
     transfer(world, object, place)
 }
@@ -280,7 +280,7 @@ fn free_slot(world: &World, place: &Place, object: &str, other: &str) -> Result<
     if !place.holds(world, other)? {
         return Ok(place.slot);
     }
-    let room = |slot: f64| -> Result<f64, ExpertError> {
+    let clearance = |slot: f64| -> Result<f64, ExpertError> {
         let side = Place {
             slot,
             ..place.clone()
@@ -289,16 +289,16 @@ fn free_slot(world: &World, place: &Place, object: &str, other: &str) -> Result<
         Ok((rest - other.pos).horizontal_norm())
     };
     let opposite = -place.slot;
-    Ok(match room(opposite)? > room(place.slot)? {
+    Ok(match clearance(opposite)? > clearance(place.slot)? {
         true => opposite,
         false => place.slot,
     })
 }
 
 fn transfer(world: &World, object: &str, place: Place) -> Result<Option<Skill>, ExpertError> {
-    let there = place.holds(world, world.entity(object)?)?;
+    let is_placed = place.holds(world, world.entity(object)?)?;
     let transfer = Transfer::new(object.to_owned(), place);
-    Ok((!there).then_some(Skill::Transfer(transfer)))
+    Ok((!is_placed).then_some(Skill::Transfer(transfer)))
 }
 
 #[cfg(test)]

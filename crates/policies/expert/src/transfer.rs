@@ -501,7 +501,7 @@ mod tests {
     #[test]
     fn a_missed_grasp_is_noticed_on_lifting_and_tried_again() {
         let mut scene = scene();
-        scene.slippery = 1;
+        scene.failing_grasps = 1;
         let phases = run(&mut scene, |_, _| ());
         let missed = ["Approach", "Descend", "Close", "Lift"];
         assert_eq!(phases, [&missed[..], &WHOLE[..]].concat());

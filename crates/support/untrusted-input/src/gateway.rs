@@ -52,11 +52,11 @@ pub(crate) fn messages(input: &[u8]) -> bool {
 /// # Panics
 /// If an accepted answer contains actions that a robot may not execute.
 pub(crate) fn answers(input: &[u8]) -> bool {
-    let mut is_an_answer = false;
+    let mut is_accepted = false;
     if let Ok(described) = wire::DescribeResponse::decode(input)
         && policy_protocol::description(&described).is_ok()
     {
-        is_an_answer = true;
+        is_accepted = true;
         assert!((1..=MAX_HORIZON).contains(&described.horizon));
         assert!(description::batch_size(&described) >= 1);
         assert_eq!(description::difference(&described, &described), None);
@@ -64,18 +64,18 @@ pub(crate) fn answers(input: &[u8]) -> bool {
     if let Ok(response) = wire::InferResponse::decode(input)
         && let Ok(actions) = policy_protocol::actions(&response, MAX_HORIZON)
     {
-        is_an_answer = true;
+        is_accepted = true;
         assert_eq!(response.actions, actions.as_flattened());
         let is_bounded = |number: &f32| number.abs() <= LARGEST_NUMBER;
         assert!(response.actions.iter().all(is_bounded));
     }
     if let Ok(chunk) = codec::answer(input) {
-        is_an_answer = true;
+        is_accepted = true;
         let [count, width] = chunk.shape;
         assert_eq!(count * width, chunk.numbers.len());
     }
     if let Ok(response) = vla_eval::answer(input, 1, 1) {
-        is_an_answer = true;
+        is_accepted = true;
         let grippers = response.actions.chunks(ACTION_WIDTH);
         if policy_protocol::actions(&response, 1).is_ok() {
             assert!(
@@ -85,7 +85,7 @@ pub(crate) fn answers(input: &[u8]) -> bool {
             );
         }
     }
-    is_an_answer
+    is_accepted
 }
 
 /// Returns seed inputs for [`messages`]: a session with two queries for each policy.

@@ -89,8 +89,8 @@ fn json_has_every_condition_at_every_level_with_its_counts() {
     assert_eq!(json["min_tasks"], 10);
     let cells = json["cells"].as_array().expect("cells");
     assert_eq!(cells.len(), 3 * 7);
-    let is_asked = |cell: &&Value| cell["level"] == "L2" && cell["condition"] == "combination";
-    let cell = cells.iter().find(is_asked).expect("a cell");
+    let is_expected = |cell: &&Value| cell["level"] == "L2" && cell["condition"] == "combination";
+    let cell = cells.iter().find(is_expected).expect("a cell");
     let found = &cell["difference"];
     assert_eq!((&found["n"], &found["tasks"]), (&json!(400), &json!(40)));
     assert_eq!(

@@ -26,8 +26,9 @@ fn fails(task: usize, axes: AxisSet) -> bool {
     }
 }
 
-/// Records of one configuration in each of twelve tasks, under the subsets that `wanted` accepts.
-fn records(wanted: impl Fn(usize, AxisSet) -> bool) -> Vec<Record> {
+/// Records of one configuration in each of twelve tasks, under the subsets for which `is_included`
+/// returns true.
+fn records(is_included: impl Fn(usize, AxisSet) -> bool) -> Vec<Record> {
     let mut records = Vec::new();
     for (index, task) in TaskRef::all().take(12).enumerate() {
         for axes in AxisSet::ALL.subsets() {
@@ -36,7 +37,7 @@ fn records(wanted: impl Fn(usize, AxisSet) -> bool) -> Vec<Record> {
                 Condition::Clean => RolloutId::clean(task, 16),
                 _ => RolloutId::perturbed(task, condition, Level::L2, 0).expect("an id"),
             };
-            if wanted(index, axes) {
+            if is_included(index, axes) {
                 records.push(Record {
                     id,
                     init_id: 16,

@@ -26,7 +26,7 @@ fn run(search: &Search, outcome: impl Fn(Level) -> Outcome) -> Outcomes<Level> {
     while let Decision::Run(levels) = next(&outcomes, search) {
         assert!(!levels.is_empty());
         for level in levels {
-            assert_eq!(outcomes.at(level), None, "{level} was asked for twice");
+            assert_eq!(outcomes.at(level), None, "{level} was requested twice");
             outcomes.record(level, outcome(level));
         }
     }

@@ -80,12 +80,13 @@ fn full_of(outcomes: &Outcomes) -> AxisSet {
     *outcomes.keys().last().expect("sets")
 }
 
-/// Outcomes that a campaign knows: those under fewer than two axes, and under all.
+/// Returns the lattice with the outcomes that every campaign runs: under fewer than two axes, and
+/// under all axes.
 fn campaign(outcomes: &Outcomes) -> Lattice {
     source(full_of(outcomes), Evidence::Once, |set| outcomes[&set])
 }
 
-/// Complete knowledge of a configuration.
+/// Returns the lattice with the outcomes under every subset.
 fn complete(outcomes: &Outcomes) -> Lattice {
     let mut lattice = Lattice::new(full_of(outcomes), Evidence::Once).expect("two axes at least");
     for (&set, &outcome) in outcomes {
@@ -105,7 +106,7 @@ fn search(outcomes: &Outcomes, strategy: Strategy, cut: usize) -> Lattice {
         assert!(!batch.is_empty());
         for Request { set, rollouts } in batch.into_iter().take(cut) {
             assert_eq!(rollouts, 1);
-            assert_eq!(lattice.tally(set).asked(), 0, "{set} was asked for before");
+            assert_eq!(lattice.tally(set).asked(), 0, "{set} was requested before");
             lattice.record(set, outcomes[&set]).expect("a subset");
         }
     }
