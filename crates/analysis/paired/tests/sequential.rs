@@ -269,7 +269,10 @@ proptest! {
             });
             ab.complete(&unit, a, b).expect("in the order");
             ba.complete(&unit, b, a).expect("in the order");
-            let [ab, ba] = [&ab, &ba].map(|sequence| sequence.look().intervals[&Measure::Difference]);
+            let interval = |sequence: &SequentialDifference<usize>| {
+                sequence.look().intervals[&Measure::Difference]
+            };
+            let [ab, ba] = [interval(&ab), interval(&ba)];
             prop_assert_eq!([ab.least, ab.greatest], [-ba.greatest, -ba.least]);
         }
     }

@@ -16,8 +16,8 @@ use crate::world::{Entity, HANDLE_OUT_M, HANDLE_UP_M, World, drawer_joint};
 /// Joint position beyond which a drawer counts as open, m.
 pub(crate) const OPEN_M: f64 = -0.14;
 /// Joint positions at which a drawer is released, m; it then coasts a little. The first satisfies
-/// the predicate `open`. The second is for a drawer that receives an object: it is less far open, so
-/// that the hand has room beneath.
+/// the predicate `open`. The second is for a drawer that receives an object: it is less far open,
+/// so that the hand has room beneath.
 pub(crate) const DRAWER_OPEN_M: f64 = -0.155;
 pub(crate) const DRAWER_AJAR_M: f64 = -0.118;
 /// Joint position at which a drawer is safely closed, m; it counts as closed above 0.

@@ -100,13 +100,15 @@ fn cell(what: &str, estimate: &Estimate, largest: f64, [x, y]: [f64; 2], side: f
     html! {
         g {
             title {
-                (what) ": " (points(estimate.value)) " points" (points_interval(estimate.ci95, estimate.no_interval))
+                (what) ": " (points(estimate.value)) " points"
+                (points_interval(estimate.ci95, estimate.no_interval))
             }
             rect class="cell" x=(number(x + 1.0)) y=(number(y + 1.0)) width=(number(side - 2.0))
                 height=(number(ROW - 2.0)) rx="2" {}
             rect class=(class) fill-opacity=(number(share)) x=(number(x + 1.0))
                 y=(number(y + 1.0)) width=(number(side - 2.0)) height=(number(ROW - 2.0)) rx="2" {}
-            (text(x + side / 2.0, y + 20.5, &format!("tiny middle {ink} {weight}"), &points(estimate.value)))
+            (text(x + side / 2.0, y + 20.5, &format!("tiny middle {ink} {weight}"),
+                &points(estimate.value)))
         }
     }
 }
@@ -149,7 +151,8 @@ pub fn additive(analysis: &Analysis, level: &LevelInteractions) -> Figure {
     let end = |name: &str, estimate: &Estimate, row: usize| {
         html! {
             (text(0.0, y(row) + 17.0, "small name", name))
-            (rect(scale.at(0.0), y(row) + 6.0, scale.at(estimate.value) - scale.at(0.0), 14.0, "bar"))
+            @let length = scale.at(estimate.value) - scale.at(0.0);
+            (rect(scale.at(0.0), y(row) + 6.0, length, 14.0, "bar"))
             @if let Some(interval) = estimate.ci95 { (whisker(&scale, interval, y(row) + 13.0)) }
             (text(WIDTH, y(row) + 17.0, "small name end", &percent(estimate.value)))
         }

@@ -151,7 +151,9 @@ fn square(matched: &Matched, link: Option<Link>, place: [f64; 2]) -> Markup {
     };
     html! {
         @match link {
-            Some(link) => a href=(link(simultaneous_rollout(matched), matched.replicate)) { (content) },
+            Some(link) => a href=(link(simultaneous_rollout(matched), matched.replicate)) {
+                (content)
+            },
             None => g { (content) },
         }
     }

@@ -40,7 +40,9 @@ pub fn survival(curve: &Curve) -> Option<Figure> {
         }
         (intervals(&place, &curve.points))
         (brackets(&place, &curve.points))
-        path class="curve" d=(path(curve.points.iter().map(|point| place.of(point.radius, point.survival)))) {}
+        path class="curve" d=(path(curve.points.iter().map(|point| {
+            place.of(point.radius, point.survival)
+        }))) {}
         @for (level, point) in levels(&scale, curve) {
             @let [x, y] = place.of(point.radius, point.survival);
             (text(x, HEAD + 12.0, "small middle", &level.to_string()))

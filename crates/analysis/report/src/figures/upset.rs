@@ -109,7 +109,8 @@ fn column(occurrence: &Occurrence, axes: &[Axis], most: u64, [x, base, rows]: [f
                 (line("join", [x, y(*first)], [x, y(*last)]))
             }
             @for (row, axis) in axes.iter().enumerate() {
-                (dot([x, y(row)], occurrence.set.contains(*axis), AxisSet::of(*axis) == occurrence.start))
+                @let is_start = AxisSet::of(*axis) == occurrence.start;
+                (dot([x, y(row)], occurrence.set.contains(*axis), is_start))
             }
         }
     }
