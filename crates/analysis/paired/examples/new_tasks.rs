@@ -48,7 +48,7 @@ fn main() {
         Ok([campaigns]) if *campaigns > 0 => (*campaigns, 0),
         Ok([campaigns, seed]) if *campaigns > 0 => (*campaigns, *seed),
         _ => {
-            eprintln!("read the number of campaigns and a seed: whole numbers, the first above 0");
+            eprintln!("give the number of campaigns, at least 1, and a seed, as whole numbers");
             std::process::exit(2);
         }
     };

@@ -377,15 +377,17 @@ pub(crate) fn tolerated_delay(curve: &Curve) -> String {
     };
     match curve.half_success.radius {
         Some(radius) => format!(
-            "latency: half of the configurations bear {}; a radius of 2 is one step",
+            "latency: half of the configurations succeed with a delay of {}; a radius of 2 is one \
+             step",
             delay(radius)
         ),
         None if curve.beyond * 2 > curve.n => format!(
-            "latency: more than half of the configurations bear {}, the longest delay that was run",
+            "latency: more than half of the configurations succeed with a delay of {}, the longest \
+             that was run",
             delay(curve.largest_radius)
         ),
-        None => "latency: fewer than half of the configurations succeed without a delay, or it is \
-                 not known how many bear one"
+        None => "latency: fewer than half of the configurations succeed without a delay, or the \
+                 share that succeeds with one is not known"
             .to_owned(),
     }
 }

@@ -34,8 +34,8 @@ pub(super) fn methods(document: &Document) -> Markup {
                     on these, at 1 % after Holm's correction. Intervals for each target are \
                     jackknives over tasks, directions and configurations with Student's t. "
                 } @else {
-                    "This campaign goes on with configurations of another one: the same initial \
-                    states, and perturbations drawn from the same seeds. "
+                    "This campaign runs further rollouts of another campaign's configurations: the \
+                    same initial states, and perturbations drawn from the same seeds. "
                 }
                 @if let Some(bootstrap) = bootstrap {
                     "The paper's intervals, about new tasks under these directions, are 95 % percentile intervals of " (bootstrap.replicates)
