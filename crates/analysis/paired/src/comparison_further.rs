@@ -39,7 +39,7 @@ fn profile(difference: &Difference) -> Vec<String> {
         ends(better.new_tasks, |value| format!("{:.0}", 100.0 * value)),
     ];
     values.extend(match difference.profile.extremes() {
-        Some(of) => of.map(|(task, change)| {
+        Some(extremes) => extremes.map(|(task, change)| {
             let (suite, index) = (task.suite().short_name(), task.index());
             format!("{suite}/t{index} {:+.0}", 100.0 * change)
         }),
@@ -51,9 +51,9 @@ fn profile(difference: &Difference) -> Vec<String> {
 /// Appends partial progress: the goal's predicates, and steps. Empty if none is known.
 pub(crate) fn push_progress(text: &mut String, comparison: &Comparison) {
     let heads = ["n", "A", "B", "A - B", "95 %", "Holm p"];
-    let rows = |of: fn(&ProgressDifference) -> Option<MeanDifference>, scale: f64| {
+    let rows = |measure: fn(&ProgressDifference) -> Option<MeanDifference>, scale: f64| {
         let rows = first(comparison).filter_map(|cell| {
-            let progress = of(cell.progress.as_ref()?)?;
+            let progress = measure(cell.progress.as_ref()?)?;
             Some((cell.name(), mean(&progress, scale)))
         });
         rows.collect::<Vec<_>>()

@@ -359,8 +359,8 @@ impl Row {
     /// Returns the row's initial state or, if the row gives none, that of its id: a nominal
     /// rollout's own, or the protocol's for configurations 0 to 9.
     fn initial_state(&self) -> Result<u16, String> {
-        let own = self.rollout_id.config();
-        let default_state = match own {
+        let config = self.rollout_id.config();
+        let default_state = match config {
             None => Some(self.rollout_id.number()),
             Some(config) => self
                 .rollout_id
