@@ -125,8 +125,8 @@ fn profiles(comparison: &Comparison) -> Markup {
     let row = |(cell, delta): (&ComparedCell, &Difference)| {
         let profile = &delta.profile;
         let better = &profile.improvement;
-        let extremes = profile.extremes().map(|of| of.map(of_task));
-        let [least, most] = extremes.map_or([None, None], |of| of.map(Some));
+        let extremes = profile.extremes().map(|extremes| extremes.map(of_task));
+        let [least, most] = extremes.map_or([None, None], |extremes| extremes.map(Some));
         vec![
             plain(cell.name()),
             interval(delta.estimate.new_tasks_and_directions, points),
@@ -176,7 +176,7 @@ fn tasks(comparison: &Comparison) -> Markup {
     let rows = tasks.into_iter().map(|task| {
         let changes = columns
             .iter()
-            .map(|(_, of)| or_dash(of.tasks.get(task).copied().map(points)));
+            .map(|(_, profile)| or_dash(profile.tasks.get(task).copied().map(points)));
         [plain(task)].into_iter().chain(changes).collect()
     });
     html! {
@@ -220,9 +220,9 @@ fn progress(comparison: &Comparison) -> Markup {
     let cells = comparison.statistics.cells.iter();
     let cells = cells.filter(|cell| cell.replicate == 0);
     let rows = cells.flat_map(|cell| {
-        let of = cell.progress.as_ref();
-        let goal = of.and_then(|of| of.goal.as_ref());
-        let steps = of.and_then(|of| of.steps.as_ref());
+        let progress = cell.progress.as_ref();
+        let goal = progress.and_then(|progress| progress.goal.as_ref());
+        let steps = progress.and_then(|progress| progress.steps.as_ref());
         let goal = goal.map(|mean| row(cell.name(), "goal %", mean, percent));
         let steps = steps.map(|mean| row(cell.name(), "steps", mean, words::steps));
         goal.into_iter().chain(steps)
@@ -260,7 +260,7 @@ fn interval(ends: Option<Interval>, number: impl Fn(f64) -> String) -> Markup {
 fn row(cell: &ComparedCell) -> Vec<Markup> {
     let delta = cell.difference.as_ref();
     let n = delta.map_or(0, |delta| delta.n);
-    let of = |value: fn(&Difference) -> Markup| or_dash(delta.map(value));
+    let cell_of = |value: fn(&Difference) -> Markup| or_dash(delta.map(value));
     let gap = match (cell.missing, cell.quarantined) {
         (0, 0) => String::new(),
         (missing, 0) => format!("{missing} missing"),
@@ -270,12 +270,12 @@ fn row(cell: &ComparedCell) -> Vec<Markup> {
     vec![
         plain(cell.name()),
         with(n, &gap),
-        of(|delta| plain(percent(delta.s_a))),
-        of(|delta| plain(percent(delta.s_b))),
-        of(|delta| difference(delta.difference, delta.difference_ci95, delta.no_interval)),
-        of(|delta| plain(delta.a_only)),
-        of(|delta| plain(delta.b_only)),
-        of(|delta| plain(words::p_value(delta.holm_p))),
+        cell_of(|delta| plain(percent(delta.s_a))),
+        cell_of(|delta| plain(percent(delta.s_b))),
+        cell_of(|delta| difference(delta.difference, delta.difference_ci95, delta.no_interval)),
+        cell_of(|delta| plain(delta.a_only)),
+        cell_of(|delta| plain(delta.b_only)),
+        cell_of(|delta| plain(words::p_value(delta.holm_p))),
     ]
 }
 

@@ -51,14 +51,14 @@ pub(super) fn of_campaigns(document: &Document) -> Markup {
 pub(super) fn of_two(comparison: &Comparison) -> Markup {
     let heads = ["rollouts", "configurations", "A − B points"];
     html! {
-        @if let Some(of) = &comparison.sequential {
+        @if let Some(sequential) = &comparison.sequential {
             h4 { "At any look" }
-            (table("At any look", &heads, of.cells.iter().map(|cell| vec![
+            (table("At any look", &heads, sequential.cells.iter().map(|cell| vec![
                 plain(cell.name()),
                 plain(format!("{} of {}", cell.used, cell.configurations)),
                 interval(Measure::Difference, cell.difference),
             ]).collect()))
-            p.muted { (sentence(&of.explanation())) }
+            p.muted { (sentence(&sequential.explanation())) }
         }
     }
 }
