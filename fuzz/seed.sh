@@ -1,5 +1,5 @@
 #!/bin/sh
-# Fills the corpora: with the inputs that `untrusted-input` knows, with the sources that
+# Fills the corpora: with the seed inputs of `untrusted-input`, with the sources that
 # `cargo xtask setup` unpacked, and with the built-in pack. Nothing of LIBERO's is
 # kept in this repository.
 set -eu

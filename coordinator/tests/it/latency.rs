@@ -149,6 +149,6 @@ async fn the_delay_that_a_policy_bears_is_found_in_whole_control_steps() {
     let said = serve.command(&["thresholds", "late"]);
     let words: Vec<&str> = text(&said.stdout).split_whitespace().collect();
     let words = words.join(" ");
-    let bears = "half of the configurations bear 3 control steps, 150 ms";
-    assert!(words.contains(bears), "{words}");
+    let expected = "half of the configurations succeed with a delay of 3 control steps, 150 ms";
+    assert!(words.contains(expected), "{words}");
 }

@@ -72,13 +72,13 @@ fn main() {
         let mut mixture = Vec::new();
         for kind in Kind::MONOTONE.into_iter().chain(Kind::NON_MONOTONE) {
             let mut rng = seeded(1);
-            let one = |_| {
+            let search = |_| {
                 let rule = Rule::draw(kind, &mut rng);
                 let found = search_rule(&rule, strategy);
                 let exact = found.is_exact(&rule);
                 (found, exact)
             };
-            let mean = Mean::of(&(0..RULES).map(one).collect::<Vec<_>>());
+            let mean = Mean::of(&(0..RULES).map(search).collect::<Vec<_>>());
             mean.print(&format!("{kind:?}"));
             if Kind::MIXTURE.contains(&kind) {
                 mixture.push(mean.subsets);
@@ -89,14 +89,14 @@ fn main() {
         println!("{:<22}{mean:>8.1}{share:>7.1} %", "mean of the first six");
         for noise in [0.0, 0.02, 0.05, 0.1] {
             let mut rng = seeded(2);
-            let one = |i: usize| {
+            let search = |i: usize| {
                 let rule = Rule::draw(Kind::MONOTONE[i % Kind::MONOTONE.len()], &mut rng);
                 let evidence = Evidence::Repeated(Repeats::default());
                 let found = search_noisy(&rule, strategy, evidence, noise, &mut rng);
                 let exact = found.is_exact(&rule);
                 (found, exact)
             };
-            let mean = Mean::of(&(0..NOISY_RULES).map(one).collect::<Vec<_>>());
+            let mean = Mean::of(&(0..NOISY_RULES).map(search).collect::<Vec<_>>());
             mean.print(&format!("monotone, noise {:.0} %", 100.0 * noise));
         }
     }

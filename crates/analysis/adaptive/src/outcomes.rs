@@ -51,9 +51,9 @@ impl Tally {
     }
 }
 
-/// Outcomes of one search by point: a subset of the axes, or a radius. Those of the source
-/// campaign and those of the campaign that runs the requests stay apart, because a budget
-/// pays for the latter only, and only they are evidence if the former select what is tested.
+/// Outcomes of one search by point: a subset of the axes, or a radius. The tallies of the source
+/// campaign are separate from those of requested rollouts: only requested rollouts count against
+/// the budget, and only they are evidence if source outcomes select the tested hypotheses.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Outcomes<P>(BTreeMap<P, Tallies>);
 
@@ -61,7 +61,7 @@ pub struct Outcomes<P>(BTreeMap<P, Tallies>);
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 struct Tallies {
     source: Tally,
-    own: Tally,
+    requests: Tally,
 }
 
 impl<P> Default for Outcomes<P> {
@@ -78,7 +78,7 @@ impl<P: Copy + Ord> Outcomes<P> {
 
     /// Adds a requested rollout, with [`Outcome::Missing`] while it has no result.
     pub fn record(&mut self, point: P, outcome: Outcome) {
-        self.0.entry(point).or_default().own.add(outcome);
+        self.0.entry(point).or_default().requests.add(outcome);
     }
 
     fn tallies(&self, point: P) -> Tallies {
@@ -91,18 +91,18 @@ impl<P: Copy + Ord> Outcomes<P> {
     }
 
     /// Returns the tally of the requested rollouts at a point.
-    pub fn own(&self, point: P) -> Tally {
-        self.tallies(point).own
+    pub fn requests(&self, point: P) -> Tally {
+        self.tallies(point).requests
     }
 
     /// Returns the tally of both campaigns' rollouts at a point.
     pub fn both(&self, point: P) -> Tally {
-        let Tallies { source, own } = self.tallies(point);
+        let Tallies { source, requests } = self.tallies(point);
         Tally {
-            successes: source.successes + own.successes,
-            failures: source.failures + own.failures,
-            pending: source.pending + own.pending,
-            quarantined: source.quarantined + own.quarantined,
+            successes: source.successes + requests.successes,
+            failures: source.failures + requests.failures,
+            pending: source.pending + requests.pending,
+            quarantined: source.quarantined + requests.quarantined,
         }
     }
 
@@ -113,6 +113,9 @@ impl<P: Copy + Ord> Outcomes<P> {
 
     /// Returns the number of rollouts requested beyond those of the source campaign.
     pub fn requested(&self) -> u32 {
-        self.0.values().map(|tallies| tallies.own.asked()).sum()
+        self.0
+            .values()
+            .map(|tallies| tallies.requests.asked())
+            .sum()
     }
 }

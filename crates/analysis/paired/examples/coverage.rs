@@ -150,9 +150,11 @@ fn print(title: &str, sizes: &[Table]) {
     let keys = sizes.iter().flat_map(|table| table.0.keys());
     for key in keys.collect::<BTreeSet<_>>() {
         let of_sizes = sizes.iter().map(|table| table.0.get(key));
-        let of_sizes: Vec<Coverage> = of_sizes.map(|it| it.copied().unwrap_or_default()).collect();
+        let of_sizes: Vec<Coverage> = of_sizes
+            .map(|coverage| coverage.copied().unwrap_or_default())
+            .collect();
         // Some figures have no interval for some target, whatever the number of tasks.
-        if of_sizes.iter().all(|it| it.made == 0) {
+        if of_sizes.iter().all(|coverage| coverage.made == 0) {
             continue;
         }
         print!("{:<34}{:<11}", key.0, TARGETS[key.1]);
@@ -167,13 +169,16 @@ fn print(title: &str, sizes: &[Table]) {
 }
 
 fn main() {
-    let given: Result<Vec<u64>, _> = std::env::args().skip(1).map(|it| it.parse()).collect();
+    let given: Result<Vec<u64>, _> = std::env::args()
+        .skip(1)
+        .map(|argument| argument.parse())
+        .collect();
     let (campaigns, seed) = match given.as_deref() {
         Ok([]) => (CAMPAIGNS, 0),
         Ok([campaigns]) if *campaigns > 0 => (*campaigns, 0),
         Ok([campaigns, seed]) if *campaigns > 0 => (*campaigns, *seed),
         _ => {
-            eprintln!("read the number of campaigns and a seed: whole numbers, the first above 0");
+            eprintln!("give the number of campaigns, at least 1, and a seed, as whole numbers");
             std::process::exit(2);
         }
     };

@@ -39,13 +39,16 @@ const fn effect(mean: f64, share: f64, spread: f64) -> NetEffect {
 }
 
 fn main() {
-    let given: Result<Vec<u64>, _> = std::env::args().skip(1).map(|it| it.parse()).collect();
+    let given: Result<Vec<u64>, _> = std::env::args()
+        .skip(1)
+        .map(|argument| argument.parse())
+        .collect();
     let (campaigns, seed) = match given.as_deref() {
         Ok([]) => (CAMPAIGNS, 0),
         Ok([campaigns]) if *campaigns > 0 => (*campaigns, 0),
         Ok([campaigns, seed]) if *campaigns > 0 => (*campaigns, *seed),
         _ => {
-            eprintln!("read the number of campaigns and a seed: whole numbers, the first above 0");
+            eprintln!("give the number of campaigns, at least 1, and a seed, as whole numbers");
             std::process::exit(2);
         }
     };

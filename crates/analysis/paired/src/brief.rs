@@ -19,10 +19,10 @@ pub fn brief(report: &Report) -> String {
     }
     separate(&mut text);
     let last = cells(report).last().map(|cell| cell.level);
-    let said = report.findings.iter();
-    let said = said.filter(|finding| finding.level.is_none() || finding.level == last);
+    let findings = report.findings.iter();
+    let findings = findings.filter(|finding| finding.level.is_none() || finding.level == last);
     let (further, first): (Vec<&Finding>, Vec<&Finding>) =
-        said.partition(|finding| finding.kind == FindingKind::Directions);
+        findings.partition(|finding| finding.kind == FindingKind::Directions);
     for finding in first {
         push_wrapped(&mut text, "", &finding.sentence);
     }
@@ -44,7 +44,9 @@ fn cells(report: &Report) -> impl Iterator<Item = &Cell> {
 
 fn nominal(report: &Report) -> Option<Count> {
     let mut nominal = report.nominal.iter();
-    nominal.find(|it| it.replicate == 0).map(|it| it.count)
+    nominal
+        .find(|nominal| nominal.replicate == 0)
+        .map(|nominal| nominal.count)
 }
 
 /// Appends the success table: a row per level, a column per condition.
@@ -61,7 +63,10 @@ fn push_success(text: &mut String, report: &Report) {
         .chain(is_late.then_some(Condition::Latency))
         .chain(has_simultaneous.then_some(Condition::Combination))
         .collect();
-    let head = columns.iter().map(|it| it.label().to_owned()).collect();
+    let head = columns
+        .iter()
+        .map(|column| column.label().to_owned())
+        .collect();
     let mut rows = vec![(String::new(), head)];
     for cell in cells(report) {
         let success = |condition: &Condition| {
@@ -90,8 +95,8 @@ fn unfinished(report: &Report) -> Option<String> {
     let mut gaps: Vec<_> = report
         .nominal
         .iter()
-        .filter(|it| it.replicate == 0)
-        .map(|it| it.gap)
+        .filter(|nominal| nominal.replicate == 0)
+        .map(|nominal| nominal.gap)
         .collect();
     gaps.extend(cells(report).flat_map(|cell| cell.completeness.gaps.values().copied()));
     let missing: u64 = gaps.iter().map(|gap| gap.missing).sum();

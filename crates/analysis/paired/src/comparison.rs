@@ -122,17 +122,23 @@ impl Comparison {
         obstacle: impl Fn(&Record) -> Option<Obstacle>,
     ) -> Self {
         let both: [Compared<'a>; 2] = [a.into(), b.into()];
-        let [of_a, of_b] = both.map(|it| {
-            let by_key = it.records.iter().map(|it| ((it.replicate, it.id), it));
+        let [of_a, of_b] = both.map(|side| {
+            let by_key = side
+                .records
+                .iter()
+                .map(|record| ((record.replicate, record.id), record));
             by_key.collect::<BTreeMap<Key, &Record>>()
         });
-        let progress = both.map(|it| {
-            let by_key = it.progress.iter().map(|it| ((it.replicate, it.id), it));
+        let progress = both.map(|side| {
+            let by_key = side
+                .progress
+                .iter()
+                .map(|progress| ((progress.replicate, progress.id), progress));
             by_key.collect::<BTreeMap<Key, &Progress>>()
         });
-        let axes = both.map(|it| axes(it.records));
+        let axes = both.map(|side| axes(side.records));
         let mut comparison = Self {
-            directions: match both.map(|it| it.directions) {
+            directions: match both.map(|side| side.directions) {
                 [Directions::Own, Directions::Own] => Directions::Own,
                 _ => Directions::Shared,
             },
@@ -167,7 +173,7 @@ impl Comparison {
                 b: other.outcome,
             };
             let has_outcomes = pair.a.success().is_some() && pair.b.success().is_some();
-            if let [Some(a), Some(b)] = progress.each_ref().map(|it| it.get(key))
+            if let [Some(a), Some(b)] = progress.each_ref().map(|by_key| by_key.get(key))
                 && has_outcomes
             {
                 came.push(ProgressPair {

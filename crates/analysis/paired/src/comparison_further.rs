@@ -13,30 +13,33 @@ use crate::text::{NOTHING, p_value, push_columns, separate};
 /// tasks.
 pub(crate) fn push_further(text: &mut String, comparison: &Comparison) {
     let cells = || first(comparison).filter_map(|cell| Some((cell, cell.difference.as_ref()?)));
-    let further = cells().map(|(cell, it)| {
+    let further = cells().map(|(cell, difference)| {
         let values = vec![
-            ends(it.estimate.new_tasks_and_directions, points),
-            ends(it.simultaneous_ci95, points),
-            it.equivalence_p.map_or_else(nothing, p_value),
-            format!("{}:{}", it.profile.a_better, it.profile.b_better),
+            ends(difference.estimate.new_tasks_and_directions, points),
+            ends(difference.simultaneous_ci95, points),
+            difference.equivalence_p.map_or_else(nothing, p_value),
+            format!(
+                "{}:{}",
+                difference.profile.a_better, difference.profile.b_better
+            ),
         ];
         (cell.name(), values)
     });
     let heads = ["directions", "all rows", "5 pts p", "tasks A:B"];
     push_block(text, "A - B for further targets", &heads, further.collect());
-    let by_task = cells().map(|(cell, it)| (cell.name(), profile(it)));
+    let by_task = cells().map(|(cell, difference)| (cell.name(), profile(difference)));
     let heads = ["A better %", "95 %", "least", "most"];
     push_block(text, "A - B by task", &heads, by_task.collect());
 }
 
-fn profile(it: &Difference) -> Vec<String> {
-    let better = &it.profile.improvement;
+fn profile(difference: &Difference) -> Vec<String> {
+    let better = &difference.profile.improvement;
     let mut values = vec![
         format!("{:.0}", 100.0 * better.value),
         ends(better.new_tasks, |value| format!("{:.0}", 100.0 * value)),
     ];
-    values.extend(match it.profile.extremes() {
-        Some(of) => of.map(|(task, change)| {
+    values.extend(match difference.profile.extremes() {
+        Some(extremes) => extremes.map(|(task, change)| {
             let (suite, index) = (task.suite().short_name(), task.index());
             format!("{suite}/t{index} {:+.0}", 100.0 * change)
         }),
@@ -48,28 +51,28 @@ fn profile(it: &Difference) -> Vec<String> {
 /// Appends partial progress: the goal's predicates, and steps. Empty if none is known.
 pub(crate) fn push_progress(text: &mut String, comparison: &Comparison) {
     let heads = ["n", "A", "B", "A - B", "95 %", "Holm p"];
-    let rows = |of: fn(&ProgressDifference) -> Option<MeanDifference>, scale: f64| {
+    let rows = |measure: fn(&ProgressDifference) -> Option<MeanDifference>, scale: f64| {
         let rows = first(comparison).filter_map(|cell| {
-            let it = of(cell.progress.as_ref()?)?;
-            Some((cell.name(), mean(&it, scale)))
+            let progress = measure(cell.progress.as_ref()?)?;
+            Some((cell.name(), mean(&progress, scale)))
         });
         rows.collect::<Vec<_>>()
     };
     let title = "partial progress: predicates of the goal that held together at most, %";
-    push_block(text, title, &heads, rows(|it| it.goal, 100.0));
+    push_block(text, title, &heads, rows(|progress| progress.goal, 100.0));
     let title = "partial progress: steps until success, or until the end";
-    push_block(text, title, &heads, rows(|it| it.steps, 1.0));
+    push_block(text, title, &heads, rows(|progress| progress.steps, 1.0));
 }
 
-fn mean(it: &MeanDifference, scale: f64) -> Vec<String> {
+fn mean(difference: &MeanDifference, scale: f64) -> Vec<String> {
     let signed = |value: f64| format!("{:+.1}", scale * value);
     vec![
-        it.n.to_string(),
-        format!("{:.1}", scale * it.mean_a),
-        format!("{:.1}", scale * it.mean_b),
-        signed(it.difference.value),
-        ends(it.difference.new_tasks, signed),
-        it.holm_p.map_or_else(nothing, p_value),
+        difference.n.to_string(),
+        format!("{:.1}", scale * difference.mean_a),
+        format!("{:.1}", scale * difference.mean_b),
+        signed(difference.difference.value),
+        ends(difference.difference.new_tasks, signed),
+        difference.holm_p.map_or_else(nothing, p_value),
     ]
 }
 

@@ -83,22 +83,22 @@ fn name(cell: &ComparedCell) -> String {
     }
 }
 
-fn values(it: &Difference) -> Vec<String> {
+fn values(difference: &Difference) -> Vec<String> {
     let point = |value: f64| format!("{:+.1}", 100.0 * value);
-    let interval = match (it.difference_ci95, it.no_interval) {
+    let interval = match (difference.difference_ci95, difference.no_interval) {
         (Some([low, high]), _) => format!("[{}, {}]", point(low), point(high)),
         (None, Some(why)) => why.to_string(),
         (None, None) => NOTHING.to_owned(),
     };
     vec![
-        it.n.to_string(),
-        format!("{:.1}", 100.0 * it.s_a),
-        format!("{:.1}", 100.0 * it.s_b),
-        point(it.difference),
+        difference.n.to_string(),
+        format!("{:.1}", 100.0 * difference.s_a),
+        format!("{:.1}", 100.0 * difference.s_b),
+        point(difference.difference),
         interval,
-        it.a_only.to_string(),
-        it.b_only.to_string(),
-        p_value(it.holm_p),
+        difference.a_only.to_string(),
+        difference.b_only.to_string(),
+        p_value(difference.holm_p),
     ]
 }
 

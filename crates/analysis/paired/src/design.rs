@@ -76,8 +76,8 @@ pub fn minimum_detectable_effect(design: &PairedDesign) -> Option<f64> {
 /// correlation coefficient, International Statistical Review 54 (1986), 67–82,
 /// section 2.
 pub fn task_correlation(configurations: &[Configuration]) -> Option<f64> {
-    correlation(configurations, |it| {
-        f64::from(it.simultaneous) - f64::from(it.conjunction())
+    correlation(configurations, |configuration| {
+        f64::from(configuration.simultaneous) - f64::from(configuration.conjunction())
     })
 }
 
@@ -88,8 +88,8 @@ pub(crate) fn correlation(
 ) -> Option<f64> {
     let mut tasks: BTreeMap<TaskRef, Vec<f64>> = BTreeMap::new();
     for configuration in configurations {
-        let own = tasks.entry(configuration.task).or_default();
-        own.push(value(configuration));
+        let values = tasks.entry(configuration.task).or_default();
+        values.push(value(configuration));
     }
     let (k, n) = (tasks.len() as f64, configurations.len() as f64);
     if k < 2.0 || n <= k {
@@ -99,9 +99,9 @@ pub(crate) fn correlation(
     let (mut between, mut within, mut squares) = (0.0, 0.0, 0.0);
     for changes in tasks.values() {
         let m = changes.len() as f64;
-        let own = changes.iter().sum::<f64>() / m;
-        between += m * (own - mean).powi(2);
-        within += changes.iter().map(|c| (c - own).powi(2)).sum::<f64>();
+        let task_mean = changes.iter().sum::<f64>() / m;
+        between += m * (task_mean - mean).powi(2);
+        within += changes.iter().map(|c| (c - task_mean).powi(2)).sum::<f64>();
         squares += m * m;
     }
     let (between, within) = (between / (k - 1.0), within / (n - k));
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn four_times_the_tasks_show_half_the_effect() {
+    fn four_times_the_tasks_detect_half_the_effect() {
         let small = minimum_detectable_effect(&design(40, 0.27, 0.0)).expect("some");
         let large = minimum_detectable_effect(&design(160, 0.27, 0.0)).expect("some");
         assert!((small / large - 2.0).abs() < 0.02, "{small} {large}");
@@ -135,14 +135,14 @@ mod tests {
     }
 
     #[test]
-    fn tasks_that_behave_alike_show_less() {
+    fn correlated_configurations_detect_less() {
         let apart = minimum_detectable_effect(&design(40, 0.27, 0.0));
         let alike = minimum_detectable_effect(&design(40, 0.27, 0.1));
         assert!(alike > apart);
     }
 
     #[test]
-    fn where_nothing_changes_nothing_is_detectable() {
+    fn too_few_changed_outcomes_make_no_effect_detectable() {
         assert_eq!(minimum_detectable_effect(&design(40, 0.0, 0.0)), None);
         assert_eq!(minimum_detectable_effect(&design(2, 0.05, 0.0)), None);
     }
@@ -161,7 +161,7 @@ mod tests {
     }
 
     #[test]
-    fn correlation_is_one_of_tasks_that_are_uniform_and_nought_of_tasks_that_are_equal() {
+    fn correlation_is_one_for_uniform_tasks_and_zero_for_equal_tasks() {
         let uniform = configurations(&[&[1, 1, 1], &[-1, -1, -1], &[0, 0, 0]]);
         assert_eq!(task_correlation(&uniform), Some(1.0));
         let equal = configurations(&[&[1, 0, -1], &[-1, 0, 1], &[0, 1, -1]]);

@@ -13,7 +13,7 @@ use crate::inference::estimate::{Estimate, Scale};
 use crate::inference::multiplicity::{holm, max_t};
 use crate::inference::sample::{Row, Sample};
 use crate::inference::sign_flip::sign_flip_p;
-use crate::interval::{MIN_TASKS, NoInterval, shown};
+use crate::interval::{MIN_TASKS, NoInterval, interval_or_reason};
 use crate::mcnemar::mcnemar_exact;
 use crate::outcomes::Outcome;
 
@@ -157,12 +157,12 @@ impl Difference {
         }
         let mut intervals: Vec<Option<Interval>> = vec![None; sets.len()];
         for (tasks, members) in of_size {
-            let made = bootstrap.intervals_of_many(tasks, members.len(), |draws, values| {
+            let computed = bootstrap.intervals_of_many(tasks, members.len(), |draws, values| {
                 for (value, &member) in values.iter_mut().zip(&members) {
                     *value = drawn(&clusters[member], draws);
                 }
             });
-            for (member, interval) in members.iter().zip(made.into_iter().flatten()) {
+            for (member, interval) in members.iter().zip(computed.into_iter().flatten()) {
                 intervals[*member] = Some(interval);
             }
         }
@@ -172,7 +172,7 @@ impl Difference {
                 Self::new(pairs, *directions, clusters, interval)
             })
             .collect();
-        together(&mut differences, bootstrap);
+        correct_for_multiplicity(&mut differences, bootstrap);
         differences
     }
 
@@ -192,7 +192,7 @@ impl Difference {
         if total.n() == 0 {
             return None;
         }
-        let interval = shown(clusters.len(), interval);
+        let interval = interval_or_reason(clusters.len(), interval);
         let net = |task: &Tally| task.a_only as i64 - task.b_only as i64;
         let sign_flip_p = sign_flip_p(&clusters.iter().map(net).collect::<Vec<_>>());
         let estimate = estimate(pairs, directions)?;
@@ -294,8 +294,11 @@ impl Profile {
                     _ => Some((task, change)),
                 }
             };
-        let [least, most] =
-            [1.0, -1.0].map(|sign| self.tasks.iter().fold(None, |it, of| pick(it, of, sign)));
+        let [least, most] = [1.0, -1.0].map(|sign| {
+            self.tasks
+                .iter()
+                .fold(None, |worst, task| pick(worst, task, sign))
+        });
         Some([least?, most?])
     }
 
@@ -348,33 +351,36 @@ impl Profile {
 }
 
 /// Corrects the rows of a comparison for multiplicity: Holm's p-values and max-t intervals.
-fn together(differences: &mut [Option<Difference>], bootstrap: &Bootstrap) {
-    let mut made: Vec<&mut Difference> = differences.iter_mut().flatten().collect();
-    let p_values: Vec<f64> = made.iter().map(|it| it.sign_flip_p).collect();
-    for (difference, p) in made.iter_mut().zip(holm(&p_values)) {
+fn correct_for_multiplicity(differences: &mut [Option<Difference>], bootstrap: &Bootstrap) {
+    let mut present: Vec<&mut Difference> = differences.iter_mut().flatten().collect();
+    let p_values: Vec<f64> = present
+        .iter()
+        .map(|difference| difference.sign_flip_p)
+        .collect();
+    for (difference, p) in present.iter_mut().zip(holm(&p_values)) {
         difference.holm_p = p;
     }
-    let tasks: BTreeSet<TaskRef> = made
+    let tasks: BTreeSet<TaskRef> = present
         .iter()
-        .flat_map(|it| it.profile.tasks.keys().copied())
+        .flat_map(|difference| difference.profile.tasks.keys().copied())
         .collect();
     let tasks: Vec<TaskRef> = tasks.into_iter().collect();
     let strata = strata(&tasks);
     // If all tasks have the same number of rollouts, the pseudo-value is the task's
     // difference minus the mean of its stratum.
-    let pseudo = made.iter().map(|difference| {
-        let of = &difference.profile.tasks;
+    let pseudo = present.iter().map(|difference| {
+        let by_task = &difference.profile.tasks;
         let mut values = Vec::with_capacity(tasks.len());
-        let mut rest = tasks.as_slice();
+        let mut remaining = tasks.as_slice();
         for &size in &strata {
-            let (stratum, others) = rest.split_at(size);
-            rest = others;
-            let own: Vec<f64> = stratum
+            let (stratum, others) = remaining.split_at(size);
+            remaining = others;
+            let changes: Vec<f64> = stratum
                 .iter()
-                .filter_map(|it| of.get(it).copied())
+                .filter_map(|task| by_task.get(task).copied())
                 .collect();
-            let mean = own.iter().sum::<f64>() / own.len() as f64;
-            let value = |task| of.get(task).map_or(0.0, |change| change - mean);
+            let mean = changes.iter().sum::<f64>() / changes.len() as f64;
+            let value = |task| by_task.get(task).map_or(0.0, |change| change - mean);
             values.extend(stratum.iter().map(value));
         }
         values
@@ -382,7 +388,7 @@ fn together(differences: &mut [Option<Difference>], bootstrap: &Bootstrap) {
     let Some(critical) = max_t(&pseudo.collect::<Vec<_>>(), &strata, bootstrap) else {
         return;
     };
-    for difference in made {
+    for difference in present {
         difference.simultaneous_ci95 = difference.estimate.standard_error.map(|error| {
             let half = critical * error;
             let value = difference.difference;

@@ -98,15 +98,15 @@ pub fn report_of(records: &Records, options: &Options) -> Report {
 
 fn nominal(records: &Records, replicate: u32) -> Option<Nominal> {
     let (mut count, mut gap) = (Count::default(), Gap::default());
-    let mut any = false;
-    for (&(of, id), &outcome) in &records.outcomes {
-        if of == replicate && id.condition() == Condition::Clean {
-            any = true;
+    let mut has_nominal = false;
+    for (&(number, id), &outcome) in &records.outcomes {
+        if number == replicate && id.condition() == Condition::Clean {
+            has_nominal = true;
             count.add(outcome);
             gap.add(outcome);
         }
     }
-    any.then_some(Nominal {
+    has_nominal.then_some(Nominal {
         replicate,
         source: NominalSource::Records,
         count,

@@ -90,7 +90,11 @@ impl Claims {
 
 /// Writes the finding about nominal success and simultaneous success at every level.
 fn success(report: &Report, cells: &[&Cell]) -> Option<Finding> {
-    let nominal = report.nominal.iter().find(|it| it.replicate == 0)?.count;
+    let nominal = report
+        .nominal
+        .iter()
+        .find(|nominal| nominal.replicate == 0)?
+        .count;
     let mut sentence = match nominal.n {
         0 => "No nominal rollout has an outcome yet".to_owned(),
         n => format!(
@@ -101,7 +105,7 @@ fn success(report: &Report, cells: &[&Cell]) -> Option<Finding> {
     let at_levels = cells.iter().filter_map(|cell| {
         let rate = cell.simultaneous?.rate()?;
         let inference = cell.inference.as_ref();
-        let interval = inference.and_then(|it| it.paired.s_sim.new_tasks);
+        let interval = inference.and_then(|inference| inference.paired.s_sim.new_tasks);
         let interval = interval.map_or_else(String::new, |[low, high]| {
             format!(" ({} to {})", percent(Some(low)), percent(Some(high)))
         });
@@ -128,7 +132,7 @@ fn success(report: &Report, cells: &[&Cell]) -> Option<Finding> {
 
 /// Writes the finding about the most costly single axis and the significance of the others.
 fn cost(cell: &Cell) -> Option<Finding> {
-    let losses = cell.inference.as_ref().map(|it| &it.losses)?;
+    let losses = cell.inference.as_ref().map(|inference| &inference.losses)?;
     let singles = losses
         .iter()
         .filter_map(|(condition, loss)| match condition {
@@ -185,7 +189,7 @@ fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding
     let Some(excess) = &inference.excess else {
         return without_floor(cell, report, claims);
     };
-    let known = [
+    let measured = [
         (
             Hypothesis::Emergent,
             "failures emerge",
@@ -204,7 +208,7 @@ fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding
     let is_shown = |hypothesis, excess: &Estimate| {
         claims.p(cell, hypothesis) < FINDING_ALPHA && excess.value > 0.0
     };
-    let shown = known
+    let shown = measured
         .iter()
         .filter(|(hypothesis, .., excess)| is_shown(*hypothesis, excess));
     let parts: Vec<String> = shown
@@ -229,7 +233,7 @@ fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding
         ),
         parts => format!("At {level}, {}.", parts.join("; ")),
     };
-    let p = known.map(|(hypothesis, ..)| claims.p(cell, hypothesis));
+    let p = measured.map(|(hypothesis, ..)| claims.p(cell, hypothesis));
     Some(Finding {
         kind: FindingKind::Simultaneity,
         level: Some(level),
@@ -286,7 +290,12 @@ fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Findin
 /// upper bound of chance.
 fn flips(cell: &Cell, report: &Report) -> Option<(&'static str, f64)> {
     let replicate = report.replication.first();
-    let replicate = replicate.and_then(|it| it.flips_by_condition.get(&Condition::Clean)?.rate());
+    let replicate = replicate.and_then(|replication| {
+        replication
+            .flips_by_condition
+            .get(&Condition::Clean)?
+            .rate()
+    });
     if let Some(rate) = replicate {
         return Some(("Nominal rollouts of two replicates end differently", rate));
     }

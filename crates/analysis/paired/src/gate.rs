@@ -126,14 +126,14 @@ mod tests {
     }
 
     #[test]
-    fn some_of_the_rollouts_decide_nothing() {
+    fn too_few_rollouts_leave_the_gate_undecided() {
         check(0.95, 1999, 1999, GateVerdict::Undecided);
         check(0.95, 0, 0, GateVerdict::Undecided);
     }
 
     /// Two tasks of 50 states: the rate is 90 %, its standard error 2.9 points.
     #[test]
-    fn being_within_the_tolerance_is_not_equivalence() {
+    fn a_difference_within_the_tolerance_does_not_show_equivalence() {
         let tasks = [50, 40].map(|successes| Count { successes, n: 50 });
         let nominal = Count {
             successes: 90,

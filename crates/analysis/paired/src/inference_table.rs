@@ -19,63 +19,98 @@ const CELLS: usize = 3;
 type Line = (&'static str, fn(&Inference) -> String);
 
 const LINES: [Line; 21] = [
-    ("S_sim, these tasks", |it| {
-        rates(it.paired.s_sim.these_tasks)
+    ("S_sim, these tasks", |inference| {
+        rates(inference.paired.s_sim.these_tasks)
     }),
-    ("  new tasks", |it| rates(it.paired.s_sim.new_tasks)),
-    ("  and directions", |it| {
-        rates(it.paired.s_sim.new_tasks_and_directions)
+    ("  new tasks", |inference| {
+        rates(inference.paired.s_sim.new_tasks)
     }),
-    ("I, these tasks", |it| changes(it.paired.i.these_tasks)),
-    ("  new tasks", |it| changes(it.paired.i.new_tasks)),
-    ("  and directions", |it| {
-        changes(it.paired.i.new_tasks_and_directions)
+    ("  and directions", |inference| {
+        rates(inference.paired.s_sim.new_tasks_and_directions)
     }),
-    ("R_d, these tasks", |it| rates(it.paired.r_d.these_tasks)),
-    ("  new tasks", |it| rates(it.paired.r_d.new_tasks)),
-    ("  and directions", |it| {
-        rates(it.paired.r_d.new_tasks_and_directions)
+    ("I, these tasks", |inference| {
+        changes(inference.paired.i.these_tasks)
     }),
-    ("sign-flip p of I", |it| p_value(it.i_sign_flip_p)),
-    ("directions alike, p", |it| {
-        it.directions
+    ("  new tasks", |inference| {
+        changes(inference.paired.i.new_tasks)
+    }),
+    ("  and directions", |inference| {
+        changes(inference.paired.i.new_tasks_and_directions)
+    }),
+    ("R_d, these tasks", |inference| {
+        rates(inference.paired.r_d.these_tasks)
+    }),
+    ("  new tasks", |inference| {
+        rates(inference.paired.r_d.new_tasks)
+    }),
+    ("  and directions", |inference| {
+        rates(inference.paired.r_d.new_tasks_and_directions)
+    }),
+    ("sign-flip p of I", |inference| {
+        p_value(inference.i_sign_flip_p)
+    }),
+    ("directions alike, p", |inference| {
+        inference
+            .directions
             .as_ref()
             .map_or_else(nothing, |test| p_value(test.p))
     }),
-    ("b / S_conj", |it| share(it.eligible.emergent.as_ref())),
-    ("  new tasks", |it| {
-        it.eligible
+    ("b / S_conj", |inference| {
+        share(inference.eligible.emergent.as_ref())
+    }),
+    ("  new tasks", |inference| {
+        inference
+            .eligible
             .emergent
-            .map_or_else(nothing, |it| rates(it.new_tasks))
+            .map_or_else(nothing, |estimate| rates(estimate.new_tasks))
     }),
-    ("c / (1 - S_conj)", |it| {
-        share(it.eligible.compensated.as_ref())
+    ("c / (1 - S_conj)", |inference| {
+        share(inference.eligible.compensated.as_ref())
     }),
-    ("  new tasks", |it| {
-        it.eligible
+    ("  new tasks", |inference| {
+        inference
+            .eligible
             .compensated
-            .map_or_else(nothing, |it| rates(it.new_tasks))
+            .map_or_else(nothing, |estimate| rates(estimate.new_tasks))
     }),
-    ("relative indep.", |it| {
-        share(it.relative.as_ref().map(|it| &it.prediction))
+    ("relative indep.", |inference| {
+        share(
+            inference
+                .relative
+                .as_ref()
+                .map(|relative| &relative.prediction),
+        )
     }),
-    ("  new tasks", |it| {
-        it.relative
-            .map_or_else(nothing, |it| rates(it.prediction.new_tasks))
+    ("  new tasks", |inference| {
+        inference
+            .relative
+            .map_or_else(nothing, |relative| rates(relative.prediction.new_tasks))
     }),
-    ("S_sim - relative", |it| {
-        change(it.relative.as_ref().map(|it| &it.difference))
+    ("S_sim - relative", |inference| {
+        change(
+            inference
+                .relative
+                .as_ref()
+                .map(|relative| &relative.difference),
+        )
     }),
-    ("  new tasks", |it| {
-        it.relative
-            .map_or_else(nothing, |it| changes(it.difference.new_tasks))
+    ("  new tasks", |inference| {
+        inference
+            .relative
+            .map_or_else(nothing, |relative| changes(relative.difference.new_tasks))
     }),
-    ("nominal, matched", |it| {
-        share(it.relative.as_ref().map(|it| &it.nominal))
+    ("nominal, matched", |inference| {
+        share(
+            inference
+                .relative
+                .as_ref()
+                .map(|relative| &relative.nominal),
+        )
     }),
-    ("  new tasks", |it| {
-        it.relative
-            .map_or_else(nothing, |it| rates(it.nominal.new_tasks))
+    ("  new tasks", |inference| {
+        inference
+            .relative
+            .map_or_else(nothing, |relative| rates(relative.nominal.new_tasks))
     }),
 ];
 
@@ -83,25 +118,29 @@ const LINES: [Line; 21] = [
 type ExcessLine = (&'static str, fn(&Excess) -> String);
 
 const EXCESS_LINES: [ExcessLine; 12] = [
-    ("floor: n", |it| it.placebo.to_string()),
-    ("  R_e, R_c", |it| {
-        format!("{}, {}", rate(it.floor.r_e.value), rate(it.floor.r_c.value))
+    ("floor: n", |excess| excess.placebo.to_string()),
+    ("  R_e, R_c", |excess| {
+        format!(
+            "{}, {}",
+            rate(excess.floor.r_e.value),
+            rate(excess.floor.r_c.value)
+        )
     }),
-    ("  R_d", |it| rate(it.floor.r_d.value)),
-    ("  I", |it| points(it.floor.i.value)),
-    ("R_e - floor", |it| points(it.excess.r_e.value)),
-    ("  new tasks", |it| changes(it.excess.r_e.new_tasks)),
-    ("R_c - floor", |it| points(it.excess.r_c.value)),
-    ("  new tasks", |it| changes(it.excess.r_c.new_tasks)),
-    ("R_d - floor", |it| points(it.excess.r_d.value)),
-    ("  new tasks", |it| changes(it.excess.r_d.new_tasks)),
-    ("I - floor", |it| points(it.excess.i.value)),
-    ("  new tasks", |it| changes(it.excess.i.new_tasks)),
+    ("  R_d", |excess| rate(excess.floor.r_d.value)),
+    ("  I", |excess| points(excess.floor.i.value)),
+    ("R_e - floor", |excess| points(excess.excess.r_e.value)),
+    ("  new tasks", |excess| changes(excess.excess.r_e.new_tasks)),
+    ("R_c - floor", |excess| points(excess.excess.r_c.value)),
+    ("  new tasks", |excess| changes(excess.excess.r_c.new_tasks)),
+    ("R_d - floor", |excess| points(excess.excess.r_d.value)),
+    ("  new tasks", |excess| changes(excess.excess.r_d.new_tasks)),
+    ("I - floor", |excess| points(excess.excess.i.value)),
+    ("  new tasks", |excess| changes(excess.excess.i.new_tasks)),
 ];
 
 /// Appends the table: intervals for each target, rates among eligible configurations,
 /// relative independence, and the excess over the noise floor.
-pub(crate) fn push_inference(text: &mut String, cells: &[&Cell], of: &str) {
+pub(crate) fn push_inference(text: &mut String, cells: &[&Cell], suffix: &str) {
     for cells in cells.chunks(CELLS) {
         let inferred: Vec<(Level, &Inference)> = cells
             .iter()
@@ -111,28 +150,32 @@ pub(crate) fn push_inference(text: &mut String, cells: &[&Cell], of: &str) {
             continue;
         }
         separate(text);
-        let _ = writeln!(text, "how sure, and about what: 95 % intervals, %{of}");
+        let _ = writeln!(text, "how sure, and about what: 95 % intervals, %{suffix}");
         let levels = inferred.iter().map(|(level, _)| level.to_string());
         push_row(text, LABEL, COLUMN, "", levels);
         for (label, value) in LINES {
-            let values = inferred.iter().map(|(_, it)| value(it));
+            let values = inferred.iter().map(|(_, inference)| value(inference));
             push_row(text, LABEL, COLUMN, label, values);
         }
-        if inferred.iter().all(|(_, it)| it.excess.is_none()) {
+        if inferred
+            .iter()
+            .all(|(_, inference)| inference.excess.is_none())
+        {
             continue;
         }
         for (label, value) in EXCESS_LINES {
             let values = inferred.iter();
-            let values = values.map(|(_, it)| it.excess.as_ref().map_or_else(nothing, value));
+            let values =
+                values.map(|(_, inference)| inference.excess.as_ref().map_or_else(nothing, value));
             push_row(text, LABEL, COLUMN, label, values);
         }
     }
-    push_losses(text, cells, of);
+    push_losses(text, cells, suffix);
 }
 
 /// Writes the table of success lost under each condition, against matched nominal
 /// rollouts.
-fn push_losses(text: &mut String, cells: &[&Cell], of: &str) {
+fn push_losses(text: &mut String, cells: &[&Cell], suffix: &str) {
     let heads = [
         "n",
         "nominal",
@@ -144,7 +187,11 @@ fn push_losses(text: &mut String, cells: &[&Cell], of: &str) {
     ];
     let mut rows = vec![(String::new(), heads.map(str::to_owned).to_vec())];
     for cell in cells {
-        let Some(inference) = cell.inference.as_ref().filter(|it| !it.losses.is_empty()) else {
+        let Some(inference) = cell
+            .inference
+            .as_ref()
+            .filter(|inference| !inference.losses.is_empty())
+        else {
             continue;
         };
         rows.push((cell.level.to_string(), Vec::new()));
@@ -170,7 +217,7 @@ fn push_losses(text: &mut String, cells: &[&Cell], of: &str) {
         separate(text);
         let _ = writeln!(
             text,
-            "loss against nominal rollouts of the same initial states, %{of}"
+            "loss against nominal rollouts of the same initial states, %{suffix}"
         );
         push_columns(text, &rows);
     }
@@ -208,7 +255,10 @@ pub(crate) fn meanings(cells: &[&Cell]) -> Vec<(&'static str, &'static str)> {
         ),
         ("c / (1 - S_conj)", "compensated, of the others"),
     ];
-    if inferred.iter().any(|it| it.relative.is_some()) {
+    if inferred
+        .iter()
+        .any(|inference| inference.relative.is_some())
+    {
         entries.push((
             "relative indep.",
             "nominal x product of (axis / nominal): independent axes, nominal failures counted once",
@@ -222,7 +272,7 @@ pub(crate) fn meanings(cells: &[&Cell]) -> Vec<(&'static str, &'static str)> {
             "test that the loss is beyond 5 points either way: if small, there is none",
         ));
     }
-    if inferred.iter().any(|it| it.excess.is_some()) {
+    if inferred.iter().any(|inference| inference.excess.is_some()) {
         entries.push((
             "floor",
             "the same measures of the placebo level: what chance makes of them",

@@ -67,7 +67,7 @@ pub(crate) fn intervals<const N: usize>(
     // Skips the computation of intervals that would be withheld.
     let intervals = (tasks >= MIN_TASKS).then(|| bootstrap.intervals(tasks, statistics));
     let intervals = intervals.flatten().map_or([None; N], |all| all.map(Some));
-    let shown = intervals.map(|interval| shown(tasks, interval));
+    let shown = intervals.map(|interval| interval_or_reason(tasks, interval));
     let why = shown.iter().find_map(|interval| interval.err());
     (shown.map(Result::ok), why)
 }
@@ -81,14 +81,19 @@ pub fn intervals_of_many(
     count: usize,
     statistics: impl Fn(&[u32], &mut [f64]) + Sync,
 ) -> Vec<Result<Interval, NoInterval>> {
-    let made = (tasks >= MIN_TASKS).then(|| bootstrap.intervals_of_many(tasks, count, statistics));
-    let made = made.flatten();
-    let each = (0..count).map(|i| made.as_ref().map(|all| all[i]));
-    each.map(|interval| shown(tasks, interval)).collect()
+    let computed =
+        (tasks >= MIN_TASKS).then(|| bootstrap.intervals_of_many(tasks, count, statistics));
+    let computed = computed.flatten();
+    let each = (0..count).map(|i| computed.as_ref().map(|all| all[i]));
+    each.map(|interval| interval_or_reason(tasks, interval))
+        .collect()
 }
 
 /// Returns the interval, or the reason why it is withheld.
-pub(crate) fn shown(tasks: usize, interval: Option<Interval>) -> Result<Interval, NoInterval> {
+pub(crate) fn interval_or_reason(
+    tasks: usize,
+    interval: Option<Interval>,
+) -> Result<Interval, NoInterval> {
     if tasks < MIN_TASKS {
         return Err(NoInterval::TooFewTasks);
     }
@@ -124,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn each_of_many_has_the_interval_and_the_reason_that_it_has_alone() {
+    fn each_statistic_has_the_same_interval_alone_and_among_many() {
         let columns: [Vec<f64>; 2] = [(0..12).map(f64::from).collect(), vec![1.0; 12]];
         for tasks in [9, 12] {
             let mean = |draws: &[u32], column: &[f64]| {

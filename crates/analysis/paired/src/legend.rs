@@ -100,7 +100,7 @@ pub fn legend(reports: &[&Report]) -> String {
     if cells().any(|cell| cell.paired.is_some()) {
         let bootstrap = reports
             .first()
-            .map_or_else(Bootstrap::default, |it| it.bootstrap);
+            .map_or_else(Bootstrap::default, |report| report.bootstrap);
         entries.extend(of_intervals(&bootstrap, why));
     }
     let mut text = String::new();

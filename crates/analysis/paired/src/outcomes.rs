@@ -227,8 +227,8 @@ impl Records {
         let mut matching = Self::default();
         for record in records {
             let (id, replicate) = (record.id, record.replicate);
-            let known = matching.outcomes.insert((replicate, id), record.outcome);
-            if known.is_some() {
+            let earlier = matching.outcomes.insert((replicate, id), record.outcome);
+            if earlier.is_some() {
                 return Err(DuplicateRecord { id, replicate });
             }
             match id.condition() {

@@ -108,7 +108,7 @@ impl Assumed {
     pub fn of(records: &[Record]) -> Result<Vec<Self>, DuplicateRecord> {
         let records = Records::new(records)?;
         let first = records.configurations().iter();
-        let first = first.filter(|it| it.replicate == 0 && it.alone.len() > 1);
+        let first = first.filter(|matched| matched.replicate == 0 && matched.alone.len() > 1);
         let mut levels: BTreeMap<Level, Vec<Configuration>> = BTreeMap::new();
         for matched in first {
             if let Some(configuration) = matched.configuration() {
@@ -123,18 +123,23 @@ impl Assumed {
 
     fn of_level(level: Level, configurations: &[Configuration]) -> Self {
         let share = |is: fn(&Configuration) -> bool| {
-            let count = configurations.iter().filter(|it| is(it)).count();
+            let count = configurations
+                .iter()
+                .filter(|configuration| is(configuration))
+                .count();
             count as f64 / configurations.len() as f64
         };
         let over_tasks = |is: fn(&Configuration) -> bool| {
-            correlation(configurations, |it| f64::from(is(it))).unwrap_or_default()
+            correlation(configurations, |configuration| f64::from(is(configuration)))
+                .unwrap_or_default()
         };
-        let is_changed: fn(&Configuration) -> bool = |it| it.simultaneous != it.conjunction();
+        let is_changed: fn(&Configuration) -> bool =
+            |configuration| configuration.simultaneous != configuration.conjunction();
         Self {
             level,
-            s_sim: share(|it| it.simultaneous),
+            s_sim: share(|configuration| configuration.simultaneous),
             r_d: share(is_changed),
-            of_success: over_tasks(|it| it.simultaneous),
+            of_success: over_tasks(|configuration| configuration.simultaneous),
             of_change: task_correlation(configurations).unwrap_or_default(),
             of_changed: over_tasks(is_changed),
         }
@@ -142,10 +147,10 @@ impl Assumed {
 
     /// Returns the entry of a level, or of the perturbed level with the nearest radius.
     pub fn nearest(all: &[Self], level: Level) -> Option<&Self> {
-        let perturbed = all.iter().filter(|it| it.level != Level::L0);
+        let perturbed = all.iter().filter(|assumed| assumed.level != Level::L0);
         perturbed.min_by(|a, b| {
-            let far = |it: &Self| (it.level.radius() - level.radius()).abs();
-            far(a).total_cmp(&far(b))
+            let distance = |assumed: &Self| (assumed.level.radius() - level.radius()).abs();
+            distance(a).total_cmp(&distance(b))
         })
     }
 
@@ -266,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn an_excess_that_is_called_detectable_is_found_in_four_of_five_campaigns() {
+    fn a_detectable_excess_is_found_in_four_of_five_campaigns() {
         let [here, there] = [planned(40, 10.0), planned(40, 2.0)];
         let base = 0.05;
         let excess = excess(base, 0.0, [here, there]).expect("some");
@@ -275,7 +280,7 @@ mod tests {
             let uniform = || f64::from(rng.next_u32()) / f64::from(u32::MAX);
             let n = of.of_all();
             let hits = std::iter::repeat_with(uniform).take(n as usize);
-            hits.filter(|it| *it < rate).count() as f64 / n
+            hits.filter(|draw| *draw < rate).count() as f64 / n
         };
         let campaigns = 2_000;
         let is_found = |_: &u32| {
@@ -290,14 +295,18 @@ mod tests {
     }
 
     #[test]
-    fn more_configurations_show_less_and_tasks_that_resemble_themselves_show_more() {
+    fn more_configurations_and_less_correlation_detect_smaller_effects() {
         let floor = |configs| Against::Floor {
             r_d: 0.05,
             planned: planned(40, configs),
         };
         let usual = assumed(0.27, 0.05);
-        let all = |it: Detectable| [it.difference, it.i, it.r_d].map(|it| it.expect("some"));
-        let of = |it: Assumed, tasks, against| all(it.detectable(planned(tasks, 10.0), against));
+        let all = |detectable: Detectable| {
+            [detectable.difference, detectable.i, detectable.r_d].map(|value| value.expect("some"))
+        };
+        let of = |assumed: Assumed, tasks, against| {
+            all(assumed.detectable(planned(tasks, 10.0), against))
+        };
         let here = of(usual, 40, floor(10.0));
         for (better, worse) in [
             (
@@ -317,7 +326,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_assumed_at_a_level_is_what_is_known_of_the_nearest() {
+    fn assumptions_of_a_level_are_those_of_the_nearest_known_level() {
         let at = |text: &str| text.parse::<Level>().expect("a level");
         let all = [at("L0"), at("L1"), at("L3")].map(|level| Assumed {
             level,

@@ -84,11 +84,12 @@ impl ProgressDifference {
     ) -> Vec<Option<Self>> {
         let each = |value: Value, scale: Scale| {
             let sets = sets.iter().zip(directions);
-            let each = sets.map(|(pairs, of)| MeanDifference::of(pairs, *of, scale, value));
-            corrected(each.collect())
+            let each = sets
+                .map(|(pairs, directions)| MeanDifference::of(pairs, *directions, scale, value));
+            with_holm(each.collect())
         };
         let goals = each(Progress::goal_share, Scale::Difference);
-        let steps = each(|it| it.steps.map(f64::from), Scale::Mean);
+        let steps = each(|progress| progress.steps.map(f64::from), Scale::Mean);
         let both = goals.into_iter().zip(steps);
         both.map(|(goal, steps)| {
             (goal.is_some() || steps.is_some()).then_some(Self { goal, steps })
@@ -130,10 +131,10 @@ impl MeanDifference {
 }
 
 /// Fills in Holm's p-values over the rows that have a p-value.
-fn corrected(mut each: Vec<Option<MeanDifference>>) -> Vec<Option<MeanDifference>> {
-    let tested = each.iter_mut().flatten().filter(|it| it.p.is_some());
+fn with_holm(mut each: Vec<Option<MeanDifference>>) -> Vec<Option<MeanDifference>> {
+    let tested = each.iter_mut().flatten().filter(|mean| mean.p.is_some());
     let tested: Vec<&mut MeanDifference> = tested.collect();
-    let p_values: Vec<f64> = tested.iter().filter_map(|it| it.p).collect();
+    let p_values: Vec<f64> = tested.iter().filter_map(|mean| mean.p).collect();
     for (difference, p) in tested.into_iter().zip(holm(&p_values)) {
         difference.holm_p = Some(p);
     }

@@ -90,9 +90,9 @@ impl Replication {
     pub fn of(records: &Records, replicate: u32, bootstrap: &Bootstrap) -> Self {
         let mut flips = Flips::default();
         let mut by_condition: BTreeMap<Condition, Flips> = BTreeMap::new();
-        for (&(of, id), outcome) in &records.outcomes {
+        for (&(number, id), outcome) in &records.outcomes {
             let first = records.outcome(0, id).success();
-            if let (true, Some(now), Some(then)) = (of == replicate, outcome.success(), first) {
+            if let (true, Some(now), Some(then)) = (number == replicate, outcome.success(), first) {
                 flips.add(now != then);
                 by_condition
                     .entry(id.condition())
@@ -134,8 +134,12 @@ impl Change {
         let axes: Vec<_> = then[0].alone.keys().copied().collect();
         let clusters = [then, now].map(|outcomes| Tally::of_tasks(outcomes, &axes));
         let changes = |draws: &[u32]| {
-            let of = |of: usize| Tally::drawn(&clusters[of], draws).rates().with_intervals();
-            let (then, now) = (of(0), of(1));
+            let rates = |side: usize| {
+                Tally::drawn(&clusters[side], draws)
+                    .rates()
+                    .with_intervals()
+            };
+            let (then, now) = (rates(0), rates(1));
             std::array::from_fn::<f64, 5, _>(|i| now[i] - then[i])
         };
         let tasks = clusters[0].len();
@@ -143,7 +147,7 @@ impl Change {
         let [d, i, r_e, r_c, r_d] = changes(&once);
         let (shown, no_interval) = intervals(bootstrap, tasks, changes);
         let [d_ci95, i_ci95, r_e_ci95, r_c_ci95, r_d_ci95] = shown;
-        let s_sim = |of: usize| Tally::drawn(&clusters[of], &once).rates().s_sim;
+        let s_sim = |side: usize| Tally::drawn(&clusters[side], &once).rates().s_sim;
         let transition = |c: &Configuration| Transition::between(c.conjunction(), c.simultaneous);
         let (mut same, mut changed, mut again) = (0, 0, 0);
         for (then, now) in then.iter().zip(now) {

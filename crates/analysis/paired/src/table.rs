@@ -50,14 +50,14 @@ pub fn table(report: &Report) -> String {
             .iter()
             .filter(|cell| cell.replicate == replicate)
             .collect();
-        let of = of_replicate(replicate, report);
-        push_rates(&mut text, report, &cells, &of);
-        push_subsets(&mut text, &cells, &of);
+        let suffix = of_replicate(replicate, report);
+        push_rates(&mut text, report, &cells, &suffix);
+        push_subsets(&mut text, &cells, &suffix);
         if cells.iter().any(|cell| cell.simultaneous.is_some()) {
             for cells in cells.chunks(PAIRED_CELLS) {
-                push_paired(&mut text, cells, &of, &report.overstated);
+                push_paired(&mut text, cells, &suffix, &report.overstated);
             }
-            push_inference(&mut text, &cells, &of);
+            push_inference(&mut text, &cells, &suffix);
         }
         push_gaps(&mut text, &cells);
     }
@@ -85,7 +85,7 @@ fn quarantined(names: &[String]) -> String {
 }
 
 fn nominal_line(nominal: &Nominal, report: &Report) -> String {
-    let of = of_replicate(nominal.replicate, report);
+    let suffix = of_replicate(nominal.replicate, report);
     let Count { successes, n } = nominal.count;
     let rate = percent(nominal.count.rate());
     let missing = match gap_text(&nominal.gap) {
@@ -96,26 +96,26 @@ fn nominal_line(nominal: &Nominal, report: &Report) -> String {
         NominalSource::Records => "",
         NominalSource::Reported => ", as reported",
     };
-    format!("nominal success{of}: {rate} % ({successes}/{n}{source}){missing}")
+    format!("nominal success{suffix}: {rate} % ({successes}/{n}{source}){missing}")
 }
 
 /// Writes the verdicts of the gates over all suites and for single suites.
 pub fn gate_lines(report: &Report) -> String {
     let mut text = String::new();
     if let Some(gate) = &report.gate {
-        let rest = "give a figure of one suite as SUITE:POLICY=PERCENT";
-        push_wrapped(&mut text, "", &gate_line("", gate, GATE_ROLLOUTS, rest));
+        let remedy = "give a figure of one suite as SUITE:POLICY=PERCENT";
+        push_wrapped(&mut text, "", &gate_line("", gate, GATE_ROLLOUTS, remedy));
     }
     for SuiteGate { suite, gate } in &report.suite_gates {
-        let of = format!(" of {suite}");
-        let rest = "create the campaign with `--nominal all`";
-        let line = gate_line(&of, gate, GATE_ROLLOUTS_OF_A_SUITE, rest);
+        let suffix = format!(" of {suite}");
+        let remedy = "create the campaign with `--nominal all`";
+        let line = gate_line(&suffix, gate, GATE_ROLLOUTS_OF_A_SUITE, remedy);
         push_wrapped(&mut text, "", &line);
     }
     text
 }
 
-fn gate_line(of: &str, gate: &Gate, rollouts: u64, remedy: &str) -> String {
+fn gate_line(suffix: &str, gate: &Gate, rollouts: u64, remedy: &str) -> String {
     let verdict = match gate.verdict {
         GateVerdict::Passed => "passed".to_owned(),
         GateVerdict::Failed => "FAILED: robustness is not to be interpreted".to_owned(),
@@ -134,14 +134,14 @@ fn gate_line(of: &str, gate: &Gate, rollouts: u64, remedy: &str) -> String {
         _ => String::new(),
     };
     format!(
-        "reproduction gate{of}: {difference} points from the published {} %, tolerance {:.0}: \
+        "reproduction gate{suffix}: {difference} points from the published {} %, tolerance {:.0}: \
          {verdict}{equivalence}",
         percent(Some(gate.published)),
         100.0 * GATE_TOLERANCE
     )
 }
 
-fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], of: &str) {
+fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], suffix: &str) {
     let is_late = cells.iter().any(|cell| cell.latency.is_some());
     if report.axes.is_empty() && !is_late {
         return;
@@ -156,7 +156,7 @@ fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], of: &str) {
         true => "success, its counts, and the loss against nominal, %",
         false => "success, and its counts, %",
     };
-    let _ = writeln!(text, "{title}{of}");
+    let _ = writeln!(text, "{title}{suffix}");
     let has_simultaneous = cells.iter().any(|cell| cell.simultaneous.is_some());
     let singles = report.axes.iter().copied().map(Condition::Single);
     let columns: Vec<Condition> = singles
@@ -203,7 +203,7 @@ fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], of: &str) {
 }
 
 /// Success under several axes, one line for each set of them.
-fn push_subsets(text: &mut String, cells: &[&Cell], of: &str) {
+fn push_subsets(text: &mut String, cells: &[&Cell], suffix: &str) {
     let sets: BTreeSet<AxisSet> = cells
         .iter()
         .flat_map(|cell| cell.subsets.keys().copied())
@@ -212,7 +212,10 @@ fn push_subsets(text: &mut String, cells: &[&Cell], of: &str) {
         return;
     }
     separate(text);
-    let _ = writeln!(text, "success under several axes, and its counts, %{of}");
+    let _ = writeln!(
+        text,
+        "success under several axes, and its counts, %{suffix}"
+    );
     for cells in cells.chunks(PAIRED_CELLS) {
         let levels = cells.iter().map(|cell| cell.level.to_string());
         push_row(text, PAIRED_LABEL, PAIRED_COLUMN, "", levels);
@@ -297,9 +300,12 @@ fn starred(label: &str, overstated: &BTreeSet<Measure>) -> String {
     }
 }
 
-fn push_paired(text: &mut String, cells: &[&Cell], of: &str, overstated: &BTreeSet<Measure>) {
+fn push_paired(text: &mut String, cells: &[&Cell], suffix: &str, overstated: &BTreeSet<Measure>) {
     separate(text);
-    let _ = writeln!(text, "paired outcomes of complete configurations, %{of}");
+    let _ = writeln!(
+        text,
+        "paired outcomes of complete configurations, %{suffix}"
+    );
     let levels = cells.iter().map(|cell| cell.level.to_string());
     push_row(text, PAIRED_LABEL, PAIRED_COLUMN, "", levels);
     let complete = cells.iter().map(|cell| {
@@ -308,7 +314,9 @@ fn push_paired(text: &mut String, cells: &[&Cell], of: &str, overstated: &BTreeS
     });
     push_row(text, PAIRED_LABEL, PAIRED_COLUMN, "n complete", complete);
     for (label, value) in PAIRED_LINES {
-        let values = cells.iter().map(|cell| shown(cell.paired.as_ref(), value));
+        let values = cells
+            .iter()
+            .map(|cell| value_or_dash(cell.paired.as_ref(), value));
         let label = starred(label, overstated);
         push_row(text, PAIRED_LABEL, PAIRED_COLUMN, &label, values);
     }
@@ -327,7 +335,7 @@ fn push_paired(text: &mut String, cells: &[&Cell], of: &str, overstated: &BTreeS
         for (label, value) in SOLVABLE_LINES {
             let values = cells
                 .iter()
-                .map(|cell| shown(cell.solvable.as_ref(), value));
+                .map(|cell| value_or_dash(cell.solvable.as_ref(), value));
             push_row(text, PAIRED_LABEL, PAIRED_COLUMN, label, values);
         }
     }
@@ -404,7 +412,8 @@ fn push_replication(text: &mut String, report: &Report) {
         }
         let share = |part: &f64| format!("{:.0} %", 100.0 * part / total);
         let effect = components.design_effect;
-        let effect = effect.map_or_else(String::new, |it| format!("; design effect {it:.1}"));
+        let effect =
+            effect.map_or_else(String::new, |effect| format!("; design effect {effect:.1}"));
         let line = format!(
             "variance of S_sim at {level}, {replicates} replicates: {} between tasks, {} between \
              configurations, {} chance{effect}; standard error {} points, {} with one more replicate, \
@@ -429,6 +438,6 @@ fn gap_text(gap: &Gap) -> Option<String> {
     }
 }
 
-fn shown(measures: Option<&Measures>, value: fn(&Measures) -> String) -> String {
+fn value_or_dash(measures: Option<&Measures>, value: fn(&Measures) -> String) -> String {
     measures.map_or_else(|| NOTHING.to_owned(), value)
 }

@@ -41,7 +41,7 @@ fn difference(pairs: Vec<Pair>) -> Option<Difference> {
 #[test]
 fn ten_rollouts_of_ten_tasks_differ_as_worked_out_by_hand() {
     // Three pairs are solved only by A, one only by B, four by both, and two by neither.
-    let it = difference(pairs(&[
+    let result = difference(pairs(&[
         (S, F),
         (S, F),
         (S, F),
@@ -54,12 +54,15 @@ fn ten_rollouts_of_ten_tasks_differ_as_worked_out_by_hand() {
         (F, F),
     ]))
     .expect("ten");
-    assert_eq!((it.n, it.tasks), (10, 10));
-    assert_eq!((it.both, it.a_only, it.b_only, it.neither), (4, 3, 1, 2));
-    assert!((it.s_a - 0.7).abs() < 1e-12 && (it.s_b - 0.5).abs() < 1e-12);
-    assert!((it.difference - 0.2).abs() < 1e-12, "{it:?}");
+    assert_eq!((result.n, result.tasks), (10, 10));
+    assert_eq!(
+        (result.both, result.a_only, result.b_only, result.neither),
+        (4, 3, 1, 2)
+    );
+    assert!((result.s_a - 0.7).abs() < 1e-12 && (result.s_b - 0.5).abs() < 1e-12);
+    assert!((result.difference - 0.2).abs() < 1e-12, "{result:?}");
     // 2 · (C(4,0) + C(4,1)) / 2⁴
-    assert!((it.mcnemar_p - 0.625).abs() < 1e-12, "{it:?}");
+    assert!((result.mcnemar_p - 0.625).abs() < 1e-12, "{result:?}");
 }
 
 #[test]
@@ -67,32 +70,32 @@ fn the_interval_of_ten_tasks_of_which_half_differ_is_that_of_ten_tosses() {
     // A resampling counts the tasks that only A solves: Bin(10, ½), of which
     // P(≤ 1) = 1.1 %, P(≤ 2) = 5.5 %. So the 2.5th percentile is 2 of 10.
     let half = [(S, F), (F, F)].repeat(5);
-    let it = difference(pairs(&half)).expect("ten");
-    assert_eq!(it.difference_ci95, Some([0.2, 0.8]));
-    assert_eq!(it.no_interval, None);
+    let result = difference(pairs(&half)).expect("ten");
+    assert_eq!(result.difference_ci95, Some([0.2, 0.8]));
+    assert_eq!(result.no_interval, None);
 }
 
 #[test]
 fn nine_tasks_have_a_difference_and_no_interval() {
     let nine = [(S, F), (F, F), (S, S)].repeat(3);
-    let it = difference(pairs(&nine)).expect("nine");
-    assert!((it.difference - 1.0 / 3.0).abs() < 1e-12);
-    assert_eq!(it.difference_ci95, None);
-    assert_eq!(it.no_interval, Some(NoInterval::TooFewTasks));
+    let result = difference(pairs(&nine)).expect("nine");
+    assert!((result.difference - 1.0 / 3.0).abs() < 1e-12);
+    assert_eq!(result.difference_ci95, None);
+    assert_eq!(result.no_interval, Some(NoInterval::TooFewTasks));
 }
 
 #[test]
 fn a_difference_that_all_tasks_share_has_no_width_and_therefore_no_interval() {
-    let it = difference(pairs(&[(S, F); 10])).expect("ten");
-    assert_eq!((it.difference, it.difference_ci95), (1.0, None));
-    assert_eq!(it.no_interval, Some(NoInterval::NoSpread));
-    assert!((it.mcnemar_p - 2.0 / 1024.0).abs() < 1e-12);
+    let result = difference(pairs(&[(S, F); 10])).expect("ten");
+    assert_eq!((result.difference, result.difference_ci95), (1.0, None));
+    assert_eq!(result.no_interval, Some(NoInterval::NoSpread));
+    assert!((result.mcnemar_p - 2.0 / 1024.0).abs() < 1e-12);
 }
 
 #[test]
 fn rollouts_without_both_outcomes_are_in_no_rate() {
-    let it = difference(pairs(&[(S, F), (S, M), (Q, F), (F, Q), (M, M)])).expect("one");
-    assert_eq!((it.n, it.a_only), (1, 1));
+    let result = difference(pairs(&[(S, F), (S, M), (Q, F), (F, Q), (M, M)])).expect("one");
+    assert_eq!((result.n, result.a_only), (1, 1));
     assert_eq!(difference(pairs(&[(S, M), (Q, F)])), None);
 }
 
@@ -124,7 +127,7 @@ fn compare(a: &[Record], b: &[Record]) -> Comparison {
 }
 
 #[test]
-fn conditions_are_compared_one_by_one_nominal_first_over_what_both_have() {
+fn conditions_are_compared_one_by_one_nominal_first_over_common_rollouts() {
     let a = [
         record(SENSOR, 0, 7, S),
         record(Condition::Combination, 0, 7, S),
@@ -136,17 +139,20 @@ fn conditions_are_compared_one_by_one_nominal_first_over_what_both_have() {
     b[0].outcome = F;
     b[1].outcome = Q;
     b[3] = record(CAMERA, 2, 9, F);
-    let it = compare(&a, &b);
-    let names: Vec<String> = it.cells.iter().map(|cell| cell.name()).collect();
+    let comparison = compare(&a, &b);
+    let names: Vec<String> = comparison.cells.iter().map(|cell| cell.name()).collect();
     assert_eq!(
         names,
         ["nominal", "L2 camera", "L2 sensor", "L2 simultaneous"]
     );
-    assert_eq!((it.only_in_a, it.only_in_b), (1, 1));
-    assert_eq!((it.shared(), it.compared()), (4, 3));
-    let sensor = it.cells[2].difference.as_ref().expect("one rollout");
+    assert_eq!((comparison.only_in_a, comparison.only_in_b), (1, 1));
+    assert_eq!((comparison.shared(), comparison.compared()), (4, 3));
+    let sensor = comparison.cells[2]
+        .difference
+        .as_ref()
+        .expect("one rollout");
     assert_eq!((sensor.difference, sensor.a_only), (1.0, 1));
-    let simultaneous = &it.cells[3];
+    let simultaneous = &comparison.cells[3];
     assert_eq!((simultaneous.shared, simultaneous.quarantined), (1, 1));
     assert_eq!(simultaneous.difference, None);
     let bounds = simultaneous.bounds.expect("quarantined");
@@ -154,7 +160,7 @@ fn conditions_are_compared_one_by_one_nominal_first_over_what_both_have() {
 }
 
 #[test]
-fn what_differs_under_one_name_is_not_paired_and_named() {
+fn rollouts_of_one_id_that_differ_are_not_paired_but_named() {
     let a = [
         record(CAMERA, 0, 7, S),
         record(CAMERA, 1, 8, S),
@@ -169,12 +175,12 @@ fn what_differs_under_one_name_is_not_paired_and_named() {
         record(SENSOR, 0, 7, S),
         a[3],
     ];
-    let told = |record: &Record| {
+    let obstacle = |record: &Record| {
         let is_third = record.id.config() == Some(2);
         is_third.then_some(Obstacle::Scene)
     };
-    let it = Comparison::of(a.as_slice(), b.as_slice(), &Bootstrap::default(), told);
-    let unpaired: Vec<_> = it.unpaired.into_iter().collect();
+    let comparison = Comparison::of(a.as_slice(), b.as_slice(), &Bootstrap::default(), obstacle);
+    let unpaired: Vec<_> = comparison.unpaired.into_iter().collect();
     assert_eq!(
         unpaired,
         [
@@ -183,7 +189,7 @@ fn what_differs_under_one_name_is_not_paired_and_named() {
             (Obstacle::Axes, vec![a[3].id]),
         ]
     );
-    let compared: Vec<_> = it
+    let compared: Vec<_> = comparison
         .cells
         .iter()
         .map(|cell| (cell.name(), cell.shared))
@@ -201,14 +207,14 @@ fn replicates_are_paired_with_those_of_their_number() {
     });
     let mut b = a.clone();
     b[1].outcome = S;
-    let it = compare(&a, &b);
-    let net: Vec<_> = it
+    let comparison = compare(&a, &b);
+    let net: Vec<_> = comparison
         .cells
         .iter()
         .map(|cell| Some((cell.replicate, cell.difference.as_ref()?.difference)))
         .collect();
     assert_eq!(net, [Some((0, 0.0)), Some((1, -1.0))]);
-    let table = comparison_table(&it, &Bootstrap::default());
+    let table = comparison_table(&comparison, &Bootstrap::default());
     assert!(table.contains("replicate 1\n"), "{table}");
 }
 
@@ -248,12 +254,12 @@ fn the_table_fits_a_terminal_and_explains_every_symbol() {
         }
     }
     b.truncate(a.len() - 3);
-    let it = compare(&a, &b);
+    let comparison = compare(&a, &b);
     assert_eq!(
-        it.left_out(),
+        comparison.left_out(),
         ["left out: 3 rollouts that only A has, 0 rollouts that only B has"]
     );
-    let table = comparison_table(&it, &Bootstrap::default());
+    let table = comparison_table(&comparison, &Bootstrap::default());
     for line in table.lines() {
         assert!(line.chars().count() <= 80, "{line}\n{table}");
     }
@@ -270,14 +276,14 @@ fn the_table_fits_a_terminal_and_explains_every_symbol() {
 }
 
 fn outcomes() -> impl Strategy<Value = Vec<Pair>> {
-    let known = |code: u8| [S, F, Q, M][usize::from(code)];
+    let outcome_of = |code: u8| [S, F, Q, M][usize::from(code)];
     vec((0..14_usize, 0..4_u8, 0..4_u8), 1..80).prop_map(move |drawn| {
         let of = drawn.into_iter();
         of.map(|(index, a, b)| Pair {
             task: task(index),
             number: 0,
-            a: known(a),
-            b: known(b),
+            a: outcome_of(a),
+            b: outcome_of(b),
         })
         .collect()
     })
@@ -317,7 +323,7 @@ proptest! {
     }
 
     #[test]
-    fn a_set_alone_and_among_others_has_the_same_difference(
+    fn a_set_has_the_same_difference_alone_and_among_others(
         pairs in outcomes(),
         other in outcomes(),
     ) {
@@ -325,11 +331,11 @@ proptest! {
         let alone = Difference::of_each(std::slice::from_ref(&pairs), &bootstrap);
         let among = Difference::of_each(&[other, pairs], &bootstrap);
         // Corrections for multiple rows depend on the other rows.
-        let by_itself = |it: &Option<Difference>| {
-            it.clone().map(|it| Difference {
-                holm_p: it.sign_flip_p,
+        let by_itself = |difference: &Option<Difference>| {
+            difference.clone().map(|difference| Difference {
+                holm_p: difference.sign_flip_p,
                 simultaneous_ci95: None,
-                ..it
+                ..difference
             })
         };
         prop_assert_eq!(by_itself(&alone[0]), by_itself(&among[1]));

@@ -6,7 +6,7 @@ use serde_json::Value;
 const STUDENT: &str = include_str!("../../../../examples/student/rollouts.jsonl");
 
 #[test]
-fn what_is_assumed_without_outcomes_is_what_the_students_published_ones_are_like() {
+fn built_in_assumptions_agree_with_the_students_published_outcomes() {
     let record = |line: &str| {
         let row: Value = serde_json::from_str(line).expect("JSON");
         Record {
@@ -21,9 +21,15 @@ fn what_is_assumed_without_outcomes_is_what_the_students_published_ones_are_like
     };
     let records: Vec<Record> = STUDENT.lines().map(record).collect();
     let found = Assumed::of(&records).expect("each rollout once");
-    let rounded = |it: &Assumed| {
-        let rates = [it.s_sim, it.r_d, it.of_success, it.of_change, it.of_changed];
-        (it.level, rates.map(|rate| (rate * 1e4).round() / 1e4))
+    let rounded = |assumed: &Assumed| {
+        let rates = [
+            assumed.s_sim,
+            assumed.r_d,
+            assumed.of_success,
+            assumed.of_change,
+            assumed.of_changed,
+        ];
+        (assumed.level, rates.map(|rate| (rate * 1e4).round() / 1e4))
     };
     let found: Vec<_> = found.iter().map(rounded).collect();
     assert_eq!(found, Assumed::STUDENT.each_ref().map(rounded), "{found:?}");

@@ -27,7 +27,9 @@ fn records(success: impl Fn(usize) -> bool) -> Vec<Record> {
 
 /// Progress of the simultaneous rollouts: steps, and predicates of three that held.
 fn progress(records: &[Record], of: impl Fn(usize) -> (u32, u32)) -> Vec<Progress> {
-    let perturbed = records.iter().filter(|it| it.id.level() == Level::L2);
+    let perturbed = records
+        .iter()
+        .filter(|record| record.id.level() == Level::L2);
     let progress = perturbed.enumerate().map(|(at, record)| {
         let (steps, held) = of(at);
         Progress {
@@ -65,13 +67,13 @@ fn steps_and_predicates_differ_as_worked_out_by_hand() {
     // A takes 1, 2, …, 10 steps more than B, and has one predicate of three more.
     let of_a = progress(&a, |at| (101 + at as u32, 3));
     let of_b = progress(&b, |_| (100, 2));
-    let it = compare(with(&a, &of_a), with(&b, &of_b));
-    let nominal = &it.cells[0];
+    let comparison = compare(with(&a, &of_a), with(&b, &of_b));
+    let nominal = &comparison.cells[0];
     assert_eq!(
         (nominal.condition, nominal.progress),
         (Condition::Clean, None)
     );
-    let found = it.cells[1].progress.expect("progress");
+    let found = comparison.cells[1].progress.expect("progress");
     let (goal, steps) = (found.goal.expect("goals"), found.steps.expect("steps"));
     assert_eq!((steps.n, steps.tasks), (10, 10));
     assert_eq!((steps.mean_a, steps.mean_b), (105.5, 100.0));
@@ -90,7 +92,7 @@ fn steps_and_predicates_differ_as_worked_out_by_hand() {
     assert_eq!(steps.holm_p, steps.p, "it is the only row with a spread");
     assert!(is_near(goal.difference.value, 1.0 / 3.0));
     assert_eq!((goal.p, goal.holm_p), (None, None), "all tasks are alike");
-    let text = comparison_table(&it, &Bootstrap::default());
+    let text = comparison_table(&comparison, &Bootstrap::default());
     assert!(
         text.lines().all(|line| line.chars().count() <= 80),
         "{text}"
@@ -100,24 +102,24 @@ fn steps_and_predicates_differ_as_worked_out_by_hand() {
     let back = compare(with(&b, &of_b), with(&a, &of_a));
     let back = back.cells[1]
         .progress
-        .and_then(|it| it.steps)
+        .and_then(|progress| progress.steps)
         .expect("steps");
     assert_eq!(back.difference.value, -steps.difference.value);
     assert_eq!(back.p, steps.p);
 }
 
 #[test]
-fn what_is_known_of_one_policy_only_counts_nowhere() {
+fn progress_known_for_one_policy_only_is_excluded() {
     let (a, mut b) = (records(|_| true), records(|at| at % 2 == 0));
     b[0].outcome = Outcome::Quarantined;
     let of_a = progress(&a, |_| (100, 3));
     let mut of_b = progress(&b, |_| (120, 3));
     of_b[1].goal = None;
     of_b.pop();
-    let it = compare(with(&a, &of_a), with(&b, &of_b));
-    let found = it.cells[1].progress.expect("progress");
-    assert_eq!(found.steps.map(|it| it.n), Some(8));
-    assert_eq!(found.goal.map(|it| it.n), Some(7));
+    let comparison = compare(with(&a, &of_a), with(&b, &of_b));
+    let found = comparison.cells[1].progress.expect("progress");
+    assert_eq!(found.steps.map(|mean| mean.n), Some(8));
+    assert_eq!(found.goal.map(|mean| mean.n), Some(7));
     let none = compare(with(&a, &of_a), Compared::from(b.as_slice()));
     assert!(none.cells.iter().all(|cell| cell.progress.is_none()));
     let text = comparison_table(&none, &Bootstrap::default());
@@ -144,7 +146,7 @@ fn only_campaigns_that_both_have_own_directions_are_compared_with_them() {
     let (mut nominal, mut differ) = (0, false);
     for (cell, of_shared) in both.cells.iter().zip(of(shared, shared).cells) {
         let [own, shared] = [cell.difference.as_ref(), of_shared.difference.as_ref()]
-            .map(|it| it.expect("outcomes").estimate);
+            .map(|difference| difference.expect("outcomes").estimate);
         assert_eq!(own.new_tasks, shared.new_tasks);
         if cell.condition == Condition::Clean {
             assert_eq!(own, shared, "initial states are shared");

@@ -111,7 +111,7 @@ fn all_published_cells_are_reproduced_from_their_counts() {
     let mut cells = 0;
     for (policy, levels) in published["paired"].as_object().expect("policies") {
         let Some(levels) = levels.as_object() else {
-            continue; // The note beside them.
+            continue; // A note, not the levels of a policy.
         };
         for (level, published) in levels {
             let level: Level = level.parse().expect("a level");

@@ -23,8 +23,7 @@ const EXAMPLES: [&str; 3] = ["openvla_oft", "student", "student_randomised"];
 const CAMPAIGNS: u64 = 200;
 const COMPARISONS: u64 = 20;
 
-/// Published rate that the gates of all campaigns are held against, over all suites and for each
-/// suite.
+/// Published rate in the gates of all campaigns, over all suites and for each suite.
 const PUBLISHED: f64 = 0.87;
 
 /// Records and progress of an example.
@@ -69,11 +68,14 @@ fn campaign(name: &str, rows: &[Record]) -> Value {
         published_by_suite: Suite::ALL.map(|suite| (suite, PUBLISHED)).into(),
         ..Options::default()
     };
-    let nominal = rows.iter().filter(|it| it.replicate == 0);
-    let nominal = nominal.filter(|it| it.id.condition() == Condition::Clean);
+    let nominal = rows.iter().filter(|record| record.replicate == 0);
+    let nominal = nominal.filter(|record| record.id.condition() == Condition::Clean);
     let nominal: Vec<Value> = nominal
-        .map(|it| {
-            let (task, success) = (it.id.task(), it.outcome.success().expect("an outcome"));
+        .map(|record| {
+            let (task, success) = (
+                record.id.task(),
+                record.outcome.success().expect("an outcome"),
+            );
             json!([task.suite() as u8, task.index(), u8::from(success)])
         })
         .collect();
@@ -88,7 +90,7 @@ fn campaign(name: &str, rows: &[Record]) -> Value {
             configuration
                 .alone
                 .values()
-                .map(|&it| u8::from(it))
+                .map(|&success| u8::from(success))
                 .collect::<Vec<_>>(),
             u8::from(configuration.simultaneous),
         ])
@@ -119,27 +121,29 @@ fn campaign(name: &str, rows: &[Record]) -> Value {
 /// Pairs of outcomes and the comparison in the form that the script reads.
 fn comparison(name: &str, a: Compared<'_>, b: Compared<'_>) -> Value {
     let found = Comparison::of(a, b, &Bootstrap::default(), |_| None);
-    let of_b: BTreeMap<RolloutId, &Record> = b.records.iter().map(|it| (it.id, it)).collect();
-    let progress = [a, b].map(|it| {
-        let by_id = it.progress.iter().map(|it| (it.id, it));
+    let of_b: BTreeMap<RolloutId, &Record> =
+        b.records.iter().map(|record| (record.id, record)).collect();
+    let progress = [a, b].map(|side| {
+        let by_id = side.progress.iter().map(|progress| (progress.id, progress));
         by_id.collect::<BTreeMap<RolloutId, &Progress>>()
     });
     let cell = |cell: &ComparedCell| {
-        let of_cell =
-            |it: &&Record| (it.id.level(), it.id.condition()) == (cell.level, cell.condition);
+        let of_cell = |record: &&Record| {
+            (record.id.level(), record.id.condition()) == (cell.level, cell.condition)
+        };
         let pairs = a.records.iter().filter(of_cell).filter_map(|a| {
             let b = of_b.get(&a.id)?;
-            let came = progress.each_ref().map(|it| it.get(&a.id));
+            let came = progress.each_ref().map(|by_id| by_id.get(&a.id));
             Some(json!([
                 a.id.task().suite() as u8,
                 a.id.task().index(),
                 a.id.config().unwrap_or(a.init_id),
                 u8::from(a.outcome.success()?),
                 u8::from(b.outcome.success()?),
-                came.map(|it| it
-                    .and_then(|it| it.goal)
-                    .map(|it| [it.at_most, it.predicates])),
-                came.map(|it| it.and_then(|it| it.steps)),
+                came.map(|progress| progress
+                    .and_then(|progress| progress.goal)
+                    .map(|goal| [goal.at_most, goal.predicates])),
+                came.map(|progress| progress.and_then(|progress| progress.steps)),
             ]))
         });
         json!({
@@ -194,7 +198,7 @@ fn simulated_comparison(seed: u64) -> Value {
     let effects = population.tasks(tasks, &mut chance);
     let directions = population.directions(CONFIGURATIONS, &mut chance);
     let [a, b] = [0, 1].map(|_| population.campaign(&effects, suites, &directions, &mut chance));
-    let [of_a, of_b] = [&a, &b].map(|it| simulated_progress(it, &mut chance));
+    let [of_a, of_b] = [&a, &b].map(|records| simulated_progress(records, &mut chance));
     let directions = match (seed / 4).is_multiple_of(2) {
         true => Directions::Shared,
         false => Directions::Own,
@@ -225,7 +229,10 @@ fn simulated_campaign(seed: u64) -> Value {
         1
     } {
         let again = population.campaign(&effects, suites, &directions, &mut chance);
-        records.extend(again.into_iter().map(|it| Record { replicate, ..it }));
+        records.extend(again.into_iter().map(|record| Record {
+            replicate,
+            ..record
+        }));
     }
     campaign(&format!("simulated {seed}"), &records)
 }
@@ -233,10 +240,10 @@ fn simulated_campaign(seed: u64) -> Value {
 #[test]
 fn three_examples_and_two_hundred_campaigns_are_recomputed_by_numpy_and_scipy() {
     let python = std::env::var_os("ROLLOUT_PYTHON").unwrap_or_else(|| "python3".into());
-    let asked = Command::new(&python)
+    let probe = Command::new(&python)
         .args(["-c", "import numpy, scipy"])
         .output();
-    if !asked.is_ok_and(|output| output.status.success()) {
+    if !probe.is_ok_and(|output| output.status.success()) {
         println!("skipped: {} has no NumPy and SciPy", python.display());
         return;
     }
@@ -267,8 +274,8 @@ fn three_examples_and_two_hundred_campaigns_are_recomputed_by_numpy_and_scipy() 
         .output()
         .expect("Python");
     std::fs::remove_dir_all(&folder).expect("removed");
-    let said = String::from_utf8_lossy(&output.stdout);
+    let stdout = String::from_utf8_lossy(&output.stdout);
     let error = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{said}{error}");
-    println!("{said}");
+    assert!(output.status.success(), "{stdout}{error}");
+    println!("{stdout}");
 }

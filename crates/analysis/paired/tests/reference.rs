@@ -127,42 +127,42 @@ fn pairs(data_set: &Value) -> Vec<Pair> {
 }
 
 #[test]
-fn twelve_random_pairs_of_policies_differ_as_numpy_and_scipy_say() {
+fn twelve_random_pairs_of_policies_agree_with_numpy_and_scipy() {
     let expected = expected();
     let data_sets = expected["paired_sets"].as_array().expect("data sets");
     assert_eq!(data_sets.len(), 12);
     let sets: Vec<Vec<Pair>> = data_sets.iter().map(pairs).collect();
     let all = Difference::of_each(&sets, &Bootstrap::default());
-    for (number_of, (data_set, it)) in data_sets.iter().zip(all).enumerate() {
+    for (number_of, (data_set, difference)) in data_sets.iter().zip(all).enumerate() {
         let (what, expected) = (format!("pairs {number_of}"), &data_set["expected"]);
-        let it = it.expect("not empty");
+        let difference = difference.expect("not empty");
         let counts = [
-            (it.n, "n"),
-            (it.tasks, "tasks"),
-            (it.both, "both"),
-            (it.a_only, "a_only"),
-            (it.b_only, "b_only"),
-            (it.neither, "neither"),
+            (difference.n, "n"),
+            (difference.tasks, "tasks"),
+            (difference.both, "both"),
+            (difference.a_only, "a_only"),
+            (difference.b_only, "b_only"),
+            (difference.neither, "neither"),
         ];
         for (count, key) in counts {
             assert_eq!(Some(count), expected[key].as_u64(), "{what} {key}");
         }
         for (value, key) in [
-            (it.s_a, "s_a"),
-            (it.s_b, "s_b"),
-            (it.difference, "difference"),
+            (difference.s_a, "s_a"),
+            (difference.s_b, "s_b"),
+            (difference.difference, "difference"),
         ] {
             let off = (value - number(&expected[key])).abs();
             assert!(off < 1e-12, "{what} {key}: {value}");
         }
         let p = number(&expected["mcnemar_p"]);
         assert!(
-            (it.mcnemar_p - p).abs() <= 1e-9 * p,
+            (difference.mcnemar_p - p).abs() <= 1e-9 * p,
             "{what}: {}",
-            it.mcnemar_p
+            difference.mcnemar_p
         );
-        let interval = it.difference_ci95.expect("enough tasks");
-        check_interval(interval, expected, "difference", it.n, &what);
+        let interval = difference.difference_ci95.expect("enough tasks");
+        check_interval(interval, expected, "difference", difference.n, &what);
     }
 }
 

@@ -95,8 +95,8 @@ proptest! {
         drawn in vec((0..4_usize, [0..3_u8, 0..3, 0..3]), 1..6),
         choices in any::<u32>(),
     ) {
-        let known = |code: u8| [F, S, Q][usize::from(code)];
-        let records = |known: &mut dyn FnMut(u8) -> Outcome| -> Vec<Record> {
+        let outcome_of = |code: u8| [F, S, Q][usize::from(code)];
+        let records = |outcome_of: &mut dyn FnMut(u8) -> Outcome| -> Vec<Record> {
             let rows = drawn.iter().enumerate();
             rows.flat_map(|(config, (task, codes))| {
                 let conditions = [
@@ -104,14 +104,15 @@ proptest! {
                     Condition::Single(Axis::Robot),
                     Condition::Combination,
                 ];
-                let outcomes = codes.map(&mut *known);
+                let outcomes = codes.map(&mut *outcome_of);
                 let record = |(c, o)| perturbed(*task, c, config as u16, o);
                 conditions.into_iter().zip(outcomes).map(record).collect::<Vec<_>>()
             })
             .collect()
         };
         let options = Options { bootstrap: quick(), ..Options::default() };
-        let quarantined = report(&records(&mut |code| known(code)), &options).expect("no duplicates");
+        let quarantined = records(&mut |code| outcome_of(code));
+        let quarantined = report(&quarantined, &options).expect("no duplicates");
         let mut next = 0;
         // Arbitrary outcomes of the quarantined rollouts, all failures, and all
         // successes.
@@ -121,7 +122,7 @@ proptest! {
             Box::new(|| true),
         ];
         for fate in &mut fates {
-            let mut settle = |code| match known(code) {
+            let mut settle = |code| match outcome_of(code) {
                 Q => Outcome::from(fate()),
                 outcome => outcome,
             };
@@ -160,7 +161,7 @@ proptest! {
     }
 
     #[test]
-    fn twice_the_same_configurations_have_the_same_rates(configurations in configurations()) {
+    fn duplicated_configurations_have_the_same_rates(configurations in configurations()) {
         let once = Measures::of(&configurations, &quick()).expect("not empty");
         let twice = [configurations.as_slice(), &configurations].concat();
         let twice = Measures::of(&twice, &quick()).expect("not empty");
@@ -248,14 +249,14 @@ fn chance_is_bounded_only_by_rollouts_that_end_differently() {
         sentences.join(" ")
     };
     for (language, is_bounded) in [(S, false), (F, true)] {
-        let said = sentences(language);
-        assert!(said.contains("unknown without a placebo"), "{said}");
-        assert_eq!(said.contains("chance of that size"), is_bounded, "{said}");
+        let text = sentences(language);
+        assert!(text.contains("unknown without a placebo"), "{text}");
+        assert_eq!(text.contains("chance of that size"), is_bounded, "{text}");
     }
 }
 
 #[test]
-fn an_incomplete_cell_counts_what_is_complete_and_says_what_is_not() {
+fn an_incomplete_cell_counts_complete_configurations_and_lists_gaps() {
     let records = campaign([[S, S, S, F], [S, M, S, S], [M, S, Q, S]]);
     let report = report(&records, &Options::default()).expect("no duplicates");
     let cell = &report.cells[0];
@@ -305,7 +306,7 @@ fn quarantined_rollouts_are_bounded_by_the_worst_and_the_best_case() {
 }
 
 #[test]
-fn nominal_counts_of_others_serve_where_no_clean_rollout_was_run() {
+fn reported_nominal_counts_serve_without_nominal_rollouts() {
     let mut records = campaign([[S, S, S, F], [S, F, S, S], [F, S, S, S]]);
     let options = Options {
         published_nominal: Some(0.971),
@@ -323,13 +324,13 @@ fn nominal_counts_of_others_serve_where_no_clean_rollout_was_run() {
     );
 
     records.retain(|record| record.id.condition() != Condition::Clean);
-    let theirs = report(&records, &options).expect("no duplicates");
-    assert_eq!(theirs.nominal[0].source, NominalSource::Reported);
+    let reported = report(&records, &options).expect("no duplicates");
+    assert_eq!(reported.nominal[0].source, NominalSource::Reported);
     assert_eq!(
-        theirs.gate.expect("a published figure").verdict,
+        reported.gate.expect("a published figure").verdict,
         GateVerdict::Passed
     );
-    let text = table(&theirs);
+    let text = table(&reported);
     assert!(text.contains("96.7 % (1934/2000, as reported)"), "{text}");
     assert!(
         text.contains("-0.40 points from the published 97.1 %, tolerance 5: passed"),
@@ -412,7 +413,7 @@ fn a_rollout_recorded_twice_is_refused() {
     );
 }
 
-/// A late policy is beside the six axes: it has a rate, and nothing else changes.
+/// Latency is not one of the six axes: it has a rate of its own and changes no other figure.
 #[test]
 fn a_late_policy_has_a_rate_and_is_in_no_paired_measure() {
     let record = |condition: Condition, index: usize, outcome| Record {

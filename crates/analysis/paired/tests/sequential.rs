@@ -52,7 +52,9 @@ fn all_intervals_hold_at_all_looks_at_published_outcomes() {
         (Design::Suites, FEW_ORDERS),
         (Design::Simple, FEW_ORDERS),
     ] {
-        let missed = misses(orders, design, |it, order| it.replay(order, &[]).0);
+        let missed = misses(orders, design, |population, order| {
+            population.replay(order, &[]).0
+        });
         assert!(missed <= most_misses(orders), "{design:?}: {missed}");
     }
 }
@@ -147,11 +149,11 @@ const PERMUTATIONS: [[usize; 3]; 6] = [
 ];
 
 /// Returns all triples of transitions, in ascending order.
-fn threes() -> Vec<[Transition; 3]> {
+fn triples() -> Vec<[Transition; 3]> {
     let all = || Transition::ALL.into_iter();
     let pairs = || all().flat_map(|a| all().map(move |b| (a, b)));
-    let threes = pairs().flat_map(|(a, b)| all().map(move |c| [a, b, c]));
-    threes.filter(|it| it.is_sorted()).collect()
+    let triples = pairs().flat_map(|(a, b)| all().map(move |c| [a, b, c]));
+    triples.filter(|triple| triple.is_sorted()).collect()
 }
 
 /// Returns true if all intervals hold at all looks if the units of each stratum
@@ -163,7 +165,11 @@ fn all_hold(order: &Order<Small>, strata: &[[Transition; 3]], alpha: f64) -> boo
         taken.expect("a unit of the order");
         let look = sequential.look();
         look.intervals.iter().all(|(&measure, interval)| {
-            let total = strata.iter().flatten().map(|&it| value(measure, it)).sum();
+            let total = strata
+                .iter()
+                .flatten()
+                .map(|&transition| value(measure, transition))
+                .sum();
             (interval.least..=interval.greatest).contains(&total)
         })
     })
@@ -185,8 +191,8 @@ fn the_five_intervals_hold_together_over_all_orders_of_all_small_populations() {
     let order = small_order(2);
     for alpha in [0.3, 0.6, 0.95] {
         let mut worst: f64 = 0.0;
-        for first in threes() {
-            for second in threes() {
+        for first in triples() {
+            for second in triples() {
                 worst = worst.max(share_missed(&order, [first, second], alpha));
             }
         }
@@ -249,21 +255,24 @@ proptest! {
     }
 
     #[test]
-    fn the_difference_of_two_policies_changes_its_sign_with_their_places(
+    fn exchanging_the_policies_negates_the_difference(
         outcomes in proptest::collection::vec(0..16_u8, 30), strata in 1_usize..6,
     ) {
         let order = Order::new(3, 0..30_usize, |unit| unit % strata);
         let mut ab = SequentialDifference::new(&order, ALPHA);
         let mut ba = SequentialDifference::new(&order, ALPHA);
         for (unit, outcome) in outcomes.iter().enumerate() {
-            let [a, b] = [outcome % 4, outcome / 4].map(|it| match it {
+            let [a, b] = [outcome % 4, outcome / 4].map(|code| match code {
                 0 => Outcome::Failure,
                 1 => Outcome::Quarantined,
                 _ => Outcome::Success,
             });
             ab.complete(&unit, a, b).expect("in the order");
             ba.complete(&unit, b, a).expect("in the order");
-            let [ab, ba] = [&ab, &ba].map(|it| it.look().intervals[&Measure::Difference]);
+            let interval = |sequence: &SequentialDifference<usize>| {
+                sequence.look().intervals[&Measure::Difference]
+            };
+            let [ab, ba] = [interval(&ab), interval(&ba)];
             prop_assert_eq!([ab.least, ab.greatest], [-ba.greatest, -ba.least]);
         }
     }
@@ -340,7 +349,7 @@ fn a_configuration_counts_once_and_only_if_it_is_in_the_order() {
 }
 
 #[test]
-fn what_is_in_quarantine_leaves_every_value_that_it_could_have_led_to() {
+fn quarantined_rollouts_leave_every_possible_value_in_the_interval() {
     let order = small_order(4);
     for quarantined in order.units() {
         let mut sequential = SequentialMeasures::new(&order, ALPHA);
@@ -355,7 +364,10 @@ fn what_is_in_quarantine_leaves_every_value_that_it_could_have_led_to() {
             known.extend((unit != quarantined).then_some(transition[0]));
         }
         for (measure, interval) in sequential.look().intervals {
-            let sum: i64 = known.iter().map(|&it| value(measure, it)).sum();
+            let sum: i64 = known
+                .iter()
+                .map(|&transition| value(measure, transition))
+                .sum();
             let least = if measure == Measure::I { sum - 1 } else { sum };
             assert_eq!([interval.least, interval.greatest], [least, sum + 1]);
         }
@@ -363,7 +375,7 @@ fn what_is_in_quarantine_leaves_every_value_that_it_could_have_led_to() {
 }
 
 #[test]
-fn possible_transitions_are_those_over_every_outcome_of_what_is_in_quarantine() {
+fn possible_transitions_cover_every_outcome_of_quarantined_rollouts() {
     use Outcome::{Failure, Missing, Quarantined, Success};
     let all = [Success, Failure, Quarantined, Missing];
     for camera in all {
@@ -380,9 +392,9 @@ fn possible_transitions_are_those_over_every_outcome_of_what_is_in_quarantine() 
                 expected.sort();
                 let is_missing = [camera, robot, simultaneous].contains(&Missing);
                 let possible = matched.possible_transitions();
-                let possible = possible.map(|mut it| {
-                    it.sort();
-                    it
+                let possible = possible.map(|mut transitions| {
+                    transitions.sort();
+                    transitions
                 });
                 assert_eq!(possible, (!is_missing).then_some(expected), "{matched:?}");
             }

@@ -52,12 +52,21 @@ fn when_met(records: &[Record], stop: &Stop) -> Option<CampaignLook> {
 /// Number of configurations after which a rule is met at one level alone.
 fn met_at(records: &Records, level: Level, stop: &Stop) -> Option<usize> {
     let matched = records.configurations().iter();
-    let of_level: Vec<_> = matched.filter(|it| it.level == level).collect();
-    let order = drawn_order(stop, of_level.iter().map(|it| (it.task, it.config)));
+    let of_level: Vec<_> = matched
+        .filter(|configuration| configuration.level == level)
+        .collect();
+    let order = drawn_order(
+        stop,
+        of_level
+            .iter()
+            .map(|configuration| (configuration.task, configuration.config)),
+    );
     let mut sequential = SequentialMeasures::new(&order, SEQUENTIAL_ALPHA);
     order.units().position(|unit| {
-        let matched = of_level.iter().find(|it| (it.task, it.config) == *unit);
-        let possible = matched.and_then(|it| it.possible_transitions());
+        let matched = of_level
+            .iter()
+            .find(|configuration| (configuration.task, configuration.config) == *unit);
+        let possible = matched.and_then(|matched| matched.possible_transitions());
         let taken = sequential.complete(unit, &possible.expect("it is known"));
         taken.expect("a configuration of the order");
         sequential.look().meets(&stop.rule)
@@ -75,12 +84,12 @@ fn a_campaign_ends_when_its_rule_has_been_met_at_every_level() {
         let look = CampaignLook::when_met(&records, &stop).expect("it is met");
         assert_eq!(look.used.len(), last + 1);
         assert_eq!(look.units, 400);
-        assert!(look.levels.values().all(|it| it.used == last + 1));
+        assert!(look.levels.values().all(|look| look.used == last + 1));
     }
 }
 
 #[test]
-fn what_lies_beyond_the_look_changes_nothing_and_what_lies_before_it_is_needed() {
+fn outcomes_after_the_look_change_nothing_and_those_before_are_needed() {
     let mut records = published();
     let stop = stop("width(S_sim) < 0.25", Strata::Suites);
     let look = when_met(&records, &stop).expect("it is met");
@@ -99,7 +108,8 @@ fn what_lies_beyond_the_look_changes_nothing_and_what_lies_before_it_is_needed()
 
     // In the configuration at which the rule was met, one rollout is open at one level.
     let (task, config) = *look.used.last().expect("some");
-    let is_last = |it: &&mut Record| it.id.task() == task && it.id.config() == Some(config);
+    let is_last =
+        |record: &&mut Record| record.id.task() == task && record.id.config() == Some(config);
     let open = records
         .iter_mut()
         .filter(is_last)
@@ -215,8 +225,8 @@ fn estimates_weigh_suites_as_the_campaign_has_them_however_early_it_ends() {
         weighed += look.estimates(&records, &stop)[&Level::L2][&Measure::SSim];
         let used: BTreeSet<Unit> = look.used.iter().copied().collect();
         let of_used = records.configurations().iter();
-        let of_used = of_used.filter(|it| used.contains(&(it.task, it.config)));
-        let successes = of_used.filter(|it| it.simultaneous == Outcome::Success);
+        let of_used = of_used.filter(|matched| used.contains(&(matched.task, matched.config)));
+        let successes = of_used.filter(|matched| matched.simultaneous == Outcome::Success);
         drawn += successes.count() as f64 / used.len() as f64;
         ends += 1.0;
     }

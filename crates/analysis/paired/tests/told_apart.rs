@@ -15,7 +15,7 @@ const CAMPAIGNS: u64 = 100;
 
 /// Number of campaigns, of a hundred, whose sentences about simultaneity and directions
 /// claim what was planted and nothing else.
-fn right(planted: Planted, expected: &[(FindingKind, &str)]) -> usize {
+fn count_correct(planted: Planted, expected: &[(FindingKind, &str)]) -> usize {
     let options = Options {
         // No sentence uses the paper's intervals.
         bootstrap: Bootstrap {
@@ -28,11 +28,13 @@ fn right(planted: Planted, expected: &[(FindingKind, &str)]) -> usize {
         let records = planted.campaign(&mut Chance::new(*seed));
         let report = report(&records, &options).expect("each rollout once");
         let about = |kind| matches!(kind, FindingKind::Simultaneity | FindingKind::Directions);
-        let said = report.findings.iter();
-        let said: Vec<_> = said.filter(|it| it.claims && about(it.kind)).collect();
-        let kinds: BTreeSet<_> = said.iter().map(|it| it.kind).collect();
+        let findings = report.findings.iter();
+        let findings: Vec<_> = findings
+            .filter(|finding| finding.claims && about(finding.kind))
+            .collect();
+        let kinds: BTreeSet<_> = findings.iter().map(|finding| finding.kind).collect();
         kinds == expected.iter().map(|(kind, _)| *kind).collect()
-            && said.iter().all(|finding| {
+            && findings.iter().all(|finding| {
                 let words = expected.iter().filter(|(kind, _)| *kind == finding.kind);
                 words
                     .into_iter()
@@ -44,7 +46,7 @@ fn right(planted: Planted, expected: &[(FindingKind, &str)]) -> usize {
 }
 
 #[test]
-fn coins_an_interaction_and_directions_are_told_apart_by_their_sentences() {
+fn sentences_distinguish_coins_an_interaction_and_directions() {
     let emerge = (FindingKind::Simultaneity, "failures emerge beyond chance");
     let depends = (FindingKind::Directions, "success depends on the direction");
     for (planted, name, expected) in [
@@ -52,8 +54,8 @@ fn coins_an_interaction_and_directions_are_told_apart_by_their_sentences() {
         (Planted::Interaction, "interaction", &[emerge]),
         (Planted::Directions, "directions", &[depends]),
     ] {
-        let right = right(planted, expected);
-        println!("{name}: {right} of {CAMPAIGNS}");
-        assert!(right >= 95, "{name}: {right} of {CAMPAIGNS}");
+        let correct = count_correct(planted, expected);
+        println!("{name}: {correct} of {CAMPAIGNS}");
+        assert!(correct >= 95, "{name}: {correct} of {CAMPAIGNS}");
     }
 }

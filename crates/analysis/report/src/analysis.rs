@@ -67,7 +67,7 @@ impl Analysis {
                 directions: subject.directions,
                 overstated: sequential
                     .as_ref()
-                    .map_or_else(BTreeSet::new, |it| it.overstated.clone()),
+                    .map_or_else(BTreeSet::new, |sequential| sequential.overstated.clone()),
                 ..Options::default()
             },
         );
@@ -93,7 +93,7 @@ impl Analysis {
             progress: subject
                 .progress
                 .iter()
-                .map(|it| ((it.replicate, it.id), *it))
+                .map(|progress| ((progress.replicate, progress.id), *progress))
                 .collect(),
             subject,
             records,
@@ -118,7 +118,9 @@ impl Analysis {
     /// Returns all records, without the outcomes of those that do not count.
     pub(crate) fn outcomes_of_all(&self) -> Vec<Record> {
         let counted = self.counted().iter();
-        let counted: BTreeSet<_> = counted.map(|it| (it.replicate, it.id)).collect();
+        let counted: BTreeSet<_> = counted
+            .map(|record| (record.replicate, record.id))
+            .collect();
         let all = self.subject.records.iter();
         all.map(
             |record| match counted.contains(&(record.replicate, record.id)) {

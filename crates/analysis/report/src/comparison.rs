@@ -10,7 +10,7 @@ use serde::Serialize;
 use crate::analysis::Analysis;
 use crate::sequential_comparison::{NoCommonOrder, SequentialComparison};
 use crate::subject::{Origin, Setups, Subject};
-use crate::warnings::{Of, mujoco, pack, renderer};
+use crate::warnings::{Property, mujoco, pack, renderer};
 
 /// A completed comparison of two policies.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -55,7 +55,7 @@ pub struct Unpairable {
 }
 
 /// Properties of the measurement that both policies must share.
-const SHARED: [(&str, Of); 3] = [
+const SHARED: [(&str, Property); 3] = [
     ("asset pack", pack),
     ("MuJoCo version", mujoco),
     ("renderer", renderer),
@@ -85,7 +85,7 @@ impl Comparison {
         reasons.extend(
             SHARED
                 .iter()
-                .filter_map(|it| different(it, subjects, &sides)),
+                .filter_map(|property| different(property, subjects, &sides)),
         );
         reasons.extend(different_realisation(subjects, &sides));
         warnings.extend(different_directions(subjects, &sides));
@@ -170,8 +170,8 @@ impl Comparison {
         }
         text.push('\n');
         let left_out = self.statistics.left_out();
-        let said = self.warnings.iter().chain(&self.notes).chain(&left_out);
-        for warning in said {
+        let warnings = self.warnings.iter().chain(&self.notes).chain(&left_out);
+        for warning in warnings {
             push_wrapped(&mut text, "! ", warning);
         }
         if !text.ends_with("\n\n") {
@@ -236,7 +236,8 @@ fn unknown(subject: &Subject, side: &Side) -> Option<String> {
     // Properties are recorded with results, so a campaign without results has none yet.
     let has_results = !subject.provenances.is_empty();
     let may_be_unknown = has_results || matches!(subject.origin, Origin::File { .. });
-    let is_unknown = |(_, of): &&(&str, Of)| may_be_unknown && values(subject, *of).is_empty();
+    let is_unknown =
+        |(_, property): &&(&str, Property)| may_be_unknown && values(subject, *property).is_empty();
     let unknown = SHARED.iter().filter(is_unknown).map(|(what, _)| *what);
     let mode = subject.realisation.is_none().then_some("realisation mode");
     let unknown: Vec<&str> = unknown.chain(mode).collect();
@@ -251,28 +252,28 @@ fn unknown(subject: &Subject, side: &Side) -> Option<String> {
 
 /// Describes a property in which the subjects are known to differ.
 fn different(
-    (what, of): &(&str, Of),
+    (what, property): &(&str, Property),
     subjects: [&Subject; 2],
     sides: &[Side; 2],
 ) -> Option<String> {
-    let values = subjects.map(|subject| values(subject, *of));
+    let values = subjects.map(|subject| values(subject, *property));
     if values.iter().any(BTreeSet::is_empty) || values[0] == values[1] && values[0].len() == 1 {
         return None;
     }
-    let said = sides.iter().zip(values).map(|(side, values)| {
+    let of_sides = sides.iter().zip(values).map(|(side, values)| {
         let values: Vec<String> = values.into_iter().collect();
         format!("{} with {}", side.label, values.join(" and "))
     });
-    let said: Vec<String> = said.collect();
+    let of_sides: Vec<String> = of_sides.collect();
     Some(format!(
         "they were measured with more than one {what} ({}): run both with one",
-        said.join(", ")
+        of_sides.join(", ")
     ))
 }
 
 /// Returns the distinct non-empty values of a property.
-fn values(subject: &Subject, of: Of) -> BTreeSet<String> {
-    let values = subject.provenances.iter().map(of);
+fn values(subject: &Subject, property: Property) -> BTreeSet<String> {
+    let values = subject.provenances.iter().map(property);
     values.filter(|value| !value.is_empty()).collect()
 }
 
@@ -292,7 +293,7 @@ fn different_realisation([a, b]: [&Subject; 2], sides: &[Side; 2]) -> Option<Str
 
 /// Warns of campaigns whose designs assign directions differently.
 fn different_directions([a, b]: [&Subject; 2], sides: &[Side; 2]) -> Option<String> {
-    let words = |of: Directions| match of {
+    let words = |directions: Directions| match directions {
         Directions::Shared => "directions that all tasks share",
         Directions::Own => "directions of its own for every task",
     };

@@ -43,7 +43,8 @@ pub enum DocumentError {
     /// A campaign of LIBERO's family has a variant or protocol that this program does not know.
     #[error(transparent)]
     Family(#[from] FamilyError),
-    /// Rollouts of LIBERO's family beside others, or without their protocol.
+    /// Rollouts of LIBERO's family are reported together with other subjects, or lack their
+    /// protocol.
     #[error(
         "report on policy `{policy}`: its rollouts are of LIBERO-Plus or LIBERO-PRO, which are \
          never pooled with others: report on its campaign alone, at its coordinator"
@@ -184,7 +185,10 @@ impl Document {
             report: &analysis.report,
             explanation: analysis.findings.as_ref(),
             thresholds: analysis.thresholds.as_ref(),
-            interactions: analysis.interactions.as_ref().map(|it| it.form()),
+            interactions: analysis
+                .interactions
+                .as_ref()
+                .map(|interactions| interactions.form()),
         });
         let text = serde_json::to_string_pretty(&JsonForm {
             warnings: &self.warnings,
@@ -211,7 +215,7 @@ impl Document {
             text.push_str(&title(&analysis.subject));
             match analysis.is_paired() {
                 true => text.push_str(&paired::brief(&analysis.report)),
-                false => push_found(&mut text, analysis),
+                false => push_derived_findings(&mut text, analysis),
             }
         }
         if self.analyses.iter().any(Analysis::is_paired) {
@@ -240,21 +244,21 @@ impl Document {
             text.push('\n');
             if let Some(family) = &self.family {
                 text.push_str(&family.text(true));
-                text.push_str(&tail(&analysis.subject));
+                text.push_str(&quarantine_list(&analysis.subject));
                 return text;
             }
             match analysis.is_paired() {
                 true => text.push_str(&paired::table(&analysis.report)),
-                false => push_found(&mut text, analysis),
+                false => push_derived_findings(&mut text, analysis),
             }
             if let Some(sequential) = &analysis.sequential {
                 text.push('\n');
                 text.push_str(&sequential.text());
             }
-            text.push_str(&tail(&analysis.subject));
+            text.push_str(&quarantine_list(&analysis.subject));
         }
-        let measured = self.analyses.iter().filter(|it| it.is_paired());
-        let reports: Vec<&Report> = measured.map(|it| &it.report).collect();
+        let measured = self.analyses.iter().filter(|analysis| analysis.is_paired());
+        let reports: Vec<&Report> = measured.map(|analysis| &analysis.report).collect();
         let legend = paired::legend(&reports);
         if !legend.is_empty() {
             text.push('\n');
@@ -340,7 +344,7 @@ fn head(subject: &Subject) -> String {
 }
 
 /// Appends the findings of a campaign that follows from another, its warnings first.
-fn push_found(text: &mut String, analysis: &Analysis) {
+fn push_derived_findings(text: &mut String, analysis: &Analysis) {
     for note in &analysis.report.notes {
         push_wrapped(text, "! ", note);
     }
@@ -350,13 +354,13 @@ fn push_found(text: &mut String, analysis: &Analysis) {
     if let Some(findings) = &analysis.findings {
         text.push_str(&findings.text());
     }
-    if let Some(far) = &analysis.thresholds {
-        text.push_str(&far.text());
+    if let Some(thresholds) = &analysis.thresholds {
+        text.push_str(&thresholds.text());
     }
 }
 
 /// Lists the last error of each quarantined rollout, one per line.
-fn tail(subject: &Subject) -> String {
+fn quarantine_list(subject: &Subject) -> String {
     let mut text = String::new();
     if !subject.errors.is_empty() {
         text.push_str("\nin quarantine, with the last error:\n");

@@ -153,9 +153,9 @@ impl Findings {
         push_wrapped(
             &mut text,
             "",
-            &format!("{} {}", self.explained_by, self.standing()),
+            &format!("{} {}", self.explained_by, self.progress_in_words()),
         );
-        let emergent = |it: &&Occurrence| it.transition == Transition::Emergent;
+        let emergent = |occurrence: &&Occurrence| occurrence.transition == Transition::Emergent;
         let (emergent, compensated): (Vec<&Occurrence>, Vec<&Occurrence>) =
             self.subsets.iter().partition(emergent);
         push_subsets(
@@ -178,7 +178,7 @@ impl Findings {
     }
 
     /// Returns the progress of the explanation: a sentence without subject and full stop.
-    pub(crate) fn standing(&self) -> String {
+    pub(crate) fn progress_in_words(&self) -> String {
         let Self {
             transitions,
             explained,
@@ -266,8 +266,8 @@ fn push_configuration(text: &mut String, explained: &Explained) {
     let undecided = explained
         .outcomes
         .iter()
-        .filter(|it| matches!(it.verdict, Verdict::Undecided | Verdict::Quarantined));
-    let undecided: Vec<&str> = undecided.map(|it| it.set.name()).collect();
+        .filter(|outcome| matches!(outcome.verdict, Verdict::Undecided | Verdict::Quarantined));
+    let undecided: Vec<&str> = undecided.map(|outcome| outcome.set.name()).collect();
     if !undecided.is_empty() {
         push_wrapped(text, "  undecided: ", &undecided.join(", "));
     }

@@ -27,7 +27,7 @@ pub struct Family {
     pub protocol: String,
     /// Rollouts of the campaign without an outcome so far, the unperturbed ones included.
     pub missing: u64,
-    /// Rollouts given up after too many failed attempts, which are in no figure.
+    /// Quarantined rollouts, that is, those with too many failed attempts; in no figure.
     pub quarantined: u64,
     /// The unperturbed rollouts.
     pub unperturbed: Line,
@@ -50,7 +50,7 @@ pub struct Line {
     pub tasks: u64,
     /// Rollouts with an outcome.
     pub rollouts: u64,
-    /// Successful ones.
+    /// Successful rollouts.
     pub successes: u64,
     /// Successes over rollouts, per cent, as the benchmark's table has it.
     pub percent: Option<f64>,
@@ -100,12 +100,12 @@ impl Line {
 /// Failure to report on a campaign of LIBERO's family.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum FamilyError {
-    /// A rollout is of no variant.
+    /// A rollout's variant is unknown.
     #[error("report on campaign `{campaign}`")]
     Rollout {
         /// The campaign.
         campaign: String,
-        /// The rollout.
+        /// Error that names the rollout.
         #[source]
         source: SelectionError,
     },
@@ -114,7 +114,7 @@ pub enum FamilyError {
     Protocol {
         /// The campaign.
         campaign: String,
-        /// The protocol.
+        /// Error that names the protocol.
         #[source]
         source: UnknownName,
     },
@@ -125,7 +125,7 @@ struct Counted {
     case: Case,
     success: bool,
     /// Success of the unperturbed rollout from the same state, if it has an outcome.
-    beside: Option<bool>,
+    unperturbed_success: Option<bool>,
 }
 
 /// Sums over the rollouts of a task.
@@ -139,12 +139,12 @@ struct Sums {
 }
 
 impl Sums {
-    fn add(&mut self, of: &Counted) {
+    fn add(&mut self, rollout: &Counted) {
         self.rollouts += 1;
-        self.successes += u64::from(of.success);
-        self.pairs += u64::from(of.beside.is_some());
-        self.broken += u64::from(!of.success && of.beside == Some(true));
-        self.gained += u64::from(of.success && of.beside == Some(false));
+        self.successes += u64::from(rollout.success);
+        self.pairs += u64::from(rollout.unperturbed_success.is_some());
+        self.broken += u64::from(!rollout.success && rollout.unperturbed_success == Some(true));
+        self.gained += u64::from(rollout.success && rollout.unperturbed_success == Some(false));
     }
 
     /// Returns the sums with each task counted as often as it was drawn.
@@ -175,18 +175,18 @@ impl Sums {
 impl Line {
     fn new<'a>(name: &str, counted: impl Iterator<Item = &'a Counted>) -> Self {
         let mut by_task: BTreeMap<TaskRef, Sums> = BTreeMap::new();
-        for of in counted {
-            by_task.entry(of.case.task).or_default().add(of);
+        for rollout in counted {
+            by_task.entry(rollout.case.task).or_default().add(rollout);
         }
         let tasks: Vec<Sums> = by_task.into_values().collect();
         let sum = Sums::of(&tasks, |_| 1);
         let bootstrap = Bootstrap::default();
-        let each = intervals_of_many(&bootstrap, tasks.len(), 2, |draws, values| {
+        let intervals = intervals_of_many(&bootstrap, tasks.len(), 2, |draws, values| {
             let drawn = Sums::of(&tasks, |place| u64::from(draws[place]));
             values[0] = drawn.percent().unwrap_or_default();
             values[1] = drawn.loss().unwrap_or_default();
         });
-        let (of_percent, of_loss) = (each[0], each[1]);
+        let (of_percent, of_loss) = (intervals[0], intervals[1]);
         let has_pairs = sum.pairs > 0;
         Self {
             name: name.to_owned(),
@@ -225,8 +225,8 @@ impl Family {
             return Ok(None);
         };
         let campaign = subject.origin_name().to_owned();
-        let known: Result<Protocol, UnknownName> = protocol.parse();
-        let protocol = known.map_err(|source| FamilyError::Protocol {
+        let parsed: Result<Protocol, UnknownName> = protocol.parse();
+        let protocol = parsed.map_err(|source| FamilyError::Protocol {
             campaign: campaign.clone(),
             source,
         })?;
@@ -238,10 +238,10 @@ impl Family {
             })?;
             cases.push((case, record.outcome));
         }
-        let count = |wanted| {
+        let count = |expected| {
             cases
                 .iter()
-                .filter(|(_, outcome)| *outcome == wanted)
+                .filter(|(_, outcome)| *outcome == expected)
                 .count() as u64
         };
         let of_state: BTreeMap<(TaskRef, u16), bool> = cases
@@ -253,11 +253,11 @@ impl Family {
             Some(Counted {
                 case: *case,
                 success: outcome.success()?,
-                beside: of_state.get(&(case.task, case.trial)).copied(),
+                unperturbed_success: of_state.get(&(case.task, case.trial)).copied(),
             })
         });
         let (unperturbed, variants): (Vec<Counted>, Vec<Counted>) =
-            counted.partition(|it| it.case.subject == CaseSubject::Unperturbed);
+            counted.partition(|rollout| rollout.case.subject == CaseSubject::Unperturbed);
         let mut groups: BTreeMap<_, Vec<&Counted>> = BTreeMap::new();
         let mut difficulties: BTreeMap<_, Vec<&Counted>> = BTreeMap::new();
         let mut cells: BTreeMap<_, Vec<&Counted>> = BTreeMap::new();
@@ -275,7 +275,7 @@ impl Family {
                 cell.push(variant);
             }
         }
-        let line = |name: &str, of: &[&Counted]| Line::new(name, of.iter().copied());
+        let line = |name: &str, rollouts: &[&Counted]| Line::new(name, rollouts.iter().copied());
         Ok(Some(Self {
             campaign,
             policy: subject.policy.clone(),
@@ -286,16 +286,16 @@ impl Family {
             unperturbed: Line::new("unperturbed", unperturbed.iter()),
             groups: groups
                 .iter()
-                .map(|((_, name), of)| line(name, of))
+                .map(|((_, name), rollouts)| line(name, rollouts))
                 .collect(),
             difficulties: difficulties
                 .iter()
-                .map(|(difficulty, of)| line(&in_words(*difficulty), of))
+                .map(|(difficulty, rollouts)| line(&in_words(*difficulty), rollouts))
                 .collect(),
             cells: cells
                 .iter()
-                .map(|((_, difficulty, group), of)| {
-                    line(&format!("{group} {}", in_words(*difficulty)), of)
+                .map(|((_, difficulty, group), rollouts)| {
+                    line(&format!("{group} {}", in_words(*difficulty)), rollouts)
                 })
                 .collect(),
             all: Line::new("all", variants.iter()),
@@ -386,8 +386,8 @@ fn group(case: &Case) -> (usize, String) {
         CaseSubject::Unperturbed => None,
         CaseSubject::Plus(entry) => Dimension::ALL
             .into_iter()
-            .position(|it| it == entry.dimension()),
-        CaseSubject::Pro(suite) => ProSuite::all().position(|it| it == suite),
+            .position(|dimension| dimension == entry.dimension()),
+        CaseSubject::Pro(suite) => ProSuite::all().position(|other| other == suite),
     };
     (place.unwrap_or_default(), case.group().unwrap_or_default())
 }

@@ -165,10 +165,18 @@ pub fn all(document: &Document) -> Vec<Figure> {
     for analysis in &document.analyses {
         if let Some(findings) = &analysis.findings {
             let transitions = [Transition::Emergent, Transition::Compensated];
-            figures.extend(transitions.iter().filter_map(|it| upset(findings, *it)));
+            figures.extend(
+                transitions
+                    .iter()
+                    .filter_map(|transition| upset(findings, *transition)),
+            );
         }
         figures.extend(analysis.thresholds.iter().flat_map(of_thresholds));
-        for level in analysis.interactions.iter().flat_map(|it| &it.levels) {
+        for level in analysis
+            .interactions
+            .iter()
+            .flat_map(|interactions| &interactions.levels)
+        {
             figures.extend([
                 interaction_matrix(analysis, level),
                 additive(analysis, level),

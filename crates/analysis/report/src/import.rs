@@ -41,7 +41,11 @@ pub enum ImportError {
         path: PathBuf,
         source: std::io::Error,
     },
-    #[error("import {path}: {} bad, nothing was taken of it: {}", counted(.bad), said(.named, .bad))]
+    #[error(
+        "import {path}: {} bad, nothing was imported: {}",
+        counted(.bad),
+        listed(.named, .bad)
+    )]
     Lines {
         path: PathBuf,
         bad: usize,
@@ -54,7 +58,7 @@ pub enum ImportError {
     #[error("import {path}: it has no row")]
     Empty { path: PathBuf },
     /// `about.json` cannot be parsed.
-    #[error("read {path}, which says what the rows are")]
+    #[error("read {path}, which describes the rows")]
     About { path: PathBuf, source: JsonError },
 }
 
@@ -109,14 +113,14 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
         true => (path.join(ROWS), read_about(&path.join(ABOUT))?),
         false => (path.to_owned(), About::default()),
     };
-    let in_rows = |source| ImportError::Read {
+    let read_error = |source| ImportError::Read {
         path: rows.clone(),
         source,
     };
     let mut reading = Reading::default();
     let mut digest = Sha256::new();
-    let file = File::open(&rows).map_err(in_rows)?;
-    let size_bytes = file.metadata().map_err(in_rows)?.len();
+    let file = File::open(&rows).map_err(read_error)?;
+    let size_bytes = file.metadata().map_err(read_error)?.len();
     let mut read_bytes = 0;
     let mut file = BufReader::new(file);
     let mut line = Vec::new();
@@ -129,7 +133,7 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
             .by_ref()
             .take(MAX_LINE_BYTES)
             .read_until(b'\n', &mut line);
-        let read = read.map_err(in_rows)? as u64;
+        let read = read.map_err(read_error)? as u64;
         if read == 0 {
             break;
         }
@@ -252,7 +256,7 @@ impl Reading {
                 None => error.problem().to_owned(),
             }
         })?;
-        row.agrees_with_itself()?;
+        row.check_consistency()?;
         let key = (row.rollout_id, row.replicate);
         if let Some(earlier) = self.lines.insert(key, self.number) {
             return Err(format!("{} is on line {earlier} too", row.rollout_id));
@@ -261,20 +265,20 @@ impl Reading {
         match (&self.policy, policy) {
             (Some(one), Some(other)) if *one != other => {
                 return Err(format!(
-                    "it is of policy `{other}`, those before are of `{one}`: one policy per file"
+                    "it is of policy `{other}`, earlier lines are of `{one}`: one policy per file"
                 ));
             }
             (None, Some(policy)) => self.policy = Some(policy),
             _ => {}
         }
         let is_late = row.rollout_id.condition() == Condition::Latency;
-        let of_first = self.execution.get_or_insert_with(|| match is_late {
+        let first = self.execution.get_or_insert_with(|| match is_late {
             true => Execution::Wait,
             false => row.execution.clone(),
         });
-        if !is_late && *of_first != row.execution {
+        if !is_late && *first != row.execution {
             return Err(format!(
-                "it ran under execution model `{}`, those before under `{of_first}`: one model per \
+                "it ran under execution model `{}`, earlier lines under `{first}`: one model per \
                  file",
                 row.execution
             ));
@@ -282,7 +286,7 @@ impl Reading {
         match (self.placebo_radius, row.placebo_radius) {
             (Some(one), Some(other)) if one != other => {
                 return Err(format!(
-                    "its `placebo_radius` is {other}, that of those before {one}: one radius per \
+                    "its `placebo_radius` is {other}, that of earlier lines {one}: one radius per \
                      file"
                 ));
             }
@@ -308,7 +312,7 @@ impl Reading {
 }
 
 impl Row {
-    fn agrees_with_itself(&self) -> Result<(), String> {
+    fn check_consistency(&self) -> Result<(), String> {
         let (id, task) = (self.rollout_id, self.rollout_id.task());
         let of_id = [
             ("axis", self.axis.is_none_or(|axis| axis == id.condition())),
@@ -328,7 +332,7 @@ impl Row {
             ),
         ];
         if let Some((field, _)) = of_id.iter().find(|(_, agrees)| !agrees) {
-            return Err(format!("`{field}` is another than in its id {id}"));
+            return Err(format!("`{field}` differs from its id {id}"));
         }
         match self
             .goal()
@@ -355,8 +359,8 @@ impl Row {
     /// Returns the row's initial state or, if the row gives none, that of its id: a nominal
     /// rollout's own, or the protocol's for configurations 0 to 9.
     fn initial_state(&self) -> Result<u16, String> {
-        let own = self.rollout_id.config();
-        let known = match own {
+        let config = self.rollout_id.config();
+        let default_state = match config {
             None => Some(self.rollout_id.number()),
             Some(config) => self
                 .rollout_id
@@ -365,7 +369,7 @@ impl Row {
                 .get(usize::from(config))
                 .copied(),
         };
-        let stated = self.init_id.or(known);
+        let stated = self.init_id.or(default_state);
         stated.ok_or_else(|| format!("{} has no `init_id`", self.rollout_id))
     }
 }
@@ -377,13 +381,13 @@ fn counted(bad: &usize) -> String {
     }
 }
 
-fn said(named: &[BadLine], bad: &usize) -> String {
-    let mut said: Vec<String> = named
+fn listed(named: &[BadLine], bad: &usize) -> String {
+    let mut lines: Vec<String> = named
         .iter()
         .map(|line| format!("line {}: {}", line.number, line.reason))
         .collect();
     if *bad > named.len() {
-        said.push(format!("and {} more", bad - named.len()));
+        lines.push(format!("and {} more", bad - named.len()));
     }
-    said.join("; ")
+    lines.join("; ")
 }

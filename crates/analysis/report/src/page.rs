@@ -145,7 +145,7 @@ fn matrix_caption(link: Option<Link>) -> &'static str {
     match link {
         None => {
             "Every configuration: tasks downwards, configurations to the right, one square each. \
-             On a screen, pointing at a square tells its rollouts."
+             On a screen, pointing at a square shows its rollouts."
         }
         Some(_) => {
             "Every configuration: tasks downwards, configurations to the right, one square each. \

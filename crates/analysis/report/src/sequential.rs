@@ -65,11 +65,11 @@ impl Sequential {
             return Ok(None);
         };
         let records = Records::new(&subject.records)?;
-        let met = match has_stopped {
+        let stopped = match has_stopped {
             true => CampaignLook::when_met(&records, stop),
             false => None,
         };
-        let look = met.or_else(|| CampaignLook::now(&records, stop));
+        let look = stopped.or_else(|| CampaignLook::now(&records, stop));
         let missing = subject.records.iter();
         let missing = missing.filter(|record| record.outcome == Outcome::Missing);
         Ok(look.map(|look| Self {
@@ -94,7 +94,8 @@ impl Sequential {
                 .into_iter()
                 .map(|(level, look)| {
                     let intervals = look.intervals.into_iter();
-                    let intervals = intervals.map(|(it, of)| (it, [of.low(), of.high()]));
+                    let intervals = intervals
+                        .map(|(measure, interval)| (measure, [interval.low(), interval.high()]));
                     (level, intervals.collect())
                 })
                 .collect(),
@@ -108,7 +109,7 @@ impl Sequential {
             return self.findings_of_new_tasks();
         }
         let levels = self.levels.iter().filter_map(|(&level, measures)| {
-            let [success, net] = [Measure::SSim, Measure::I].map(|it| measures.get(&it));
+            let [success, net] = [Measure::SSim, Measure::I].map(|measure| measures.get(&measure));
             let one = |value: f64| format!("{:.1}", 100.0 * value);
             let [[low, high], [least, most]] = [*success?, *net?].map(|ends| ends.map(one));
             Some(Finding {
@@ -133,7 +134,7 @@ impl Sequential {
         let of_level = |(&level, measures): (&Level, &BTreeMap<Measure, [f64; 2]>)| {
             let intervals = measures
                 .iter()
-                .map(|(&it, &ends)| format!("{it} in {}", percent_text(it, ends)));
+                .map(|(&measure, &ends)| format!("{measure} in {}", percent_text(measure, ends)));
             let intervals: Vec<String> = intervals.collect();
             Finding {
                 kind: FindingKind::Simultaneity,
@@ -176,7 +177,11 @@ impl Sequential {
 
     /// Returns the clause of the warning about overstated measures; empty if there are none.
     fn overstated_in_words(&self) -> String {
-        let names: Vec<&str> = self.overstated.iter().map(|it| it.name()).collect();
+        let names: Vec<&str> = self
+            .overstated
+            .iter()
+            .map(|measure| measure.name())
+            .collect();
         match names.as_slice() {
             [] => String::new(),
             names => format!(
@@ -194,8 +199,11 @@ impl Sequential {
 
     /// Formats an estimate, percent or points, with a star if the early stop overstates it.
     pub(crate) fn estimate_text(&self, level: Level, measure: Measure) -> String {
-        let estimate = self.estimates.get(&level).and_then(|of| of.get(&measure));
-        let Some(estimate) = estimate.map(|it| 100.0 * it) else {
+        let estimate = self
+            .estimates
+            .get(&level)
+            .and_then(|measures| measures.get(&measure));
+        let Some(estimate) = estimate.map(|estimate| 100.0 * estimate) else {
             return "–".to_owned();
         };
         let star = if self.is_overstated(measure) { "*" } else { "" };
@@ -208,7 +216,7 @@ impl Sequential {
     /// Returns the explanation of the star; empty if no estimate has one.
     fn star_in_words(&self) -> &'static str {
         let measures = self.levels.values().flat_map(BTreeMap::keys);
-        match measures.copied().any(|it| self.is_overstated(it)) {
+        match measures.copied().any(|measure| self.is_overstated(measure)) {
             true => {
                 ". An estimate marked * is overstated, because the campaign ended when it was \
                  large; the end of its interval that is nearest to the excluded value bounds it"
@@ -273,7 +281,7 @@ impl Sequential {
 /// Returns the measures that end a campaign by excluding a value.
 fn excluded(rule: &StopRule) -> BTreeSet<Measure> {
     let clauses = rule.clauses().iter();
-    let clauses = clauses.filter(|it| !matches!(it, Clause::Width(..)));
+    let clauses = clauses.filter(|clause| !matches!(clause, Clause::Width(..)));
     clauses.map(Clause::measure).collect()
 }
 

@@ -76,7 +76,7 @@ impl SequentialComparison {
         rule: Option<&StopRule>,
     ) -> Result<Self, NoCommonOrder> {
         let (of_a, of_b) = (order(a)?, order(b)?);
-        let [name_a, name_b] = [a, b].map(|it| it.label.clone());
+        let [name_a, name_b] = [a, b].map(|analysis| analysis.label.clone());
         if (of_a.seed, of_a.strata) != (of_b.seed, of_b.strata) {
             return Err(NoCommonOrder::Differ {
                 a: name_a,
@@ -101,7 +101,7 @@ impl SequentialComparison {
                 .look
                 .intervals
                 .get(&Measure::Difference)
-                .map_or([-1.0, 1.0], |it| [it.low(), it.high()]),
+                .map_or([-1.0, 1.0], |interval| [interval.low(), interval.high()]),
             met_after: cell.met_after,
         });
         Ok(Self {

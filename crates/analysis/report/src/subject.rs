@@ -190,7 +190,7 @@ pub(crate) fn things(count: u64, thing: &str) -> String {
 /// Returns the records that the figures rest on: all of them or, if the campaign stopped
 /// early, those of the configurations that its intervals rest on.
 pub fn counted<'a>(records: &'a [Record], early_stop: Option<&EarlyStop>) -> Cow<'a, [Record]> {
-    let stopped = early_stop.filter(|it| it.has_stopped);
+    let stopped = early_stop.filter(|stop| stop.has_stopped);
     let counted = stopped.and_then(|early| CampaignLook::counted_when_met(records, &early.stop));
     counted.map_or(Cow::Borrowed(records), Cow::Owned)
 }

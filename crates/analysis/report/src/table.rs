@@ -53,9 +53,12 @@ fn rows(document: &Document) -> Rows {
     let analyses = document.analyses.as_slice();
     if analyses.is_empty() {
         Rows::Configurations
-    } else if analyses.iter().all(|it| it.findings.is_some()) {
+    } else if analyses.iter().all(|analysis| analysis.findings.is_some()) {
         Rows::MinimalSubsets
-    } else if analyses.iter().all(|it| it.thresholds.is_some()) {
+    } else if analyses
+        .iter()
+        .all(|analysis| analysis.thresholds.is_some())
+    {
         Rows::Thresholds
     } else {
         Rows::Configurations

@@ -156,7 +156,11 @@ impl ThresholdReport {
         let (thresholds, records) = by.measures()?;
         let measurement = Measurement::of(records, &by.records, thresholds);
         let is_settled = |record: &Record| record.outcome != Outcome::Missing;
-        let waiting = by.records.iter().filter(|it| !is_settled(it)).count();
+        let waiting = by
+            .records
+            .iter()
+            .filter(|record| !is_settled(record))
+            .count();
         let rays = measurement.rays();
         let measured: Vec<Measured> = rays
             .map(|(ray, outcomes)| Measured::of(&measurement, ray, outcomes))
@@ -171,7 +175,7 @@ impl ThresholdReport {
                 && waiting == 0
                 && measurement.plan().is_empty(),
             looked_for: measured.len() as u64,
-            found: measured.iter().filter(|it| it.is_found).count() as u64,
+            found: measured.iter().filter(|measured| measured.is_found).count() as u64,
             beyond_budget: (measurement.of_rays() - measured.len()) as u64,
             rollouts: by.records.len() as u64,
             waiting: waiting as u64,
@@ -194,16 +198,16 @@ impl ThresholdReport {
         push_wrapped(
             &mut text,
             "",
-            &format!("{} {}", self.measured_by, self.standing()),
+            &format!("{} {}", self.measured_by, self.progress_in_words()),
         );
-        let curves: Vec<&Curve> = self.curves.iter().filter(|it| it.n > 0).collect();
+        let curves: Vec<&Curve> = self.curves.iter().filter(|curve| curve.n > 0).collect();
         if !curves.is_empty() {
             push_survival(&mut text, &curves);
             push_half_success(&mut text, &curves);
         }
         let not_monotone = self.thresholds.iter();
         let not_monotone: Vec<&Measured> = not_monotone
-            .filter(|it| !it.recovers_at.is_empty())
+            .filter(|measured| !measured.recovers_at.is_empty())
             .collect();
         if !not_monotone.is_empty() {
             text.push_str("\nnot monotone: they succeed again beyond a failure\n");
@@ -215,7 +219,7 @@ impl ThresholdReport {
     }
 
     /// Returns the progress of the measurement: a sentence without subject and full stop.
-    pub(crate) fn standing(&self) -> String {
+    pub(crate) fn progress_in_words(&self) -> String {
         let mut words = format!(
             "measures thresholds of {}: {} of {} found in {}",
             self.campaign,
@@ -272,9 +276,9 @@ impl Measured {
 
     /// Lists the radii that succeed or, if `success` is false, those that fail.
     pub(crate) fn radii(&self, success: bool) -> String {
-        let such = self.outcomes.iter();
-        let such = such.filter(|it| it.outcome.success() == Some(success));
-        let radii: Vec<String> = such.map(|it| it.radius.to_string()).collect();
+        let points = self.outcomes.iter();
+        let points = points.filter(|point| point.outcome.success() == Some(success));
+        let radii: Vec<String> = points.map(|point| point.radius.to_string()).collect();
         radii.join(", ")
     }
 }
@@ -283,7 +287,7 @@ impl Measured {
 fn largest_success(outcomes: &Outcomes<Level>) -> Option<Level> {
     let succeeds = outcomes
         .perturbed()
-        .filter(|(_, it)| *it == Outcome::Success);
+        .filter(|(_, outcome)| *outcome == Outcome::Success);
     Some(succeeds.map(|(level, _)| level).max().unwrap_or(Level::L0))
 }
 
@@ -353,7 +357,7 @@ fn push_half_success(text: &mut String, curves: &[&Curve]) {
     let late = curves
         .iter()
         .find(|curve| curve.condition == Condition::Latency);
-    if let Some(words) = late.map(|curve| bears(curve)) {
+    if let Some(words) = late.map(|curve| tolerated_delay(curve)) {
         push_wrapped(text, "", &words);
     }
     if curves.iter().any(|curve| !curve.is_bisected) {
@@ -364,7 +368,7 @@ fn push_half_success(text: &mut String, curves: &[&Curve]) {
 }
 
 /// Describes the delay up to which half of the configurations succeed, in whole control steps.
-pub(crate) fn bears(curve: &Curve) -> String {
+pub(crate) fn tolerated_delay(curve: &Curve) -> String {
     let delay = |radius: f64| {
         let steps = (radius * STEPS_PER_RADIUS).floor();
         let milliseconds = steps * 1000.0 / f64::from(CONTROL_HZ);
@@ -373,15 +377,17 @@ pub(crate) fn bears(curve: &Curve) -> String {
     };
     match curve.half_success.radius {
         Some(radius) => format!(
-            "latency: half of the configurations bear {}; a radius of 2 is one step",
+            "latency: half of the configurations succeed with a delay of {}; a radius of 2 is one \
+             step",
             delay(radius)
         ),
         None if curve.beyond * 2 > curve.n => format!(
-            "latency: more than half of the configurations bear {}, the longest delay that was run",
+            "latency: more than half of the configurations succeed with a delay of {}, the longest \
+             that was run",
             delay(curve.largest_radius)
         ),
-        None => "latency: fewer than half of the configurations succeed without a delay, or it is \
-                 not known how many bear one"
+        None => "latency: fewer than half of the configurations succeed without a delay, or the \
+                 share that succeeds with one is not known"
             .to_owned(),
     }
 }

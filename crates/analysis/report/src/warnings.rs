@@ -22,8 +22,8 @@ pub(crate) fn of_subject(subject: &Subject) -> Vec<String> {
     let provenances = &subject.provenances;
     let mut warnings = Vec::new();
     warnings.extend(left_out(subject));
-    for (what, so, of) in MIXTURES {
-        warnings.extend(mixed(provenances.iter().map(of), what, so));
+    for (what, consequence, of) in MIXTURES {
+        warnings.extend(mixed(provenances.iter().map(of), what, consequence));
     }
     warnings.extend(mixed(
         executions(subject),
@@ -77,14 +77,18 @@ pub(crate) fn of_comparison(subjects: &[Subject]) -> Vec<String> {
         ));
     }
     let comparable = [
-        ("MuJoCo version", "each is another simulator", mujoco as Of),
+        (
+            "MuJoCo version",
+            "each is another simulator",
+            mujoco as Property,
+        ),
         ("asset pack", "each is another benchmark", pack),
         ("renderer", "each draws other pictures", renderer),
     ];
-    for (what, so, of) in comparable {
+    for (what, consequence, of) in comparable {
         let values = subjects.iter().flat_map(|s| s.provenances.iter().map(of));
         let values = values.filter(|value| !value.is_empty()).collect();
-        warnings.extend(more_than_one(what, so, values));
+        warnings.extend(more_than_one(what, consequence, values));
     }
     let executions = subjects.iter().map(|subject| subject.execution.to_string());
     warnings.extend(more_than_one(
@@ -95,21 +99,21 @@ pub(crate) fn of_comparison(subjects: &[Subject]) -> Vec<String> {
     warnings
 }
 
-fn more_than_one(what: &str, so: &str, values: BTreeSet<String>) -> Option<String> {
+fn more_than_one(what: &str, consequence: &str, values: BTreeSet<String>) -> Option<String> {
     (values.len() > 1).then(|| {
         let values: Vec<String> = values.into_iter().collect();
         format!(
-            "the policies were measured with more than one {what} ({so}): {}",
+            "the policies were measured with more than one {what} ({consequence}): {}",
             values.join("; ")
         )
     })
 }
 
-pub(crate) type Of = fn(&Provenance) -> String;
+pub(crate) type Property = fn(&Provenance) -> String;
 
 /// Properties that all results of a campaign should share, and the consequence if they
 /// differ.
-const MIXTURES: [(&str, &str, Of); 6] = [
+const MIXTURES: [(&str, &str, Property); 6] = [
     (
         "MuJoCo version",
         "never pooled: each is another simulator",
@@ -159,7 +163,7 @@ fn executions(subject: &Subject) -> impl Iterator<Item = String> {
     let models = subject
         .provenances
         .iter()
-        .map(|it| it.execution().to_owned());
+        .map(|provenance| provenance.execution().to_owned());
     models.filter(move |model| !late.contains(model))
 }
 
@@ -168,12 +172,12 @@ fn checkpoint(p: &Provenance) -> String {
     format!("{} {} ({digest})", p.policy_name, p.policy_checkpoint)
 }
 
-fn mixed(values: impl Iterator<Item = String>, what: &str, so: &str) -> Option<String> {
+fn mixed(values: impl Iterator<Item = String>, what: &str, consequence: &str) -> Option<String> {
     let values: BTreeSet<String> = values.filter(|value| !value.is_empty()).collect();
     (values.len() > 1).then(|| {
         let values: Vec<String> = values.into_iter().collect();
         format!(
-            "results of more than one {what} are mixed ({so}): {}",
+            "results of more than one {what} are mixed ({consequence}): {}",
             values.join("; ")
         )
     })
@@ -186,24 +190,24 @@ pub fn fingerprints_in_words(mix: &Fingerprints) -> String {
     let results: Vec<String> = results
         .map(|(fingerprint, count)| format!("{count} of {}", short(fingerprint)))
         .collect();
-    let met = match mix.mixed.len() {
+    let mixture = match mix.mixed.len() {
         0 => "no configuration mixes them".to_owned(),
         1 => format!("1 configuration mixes them: {}", some_of(&mix.mixed)),
         many => format!("{many} configurations mix them: {}", some_of(&mix.mixed)),
     };
     format!(
         "results have {} fingerprints, so that the machines' arithmetic or frames differ: {}; \
-         {met}",
+         {mixture}",
         mix.results.len(),
         results.join(", ")
     )
 }
 
 fn left_out(subject: &Subject) -> Option<String> {
-    let own = subject.realisation?;
+    let mode = subject.realisation?;
     (subject.left_out > 0).then(|| {
         format!(
-            "realisation modes are mixed: {} results are of another mode than `{own}`, which \
+            "realisation modes are mixed: {} results are of another mode than `{mode}`, which \
              perturbs differently; they are in no figure and count as missing",
             subject.left_out
         )
@@ -217,7 +221,7 @@ fn taught_elsewhere(subject: &Subject) -> Option<String> {
         let taught_on = provenance.taught_elsewhere()?;
         Some(format!(
             "policy `{}` was taught on asset pack `{taught_on}` and measured on `{}`: objects there \
-             look otherwise, so that these rates say little about the policy",
+             look different, so that these rates say little about the policy",
             subject.policy, provenance.pin.asset_pack
         ))
     })

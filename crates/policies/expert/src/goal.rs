@@ -8,7 +8,7 @@ use crate::error::ExpertError;
 use crate::geometry::Vec3;
 use crate::motion::{Command, Fingers, HandPose, Motion, OPEN_M};
 use crate::place::{Place, Relation};
-use crate::routine::{self, Deed, Routine};
+use crate::routine::{self, Routine, RoutineTask};
 use crate::transfer::Transfer;
 use crate::world::{World, drawer_joint};
 
@@ -38,14 +38,14 @@ impl Skill {
     }
 
     /// Returns true if the skill can continue with the object between the fingers.
-    fn goes_on(&self, world: &World) -> bool {
+    fn can_continue(&self, world: &World) -> bool {
         let object = match self {
             Self::Transfer(transfer) => transfer.object(),
-            Self::Routine(routine) => match routine.deed() {
-                Deed::PullDrawer { .. } => {
+            Self::Routine(routine) => match routine.task() {
+                RoutineTask::PullDrawer { .. } => {
                     return world.handle_at_grip(CLEAR_OF_HANDLE_M).is_some();
                 }
-                Deed::Drag { object, .. } => object,
+                RoutineTask::Drag { object, .. } => object,
                 _ => return false,
             },
             Self::LetGo => return false,
@@ -105,7 +105,7 @@ pub(crate) fn resume(
     if let Some(at) = held {
         // A closed drawer must be pulled open before an object can go into it.
         let is_pull = |skill: &Skill| match skill {
-            Skill::Routine(routine) => matches!(routine.deed(), Deed::PullDrawer { .. }),
+            Skill::Routine(routine) => matches!(routine.task(), RoutineTask::PullDrawer { .. }),
             _ => false,
         };
         let first = skills.iter().rposition(is_pull).map_or(0, |pull| pull + 1);
@@ -113,7 +113,7 @@ pub(crate) fn resume(
             skills[first..=at].rotate_right(1);
         }
     }
-    let known = |object: &str| {
+    let earlier_transfer = |object: &str| {
         earlier.iter().find_map(|skill| match skill {
             Skill::Transfer(transfer) if transfer.object() == object => Some(transfer),
             _ => None,
@@ -121,14 +121,16 @@ pub(crate) fn resume(
     };
     match skills.first_mut() {
         Some(Skill::Transfer(transfer)) => {
-            let earlier = known(transfer.object());
+            let earlier = earlier_transfer(transfer.object());
             transfer.resume(earlier, world, motion)?;
         }
         Some(Skill::Routine(routine)) => routine.resume(world, motion)?,
         Some(Skill::LetGo) | None => {}
     }
-    let goes_on = skills.first().is_some_and(|skill| skill.goes_on(world));
-    if !goes_on && let_go(world).is_some() {
+    let can_continue = skills
+        .first()
+        .is_some_and(|skill| skill.can_continue(world));
+    if !can_continue && let_go(world).is_some() {
         skills.insert(0, Skill::LetGo);
     }
     Ok(skills)
@@ -178,7 +180,7 @@ fn open(world: &World, region: &str, to: f64) -> Result<Option<Skill>, ExpertErr
     let Some(position) = joint.and_then(|joint| world.joint(&joint).ok()) else {
         return Ok(None);
     };
-    let pull = Deed::PullDrawer {
+    let pull = RoutineTask::PullDrawer {
         region: region.to_owned(),
         to,
     };
@@ -188,33 +190,33 @@ fn open(world: &World, region: &str, to: f64) -> Result<Option<Skill>, ExpertErr
 
 fn turn_on(world: &World, stove: &str) -> Result<Option<Skill>, ExpertError> {
     let on = routine::knob_is_on(routine::only_joint(world, stove)?);
-    let turn = Deed::TurnKnob {
+    let turn = RoutineTask::TurnKnob {
         stove: stove.to_owned(),
     };
     Ok((!on).then(|| Skill::Routine(Routine::new(turn))))
 }
 
 /// Plans to close a drawer, given by its region, or a door, given by its fixture.
-fn close(world: &World, what: &str) -> Result<Option<Skill>, ExpertError> {
-    let drawer = drawer_joint(what).and_then(|joint| world.joint(&joint).ok());
-    let (deed, closed) = match drawer {
+fn close(world: &World, target: &str) -> Result<Option<Skill>, ExpertError> {
+    let drawer = drawer_joint(target).and_then(|joint| world.joint(&joint).ok());
+    let (task, closed) = match drawer {
         Some(position) => (
-            Deed::PushDrawer {
-                region: what.to_owned(),
+            RoutineTask::PushDrawer {
+                region: target.to_owned(),
             },
             routine::drawer_is_closed(position),
         ),
         None => {
-            let position = routine::only_joint(world, what)?;
+            let position = routine::only_joint(world, target)?;
             (
-                Deed::PushDoor {
-                    microwave: what.to_owned(),
+                RoutineTask::PushDoor {
+                    microwave: target.to_owned(),
                 },
                 routine::door_is_closed(position),
             )
         }
     };
-    Ok((!closed).then(|| Skill::Routine(Routine::new(deed))))
+    Ok((!closed).then(|| Skill::Routine(Routine::new(task))))
 }
 
 fn put_on(
@@ -233,12 +235,12 @@ fn put_on(
         place.slot = free_slot(world, &place, object, other)?;
     }
     if routine::must_be_dragged(world.entity(object)?) && world.entity(on)?.is_region() {
-        let deed = Deed::Drag {
+        let task = RoutineTask::Drag {
             object: object.to_owned(),
             region: on.to_owned(),
         };
-        let there = place.holds(world, world.entity(object)?)?;
-        return Ok((!there).then(|| Skill::Routine(Routine::new(deed))));
+        let is_placed = place.holds(world, world.entity(object)?)?;
+        return Ok((!is_placed).then(|| Skill::Routine(Routine::new(task))));
     }
     transfer(world, object, place)
 }
@@ -278,7 +280,7 @@ fn free_slot(world: &World, place: &Place, object: &str, other: &str) -> Result<
     if !place.holds(world, other)? {
         return Ok(place.slot);
     }
-    let room = |slot: f64| -> Result<f64, ExpertError> {
+    let clearance = |slot: f64| -> Result<f64, ExpertError> {
         let side = Place {
             slot,
             ..place.clone()
@@ -287,16 +289,16 @@ fn free_slot(world: &World, place: &Place, object: &str, other: &str) -> Result<
         Ok((rest - other.pos).horizontal_norm())
     };
     let opposite = -place.slot;
-    Ok(match room(opposite)? > room(place.slot)? {
+    Ok(match clearance(opposite)? > clearance(place.slot)? {
         true => opposite,
         false => place.slot,
     })
 }
 
 fn transfer(world: &World, object: &str, place: Place) -> Result<Option<Skill>, ExpertError> {
-    let there = place.holds(world, world.entity(object)?)?;
+    let is_placed = place.holds(world, world.entity(object)?)?;
     let transfer = Transfer::new(object.to_owned(), place);
-    Ok((!there).then_some(Skill::Transfer(transfer)))
+    Ok((!is_placed).then_some(Skill::Transfer(transfer)))
 }
 
 #[cfg(test)]
@@ -343,7 +345,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_done_already_is_left_out() {
+    fn predicates_that_hold_are_skipped() {
         let scene = KinematicScene::new("in", &["mug_1", "basket_1_contain_region"])
             .goal("turnon", &["stove_1"])
             .object("mug_1", [0.0, 0.0, 0.05], MUG)
@@ -394,7 +396,7 @@ mod tests {
     }
 
     #[test]
-    fn a_goal_about_something_that_is_not_there_is_refused_by_name() {
+    fn a_goal_about_a_missing_entity_is_refused_by_name() {
         let scene = KinematicScene::new("on", &["ghost_1", "plate_1"]);
         let refusal = plan(&scene.world()).unwrap_err().to_string();
         assert!(refusal.contains("ghost_1"), "{refusal}");

@@ -46,7 +46,7 @@ const TILT_WEIGHT: f64 = 150.0;
 const AWAY_WEIGHT: f64 = 6.0;
 const AWAY_M: f64 = 0.15;
 /// Penalty on a change of grasp, rad, and the distances within which two grasps count as the same.
-const FICKLE_COST: f64 = 0.5;
+const CHANGE_COST: f64 = 0.5;
 const ALIKE_M: f64 = 0.02;
 const ALIKE_RAD: f64 = 0.3;
 
@@ -105,7 +105,7 @@ pub(crate) struct Grasp {
 
 /// Requirement of the object's destination on the grasp.
 #[derive(Clone, Copy, Debug, PartialEq)]
-pub(crate) enum Wish {
+pub(crate) enum GraspRequirement {
     Any,
     /// The closing direction is perpendicular to this horizontal direction.
     Across(Vec3),
@@ -116,7 +116,7 @@ pub(crate) enum Wish {
 /// Purpose of a grasp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Purpose<'a> {
-    pub(crate) wish: Wish,
+    pub(crate) requirement: GraspRequirement,
     /// Destination: horizontally of the object's origin, vertically of its lowest point.
     pub(crate) destination: Vec3,
     /// Object or fixture at the destination, which the hand may touch.
@@ -129,7 +129,8 @@ pub(crate) struct Purpose<'a> {
 pub(crate) fn choices(world: &World, object: &Entity, purpose: Purpose<'_>) -> Vec<Grasp> {
     let shape = footprint(object.quat, object.half);
     let handle = HANDLES.iter().find(|h| h.0 == object.category);
-    let mut all = if let (Wish::Handle, Some((_, way))) = (purpose.wish, handle) {
+    let mut all = if let (GraspRequirement::Handle, Some((_, way))) = (purpose.requirement, handle)
+    {
         vec![by_handle(object, shape, object.quat.rotate(*way))]
     } else if let Some((_, depth)) = KNOBS.iter().find(|k| k.0 == object.category) {
         vec![knob(object, shape, *depth)]
@@ -160,8 +161,8 @@ pub(crate) fn nearest(
             let turned = half_turn(earlier.closing - grasp.closing).abs();
             (earlier.offset - grasp.offset).norm() > ALIKE_M || turned > ALIKE_RAD
         });
-        let fickle = if other { FICKLE_COST } else { 0.0 };
-        cost(world, object, purpose, grasp) + AWAY_WEIGHT * away.min(AWAY_M) + fickle
+        let change_cost = if other { CHANGE_COST } else { 0.0 };
+        cost(world, object, purpose, grasp) + AWAY_WEIGHT * away.min(AWAY_M) + change_cost
     };
     let ranked = choices(world, object, purpose).into_iter();
     let ranked = ranked.map(|grasp| (rank(&grasp), grasp));
@@ -235,9 +236,9 @@ fn grip_height(object: &Entity, depth: f64) -> f64 {
 /// Cost of a grasp, in equivalent radians of hand rotation.
 fn cost(world: &World, object: &Entity, purpose: Purpose<'_>, grasp: &Grasp) -> f64 {
     let turning = half_turn(grasp.closing - FRAC_PI_2).abs();
-    let askew = match purpose.wish {
-        Wish::Across(way) => ASKEW_WEIGHT * Vec3::heading(grasp.closing).dot(way).abs(),
-        Wish::Any | Wish::Handle => 0.0,
+    let askew = match purpose.requirement {
+        GraspRequirement::Across(way) => ASKEW_WEIGHT * Vec3::heading(grasp.closing).dot(way).abs(),
+        GraspRequirement::Any | GraspRequirement::Handle => 0.0,
     };
     let here = object.centre + grasp.offset;
     let there = (purpose.destination + here - object.pos)
@@ -295,9 +296,9 @@ mod tests {
         KinematicScene::new("on", &["thing", "plate"])
     }
 
-    fn best(scene: &KinematicScene, wish: Wish) -> Grasp {
+    fn best(scene: &KinematicScene, requirement: GraspRequirement) -> Grasp {
         let purpose = Purpose {
-            wish,
+            requirement,
             destination: Vec3::new(-0.2, 0.0, 0.0),
             owner: "plate",
         };
@@ -311,22 +312,31 @@ mod tests {
 
     #[test]
     fn a_box_is_pinched_in_the_middle_across_its_narrow_side() {
-        let grasp = best(&scene().object("thing", [0.0, 0.0, 0.03], BOX), Wish::Any);
+        let grasp = best(
+            &scene().object("thing", [0.0, 0.0, 0.03], BOX),
+            GraspRequirement::Any,
+        );
         assert!(parallel(grasp.closing, FRAC_PI_2), "{grasp:?}");
         assert!(grasp.offset.horizontal_norm() < 1e-9, "{grasp:?}");
     }
 
     #[test]
-    fn fingers_that_reach_for_a_flat_box_stay_above_what_it_stands_on() {
+    fn fingers_that_reach_for_a_flat_box_stay_above_its_support() {
         let flat = [0.04, 0.02, 0.009];
-        let grasp = best(&scene().object("thing", [0.0, 0.0, 0.009], flat), Wish::Any);
+        let grasp = best(
+            &scene().object("thing", [0.0, 0.0, 0.009], flat),
+            GraspRequirement::Any,
+        );
         let lowest = 0.009 + grasp.offset.z - FINGERTIP_M;
         assert!((lowest - FLOOR_GAP_M).abs() < 1e-9, "{grasp:?}");
     }
 
     #[test]
     fn a_bowl_is_held_at_its_rim_with_the_fingers_on_both_sides_of_it() {
-        let grasp = best(&scene().object("thing", [0.0, 0.0, 0.025], BOWL), Wish::Any);
+        let grasp = best(
+            &scene().object("thing", [0.0, 0.0, 0.025], BOWL),
+            GraspRequirement::Any,
+        );
         let radius = grasp.offset.horizontal_norm();
         assert!(
             (radius - (BOWL[0] - RIM_INSETS_M[0])).abs() < 1e-9,
@@ -341,7 +351,10 @@ mod tests {
     #[test]
     fn a_mug_is_held_at_its_sides_and_not_where_its_handle_is() {
         let mug = [0.05, 0.07, 0.05];
-        let grasp = best(&scene().object("thing", [0.0, 0.0, 0.05], mug), Wish::Any);
+        let grasp = best(
+            &scene().object("thing", [0.0, 0.0, 0.05], mug),
+            GraspRequirement::Any,
+        );
         assert!(
             grasp.offset.y.abs() < 1e-9 && grasp.offset.x.abs() > 0.04,
             "{grasp:?}"
@@ -356,7 +369,7 @@ mod tests {
                 [0.0, side * 0.1, 0.07],
                 [0.03, 0.03, 0.07],
             );
-            let grasp = best(&scene, Wish::Any);
+            let grasp = best(&scene, GraspRequirement::Any);
             assert!(grasp.offset.y * side < 0.0, "{side}: {grasp:?}");
         }
     }
@@ -367,7 +380,7 @@ mod tests {
         let scene = scene()
             .object("thing", [0.0, 0.0, 0.009], [0.04, 0.02, 0.009])
             .object("bottle", [0.035, 0.1, 0.07], [0.022, 0.03, 0.07]);
-        let grasp = best(&scene, Wish::Any);
+        let grasp = best(&scene, GraspRequirement::Any);
         assert!(grasp.offset.x < -0.005, "{grasp:?}");
     }
 
@@ -379,7 +392,7 @@ mod tests {
             [0.0, 0.0, 0.925],
             [0.15, 0.075, 0.03],
         );
-        let grasp = best(&scene, Wish::Any);
+        let grasp = best(&scene, GraspRequirement::Any);
         let reach = grasp.offset * (1.0 + FINGER_REACH_M / grasp.offset.horizontal_norm());
         assert!(reach.x.abs() < 0.155 && reach.y.abs() < 0.08, "{grasp:?}");
     }
@@ -387,7 +400,7 @@ mod tests {
     #[test]
     fn a_place_can_ask_for_the_palm_to_stay_parallel_to_its_front() {
         let scene = scene().object("thing", [0.0, 0.0, 0.025], BOWL);
-        let grasp = best(&scene, Wish::Across(Vec3::new(0.0, 1.0, 0.0)));
+        let grasp = best(&scene, GraspRequirement::Across(Vec3::new(0.0, 1.0, 0.0)));
         assert!(parallel(grasp.closing, 0.0), "{grasp:?}");
     }
 
@@ -397,7 +410,7 @@ mod tests {
         let tilt = Quat::turn(Vec3::new(1.0, 0.0, 0.0), 0.3);
         scene.state.entities[0].quat_wxyz = [tilt.w, tilt.v.x, tilt.v.y, tilt.v.z];
         // The rotation about x has raised the side at +y.
-        let grasp = best(&scene, Wish::Any);
+        let grasp = best(&scene, GraspRequirement::Any);
         assert!(grasp.offset.y > 0.03, "{grasp:?}");
     }
 
@@ -405,7 +418,7 @@ mod tests {
     fn far_away_the_rim_is_held_on_the_robot_s_side() {
         // The hand rests 0.45 m in front of the robot.
         let scene = scene().object("thing", [0.33, 0.0, 0.025], BOWL);
-        let grasp = best(&scene, Wish::Any);
+        let grasp = best(&scene, GraspRequirement::Any);
         assert!(grasp.offset.x < -0.03, "{grasp:?}");
     }
 }

@@ -25,7 +25,7 @@ const REACH_M: f64 = 0.08;
 pub(crate) struct KinematicScene {
     pub(crate) state: Privileged,
     /// Number of times that the fingers will close without grasping the object.
-    pub(crate) slippery: u32,
+    pub(crate) failing_grasps: u32,
     held: Option<usize>,
     velocity: [f64; 3],
 }
@@ -42,7 +42,7 @@ impl KinematicScene {
         };
         Self {
             state,
-            slippery: 0,
+            failing_grasps: 0,
             held: None,
             velocity: [0.0; 3],
         }
@@ -163,8 +163,8 @@ impl KinematicScene {
         let opening = (self.state.gripper_opening - FINGER_STEP_M).max(0.0);
         let shut = opening <= FINGER_STEP_M && self.state.gripper_opening > FINGER_STEP_M;
         self.state.gripper_opening = opening;
-        if shut && self.slippery > 0 {
-            self.slippery -= 1;
+        if shut && self.failing_grasps > 0 {
+            self.failing_grasps -= 1;
         } else if shut {
             self.held = self.between_fingers();
             if self.held.is_some() {

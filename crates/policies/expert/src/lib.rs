@@ -124,10 +124,10 @@ impl Expert {
             Some(plan) => plan,
             None => goal::plan(world)?.into(),
         };
-        let mut wanted = None;
-        while let (None, Some(skill)) = (wanted, plan.front_mut()) {
-            wanted = skill.step(world, &self.motion)?;
-            if wanted.is_none() {
+        let mut next = None;
+        while let (None, Some(skill)) = (next, plan.front_mut()) {
+            next = skill.step(world, &self.motion)?;
+            if next.is_none() {
                 plan.pop_front();
             }
         }
@@ -136,7 +136,7 @@ impl Expert {
             pos: world.grip,
             quat: world.grip_quat,
         };
-        Ok(wanted.unwrap_or(Command {
+        Ok(next.unwrap_or(Command {
             hand: here,
             fingers: Fingers::Open,
             pace: 1.0,
@@ -175,13 +175,13 @@ mod tests {
         assert!(actions.iter().flatten().all(|v| (-1.0..=1.0).contains(v)));
     }
 
-    /// Returns true if the bowl reaches its plate within `steps` steps. `meddle` may replace
-    /// the expert's action at each step.
-    fn ends(steps: u32, meddle: impl Fn(u32, Action) -> Option<Action>) -> bool {
+    /// Returns true if the bowl reaches its plate within `steps` steps. `override_action` may
+    /// replace the expert's action at each step.
+    fn ends(steps: u32, override_action: impl Fn(u32, Action) -> Option<Action>) -> bool {
         let (mut scene, mut expert) = (scene(), Expert::default());
         (0..steps).any(|step| {
             let action = expert.act(&scene.state).expect("an action");
-            let other = meddle(step, action);
+            let other = override_action(step, action);
             if other.is_some() {
                 expert.interrupt();
             }
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn a_hand_that_holds_the_object_is_not_told_to_open_above_another_grasp() {
+    fn a_hand_that_holds_the_object_stays_closed_above_another_grasp() {
         let (mut scene, mut expert) = (scene(), Expert::default());
         for _ in 0..200 {
             if scene.state.entities[0].pos[2] > 0.05 {
@@ -238,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn a_number_as_in_no_scene_is_refused_by_name() {
+    fn an_out_of_range_number_is_refused_by_name() {
         for number in [1e256, -101.0, f64::NAN, f64::INFINITY] {
             let mut state = scene().state;
             state.grip_pos[1] = number;

@@ -77,7 +77,7 @@ impl HandPose {
     /// Returns true if the hand is on the straight path from this pose to `goal`: at most
     /// `aside` m beside it, at most slightly before or beyond it, and oriented like either
     /// pose.
-    pub(crate) fn leads(self, goal: HandPose, world: &World, aside: f64) -> bool {
+    pub(crate) fn is_on_path_to(self, goal: HandPose, world: &World, aside: f64) -> bool {
         let way = goal.pos - self.pos;
         let length = way.norm().max(f64::MIN_POSITIVE);
         let ahead = way * (1.0 / length);
@@ -131,8 +131,8 @@ pub(crate) struct Command {
 
 /// Computes the action that follows `command`: seven numbers in [-1, 1].
 pub(crate) fn servo(world: &World, motion: &Motion, command: &Command) -> Action {
-    let foretold = world.grip + motion.per_step() * LOOKAHEAD_STEPS;
-    let shift = (command.hand.pos - foretold) * (POSITION_GAIN / UNIT_M);
+    let predicted = world.grip + motion.per_step() * LOOKAHEAD_STEPS;
+    let shift = (command.hand.pos - predicted) * (POSITION_GAIN / UNIT_M);
     let turn = command
         .hand
         .quat
@@ -162,7 +162,7 @@ fn saturate(v: Vec3, limit: f64) -> Vec3 {
 
 /// Load of the moving hand, or the object that it is about to grasp.
 #[derive(Clone, Copy, Debug)]
-pub(crate) enum Errand<'a> {
+pub(crate) enum HandLoad<'a> {
     /// No load; the lowest part of the hand is this far below the grip point, m.
     Empty(f64),
     /// The hand moves to grasp this object, which is not an obstacle.
@@ -171,8 +171,8 @@ pub(crate) enum Errand<'a> {
     With(&'a Entity),
 }
 
-impl Errand<'_> {
-    fn is_about(&self, solid: &Solid) -> bool {
+impl HandLoad<'_> {
+    fn is_load(&self, solid: &Solid) -> bool {
         match self {
             Self::Empty(_) => false,
             Self::For(object) | Self::With(object) => object.name == solid.owner,
@@ -191,27 +191,27 @@ impl Errand<'_> {
 
 /// Returns the next waypoint towards `goal` that avoids obstacles: out from under overhead
 /// obstacles, straight up until the path is clear, then across, then down.
-pub(crate) fn detour(world: &World, goal: Vec3, errand: Errand) -> Vec3 {
+pub(crate) fn detour(world: &World, goal: Vec3, load: HandLoad) -> Vec3 {
     let aside = (goal - world.grip).horizontal_norm();
     if aside < ARRIVAL_M {
         // Far above the goal, moves sideways first, because there may be an edge below.
         let is_high = world.grip.z > goal.z + HIGH_M && aside > ARRIVAL_M / 2.0;
         return goal.at_height(if is_high { world.grip.z } else { goal.z });
     }
-    let over = errand.hang(world) + CLEARANCE_M;
-    let highest = highest_on_the_way(world, goal, errand);
+    let over = load.hang(world) + CLEARANCE_M;
+    let highest = highest_on_the_way(world, goal, load);
     let needed = highest.map_or(goal.z, |top| goal.z.max(top + over));
     if world.grip.z > needed - CLEARANCE_M / 2.0 {
         return goal.at_height(needed);
     }
-    match way_from_under(world, errand) {
+    match way_from_under(world, load) {
         Some(way) => world.grip + way * CORRIDOR_M,
         None => world.grip.at_height(needed + CLEARANCE_M),
     }
 }
 
 /// Top of the highest solid within the corridor from the hand to `goal`.
-fn highest_on_the_way(world: &World, goal: Vec3, errand: Errand) -> Option<f64> {
+fn highest_on_the_way(world: &World, goal: Vec3, load: HandLoad) -> Option<f64> {
     let start = world.grip;
     let steps = ((goal - start).horizontal_norm() / (CORRIDOR_M / 2.0))
         .ceil()
@@ -222,10 +222,7 @@ fn highest_on_the_way(world: &World, goal: Vec3, errand: Errand) -> Option<f64> 
             solid.gap_from_above(p) < CORRIDOR_M
         })
     };
-    let others = world
-        .solids()
-        .iter()
-        .filter(|solid| !errand.is_about(solid));
+    let others = world.solids().iter().filter(|solid| !load.is_load(solid));
     others
         .filter(crossed)
         .map(Solid::top)
@@ -233,8 +230,8 @@ fn highest_on_the_way(world: &World, goal: Vec3, errand: Errand) -> Option<f64> 
 }
 
 /// Returns the horizontal displacement out from under a solid above the held object.
-fn way_from_under(world: &World, errand: Errand) -> Option<Vec3> {
-    let Errand::With(object) = errand else {
+fn way_from_under(world: &World, load: HandLoad) -> Option<Vec3> {
+    let HandLoad::With(object) = load else {
         return None;
     };
     let room = CLEARANCE_M / 2.0;
@@ -243,7 +240,7 @@ fn way_from_under(world: &World, errand: Errand) -> Option<Vec3> {
         Vec3::new(0.0, object.half.y + room, 0.0),
     ];
     let overhead = |solid: &&Solid| {
-        let above = solid.bottom() > object.centre.z && !errand.is_about(solid);
+        let above = solid.bottom() > object.centre.z && !load.is_load(solid);
         above && solid.overlaps_from_above(object.centre, reach)
     };
     let solid = world.solids().iter().find(overhead)?;
@@ -258,8 +255,8 @@ pub(crate) struct Motion {
     per_step: Vec3,
     still_steps: u32,
     finger_still_steps: u32,
-    /// Opening of the fingers in the last step, m.
-    opened: f64,
+    /// Change of the opening of the fingers in the last step, m.
+    opening_change: f64,
     /// Positions of the hand in the last steps, the latest last.
     trail: [Vec3; TRAIL_STEPS],
 }
@@ -270,8 +267,8 @@ impl Motion {
             self.per_step = world.grip - grip;
             let still = self.per_step.norm() < STILL_M;
             self.still_steps = if still { self.still_steps + 1 } else { 0 };
-            self.opened = world.opening - opening;
-            let fingers_still = self.opened.abs() < STILL_M;
+            self.opening_change = world.opening - opening;
+            let fingers_still = self.opening_change.abs() < STILL_M;
             self.finger_still_steps = if fingers_still {
                 self.finger_still_steps + 1
             } else {
@@ -310,7 +307,7 @@ impl Motion {
     /// Returns true if fingers at a grasp should close: they are open, or have only just
     /// stopped closing.
     pub(crate) fn may_close(&self, world: &World) -> bool {
-        let stops = self.opened < STILL_M && self.finger_still_steps < AT_REST_STEPS;
+        let stops = self.opening_change < STILL_M && self.finger_still_steps < AT_REST_STEPS;
         world.opening > OPEN_M || stops
     }
 
@@ -359,7 +356,7 @@ mod tests {
     }
 
     #[test]
-    fn a_hand_at_its_goal_is_sent_nowhere() {
+    fn a_hand_at_its_goal_stays_there() {
         let world = scene().world();
         let action = servo(
             &world,
@@ -399,20 +396,20 @@ mod tests {
     }
 
     #[test]
-    fn the_hand_climbs_over_what_stands_in_its_way_before_it_crosses() {
+    fn the_hand_climbs_over_obstacles_before_it_crosses() {
         let mut world = scene()
             .object("tower", [0.2, 0.0, 0.25], [0.03, 0.03, 0.25])
             .world();
         let goal = Vec3::new(0.4, 0.0, 0.1);
-        let up = detour(&world, goal, Errand::Empty(FINGERTIP_M));
+        let up = detour(&world, goal, HandLoad::Empty(FINGERTIP_M));
         assert_eq!((up.x, up.y), (0.0, 0.0));
         assert!(up.z > 0.5 + FINGERTIP_M + CLEARANCE_M);
         world.grip.z = up.z;
-        let across = detour(&world, goal, Errand::Empty(FINGERTIP_M));
+        let across = detour(&world, goal, HandLoad::Empty(FINGERTIP_M));
         assert_eq!((across.x, across.y), (goal.x, goal.y));
         assert!(across.z > 0.5);
         world.grip = goal.at_height(up.z);
-        assert_eq!(detour(&world, goal, Errand::Empty(FINGERTIP_M)), goal);
+        assert_eq!(detour(&world, goal, HandLoad::Empty(FINGERTIP_M)), goal);
     }
 
     #[test]
@@ -422,7 +419,7 @@ mod tests {
             .object("shelf", [0.05, 0.0, 0.5], [0.06, 0.2, 0.02]);
         let world = scene.world();
         let cup = world.entity("cup").unwrap();
-        let next = detour(&world, Vec3::new(0.3, 0.0, 0.7), Errand::With(cup));
+        let next = detour(&world, Vec3::new(0.3, 0.0, 0.7), HandLoad::With(cup));
         assert!(next.x < -0.03 && next.z == world.grip.z, "{next:?}");
     }
 

@@ -3,7 +3,7 @@
 
 use crate::error::ExpertError;
 use crate::geometry::{Vec3, footprint};
-use crate::grasp::Wish;
+use crate::grasp::GraspRequirement;
 use crate::motion::FINGERTIP_M;
 use crate::world::{Entity, World};
 
@@ -156,19 +156,19 @@ impl Place {
     ///
     /// # Errors
     /// If the scene lacks the target.
-    pub(crate) fn wish(&self, world: &World) -> Result<Wish, ExpertError> {
+    pub(crate) fn grasp_requirement(&self, world: &World) -> Result<GraspRequirement, ExpertError> {
         let target = world.entity(&self.target)?;
         if self.relation == Relation::On {
-            return Ok(Wish::Any);
+            return Ok(GraspRequirement::Any);
         }
         Ok(if world.front_of_cover(target).is_some() {
-            Wish::Handle
+            GraspRequirement::Handle
         } else if let Some(out) = world.front_of_drawer(target) {
             // The palm is long in the closing direction and must be parallel to the
             // cabinet's front.
-            Wish::Across(out)
+            GraspRequirement::Across(out)
         } else {
-            Wish::Any
+            GraspRequirement::Any
         })
     }
 }
@@ -182,11 +182,11 @@ impl Spot {
 
     /// Returns true if the approach can begin, given the remaining displacement to the gate.
     pub(crate) fn at_gate(&self, left: Vec3) -> bool {
-        let sunk = match self.entry {
+        let is_level = match self.entry {
             Entry::Onto | Entry::Into => true,
             Entry::Through(_) => left.z.abs() < 2.0 * THERE_M,
         };
-        sunk && left.horizontal_norm() < 2.0 * THERE_M
+        is_level && left.horizontal_norm() < 2.0 * THERE_M
     }
 
     /// Returns true if the held object can be released.
@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_put_on_a_plate_comes_straight_down_onto_its_middle() {
+    fn an_object_descends_straight_onto_the_middle_of_its_plate() {
         let spot = spot(&place(Relation::On, "plate_1", 0.0));
         assert_eq!((spot.gate.x, spot.gate.y), (0.3, 0.0));
         assert!(spot.gate.z > 0.02 && spot.rest.z <= 0.0, "{spot:?}");
@@ -264,12 +264,15 @@ mod tests {
     }
 
     #[test]
-    fn what_is_covered_is_reached_through_its_open_front() {
+    fn a_covered_region_is_reached_through_its_open_front() {
         let inside = place(Relation::In, "oven_1_inside", 0.0);
         let spot = spot(&inside);
         assert!(spot.gate.y < 0.3 && spot.rest.y > 0.32, "{spot:?}");
         assert_eq!(spot.gate.z, spot.rest.z);
         assert_eq!(spot.way_out(), Vec3::new(0.0, -1.0, 0.0));
-        assert_eq!(inside.wish(&scene().world()), Ok(Wish::Handle));
+        assert_eq!(
+            inside.grasp_requirement(&scene().world()),
+            Ok(GraspRequirement::Handle)
+        );
     }
 }

@@ -8,16 +8,16 @@ use std::f64::consts::FRAC_PI_2;
 use crate::error::ExpertError;
 use crate::geometry::{Quat, Vec3};
 use crate::motion::{
-    Command, Errand, FINGERTIP_M, Fingers, HandPose, Motion, OPEN_M as OPEN_FINGERS_M, detour,
+    Command, FINGERTIP_M, Fingers, HandLoad, HandPose, Motion, OPEN_M as OPEN_FINGERS_M, detour,
     pointing_down, tilted,
 };
 use crate::world::{Entity, HANDLE_OUT_M, HANDLE_UP_M, World, drawer_joint};
 
 /// Joint position beyond which a drawer counts as open, m.
 pub(crate) const OPEN_M: f64 = -0.14;
-/// Joint positions at which a drawer is released, m; it then coasts a little. At the first, the
-/// drawer counts as open; the second, for a drawer that receives an object, is less far to leave
-/// room for the hand beneath.
+/// Joint positions at which a drawer is released, m; it then coasts a little. The first satisfies
+/// the predicate `open`. The second is for a drawer that receives an object: it is less far open,
+/// so that the hand has room beneath.
 pub(crate) const DRAWER_OPEN_M: f64 = -0.155;
 pub(crate) const DRAWER_AJAR_M: f64 = -0.118;
 /// Joint position at which a drawer is safely closed, m; it counts as closed above 0.
@@ -71,7 +71,7 @@ const DRAG_LEAD_M: f64 = 0.05;
 
 /// Task of a routine.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum Deed {
+pub(crate) enum RoutineTask {
     /// Open the drawer that contains the region to the joint position `to`, m.
     PullDrawer { region: String, to: f64 },
     /// Close the drawer of this region.
@@ -87,7 +87,7 @@ pub(crate) enum Deed {
 /// State of a routine in progress.
 #[derive(Clone, Debug)]
 pub(crate) struct Routine {
-    deed: Deed,
+    task: RoutineTask,
     stage: u32,
     /// Steps spent in this stage.
     ticks: u32,
@@ -104,7 +104,7 @@ enum Until {
     /// The hand has reached the pose by a detour over obstacles.
     Travelled,
     /// The hand has reached the pose or was stopped.
-    There,
+    Arrived,
     /// The given number of steps has passed.
     Steps(u32),
     /// The mechanism has reached its target position.
@@ -112,16 +112,16 @@ enum Until {
 }
 
 impl Routine {
-    pub(crate) fn new(deed: Deed) -> Self {
+    pub(crate) fn new(task: RoutineTask) -> Self {
         Self {
-            deed,
+            task,
             stage: 0,
             ticks: 0,
         }
     }
 
-    pub(crate) fn deed(&self) -> &Deed {
-        &self.deed
+    pub(crate) fn task(&self) -> &RoutineTask {
+        &self.task
     }
 
     /// Resumes at the stage derived from the state of the world.
@@ -129,7 +129,7 @@ impl Routine {
     /// # Errors
     /// If the scene lacks an entity or joint.
     pub(crate) fn resume(&mut self, world: &World, motion: &Motion) -> Result<(), ExpertError> {
-        self.stage = self.deed.seen(world, motion)?;
+        self.stage = self.task.current_stage(world, motion)?;
         self.ticks = 0;
         Ok(())
     }
@@ -143,13 +143,13 @@ impl Routine {
         world: &World,
         motion: &Motion,
     ) -> Result<Option<Command>, ExpertError> {
-        while let Some(stage) = self.deed.stage(self.stage, world)? {
-            if !self.over(&stage, world, motion) {
+        while let Some(stage) = self.task.stage(self.stage, world)? {
+            if !self.is_complete(&stage, world, motion) {
                 self.ticks += 1;
                 let travelling = matches!(stage.until, Until::Travelled);
                 let mut hand = stage.hand;
                 if travelling {
-                    hand.pos = detour(world, hand.pos, Errand::Empty(STANDOFF_M));
+                    hand.pos = detour(world, hand.pos, HandLoad::Empty(STANDOFF_M));
                 }
                 let pace = if travelling { 1.0 } else { GENTLE };
                 return Ok(Some(Command {
@@ -164,27 +164,27 @@ impl Routine {
         Ok(None)
     }
 
-    fn over(&self, stage: &Stage, world: &World, motion: &Motion) -> bool {
+    fn is_complete(&self, stage: &Stage, world: &World, motion: &Motion) -> bool {
         let near = stage.hand.is_near(world, NEAR_M, NEAR_RAD);
         let stopped = self.ticks > 5 && motion.still_steps() >= 3;
-        let over = match stage.until {
+        let is_complete = match stage.until {
             Until::Travelled => near,
-            Until::There => near || stopped,
+            Until::Arrived => near || stopped,
             Until::Steps(steps) => self.ticks >= steps,
             Until::Reached(reached) => reached,
         };
-        over || self.ticks >= PATIENCE_STEPS
+        is_complete || self.ticks >= PATIENCE_STEPS
     }
 }
 
-impl Deed {
+impl RoutineTask {
     /// Derives the number of the current stage from the state of the world.
-    fn seen(&self, world: &World, motion: &Motion) -> Result<u32, ExpertError> {
+    fn current_stage(&self, world: &World, motion: &Motion) -> Result<u32, ExpertError> {
         let (Some(ready), Some(begun)) = (self.stage(0, world)?, self.stage(1, world)?) else {
             return Ok(0);
         };
         let (from, to) = (ready.hand, begun.hand);
-        let is_on_the_way = from.leads(to, world, ASIDE_M);
+        let is_on_the_way = from.is_on_path_to(to, world, ASIDE_M);
         let is_there = (to.pos - world.grip).norm();
         Ok(match self {
             Self::PullDrawer { .. } | Self::TurnKnob { .. } => {
@@ -283,7 +283,7 @@ fn pull_drawer(
     };
     Ok(Some(match number {
         0 => stage(at(STANDOFF_M), Fingers::Open, Until::Travelled),
-        1 => stage(at(0.0), Fingers::Open, Until::There),
+        1 => stage(at(0.0), Fingers::Open, Until::Arrived),
         2 => stage(at(0.0), Fingers::Close, Until::Steps(FINGER_STEPS)),
         3 => {
             let open = drawer.position < to;
@@ -291,7 +291,7 @@ fn pull_drawer(
             stage(at(LEAD_M), Fingers::Close, Until::Reached(open || lost))
         }
         4 => stage(here, Fingers::Open, Until::Steps(FINGER_STEPS)),
-        5 => stage(at(STANDOFF_M), Fingers::Open, Until::There),
+        5 => stage(at(STANDOFF_M), Fingers::Open, Until::Arrived),
         _ => return Ok(None),
     }))
 }
@@ -311,7 +311,7 @@ fn push_drawer(number: u32, world: &World, region: &str) -> Result<Option<Stage>
             let closed = drawer.position > DRAWER_CLOSED_M;
             stage(at(-LEAD_M), Fingers::Close, Until::Reached(closed))
         }
-        2 => stage(at(STANDOFF_M), Fingers::Close, Until::There),
+        2 => stage(at(STANDOFF_M), Fingers::Close, Until::Arrived),
         _ => return Ok(None),
     }))
 }
@@ -327,7 +327,7 @@ fn turn_knob(number: u32, world: &World, stove: &str) -> Result<Option<Stage>, E
     };
     Ok(Some(match number {
         0 => stage(at(0.0, STANDOFF_M / 2.0), Fingers::Open, Until::Travelled),
-        1 => stage(at(0.0, -KNOB_DEPTH_M), Fingers::Open, Until::There),
+        1 => stage(at(0.0, -KNOB_DEPTH_M), Fingers::Open, Until::Arrived),
         2 => stage(
             at(0.0, -KNOB_DEPTH_M),
             Fingers::Close,
@@ -346,7 +346,7 @@ fn turn_knob(number: u32, world: &World, stove: &str) -> Result<Option<Stage>, E
             Fingers::Open,
             Until::Steps(FINGER_STEPS),
         ),
-        5 => stage(at(0.0, STANDOFF_M / 2.0), Fingers::Open, Until::There),
+        5 => stage(at(0.0, STANDOFF_M / 2.0), Fingers::Open, Until::Arrived),
         _ => return Ok(None),
     }))
 }
@@ -377,7 +377,7 @@ fn push_door(number: u32, world: &World, microwave: &str) -> Result<Option<Stage
         2 => stage(
             at(angle, DOOR_FRONT_M + STANDOFF_M),
             Fingers::Close,
-            Until::There,
+            Until::Arrived,
         ),
         _ => return Ok(None),
     }))
@@ -390,9 +390,9 @@ fn drag(
     region: &str,
 ) -> Result<Option<Stage>, ExpertError> {
     let (thing, goal) = (world.entity(object)?, world.entity(region)?);
-    let way = (goal.pos - thing.pos).at_height(0.0);
-    let left = way.norm();
-    let ahead = way * (1.0 / left.max(DRAG_DONE_M));
+    let to_goal = (goal.pos - thing.pos).at_height(0.0);
+    let distance = to_goal.norm();
+    let ahead = to_goal * (1.0 / distance.max(DRAG_DONE_M));
     let quat = pointing_down(ahead.y.atan2(ahead.x) + FRAC_PI_2);
     let at = |along: f64, height: f64| HandPose {
         pos: (thing.centre + ahead * along).at_height(height),
@@ -406,17 +406,17 @@ fn drag(
             Fingers::Close,
             Until::Travelled,
         ),
-        1 => stage(at(DRAG_FROM_M, pressing), Fingers::Close, Until::There),
+        1 => stage(at(DRAG_FROM_M, pressing), Fingers::Close, Until::Arrived),
         2 => {
             let slipped = (world.grip - thing.centre).horizontal_norm() > widest;
-            let over = left < DRAG_DONE_M || slipped;
+            let is_done = distance < DRAG_DONE_M || slipped;
             let pulled = at(DRAG_FROM_M + DRAG_LEAD_M, pressing);
-            stage(pulled, Fingers::Close, Until::Reached(over))
+            stage(pulled, Fingers::Close, Until::Reached(is_done))
         }
         3 => stage(
             at(DRAG_FROM_M, thing.top() + STANDOFF_M / 2.0),
             Fingers::Close,
-            Until::There,
+            Until::Arrived,
         ),
         _ => return Ok(None),
     }))
@@ -433,8 +433,8 @@ pub(crate) fn only_joint(world: &World, fixture: &str) -> Result<f64, ExpertErro
 
 /// Returns true if `object` is too flat and too wide for the hand to lift.
 pub(crate) fn must_be_dragged(object: &Entity) -> bool {
-    let widest = object.half.x.min(object.half.y);
-    widest > 0.04 && object.half.z < 0.25 * widest
+    let narrower = object.half.x.min(object.half.y);
+    narrower > 0.04 && object.half.z < 0.25 * narrower
 }
 
 fn stage(hand: HandPose, fingers: Fingers, until: Until) -> Stage {

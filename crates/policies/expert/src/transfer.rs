@@ -5,7 +5,7 @@ use crate::error::ExpertError;
 use crate::geometry::{Quat, Vec3};
 use crate::grasp::{self, Grasp, Purpose};
 use crate::motion::{
-    Command, Errand, FINGERTIP_M, Fingers, HandPose, Motion, OPEN_M, detour, pointing_down,
+    Command, FINGERTIP_M, Fingers, HandLoad, HandPose, Motion, OPEN_M, detour, pointing_down,
 };
 use crate::place::{Place, Spot};
 use crate::world::{Entity, World};
@@ -164,7 +164,7 @@ impl Transfer {
                 object: self.object.clone(),
             })?;
             self.grasp = Some(grasp);
-            seen(grasp, world, object, motion)
+            current_phase(grasp, world, object, motion)
         };
         self.enter(phase);
         Ok(())
@@ -189,7 +189,7 @@ impl Transfer {
 
     fn purpose<'a>(&self, world: &'a World, object: &Entity) -> Result<Purpose<'a>, ExpertError> {
         Ok(Purpose {
-            wish: self.place.wish(world)?,
+            requirement: self.place.grasp_requirement(world)?,
             destination: self.place.spot(world, object)?.rest,
             owner: self.place.owner(world)?,
         })
@@ -206,7 +206,7 @@ impl Transfer {
         motion: &Motion,
     ) -> Result<Option<Command>, ExpertError> {
         loop {
-            match self.look(world, motion)? {
+            match self.decide(world, motion)? {
                 Next::Stay(command) => {
                     self.ticks += 1;
                     return Ok(Some(command));
@@ -229,7 +229,7 @@ impl Transfer {
         self.ticks = 0;
     }
 
-    fn look(&self, world: &World, motion: &Motion) -> Result<Next, ExpertError> {
+    fn decide(&self, world: &World, motion: &Motion) -> Result<Next, ExpertError> {
         let object = world.entity(&self.object)?;
         Ok(match self.phase {
             Phase::Choose => self.choose(world, object)?,
@@ -267,11 +267,11 @@ impl Transfer {
             return Next::Missed;
         }
         // If the hand is beside the object, the object itself is an obstacle.
-        let errand = match world.grip.z < object.top() && world.gap_to(object) > 0.0 {
-            true => Errand::Empty(FINGERTIP_M),
-            false => Errand::For(object),
+        let load = match world.grip.z < object.top() && world.gap_to(object) > 0.0 {
+            true => HandLoad::Empty(FINGERTIP_M),
+            false => HandLoad::For(object),
         };
-        let pos = detour(world, above.pos, errand);
+        let pos = detour(world, above.pos, load);
         stay(HandPose { pos, ..above }, Fingers::Open, 1.0)
     }
 
@@ -326,7 +326,7 @@ impl Transfer {
         if spot.at_gate(goal - world.grip) {
             return Ok(Next::Go(Phase::Lower(hold)));
         }
-        let pos = detour(world, goal, Errand::With(object));
+        let pos = detour(world, goal, HandLoad::With(object));
         Ok(hold_to(pos, hold, 1.0))
     }
 
@@ -375,7 +375,7 @@ impl Hold {
 }
 
 /// Derives the phase before the object is held from the position of the hand.
-fn seen(grasp: Grasp, world: &World, object: &Entity, motion: &Motion) -> Phase {
+fn current_phase(grasp: Grasp, world: &World, object: &Entity, motion: &Motion) -> Phase {
     let quat = pointing_down(grasp.closing);
     let grip = Grip { grasp, quat };
     let hand = grip.hand(object);
@@ -501,7 +501,7 @@ mod tests {
     #[test]
     fn a_missed_grasp_is_noticed_on_lifting_and_tried_again() {
         let mut scene = scene();
-        scene.slippery = 1;
+        scene.failing_grasps = 1;
         let phases = run(&mut scene, |_, _| ());
         let missed = ["Approach", "Descend", "Close", "Lift"];
         assert_eq!(phases, [&missed[..], &WHOLE[..]].concat());

@@ -8,7 +8,7 @@ use std::time::Instant;
 
 use rustix::time::{ClockId, clock_gettime};
 use student::{Network, Query};
-use support::{Moment, Weights};
+use support::{OwnedQuery, Weights};
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let bytes = match std::env::args_os().nth(1) {
@@ -22,8 +22,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         network.parameters(),
         network.products()
     );
-    let moments: Vec<Moment> = (0..8).map(Moment::random).collect();
-    let queries: Vec<Query<'_>> = moments.iter().map(Moment::query).collect();
+    let owned_queries: Vec<OwnedQuery> = (0..8).map(OwnedQuery::random).collect();
+    let queries: Vec<Query<'_>> = owned_queries.iter().map(OwnedQuery::query).collect();
     for batch in [1, 2, 8] {
         measure(&network, &queries[..batch], 200)?;
     }

@@ -1,6 +1,6 @@
 //! A residual block, modulated by the text embedding (FiLM).
 
-use crate::columns::{self, Planes, Room};
+use crate::columns::{self, ColumnBuffers, Planes};
 use crate::convolution::Convolution;
 use crate::error::WeightsError;
 use crate::linear::Linear;
@@ -24,7 +24,7 @@ pub(crate) struct Block {
 /// Scratch memory for intermediate values, reused by all blocks.
 #[derive(Debug, Default)]
 pub(crate) struct Workspace {
-    pub(crate) room: Room,
+    pub(crate) buffers: ColumnBuffers,
     hidden: Vec<f32>,
     skipped: Vec<f32>,
 }
@@ -76,7 +76,7 @@ impl Block {
         let size = self.conv1.outputs() * side * side;
         zeros(&mut work.hidden, size);
         zeros(&mut work.skipped, size);
-        columns::each_part(input, self.stride, &mut work.room, |part| {
+        columns::each_part(input, self.stride, &mut work.buffers, |part| {
             let (hidden, skipped) = (&mut work.hidden, &mut work.skipped);
             self.conv1.add(products, part.windows(), hidden);
             self.skip.add(products, part.middles(), skipped);
@@ -87,7 +87,7 @@ impl Block {
             values: &work.hidden,
             side,
         };
-        columns::each_part(hidden, 1, &mut work.room, |part| {
+        columns::each_part(hidden, 1, &mut work.buffers, |part| {
             self.conv2.add(products, part.windows(), output);
         });
         self.norm2.add_relu(output, &work.skipped);

@@ -69,7 +69,7 @@ impl Part<'_> {
 
 /// Scratch memory for gathered columns, reused by all convolutions.
 #[derive(Debug, Default)]
-pub(crate) struct Room {
+pub(crate) struct ColumnBuffers {
     columns: Vec<f32>,
     phases: Vec<f32>,
 }
@@ -79,16 +79,16 @@ pub(crate) struct Room {
 pub(crate) fn each_part(
     planes: Planes<'_>,
     stride: usize,
-    room: &mut Room,
+    buffers: &mut ColumnBuffers,
     mut each: impl FnMut(Part<'_>),
 ) {
     let side = planes.side / stride;
     if stride > 1 {
-        split(planes, stride, &mut room.phases);
+        split(planes, stride, &mut buffers.phases);
     }
     let phases = Phases {
         values: if stride > 1 {
-            &room.phases
+            &buffers.phases
         } else {
             planes.values
         },
@@ -97,9 +97,9 @@ pub(crate) fn each_part(
     };
     for rows in ranges(side, (PLACES / side).max(1)) {
         for channels in ranges(phases.channels(), CHANNELS) {
-            gather(phases, channels.clone(), rows.clone(), &mut room.columns);
+            gather(phases, channels.clone(), rows.clone(), &mut buffers.columns);
             each(Part {
-                columns: &room.columns,
+                columns: &buffers.columns,
                 channels,
                 places: rows.start * side..rows.end * side,
             });
@@ -132,7 +132,7 @@ impl<'a> Phases<'a> {
 
     /// Returns the values of a channel at the window's row `y` and column `x`: their
     /// phase, and its shift in rows down and in columns to the right.
-    fn seen(&self, channel: usize, y: usize, x: usize) -> (&'a [f32], isize, isize) {
+    fn input_values(&self, channel: usize, y: usize, x: usize) -> (&'a [f32], isize, isize) {
         let stride = self.stride;
         let divide = |at: usize| {
             // The window's first row and column are one before its centre.
@@ -174,31 +174,31 @@ fn gather(phases: Phases<'_>, channels: Range<usize>, rows: Range<usize>, column
     let places = rows.len() * phases.side;
     columns.resize(channels.len() * WINDOW * places, 0.0);
     for (channel, window) in channels.zip(columns.chunks_exact_mut(WINDOW * places)) {
-        for (offset, seen) in window.chunks_exact_mut(places).enumerate() {
-            let (phase, down, right) = phases.seen(channel, offset / 3, offset % 3);
-            shift(phase, phases.side, rows.start, down, right, seen);
+        for (offset, values) in window.chunks_exact_mut(places).enumerate() {
+            let (phase, down, right) = phases.input_values(channel, offset / 3, offset % 3);
+            shift(phase, phases.side, rows.start, down, right, values);
         }
     }
 }
 
-/// Fills `seen` with the rows of `phase` from `first + down` on, shifted left by `right`
+/// Fills `values` with the rows of `phase` from `first + down` on, shifted left by `right`
 /// columns, with zeros beyond the border.
-fn shift(phase: &[f32], side: usize, first: usize, down: isize, right: isize, seen: &mut [f32]) {
+fn shift(phase: &[f32], side: usize, first: usize, down: isize, right: isize, values: &mut [f32]) {
     // Copies all rows at once. This leaves a value of an adjacent row at the left or right
     // edge, which is overwritten below.
     let from = (first as isize + down) * side as isize + right;
-    let before = usize::try_from(-from).unwrap_or(0).min(seen.len());
+    let before = usize::try_from(-from).unwrap_or(0).min(values.len());
     let from = usize::try_from(from).unwrap_or(0).min(phase.len());
-    let count = (seen.len() - before).min(phase.len() - from);
-    seen[..before].fill(0.0);
-    seen[before..before + count].copy_from_slice(&phase[from..from + count]);
-    seen[before + count..].fill(0.0);
+    let count = (values.len() - before).min(phase.len() - from);
+    values[..before].fill(0.0);
+    values[before..before + count].copy_from_slice(&phase[from..from + count]);
+    values[before + count..].fill(0.0);
     let edge = match right {
         -1 => 0,
         0 => return,
         _ => side - 1,
     };
-    for line in seen.chunks_exact_mut(side) {
+    for line in values.chunks_exact_mut(side) {
         line[edge] = 0.0;
     }
 }
@@ -230,7 +230,7 @@ mod tests {
     }
 
     #[test]
-    fn columns_hold_what_windows_see() {
+    fn columns_hold_the_values_of_each_window() {
         let values: Vec<f32> = (1..=3 * 8 * 8).map(|value| value as f32).collect();
         let planes = Planes {
             values: &values,

@@ -117,13 +117,13 @@ impl Encoder {
             work,
         } = scratch;
         picture::planes(rgb, picture);
-        let seen = Planes {
+        let picture = Planes {
             values: picture,
             side: picture::SIDE,
         };
         let mut side = picture::SIDE / 2;
         zeros(planes, STEM * side * side);
-        columns::each_part(seen, 2, &mut work.room, |part| {
+        columns::each_part(picture, 2, &mut work.buffers, |part| {
             self.stem.add(products, part.windows(), planes);
         });
         self.stem_norm.relu(planes);

@@ -139,7 +139,7 @@ impl Network {
         if queries.is_empty() {
             return Ok(Vec::new());
         }
-        let outputs = self.decide(&self.sense(queries));
+        let outputs = self.head_outputs(&self.head_inputs(queries));
         match outputs.iter().position(|output| !output.is_finite()) {
             Some(query) => Err(QueryError::Answer { query }),
             None => Ok(outputs),
@@ -147,14 +147,14 @@ impl Network {
     }
 
     /// Computes the input of the head: a row per query.
-    fn sense(&self, queries: &[Query<'_>]) -> Vec<f32> {
+    fn head_inputs(&self, queries: &[Query<'_>]) -> Vec<f32> {
         let texts = self.texts(queries);
         let states = self.states(queries);
         let cameras = [&self.agentview, &self.wrist];
         let films = cameras.map(|camera| camera.films(self.products, &texts));
         let mut scratch = Scratch::default();
-        let mut senses = vec![0.0; queries.len() * WIDTH];
-        for (index, row) in senses.chunks_exact_mut(WIDTH).enumerate() {
+        let mut inputs = vec![0.0; queries.len() * WIDTH];
+        for (index, row) in inputs.chunks_exact_mut(WIDTH).enumerate() {
             let (pictures, rest) = row.split_at_mut(2 * encoder::WIDTH);
             let (state, text) = rest.split_at_mut(STATE_WIDTH);
             let rgb = [queries[index].agentview, queries[index].wrist];
@@ -166,7 +166,7 @@ impl Network {
             state.copy_from_slice(&states[index * STATE_WIDTH..][..STATE_WIDTH]);
             text.copy_from_slice(&texts[index * TEXT..][..TEXT]);
         }
-        senses
+        inputs
     }
 
     fn texts(&self, queries: &[Query<'_>]) -> Vec<f32> {
@@ -187,8 +187,8 @@ impl Network {
         self.state1.apply_relu(self.products, &states)
     }
 
-    fn decide(&self, senses: &[f32]) -> Vec<Output> {
-        let hidden = self.head1.apply_relu(self.products, senses);
+    fn head_outputs(&self, inputs: &[f32]) -> Vec<Output> {
+        let hidden = self.head1.apply_relu(self.products, inputs);
         let hidden = self.head2.apply_relu(self.products, &hidden);
         let arms = self.arm.apply(self.products, &hidden);
         let logits = self.gripper.apply(self.products, &hidden);

@@ -269,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn what_underflows_leaves_no_negative_zero() {
+    fn underflow_leaves_no_negative_zero() {
         let (left, right) = ([-1e-30_f32; 256], [1e-30_f32; 256]);
         for columns in [1, 7, 8, 16, 17] {
             for rows in [1, 8, 16, 17] {

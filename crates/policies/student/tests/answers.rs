@@ -3,7 +3,7 @@
 mod support;
 
 use student::{Network, Output, PICTURE_BYTES, Query, QueryError};
-use support::{Moment, Weights};
+use support::{OwnedQuery, Weights};
 
 fn network() -> Network {
     Network::from_safetensors(&Weights::random(2).bytes()).expect("weights")
@@ -26,8 +26,8 @@ fn actions_are_limited_and_the_gripper_opens_or_closes() {
 
 #[test]
 fn every_input_changes_the_answer() {
-    let (network, moment, other) = (network(), Moment::random(0), Moment::random(1));
-    let (query, other) = (moment.query(), other.query());
+    let (network, owned, other) = (network(), OwnedQuery::random(0), OwnedQuery::random(1));
+    let (query, other) = (owned.query(), other.query());
     let changed = [
         Query {
             agentview: other.agentview,
@@ -77,20 +77,20 @@ fn no_query_is_no_answer() {
 
 #[test]
 fn pictures_of_other_sizes_are_refused() {
-    let (network, moment) = (network(), Moment::random(0));
-    let query = moment.query();
+    let (network, owned) = (network(), OwnedQuery::random(0));
+    let query = owned.query();
     let small = Query {
-        wrist: &moment.wrist[..128 * 128 * 3],
+        wrist: &owned.wrist[..128 * 128 * 3],
         ..query
     };
     let refusal = network.act(&[query, small]).expect_err("a refusal");
-    let wanted = QueryError::Picture {
+    let expected = QueryError::Picture {
         query: 1,
         camera: "wrist",
         found: 49152,
         expected: PICTURE_BYTES,
     };
-    assert_eq!(refusal, wanted);
+    assert_eq!(refusal, expected);
     assert_eq!(
         refusal.to_string(),
         "query 1: the picture of wrist has 49152 bytes; expected are 196608, 256 × 256 pixels of \
@@ -106,8 +106,8 @@ fn pictures_of_other_sizes_are_refused() {
 
 #[test]
 fn readings_that_are_not_finite_are_refused() {
-    let (network, moment) = (network(), Moment::random(0));
-    let query = moment.query();
+    let (network, owned) = (network(), OwnedQuery::random(0));
+    let query = owned.query();
     let cases = [
         (
             Query {
@@ -131,19 +131,19 @@ fn readings_that_are_not_finite_are_refused() {
             "query 0: number 0 of gripper_pos is -inf",
         ),
     ];
-    for (query, wanted) in cases {
+    for (query, expected) in cases {
         let refusal = network.act(&[query]).expect_err("a refusal").to_string();
-        assert!(refusal.starts_with(wanted), "{refusal}");
+        assert!(refusal.starts_with(expected), "{refusal}");
     }
 }
 
 #[test]
 fn an_answer_that_overflows_is_an_error_and_no_action() {
-    let (network, moment) = (network(), Moment::random(0));
+    let (network, owned) = (network(), OwnedQuery::random(0));
     let far = Query {
         eef_pos: [3e38, 3e38, -3e38],
-        ..moment.query()
+        ..owned.query()
     };
-    let refusal = network.act(&[moment.query(), far]).expect_err("a refusal");
+    let refusal = network.act(&[owned.query(), far]).expect_err("a refusal");
     assert_eq!(refusal, QueryError::Answer { query: 1 });
 }

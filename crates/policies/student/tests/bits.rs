@@ -4,14 +4,14 @@ mod support;
 
 use sha2::{Digest, Sha256};
 use student::{Network, Output, Products};
-use support::{Moment, Weights};
+use support::{OwnedQuery, Weights};
 
 fn network() -> Network {
     Network::from_safetensors(&Weights::random(1).bytes()).expect("weights")
 }
 
-fn moments() -> Vec<Moment> {
-    (0..5).map(Moment::random).collect()
+fn owned_queries() -> Vec<OwnedQuery> {
+    (0..5).map(OwnedQuery::random).collect()
 }
 
 /// SHA-256 of all numbers' bits.
@@ -37,8 +37,8 @@ const GOLDEN: &str = "b0814112ff3d36c7a1a3bbd1e909e5c638806e17facb6116dfaceec493
 
 #[test]
 fn golden_answers_have_the_same_bits_on_every_machine() {
-    let moments = moments();
-    let queries: Vec<_> = moments.iter().map(Moment::query).collect();
+    let owned_queries = owned_queries();
+    let queries: Vec<_> = owned_queries.iter().map(OwnedQuery::query).collect();
     let outputs = network().outputs(&queries).expect("answers");
     assert_eq!(digest(&outputs), GOLDEN);
     let distinct = |numbers: Vec<f32>| numbers.windows(2).any(|pair| pair[0] != pair[1]);
@@ -50,19 +50,19 @@ fn golden_answers_have_the_same_bits_on_every_machine() {
 /// Represents machines without fused multiply-adds.
 #[test]
 fn plain_products_give_the_same_bits() {
-    let moment = Moment::random(1);
+    let owned = OwnedQuery::random(1);
     let network = network();
-    let wanted = network.outputs(&[moment.query()]).expect("an answer");
+    let expected = network.outputs(&[owned.query()]).expect("an answer");
     let plain = network.with_plain_products();
     assert_eq!(plain.products(), Products::Plain);
-    let found = plain.outputs(&[moment.query()]).expect("an answer");
-    assert_eq!(digest(&found), digest(&wanted));
+    let found = plain.outputs(&[owned.query()]).expect("an answer");
+    assert_eq!(digest(&found), digest(&expected));
 }
 
 #[test]
 fn a_batch_changes_no_bit() {
-    let (network, moments) = (network(), moments());
-    let queries: Vec<_> = moments.iter().map(Moment::query).collect();
+    let (network, owned_queries) = (network(), owned_queries());
+    let queries: Vec<_> = owned_queries.iter().map(OwnedQuery::query).collect();
     let together = network.outputs(&queries).expect("answers");
     let mut apart = Vec::new();
     for query in &queries {
@@ -79,13 +79,23 @@ fn a_batch_changes_no_bit() {
 
 #[test]
 fn threads_share_a_network() {
-    let (network, moments) = (network(), moments());
-    let wanted = digest(&network.outputs(&[moments[0].query()]).expect("an answer"));
+    let (network, owned_queries) = (network(), owned_queries());
+    let expected = digest(
+        &network
+            .outputs(&[owned_queries[0].query()])
+            .expect("an answer"),
+    );
     std::thread::scope(|scope| {
-        let ask = || digest(&network.outputs(&[moments[0].query()]).expect("an answer"));
+        let ask = || {
+            digest(
+                &network
+                    .outputs(&[owned_queries[0].query()])
+                    .expect("an answer"),
+            )
+        };
         let threads = [scope.spawn(ask), scope.spawn(ask)];
         for thread in threads {
-            assert_eq!(thread.join().expect("an end"), wanted);
+            assert_eq!(thread.join().expect("an end"), expected);
         }
     });
 }

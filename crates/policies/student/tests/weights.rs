@@ -11,14 +11,14 @@ fn refusal(weights: &Weights) -> WeightsError {
 }
 
 /// Returns the error for weights that `change` has made invalid.
-fn spoilt(change: impl FnOnce(&mut Weights)) -> WeightsError {
+fn error_after(change: impl FnOnce(&mut Weights)) -> WeightsError {
     let mut weights = Weights::random(3);
     change(&mut weights);
     refusal(&weights)
 }
 
 #[test]
-fn weights_say_what_they_are() {
+fn weights_have_a_name_and_a_digest() {
     let bytes = Weights::random(3).bytes();
     let network = Network::from_safetensors(&bytes).expect("weights");
     assert_eq!(network.name(), "student");
@@ -33,14 +33,14 @@ fn weights_say_what_they_are() {
 #[test]
 fn a_tensor_that_is_missing_is_named() {
     for tensor in Weights::random(3).tensors.keys() {
-        let refusal = spoilt(|weights| {
+        let refusal = error_after(|weights| {
             weights.tensors.remove(tensor);
         });
         let named = matches!(&refusal, WeightsError::Missing { tensor: missing, .. }
             if missing == tensor);
         assert!(named, "{tensor}: {refusal}");
     }
-    let refusal = spoilt(|weights| {
+    let refusal = error_after(|weights| {
         weights.tensors.remove("wrist.block2.conv1.weight");
     });
     assert_eq!(
@@ -52,7 +52,7 @@ fn a_tensor_that_is_missing_is_named() {
 
 #[test]
 fn a_tensor_of_another_shape_is_named() {
-    let refusal = spoilt(|weights| {
+    let refusal = error_after(|weights| {
         let tensor = weights.tensors.get_mut("head1.weight").expect("a tensor");
         tensor.shape = vec![832, 384];
     });
@@ -65,7 +65,7 @@ fn a_tensor_of_another_shape_is_named() {
 
 #[test]
 fn a_tensor_of_another_type_is_named() {
-    for (tensor, dtype, wanted) in [
+    for (tensor, dtype, expected) in [
         (
             "arm.bias",
             Dtype::BF16,
@@ -77,23 +77,23 @@ fn a_tensor_of_another_type_is_named() {
             "tensor state_mean of the weights file is of type I32; expected is F32",
         ),
     ] {
-        let refusal = spoilt(|weights| {
+        let refusal = error_after(|weights| {
             weights.tensors.get_mut(tensor).expect("a tensor").dtype = dtype;
         });
-        assert!(refusal.to_string().starts_with(wanted), "{refusal}");
+        assert!(refusal.to_string().starts_with(expected), "{refusal}");
     }
 }
 
 #[test]
 fn numbers_that_cannot_be_computed_with_are_named() {
-    let refusal = spoilt(|weights| {
+    let refusal = error_after(|weights| {
         let tensor = weights.tensors.get_mut("text2.bias").expect("a tensor");
         tensor.bytes[10..12].copy_from_slice(&half::f16::NAN.to_le_bytes());
     });
-    let wanted =
+    let expected =
         "tensor text2.bias of the weights file holds NaN at place 5, where a finite number";
-    assert!(refusal.to_string().starts_with(wanted), "{refusal}");
-    let refusal = spoilt(|weights| {
+    assert!(refusal.to_string().starts_with(expected), "{refusal}");
+    let refusal = error_after(|weights| {
         let tensor = weights.tensors.get_mut("state_mean").expect("a tensor");
         tensor.bytes[..4].copy_from_slice(&f32::NEG_INFINITY.to_le_bytes());
     });
@@ -101,28 +101,29 @@ fn numbers_that_cannot_be_computed_with_are_named() {
         refusal.to_string().contains("holds -inf at place 0"),
         "{refusal}"
     );
-    let refusal = spoilt(|weights| {
+    let refusal = error_after(|weights| {
         let tensor = weights.tensors.get_mut("state_std").expect("a tensor");
         tensor.bytes[52..].copy_from_slice(&0.0_f32.to_le_bytes());
     });
-    let wanted = "tensor state_std of the weights file holds 0 at place 13, where a number above 0";
-    assert!(refusal.to_string().starts_with(wanted), "{refusal}");
+    let expected =
+        "tensor state_std of the weights file holds 0 at place 13, where a number above 0";
+    assert!(refusal.to_string().starts_with(expected), "{refusal}");
 }
 
 #[test]
 fn a_tensor_too_many_is_named() {
-    let refusal = spoilt(|weights| {
+    let refusal = error_after(|weights| {
         let tensor = weights.tensors["gripper.bias"].clone();
         weights.tensors.insert("value.bias".to_owned(), tensor);
     });
-    let wanted = "the weights file has a tensor value.bias, which this network does not: give \
+    let expected = "the weights file has a tensor value.bias, which this network does not: give \
                   weights of this network";
-    assert_eq!(refusal.to_string(), wanted);
+    assert_eq!(refusal.to_string(), expected);
 }
 
 #[test]
 fn another_format_is_named() {
-    let refusal = spoilt(|weights| {
+    let refusal = error_after(|weights| {
         let format = "rollout-student/3".to_owned();
         weights.metadata.insert("format".to_owned(), format);
     });
@@ -131,12 +132,12 @@ fn another_format_is_named() {
         "the weights file's metadata gives \"rollout-student/3\" as its format; this program reads \
          \"rollout-student/2\": give weights that were exported for it"
     );
-    let refusal = spoilt(|weights| weights.metadata.clear());
+    let refusal = error_after(|weights| weights.metadata.clear());
     assert!(
         refusal.to_string().contains("gives nothing as its format"),
         "{refusal}"
     );
-    let refusal = spoilt(|weights| {
+    let refusal = error_after(|weights| {
         weights.metadata.remove("name");
     });
     assert_eq!(refusal, WeightsError::Name);

@@ -12,7 +12,7 @@ use clap::{Arg, ArgAction, ArgMatches, Command};
 /// Prefix of the variables' names.
 const PREFIX: &str = "ROLLOUT_";
 /// Separator of values of an option that can be repeated.
-const BETWEEN: char = ';';
+const SEPARATOR: char = ';';
 
 /// Returns the command with a variable for each option. Options that already have a variable keep
 /// it.
@@ -25,7 +25,7 @@ pub fn with_variables(command: Command) -> Command {
         let arg = arg.env(&*name.leak());
         match arg.get_action() {
             ArgAction::SetTrue => arg.value_parser(BoolishValueParser::new()),
-            ArgAction::Append => arg.value_delimiter(BETWEEN),
+            ArgAction::Append => arg.value_delimiter(SEPARATOR),
             _ => arg,
         }
     })
@@ -70,27 +70,27 @@ fn with_its_variable(mut error: clap::Error, words: &[OsString]) -> clap::Error 
         let rest = word.strip_prefix(flag);
         rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('='))
     });
-    let name = named(flag.trim_start_matches('-'));
+    let name = variable_name(flag.trim_start_matches('-'));
     if is_of_a_value && !is_given && var_os(&name).is_some() {
-        let where_it_is = format!("it stands in the environment, as {name}");
-        let said = ContextValue::StyledStrs(vec![where_it_is.into()]);
-        error.insert(ContextKind::Suggested, said);
+        let hint = format!("it stands in the environment, as {name}");
+        let suggestion = ContextValue::StyledStrs(vec![hint.into()]);
+        error.insert(ContextKind::Suggested, suggestion);
     }
     error
 }
 
 /// Returns the variable's name for an option that has none yet.
 fn variable(arg: &Arg) -> Option<String> {
-    let is_for_people = !arg.is_hide_set() && arg.get_env().is_none();
-    arg.get_long().filter(|_| is_for_people).map(named)
+    let is_public = !arg.is_hide_set() && arg.get_env().is_none();
+    arg.get_long().filter(|_| is_public).map(variable_name)
 }
 
-/// Empty lines of an environment file restore defaults.
+/// Returns true if a variable is set to the empty string, which restores its option's default.
 fn is_empty(variable: &String) -> bool {
     var_os(variable).is_some_and(|value| value.is_empty())
 }
 
-fn named(long: &str) -> String {
+fn variable_name(long: &str) -> String {
     format!("{PREFIX}{}", long.replace('-', "_").to_uppercase())
 }
 
@@ -116,7 +116,12 @@ mod tests {
         };
         let arguments = command.get_arguments();
         arguments
-            .map(|arg| (arg.get_id().as_str(), name(arg).map(|it| &*it.leak())))
+            .map(|arg| {
+                (
+                    arg.get_id().as_str(),
+                    name(arg).map(|variable| &*variable.leak()),
+                )
+            })
             .collect()
     }
 
@@ -143,7 +148,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_on_the_command_line_is_read_as_ever() {
+    fn command_line_takes_precedence_over_variables() {
         let read = read(program(), words("server --wide --route a --route b;c")).expect("meant");
         assert!(read.get_flag("wide"));
         let routes: Vec<&String> = read.get_many("route").expect("some").collect();

@@ -113,7 +113,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn who_wants_no_colour_gets_none() {
+    fn no_color_disables_colour() {
         assert!(in_colour(true, None) && in_colour(true, Some("".into())));
         assert!(!in_colour(true, Some("1".into())) && !in_colour(false, None));
     }

@@ -29,7 +29,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_sequence_that_a_terminal_obeys_is_left() {
+    fn no_terminal_control_sequence_is_left() {
         for (given, expected) in [
             ("\x1b]52;c;cm0gLXJm\x07", "\u{fffd}]52;c;cm0gLXJm\u{fffd}"),
             ("\x1b[2K\rpassed", "\u{fffd}[2K\u{fffd}passed"),

@@ -1,5 +1,5 @@
-//! gRPC calls without a socket: message frames go straight to a service, as they would behind the
-//! gate, and the answer is read to its end.
+//! gRPC calls without a socket: message frames are passed directly to a service, past the access
+//! checks, and the whole answer is read.
 
 use http_body_util::{BodyExt, Full};
 use tonic::body::Body;
@@ -35,7 +35,7 @@ pub(crate) async fn call(
 }
 
 /// Returns true if a status reports a fault of the service itself.
-pub(crate) fn blames_itself(refusal: &Status) -> bool {
+pub(crate) fn is_internal_fault(refusal: &Status) -> bool {
     match refusal.code() {
         // tonic uses this code also for bytes that cannot be decoded.
         Code::Internal => !refusal

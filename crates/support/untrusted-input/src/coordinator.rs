@@ -19,10 +19,10 @@ use sqlx::sqlite::SqliteConnectOptions;
 use sqlx::{ConnectOptions, Connection, SqliteConnection};
 use tonic::Code;
 
-use crate::call::{blames_itself, block_on};
+use crate::call::{block_on, is_internal_fault};
 use crate::script;
 use methods::METHODS;
-use service::{Open, after};
+use service::{TestCoordinator, after};
 
 pub(crate) use seeds::seeds;
 
@@ -38,45 +38,46 @@ pub(crate) fn messages(input: &[u8]) -> bool {
     block_on(async {
         let folder = tempfile::tempdir().expect("a temporary folder");
         std::fs::write(folder.path().join(DATABASE_FILE), database).expect("a file");
-        let mut open = Open::in_folder(folder.path()).await;
-        let mut witness = Witness::of(folder.path()).await;
+        let mut coordinator = TestCoordinator::in_folder(folder.path()).await;
+        let mut detector = ChangeDetector::of(folder.path()).await;
         let mut all_accepted = true;
         for called in script::read(input) {
-            let before = witness.look().await;
+            let before = detector.snapshot().await;
             let method = METHODS[usize::from(called.method) % METHODS.len()];
-            if let Some(Err(refusal)) = open.call(method, &called.messages).await {
+            if let Some(Err(refusal)) = coordinator.call(method, &called.messages).await {
                 // The coordinator returns Unavailable when its database fails.
-                let blames_itself = blames_itself(&refusal) || refusal.code() == Code::Unavailable;
-                assert!(!blames_itself, "{method} {called:?}: {refusal}");
-                let after = witness.look().await;
+                let is_internal_fault =
+                    is_internal_fault(&refusal) || refusal.code() == Code::Unavailable;
+                assert!(!is_internal_fault, "{method} {called:?}: {refusal}");
+                let after = detector.snapshot().await;
                 assert_eq!(before, after, "{method} {called:?}: {refusal}");
                 all_accepted = false;
             }
         }
-        witness.0.close().await.expect("closes");
+        detector.0.close().await.expect("closes");
         assert_eq!(check(folder.path()).await.expect("a database"), []);
         let (method, message) = messages::registration("next");
-        let next = open.call(method, &[&message]).await;
+        let next = coordinator.call(method, &[&message]).await;
         next.expect("an answer").expect("a sound message");
-        open.close().await;
+        coordinator.close().await;
         all_accepted
     })
 }
 
 /// Detects changes of a database and of the files beside it.
-struct Witness(SqliteConnection, PathBuf);
+struct ChangeDetector(SqliteConnection, PathBuf);
 
-impl Witness {
-    async fn of(data: &Path) -> Witness {
+impl ChangeDetector {
+    async fn of(data: &Path) -> ChangeDetector {
         let file = data.join(DATABASE_FILE);
         let options = SqliteConnectOptions::new().filename(file).read_only(true);
         let connection = options.connect().await.expect("a database");
-        Witness(connection, data.join(ARTIFACTS_FOLDER))
+        ChangeDetector(connection, data.join(ARTIFACTS_FOLDER))
     }
 
     /// Returns a number that changes with every commit of another connection, and the number of
     /// files.
-    async fn look(&mut self) -> (i64, usize) {
+    async fn snapshot(&mut self) -> (i64, usize) {
         let version = sqlx::query_scalar("PRAGMA data_version");
         let version = version.fetch_one(&mut self.0).await.expect("a number");
         (version, files_below(&self.1))

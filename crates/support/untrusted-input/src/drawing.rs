@@ -161,14 +161,21 @@ impl Drawing {
                 assert!(fresh.depths().all(|depth| (0.0..=1.0).contains(&depth)));
                 assert_eq!(fresh.depths().count(), width * height);
                 let segments = raster::segments(&self.model, &self.scene, size);
-                assert_eq!(segments.expect("what can be drawn").len(), width * height);
+                assert_eq!(
+                    segments.expect("segments of a valid scene").len(),
+                    width * height
+                );
             }
             (Err(drawn), Err(anew)) => {
-                raster::segments(&self.model, &self.scene, size).expect_err("what cannot be drawn");
+                raster::segments(&self.model, &self.scene, size).expect_err("an invalid scene");
                 assert_eq!(drawn.to_string(), anew.to_string());
                 self.is_refused = true;
             }
-            (drawn, anew) => panic!("{:?}, and anew {:?}", drawn.err(), anew.err()),
+            (drawn, anew) => panic!(
+                "reused canvas: {:?}, new canvas: {:?}",
+                drawn.err(),
+                anew.err()
+            ),
         }
     }
 }
@@ -218,7 +225,7 @@ impl Bytes<'_> {
     }
 
     /// Reads a size that a hostile file may claim.
-    fn claim(&mut self) -> usize {
+    fn claimed_size(&mut self) -> usize {
         const CLAIMS: [usize; 8] = [
             256,
             300,
@@ -299,7 +306,11 @@ impl Bytes<'_> {
             1 => TextureKind::Flat { srgb: true },
             _ => TextureKind::Cube,
         };
-        let (width, height, channels) = (self.claim(), self.claim(), self.claim());
+        let (width, height, channels) = (
+            self.claimed_size(),
+            self.claimed_size(),
+            self.claimed_size(),
+        );
         let needed = width
             .checked_mul(height)
             .and_then(|texels| texels.checked_mul(channels))
@@ -551,7 +562,7 @@ fn bumps() -> Vec<u8> {
             let pos = three.concat();
             let st: Vec<f32> = three
                 .iter()
-                .flat_map(|it| [it[0] * 3.0, it[1] * 3.0])
+                .flat_map(|point| [point[0] * 3.0, point[1] * 3.0])
                 .collect();
             mesh.extend(written(&[], &pos));
             mesh.extend(written(&[], &st));

@@ -95,11 +95,11 @@ pub(crate) fn token_file(input: &[u8]) -> bool {
         }
         Err(error) => {
             // An error must not quote a word of the file that is long enough to be a token.
-            let told = error.to_string().replace(&path.display().to_string(), "");
+            let message = error.to_string().replace(&path.display().to_string(), "");
             let words = String::from_utf8_lossy(input);
             let secrets = words.split_whitespace();
             let mut secrets = secrets.filter(|word| word.len() >= transport::MIN_TOKEN_BYTES);
-            assert!(!secrets.any(|secret| told.contains(secret)), "{told}");
+            assert!(!secrets.any(|secret| message.contains(secret)), "{message}");
             false
         }
     })

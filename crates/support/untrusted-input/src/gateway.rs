@@ -13,7 +13,7 @@ use proto::policy as wire;
 use proto::policy::policy_server::PolicyServer;
 use tonic::service::Routes;
 
-use crate::call::{blames_itself, block_on, call};
+use crate::call::{block_on, call, is_internal_fault};
 use crate::script;
 
 /// Prefix of the gateway's message for a query that the policy refused.
@@ -37,8 +37,9 @@ pub(crate) fn messages(input: &[u8]) -> bool {
             let method = METHODS[usize::from(called.method) % METHODS.len()];
             let path = format!("/rollout.policy.v1.Policy/{method}");
             if let Err(refusal) = call(&mut services, &path, &called.messages).await {
-                let blames_itself = blames_itself(&refusal) && !refusal.message().contains(POLICY);
-                assert!(!blames_itself, "{method} {called:?}: {refusal}");
+                let is_internal_fault =
+                    is_internal_fault(&refusal) && !refusal.message().contains(POLICY);
+                assert!(!is_internal_fault, "{method} {called:?}: {refusal}");
                 all_accepted = false;
             }
         }
@@ -51,11 +52,11 @@ pub(crate) fn messages(input: &[u8]) -> bool {
 /// # Panics
 /// If an accepted answer contains actions that a robot may not execute.
 pub(crate) fn answers(input: &[u8]) -> bool {
-    let mut is_an_answer = false;
+    let mut is_accepted = false;
     if let Ok(described) = wire::DescribeResponse::decode(input)
         && policy_protocol::description(&described).is_ok()
     {
-        is_an_answer = true;
+        is_accepted = true;
         assert!((1..=MAX_HORIZON).contains(&described.horizon));
         assert!(description::batch_size(&described) >= 1);
         assert_eq!(description::difference(&described, &described), None);
@@ -63,24 +64,28 @@ pub(crate) fn answers(input: &[u8]) -> bool {
     if let Ok(response) = wire::InferResponse::decode(input)
         && let Ok(actions) = policy_protocol::actions(&response, MAX_HORIZON)
     {
-        is_an_answer = true;
+        is_accepted = true;
         assert_eq!(response.actions, actions.as_flattened());
         let is_bounded = |number: &f32| number.abs() <= LARGEST_NUMBER;
         assert!(response.actions.iter().all(is_bounded));
     }
     if let Ok(chunk) = codec::answer(input) {
-        is_an_answer = true;
+        is_accepted = true;
         let [count, width] = chunk.shape;
         assert_eq!(count * width, chunk.numbers.len());
     }
     if let Ok(response) = vla_eval::answer(input, 1, 1) {
-        is_an_answer = true;
+        is_accepted = true;
         let grippers = response.actions.chunks(ACTION_WIDTH);
         if policy_protocol::actions(&response, 1).is_ok() {
-            assert!(grippers.flat_map(|it| it.last()).all(|it| it.abs() == 1.0));
+            assert!(
+                grippers
+                    .flat_map(|action| action.last())
+                    .all(|gripper| gripper.abs() == 1.0)
+            );
         }
     }
-    is_an_answer
+    is_accepted
 }
 
 /// Returns seed inputs for [`messages`]: a session with two queries for each policy.

@@ -11,15 +11,15 @@ use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
 use untrusted_input::{TARGETS, Target};
 
-/// Inputs of a target that opens a database for each.
+/// Number of inputs of a target that opens a database for each input.
 const DATABASE_INPUTS: usize = 150;
-/// Inputs of each of the others.
+/// Number of inputs of every other target.
 const INPUTS: usize = 2_000;
-/// Most changes that make one input.
+/// Largest number of changes to one input.
 const MAX_CHANGES: usize = 8;
-/// Longest piece that is taken out, doubled or replaced, bytes.
+/// Longest range that is removed, doubled or replaced, bytes.
 const MAX_RANGE_BYTES: usize = 64;
-/// Pieces that are inserted: limits of number types, and tokens of the formats.
+/// Byte strings that are inserted: limits of number types, and tokens of the formats.
 const PIECES: [&[u8]; 16] = [
     b"\x00",
     b"\xff",
@@ -74,10 +74,10 @@ fn survives(target: Target, inputs: usize) {
     static COUNTING: Once = Once::new();
     // A panic in a task normally ends only that task; here it is counted as a failure.
     COUNTING.call_once(|| {
-        let tell = panic::take_hook();
+        let default_hook = panic::take_hook();
         panic::set_hook(Box::new(move |panic| {
             PANICS.fetch_add(1, Ordering::SeqCst);
-            tell(panic);
+            default_hook(panic);
         }));
     });
     let seeds = (target.seeds)();
@@ -92,7 +92,10 @@ fn survives(target: Target, inputs: usize) {
             let name = format!("{}-{seed}-{number}", target.name);
             let file = std::env::temp_dir().join(&name);
             std::fs::write(&file, &input).expect("written");
-            panic!("{name} is not survived; it is in {}", file.display());
+            panic!(
+                "input {name} makes the target fail; it is stored in {}",
+                file.display()
+            );
         }
     }
 }
@@ -106,7 +109,7 @@ fn rng_seeds() -> RangeInclusive<u64> {
     first.parse().expect("a number")..=last.parse().expect("a number")
 }
 
-/// A seed, or two joined, with a few changes.
+/// Returns a seed, or two joined seeds, with a few changes.
 fn mutated(seeds: &[Vec<u8>], rng: &mut ChaCha8Rng) -> Vec<u8> {
     let mut input = seeds[below(rng, seeds.len())].clone();
     if below(rng, 4) == 0 {

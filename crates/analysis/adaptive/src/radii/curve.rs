@@ -142,8 +142,8 @@ impl Survives {
             Self::Never => 0.0,
             Self::Until([low, high]) => ((high - radius) / (high - low)).clamp(0.0, 1.0),
             Self::Throughout => 1.0,
-            Self::AtLeast(known) if radius <= known => 1.0,
-            Self::AtLeast(known) => match others(known) {
+            Self::AtLeast(until) if radius <= until => 1.0,
+            Self::AtLeast(until) => match others(until) {
                 share if share > 0.0 => others(radius) / share,
                 _ => 0.0,
             },
@@ -156,14 +156,14 @@ impl Survives {
             Self::Never => [false; 2],
             Self::Until([low, high]) => [radius <= low, radius < high],
             Self::Throughout => [true; 2],
-            Self::AtLeast(known) => [radius <= known, true],
+            Self::AtLeast(until) => [radius <= until, true],
         }
     }
 
     fn ends(self) -> impl Iterator<Item = f64> {
         let ends = match self {
             Self::Until(ends) => [Some(ends[0]), Some(ends[1])],
-            Self::AtLeast(known) => [Some(known), None],
+            Self::AtLeast(until) => [Some(until), None],
             Self::Never | Self::Throughout => [None; 2],
         };
         ends.into_iter().flatten()
@@ -178,26 +178,32 @@ impl Curve {
         findings: &[(TaskRef, Finding)],
         bootstrap: &Bootstrap,
     ) -> Self {
-        let known = findings.iter();
-        let known = known.filter_map(|(task, finding)| Some((*task, Survives::of(finding)?)));
-        let known: Vec<(TaskRef, Survives)> = known.collect();
-        let count = |is: fn(&Survives) -> bool| known.iter().filter(|(_, it)| is(it)).count();
+        let thresholds = findings.iter();
+        let thresholds =
+            thresholds.filter_map(|(task, finding)| Some((*task, Survives::of(finding)?)));
+        let thresholds: Vec<(TaskRef, Survives)> = thresholds.collect();
+        let count = |is: fn(&Survives) -> bool| {
+            thresholds
+                .iter()
+                .filter(|(_, survives)| is(survives))
+                .count()
+        };
         let recovers = |(_, finding): &&(TaskRef, Finding)| !finding.recovers_at.is_empty();
         let largest_radius = search.largest().map_or(0.0, Level::radius);
-        let clusters = Clusters::of(&known, search);
-        let (points, mut half_success) = clusters.points(&known, bootstrap);
+        let clusters = Clusters::of(&thresholds, search);
+        let (points, mut half_success) = clusters.points(&thresholds, bootstrap);
         half_success.radius = half_success.radius.filter(|_| search.tolerance.is_some());
         Self {
             condition,
             grid: search.grid.iter().map(|level| level.radius()).collect(),
             largest_radius,
             is_bisected: search.tolerance.is_some(),
-            n: known.len() as u64,
+            n: thresholds.len() as u64,
             tasks: clusters.tasks.len(),
-            left_out: (findings.len() - known.len()) as u64,
-            nominal_fails: count(|it| matches!(it, Survives::Never)) as u64,
-            beyond: count(|it| matches!(it, Survives::Throughout)) as u64,
-            censored: count(|it| matches!(it, Survives::AtLeast(_))) as u64,
+            left_out: (findings.len() - thresholds.len()) as u64,
+            nominal_fails: count(|survives| matches!(survives, Survives::Never)) as u64,
+            beyond: count(|survives| matches!(survives, Survives::Throughout)) as u64,
+            censored: count(|survives| matches!(survives, Survives::AtLeast(_))) as u64,
             not_monotone: findings.iter().filter(recovers).count() as u64,
             points,
             half_success,
@@ -225,14 +231,14 @@ struct Task {
 }
 
 impl Clusters {
-    fn of(known: &[(TaskRef, Survives)], search: &Search) -> Self {
+    fn of(thresholds: &[(TaskRef, Survives)], search: &Search) -> Self {
         let mut radii: Vec<f64> = search.grid.iter().map(|level| level.radius()).collect();
         radii.push(0.0);
-        radii.extend(known.iter().flat_map(|(_, survives)| survives.ends()));
+        radii.extend(thresholds.iter().flat_map(|(_, survives)| survives.ends()));
         radii.sort_by(f64::total_cmp);
         radii.dedup();
         let mut tasks: BTreeMap<TaskRef, Task> = BTreeMap::new();
-        for (task, survives) in known {
+        for (task, survives) in thresholds {
             let task = tasks.entry(*task).or_insert_with(|| Task {
                 n: 0.0,
                 survive: [vec![0.0; radii.len()], vec![0.0; radii.len()]],
@@ -253,10 +259,10 @@ impl Clusters {
     /// Computes the curve's points and the radius at which it crosses one half.
     fn points(
         &self,
-        known: &[(TaskRef, Survives)],
+        thresholds: &[(TaskRef, Survives)],
         bootstrap: &Bootstrap,
     ) -> (Vec<Point>, HalfSuccess) {
-        if known.is_empty() {
+        if thresholds.is_empty() {
             let nothing = HalfSuccess {
                 radius: None,
                 bounds: None,
@@ -282,7 +288,7 @@ impl Clusters {
                 false => Err(NoInterval::NoSpread),
             }
         };
-        let survival = self.survival(known);
+        let survival = self.survival(thresholds);
         let of_curve = self.radii.iter().zip(&survival).enumerate();
         let points = of_curve.map(|(k, (&radius, &survival))| Point {
             radius,
@@ -291,8 +297,8 @@ impl Clusters {
             band: [values[2 * k], values[2 * k + 1]],
             ci95: interval(k).ok(),
         });
-        let crosses = survival.first().is_some_and(|it| *it >= HALF)
-            && survival.last().is_some_and(|it| *it <= HALF);
+        let crosses = survival.first().is_some_and(|share| *share >= HALF)
+            && survival.last().is_some_and(|share| *share <= HALF);
         let of_half = interval(self.radii.len());
         let half = HalfSuccess {
             radius: crosses.then(|| self.crossing(&survival)),
@@ -307,16 +313,18 @@ impl Clusters {
     /// configurations survive with the curve's own conditional probability, which is
     /// iterated to a fixed point (B. Efron, The two sample problem with censored data,
     /// Proceedings of the Fifth Berkeley Symposium 4 (1967), 831–853).
-    fn survival(&self, known: &[(TaskRef, Survives)]) -> Vec<f64> {
+    fn survival(&self, thresholds: &[(TaskRef, Survives)]) -> Vec<f64> {
         let mut survival = vec![1.0; self.radii.len()];
         for _ in 0..MOST_ROUNDS {
             let others = |radius: f64| {
-                let place = self.radii.partition_point(|it| *it < radius);
+                let place = self.radii.partition_point(|other| *other < radius);
                 survival[place]
             };
             let share = |&radius: &f64| {
-                let expected = known.iter().map(|(_, it)| it.expected(radius, others));
-                expected.sum::<f64>() / known.len() as f64
+                let expected = thresholds
+                    .iter()
+                    .map(|(_, survives)| survives.expected(radius, others));
+                expected.sum::<f64>() / thresholds.len() as f64
             };
             let next: Vec<f64> = self.radii.iter().map(share).collect();
             let pairs = next.iter().zip(&survival);

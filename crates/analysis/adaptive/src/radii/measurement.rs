@@ -36,7 +36,7 @@ impl Measurement {
         let source = decisive(source, false);
         let nominal = source
             .iter()
-            .filter(|it| it.id.condition() == Condition::Clean);
+            .filter(|record| record.id.condition() == Condition::Clean);
         let nominal: BTreeMap<RolloutId, Outcome> =
             nominal.map(|record| (record.id, record.outcome)).collect();
         let is_asked_for = |condition: Condition| {
@@ -107,7 +107,10 @@ impl Measurement {
 
     /// Returns the upper bound of the number of rollouts of each sampled configuration.
     pub fn most_rollouts(&self) -> impl Iterator<Item = (TaskRef, u32)> {
-        let sampled = self.costs.iter().filter(|(it, _)| self.sample.contains(it));
+        let sampled = self
+            .costs
+            .iter()
+            .filter(|(configuration, _)| self.sample.contains(configuration));
         sampled.map(|((task, _), most)| (*task, *most))
     }
 
@@ -124,26 +127,26 @@ impl Measurement {
     /// Returns the rollouts to run next, in order; empty if every threshold is found or all
     /// needed rollouts are requested.
     pub fn plan(&self) -> Vec<(Ray, Level)> {
-        let asked: u32 = self.rays.values().map(Outcomes::requested).sum();
+        let requested: u32 = self.rays.values().map(Outcomes::requested).sum();
         let left = self
             .thresholds
             .budget
             .unwrap_or(u32::MAX)
-            .saturating_sub(asked);
-        let wanted = self.rays().flat_map(|(ray, outcomes)| {
+            .saturating_sub(requested);
+        let requests = self.rays().flat_map(|(ray, outcomes)| {
             let levels = match self.decision(ray, outcomes) {
                 Decision::Run(levels) => levels,
                 Decision::Wait | Decision::Done => Vec::new(),
             };
             levels.into_iter().map(move |level| (ray, level))
         });
-        let mut wanted: Vec<(Ray, Level)> = wanted.collect();
+        let mut requests: Vec<(Ray, Level)> = requests.collect();
         // Sorted by configuration first, so that early results cover all tasks.
-        wanted.sort_by_key(|(ray, level)| (ray.config, ray.task, ray.condition, *level));
+        requests.sort_by_key(|(ray, level)| (ray.config, ray.task, ray.condition, *level));
         // The sample fits the budget, so that this cuts nothing off unless rollouts return
         // from quarantine after their brackets were halved without them.
-        wanted.truncate(left as usize);
-        wanted
+        requests.truncate(left as usize);
+        requests
     }
 
     /// Returns the curves of configurations that still succeed at each radius, by condition.

@@ -63,7 +63,10 @@ impl Finding {
                 }
             }
             (Outcome::Success, None) => {
-                match search.largest().and_then(|it| outcomes.at(it)?.success()) {
+                match search
+                    .largest()
+                    .and_then(|level| outcomes.at(level)?.success())
+                {
                     Some(_) => Threshold::Beyond,
                     None => Threshold::Open {
                         succeeds_at: outcomes

@@ -41,7 +41,7 @@ pub fn configurations(
         let Some(id) = id else { continue };
         let lattice = match lattices.entry(id) {
             Entry::Vacant(new) => new.insert(Lattice::new(full, evidence)?),
-            Entry::Occupied(there) => there.into_mut(),
+            Entry::Occupied(existing) => existing.into_mut(),
         };
         lattice.add_replicate(matched)?;
     }

@@ -110,7 +110,7 @@ pub struct Repeats {
     pub error: f64,
 }
 
-/// The looks at the rollouts of one subset.
+/// Schedule of the looks, that is, tests, at the rollouts of one subset.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Looks {
     /// Rollouts per batch.
@@ -122,9 +122,9 @@ pub struct Looks {
 }
 
 impl Default for Repeats {
-    /// Eight equal outcomes decide about an axis alone; among 16 outcomes three may differ,
-    /// among 24 six. Of six axes, 13 equal outcomes decide about a further subset; among 24
-    /// three may differ.
+    /// For an axis alone, eight equal outcomes decide, or 16 of which at most three differ, or 24
+    /// of which at most six differ. For a further subset of six axes, 13 equal outcomes decide, or
+    /// 24 of which at most three differ.
     fn default() -> Self {
         Self {
             batch: 8,
@@ -148,11 +148,11 @@ impl Repeats {
     /// Returns the fewest rollouts per subset that can decide about every subset of a lattice
     /// of `axes` axes.
     pub fn fewest(axes: usize) -> u32 {
-        let of = |role| {
+        let fewest_for = |role| {
             let can_decide = |most: &u32| Self::up_to(*most).looks(role).can_decide();
             (1..).find(can_decide).expect("2⁻ⁿ falls below any level")
         };
-        of(Role::Transition).max(of(Role::further(axes)))
+        fewest_for(Role::Transition).max(fewest_for(Role::further(axes)))
     }
 
     /// Returns the looks at a subset. The first batch is large enough that equal outcomes
@@ -312,13 +312,13 @@ mod tests {
     /// in `begun`, by enumerating every reachable state: the numbers of rollouts and of
     /// successes so far.
     fn probability_of_success(repeats: Repeats, role: Role, p: f64, begun: Tally) -> f64 {
-        let mut said = 0.0;
+        let mut probability = 0.0;
         let mut states = BTreeMap::from([((begun.asked(), begun.successes), 1.0)]);
         while let Some(((n, successes), weight)) = states.pop_first() {
             let tally = tally(successes, n - successes);
             let more = match Evidence::Repeated(repeats).verdict(&tally, role) {
                 Verdict::Success => {
-                    said += weight;
+                    probability += weight;
                     continue;
                 }
                 Verdict::NotRun => repeats.looks(role).batch,
@@ -332,7 +332,7 @@ mod tests {
                 ways *= f64::from(more - k) / f64::from(k + 1);
             }
         }
-        said
+        probability
     }
 
     #[test]
@@ -367,7 +367,7 @@ mod tests {
     }
 
     #[test]
-    fn nothing_is_asked_beyond_the_bound() {
+    fn requests_never_exceed_the_bound() {
         let repeated = |successes, failures, role| {
             Evidence::Repeated(Repeats::default()).verdict(&tally(successes, failures), role)
         };

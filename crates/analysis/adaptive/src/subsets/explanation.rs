@@ -149,21 +149,21 @@ pub fn selected(lattice: &Lattice) -> Result<Transition, Unexplained> {
 /// Checks that each axis alone and all axes together turn out as the selecting outcomes say.
 /// Without repeats, decided outcomes always do, since the same rollouts select and decide.
 pub(crate) fn confirm(lattice: &Lattice) -> Result<(), Unexplained> {
-    let mut awaits = false;
+    let mut is_waiting = false;
     for set in lattice.singles().chain([lattice.full()]) {
         let (selected, verdict) = (lattice.selected(set), lattice.verdict(set));
         let agrees = |shown: Option<bool>| shown.is_some() && shown == selected;
         let tally = lattice.tally(set);
         match verdict {
             _ if agrees(verdict.success()) => {}
-            Verdict::NotRun | Verdict::Pending => awaits = true,
+            Verdict::NotRun | Verdict::Pending => is_waiting = true,
             Verdict::Short { .. } if tally.count().n == 0 || agrees(tally.majority()) => {
-                awaits = true;
+                is_waiting = true;
             }
             _ => return Err(Unexplained::NotConfirmed),
         }
     }
-    match awaits {
+    match is_waiting {
         true => Err(Unexplained::AwaitsRepeats),
         false => Ok(()),
     }
@@ -223,7 +223,9 @@ impl Search {
         };
         let largest_below = |set: AxisSet| {
             let unflipped = self.unflipped.iter().copied();
-            let below: Vec<AxisSet> = unflipped.filter(|it| it.is_proper_subset(set)).collect();
+            let below: Vec<AxisSet> = unflipped
+                .filter(|subset| subset.is_proper_subset(set))
+                .collect();
             match below.is_empty() {
                 true => vec![self.start],
                 false => maximal(&below),

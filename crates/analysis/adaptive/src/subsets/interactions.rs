@@ -159,8 +159,8 @@ impl Interactions {
         let mut estimates: Vec<Estimate> = point.all().zip(intervals).map(estimate).collect();
         let deviations = deviations(&clusters, &subsets, &estimates);
         for family in point.families() {
-            let own = &deviations[family.clone()];
-            hold_together(&mut estimates[family], own, bootstrap);
+            let of_family = &deviations[family.clone()];
+            set_simultaneous_intervals(&mut estimates[family], of_family, bootstrap);
         }
         let mut estimates = estimates.into_iter();
         let success = subsets.iter().copied().zip(estimates.by_ref()).collect();
@@ -193,15 +193,19 @@ fn deviations(clusters: &[Tally], subsets: &[AxisSet], estimates: &[Estimate]) -
         let numerators = Numerators::of(subsets, &task.successes);
         let values = rows.iter_mut().zip(estimates).zip(numerators.all());
         for ((row, estimate), (numerator, scale)) in values {
-            let own = numerator as f64 / scale as f64;
-            row.push((own - estimate.value * task.n as f64) / mean);
+            let value = numerator as f64 / scale as f64;
+            row.push((value - estimate.value * task.n as f64) / mean);
         }
     }
     rows
 }
 
 /// Sets the simultaneous intervals of a family of estimates.
-fn hold_together(estimates: &mut [Estimate], deviations: &[Vec<f64>], bootstrap: &Bootstrap) {
+fn set_simultaneous_intervals(
+    estimates: &mut [Estimate],
+    deviations: &[Vec<f64>],
+    bootstrap: &Bootstrap,
+) {
     // The standard errors below pool all tasks.
     let tasks = deviations.first().map_or(0, Vec::len);
     let Some(critical) = max_t(deviations, &[tasks], bootstrap) else {
@@ -209,7 +213,7 @@ fn hold_together(estimates: &mut [Estimate], deviations: &[Vec<f64>], bootstrap:
     };
     for (estimate, row) in estimates.iter_mut().zip(deviations) {
         let tasks = row.len() as f64;
-        let squares: f64 = row.iter().map(|it| it * it).sum();
+        let squares: f64 = row.iter().map(|value| value * value).sum();
         let half = critical * (squares / (tasks * (tasks - 1.0))).sqrt();
         let interval = [estimate.value - half, estimate.value + half];
         estimate.simultaneous_ci95 = estimate.ci95.map(|_| interval);

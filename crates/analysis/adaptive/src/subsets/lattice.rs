@@ -130,7 +130,7 @@ impl Lattice {
     pub fn tally(&self, set: AxisSet) -> Tally {
         match self.evidence {
             Evidence::Once => self.outcomes.both(set),
-            Evidence::Repeated(_) => self.outcomes.own(set),
+            Evidence::Repeated(_) => self.outcomes.requests(set),
         }
     }
 

@@ -87,7 +87,7 @@ pub struct Request {
 /// With replicates ([`Evidence::Repeated`](super::Evidence::Repeated)), each axis alone and
 /// all axes are repeated until they are decided, as long as the majorities of the repeats
 /// show the transition for which the configuration was selected. Further subsets are run
-/// only once it is confirmed.
+/// only once the transition is confirmed.
 pub fn next(lattice: &Lattice, strategy: Strategy) -> Decision<Request> {
     if lattice.is_waiting() {
         return Decision::Wait;
@@ -98,26 +98,32 @@ pub fn next(lattice: &Lattice, strategy: Strategy) -> Decision<Request> {
     let of_transition = lattice.singles().chain([lattice.full()]);
     match confirm(lattice) {
         Ok(()) => {}
-        Err(Unexplained::AwaitsRepeats) => return Decision::Run(short(lattice, of_transition)),
+        Err(Unexplained::AwaitsRepeats) => {
+            return Decision::Run(undecided_requests(lattice, of_transition));
+        }
         Err(_) => return Decision::Done,
     }
     let further = lattice.sets().filter(|set| !lattice.is_of_campaign(*set));
-    let replicates = short(lattice, further);
+    let replicates = undecided_requests(lattice, further);
     if !replicates.is_empty() {
         return Decision::Run(replicates);
     }
     let searches = Search::of(lattice, transition);
-    let wanted = searches
+    let sets = searches
         .iter()
-        .flat_map(|search| wanted(search, lattice, strategy));
-    let wanted: BTreeSet<AxisSet> = wanted.collect();
-    Decision::run(wanted.into_iter().map(|set| first(lattice, set)).collect())
+        .flat_map(|search| next_batch(search, lattice, strategy));
+    let sets: BTreeSet<AxisSet> = sets.collect();
+    Decision::run(
+        sets.into_iter()
+            .map(|set| first_request(lattice, set))
+            .collect(),
+    )
 }
 
 /// Returns the requests for the next batch of each subset that is not decided.
-fn short(lattice: &Lattice, sets: impl Iterator<Item = AxisSet>) -> Vec<Request> {
+fn undecided_requests(lattice: &Lattice, sets: impl Iterator<Item = AxisSet>) -> Vec<Request> {
     let requests = sets.filter_map(|set| match lattice.verdict(set) {
-        Verdict::NotRun => Some(first(lattice, set)),
+        Verdict::NotRun => Some(first_request(lattice, set)),
         Verdict::Short { more } => Some(Request {
             set,
             rollouts: more,
@@ -127,7 +133,7 @@ fn short(lattice: &Lattice, sets: impl Iterator<Item = AxisSet>) -> Vec<Request>
     requests.collect()
 }
 
-fn first(lattice: &Lattice, set: AxisSet) -> Request {
+fn first_request(lattice: &Lattice, set: AxisSet) -> Request {
     Request {
         set,
         rollouts: lattice.evidence().first(lattice.role(set)),
@@ -139,7 +145,7 @@ fn first(lattice: &Lattice, set: AxisSet) -> Request {
 type Step = fn(&Search, &[AxisSet]) -> Vec<AxisSet>;
 
 /// Returns the next batch of one search: the first non-empty batch of the strategy's steps.
-fn wanted(search: &Search, lattice: &Lattice, strategy: Strategy) -> Vec<AxisSet> {
+fn next_batch(search: &Search, lattice: &Lattice, strategy: Strategy) -> Vec<AxisSet> {
     let open = search.open.iter().copied();
     let not_run: Vec<AxisSet> = open
         .filter(|set| lattice.verdict(*set) == Verdict::NotRun)

@@ -46,7 +46,7 @@ pub fn plan<'a>(
     // Configurations in progress come first; a new one starts only if it can be finished.
     candidates.sort_by_key(|&(is_new, rank, name, _)| (is_new, rank, name));
     let mut left = sample.budget.saturating_sub(spent);
-    let mut alone = true;
+    let mut is_first = true;
     let mut batches = Vec::new();
     for (is_new, _, name, lattice) in candidates {
         let batch = match next(lattice, sample.strategy) {
@@ -55,21 +55,21 @@ pub fn plan<'a>(
             Decision::Wait | Decision::Done => continue,
         };
         let reserve = lattice.most_further_rollouts();
-        if reserve > left && !alone {
+        if reserve > left && !is_first {
             break;
         }
-        let batch = within(left, batch);
+        let batch = truncated(left, batch);
         if !batch.is_empty() {
             batches.push((name, batch));
         }
         left = left.saturating_sub(reserve);
-        alone = false;
+        is_first = false;
     }
     batches
 }
 
 /// Truncates a batch to the affordable rollouts.
-fn within(mut left: u32, batch: Vec<Request>) -> Vec<Request> {
+fn truncated(mut left: u32, batch: Vec<Request>) -> Vec<Request> {
     let cut = |request: Request| {
         let rollouts = request.rollouts.min(left);
         left -= rollouts;
@@ -163,7 +163,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_begun_is_finished_and_the_budget_is_kept() {
+    fn started_configurations_are_finished_within_the_budget() {
         // One explanation takes 17 rollouts.
         for budget in [0, 1, 16, 17, 40, 100, 300, 1000] {
             let mut all = transitions(30);
@@ -177,7 +177,7 @@ mod tests {
     }
 
     #[test]
-    fn a_larger_budget_and_further_configurations_keep_what_was_begun() {
+    fn a_larger_budget_and_further_configurations_keep_started_ones() {
         let mut small = transitions(30);
         spend(&mut small, &sample(170, 7));
         let mut large = transitions(30);
@@ -194,7 +194,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_under_way_is_finished_before_later_transitions_are_begun() {
+    fn configurations_in_progress_are_finished_before_new_ones_start() {
         for seed in 0..10 {
             let sample = sample(60, seed);
             let mut all = transitions(1);
@@ -225,7 +225,7 @@ mod tests {
     }
 
     #[test]
-    fn while_a_batch_is_pending_nothing_is_asked_in_its_stead() {
+    fn no_rollout_replaces_a_pending_batch() {
         let mut all = transitions(30);
         let sample = sample(120, 7);
         let first: Vec<_> = plan(&all, &sample)

@@ -47,7 +47,10 @@ impl Components {
     /// Source: S. R. Searle, G. Casella and C. E. McCulloch, Variance Components (1992),
     /// section 3.5.
     pub(crate) fn of_each(matched: &[Matched]) -> Vec<Self> {
-        let replicates: BTreeSet<u32> = matched.iter().map(|it| it.replicate).collect();
+        let replicates: BTreeSet<u32> = matched
+            .iter()
+            .map(|configuration| configuration.replicate)
+            .collect();
         let mut levels: BTreeMap<Level, BTreeMap<(TaskRef, u16), Vec<f64>>> = BTreeMap::new();
         for matched in matched {
             if let Some(success) = matched.simultaneous.success() {
@@ -85,9 +88,12 @@ impl Components {
         let mean = tasks.values().flatten().sum::<f64>() / n;
         let (mut between_tasks, mut between_configurations) = (0.0, 0.0);
         for means in tasks.values() {
-            let own = means.iter().sum::<f64>() / means.len() as f64;
-            between_tasks += means.len() as f64 * (own - mean).powi(2);
-            between_configurations += means.iter().map(|it| (it - own).powi(2)).sum::<f64>();
+            let task_mean = means.iter().sum::<f64>() / means.len() as f64;
+            between_tasks += means.len() as f64 * (task_mean - mean).powi(2);
+            between_configurations += means
+                .iter()
+                .map(|mean| (mean - task_mean).powi(2))
+                .sum::<f64>();
         }
         let m = n / t;
         let chance = within / (n * (k - 1.0));
@@ -117,12 +123,14 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_differs_only_between_replicates_is_chance() {
+    fn variance_between_replicates_only_counts_as_chance() {
         let of = |outcomes: [[f64; 2]; 4]| {
             let keys = TaskRef::all()
                 .take(2)
                 .flat_map(|task| [(task, 0), (task, 1)]);
-            let configurations = keys.zip(outcomes).map(|(key, it)| (key, it.to_vec()));
+            let configurations = keys
+                .zip(outcomes)
+                .map(|(key, outcomes)| (key, outcomes.to_vec()));
             Components::of(Level::L2, 2, configurations).expect("two of each")
         };
         let chance = of([[0.0, 1.0], [1.0, 0.0], [0.0, 1.0], [1.0, 0.0]]);

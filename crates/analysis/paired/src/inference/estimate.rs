@@ -187,7 +187,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_interval_of_a_product_reaches_further_to_the_side_that_it_is_far_from() {
+    fn an_interval_of_a_product_is_wider_towards_the_far_bound() {
         let of = |value| {
             let variance = Variance {
                 value: 0.0025,

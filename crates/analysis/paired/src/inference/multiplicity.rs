@@ -73,10 +73,10 @@ fn under_signs(values: &[f64], signs: &[f64], strata: &[usize]) -> (f64, f64) {
             squares += u * u;
         }
         let g = tasks as f64;
-        let rest = squares - sum * sum / g;
+        let deviation_squares = squares - sum * sum / g;
         // With two tasks, opposite signs may leave a variance that is only a rounding error.
-        if rest > 1e-12 * squares {
-            variance += rest * g / (g - 1.0);
+        if deviation_squares > 1e-12 * squares {
+            variance += deviation_squares * g / (g - 1.0);
         }
         total += sum;
         first += tasks;
@@ -89,7 +89,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn holm_is_what_it_is_in_the_paper() {
+    fn holm_agrees_with_the_published_example() {
         let adjusted = holm(&[0.01, 0.04, 0.03, 0.005]);
         for (p, expected) in adjusted.iter().zip([0.03, 0.06, 0.06, 0.02]) {
             assert!((p - expected).abs() < 1e-12, "{adjusted:?}");
@@ -126,7 +126,7 @@ mod tests {
             values.extend(own.iter().map(|value| value - mean));
         }
         let of = |strata: &[usize]| max_t(&[values.clone()], strata, &Bootstrap::default());
-        let [pooled, stratified] = [of(&[12]), of(&[3; 4])].map(|it| it.expect("a spread"));
+        let [pooled, stratified] = [of(&[12]), of(&[3; 4])].map(|width| width.expect("a spread"));
         assert!(stratified > 1.03 * pooled, "{stratified} {pooled}");
         assert_eq!(of(&[11, 1]), None);
         // With two pairs of tasks, one in four assignments of signs leaves no variance.

@@ -150,8 +150,8 @@ impl Relative {
         let nominal = rows.first()?.values.len() - 1;
         let sample = Sample::new(&rows, directions)?;
         let prediction = |s: &[f64]| {
-            let kept = s[AXES..nominal].iter().map(|axis| axis / s[nominal]);
-            s[nominal] / s[N] * kept.product::<f64>()
+            let preserved = s[AXES..nominal].iter().map(|axis| axis / s[nominal]);
+            s[nominal] / s[N] * preserved.product::<f64>()
         };
         let difference = |s: &[f64]| s[SIMULTANEOUS] / s[N] - prediction(s);
         Some(Self {

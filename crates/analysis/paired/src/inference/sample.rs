@@ -167,14 +167,14 @@ impl Sample {
     /// the stratum are scaled up, so that strata keep their weights.
     fn without_each(&self, statistic: &dyn Fn(&[f64]) -> f64, stratum: &Stratum) -> Vec<f64> {
         let groups = stratum.groups.len() as f64;
-        let stand_in = groups / (groups - 1.0);
-        let mut rest = self.sums.clone();
+        let scale = groups / (groups - 1.0);
+        let mut sums = self.sums.clone();
         let without = stratum.groups.iter().map(|group| {
             let columns = self.sums.iter().zip(&stratum.whole).zip(group);
-            for (rest, ((sum, whole), group)) in rest.iter_mut().zip(columns) {
-                *rest = sum + (whole - group) * stand_in - whole;
+            for (column, ((sum, whole), group)) in sums.iter_mut().zip(columns) {
+                *column = sum + (whole - group) * scale - whole;
             }
-            statistic(&rest)
+            statistic(&sums)
         });
         without.collect()
     }
@@ -185,7 +185,7 @@ fn crossed(tasks: Variance, directions: Variance, cells: Variance) -> Variance {
     let value = (tasks.value + directions.value - cells.value)
         .max(tasks.value)
         .max(directions.value);
-    let part = |of: Variance| of.value.powi(2) / of.df;
+    let part = |variance: Variance| variance.value.powi(2) / variance.df;
     let df = match value > NO_VARIANCE {
         true => value.powi(2) / (part(tasks) + part(directions) + part(cells)),
         false => tasks.df.min(directions.df),

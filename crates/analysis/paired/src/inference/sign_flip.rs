@@ -31,9 +31,9 @@ pub fn sign_flip_p(net: &[i64]) -> f64 {
         probabilities = next;
     }
     let observed = net.iter().sum::<i64>().unsigned_abs() as usize;
-    let far = probabilities.iter().enumerate();
-    let far = far.filter(|(sum, _)| sum.abs_diff(reach) >= observed);
-    far.map(|(_, p)| p).sum::<f64>().min(1.0)
+    let as_extreme = probabilities.iter().enumerate();
+    let as_extreme = as_extreme.filter(|(sum, _)| sum.abs_diff(reach) >= observed);
+    as_extreme.map(|(_, p)| p).sum::<f64>().min(1.0)
 }
 
 #[cfg(test)]

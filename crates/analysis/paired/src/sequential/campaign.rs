@@ -150,9 +150,9 @@ impl<'a> Walk<'a> {
     /// Starts the walk before the first configuration.
     fn begin(records: &'a Records, stop: &Stop) -> Option<Self> {
         let of_first_replicate = records.configurations().iter();
-        let of_first_replicate = of_first_replicate.filter(|it| it.replicate == 0);
+        let of_first_replicate = of_first_replicate.filter(|matched| matched.replicate == 0);
         let configurations: BTreeMap<(Level, Unit), &Matched> = of_first_replicate
-            .map(|it| ((it.level, (it.task, it.config)), it))
+            .map(|matched| ((matched.level, (matched.task, matched.config)), matched))
             .collect();
         let units: BTreeSet<Unit> = configurations.keys().map(|(_, unit)| *unit).collect();
         if units.is_empty() {
@@ -165,7 +165,9 @@ impl<'a> Walk<'a> {
             return None;
         }
         let order = drawn_order(stop, units);
-        let open = configurations.iter().filter(|(_, it)| records.is_open(it));
+        let open = configurations
+            .iter()
+            .filter(|(_, matched)| records.is_open(matched));
         let open = open.map(|((_, unit), _)| *unit).collect();
         let sequence = |level| (level, Sequences::new(&order, stop));
         let sequences: BTreeMap<_, _> = levels.into_iter().map(sequence).collect();
@@ -209,5 +211,7 @@ impl<'a> Walk<'a> {
 
 fn looks(sequences: &BTreeMap<Level, Sequences>) -> BTreeMap<Level, Look> {
     let looks = sequences.iter();
-    looks.map(|(&level, it)| (level, it.look())).collect()
+    looks
+        .map(|(&level, sequences)| (level, sequences.look()))
+        .collect()
 }

@@ -87,8 +87,8 @@ fn outcomes(records: &[Record]) -> Outcomes {
     for record in records.iter().filter(|record| record.replicate == 0) {
         let id = record.id;
         if let Some(config) = id.config() {
-            let of = outcomes.entry((id.level(), id.condition())).or_default();
-            of.insert((id.task(), config), record.outcome);
+            let of_cell = outcomes.entry((id.level(), id.condition())).or_default();
+            of_cell.insert((id.task(), config), record.outcome);
         }
     }
     outcomes

@@ -125,8 +125,8 @@ impl EProcess {
 
     /// Returns the mean of all drawn units and the virtual prior draws.
     fn pooled(&self) -> f64 {
-        let seen: f64 = self.strata.iter().map(|it| middle(it.seen)).sum();
-        let drawn: i64 = self.strata.iter().map(|it| it.drawn).sum();
+        let seen: f64 = self.strata.iter().map(|stratum| middle(stratum.seen)).sum();
+        let drawn: i64 = self.strata.iter().map(|stratum| stratum.drawn).sum();
         (seen + PRIOR_DRAWS * middle(self.range)) / (drawn as f64 + PRIOR_DRAWS)
     }
 
@@ -175,7 +175,11 @@ impl EProcess {
             let first = self.range[0] * (stratum.drawn + stratum.remaining);
             let [lowest, highest] = stratum.totals(self.range).map(|t| (t - first) as usize);
             log += costs[lowest];
-            steps.extend(costs[lowest..=highest].windows(2).map(|it| it[1] - it[0]));
+            steps.extend(
+                costs[lowest..=highest]
+                    .windows(2)
+                    .map(|pair| pair[1] - pair[0]),
+            );
         }
         // The steps of each stratum are already sorted, which makes the stable sort fast.
         steps.sort_by(f64::total_cmp);

@@ -53,15 +53,17 @@ impl CampaignLook {
                 }
             }
         }
-        let is_known = |strata: &BTreeMap<_, Stratum>| strata.values().all(|it| it.known > 0.0);
+        let is_known =
+            |strata: &BTreeMap<_, Stratum>| strata.values().all(|stratum| stratum.known > 0.0);
         levels.retain(|_, strata| is_known(strata));
         let weighs_alike = stop.rule.is_about_new_tasks();
         let of_level = |(level, strata): (Level, BTreeMap<_, Stratum>)| {
-            let weight = |it: &Stratum| if weighs_alike { 1.0 } else { it.units };
+            let weight = |stratum: &Stratum| if weighs_alike { 1.0 } else { stratum.units };
             let all: f64 = strata.values().map(weight).sum();
             let intervals = self.levels[&level].intervals.iter();
             let estimates = intervals.map(|(&measure, interval)| {
-                let of_stratum = |it: &Stratum| weight(it) * it.sums[&measure] / it.known;
+                let of_stratum =
+                    |stratum: &Stratum| weight(stratum) * stratum.sums[&measure] / stratum.known;
                 let mean = strata.values().map(of_stratum).sum::<f64>() / all;
                 (measure, mean.clamp(interval.low(), interval.high()))
             });

@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rule_about_a_measure_that_a_look_has_not_is_never_met() {
+    fn a_rule_about_a_measure_that_the_look_lacks_is_never_met() {
         let look = look(&[(Measure::I, [0, 0])]);
         assert!(!look.meets(&rule("width(difference) < 0.1")));
     }

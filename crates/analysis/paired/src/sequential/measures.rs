@@ -28,7 +28,8 @@ impl<U: Ord + Clone + fmt::Debug> SequentialMeasures<U> {
     /// # Panics
     /// If `alpha` is not between 0 and 1, or the order has no unit.
     pub fn new(order: &Order<U>, alpha: f64) -> Self {
-        let measures = Measure::OF_ONE_POLICY.map(|it| (it, values(it, &Transition::ALL)));
+        let measures =
+            Measure::OF_ONE_POLICY.map(|measure| (measure, values(measure, &Transition::ALL)));
         Self(Together::new(order, measures, alpha))
     }
 
@@ -45,7 +46,7 @@ impl<U: Ord + Clone + fmt::Debug> SequentialMeasures<U> {
     ///
     /// [`Matched::possible_transitions`]: crate::Matched::possible_transitions
     pub fn complete(&mut self, unit: &U, possible: &[Transition]) -> Result<(), NotInOrder> {
-        let ranges = Measure::OF_ONE_POLICY.map(|it| values(it, possible));
+        let ranges = Measure::OF_ONE_POLICY.map(|measure| values(measure, possible));
         self.0.complete(unit, ranges)
     }
 

@@ -17,9 +17,9 @@
 //! ignored.
 //!
 //! # Sample size
-//! A task's mean may have any value in the range. However many tasks succeed somewhere, one
-//! that fails in all of its configurations remains possible, so that 40 tasks exclude I = 0
-//! only if |I| is about 0.15. The command `cargo run --release -p paired --example new_tasks`
+//! A task's mean may have any value in the range. A task that fails in all of its configurations
+//! remains possible, however many observed tasks do not, so that 40 tasks exclude I = 0 only if
+//! |I| is at least about 0.15. The command `cargo run --release -p paired --example new_tasks`
 //! prints error rates and savings.
 //!
 //! # Sources
@@ -117,7 +117,9 @@ impl NewTasks {
             used: 0,
             of_task: 0,
             of_round: 0,
-            means: of_each.map(|it| (it, Mean::new(it, alpha))).collect(),
+            means: of_each
+                .map(|measure| (measure, Mean::new(measure, alpha)))
+                .collect(),
         }
     }
 
@@ -158,7 +160,9 @@ impl NewTasks {
             used: self.used,
             waiting: 0,
             units: self.units,
-            intervals: intervals.map(|(it, of)| (*it, of.interval())).collect(),
+            intervals: intervals
+                .map(|(measure, mean)| (*measure, mean.interval()))
+                .collect(),
         }
     }
 }
@@ -266,15 +270,15 @@ mod tests {
         for outcomes in 0..1_u32 << drawn.len() {
             let mut sequence = NewTasks::new(&order, [Measure::SSim].into(), alpha);
             let (mut probability, mut is_missed) = (1.0, false);
-            for (at, it) in drawn.iter().enumerate() {
-                let p = of_suites[it.stratum];
+            for (at, draw) in drawn.iter().enumerate() {
+                let p = of_suites[draw.stratum];
                 let success = outcomes >> at & 1 == 1;
                 probability *= if success { p } else { 1.0 - p };
                 let possible = match success {
                     true => Transition::StillSucceeds,
                     false => Transition::Emergent,
                 };
-                sequence.complete(&it.unit, &[possible]);
+                sequence.complete(&draw.unit, &[possible]);
                 is_missed |= sequence.look().intervals[&Measure::SSim].excludes(mean);
             }
             missed += if is_missed { probability } else { 0.0 };

@@ -131,7 +131,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn a_round_has_one_unit_of_every_stratum_that_has_any_left(
+        fn a_round_has_one_unit_of_every_stratum_with_units_left(
             seed: u64, sizes in proptest::collection::vec(1_u16..6, 1..6),
         ) {
             let order = of_sizes(seed, &sizes);

@@ -31,7 +31,7 @@ impl<U: Ord + Clone + fmt::Debug, V: Copy> Prefix<U, V> {
         let order: Vec<Drawn<U>> = order.rounds().iter().flatten().cloned().collect();
         let places = order.iter().enumerate();
         Self {
-            places: places.map(|(i, it)| (it.unit.clone(), i)).collect(),
+            places: places.map(|(i, drawn)| (drawn.unit.clone(), i)).collect(),
             values: vec![None; order.len()],
             order,
             used: 0,

@@ -199,7 +199,9 @@ mod tests {
                 );
             }
             for alpha in ALPHAS {
-                let missed = orders.iter().filter(|it| !holds(it, sizes, range, alpha));
+                let missed = orders
+                    .iter()
+                    .filter(|order| !holds(order, sizes, range, alpha));
                 let missed = missed.count() as f64 / count;
                 assert!(missed <= alpha, "{population:?}: {missed} at {alpha}");
                 greatest = greatest.max(missed);
@@ -242,7 +244,7 @@ mod tests {
     }
 
     #[test]
-    fn totals_with_values_that_are_never_known_are_covered_too() {
+    fn totals_with_unknown_values_are_covered_too() {
         assert!(check([0, 1], &QUARANTINE, &[5]) > 0.0);
         check([0, 1], &QUARANTINE, &[3, 3]);
     }

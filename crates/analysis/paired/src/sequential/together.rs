@@ -69,7 +69,9 @@ impl<U: Ord + Clone + fmt::Debug, const N: usize> Together<U, N> {
             used: self.prefix.used(),
             waiting: self.prefix.waiting(),
             units,
-            intervals: sequences.map(|(it, of)| (*it, interval(of))).collect(),
+            intervals: sequences
+                .map(|(measure, sequence)| (*measure, interval(sequence)))
+                .collect(),
         }
     }
 }

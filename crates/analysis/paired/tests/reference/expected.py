@@ -92,8 +92,8 @@ def expected(tasks, rng):
 
 
 def random_tasks(rng):
-    """Tasks of unequal difficulty, axes that fail together, and simultaneous
-    perturbation that is harder or easier than its parts."""
+    """Tasks of unequal difficulty, axes with correlated failures, and simultaneous
+    perturbation that is harder or easier than the axes alone."""
     ease = rng.normal(rng.uniform(0.5, 2.5), 0.8, size=rng.integers(4, 41))
     shift = rng.uniform(-1.5, 1.0)
     tasks = []
@@ -110,8 +110,8 @@ def text(y):
 
 
 def random_pairs(rng):
-    """Two policies on tasks of unequal difficulty, alike in what they find
-    hard, on unequal numbers of rollouts."""
+    """Two policies with correlated task difficulties and unequal numbers of
+    rollouts."""
     ease = rng.normal(rng.uniform(-1.0, 2.0), 1.0, size=rng.integers(10, 41))
     shift = rng.uniform(-1.0, 1.0)
     tasks = []
@@ -124,7 +124,7 @@ def random_pairs(rng):
 
 
 def difference(tasks, rng):
-    """A - B over the same rollouts, for whole tasks resampled."""
+    """A - B over the same rollouts, with its interval by resampling whole tasks."""
     y = np.concatenate(tasks)
     a, b = y[:, 0], y[:, 1]
     net = np.array([float(t[:, 0].sum()) - float(t[:, 1].sum()) for t in tasks])

@@ -49,10 +49,12 @@ impl Population {
         });
         let records = Records::new(&rows.collect::<Vec<_>>()).expect("no row twice");
         let matched = records.configurations().iter();
-        let units = matched.filter(|it| it.level == level).map(|matched| {
-            let transition = matched.transition().expect("published outcomes are known");
-            ((matched.task, matched.config), transition)
-        });
+        let units = matched
+            .filter(|configuration| configuration.level == level)
+            .map(|matched| {
+                let transition = matched.transition().expect("published outcomes are known");
+                ((matched.task, matched.config), transition)
+            });
         Self {
             units: units.collect(),
         }
@@ -74,7 +76,9 @@ impl Population {
 
     /// Iterates over the values of a measure, one per configuration.
     pub(crate) fn values(&self, measure: Measure) -> impl Iterator<Item = i64> {
-        self.units.iter().map(move |(_, it)| value(measure, *it))
+        self.units
+            .iter()
+            .map(move |(_, transition)| value(measure, *transition))
     }
 
     /// The total over all configurations.

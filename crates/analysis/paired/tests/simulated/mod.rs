@@ -15,7 +15,7 @@ const AXES: usize = Axis::ALL.len();
 /// Conditions at a level: each axis alone, and simultaneous.
 const CONDITIONS: usize = AXES + 1;
 
-/// Random numbers.
+/// Generator of random numbers.
 pub(crate) struct Chance(ChaCha12Rng);
 
 impl Chance {
@@ -128,7 +128,8 @@ pub(crate) struct Population {
 type Effects = Vec<[f64; CONDITIONS + 1]>;
 
 impl Population {
-    /// Suites of unequal difficulty, axes of unequal cost, directions that matter.
+    /// Returns a population with suites of unequal difficulty, axes of unequal cost, and an effect
+    /// of the direction.
     pub(crate) const fn usual() -> Self {
         Self {
             ease: [2.8, 3.2, 2.4, 1.4],
@@ -140,8 +141,8 @@ impl Population {
     /// Effects of tasks, the last one nominal.
     pub(crate) fn tasks(&self, tasks: usize, chance: &mut Chance) -> Effects {
         let of_task = |_| {
-            let own = self.deviations[0] * chance.normal();
-            std::array::from_fn(|_| own + self.deviations[1] * chance.normal())
+            let task_effect = self.deviations[0] * chance.normal();
+            std::array::from_fn(|_| task_effect + self.deviations[1] * chance.normal())
         };
         (0..tasks).map(of_task).collect()
     }
@@ -186,8 +187,10 @@ impl Population {
         let mut sums = [0.0; 7 + CONDITIONS];
         for (at, task) in tasks.iter().enumerate() {
             for direction in directions {
-                let of = self.probabilities(at % suites, task, direction).sums();
-                sums.iter_mut().zip(of).for_each(|(sum, of)| *sum += of);
+                let terms = self.probabilities(at % suites, task, direction).sums();
+                sums.iter_mut()
+                    .zip(terms)
+                    .for_each(|(sum, term)| *sum += term);
             }
         }
         figures(&sums)
@@ -218,11 +221,11 @@ impl Population {
         let mut sums = [0.0; 7 + CONDITIONS];
         for ease in &self.ease[..suites] {
             for direction in directions.unwrap_or(&none) {
-                for (own, weight) in normal_points() {
-                    let own = ease + of_task * own;
+                for (z_task, weight) in normal_points() {
+                    let logit = ease + of_task * z_task;
                     let mut nominal = [0.0; 3];
                     for (z, w) in normal_points() {
-                        let p = logistic(own + of_condition * z);
+                        let p = logistic(logit + of_condition * z);
                         let [e, c] = floor(p);
                         let values = [p, e, c];
                         nominal
@@ -230,15 +233,17 @@ impl Population {
                             .zip(values)
                             .for_each(|(sum, p)| *sum += w * p);
                     }
-                    let of = Probabilities {
+                    let probabilities = Probabilities {
                         nominal: nominal[0],
                         floor: [nominal[1], nominal[2]],
                         perturbed: std::array::from_fn(|k| {
-                            expected(own - self.costs[k] + direction[k])
+                            expected(logit - self.costs[k] + direction[k])
                         }),
                     };
-                    let of = of.sums().map(|of| weight * of);
-                    sums.iter_mut().zip(of).for_each(|(sum, of)| *sum += of);
+                    let terms = probabilities.sums().map(|term| weight * term);
+                    sums.iter_mut()
+                        .zip(terms)
+                        .for_each(|(sum, term)| *sum += term);
                 }
             }
         }
@@ -443,8 +448,8 @@ impl NetEffect {
         for at in 0..40 {
             let task = task(at, 4);
             let side = if chance.uniform() < 0.5 { 1.0 } else { -1.0 };
-            let has_own = chance.uniform() < self.share;
-            let effect = self.mean + if has_own { side * self.spread } else { 0.0 };
+            let differs = chance.uniform() < self.share;
+            let effect = self.mean + if differs { side * self.spread } else { 0.0 };
             for config in 0..CONFIGURATIONS {
                 let coin = chance.uniform();
                 let change = match coin {

@@ -73,7 +73,7 @@ impl Policy {
 }
 
 /// Tasks or directions as they affect both policies.
-pub(crate) struct Both {
+pub(crate) struct PairedEffects {
     /// Effects on A and on B.
     effects: [Effects; 2],
     /// Lengths of tasks, with mean 1.
@@ -108,21 +108,23 @@ impl TwoPolicies {
 
     /// Draws tasks. Both policies share a task's own effect, and have separate ones of its
     /// conditions.
-    pub(crate) fn tasks(&self, tasks: usize, chance: &mut Chance) -> Both {
+    pub(crate) fn tasks(&self, tasks: usize, chance: &mut Chance) -> PairedEffects {
         let [of_task, of_condition, _] = self.deviations();
-        let own: Vec<f64> = (0..tasks).map(|_| of_task * chance.normal()).collect();
+        let task_effects: Vec<f64> = (0..tasks).map(|_| of_task * chance.normal()).collect();
         let mut effects = || -> Effects {
-            let of = |own: &f64| std::array::from_fn(|_| own + of_condition * chance.normal());
-            own.iter().map(of).collect()
+            let of_task = |task_effect: &f64| {
+                std::array::from_fn(|_| task_effect + of_condition * chance.normal())
+            };
+            task_effects.iter().map(of_task).collect()
         };
-        Both {
+        PairedEffects {
             effects: [effects(), effects()],
             lengths: (0..tasks).map(|_| 0.5 + chance.uniform()).collect(),
         }
     }
 
     /// Draws directions. Half of the variance of their effects is common to both policies.
-    pub(crate) fn directions(&self, chance: &mut Chance) -> Both {
+    pub(crate) fn directions(&self, chance: &mut Chance) -> PairedEffects {
         let drawn = [(); 3].map(|()| self.0[0].population.directions(CONFIGURATIONS, chance));
         let [common, first, second] = drawn;
         let sum = |own: Effects| -> Effects {
@@ -132,7 +134,7 @@ impl TwoPolicies {
             });
             sum.collect()
         };
-        Both {
+        PairedEffects {
             effects: [sum(first), sum(second)],
             lengths: Vec::new(),
         }
@@ -140,7 +142,12 @@ impl TwoPolicies {
 
     /// Returns A − B over tasks and directions, tasks of suite k at positions k, k + suites, ….
     /// The probability of improvement, which is about new tasks, is NaN.
-    pub(crate) fn truth(&self, tasks: &Both, suites: usize, directions: &Both) -> Truth {
+    pub(crate) fn truth(
+        &self,
+        tasks: &PairedEffects,
+        suites: usize,
+        directions: &PairedEffects,
+    ) -> Truth {
         let mut truth = [[0.0; ROWS]; 4];
         truth[3] = [f64::NAN; ROWS];
         for (sign, which) in [(1.0, 0), (-1.0, 1)] {
@@ -165,17 +172,21 @@ impl TwoPolicies {
     /// Returns the exact A − B over all tasks of the first suites, under some directions or under
     /// all of them. The probability of improvement, which has no interval about new directions,
     /// is NaN under all of them.
-    pub(crate) fn truth_of_all_tasks(&self, suites: usize, directions: Option<&Both>) -> Truth {
+    pub(crate) fn truth_of_all_tasks(
+        &self,
+        suites: usize,
+        directions: Option<&PairedEffects>,
+    ) -> Truth {
         let [of_task, of_condition, of_direction] = self.deviations();
         let none: Effects = vec![[0.0; ROWS]];
         let mut truth = [[0.0; ROWS]; 4];
         for (sign, which) in [(1.0, 0), (-1.0, 1)] {
             let policy = &self.0[which];
-            let known = directions.map(|directions| &directions.effects[which]);
-            let directions = known.unwrap_or(&none);
+            let of_directions = directions.map(|directions| &directions.effects[which]);
+            let directions = of_directions.unwrap_or(&none);
             for row in 0..ROWS {
                 // Nominal rollouts have no direction.
-                let unknown = match known {
+                let unknown = match of_directions {
                     None if row < CONDITIONS => of_direction,
                     _ => 0.0,
                 };
@@ -207,7 +218,7 @@ impl TwoPolicies {
     ///
     /// Given the directions and the effect that a task has in all conditions, the policies are
     /// independent.
-    fn improvement(&self, suites: usize, directions: &Both) -> [f64; ROWS] {
+    fn improvement(&self, suites: usize, directions: &PairedEffects) -> [f64; ROWS] {
         let [of_task, of_condition, _] = self.deviations();
         let mut improvement = [0.0; ROWS];
         for suite in 0..suites {
@@ -219,7 +230,7 @@ impl TwoPolicies {
                         for (z, weight) in normal_points() {
                             let logit = logit + of_condition * z;
                             let each = directions.effects[which].iter();
-                            let of = successes(each.map(|it| logistic(logit + it[row])));
+                            let of = successes(each.map(|effects| logistic(logit + effects[row])));
                             let terms = counts.iter_mut().zip(of);
                             terms.for_each(|(count, of)| *count += weight * of);
                         }
@@ -240,9 +251,9 @@ impl TwoPolicies {
     /// in turn.
     pub(crate) fn compare(
         &self,
-        tasks: &Both,
+        tasks: &PairedEffects,
         suites: usize,
-        directions: &Both,
+        directions: &PairedEffects,
         chance: &mut Chance,
     ) -> Comparison {
         let [a, b] = [0, 1].map(|which| self.campaign(which, tasks, suites, directions, chance));
@@ -257,9 +268,9 @@ impl TwoPolicies {
     fn campaign(
         &self,
         which: usize,
-        tasks: &Both,
+        tasks: &PairedEffects,
         suites: usize,
-        directions: &Both,
+        directions: &PairedEffects,
         chance: &mut Chance,
     ) -> (Vec<Record>, Vec<Progress>) {
         let policy = &self.0[which];

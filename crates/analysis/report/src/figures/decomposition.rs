@@ -68,7 +68,7 @@ fn legend() -> Markup {
 fn row(scale: &Scale, name: &str, m: &Measures, top: f64) -> Markup {
     let [indep, conj, sim] = [m.s_indep, m.s_conj, m.s_sim].map(|rate| scale.at(rate));
     let (d, i) = (top + 28.0, top + 40.0);
-    let said = format!(
+    let tooltip = format!(
         "{name}: S_indep {} %, S_conj {} %, S_sim {} %",
         words::percent(m.s_indep),
         words::percent(m.s_conj),
@@ -86,7 +86,7 @@ fn row(scale: &Scale, name: &str, m: &Measures, top: f64) -> Markup {
     );
     html! {
         g {
-            title { (said) }
+            title { (tooltip) }
             (text(0.0, top + 15.0, "name", &shortened(name, 40)))
             (text(scale.at(1.0) + MARGIN, top + 15.0, "small muted end", &format!("n = {}", m.n)))
             (line("d", [indep, d], [conj, d]))

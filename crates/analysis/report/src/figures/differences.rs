@@ -30,9 +30,9 @@ pub fn differences(comparison: &Comparison) -> Option<Figure> {
     if rows.is_empty() {
         return None;
     }
-    let ends = rows.iter().flat_map(|(_, it)| {
-        let [low, high] = it.difference_ci95.unwrap_or([it.difference; 2]);
-        [low, high, it.difference].map(f64::abs)
+    let ends = rows.iter().flat_map(|(_, delta)| {
+        let [low, high] = delta.difference_ci95.unwrap_or([delta.difference; 2]);
+        [low, high, delta.difference].map(f64::abs)
     });
     let largest = ends.fold(0.01, f64::max);
     let fits = |step: &&f64| largest / **step <= MOST_TICKS;
@@ -51,7 +51,7 @@ pub fn differences(comparison: &Comparison) -> Option<Figure> {
         body.push(row(&scale, cell, difference, is_first, y));
         y += ROW;
     }
-    let counts = words::counts(rows.iter().map(|(_, it)| it.n));
+    let counts = words::counts(rows.iter().map(|(_, delta)| delta.n));
     let (a, b) = (&comparison.a.label, &comparison.b.label);
     let (better_a, better_b) = (shortened(a, 20), shortened(b, 20));
     let markup = html! {
@@ -68,29 +68,35 @@ pub fn differences(comparison: &Comparison) -> Option<Figure> {
     Some(Figure::new(&name, title, y + AXIS, markup))
 }
 
-fn row(scale: &Scale, cell: &ComparedCell, it: &Difference, names_level: bool, y: f64) -> Markup {
+fn row(
+    scale: &Scale,
+    cell: &ComparedCell,
+    delta: &Difference,
+    names_level: bool,
+    y: f64,
+) -> Markup {
     let middle = y + ROW / 2.0;
-    let said = format!(
+    let tooltip = format!(
         "{}: {}{}; only A {}, only B {}, of {}",
         cell.name(),
-        words::points(it.difference),
-        words::points_interval(it.difference_ci95, it.no_interval),
-        it.a_only,
-        it.b_only,
-        it.n
+        words::points(delta.difference),
+        words::points_interval(delta.difference_ci95, delta.no_interval),
+        delta.a_only,
+        delta.b_only,
+        delta.n
     );
     html! {
         g {
-            title { (said) }
+            title { (tooltip) }
             @if names_level { (text(0.0, middle + 4.0, "name small", &cell.level.to_string())) }
             text class="small end" x=(number(LABELS - 10.0)) y=(number(middle + 4.0)) {
                 (cell.condition.label())
             }
-            @match it.difference_ci95 {
+            @match delta.difference_ci95 {
                 Some(interval) => (whisker(scale, interval, middle)),
-                None => (withheld(scale, it.difference, it.no_interval, middle)),
+                None => (withheld(scale, delta.difference, delta.no_interval, middle)),
             }
-            (circle(scale.at(it.difference), middle, "mark"))
+            (circle(scale.at(delta.difference), middle, "mark"))
         }
     }
 }

@@ -75,7 +75,7 @@ fn row(scale: &Scale, name: &str, m: &Measures, top: f64) -> Markup {
     let (zero, y) = (scale.at(0.0), top + 22.0);
     let (left, right) = (scale.at(-m.r_e), scale.at(m.r_c));
     let mirrored = m.r_e_ci95.map(|[low, high]| [-high, -low]);
-    let said = format!(
+    let tooltip = format!(
         "{name}: {} emergent failures, {} compensated successes",
         m.b, m.c
     );
@@ -91,7 +91,7 @@ fn row(scale: &Scale, name: &str, m: &Measures, top: f64) -> Markup {
     );
     html! {
         g {
-            title { (said) }
+            title { (tooltip) }
             (text(0.0, top + 15.0, "name", &shortened(name, 40)))
             (text(WIDTH, top + 15.0, "small muted end",
                 &format!("n = {}, p = {}", m.n, words::p_value(m.mcnemar_p))))

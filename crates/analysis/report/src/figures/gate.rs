@@ -20,11 +20,11 @@ pub fn gate(document: &Document) -> Option<Figure> {
         .analyses
         .iter()
         .flat_map(|analysis| {
-            let of = |suite: &SuiteGate| format!("{}, {}", analysis.label, suite.suite);
+            let suite_label = |suite: &SuiteGate| format!("{}, {}", analysis.label, suite.suite);
             let all = analysis.report.gate.iter();
             let all = all.map(|gate| (analysis.label.clone(), gate));
             let suites = analysis.report.suite_gates.iter();
-            all.chain(suites.map(move |suite| (of(suite), &suite.gate)))
+            all.chain(suites.map(move |suite| (suite_label(suite), &suite.gate)))
         })
         .collect();
     if rows.is_empty() {

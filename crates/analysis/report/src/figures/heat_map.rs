@@ -102,7 +102,7 @@ fn slanted([x, y]: [f64; 2], condition: Condition) -> Markup {
 
 fn square(what: &str, count: Option<Count>, [x, y]: [f64; 2], width: f64) -> Markup {
     let rate = count.as_ref().and_then(Count::rate);
-    let said = match count {
+    let tooltip = match count {
         Some(Count { successes, n }) => format!("{what}: {successes} of {n} succeed"),
         None => format!("{what}: not measured"),
     };
@@ -111,7 +111,7 @@ fn square(what: &str, count: Option<Count>, [x, y]: [f64; 2], width: f64) -> Mar
     let (width, height) = (number(width - 2.0), number(ROW - 2.0));
     html! {
         g {
-            title { (said) }
+            title { (tooltip) }
             @if let Some(rate) = rate {
                 @let ink = if rate > DARK_ABOVE { "on-dark" } else { "on-light" };
                 rect fill=(colour(rate)) x=(left) y=(top) width=(width) height=(height)

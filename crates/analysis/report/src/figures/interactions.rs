@@ -30,7 +30,9 @@ pub fn interaction_matrix(analysis: &Analysis, level: &LevelInteractions) -> Fig
     let found = &level.interactions;
     let axes: Vec<Axis> = found.full.axes().collect();
     let all = found.shapley.values().chain(found.pairs.values());
-    let largest = all.map(|it| it.value.abs()).fold(0.01, f64::max);
+    let largest = all
+        .map(|estimate| estimate.value.abs())
+        .fold(0.01, f64::max);
     let side = (WIDTH - LABELS) / axes.len().max(1) as f64;
     let bottom = TOP + ROW * axes.len() as f64;
     let place = |row: usize, column: usize| [LABELS + side * column as f64, TOP + ROW * row as f64];
@@ -79,9 +81,9 @@ fn heading(analysis: &Analysis, level: &LevelInteractions) -> String {
 
 /// Draws a square: the colour shows the sign of the estimate, the opacity its size
 /// relative to `largest`.
-fn cell(what: &str, it: &Estimate, largest: f64, [x, y]: [f64; 2], side: f64) -> Markup {
-    let share = it.value.abs() / largest;
-    let class = if it.value < 0.0 {
+fn cell(what: &str, estimate: &Estimate, largest: f64, [x, y]: [f64; 2], side: f64) -> Markup {
+    let share = estimate.value.abs() / largest;
+    let class = if estimate.value < 0.0 {
         "emergent"
     } else {
         "compensated"
@@ -91,18 +93,22 @@ fn cell(what: &str, it: &Estimate, largest: f64, [x, y]: [f64; 2], side: f64) ->
     } else {
         "bare"
     };
-    let is_sure = it.ci95.is_some_and(|[low, high]| low > 0.0 || high < 0.0);
+    let is_sure = estimate
+        .ci95
+        .is_some_and(|[low, high]| low > 0.0 || high < 0.0);
     let weight = if is_sure { "name" } else { "" };
     html! {
         g {
             title {
-                (what) ": " (points(it.value)) " points" (points_interval(it.ci95, it.no_interval))
+                (what) ": " (points(estimate.value)) " points"
+                (points_interval(estimate.ci95, estimate.no_interval))
             }
             rect class="cell" x=(number(x + 1.0)) y=(number(y + 1.0)) width=(number(side - 2.0))
                 height=(number(ROW - 2.0)) rx="2" {}
             rect class=(class) fill-opacity=(number(share)) x=(number(x + 1.0))
                 y=(number(y + 1.0)) width=(number(side - 2.0)) height=(number(ROW - 2.0)) rx="2" {}
-            (text(x + side / 2.0, y + 20.5, &format!("tiny middle {ink} {weight}"), &points(it.value)))
+            (text(x + side / 2.0, y + 20.5, &format!("tiny middle {ink} {weight}"),
+                &points(estimate.value)))
         }
     }
 }
@@ -142,12 +148,13 @@ pub fn additive(analysis: &Analysis, level: &LevelInteractions) -> Figure {
     let rows = steps.len() + 2;
     let bottom = TOP + STEP * rows as f64;
     let y = |row: usize| TOP + STEP * row as f64;
-    let end = |name: &str, it: &Estimate, row: usize| {
+    let end = |name: &str, estimate: &Estimate, row: usize| {
         html! {
             (text(0.0, y(row) + 17.0, "small name", name))
-            (rect(scale.at(0.0), y(row) + 6.0, scale.at(it.value) - scale.at(0.0), 14.0, "bar"))
-            @if let Some(interval) = it.ci95 { (whisker(&scale, interval, y(row) + 13.0)) }
-            (text(WIDTH, y(row) + 17.0, "small name end", &percent(it.value)))
+            @let length = scale.at(estimate.value) - scale.at(0.0);
+            (rect(scale.at(0.0), y(row) + 6.0, length, 14.0, "bar"))
+            @if let Some(interval) = estimate.ci95 { (whisker(&scale, interval, y(row) + 13.0)) }
+            (text(WIDTH, y(row) + 17.0, "small name end", &percent(estimate.value)))
         }
     };
     let body = html! {

@@ -30,19 +30,21 @@ pub fn lattice(
     explanation: Option<&Explanation>,
     link: SubsetLink,
 ) -> Figure {
-    let verdicts: BTreeMap<AxisSet, Verdict> =
-        outcomes.iter().map(|it| (it.set, it.verdict)).collect();
-    let answers = explanation.map_or(&[][..], |it| it.answers.as_slice());
+    let verdicts: BTreeMap<AxisSet, Verdict> = outcomes
+        .iter()
+        .map(|outcome| (outcome.set, outcome.verdict))
+        .collect();
+    let answers = explanation.map_or(&[][..], |explanation| explanation.answers.as_slice());
     let minimal: Vec<AxisSet> = answers
         .iter()
-        .flat_map(|answer| answer.minimal.iter().map(|it| it.set))
+        .flat_map(|answer| answer.minimal.iter().map(|minimal| minimal.set))
         .collect();
     let subsets = full.subsets();
     let places = places(full, &subsets);
     let bottom = HEAD + LAYER * (full.len() + 1) as f64;
-    let known = verdicts
+    let with_outcome = verdicts
         .values()
-        .filter(|it| it.success().is_some())
+        .filter(|verdict| verdict.success().is_some())
         .count();
     let node = |set: AxisSet| {
         let verdict = verdicts.get(&set).copied().unwrap_or(Verdict::NotRun);
@@ -58,7 +60,7 @@ pub fn lattice(
     let body = html! {
         (text(0.0, 15.0, "head", "Every subset of the axes"))
         (text(WIDE, 15.0, "small muted end",
-            &format!("{known} of {} subsets have an outcome", subsets.len())))
+            &format!("{with_outcome} of {} subsets have an outcome", subsets.len())))
         @for size in 0..=full.len() {
             @let y = HEAD + LAYER * (size as f64 + 0.5);
             @let words = match size { 1 => "1 axis".to_owned(), size => format!("{size} axes") };

@@ -146,19 +146,21 @@ fn block(
 /// Draws a configuration: its mark, with a tooltip and a link.
 fn square(matched: &Matched, link: Option<Link>, place: [f64; 2]) -> Markup {
     let content = html! {
-        title { (said(matched)) }
+        title { (tooltip(matched)) }
         (mark(place, matched.transition()))
     };
     html! {
         @match link {
-            Some(link) => a href=(link(shown_first(matched), matched.replicate)) { (content) },
+            Some(link) => a href=(link(simultaneous_rollout(matched), matched.replicate)) {
+                (content)
+            },
             None => g { (content) },
         }
     }
 }
 
 /// Returns the simultaneous rollout, which identifies a configuration in links.
-fn shown_first(matched: &Matched) -> RolloutId {
+fn simultaneous_rollout(matched: &Matched) -> RolloutId {
     RolloutId::perturbed(
         matched.task,
         Condition::Combination,
@@ -198,7 +200,7 @@ fn mark([x, y]: [f64; 2], transition: Option<Transition>) -> Markup {
 }
 
 /// Returns the tooltip of a configuration: its outcomes in words.
-fn said(matched: &Matched) -> String {
+fn tooltip(matched: &Matched) -> String {
     let named = |outcome: Outcome| -> Vec<&str> {
         let axes = Axis::ALL.into_iter().map(Condition::Single);
         axes.chain([Condition::Combination])
@@ -212,7 +214,7 @@ fn said(matched: &Matched) -> String {
     };
     let place = format!("{} c{}", matched.task, matched.config);
     let transition = matched.transition().map_or("incomplete", Transition::name);
-    let mut said = format!("{place}: {transition}");
+    let mut tooltip = format!("{place}: {transition}");
     for (outcome, what) in [
         (Outcome::Failure, "fails under"),
         (Outcome::Missing, "no result under"),
@@ -220,8 +222,8 @@ fn said(matched: &Matched) -> String {
     ] {
         let names = named(outcome);
         if !names.is_empty() {
-            said.push_str(&format!("; {what} {}", names.join(", ")));
+            tooltip.push_str(&format!("; {what} {}", names.join(", ")));
         }
     }
-    said
+    tooltip
 }

@@ -75,9 +75,9 @@ fn replicate(scale: &Scale, cell: &Cell, y: f64) -> Markup {
     let Some(measures) = &cell.paired else {
         return html! {};
     };
-    let of = format!("seed {}", cell.replicate);
+    let label = format!("seed {}", cell.replicate);
     html! {
-        (text(LABELS - 10.0, y + 4.0, "small muted end", &of))
+        (text(LABELS - 10.0, y + 4.0, "small muted end", &label))
         @match measures.i_ci95 {
             Some(interval) => (whisker(scale, interval, y)),
             None => (withheld(scale, measures.i, measures.no_interval, y)),

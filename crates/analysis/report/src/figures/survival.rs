@@ -40,7 +40,9 @@ pub fn survival(curve: &Curve) -> Option<Figure> {
         }
         (intervals(&place, &curve.points))
         (brackets(&place, &curve.points))
-        path class="curve" d=(path(curve.points.iter().map(|it| place.of(it.radius, it.survival)))) {}
+        path class="curve" d=(path(curve.points.iter().map(|point| {
+            place.of(point.radius, point.survival)
+        }))) {}
         @for (level, point) in levels(&scale, curve) {
             @let [x, y] = place.of(point.radius, point.survival);
             (text(x, HEAD + 12.0, "small middle", &level.to_string()))
@@ -108,7 +110,10 @@ fn ticks(scale: &Scale, curve: &Curve) -> Vec<(f64, String)> {
 /// Returns the protocol's levels whose labels fit on the axis, with the curve's point at
 /// each.
 fn levels<'a>(scale: &Scale, curve: &'a Curve) -> Vec<(Level, &'a Point)> {
-    let named = curve.points.iter().filter_map(|it| Some((it.level?, it)));
+    let named = curve
+        .points
+        .iter()
+        .filter_map(|point| Some((point.level?, point)));
     let room = apart(scale, named.clone().map(|(level, _)| level.radius()));
     named
         .filter(|(level, _)| room.contains(&level.radius()))
@@ -133,12 +138,14 @@ fn apart(scale: &Scale, values: impl Iterator<Item = f64>) -> Vec<f64> {
 /// Draws the curve's confidence intervals as a band, which has no width at points without
 /// an interval.
 fn intervals(place: &Place, points: &[Point]) -> Markup {
-    let ends = |it: &Point| it.ci95.unwrap_or([it.survival; 2]);
-    let low = points.iter().map(|it| place.of(it.radius, ends(it)[0]));
+    let ends = |point: &Point| point.ci95.unwrap_or([point.survival; 2]);
+    let low = points
+        .iter()
+        .map(|point| place.of(point.radius, ends(point)[0]));
     let high = points
         .iter()
         .rev()
-        .map(|it| place.of(it.radius, ends(it)[1]));
+        .map(|point| place.of(point.radius, ends(point)[1]));
     html! { path class="band" d={ (path(low.chain(high))) "Z" } {} }
 }
 

@@ -28,13 +28,16 @@ pub fn upset(findings: &Findings, transition: Transition) -> Option<Figure> {
     let all: Vec<&Occurrence> = findings
         .subsets
         .iter()
-        .filter(|it| it.transition == transition)
+        .filter(|occurrence| occurrence.transition == transition)
         .collect();
     let full = findings.configurations.first()?.full;
-    let most = all.iter().map(|it| it.configurations).max()?;
+    let most = all
+        .iter()
+        .map(|occurrence| occurrence.configurations)
+        .max()?;
     let (shown, further) = all.split_at(all.len().min(MOST));
-    let of = findings.configurations.iter();
-    let n = of.filter(|it| it.explanation.transition == transition);
+    let configurations = findings.configurations.iter();
+    let n = configurations.filter(|explained| explained.explanation.transition == transition);
     let n = n.count();
     let top = HEAD + NUMBERS;
     let base = top + BARS;
@@ -76,34 +79,38 @@ pub fn upset(findings: &Findings, transition: Transition) -> Option<Figure> {
 
 /// Draws a bar and below it a dot for each axis: filled for the axes of the subset, a ring
 /// for the axis that fails alone.
-fn column(it: &Occurrence, axes: &[Axis], most: u64, [x, base, rows]: [f64; 3]) -> Markup {
+fn column(occurrence: &Occurrence, axes: &[Axis], most: u64, [x, base, rows]: [f64; 3]) -> Markup {
     let height = |count: u64| BARS * count as f64 / most as f64;
-    let (all, established) = (height(it.configurations), height(it.established));
-    let class = match it.transition {
+    let (all, established) = (
+        height(occurrence.configurations),
+        height(occurrence.established),
+    );
+    let class = match occurrence.transition {
         Transition::Compensated => "compensated",
         _ => "emergent",
     };
-    let said = format!(
+    let tooltip = format!(
         "{}: {} configurations, established in {}",
-        subset(it.start, it.set),
-        it.configurations,
-        it.established
+        subset(occurrence.start, occurrence.set),
+        occurrence.configurations,
+        occurrence.established
     );
     let y = |row: usize| rows + ROW * (row as f64 + 0.5);
     let inside: Vec<usize> = (0..axes.len())
-        .filter(|&row| it.set.contains(axes[row]))
+        .filter(|&row| occurrence.set.contains(axes[row]))
         .collect();
     html! {
         g {
-            title { (said) }
+            title { (tooltip) }
             (rect(x - 7.0, base - all, 14.0, all, &format!("{class} pale")))
             (rect(x - 7.0, base - established, 14.0, established, class))
-            (text(x, base - all - 5.0, "tiny middle", &it.configurations.to_string()))
+            (text(x, base - all - 5.0, "tiny middle", &occurrence.configurations.to_string()))
             @if let (Some(first), Some(last)) = (inside.first(), inside.last()) {
                 (line("join", [x, y(*first)], [x, y(*last)]))
             }
             @for (row, axis) in axes.iter().enumerate() {
-                (dot([x, y(row)], it.set.contains(*axis), AxisSet::of(*axis) == it.start))
+                @let is_start = AxisSet::of(*axis) == occurrence.start;
+                (dot([x, y(row)], occurrence.set.contains(*axis), is_start))
             }
         }
     }

@@ -48,16 +48,16 @@ pub(super) fn of_pairs(pairs: &[Result<Comparison, Unpairable>]) -> Markup {
 
 /// Renders one comparison, for a page of its own.
 pub(super) fn of_one(comparison: &Comparison) -> Markup {
-    let said: Vec<&String> = comparison
+    let notes: Vec<&String> = comparison
         .warnings
         .iter()
         .chain(&comparison.notes)
         .collect();
     html! {
-        @if !said.is_empty() {
+        @if !notes.is_empty() {
             section.warnings role="note" aria-label="Warnings" {
                 h2 { "Before you believe these figures" }
-                (sentences(&said))
+                (sentences(&notes))
             }
         }
         (left_out(comparison, &[]))
@@ -73,14 +73,14 @@ pub(super) fn of_one(comparison: &Comparison) -> Markup {
 const CAPTION: &str = "Difference of success over the same rollouts, in points: to the right of \
     zero, the first policy succeeds more often. Whiskers: 95 % intervals.";
 
-fn sentences(said: &[impl AsRef<str>]) -> Markup {
-    html! { ul { @for said in said { li { (sentence(said.as_ref())) } } } }
+fn sentences(texts: &[impl AsRef<str>]) -> Markup {
+    html! { ul { @for text in texts { li { (sentence(text.as_ref())) } } } }
 }
 
 fn left_out(comparison: &Comparison, warnings: &[String]) -> Markup {
     let left_out = comparison.statistics.left_out();
-    let said: Vec<&String> = warnings.iter().chain(&left_out).collect();
-    html! { @if !said.is_empty() { (sentences(&said)) } }
+    let notes: Vec<&String> = warnings.iter().chain(&left_out).collect();
+    html! { @if !notes.is_empty() { (sentences(&notes)) } }
 }
 
 fn cells(comparison: &Comparison) -> Markup {
@@ -122,16 +122,16 @@ fn profiles(comparison: &Comparison) -> Markup {
         "A − B least",
         "A − B most",
     ];
-    let row = |(cell, it): (&ComparedCell, &Difference)| {
-        let profile = &it.profile;
+    let row = |(cell, delta): (&ComparedCell, &Difference)| {
+        let profile = &delta.profile;
         let better = &profile.improvement;
-        let extremes = profile.extremes().map(|of| of.map(of_task));
-        let [least, most] = extremes.map_or([None, None], |of| of.map(Some));
+        let extremes = profile.extremes().map(|extremes| extremes.map(of_task));
+        let [least, most] = extremes.map_or([None, None], |extremes| extremes.map(Some));
         vec![
             plain(cell.name()),
-            interval(it.estimate.new_tasks_and_directions, points),
-            interval(it.simultaneous_ci95, points),
-            or_dash(it.equivalence_p.map(words::p_value)),
+            interval(delta.estimate.new_tasks_and_directions, points),
+            interval(delta.simultaneous_ci95, points),
+            or_dash(delta.equivalence_p.map(words::p_value)),
             plain(format!("{}:{}", profile.a_better, profile.b_better)),
             with(
                 percent(better.value),
@@ -167,7 +167,7 @@ fn tasks(comparison: &Comparison) -> Markup {
     let is_whole = |condition| matches!(condition, Condition::Clean | Condition::Combination);
     let columns = compared(comparison).filter(|(cell, _)| is_whole(cell.condition));
     let columns: Vec<(String, &Profile)> = columns
-        .map(|(cell, it)| (cell.name(), &it.profile))
+        .map(|(cell, delta)| (cell.name(), &delta.profile))
         .collect();
     let mut heads = vec!["task"];
     heads.extend(columns.iter().map(|(name, _)| name.as_str()));
@@ -176,7 +176,7 @@ fn tasks(comparison: &Comparison) -> Markup {
     let rows = tasks.into_iter().map(|task| {
         let changes = columns
             .iter()
-            .map(|(_, of)| or_dash(of.tasks.get(task).copied().map(points)));
+            .map(|(_, profile)| or_dash(profile.tasks.get(task).copied().map(points)));
         [plain(task)].into_iter().chain(changes).collect()
     });
     html! {
@@ -200,7 +200,7 @@ fn progress(comparison: &Comparison) -> Markup {
         "new tasks and directions",
         "Holm p",
     ];
-    let row = |name: String, what: &str, it: &MeanDifference, number: fn(f64) -> String| {
+    let row = |name: String, what: &str, mean: &MeanDifference, number: fn(f64) -> String| {
         let signed = |value: f64| match value < 0.0 {
             true => number(value),
             false => format!("+{}", number(value)),
@@ -208,23 +208,23 @@ fn progress(comparison: &Comparison) -> Markup {
         vec![
             plain(name),
             plain(what),
-            plain(it.n),
-            plain(number(it.mean_a)),
-            plain(number(it.mean_b)),
-            plain(signed(it.difference.value)),
-            interval(it.difference.new_tasks, signed),
-            interval(it.difference.new_tasks_and_directions, signed),
-            or_dash(it.holm_p.map(words::p_value)),
+            plain(mean.n),
+            plain(number(mean.mean_a)),
+            plain(number(mean.mean_b)),
+            plain(signed(mean.difference.value)),
+            interval(mean.difference.new_tasks, signed),
+            interval(mean.difference.new_tasks_and_directions, signed),
+            or_dash(mean.holm_p.map(words::p_value)),
         ]
     };
     let cells = comparison.statistics.cells.iter();
     let cells = cells.filter(|cell| cell.replicate == 0);
     let rows = cells.flat_map(|cell| {
-        let of = cell.progress.as_ref();
-        let goal = of.and_then(|of| of.goal.as_ref());
-        let steps = of.and_then(|of| of.steps.as_ref());
-        let goal = goal.map(|it| row(cell.name(), "goal %", it, percent));
-        let steps = steps.map(|it| row(cell.name(), "steps", it, words::steps));
+        let progress = cell.progress.as_ref();
+        let goal = progress.and_then(|progress| progress.goal.as_ref());
+        let steps = progress.and_then(|progress| progress.steps.as_ref());
+        let goal = goal.map(|mean| row(cell.name(), "goal %", mean, percent));
+        let steps = steps.map(|mean| row(cell.name(), "steps", mean, words::steps));
         goal.into_iter().chain(steps)
     });
     let rows: Vec<_> = rows.collect();
@@ -258,9 +258,9 @@ fn interval(ends: Option<Interval>, number: impl Fn(f64) -> String) -> Markup {
 }
 
 fn row(cell: &ComparedCell) -> Vec<Markup> {
-    let it = cell.difference.as_ref();
-    let n = it.map_or(0, |it| it.n);
-    let of = |value: fn(&Difference) -> Markup| or_dash(it.map(value));
+    let delta = cell.difference.as_ref();
+    let n = delta.map_or(0, |delta| delta.n);
+    let cell_of = |value: fn(&Difference) -> Markup| or_dash(delta.map(value));
     let gap = match (cell.missing, cell.quarantined) {
         (0, 0) => String::new(),
         (missing, 0) => format!("{missing} missing"),
@@ -270,12 +270,12 @@ fn row(cell: &ComparedCell) -> Vec<Markup> {
     vec![
         plain(cell.name()),
         with(n, &gap),
-        of(|it| plain(percent(it.s_a))),
-        of(|it| plain(percent(it.s_b))),
-        of(|it| difference(it.difference, it.difference_ci95, it.no_interval)),
-        of(|it| plain(it.a_only)),
-        of(|it| plain(it.b_only)),
-        of(|it| plain(words::p_value(it.holm_p))),
+        cell_of(|delta| plain(percent(delta.s_a))),
+        cell_of(|delta| plain(percent(delta.s_b))),
+        cell_of(|delta| difference(delta.difference, delta.difference_ci95, delta.no_interval)),
+        cell_of(|delta| plain(delta.a_only)),
+        cell_of(|delta| plain(delta.b_only)),
+        cell_of(|delta| plain(words::p_value(delta.holm_p))),
     ]
 }
 

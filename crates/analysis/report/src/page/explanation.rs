@@ -27,11 +27,11 @@ fn of_campaign(found: &Findings, link: Option<Link>) -> Markup {
     let transitions = [Transition::Emergent, Transition::Compensated];
     let panels = transitions
         .iter()
-        .filter_map(|it| figures::upset(found, *it));
+        .filter_map(|transition| figures::upset(found, *transition));
     html! {
         section {
             h2 { "Which axes it takes" }
-            p { code { (found.explained_by) } " " (found.standing()) "." }
+            p { code { (found.explained_by) } " " (found.progress_in_words()) "." }
             ul.findings {
                 @for transition in transitions { (in_words(found, transition)) }
                 (non_monotone(found))
@@ -50,23 +50,30 @@ fn of_campaign(found: &Findings, link: Option<Link>) -> Markup {
 /// Counts the configurations with a transition of this kind and names the subset that
 /// explains most.
 fn in_words(found: &Findings, transition: Transition) -> Markup {
-    let of_kind = |it: &&Explained| it.explanation.transition == transition;
+    let of_kind = |explained: &&Explained| explained.explanation.transition == transition;
     let all: Vec<&Explained> = found.configurations.iter().filter(of_kind).collect();
-    let is_established = |it: &&&Explained| {
-        let mut minimal = it.explanation.answers.iter().flat_map(|it| &it.minimal);
+    let is_established = |explained: &&&Explained| {
+        let mut minimal = explained
+            .explanation
+            .answers
+            .iter()
+            .flat_map(|answer| &answer.minimal);
         minimal.all(adaptive::subsets::MinimalSubset::is_established)
     };
     let established = all.iter().filter(is_established).count();
     let of_kind: Vec<&Occurrence> = found
         .subsets
         .iter()
-        .filter(|it| it.transition == transition)
+        .filter(|occurrence| occurrence.transition == transition)
         .collect();
-    let most = of_kind.iter().map(|it| it.configurations).max();
+    let most = of_kind
+        .iter()
+        .map(|occurrence| occurrence.configurations)
+        .max();
     // All subsets that explain the most configurations, where several tie.
     let first: Vec<&Occurrence> = of_kind
         .into_iter()
-        .filter(|it| Some(it.configurations) == most)
+        .filter(|occurrence| Some(occurrence.configurations) == most)
         .collect();
     let n = all.len();
     let (class, one, several) = match transition {
@@ -110,14 +117,17 @@ fn in_words(found: &Findings, transition: Transition) -> Markup {
 
 /// Renders the table of larger subsets that undo the change of smaller ones.
 fn non_monotone(found: &Findings) -> Markup {
-    let pairs = |it: &Explained| {
-        let answers = it.explanation.answers.iter();
+    let pairs = |explained: &Explained| {
+        let answers = explained.explanation.answers.iter();
         answers
             .map(|answer| answer.non_monotone.len())
             .sum::<usize>()
     };
     let all: usize = found.configurations.iter().map(pairs).sum();
-    let concerned = found.configurations.iter().filter(|it| pairs(it) > 0);
+    let concerned = found
+        .configurations
+        .iter()
+        .filter(|explained| pairs(explained) > 0);
     html! {
         @if all > 0 {
             li {
@@ -139,14 +149,14 @@ fn configurations(found: &Findings, link: Option<Link>) -> Markup {
             }
         }
     };
-    let row = |it: &Explained| {
-        let answers = &it.explanation.answers;
+    let row = |explained: &Explained| {
+        let answers = &explained.explanation.answers;
         vec![
-            name(it.configuration),
-            plain(it.explanation.transition.name()),
+            name(explained.configuration),
+            plain(explained.explanation.transition.name()),
             html! { @for answer in answers { (minimal(answer)) } },
             html! { @for answer in answers { (unflipped(answer)) } },
-            plain(it.rollouts),
+            plain(explained.rollouts),
         ]
     };
     let heads = [
@@ -174,11 +184,11 @@ fn configurations(found: &Findings, link: Option<Link>) -> Markup {
 
 fn minimal(answer: &Answer) -> Markup {
     html! {
-        @for it in &answer.minimal {
+        @for minimal in &answer.minimal {
             div {
-                (subset(answer.start, it.set))
-                @if !it.is_established() {
-                    span.muted { " (not established: " (it.open.len()) " smaller not run)" }
+                (subset(answer.start, minimal.set))
+                @if !minimal.is_established() {
+                    span.muted { " (not established: " (minimal.open.len()) " smaller not run)" }
                 }
             }
         }
@@ -192,7 +202,7 @@ fn unflipped(answer: &Answer) -> Markup {
     let names: Vec<&str> = answer
         .largest_unflipped
         .iter()
-        .map(|it| it.name())
+        .map(|set| set.name())
         .collect();
     html! { div { (names.join(", ")) } }
 }
@@ -200,7 +210,7 @@ fn unflipped(answer: &Answer) -> Markup {
 /// Sections on the interactions of the axes, for every subject with whole lattices.
 pub(super) fn interactions(document: &Document) -> Markup {
     let found = document.analyses.iter();
-    let found = found.filter_map(|it| Some((it, it.interactions.as_ref()?)));
+    let found = found.filter_map(|analysis| Some((analysis, analysis.interactions.as_ref()?)));
     let found: Vec<(&Analysis, &AxisInteractions)> = found.collect();
     html! {
         @if !found.is_empty() {
@@ -224,17 +234,20 @@ pub(super) fn interactions(document: &Document) -> Markup {
 
 fn of_level(analysis: &Analysis, level: &LevelInteractions) -> Markup {
     let found = &level.interactions;
-    let row = |(set, success): (&libero_ctrl::AxisSet, &adaptive::subsets::Estimate)| {
-        let moebius = found.moebius.get(set);
-        vec![
-            plain(set),
-            with(
-                percent(success.value),
-                &rate_interval(success.ci95, success.no_interval),
-            ),
-            super::tables::or_dash(moebius.map(|it| difference(it.value, it.ci95, it.no_interval))),
-        ]
-    };
+    let row =
+        |(set, success): (&libero_ctrl::AxisSet, &adaptive::subsets::Estimate)| {
+            let moebius = found.moebius.get(set);
+            vec![
+                plain(set),
+                with(
+                    percent(success.value),
+                    &rate_interval(success.ci95, success.no_interval),
+                ),
+                super::tables::or_dash(moebius.map(|estimate| {
+                    difference(estimate.value, estimate.ci95, estimate.no_interval)
+                })),
+            ]
+        };
     let rows: Vec<Vec<Markup>> = found.success.iter().map(row).collect();
     html! {
         (figure("Left, framed on the diagonal: each axis's share of the way from nominal to \

@@ -20,10 +20,10 @@ pub(super) fn subtitle(document: &Document) -> Markup {
     html! {
         p.muted {
             (rollouts)
-            @if document.analyses.iter().all(|it| it.findings.is_some()) {
+            @if document.analyses.iter().all(|analysis| analysis.findings.is_some()) {
                 " rollouts under subsets of the axes, of configurations whose outcome changes under \
                 all of them at once."
-            } @else if document.analyses.iter().all(|it| it.thresholds.is_some()) {
+            } @else if document.analyses.iter().all(|analysis| analysis.thresholds.is_some()) {
                 " rollouts of the same configurations, perturbed at further radii."
             } @else {
                 " rollouts: the same configurations under each axis alone, and under simultaneous \
@@ -45,7 +45,7 @@ pub(super) fn subtitle(document: &Document) -> Markup {
 
 pub(super) fn warnings(document: &Document) -> Markup {
     let several = document.analyses.len() > 1;
-    let of = |analysis: &Analysis| html! { @if several { strong { (analysis.label) ": " } } };
+    let label = |analysis: &Analysis| html! { @if several { strong { (analysis.label) ": " } } };
     let any = document.analyses.iter().any(|analysis| {
         !(analysis.report.notes.is_empty() && analysis.report.quarantined.is_empty())
     });
@@ -57,12 +57,12 @@ pub(super) fn warnings(document: &Document) -> Markup {
                     @for warning in &document.warnings { li { (sentence(warning)) } }
                     @for analysis in &document.analyses {
                         @for warning in &analysis.report.notes {
-                            li { (of(analysis)) (sentence(warning)) }
+                            li { (label(analysis)) (sentence(warning)) }
                         }
                         @let quarantined = analysis.report.quarantined.len();
                         @if quarantined > 0 {
                             li {
-                                (of(analysis)) (quarantined)
+                                (label(analysis)) (quarantined)
                                 @if quarantined == 1 { " rollout is" } @else { " rollouts are" }
                                 " in quarantine after repeated errors: in no rate, bounded and listed \
                                 below."
@@ -96,20 +96,20 @@ fn in_code(text: &str) -> Markup {
 
 /// Renders the findings of each policy: first those about the last level, then all others.
 pub(super) fn in_words(document: &Document) -> Markup {
-    let said = document.analyses.iter().map(|analysis| {
+    let policies = document.analyses.iter().map(|analysis| {
         let findings = &analysis.report.findings;
         let last = findings.last().and_then(|finding| finding.level);
         let is_first = |finding: &&Finding| finding.level.is_none() || finding.level == last;
         let (first, others): (Vec<&Finding>, Vec<&Finding>) = findings.iter().partition(is_first);
         (analysis, first, others)
     });
-    let said: Vec<_> = said.filter(|(_, first, _)| !first.is_empty()).collect();
+    let policies: Vec<_> = policies.filter(|(_, first, _)| !first.is_empty()).collect();
     let several = document.analyses.len() > 1;
     html! {
-        @if !said.is_empty() {
+        @if !policies.is_empty() {
             section {
                 h2 { "What it shows" }
-                @for (analysis, first, others) in said {
+                @for (analysis, first, others) in policies {
                     @if several { h3 { (analysis.label) } }
                     @for finding in first { p { (finding_in_words(finding)) } }
                     @if !others.is_empty() {

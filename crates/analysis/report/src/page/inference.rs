@@ -44,7 +44,7 @@ fn targets(cells: &Cells<'_>) -> Markup {
         "new tasks and directions",
     ];
     let mut rows = Vec::new();
-    for (policy, cell, it) in cells {
+    for (policy, cell, inference) in cells {
         let mut add = |name: &str, estimate: Option<&Estimate>, is_share: bool| {
             if let Some(estimate) = estimate {
                 let number = if is_share { percent } else { points };
@@ -60,19 +60,31 @@ fn targets(cells: &Cells<'_>) -> Markup {
                 ]);
             }
         };
-        add("S_sim", Some(&it.paired.s_sim), true);
-        add("R_d", Some(&it.paired.r_d), true);
-        add("I", Some(&it.paired.i), false);
-        add("b / S_conj", it.eligible.emergent.as_ref(), true);
-        add("c / (1 − S_conj)", it.eligible.compensated.as_ref(), true);
-        let relative = it.relative.as_ref();
-        add("nominal, matched", relative.map(|it| &it.nominal), true);
+        add("S_sim", Some(&inference.paired.s_sim), true);
+        add("R_d", Some(&inference.paired.r_d), true);
+        add("I", Some(&inference.paired.i), false);
+        add("b / S_conj", inference.eligible.emergent.as_ref(), true);
         add(
-            "relative independence",
-            relative.map(|it| &it.prediction),
+            "c / (1 − S_conj)",
+            inference.eligible.compensated.as_ref(),
             true,
         );
-        add("S_sim − relative", relative.map(|it| &it.difference), false);
+        let relative = inference.relative.as_ref();
+        add(
+            "nominal, matched",
+            relative.map(|relative| &relative.nominal),
+            true,
+        );
+        add(
+            "relative independence",
+            relative.map(|relative| &relative.prediction),
+            true,
+        );
+        add(
+            "S_sim − relative",
+            relative.map(|relative| &relative.difference),
+            false,
+        );
     }
     html! {
         (table("Intervals for each target", &heads, rows))
@@ -99,9 +111,11 @@ fn floor(cells: &Cells<'_>) -> Markup {
         "new tasks",
     ];
     let mut rows = Vec::new();
-    for (policy, cell, it) in cells {
-        let Some(excess) = &it.excess else { continue };
-        let (paired, floor, above) = (&it.paired, &excess.floor, &excess.excess);
+    for (policy, cell, inference) in cells {
+        let Some(excess) = &inference.excess else {
+            continue;
+        };
+        let (paired, floor, above) = (&inference.paired, &excess.floor, &excess.excess);
         for (name, measure, floor, above) in [
             ("R_e", &paired.r_e, &floor.r_e, &above.r_e),
             ("R_c", &paired.r_c, &floor.r_c, &above.r_c),
@@ -146,8 +160,8 @@ fn losses(cells: &Cells<'_>) -> Markup {
         "beyond 5, p",
     ];
     let mut rows = Vec::new();
-    for (policy, cell, it) in cells {
-        for (condition, loss) in &it.losses {
+    for (policy, cell, inference) in cells {
+        for (condition, loss) in &inference.losses {
             rows.push(vec![
                 text(policy),
                 text(cell.level),

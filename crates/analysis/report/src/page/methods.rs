@@ -34,8 +34,8 @@ pub(super) fn methods(document: &Document) -> Markup {
                     on these, at 1 % after Holm's correction. Intervals for each target are \
                     jackknives over tasks, directions and configurations with Student's t. "
                 } @else {
-                    "This campaign goes on with configurations of another one: the same initial \
-                    states, and perturbations drawn from the same seeds. "
+                    "This campaign runs further rollouts of another campaign's configurations: the \
+                    same initial states, and perturbations drawn from the same seeds. "
                 }
                 @if let Some(bootstrap) = bootstrap {
                     "The paper's intervals, about new tasks under these directions, are 95 % percentile intervals of " (bootstrap.replicates)
@@ -61,8 +61,8 @@ pub(super) fn methods(document: &Document) -> Markup {
 
 fn of_policy(analysis: &Analysis) -> Markup {
     let subject = &analysis.subject;
-    let distinct = |of: fn(&Provenance) -> String| -> Option<String> {
-        let values: BTreeSet<String> = subject.provenances.iter().map(of).collect();
+    let distinct = |property: fn(&Provenance) -> String| -> Option<String> {
+        let values: BTreeSet<String> = subject.provenances.iter().map(property).collect();
         let values: Vec<String> = values
             .into_iter()
             .filter(|value| !value.is_empty())
@@ -83,7 +83,9 @@ fn of_policy(analysis: &Analysis) -> Markup {
         ),
         (
             "actions beyond ±1",
-            subject.beyond.map(|it| beyond(it, subject.realisation)),
+            subject
+                .beyond
+                .map(|range| beyond(range, subject.realisation)),
         ),
         ("batch mode", distinct(|p| p.batch_mode.clone())),
         (

@@ -12,22 +12,24 @@ use crate::sequential::percent_text;
 /// Renders the section; empty if no campaign may end early.
 pub(super) fn of_campaigns(document: &Document) -> Markup {
     let analyses = document.analyses.iter();
-    let all = analyses.filter_map(|it| Some((it.label.as_str(), it.sequential.as_ref()?)));
+    let all = analyses
+        .filter_map(|analysis| Some((analysis.label.as_str(), analysis.sequential.as_ref()?)));
     let all: Vec<_> = all.collect();
     let mut heads = vec!["policy", "level", "configurations"];
     heads.extend(["S_sim %", "R_e %", "R_c %", "R_d %", "I points"]);
-    let rows = all.iter().flat_map(|(label, of)| {
-        of.levels.iter().map(move |(level, intervals)| {
-            let used = format!("{} of {}", of.used, of.configurations);
+    let rows = all.iter().flat_map(|(label, sequential)| {
+        sequential.levels.iter().map(move |(level, intervals)| {
+            let used = format!("{} of {}", sequential.used, sequential.configurations);
             let mut row = vec![plain(label), plain(level), plain(used)];
-            let of = |measure| {
+            let estimate_cell = |measure| {
                 let [ends, estimate] = [
                     percent_text(measure, *intervals.get(&measure)?),
-                    of.estimate_text(*level, measure),
+                    sequential.estimate_text(*level, measure),
                 ];
                 Some(plain(format!("{estimate} {ends}").replace('-', "−")))
             };
-            let cells = Measure::OF_ONE_POLICY.map(|it| of(it).unwrap_or_else(|| plain("–")));
+            let cells = Measure::OF_ONE_POLICY
+                .map(|measure| estimate_cell(measure).unwrap_or_else(|| plain("–")));
             row.extend(cells);
             row
         })
@@ -37,8 +39,8 @@ pub(super) fn of_campaigns(document: &Document) -> Markup {
             section {
                 h2 { "Confidence sequences" }
                 (table("Confidence sequences", &heads, rows.collect()))
-                @for (label, of) in &all {
-                    p.muted { (label) ": " (sentence(&of.explanation())) }
+                @for (label, sequential) in &all {
+                    p.muted { (label) ": " (sentence(&sequential.explanation())) }
                 }
             }
         }
@@ -49,14 +51,14 @@ pub(super) fn of_campaigns(document: &Document) -> Markup {
 pub(super) fn of_two(comparison: &Comparison) -> Markup {
     let heads = ["rollouts", "configurations", "A − B points"];
     html! {
-        @if let Some(of) = &comparison.sequential {
+        @if let Some(sequential) = &comparison.sequential {
             h4 { "At any look" }
-            (table("At any look", &heads, of.cells.iter().map(|cell| vec![
+            (table("At any look", &heads, sequential.cells.iter().map(|cell| vec![
                 plain(cell.name()),
                 plain(format!("{} of {}", cell.used, cell.configurations)),
                 interval(Measure::Difference, cell.difference),
             ]).collect()))
-            p.muted { (sentence(&of.explanation())) }
+            p.muted { (sentence(&sequential.explanation())) }
         }
     }
 }

@@ -128,20 +128,20 @@ pub(super) fn paired(document: &Document) -> Markup {
             overstated,
         } = row;
         let completeness = &cell.completeness;
-        let of = match completeness.complete < completeness.expected {
+        let expected = match completeness.complete < completeness.expected {
             true => format!("of {}", completeness.expected),
             false => String::new(),
         };
         let mut values = vec![
             plain(policy),
             plain(cell.level),
-            with(completeness.complete, &of),
+            with(completeness.complete, &expected),
         ];
         let measures = cell.paired.as_ref();
         values.extend(PAIRED.map(|(head, value)| {
             let is_overstated = overstated
                 .iter()
-                .any(|it| head.split(' ').next() == Some(it.name()));
+                .any(|measure| head.split(' ').next() == Some(measure.name()));
             html! {
                 @if is_overstated { abbr title=(OVERSTATED) { "*" } }
                 (or_dash(measures.map(value)))
@@ -422,9 +422,13 @@ pub(super) fn bounds(document: &Document) -> Markup {
 pub(super) fn quarantine(document: &Document) -> Markup {
     let of_policy = |analysis: &Analysis| -> Vec<Vec<Markup>> {
         let errors = analysis.subject.errors.iter();
-        let row = errors.map(|it| {
-            let rollout = html! { code { (it.rollout) } };
-            vec![rollout, plain(&analysis.label), plain(&it.last_error)]
+        let row = errors.map(|quarantined| {
+            let rollout = html! { code { (quarantined.rollout) } };
+            vec![
+                rollout,
+                plain(&analysis.label),
+                plain(&quarantined.last_error),
+            ]
         });
         row.collect()
     };

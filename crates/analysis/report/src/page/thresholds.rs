@@ -22,7 +22,7 @@ fn section(report: &ThresholdReport) -> Markup {
     html! {
         section {
             h2 { "How far" }
-            p { code { (report.measured_by) } " " (report.standing()) "." }
+            p { code { (report.measured_by) } " " (report.progress_in_words()) "." }
             (figure("How many configurations still succeed, by how strongly they are perturbed: \
                 nominally, and at every radius up to this one that was run. L1, L2 and L3 are the \
                 paper's levels. A configuration fails somewhere between two radii that were run: \
@@ -60,8 +60,8 @@ fn half_success(curves: &[Curve]) -> Markup {
             plain(curve.left_out),
         ]
     };
-    let known = curves.iter().filter(|curve| curve.n > 0);
-    table("Half-success radius", &heads, known.map(row).collect())
+    let drawn = curves.iter().filter(|curve| curve.n > 0);
+    table("Half-success radius", &heads, drawn.map(row).collect())
 }
 
 /// Renders the table of configurations that succeed again beyond a failure.
@@ -73,16 +73,18 @@ fn not_monotone(thresholds: &[Measured]) -> Markup {
         "succeeds at.",
         "fails at.",
     ];
-    let row = |it: &Measured| {
+    let row = |measured: &Measured| {
         vec![
-            plain(it.task),
-            plain(it.condition.label()),
-            plain(it.config),
-            plain(it.radii(true)),
-            plain(it.radii(false)),
+            plain(measured.task),
+            plain(measured.condition.label()),
+            plain(measured.config),
+            plain(measured.radii(true)),
+            plain(measured.radii(false)),
         ]
     };
-    let not_monotone = thresholds.iter().filter(|it| !it.recovers_at.is_empty());
+    let not_monotone = thresholds
+        .iter()
+        .filter(|measured| !measured.recovers_at.is_empty());
     let rows: Vec<Vec<Markup>> = not_monotone.map(row).collect();
     html! {
         @if !rows.is_empty() {

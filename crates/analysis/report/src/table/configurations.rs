@@ -121,7 +121,7 @@ fn goal((analysis, matched): &Row<'_>, condition: Condition) -> Value {
 
 fn steps((analysis, matched): &Row<'_>, condition: Condition) -> Value {
     let progress = analysis.progress(matched, condition);
-    Value::Integer(progress.and_then(|it| it.steps).map(i64::from))
+    Value::Integer(progress.and_then(|progress| progress.steps).map(i64::from))
 }
 
 /// Lists the campaign's conditions without an outcome.

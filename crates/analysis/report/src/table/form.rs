@@ -178,7 +178,7 @@ impl Value {
         match self {
             Self::Text(text) => text.unwrap_or_default(),
             Self::Number(number) => number.to_string(),
-            Self::Integer(number) => number.map_or_else(String::new, |it| it.to_string()),
+            Self::Integer(number) => number.map_or_else(String::new, |number| number.to_string()),
             Self::Real(real) => real.map_or_else(String::new, |real| real.to_string()),
             Self::Bool(value) => value.map_or_else(String::new, |value| value.to_string()),
         }

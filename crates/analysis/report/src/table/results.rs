@@ -62,31 +62,35 @@ pub fn write_results_parquet(
 fn columns() -> [Column<ResultRow>; 18] {
     use Kind::{Bool, Integer, Number, Real, Text};
     [
-        ("rollout_id", Text, |it| text(&it.rollout_id)),
-        ("replicate", Number, |it| Value::Number(it.replicate.into())),
-        ("success", Bool, |it| Value::Bool(Some(it.success))),
-        ("steps", Number, |it| Value::Number(it.steps.into())),
-        ("axis", Text, |it| text(&it.axis)),
-        ("level", Text, |it| text(&it.level)),
-        ("suite", Text, |it| text(&it.suite)),
-        ("task_id", Number, |it| Value::Number(it.task_id.into())),
-        ("init_id", Number, |it| Value::Number(it.init_id.into())),
-        ("config", Integer, |it| {
-            Value::Integer(it.config.map(i64::from))
+        ("rollout_id", Text, |row| text(&row.rollout_id)),
+        ("replicate", Number, |row| {
+            Value::Number(row.replicate.into())
         }),
-        ("policy", Text, |it| text(&it.policy)),
-        ("wall_s", Real, |it| Value::Real(Some(it.wall_s))),
-        ("ik_res_mm", Real, |it| Value::Real(it.ik_res_mm)),
-        ("placebo_radius", Real, |it| Value::Real(it.placebo_radius)),
-        ("execution", Text, |it| text(&it.execution.to_string())),
-        ("goal_predicates", Integer, |it| {
-            Value::Integer(it.goal_predicates.map(i64::from))
+        ("success", Bool, |row| Value::Bool(Some(row.success))),
+        ("steps", Number, |row| Value::Number(row.steps.into())),
+        ("axis", Text, |row| text(&row.axis)),
+        ("level", Text, |row| text(&row.level)),
+        ("suite", Text, |row| text(&row.suite)),
+        ("task_id", Number, |row| Value::Number(row.task_id.into())),
+        ("init_id", Number, |row| Value::Number(row.init_id.into())),
+        ("config", Integer, |row| {
+            Value::Integer(row.config.map(i64::from))
         }),
-        ("goal_at_end", Integer, |it| {
-            Value::Integer(it.goal_at_end.map(i64::from))
+        ("policy", Text, |row| text(&row.policy)),
+        ("wall_s", Real, |row| Value::Real(Some(row.wall_s))),
+        ("ik_res_mm", Real, |row| Value::Real(row.ik_res_mm)),
+        ("placebo_radius", Real, |row| {
+            Value::Real(row.placebo_radius)
         }),
-        ("goal_at_most", Integer, |it| {
-            Value::Integer(it.goal_at_most.map(i64::from))
+        ("execution", Text, |row| text(&row.execution.to_string())),
+        ("goal_predicates", Integer, |row| {
+            Value::Integer(row.goal_predicates.map(i64::from))
+        }),
+        ("goal_at_end", Integer, |row| {
+            Value::Integer(row.goal_at_end.map(i64::from))
+        }),
+        ("goal_at_most", Integer, |row| {
+            Value::Integer(row.goal_at_most.map(i64::from))
         }),
     ]
 }

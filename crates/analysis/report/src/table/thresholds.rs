@@ -9,7 +9,12 @@ pub(super) type Row<'a> = (&'a ThresholdReport, &'a Measured);
 pub(super) fn table(document: &Document) -> Table<Row<'_>> {
     let reports = document.analyses.iter();
     let reports = reports.filter_map(|analysis| analysis.thresholds.as_ref());
-    let rows = reports.flat_map(|report| report.thresholds.iter().map(move |it| (report, it)));
+    let rows = reports.flat_map(|report| {
+        report
+            .thresholds
+            .iter()
+            .map(move |measured| (report, measured))
+    });
     Table {
         of: "thresholds",
         columns: columns().into(),
@@ -23,18 +28,32 @@ fn columns<'a>() -> [Column<Row<'a>>; 12] {
         ("policy", Text, |(report, _)| text(&report.policy)),
         ("campaign", Text, |(report, _)| text(&report.campaign)),
         ("measured_by", Text, |(report, _)| text(&report.measured_by)),
-        ("condition", Text, |(_, it)| text(&it.condition.to_string())),
-        ("suite", Text, |(_, it)| text(it.task.suite().name())),
-        ("task", Number, |(_, it)| {
-            Value::Number(it.task.index().into())
+        ("condition", Text, |(_, measured)| {
+            text(&measured.condition.to_string())
         }),
-        ("config", Number, |(_, it)| Value::Number(it.config.into())),
-        ("threshold", Text, |(_, it)| text(it.threshold.name())),
-        ("succeeds_at", Real, |(_, it)| Value::Real(it.succeeds_at)),
-        ("fails_at", Real, |(_, it)| Value::Real(it.fails_at)),
-        ("recovers", Bool, |(_, it)| {
-            Value::Bool(Some(!it.recovers_at.is_empty()))
+        ("suite", Text, |(_, measured)| {
+            text(measured.task.suite().name())
         }),
-        ("found", Bool, |(_, it)| Value::Bool(Some(it.is_found))),
+        ("task", Number, |(_, measured)| {
+            Value::Number(measured.task.index().into())
+        }),
+        ("config", Number, |(_, measured)| {
+            Value::Number(measured.config.into())
+        }),
+        ("threshold", Text, |(_, measured)| {
+            text(measured.threshold.name())
+        }),
+        ("succeeds_at", Real, |(_, measured)| {
+            Value::Real(measured.succeeds_at)
+        }),
+        ("fails_at", Real, |(_, measured)| {
+            Value::Real(measured.fails_at)
+        }),
+        ("recovers", Bool, |(_, measured)| {
+            Value::Bool(Some(!measured.recovers_at.is_empty()))
+        }),
+        ("found", Bool, |(_, measured)| {
+            Value::Bool(Some(measured.is_found))
+        }),
     ]
 }

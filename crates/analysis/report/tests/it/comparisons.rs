@@ -89,20 +89,20 @@ fn json_has_every_condition_at_every_level_with_its_counts() {
     assert_eq!(json["min_tasks"], 10);
     let cells = json["cells"].as_array().expect("cells");
     assert_eq!(cells.len(), 3 * 7);
-    let is_asked = |cell: &&Value| cell["level"] == "L2" && cell["condition"] == "combination";
-    let cell = cells.iter().find(is_asked).expect("a cell");
-    let it = &cell["difference"];
-    assert_eq!((&it["n"], &it["tasks"]), (&json!(400), &json!(40)));
+    let is_expected = |cell: &&Value| cell["level"] == "L2" && cell["condition"] == "combination";
+    let cell = cells.iter().find(is_expected).expect("a cell");
+    let found = &cell["difference"];
+    assert_eq!((&found["n"], &found["tasks"]), (&json!(400), &json!(40)));
     assert_eq!(
-        (&it["a_only"], &it["b_only"]),
+        (&found["a_only"], &found["b_only"]),
         (&json!(a_only), &json!(b_only))
     );
     let difference = (a_only as f64 - b_only as f64) / 400.0;
-    assert!((it["difference"].as_f64().expect("a number") - difference).abs() < 1e-12);
-    let ends = it["difference_ci95"].as_array().expect("an interval");
+    assert!((found["difference"].as_f64().expect("a number") - difference).abs() < 1e-12);
+    let ends = found["difference_ci95"].as_array().expect("an interval");
     let ends: Vec<f64> = ends.iter().filter_map(Value::as_f64).collect();
-    assert!(ends[0] < difference && difference < ends[1], "{it}");
-    assert_eq!(it["no_interval"], Value::Null);
+    assert!(ends[0] < difference && difference < ends[1], "{found}");
+    assert_eq!(found["no_interval"], Value::Null);
 }
 
 #[test]
@@ -113,9 +113,15 @@ fn a_policy_against_itself_differs_nowhere_and_has_no_interval() {
         ("one (of-one)", "one (of-one) 2")
     );
     for cell in &comparison.statistics.cells {
-        let it = cell.difference.as_ref().expect("outcomes");
-        assert_eq!((it.a_only, it.b_only, it.mcnemar_p), (0, 0, 1.0));
-        assert_eq!((it.difference, it.difference_ci95), (0.0, None));
+        let difference = cell.difference.as_ref().expect("outcomes");
+        assert_eq!(
+            (difference.a_only, difference.b_only, difference.mcnemar_p),
+            (0, 0, 1.0)
+        );
+        assert_eq!(
+            (difference.difference, difference.difference_ci95),
+            (0.0, None)
+        );
     }
     assert!(comparison.text().contains("no spread"));
 }
@@ -126,33 +132,36 @@ fn reasons(a: Subject, b: Subject) -> String {
 }
 
 #[test]
-fn what_was_measured_otherwise_is_not_compared_and_the_difference_is_named() {
+fn policies_measured_differently_are_not_compared_and_the_difference_is_named() {
     let with = |alter: fn(&mut Pin)| {
         let mut subject = other("second");
         alter(&mut subject.provenances[0].pin);
         reasons(campaign("first"), subject)
     };
-    let said = with(|pin| {
+    let message = with(|pin| {
         "primitives".clone_into(&mut pin.asset_pack);
         pin.asset_pack_digest = "b".repeat(64);
     });
     assert!(
-        said.contains(
+        message.contains(
             "more than one asset pack (first with libero (aaaaaaaaaaaa), second with primitives \
              (bbbbbbbbbbbb))"
         ),
-        "{said}"
+        "{message}"
     );
-    let said = with(|pin| "llvmpipe".clone_into(&mut pin.renderer));
-    assert!(said.contains("more than one renderer"), "{said}");
-    let said = with(|pin| "3.9.9".clone_into(&mut pin.mujoco_version));
-    assert!(said.contains("more than one MuJoCo version"), "{said}");
+    let message = with(|pin| "llvmpipe".clone_into(&mut pin.renderer));
+    assert!(message.contains("more than one renderer"), "{message}");
+    let message = with(|pin| "3.9.9".clone_into(&mut pin.mujoco_version));
+    assert!(
+        message.contains("more than one MuJoCo version"),
+        "{message}"
+    );
     let mut reference = other("second");
     reference.realisation = Some("reference".parse().expect("a mode"));
-    let said = reasons(campaign("first"), reference);
+    let message = reasons(campaign("first"), reference);
     assert!(
-        said.contains("first: matched, second: reference") && said.contains("--realisation"),
-        "{said}"
+        message.contains("first: matched, second: reference") && message.contains("--realisation"),
+        "{message}"
     );
     // A subject that mixes two packs is comparable with neither.
     let mut mixed = other("second");
@@ -169,12 +178,12 @@ fn policies_without_a_common_rollout_are_not_compared() {
     let (mut a, mut b) = (campaign("first"), other("second"));
     a.records.retain(|record| is_l1(&record.id));
     b.records.retain(|record| !is_l1(&record.id));
-    let said = reasons(a, b);
-    assert!(said.contains("no rollout in common"), "{said}");
+    let message = reasons(a, b);
+    assert!(message.contains("no rollout in common"), "{message}");
 }
 
 #[test]
-fn result_files_are_compared_with_a_warning_of_what_they_do_not_say() {
+fn result_files_are_compared_with_a_warning_of_unknown_properties() {
     let mut file = other("second");
     file.provenances.clear();
     file.realisation = None;
@@ -184,9 +193,9 @@ fn result_files_are_compared_with_a_warning_of_what_they_do_not_say() {
         source: String::new(),
     };
     let comparison = compare(campaign("first"), file).expect("comparable");
-    let said = comparison.warnings.join("\n");
+    let message = comparison.warnings.join("\n");
     let expected = "`second`: asset pack, MuJoCo version, renderer, realisation mode not known";
-    assert!(said.starts_with(expected), "{said}");
+    assert!(message.starts_with(expected), "{message}");
     let text = comparison.text();
     assert!(text.contains("! `second`: asset pack, MuJoCo"), "{text}");
 }
@@ -214,9 +223,13 @@ fn rollouts_of_another_scene_or_perturbation_are_left_out_and_named() {
     let (id, init_id) = (a.records[0].id, a.records[0].init_id);
     let state = RolloutId::clean(id.task(), init_id);
     let of_state = a.records.iter();
-    let of_state = of_state.filter(|it| it.id.task() == id.task() && it.init_id == init_id);
+    let of_state =
+        of_state.filter(|record| record.id.task() == id.task() && record.init_id == init_id);
     let of_state = of_state.count();
-    let elsewhere = a.records.iter().find(|it| it.id.task() != id.task());
+    let elsewhere = a
+        .records
+        .iter()
+        .find(|record| record.id.task() != id.task());
     let elsewhere = elsewhere.expect("forty tasks").id;
     let setups = |scene: &str, row: &str| Setups {
         rollouts: [(elsewhere, row.to_owned())].into(),
@@ -236,7 +249,7 @@ fn rollouts_of_another_scene_or_perturbation_are_left_out_and_named() {
 }
 
 #[test]
-fn a_page_of_several_policies_shows_every_pair_and_says_which_it_cannot() {
+fn a_page_of_several_policies_shows_every_pair_or_the_reason_against_it() {
     let mut elsewhere = other("third <b>");
     elsewhere.provenances[0].pin.renderer = "llvmpipe".to_owned();
     let subjects = vec![campaign("first"), other("second"), elsewhere];
@@ -271,7 +284,7 @@ fn quarantined_rollouts_of_either_are_in_no_rate_and_bounded() {
     let comparison = compare(a, b).expect("comparable");
     let cell = |id: RolloutId| {
         let mut cells = comparison.statistics.cells.iter();
-        let cell = cells.find(|it| (it.level, it.condition) == (id.level(), id.condition()));
+        let cell = cells.find(|cell| (cell.level, cell.condition) == (id.level(), id.condition()));
         cell.expect("a cell")
     };
     let quarantined = cell(cells[0]);
@@ -350,7 +363,7 @@ fn partial_progress_is_in_text_page_and_json_beside_success() {
 }
 
 #[test]
-fn designs_with_other_directions_or_placebos_are_said_to_differ() {
+fn differing_directions_or_placebos_give_a_warning() {
     let (mut a, b) = (campaign("first"), other("second"));
     let same = compare(a.clone(), b.clone()).expect("comparable");
     assert_eq!(same.warnings, [] as [String; 0]);

@@ -26,8 +26,9 @@ fn fails(task: usize, axes: AxisSet) -> bool {
     }
 }
 
-/// Records of one configuration in each of twelve tasks, under the subsets that `wanted` accepts.
-fn records(wanted: impl Fn(usize, AxisSet) -> bool) -> Vec<Record> {
+/// Records of one configuration in each of twelve tasks, under the subsets for which `is_included`
+/// returns true.
+fn records(is_included: impl Fn(usize, AxisSet) -> bool) -> Vec<Record> {
     let mut records = Vec::new();
     for (index, task) in TaskRef::all().take(12).enumerate() {
         for axes in AxisSet::ALL.subsets() {
@@ -36,7 +37,7 @@ fn records(wanted: impl Fn(usize, AxisSet) -> bool) -> Vec<Record> {
                 Condition::Clean => RolloutId::clean(task, 16),
                 _ => RolloutId::perturbed(task, condition, Level::L2, 0).expect("an id"),
             };
-            if wanted(index, axes) {
+            if is_included(index, axes) {
                 records.push(Record {
                     id,
                     init_id: 16,
@@ -101,26 +102,26 @@ fn texts(figure: &figures::Figure) -> String {
 }
 
 #[test]
-fn an_upset_plot_counts_each_minimal_subset_and_what_is_established_of_it() {
+fn an_upset_plot_counts_each_minimal_subset_and_its_established_share() {
     let document = document(vec![explaining()]);
     let findings = document.analyses[0].findings.as_ref().expect("findings");
     let emergent = figures::upset(findings, Transition::Emergent).expect("a figure");
     let emergent = texts(&emergent);
-    for said in [
+    for expected in [
         "camera+robot: 3 configurations, established in 3",
         // Its pair camera+lighting was not run.
         "camera+lighting+sensor: 3 configurations, established in 0",
         "lighting+actuation: 3 configurations, established in 3",
         "n = 9",
     ] {
-        assert!(emergent.contains(said), "{said}: {emergent}");
+        assert!(emergent.contains(expected), "{expected}: {emergent}");
     }
     let compensated = figures::upset(findings, Transition::Compensated).expect("a figure");
-    let said = "robot with camera: 3 configurations, established in 3";
-    assert!(texts(&compensated).contains(said));
+    let expected = "robot with camera: 3 configurations, established in 3";
+    assert!(texts(&compensated).contains(expected));
     let names: Vec<String> = figures::all(&document)
         .into_iter()
-        .map(|it| it.name)
+        .map(|figure| figure.name)
         .collect();
     assert_eq!(
         names,
@@ -141,7 +142,7 @@ fn a_lattice_has_a_node_for_every_subset_and_tells_outcomes_by_shape() {
         Some(&explained.explanation),
         &link,
     );
-    let said = texts(&figure);
+    let found = texts(&figure);
     for words in [
         "camera+robot: fails; minimal",
         "camera+lighting: not run",
@@ -149,7 +150,7 @@ fn a_lattice_has_a_node_for_every_subset_and_tells_outcomes_by_shape() {
         "nominal: succeeds",
         "simultaneous: fails",
     ] {
-        assert!(said.contains(words), "{words}: {said}");
+        assert!(found.contains(words), "{words}: {found}");
     }
     let file = figure.standalone();
     let count = |what: &str| file.matches(what).count();
@@ -164,7 +165,7 @@ fn a_lattice_has_a_node_for_every_subset_and_tells_outcomes_by_shape() {
     let fails = explained
         .outcomes
         .iter()
-        .filter(|it| it.verdict.success() == Some(false));
+        .filter(|outcome| outcome.verdict.success() == Some(false));
     assert_eq!(count("class=\"fails\""), 1 + fails.count());
     assert_eq!(count("<rect class=\"fails\""), count("class=\"fails\""));
     assert_eq!(
@@ -174,17 +175,17 @@ fn a_lattice_has_a_node_for_every_subset_and_tells_outcomes_by_shape() {
 }
 
 #[test]
-fn the_report_of_an_explaining_campaign_is_what_it_found() {
+fn the_report_of_an_explaining_campaign_shows_its_findings() {
     let document = document(vec![explaining()]);
     let html = page(&document);
-    for said in [
+    for expected in [
         "Why outcomes of OpenVLA-OFT change",
         "emergent failures were explained",
         "More axes can undo what fewer do",
         "lighting+actuation is undone by lighting+sensor+actuation",
         "first &lt;b&gt;",
     ] {
-        assert!(html.contains(said), "{said}");
+        assert!(html.contains(expected), "{expected}");
     }
     for absent in ["Paired outcomes", "Nominal success", "NaN", "<b>"] {
         assert!(!html.contains(absent), "{absent}");
@@ -204,7 +205,12 @@ fn the_table_of_explanations_has_a_row_for_each_minimal_subset() {
     write_csv(&document, &mut bytes).expect("written");
     let mut csv = csv::Reader::from_reader(bytes.as_slice());
     let header = csv.headers().expect("names").clone();
-    let column = |name: &str| header.iter().position(|it| it == name).expect("a column");
+    let column = |name: &str| {
+        header
+            .iter()
+            .position(|head| head == name)
+            .expect("a column")
+    };
     let (subset, undone, open) = (column("subset"), column("undone_by"), column("open"));
     let rows: Vec<csv::StringRecord> = csv.records().collect::<Result<_, _>>().expect("rows");
     assert_eq!(rows.len(), 12);
@@ -247,15 +253,19 @@ fn interactions_add_up_to_what_the_report_measures() {
         .and_then(|cell| cell.paired.as_ref());
     let s_sim = s_sim.expect("measures").s_sim;
     let nominal = interactions.success[&AxisSet::EMPTY];
-    let all: i64 = interactions.moebius.values().map(|it| it.numerator).sum();
+    let all: i64 = interactions
+        .moebius
+        .values()
+        .map(|estimate| estimate.numerator)
+        .sum();
     let total = (nominal.numerator + all) as f64 / nominal.denominator as f64;
     assert_eq!(total, s_sim, "to the last bit");
 
     let matrix = texts(&figures::interaction_matrix(analysis, level));
     let pair = set("camera+robot");
     let index = 100.0 * interactions.pairs[&pair].value;
-    let said = format!("camera+robot: {index:+.1} points").replace('-', "−");
-    assert!(matrix.contains(&said), "{said}: {matrix}");
+    let expected = format!("camera+robot: {index:+.1} points").replace('-', "−");
+    assert!(matrix.contains(&expected), "{expected}: {matrix}");
     let additive = texts(&figures::additive(analysis, level));
     assert!(
         additive.contains("+ triples") && additive.contains("n = 12"),
@@ -358,7 +368,7 @@ fn repeats_are_foreseen_for_every_subset_and_too_few_are_refused() {
         };
         Findings::prospect(&campaign, &explanation)
     };
-    let rollouts = |repeats| of(repeats).map(|it| (it.subjects, it.rollouts()));
+    let rollouts = |repeats| of(repeats).map(|prospect| (prospect.subjects, prospect.rollouts()));
     assert_eq!(rollouts(None), Ok((12, 12 * 56)));
     assert_eq!(rollouts(Some(12)), Ok((12, 12 * 63 * 12)));
     let refused = rollouts(Some(11)).expect_err("2⁻¹⁰ is above 5 % of 56 subsets");

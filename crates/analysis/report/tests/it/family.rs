@@ -93,7 +93,7 @@ fn variants_are_counted_by_dimension_and_paired_with_the_unperturbed_rollout() {
 }
 
 #[test]
-fn rollouts_without_an_outcome_are_told_and_in_no_figure() {
+fn rollouts_without_an_outcome_are_reported_and_in_no_figure() {
     let found = family(subject(vec![Suite::Goal], |case| match case.task.index() {
         0 => Outcome::Missing,
         1 => Outcome::Quarantined,

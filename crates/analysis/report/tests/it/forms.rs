@@ -38,7 +38,7 @@ fn json_has_the_measures_of_each_policy_and_level() {
 }
 
 #[test]
-fn policies_of_one_name_are_told_apart() {
+fn policies_of_one_name_get_distinct_labels() {
     let document = document(vec![example(), broken(), example()]);
     let labels: Vec<&str> = document.analyses.iter().map(|a| a.label.as_str()).collect();
     assert_eq!(
@@ -67,9 +67,9 @@ fn a_page_needs_nothing_but_itself() {
     // The only URLs are XML namespaces and policy endpoints, which browsers do not load.
     let addresses = page.match_indices("http").map(|(at, _)| &page[at..at + 26]);
     for address in addresses {
-        let known = ["http://www.w3.org/2000/svg", "http://127.0.0.1:1"];
+        let allowed = ["http://www.w3.org/2000/svg", "http://127.0.0.1:1"];
         assert!(
-            known.iter().any(|known| address.starts_with(known)),
+            allowed.iter().any(|allowed| address.starts_with(allowed)),
             "{address}"
         );
     }
@@ -110,7 +110,7 @@ fn a_broken_campaign_is_warned_of_before_any_figure() {
 }
 
 #[test]
-fn a_whole_evaluation_is_warned_of_nothing() {
+fn a_whole_evaluation_has_no_warning() {
     assert!(!page(&document(vec![example()])).contains("class=\"warnings\""));
 }
 

@@ -32,7 +32,7 @@ fn refused(rows: &[&str]) -> String {
 }
 
 #[test]
-fn the_example_is_read_with_what_is_said_beside_it() {
+fn the_example_is_read_with_its_about_file() {
     let subject = import(Path::new(EXAMPLE)).expect("read");
     assert_eq!(subject.policy, "OpenVLA-OFT");
     assert_eq!(subject.records.len(), 8400);
@@ -51,7 +51,7 @@ fn the_example_is_read_with_what_is_said_beside_it() {
 }
 
 #[test]
-fn a_row_of_the_reference_is_read_with_or_without_what_its_id_says() {
+fn a_row_of_the_reference_is_read_with_or_without_the_fields_of_its_id() {
     let bare = r#"{"rollout_id": "goal/t0/combination/L2/c01", "success": false}"#;
     let clean = r#"{"rollout_id": "goal/t0/clean/i06", "success": true, "replicate": 2}"#;
     let folder = file(&[ROW, "", bare, clean, ""]);
@@ -78,12 +78,12 @@ fn a_file_has_one_execution_model() {
     let other = late
         .replace("c01", "c02")
         .replace("\"config\": 1", "\"config\": 2");
-    let told = refused(&[ROW, &other]);
+    let message = refused(&[ROW, &other]);
     assert!(
-        told.contains(
-            "line 2: it ran under execution model `overlap:4`, those before under `wait`"
+        message.contains(
+            "line 2: it ran under execution model `overlap:4`, earlier lines under `wait`"
         ),
-        "{told}"
+        "{message}"
     );
     let text = document(vec![subject, waited]).text();
     let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
@@ -93,7 +93,7 @@ fn a_file_has_one_execution_model() {
 
 #[test]
 fn bad_lines_are_named_by_their_numbers_and_nothing_is_taken() {
-    let told = refused(&[
+    let message = refused(&[
         ROW,
         "{",
         r#"{"rollout_id": "goal/t0/camera/L9/c01", "success": true}"#,
@@ -105,17 +105,17 @@ fn bad_lines_are_named_by_their_numbers_and_nothing_is_taken() {
         "line 3: read level `L9`",
         "line 4: \"yes\" is given where true or false is expected",
     ] {
-        assert!(told.contains(expected), "{expected}: {told}");
+        assert!(message.contains(expected), "{expected}: {message}");
     }
-    assert!(!told.contains("line 1"), "{told}");
+    assert!(!message.contains("line 1"), "{message}");
 }
 
 #[test]
 fn many_bad_lines_are_counted() {
-    let told = refused(&["[]"; 25]);
+    let message = refused(&["[]"; 25]);
     assert!(
-        told.contains("25 lines are bad") && told.ends_with("and 15 more"),
-        "{told}"
+        message.contains("25 lines are bad") && message.ends_with("and 15 more"),
+        "{message}"
     );
 }
 
@@ -123,25 +123,28 @@ fn many_bad_lines_are_counted() {
 fn a_row_that_contradicts_itself_or_another_is_bad() {
     let wrong = |from: &str, to: &str| ROW.replace(from, to);
     for (from, to, expected) in [
-        ("\"L2\",", "\"L3\",", "`level` is another than in its id"),
+        ("\"L2\",", "\"L3\",", "`level` differs from its id"),
         ("\"camera\",", "\"robot\",", "`axis` is another"),
         ("libero_goal", "libero_object", "`suite` is another"),
         ("\"task_id\": 0", "\"task_id\": 7", "`task_id` is another"),
         ("\"config\": 1", "\"config\": 2", "`config` is another"),
     ] {
-        let told = refused(&[&wrong(from, to)]);
-        assert!(told.contains(expected), "{expected}: {told}");
+        let message = refused(&[&wrong(from, to)]);
+        assert!(message.contains(expected), "{expected}: {message}");
     }
-    let told = refused(&[ROW, ROW]);
+    let message = refused(&[ROW, ROW]);
     assert!(
-        told.contains("line 2: goal/t0/camera/L2/c01 is on line 1 too"),
-        "{told}"
+        message.contains("line 2: goal/t0/camera/L2/c01 is on line 1 too"),
+        "{message}"
     );
     let other = wrong("c01", "c02").replace("\"config\": 1", "\"config\": 2");
-    let told = refused(&[ROW, &other.replace("oft", "pi05")]);
-    assert!(told.contains("line 2: it is of policy `pi05`"), "{told}");
-    let told = refused(&[r#"{"rollout_id": "goal/t0/camera/L2/c12", "success": true}"#]);
-    assert!(told.contains("has no `init_id`"), "{told}");
+    let message = refused(&[ROW, &other.replace("oft", "pi05")]);
+    assert!(
+        message.contains("line 2: it is of policy `pi05`"),
+        "{message}"
+    );
+    let message = refused(&[r#"{"rollout_id": "goal/t0/camera/L2/c12", "success": true}"#]);
+    assert!(message.contains("has no `init_id`"), "{message}");
 }
 
 #[test]

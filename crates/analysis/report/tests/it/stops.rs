@@ -38,7 +38,7 @@ fn document(subject: Subject) -> Document {
 }
 
 #[test]
-fn figures_of_a_stopped_campaign_are_of_what_its_intervals_rest_on() {
+fn figures_of_a_stopped_campaign_use_the_configurations_of_its_intervals() {
     let stopped = document(early("width(I) < 0.2", true));
     let found = json(&stopped);
     let sequential = &found["reports"][0]["sequential"];
@@ -61,15 +61,15 @@ fn figures_of_a_stopped_campaign_are_of_what_its_intervals_rest_on() {
     let analysis = &stopped.analyses[0];
     let mut others = early("width(I) < 0.2", true);
     for record in &mut others.records {
-        let is_used = |it: &&paired::Matched| {
-            (it.task, Some(it.config)) == (record.id.task(), record.id.config())
+        let is_used = |matched: &&paired::Matched| {
+            (matched.task, Some(matched.config)) == (record.id.task(), record.id.config())
         };
         let is_perturbed = record.id.level() != Level::L0;
         let used = analysis
             .records
             .configurations()
             .iter()
-            .any(|it| is_used(&it));
+            .any(|matched| is_used(&matched));
         if is_perturbed && !used {
             record.outcome = Outcome::Success;
         }
@@ -78,7 +78,7 @@ fn figures_of_a_stopped_campaign_are_of_what_its_intervals_rest_on() {
 }
 
 #[test]
-fn an_estimate_that_ended_a_campaign_has_a_star_and_the_warning_and_others_have_none() {
+fn only_the_estimate_that_ended_a_campaign_has_a_star_and_a_warning() {
     let stopped = document(early("I excludes 0 and width(S_sim) < 0.5", true));
     let text = words(&stopped);
     let found = json(&stopped);
@@ -109,7 +109,7 @@ fn an_estimate_that_ended_a_campaign_has_a_star_and_the_warning_and_others_have_
 }
 
 #[test]
-fn a_rule_about_new_tasks_has_intervals_of_its_measures_only_and_says_whose_they_are() {
+fn a_rule_about_new_tasks_has_intervals_of_its_measures_only_and_names_their_population() {
     let mut subject = early("I excludes 0 for new tasks", false);
     let stop = &mut subject.early_stop.as_mut().expect("a rule").stop;
     stop.strata = Strata::WholeTasks;

@@ -47,7 +47,7 @@ pub(crate) fn broken() -> Subject {
             _ => {}
         }
     }
-    let aside = subject
+    let quarantined = subject
         .records
         .iter()
         .filter(|r| r.outcome == Outcome::Quarantined);
@@ -59,7 +59,7 @@ pub(crate) fn broken() -> Subject {
             design: "libero-ctrl-v0.1".to_owned(),
         },
         realisation: Some("matched".parse().expect("a mode")),
-        errors: aside
+        errors: quarantined
             .map(|record| Quarantined {
                 rollout: record.id.to_string(),
                 last_error: "the simulator said <nothing>".to_owned(),

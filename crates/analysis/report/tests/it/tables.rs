@@ -69,7 +69,7 @@ fn parquet_of(document: &Document) -> (tempfile::TempDir, std::path::PathBuf) {
 }
 
 #[test]
-fn parquet_columns_have_types_and_say_so_to_pandas() {
+fn parquet_columns_have_types_and_pandas_metadata() {
     use parquet::basic::{LogicalType, Type as Physical};
     let (_folder, path) = parquet_of(&document(vec![broken()]));
     let file = std::fs::File::open(&path).expect("opened");
@@ -81,15 +81,15 @@ fn parquet_columns_have_types_and_say_so_to_pandas() {
         .and_then(|entry| entry.value.as_ref())
         .expect("a text");
     let about: Value = serde_json::from_str(about).expect("JSON");
-    let said = about["columns"].as_array().expect("columns");
+    let documented = about["columns"].as_array().expect("columns");
     let columns = metadata.schema_descr().columns();
-    assert_eq!(said.len(), columns.len());
-    for (column, said) in columns.iter().zip(said) {
+    assert_eq!(documented.len(), columns.len());
+    for (column, documented) in columns.iter().zip(documented) {
         let (name, is_text) = (
             column.name(),
             column.logical_type_ref() == Some(&LogicalType::String),
         );
-        assert_eq!(said["name"], name);
+        assert_eq!(documented["name"], name);
         let expected = match (column.physical_type(), is_text) {
             (Physical::BOOLEAN, false) => "boolean",
             (Physical::BYTE_ARRAY, true) => "string",
@@ -98,9 +98,14 @@ fn parquet_columns_have_types_and_say_so_to_pandas() {
             (Physical::DOUBLE, false) => "float64",
             other => panic!("{name}: {other:?}"),
         };
-        assert_eq!(said["numpy_type"], expected, "{name}");
+        assert_eq!(documented["numpy_type"], expected, "{name}");
     }
-    let of = |kind: &str| said.iter().filter(|it| it["numpy_type"] == kind).count();
+    let of = |kind: &str| {
+        documented
+            .iter()
+            .filter(|column| column["numpy_type"] == kind)
+            .count()
+    };
     assert_eq!((of("boolean"), of("int64"), of("string")), (10, 4, 6));
     assert_eq!((of("float64"), of("Int64")), (8, 8));
 }
@@ -138,10 +143,10 @@ fn a_table_of_results_has_a_column_for_the_execution_model() {
 
 #[test]
 fn pandas_reads_the_parquet_table_without_a_column_of_mixed_kinds() {
-    let asked = std::process::Command::new("python3")
+    let probe = std::process::Command::new("python3")
         .args(["-c", "import pandas, pyarrow"])
         .output();
-    if !asked.is_ok_and(|output| output.status.success()) {
+    if !probe.is_ok_and(|output| output.status.success()) {
         println!("skipped: no python3 with pandas and pyarrow is on the path");
         return;
     }
@@ -154,9 +159,9 @@ fn pandas_reads_the_parquet_table_without_a_column_of_mixed_kinds() {
         .expect("python3");
     let error = String::from_utf8_lossy(&output.stderr);
     assert!(output.status.success(), "{error}");
-    let told: Value = serde_json::from_slice(&output.stdout).expect("JSON");
-    assert_eq!(told["objects"], serde_json::json!([]), "{told}");
-    let columns = told["columns"].as_object().expect("columns");
+    let found: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    assert_eq!(found["objects"], serde_json::json!([]), "{found}");
+    let columns = found["columns"].as_object().expect("columns");
     assert_eq!(columns.len(), 35);
     let kinds = |name: &str| columns[name].to_string();
     assert_eq!(kinds("camera"), r#"["boolean",["bool"]]"#);
@@ -164,5 +169,5 @@ fn pandas_reads_the_parquet_table_without_a_column_of_mixed_kinds() {
     assert_eq!(kinds("level"), r#"["string",["str"]]"#);
     assert_eq!(kinds("transition"), r#"["string",["str"]]"#);
     // Outcomes that are missing or in quarantine are gaps, not values.
-    assert!(told["gaps"]["camera"].as_u64() > Some(0), "{told}");
+    assert!(found["gaps"]["camera"].as_u64() > Some(0), "{found}");
 }

@@ -15,11 +15,14 @@ use crate::subjects::{document, example};
 /// succeeded.
 fn nominal() -> Subject {
     let mut subject = example();
-    let states = subject.records.iter().map(|it| (it.id.task(), it.init_id));
+    let states = subject
+        .records
+        .iter()
+        .map(|record| (record.id.task(), record.init_id));
     let states: BTreeSet<_> = states.collect();
     subject
         .records
-        .retain(|it| it.id.condition() != Condition::Clean);
+        .retain(|record| record.id.condition() != Condition::Clean);
     let clean = |(task, init_id)| Record {
         id: RolloutId::clean(task, init_id),
         init_id,
@@ -85,8 +88,9 @@ fn a_curve_is_the_reports_rate_less_those_that_recover() {
                 _ => cell.simultaneous.and_then(|count| count.rate()),
             };
             let rate = rate.expect("outcomes");
-            let recovers = |it: &&report::Measured| {
-                it.condition == curve.condition && it.recovers_at.contains(&level.radius())
+            let recovers = |measured: &&report::Measured| {
+                measured.condition == curve.condition
+                    && measured.recovers_at.contains(&level.radius())
             };
             let recover = found.thresholds.iter().filter(recovers).count() as f64;
             let expected = rate - recover / 400.0;
@@ -99,7 +103,7 @@ fn a_curve_is_the_reports_rate_less_those_that_recover() {
 }
 
 #[test]
-fn the_text_fits_a_terminal_and_says_what_is_left() {
+fn the_text_fits_a_terminal_and_counts_remaining_work() {
     let text = at_levels().text();
     for line in text.lines() {
         assert!(line.chars().count() <= 80, "{line}");
@@ -119,7 +123,7 @@ fn the_text_fits_a_terminal_and_says_what_is_left() {
 fn every_condition_has_a_figure_that_stands_alone() {
     let found = at_levels();
     let figures = figures::of_thresholds(&found);
-    let names: Vec<&str> = figures.iter().map(|it| it.name.as_str()).collect();
+    let names: Vec<&str> = figures.iter().map(|figure| figure.name.as_str()).collect();
     assert_eq!(names.len(), 7);
     assert_eq!(
         (names[0], names[6]),
@@ -128,13 +132,15 @@ fn every_condition_has_a_figure_that_stands_alone() {
     for figure in &figures {
         let svg = figure.standalone();
         let parsed = roxmltree::Document::parse(&svg).expect("XML");
-        let texts = parsed.descendants().filter(|it| it.has_tag_name("text"));
-        let texts: Vec<&str> = texts.filter_map(|it| it.text()).collect();
+        let texts = parsed
+            .descendants()
+            .filter(|node| node.has_tag_name("text"));
+        let texts: Vec<&str> = texts.filter_map(|node| node.text()).collect();
         for text in ["L1", "L2", "L3", "100 %", "radius of the perturbation"] {
             assert!(texts.contains(&text), "{}: {texts:?}", figure.name);
         }
-        let says = |end: &str| texts.iter().any(|text| text.ends_with(end));
-        assert!(says(", n = 400"), "{}: {texts:?}", figure.name);
+        let ends_a_text = |end: &str| texts.iter().any(|text| text.ends_with(end));
+        assert!(ends_a_text(", n = 400"), "{}: {texts:?}", figure.name);
         assert!(
             !svg.contains("NaN") && !svg.contains("inf"),
             "{}",
@@ -159,15 +165,15 @@ fn without_outcomes_there_is_no_curve() {
 }
 
 #[test]
-fn the_report_of_a_measuring_campaign_is_what_it_found() {
+fn the_report_of_a_measuring_campaign_shows_its_findings() {
     let document = document(vec![measuring(&nominal(), Vec::new(), 8.0)]);
     let html = page(&document);
-    for said in [
+    for expected in [
         "How far OpenVLA-OFT goes",
         "class=\"curve\"",
         "Half-success radius",
     ] {
-        assert!(html.contains(said), "{said}");
+        assert!(html.contains(expected), "{expected}");
     }
     for absent in ["Paired outcomes", "Nominal success and single axes", "NaN"] {
         assert!(!html.contains(absent), "{absent}");
@@ -178,8 +184,13 @@ fn the_report_of_a_measuring_campaign_is_what_it_found() {
     let expected = at_levels().json().expect("written");
     let expected: Value = serde_json::from_str(&expected).expect("JSON");
     assert_eq!(json["reports"][0]["thresholds"], expected);
-    let names = figures::all(&document).into_iter().map(|it| it.name);
-    assert_eq!(names.filter(|it| it.starts_with("survival-")).count(), 7);
+    let names = figures::all(&document)
+        .into_iter()
+        .map(|figure| figure.name);
+    assert_eq!(
+        names.filter(|name| name.starts_with("survival-")).count(),
+        7
+    );
 }
 
 #[test]
@@ -192,7 +203,12 @@ fn the_table_of_thresholds_has_a_row_for_each() {
     let rows: Vec<csv::StringRecord> = csv.records().collect::<Result<_, _>>().expect("rows");
     let found = at_levels();
     assert_eq!(rows.len(), found.thresholds.len());
-    let column = |name: &str| header.iter().position(|it| it == name).expect("a column");
+    let column = |name: &str| {
+        header
+            .iter()
+            .position(|head| head == name)
+            .expect("a column")
+    };
     let (kind, fails_at) = (column("threshold"), column("fails_at"));
     let number = |text: &str| (!text.is_empty()).then(|| text.parse::<f64>().expect("a radius"));
     for (row, measured) in rows.iter().zip(&found.thresholds) {

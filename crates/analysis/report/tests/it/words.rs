@@ -17,7 +17,7 @@ fn some_tasks(tasks: usize) -> Subject {
 }
 
 #[test]
-fn too_few_tasks_for_an_interval_is_said_in_every_form() {
+fn too_few_tasks_for_an_interval_is_stated_in_every_form() {
     let few = document(vec![some_tasks(9)]);
     let json: Value = serde_json::from_str(&few.json().expect("written")).expect("JSON");
     let l2 = &json["paired"]["OpenVLA-OFT"]["L2"];
@@ -63,7 +63,7 @@ fn nothing_emerges() -> Subject {
 }
 
 #[test]
-fn nought_has_no_interval_of_no_width() {
+fn a_share_of_zero_has_no_bootstrap_interval_but_one_for_new_tasks() {
     let none = document(vec![nothing_emerges()]);
     let json: Value = serde_json::from_str(&none.json().expect("written")).expect("JSON");
     let l2 = &json["paired"]["OpenVLA-OFT"]["L2"];
@@ -150,16 +150,17 @@ fn a_policy_that_solves_no_nominal_rollout_is_sent_to_the_doctor() {
         outcome: Outcome::Failure,
     });
     subject.records.extend(failed);
-    let said = "policy `OpenVLA-OFT` solved none of 3 nominal rollouts, so that nothing is known";
+    let expected =
+        "policy `OpenVLA-OFT` solved none of 3 nominal rollouts, so that nothing is known";
     let text = document(vec![subject]).text();
     let text = text.split_whitespace().collect::<Vec<_>>().join(" ");
-    for part in [said, "`policy-gateway doctor`"] {
+    for part in [expected, "`policy-gateway doctor`"] {
         assert!(text.contains(part), "{part} in {text}");
     }
 }
 
 #[test]
-fn a_policy_that_was_taught_on_other_assets_is_warned_of() {
+fn a_policy_that_was_taught_on_other_assets_gets_a_warning() {
     let taught_on = |pack: &str| {
         let mut provenance = provenance("3.3.7", "single");
         let setting = (rollout_types::TAUGHT_ON.to_owned(), pack.to_owned());
@@ -172,7 +173,7 @@ fn a_policy_that_was_taught_on_other_assets_is_warned_of() {
         text.split_whitespace().collect::<Vec<_>>().join(" ")
     };
     let elsewhere = taught_on("primitives");
-    let said = "was taught on asset pack `primitives` and measured on `libero`";
-    assert!(elsewhere.contains(said), "{elsewhere}");
+    let expected = "was taught on asset pack `primitives` and measured on `libero`";
+    assert!(elsewhere.contains(expected), "{elsewhere}");
     assert!(!taught_on("libero").contains("was taught on asset pack"));
 }

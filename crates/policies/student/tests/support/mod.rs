@@ -136,14 +136,14 @@ impl Weights {
 }
 
 /// A query that owns its data.
-pub struct Moment {
+pub struct OwnedQuery {
     pub agentview: Vec<u8>,
     pub wrist: Vec<u8>,
     pub state: [f64; 14],
     pub instruction: String,
 }
 
-impl Moment {
+impl OwnedQuery {
     /// Generates patches of colour with noise, a pose, and one of a few instructions.
     pub fn random(seed: u64) -> Self {
         let mut random = Random(seed);

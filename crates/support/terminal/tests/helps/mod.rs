@@ -35,7 +35,10 @@ fn visit(command: &clap::Command, words: &str, helps: &mut Vec<Help>) {
     let old = long
         .split(|letter: char| !letter.is_alphanumeric())
         .find(|word| OLD_WORDS.contains(word));
-    assert_eq!(old, None, "`{words} --help` says it:\n{long}");
+    assert_eq!(
+        old, None,
+        "`{words} --help` contains a word of earlier releases:\n{long}"
+    );
     helps.push(Help {
         words: words.to_owned(),
         short,

@@ -9,7 +9,7 @@ use rollout_types::AttemptId;
 use super::methods::CLAIM;
 
 /// A method and an encoded message of it.
-pub(super) type Said = (&'static str, Vec<u8>);
+pub(super) type EncodedCall = (&'static str, Vec<u8>);
 
 /// Specification with two rollouts, a perturbed and a nominal one.
 const SPEC: &str = r#"{"name":"c","policy":{"name":"p","endpoint":"http://127.0.0.1:1"},
@@ -21,11 +21,11 @@ pub(super) const SEED: u64 = 1;
 const STEPS: u32 = 100;
 
 /// Calls made before an input, after which worker `w` holds a lease.
-pub(super) fn a_lease() -> [Said; 3] {
+pub(super) fn a_lease() -> [EncodedCall; 3] {
     [create(), registration("w"), claim()]
 }
 
-pub(super) fn registration(worker_id: &str) -> Said {
+pub(super) fn registration(worker_id: &str) -> EncodedCall {
     let request = wire::RegisterRequest {
         protocol_version: proto::COORDINATOR_PROTOCOL_VERSION,
         worker_id: worker_id.into(),
@@ -41,7 +41,7 @@ pub(super) fn registration(worker_id: &str) -> Said {
     ("WorkerService/Register", request.encode_to_vec())
 }
 
-pub(super) fn create() -> Said {
+pub(super) fn create() -> EncodedCall {
     let request = wire::CreateCampaignRequest {
         spec: SPEC.into(),
         priority: 3,
@@ -49,7 +49,7 @@ pub(super) fn create() -> Said {
     ("OperatorService/CreateCampaign", request.encode_to_vec())
 }
 
-pub(super) fn claim() -> Said {
+pub(super) fn claim() -> EncodedCall {
     let request = wire::ClaimRequest {
         worker_id: "w".into(),
         claim_id: "0".repeat(32),
@@ -58,7 +58,7 @@ pub(super) fn claim() -> Said {
     (CLAIM, request.encode_to_vec())
 }
 
-pub(super) fn heartbeat() -> Said {
+pub(super) fn heartbeat() -> EncodedCall {
     let request = wire::HeartbeatRequest {
         worker_id: "w".into(),
         progress: vec![wire::Progress {
@@ -70,7 +70,7 @@ pub(super) fn heartbeat() -> Said {
     ("WorkerService/Heartbeat", request.encode_to_vec())
 }
 
-pub(super) fn commit() -> Said {
+pub(super) fn commit() -> EncodedCall {
     let request = wire::CommitRequest {
         attempt_id: attempt(),
         result: Some(wire::RolloutResult {
@@ -109,7 +109,7 @@ pub(super) fn commit() -> Said {
     ("WorkerService/Commit", request.encode_to_vec())
 }
 
-pub(super) fn release() -> Said {
+pub(super) fn release() -> EncodedCall {
     let request = wire::ReleaseRequest {
         attempt_id: attempt(),
         reason: wire::release_request::Reason::SlotCrashed.into(),

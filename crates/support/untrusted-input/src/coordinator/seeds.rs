@@ -5,7 +5,7 @@ use proto::coordinator as wire;
 use tonic::codegen::Bytes;
 
 use super::messages::{
-    Said, attempt, claim, commit, create, digest, heartbeat, job, name, release,
+    EncodedCall, attempt, claim, commit, create, digest, heartbeat, job, name, release,
 };
 use super::methods::METHODS;
 use super::service::after;
@@ -99,7 +99,7 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
         ("OperatorService/ArchiveCampaign", named.clone()),
         ("OperatorService/ImportCampaign", import.encode_to_vec()),
     ];
-    let mut seeds: Vec<Vec<u8>> = alone.iter().map(|said| calls(&[said])).collect();
+    let mut seeds: Vec<Vec<u8>> = alone.iter().map(|call| calls(&[call])).collect();
     // A video is accepted only after its outcome.
     let committed = [
         calls(&[&heartbeat(), &commit()]),
@@ -128,13 +128,13 @@ fn archive() -> Vec<u8> {
 }
 
 /// Encodes several calls as an input.
-fn calls(said: &[&Said]) -> Vec<u8> {
-    let write = |said: &&Said| script::write(number(said.0), &said.1);
-    said.iter().flat_map(write).collect()
+fn calls(calls: &[&EncodedCall]) -> Vec<u8> {
+    let write = |call: &&EncodedCall| script::write(number(call.0), &call.1);
+    calls.iter().flat_map(write).collect()
 }
 
 fn number(method: &str) -> u8 {
-    let place = METHODS.iter().position(|it| *it == method);
+    let place = METHODS.iter().position(|name| *name == method);
     u8::try_from(place.expect("a method")).expect("few")
 }
 

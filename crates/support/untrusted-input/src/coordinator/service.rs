@@ -15,7 +15,7 @@ use tonic::codegen::Bytes;
 use tonic::service::Routes;
 use transport::Security;
 
-use super::messages::{SEED, Said, registration};
+use super::messages::{EncodedCall, SEED, registration};
 use super::methods::CLAIM;
 use crate::call::{block_on, call};
 
@@ -28,15 +28,15 @@ const NOW: UnixMillis = UnixMillis(1_700_000_000_000);
 pub(super) type Answer = Result<Vec<Bytes>, Status>;
 
 /// A coordinator without a listener; tests call its services directly.
-pub(super) struct Open {
+pub(super) struct TestCoordinator {
     coordinator: Coordinator,
     services: Routes,
 }
 
-impl Open {
+impl TestCoordinator {
     /// Opens a data folder like a starting coordinator. The seed differs from that of an earlier
     /// start, since attempt ids are never reused.
-    pub(super) async fn in_folder(data: &Path) -> Open {
+    pub(super) async fn in_folder(data: &Path) -> TestCoordinator {
         let starts = u64::from(data.join(DATABASE_FILE).exists());
         let coordinator = Coordinator::open(Config {
             data: data.to_owned(),
@@ -48,7 +48,7 @@ impl Open {
             storage: None,
         });
         let coordinator = coordinator.await.expect("a coordinator");
-        Open {
+        TestCoordinator {
             services: coordinator.services(),
             coordinator,
         }
@@ -79,16 +79,16 @@ impl Open {
 }
 
 /// Returns the database after valid calls, and the answer to the last one.
-pub(super) fn after(calls: &[Said]) -> (Vec<u8>, Vec<Bytes>) {
+pub(super) fn after(calls: &[EncodedCall]) -> (Vec<u8>, Vec<Bytes>) {
     block_on(async {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let mut open = Open::in_folder(folder.path()).await;
+        let mut coordinator = TestCoordinator::in_folder(folder.path()).await;
         let mut last = Vec::new();
         for (method, message) in calls {
-            let answer = open.call(method, &[message]).await;
+            let answer = coordinator.call(method, &[message]).await;
             last = answer.expect("an answer").expect("a sound message");
         }
-        open.close().await;
+        coordinator.close().await;
         let database = std::fs::read(folder.path().join(DATABASE_FILE));
         (database.expect("a database"), last)
     })

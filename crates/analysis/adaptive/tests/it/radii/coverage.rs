@@ -52,7 +52,7 @@ impl Population {
         }
         let place = |task: TaskRef, config: u16| {
             let task = TaskRef::all()
-                .position(|it| it == task)
+                .position(|other| other == task)
                 .expect("one of all");
             fails_at[task * usize::from(CONFIGS) + usize::from(config)]
         };
@@ -73,13 +73,13 @@ impl Population {
             let conditions = conditions.clone();
             (0..CONFIGS).flat_map(move |config| {
                 let own = conditions.clone();
-                let own = own.map(move |it| perturbed(task, it, Level::L2, config));
+                let own = own.map(move |condition| perturbed(task, condition, Level::L2, config));
                 own.chain([RolloutId::clean(task, config)])
             })
         });
         let mut source: Vec<Record> = source.map(|id| record(id, outcome(id))).collect();
-        source.sort_by_key(|it| it.id);
-        source.dedup_by_key(|it| it.id);
+        source.sort_by_key(|record| record.id);
+        source.dedup_by_key(|record| record.id);
         let thresholds = Thresholds {
             conditions: vec![self.condition],
             ..thresholds(0.5, LARGEST)
@@ -122,7 +122,7 @@ fn an_interval_covers_the_median_of_the_population() {
 }
 
 #[test]
-fn thresholds_whose_failure_is_not_known_are_censored_and_bias_nothing() {
+fn thresholds_without_a_known_failure_are_censored_and_cause_no_bias() {
     let population = Population {
         median: 9.0,
         quarantined: 0.3,
@@ -142,7 +142,7 @@ fn thresholds_whose_failure_is_not_known_are_censored_and_bias_nothing() {
 }
 
 #[test]
-fn where_no_radius_between_is_run_the_interval_is_as_wide_as_the_bracket() {
+fn without_radii_between_levels_the_interval_is_as_wide_as_the_bracket() {
     // Medians near L1, halfway, and near L2.
     for median in [2.1, 3.0, 3.9] {
         let population = Population {

@@ -73,12 +73,12 @@ fn curves(tasks: usize) -> Vec<Curve> {
 #[test]
 fn a_curve_begins_at_the_nominal_rate_and_is_the_planted_one_at_the_grid() {
     let curves = curves(10);
-    let conditions: Vec<&str> = curves.iter().map(|it| it.condition.label()).collect();
+    let conditions: Vec<&str> = curves.iter().map(|curve| curve.condition.label()).collect();
     assert_eq!(conditions, ["camera", "robot", "simultaneous"]);
     for curve in &curves {
         assert_eq!((curve.n, curve.tasks, curve.left_out), (100, 10, 0));
         assert_eq!((curve.nominal_fails, curve.not_monotone), (10, 0));
-        assert_eq!(curve.at(0.0).map(|it| it.survival), Some(0.9));
+        assert_eq!(curve.at(0.0).map(|point| point.survival), Some(0.9));
         let tasks: Vec<TaskRef> = TaskRef::all().take(10).collect();
         for &radius in &curve.grid {
             let level = Level::of_radius(radius).expect("a radius");
@@ -141,14 +141,20 @@ fn the_half_success_radius_is_found_within_the_tolerance() {
 }
 
 #[test]
-fn what_has_no_outcome_is_left_out_and_counted() {
+fn rollouts_without_an_outcome_are_left_out_and_counted() {
     let source = campaign(10);
     let thresholds = thresholds(None, 0);
     let before = Measurement::of(&source, &[], &thresholds).curves(&Bootstrap::default());
     // Only nominal failures are known.
-    assert!(before.iter().all(|it| (it.n, it.left_out) == (10, 90)));
+    assert!(
+        before
+            .iter()
+            .all(|curve| (curve.n, curve.left_out) == (10, 90))
+    );
     let mut own = measure(&source, &thresholds, outcome);
-    let largest = own.iter_mut().find(|it| it.id.level().radius() == 16.0);
+    let largest = own
+        .iter_mut()
+        .find(|record| record.id.level().radius() == 16.0);
     let largest = largest.expect("the grid was run");
     largest.outcome = Outcome::Quarantined;
     let after = Measurement::of(&source, &own, &thresholds).curves(&Bootstrap::default());

@@ -26,7 +26,7 @@ fn run(search: &Search, outcome: impl Fn(Level) -> Outcome) -> Outcomes<Level> {
     while let Decision::Run(levels) = next(&outcomes, search) {
         assert!(!levels.is_empty());
         for level in levels {
-            assert_eq!(outcomes.at(level), None, "{level} was asked for twice");
+            assert_eq!(outcomes.at(level), None, "{level} was requested twice");
             outcomes.record(level, outcome(level));
         }
     }
@@ -50,13 +50,15 @@ fn any(seed: u64, level: Level, failing: u64, quarantined: u64) -> Outcome {
 
 /// Returns the first failure and all successes beyond it, without the code under test.
 fn by_hand(outcomes: &Outcomes<Level>) -> (Option<Level>, Vec<Level>) {
-    let fails = outcomes.perturbed().find(|(_, it)| *it == Outcome::Failure);
+    let fails = outcomes
+        .perturbed()
+        .find(|(_, outcome)| *outcome == Outcome::Failure);
     let fails = fails.map(|(level, _)| level);
     let succeeds = outcomes
         .perturbed()
-        .filter(|(_, it)| *it == Outcome::Success);
+        .filter(|(_, outcome)| *outcome == Outcome::Success);
     let beyond = succeeds.map(|(level, _)| level);
-    let beyond = beyond.filter(|it| fails.is_some_and(|fails| *it > fails));
+    let beyond = beyond.filter(|level| fails.is_some_and(|fails| *level > fails));
     (fails, beyond.collect())
 }
 
@@ -76,9 +78,9 @@ proptest! {
                 let [low, high] = [succeeds_at.radius(), fails_at.radius()];
                 prop_assert!(low < at && at <= high);
                 prop_assert!(high - low <= tolerance + 1e-5);
-                let grid = || search.grid.iter().map(|it| it.radius());
-                let below = grid().filter(|it| *it < at).fold(0.0, f64::max);
-                let above = grid().find(|it| *it >= at).expect("it fails in the grid");
+                let grid = || search.grid.iter().map(|level| level.radius());
+                let below = grid().filter(|radius| *radius < at).fold(0.0, f64::max);
+                let above = grid().find(|radius| *radius >= at).expect("it fails in the grid");
                 halvings = ((above - below) / (tolerance + 1e-5)).log2().ceil().max(0.0);
             }
             other => prop_assert!(false, "{other:?}"),
@@ -89,7 +91,7 @@ proptest! {
     }
 
     #[test]
-    fn whatever_the_outcomes_are_the_first_failure_and_every_recovery_are_named(
+    fn the_first_failure_and_every_recovery_are_found_for_any_outcomes(
         seed: u64, failing in 0_u64..16, quarantined in 0_u64..6, tolerance in 0.05_f64..3.0,
     ) {
         let search = search(tolerance, 16.0);
@@ -120,7 +122,7 @@ proptest! {
     }
 
     #[test]
-    fn what_is_asked_for_depends_on_outcomes_and_on_no_order(
+    fn requests_depend_on_outcomes_and_not_on_their_order(
         seed: u64, failing in 0_u64..16, order: u64,
     ) {
         let search = search(0.25, 16.0);
@@ -139,7 +141,7 @@ proptest! {
                     prop_assert_eq!(settled.insert(level, Outcome::Missing), None);
                 }
             }
-            let waiting = settled.iter().filter(|(_, it)| **it == Outcome::Missing);
+            let waiting = settled.iter().filter(|(_, outcome)| **outcome == Outcome::Missing);
             let waiting: Vec<Level> = waiting.map(|(&level, _)| level).collect();
             if waiting.is_empty() {
                 break;
@@ -152,7 +154,7 @@ proptest! {
     }
 
     #[test]
-    fn outcomes_that_are_supplied_are_not_asked_for(at in 0.001_f64..20.0, tolerance in 0.05_f64..3.0) {
+    fn supplied_outcomes_are_not_requested_again(at in 0.001_f64..20.0, tolerance in 0.05_f64..3.0) {
         let search = search(tolerance, 16.0);
         let outcome = |level: Level| Outcome::from(level.radius() < at);
         let alone = run(&search, outcome);
@@ -185,8 +187,8 @@ fn a_delay_is_found_to_the_control_step() {
         let search = Search::of(&measured, Condition::Latency, AxisSet::ALL);
         let radii: Vec<String> = search.grid.iter().map(Level::to_string).collect();
         assert_eq!(radii.join(" "), grid);
-        for bears in 0..=7_u16 {
-            let radius = 2.0 * f64::from(bears);
+        for tolerated in 0..=7_u16 {
+            let radius = 2.0 * f64::from(tolerated);
             let outcome = |level: Level| Outcome::from(level.radius() <= radius);
             let outcomes = run(&search, outcome);
             let steps = |level: Level| level.radius() / 2.0;
@@ -199,7 +201,7 @@ fn a_delay_is_found_to_the_control_step() {
             let expected = match radius >= largest.radius() {
                 true => Threshold::Beyond,
                 false => Threshold::Between {
-                    succeeds_at: match bears {
+                    succeeds_at: match tolerated {
                         0 => Level::L0,
                         _ => level(radius),
                     },
@@ -209,14 +211,14 @@ fn a_delay_is_found_to_the_control_step() {
             assert_eq!(
                 Finding::new(&outcomes, &search).threshold,
                 expected,
-                "{bears} steps"
+                "{tolerated} steps"
             );
         }
     }
 }
 
 #[test]
-fn what_fails_nominally_is_not_perturbed_further() {
+fn configurations_that_fail_nominally_are_not_perturbed_further() {
     let search = search(0.5, 16.0);
     let mut outcomes = Outcomes::from_nominal(Outcome::Failure);
     assert_eq!(next(&outcomes, &search), Decision::Done);

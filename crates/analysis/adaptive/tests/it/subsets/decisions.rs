@@ -80,12 +80,13 @@ fn full_of(outcomes: &Outcomes) -> AxisSet {
     *outcomes.keys().last().expect("sets")
 }
 
-/// Outcomes that a campaign knows: those under fewer than two axes, and under all.
+/// Returns the lattice with the outcomes that every campaign runs: under fewer than two axes, and
+/// under all axes.
 fn campaign(outcomes: &Outcomes) -> Lattice {
     source(full_of(outcomes), Evidence::Once, |set| outcomes[&set])
 }
 
-/// Complete knowledge of a configuration.
+/// Returns the lattice with the outcomes under every subset.
 fn complete(outcomes: &Outcomes) -> Lattice {
     let mut lattice = Lattice::new(full_of(outcomes), Evidence::Once).expect("two axes at least");
     for (&set, &outcome) in outcomes {
@@ -105,7 +106,7 @@ fn search(outcomes: &Outcomes, strategy: Strategy, cut: usize) -> Lattice {
         assert!(!batch.is_empty());
         for Request { set, rollouts } in batch.into_iter().take(cut) {
             assert_eq!(rollouts, 1);
-            assert_eq!(lattice.tally(set).asked(), 0, "{set} was asked for before");
+            assert_eq!(lattice.tally(set).asked(), 0, "{set} was requested before");
             lattice.record(set, outcomes[&set]).expect("a subset");
         }
     }
@@ -125,7 +126,7 @@ fn minimal_sets(lattice: &Lattice) -> Vec<(AxisSet, Vec<AxisSet>)> {
 
 proptest! {
     #[test]
-    fn an_explanation_says_what_the_definitions_say(outcomes in transitions(), run in prop::collection::vec(any::<bool>(), 64)) {
+    fn explanations_agree_with_their_definitions(outcomes in transitions(), run in prop::collection::vec(any::<bool>(), 64)) {
         let full = full_of(&outcomes);
         let mut lattice = campaign(&outcomes);
         for ((&set, &outcome), run) in outcomes.iter().zip(run) {
@@ -191,7 +192,7 @@ proptest! {
     }
 
     #[test]
-    fn what_is_named_is_verified_and_all_minimal_pairs_are_named(outcomes in transitions(), cut in 1..20_usize) {
+    fn reported_subsets_are_verified_and_include_all_minimal_pairs(outcomes in transitions(), cut in 1..20_usize) {
         let truth = minimal_sets(&complete(&outcomes));
         for strategy in [Strategy::Adaptive, Strategy::TopDown] {
             let lattice = search(&outcomes, strategy, cut);
@@ -232,8 +233,8 @@ proptest! {
                 };
                 added.expect("a subset");
             };
-            rollouts.iter().for_each(|it| add(&mut forwards, it));
-            rollouts.iter().rev().for_each(|it| add(&mut backwards, it));
+            rollouts.iter().for_each(|rollout| add(&mut forwards, rollout));
+            rollouts.iter().rev().for_each(|rollout| add(&mut backwards, rollout));
             for strategy in Strategy::ALL {
                 let decision = next(&forwards, strategy);
                 prop_assert_eq!(&decision, &next(&backwards, strategy));
@@ -251,7 +252,7 @@ proptest! {
     }
 
     #[test]
-    fn while_anything_is_pending_nothing_more_is_asked(outcomes in transitions(), which in any::<prop::sample::Index>()) {
+    fn no_rollout_is_requested_while_one_is_pending(outcomes in transitions(), which in any::<prop::sample::Index>()) {
         let mut lattice = campaign(&outcomes);
         if let Decision::Run(batch) = next(&lattice, Strategy::Adaptive) {
             let one = which.get(&batch).set;

@@ -23,14 +23,12 @@ pub(crate) enum Kind {
     PairOrTriple,
     /// An axis fails alone unless one of its one or two compensating axes is present.
     Compensation,
-    /// Two axes fail alone, each unless one of its own one or two compensating axes is present. A
-    /// compensated axis fails again if the other one is added uncompensated.
+    /// Two axes fail alone, each unless one of its one or two compensating axes is present. Both
+    /// together fail unless both are compensated.
     TwoCompensations,
-    /// A pair fails unless a third axis is present; another pair or triple always
-    /// does.
+    /// A pair fails unless a third axis is present; another pair or triple always fails.
     MaskedPair,
-    /// A triple fails unless a fourth axis is present; another pair or triple
-    /// always does.
+    /// A triple fails unless a fourth axis is present; another pair or triple always fails.
     MaskedTriple,
     /// Every outcome is a coin flip, except under single axes and under all axes together.
     CoinFlips,
@@ -114,7 +112,7 @@ impl Rule {
                     Self(coins)
                 }
             };
-            // A part of a drawn rule may hide the rest: draw again until the rule has its kind.
+            // One part of a drawn rule may hide another: draws again until all are visible.
             let sizes: Vec<usize> = rule
                 .truth()
                 .iter()

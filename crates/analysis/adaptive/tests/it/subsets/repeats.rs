@@ -1,5 +1,5 @@
-//! Coins in place of policies: at most 5 % of lattices lead to any false claim, although a
-//! lattice has 63 subsets and was selected by its outcomes.
+//! Error rate of repeats for policies whose outcomes are coin flips: at most 5 % of lattices lead
+//! to any false claim, although a lattice has 63 subsets and was selected by its outcomes.
 
 use adaptive::subsets::{Evidence, Lattice, Repeats, Strategy, explain, selected};
 use libero_ctrl::AxisSet;
@@ -44,7 +44,7 @@ fn claims(coins: Coins, lattice: &Lattice) -> [usize; 2] {
     let sets = AxisSet::ALL
         .subsets()
         .into_iter()
-        .filter(|it| !it.is_empty());
+        .filter(|set| !set.is_empty());
     let mut claims = [0, 0];
     for set in sets {
         if let Some(success) = lattice.verdict(set).success() {
@@ -113,9 +113,12 @@ fn a_transition_that_is_there_is_claimed_with_its_pair() {
     let mut rng = ChaCha12Rng::seed_from_u64(4);
     let is_found = |_: &usize| {
         let lattice = search(coins, Strategy::Adaptive, &mut rng);
-        let answers = explain(&lattice).map_or_else(|_| Vec::new(), |it| it.answers);
+        let answers =
+            explain(&lattice).map_or_else(|_| Vec::new(), |explanation| explanation.answers);
         let minimal = answers.iter().flat_map(|answer| &answer.minimal);
-        minimal.map(|it| it.set.name()).eq(["camera+robot"])
+        minimal
+            .map(|minimal| minimal.set.name())
+            .eq(["camera+robot"])
     };
     let found = (0..200).filter(is_found).count();
     // Not all 200, because some transitions form by chance and are not confirmed by the repeats.
