@@ -120,7 +120,9 @@ fn value_of(field: &FieldDescriptor) -> Value {
         Kind::Double => Value::F64(f64::from(number) + 0.25),
         Kind::String => Value::String(field.name().to_owned()),
         Kind::Bytes => Value::Bytes(field.name().to_owned().into()),
-        Kind::Enum(values) => Value::EnumNumber(values.values().last().map_or(0, |it| it.number())),
+        Kind::Enum(values) => {
+            Value::EnumNumber(values.values().last().map_or(0, |value| value.number()))
+        }
         Kind::Message(message) => Value::Message(filled(&message)),
         other => panic!("{other:?} is new here: say what to fill in"),
     }
@@ -143,7 +145,11 @@ fn check<T: Message + Default>(name: &str) {
     let ours = T::decode(filled(&today).encode_to_vec().as_slice()).expect("a message");
     let read = DynamicMessage::decode(released, ours.encode_to_vec().as_slice());
     let read = read.expect("a newer message");
-    for field in theirs.descriptor().fields().filter(|it| !is_message(it)) {
+    for field in theirs
+        .descriptor()
+        .fields()
+        .filter(|field| !is_message(field))
+    {
         assert_eq!(read.get_field(&field), theirs.get_field(&field), "{name}");
     }
 }

@@ -74,14 +74,15 @@ impl Cluster {
         };
         cluster.configure(&host);
         cluster.start_daemons();
-        cluster.wait_for("both nodes are idle", |it| {
-            it.ask(
-                "sinfo",
-                &["--noheader", "--Node", "--format=%N %T", "--partition=low"],
-            )
-            .lines()
-            .filter(|line| line.ends_with(" idle"))
-            .count()
+        cluster.wait_for("both nodes are idle", |cluster| {
+            cluster
+                .ask(
+                    "sinfo",
+                    &["--noheader", "--Node", "--format=%N %T", "--partition=low"],
+                )
+                .lines()
+                .filter(|line| line.ends_with(" idle"))
+                .count()
                 == NODES.len()
         });
         Ok(cluster)
@@ -264,7 +265,7 @@ impl Cluster {
     /// Returns the queue and the end of the controller's log, for a test that failed.
     pub fn state(&self) -> String {
         let queue = self.command("squeue").args(["--all", "--array"]).output();
-        let queue = queue.map(|it| String::from_utf8_lossy(&it.stdout).into_owned());
+        let queue = queue.map(|output| String::from_utf8_lossy(&output.stdout).into_owned());
         let log = std::fs::read_to_string(self.path("slurmctld.log")).unwrap_or_default();
         let lines: Vec<&str> = log.lines().collect();
         let end = lines[lines.len().saturating_sub(40)..].join("\n");
@@ -274,7 +275,9 @@ impl Cluster {
     fn ends_its_jobs(&self) -> bool {
         let quiet = |program: &str, arguments: &[&str]| {
             let output = self.command(program).args(arguments).output();
-            output.is_ok_and(|it| it.status.success() && it.stdout.trim_ascii().is_empty())
+            output.is_ok_and(|output| {
+                output.status.success() && output.stdout.trim_ascii().is_empty()
+            })
         };
         for state in ["PENDING", "RUNNING", "SUSPENDED"] {
             quiet("scancel", &["--state", state, "--partition=low"]);
@@ -331,7 +334,7 @@ pub fn host_name() -> String {
 /// If there are not enough.
 pub fn free_ports<const N: usize>() -> [u16; N] {
     let listeners = [(); N].map(|()| TcpListener::bind("127.0.0.1:0").expect("a port"));
-    listeners.map(|it| it.local_addr().expect("its address").port())
+    listeners.map(|listener| listener.local_addr().expect("its address").port())
 }
 
 fn find(program: &str) -> Option<PathBuf> {

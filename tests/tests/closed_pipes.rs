@@ -17,10 +17,10 @@ fn check(name: &str, arguments: &[&str]) {
         .stderr(Stdio::piped())
         .output()
         .expect("the program runs");
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{name} {arguments:?}: {said}");
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{name} {arguments:?}: {stderr}");
     for words in ["ipe", "panicked", "failed"] {
-        assert!(!said.contains(words), "{name} {arguments:?}: {said}");
+        assert!(!stderr.contains(words), "{name} {arguments:?}: {stderr}");
     }
 }
 

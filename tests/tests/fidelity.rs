@@ -179,7 +179,11 @@ fn depths_and_segments_are_opengls() {
             let [ours, theirs] = drawers
                 .each_ref()
                 .map(|drawer| environment.segmentation(drawer, camera, SIZE).unwrap());
-            let kinds: BTreeSet<_> = ours.iter().flatten().map(|it| (it.kind, it.id)).collect();
+            let kinds: BTreeSet<_> = ours
+                .iter()
+                .flatten()
+                .map(|segment| (segment.kind, segment.id))
+                .collect();
             assert!(kinds.len() > 5, "{task} {camera} shows {kinds:?}");
             let differ = ours.iter().zip(&theirs).filter(|(a, b)| a != b).count();
             println!("{task} {camera}: {differ} segments differ");

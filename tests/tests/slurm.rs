@@ -205,7 +205,7 @@ impl Lab {
             assert_eq!(job["charged_attempts"], 0, "{job}");
         }
         let endings = self.endings();
-        let known = |it: &String| UNCHARGED.contains(&it.as_str());
+        let known = |reason: &String| UNCHARGED.contains(&reason.as_str());
         assert!(endings.iter().all(known), "{endings:?}");
     }
 
@@ -227,8 +227,8 @@ impl Lab {
             let id = job["rollout_id"].as_str().expect("an id");
             let shown = self.json(&["jobs", "show", CAMPAIGN, id]);
             let failures = shown["failures"].as_array().expect("a list");
-            let reasons = failures.iter().map(|it| it["reason"].as_str());
-            endings.extend(reasons.map(|it| it.unwrap_or_default().to_owned()));
+            let reasons = failures.iter().map(|failure| failure["reason"].as_str());
+            endings.extend(reasons.map(|reason| reason.unwrap_or_default().to_owned()));
         }
         endings
     }

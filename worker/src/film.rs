@@ -106,9 +106,9 @@ pub fn run(
     })?;
     Ok(filmed
         .into_iter()
-        .fold(Filmed::default(), |sum, it| Filmed {
-            stored: sum.stored + it.stored,
-            failed: sum.failed + it.failed,
+        .fold(Filmed::default(), |sum, filmed| Filmed {
+            stored: sum.stored + filmed.stored,
+            failed: sum.failed + filmed.failed,
         }))
 }
 

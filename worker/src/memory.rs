@@ -92,7 +92,10 @@ pub(crate) fn group_folders(root: &Path, groups: &str) -> Vec<PathBuf> {
         let base = root.join("sys/fs/cgroup");
         if controllers.is_empty() {
             Some(base.join(path))
-        } else if controllers.split(',').any(|it| it == "memory") {
+        } else if controllers
+            .split(',')
+            .any(|controller| controller == "memory")
+        {
             Some(base.join("memory").join(path))
         } else {
             None

@@ -167,7 +167,7 @@ pub fn run(
             saved = Some((before, simulated));
         }
     }
-    tried.sort_by_key(|it| it.lifted_at);
+    tried.sort_by_key(|trial| trial.lifted_at);
     if let Some((before, simulated)) = &saved {
         tracing::info!("filming {id}, as it fails and as it is saved at step {before}");
         let film = side_by_side(&mut stage, assignment, &failed.actions, *before, simulated);
@@ -194,8 +194,8 @@ pub fn run(
         looks,
         saved_by_placebo: tried
             .iter()
-            .filter(|it| it.placebo_success == Some(true))
-            .map(|it| it.lifted_at)
+            .filter(|trial| trial.placebo_success == Some(true))
+            .map(|trial| trial.lifted_at)
             .collect(),
         nudge_m: NUDGE_M,
         tried,

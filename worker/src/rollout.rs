@@ -360,7 +360,7 @@ impl Run<'_> {
         // Policies answer with 32-bit floats, so the conversion is exact.
         let actions: Vec<_> = kept
             .iter()
-            .map(|action| action.map(|it| it as f32))
+            .map(|action| action.map(|value| value as f32))
             .collect();
         Motion::pack(&self.path, &actions)
     }

@@ -147,7 +147,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let python = wheel::installed(root, &cache, Profile::Release)?;
     let program = build_released_program(root, WITHOUT_PYTHON)?;
     let script = root.join("python/bench/speed.py");
-    let [count, steps] = [options.environments, options.steps].map(|it| it.to_string());
+    let [count, steps] = [options.environments, options.steps].map(|number| number.to_string());
     let with = |mut command: Command, mode: &str| {
         command.args([
             mode,
@@ -209,7 +209,7 @@ fn print(rounds: &[Round]) -> Result<()> {
     );
     for row in &ROWS {
         let all = rounds.iter().map(row.of).collect::<Result<Vec<_>>>()?;
-        let column = |at: usize| all.iter().map(|it| it[at]).collect::<Vec<_>>();
+        let column = |at: usize| all.iter().map(|values| values[at]).collect::<Vec<_>>();
         let (ratio, least, most) = spread(&column(2));
         println!(
             "{:<28} {:>10.2} {:>10.2} {:<6} {ratio:>8.2} {:<13} {}",

@@ -51,7 +51,7 @@ fn complaints(command: &mut Command) -> Result<&'static str> {
     if output.status.success() {
         return Ok("in order");
     }
-    let said = [output.stdout, output.stderr].concat();
-    let said = String::from_utf8_lossy(&said);
-    bail!("run `{}`:\n{}", shown(command), said.trim_end());
+    let printed = [output.stdout, output.stderr].concat();
+    let printed = String::from_utf8_lossy(&printed);
+    bail!("run `{}`:\n{}", shown(command), printed.trim_end());
 }

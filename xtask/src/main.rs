@@ -288,7 +288,8 @@ mod tests {
                 }
             }
             let quoted = sentences.split('`').skip(1).step_by(2);
-            let own = quoted.filter(|it| it.starts_with("cargo xtask") && !it.contains('…'));
+            let own = quoted
+                .filter(|mention| mention.starts_with("cargo xtask") && !mention.contains('…'));
             mentions.extend(own.map(str::to_owned));
         }
         (commands, mentions)

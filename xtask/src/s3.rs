@@ -15,6 +15,6 @@ pub(crate) fn server(cache: &Path) -> Option<PathBuf> {
         let made = environment(&dir, &PACKAGES).map(str::to_owned);
         Ok(made.unwrap_or_else(|error| format!("none: {error:#}")))
     });
-    let there = made.is_ok_and(|said| !said.starts_with("none"));
+    let there = made.is_ok_and(|status| !status.starts_with("none"));
     there.then(|| dir.join("bin/moto_server"))
 }

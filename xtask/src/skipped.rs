@@ -68,8 +68,8 @@ fn list(report: &str, mark: &str) -> Result<Vec<(String, String)>> {
     let mut skipped: Vec<(String, String)> = tests
         .flat_map(|test| {
             let name = test.attribute("name").unwrap_or_default();
-            let said = test.children().filter_map(|output| output.text());
-            let lines = said.flat_map(str::lines).map(str::trim);
+            let outputs = test.children().filter_map(|output| output.text());
+            let lines = outputs.flat_map(str::lines).map(str::trim);
             lines
                 .filter(|line| begins_with(line, mark))
                 .map(move |line| {

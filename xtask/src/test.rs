@@ -216,10 +216,13 @@ fn draws_through_opengl(name: &str, arguments: &[String]) -> bool {
     match name {
         "bench_draw" => !has("--alone"),
         _ => {
-            let after = arguments.iter().skip_while(|it| *it != "--renderer").nth(1);
+            let after = arguments
+                .iter()
+                .skip_while(|argument| *argument != "--renderer")
+                .nth(1);
             let joined = arguments
                 .iter()
-                .find_map(|it| it.strip_prefix("--renderer="));
+                .find_map(|argument| argument.strip_prefix("--renderer="));
             joined
                 .or(after.map(String::as_str))
                 .is_some_and(|renderer| renderer.starts_with("gl"))

@@ -373,10 +373,13 @@ impl Totals {
         let sum = |times: fn(&Findings) -> &[f64]| -> Option<f64> {
             let medians = findings
                 .iter()
-                .map(|it| Some(Spread::of(times(it))?.median));
+                .map(|findings| Some(Spread::of(times(findings))?.median));
             medians.sum()
         };
-        if let (Some(ours), Some(theirs)) = (sum(|it| &it.ours), sum(|it| &it.theirs)) {
+        if let (Some(ours), Some(theirs)) = (
+            sum(|findings| &findings.ours),
+            sum(|findings| &findings.theirs),
+        ) {
             self.ratios.push((theirs / ours, scene.to_owned()));
         }
     }

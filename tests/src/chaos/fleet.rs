@@ -528,7 +528,7 @@ impl Fleet {
 /// Finds Debian's libfaketime in any architecture's library folder.
 fn faketime() -> Option<PathBuf> {
     let folders = std::fs::read_dir("/usr/lib").ok()?.flatten();
-    let mut libraries = folders.map(|it| it.path().join("faketime/libfaketimeMT.so.1"));
+    let mut libraries = folders.map(|folder| folder.path().join("faketime/libfaketimeMT.so.1"));
     libraries.find(|library| library.is_file())
 }
 
@@ -543,7 +543,11 @@ fn as_somebody_who_may_not_write(folder: &Path) -> Option<Command> {
     set_modes(folder, 0o755, 0o644);
     let mut command = Command::new("setpriv");
     command.args(["--reuid", NOBODY, "--regid", NOBODY, "--clear-groups"]);
-    if command.arg("true").status().is_ok_and(|it| it.success()) {
+    if command
+        .arg("true")
+        .status()
+        .is_ok_and(|status| status.success())
+    {
         let mut command = Command::new("setpriv");
         command.args(["--reuid", NOBODY, "--regid", NOBODY, "--clear-groups"]);
         return Some(command);

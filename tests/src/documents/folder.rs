@@ -155,7 +155,7 @@ impl Folder {
         fs::create_dir_all(&here)?;
         fs::create_dir(self.outputs())?;
         for entry in fs::read_dir(checkout())? {
-            let (name, path) = entry.map(|it| (it.file_name(), it.path()))?;
+            let (name, path) = entry.map(|entry| (entry.file_name(), entry.path()))?;
             match name.to_str() {
                 Some(".git" | "target" | "demo-data") => {}
                 Some(copied) if COPIED.contains(&copied) => copy(&path, &here.join(name))?,

@@ -229,7 +229,9 @@ mod tests {
             Action::Run { commands, .. } => commands,
             _ => Vec::new(),
         });
-        commands.map(|it| (it.line, it.text)).collect()
+        commands
+            .map(|command| (command.line, command.text))
+            .collect()
     }
 
     #[test]

@@ -116,12 +116,13 @@ impl Session {
         let watches = watches(command);
         let start = Instant::now();
         while start.elapsed() < PATIENCE {
-            let said = fs::read_to_string(&output).unwrap_or_default();
+            let printed = fs::read_to_string(&output).unwrap_or_default();
             let ready = match command.contains("coordinator up") {
                 true => &ALL_READY[..],
                 false => &READY,
             };
-            if ready.iter().any(|ready| said.contains(ready)) || (watches && !said.is_empty()) {
+            if ready.iter().any(|ready| printed.contains(ready)) || (watches && !printed.is_empty())
+            {
                 return Ok(());
             }
             let (alive, _) = self.call(&format!("kill -0 {process}"))?;

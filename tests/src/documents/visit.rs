@@ -71,7 +71,7 @@ fn todo(step: &Step) -> Todo<'_> {
         Action::Leave { reason } => Todo::Say("not run", reason.clone()),
         Action::Write { name, text } => Todo::Write(name, text),
         Action::Run { commands, needs } => {
-            let reads = commands.iter().any(|it| it.text.contains(SHARED));
+            let reads = commands.iter().any(|command| command.text.contains(SHARED));
             let named = needs.as_deref().map(|word| {
                 Thing::named(word).unwrap_or_else(|| panic!("line {}: {word}?", step.line))
             });

@@ -41,16 +41,16 @@ fn check(python: &Path, files: &[PathBuf]) -> (bool, String) {
         .args(files)
         .output()
         .expect("Python runs");
-    let said = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    let text = said(&output.stdout) + &said(&output.stderr);
+    let decode = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    let text = decode(&output.stdout) + &decode(&output.stderr);
     (output.status.success(), text)
 }
 
 /// Asserts that manifests and their command lines are valid; returns the kinds without a schema.
 fn assert_in_order(python: &Path, files: &[PathBuf]) -> serde_json::Value {
-    let (in_order, said) = check(python, files);
-    assert!(in_order, "{said}");
-    let (commands, last) = said.trim_end().rsplit_once('\n').expect("some lines");
+    let (in_order, output) = check(python, files);
+    assert!(in_order, "{output}");
+    let (commands, last) = output.trim_end().rsplit_once('\n').expect("some lines");
     assert_eq!(commands.lines().count(), 3, "{commands}");
     for line in commands.lines() {
         let words: Vec<String> = serde_json::from_str(line).expect("a command line");
@@ -126,8 +126,8 @@ fn what_is_wrong_with_a_manifest_is_named() {
     ] {
         assert!(text.contains(from), "{from}");
         fs::write(&broken, text.replace(from, to)).expect("a manifest");
-        let (in_order, said) = check(&python, &files);
-        assert!(!in_order && said.contains(named), "{to}: {said}");
+        let (in_order, output) = check(&python, &files);
+        assert!(!in_order && output.contains(named), "{to}: {output}");
     }
 }
 

@@ -29,9 +29,10 @@ fn complaints(units: &[(&str, String)]) -> String {
     let mut verify = Command::new("systemd-analyze");
     verify.args(["verify", "--man=no"]).args(paths);
     let output = verify.output().expect("systemd-analyze runs");
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
     // systemd may also complain about this machine's own units.
-    said.lines()
+    stderr
+        .lines()
         .filter(|line| line.contains("rollout-"))
         .collect()
 }

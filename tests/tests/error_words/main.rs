@@ -157,7 +157,7 @@ fn walk(folder: &Path, names: &mut BTreeSet<String>) {
         let path = entry.expect("an entry").path();
         if path.is_dir() {
             walk(&path, names);
-        } else if path.extension().is_some_and(|it| it == "rs") {
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
             errors_in(&path, names);
         }
     }

@@ -110,17 +110,17 @@ fn over_tls(serve: impl Fn([String; 4]) -> Process, mine: &Authority) -> (Vec<Pr
 /// Runs a client and checks its message.
 fn check(who: &str, case: &Case, mut command: Command) {
     let output = command.output().expect("the program runs");
-    let said = [output.stdout, output.stderr].map(|it| String::from_utf8(it).expect("UTF-8"));
-    let said = said.concat();
-    let about = format!("{who} at {}:\n{said}", case.at);
+    let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).expect("UTF-8"));
+    let text = text.concat();
+    let about = format!("{who} at {}:\n{text}", case.at);
     assert!(!output.status.success(), "{about}");
     for words in case.expected.iter().chain([&&*case.at]) {
-        assert!(said.contains(words), "no {words:?}: {about}");
+        assert!(text.contains(words), "no {words:?}: {about}");
     }
-    assert_eq!(raw_phrase(&said), None, "{about}");
+    assert_eq!(raw_phrase(&text), None, "{about}");
     if case.is_final {
-        assert!(!said.contains("coordinator serve`"), "{about}");
-        assert!(!said.contains("trying again"), "{about}");
+        assert!(!text.contains("coordinator serve`"), "{about}");
+        assert!(!text.contains("trying again"), "{about}");
     }
 }
 

@@ -191,9 +191,12 @@ mod tests {
         let whole = AssetPack::open("primitives", &sources).expect("built in");
         let coverage = Coverage::of(&whole, &sources).expect("reads");
         assert!(coverage.is_whole());
-        let said = coverage.to_string();
-        assert!(said.contains("40 of 40 can be shown"), "{said}");
-        assert!(!said.contains("missing"), "{said}");
+        let description = coverage.to_string();
+        assert!(
+            description.contains("40 of 40 can be shown"),
+            "{description}"
+        );
+        assert!(!description.contains("missing"), "{description}");
 
         let folder = tempfile::tempdir().expect("a folder");
         fs::create_dir(folder.path().join("scenes")).expect("makes");
@@ -201,9 +204,15 @@ mod tests {
         fs::copy(whole.dir().join(arena), folder.path().join(arena)).expect("copies");
         let path = folder.path().to_string_lossy();
         let part = AssetPack::open(&path, &sources).expect("a pack");
-        let said = Coverage::of(&part, &sources).expect("reads").to_string();
-        assert!(said.contains("0 of 40 can be shown"), "{said}");
-        assert!(said.contains("akita_black_bowl, "), "{said}");
-        assert!(said.contains("arenas      1 of 5; missing: "), "{said}");
+        let description = Coverage::of(&part, &sources).expect("reads").to_string();
+        assert!(
+            description.contains("0 of 40 can be shown"),
+            "{description}"
+        );
+        assert!(description.contains("akita_black_bowl, "), "{description}");
+        assert!(
+            description.contains("arenas      1 of 5; missing: "),
+            "{description}"
+        );
     }
 }

@@ -55,10 +55,10 @@ pub fn choose_slots(program: SlotProgram, scenes: usize) -> Result<Chosen, Measu
     };
     let measured: Vec<Throughput> = best.iter().map(throughput).collect();
     // One slot was measured, and always fits.
-    let slots = choose(&measured, most).map_or(1, |it| it.slots);
+    let slots = choose(&measured, most).map_or(1, |throughput| throughput.slots);
     let rates: Vec<String> = measured
         .iter()
-        .map(|it| format!("{}: {:.1}", it.slots, it.steps_per_sec))
+        .map(|throughput| format!("{}: {:.1}", throughput.slots, throughput.steps_per_sec))
         .collect();
     const MIB: u64 = 1 << 20;
     Ok(Chosen {

@@ -85,7 +85,7 @@ pub fn bench(plan: Plan, out: &mut dyn Write) -> Result<(), MeasureError> {
         plan.scenes,
         measured.last().map_or(0, |row| row.memory.scene_files) as f64 / MIB
     )?;
-    let throughputs: Vec<_> = measured.iter().map(|it| it.throughput).collect();
+    let throughputs: Vec<_> = measured.iter().map(|row| row.throughput).collect();
     match choose(&throughputs, most) {
         Some(chosen) => writeln!(
             out,

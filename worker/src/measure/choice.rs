@@ -22,11 +22,18 @@ pub(super) struct Throughput {
 /// Returns the smallest number of slots that reaches [`ENOUGH`] of the best throughput. Numbers
 /// above `most` are ignored, also for the best throughput. None if no number is left.
 pub(super) fn choose(measured: &[Throughput], most: usize) -> Option<Throughput> {
-    let fitting = || measured.iter().filter(|it| it.slots <= most).copied();
-    let best = fitting().map(|it| it.steps_per_sec).fold(0.0, f64::max);
+    let fitting = || {
+        measured
+            .iter()
+            .filter(|throughput| throughput.slots <= most)
+            .copied()
+    };
+    let best = fitting()
+        .map(|throughput| throughput.steps_per_sec)
+        .fold(0.0, f64::max);
     fitting()
-        .filter(|it| it.steps_per_sec >= ENOUGH * best)
-        .min_by_key(|it| it.slots)
+        .filter(|throughput| throughput.steps_per_sec >= ENOUGH * best)
+        .min_by_key(|throughput| throughput.slots)
 }
 
 /// Returns the number of slots that should keep `cores` cores busy, if one slot alone makes
@@ -90,7 +97,7 @@ mod tests {
                 steps_per_sec,
             })
             .collect();
-        choose(&measured, most).map(|it| it.slots)
+        choose(&measured, most).map(|throughput| throughput.slots)
     }
 
     #[test]

@@ -37,7 +37,9 @@ fn available_below(root: &Path) -> Result<u64, MeasureError> {
         .filter_map(|folder| {
             // The limits of all parent groups apply too. In a container, folders below the first
             // may be missing, because the path is the host's.
-            let above = folder.ancestors().take_while(|it| it.starts_with(&base));
+            let above = folder
+                .ancestors()
+                .take_while(|ancestor| ancestor.starts_with(&base));
             above.filter_map(left_in).min()
         });
     Ok(left.fold(machine, u64::min))
@@ -53,7 +55,9 @@ fn left_in(group: &Path) -> Option<u64> {
         let (limit, used) = (number(limit)?, number(used)?);
         let stat = fs::read_to_string(group.join("memory.stat")).unwrap_or_default();
         let cached = stat.lines().find_map(|line| line.strip_prefix(reclaimed));
-        let cached: u64 = cached.and_then(|it| it.trim().parse().ok()).unwrap_or(0);
+        let cached: u64 = cached
+            .and_then(|text| text.trim().parse().ok())
+            .unwrap_or(0);
         Some(limit.saturating_sub(used.saturating_sub(cached)))
     })
 }

@@ -321,7 +321,7 @@ fn look(simulator: &mut Simulator, row: &ManifestRow, realisation: Realisation, 
     let finished = run(simulator, &mut actor, &request).expect("an outcome");
     let seen = actor.seen.into_iter();
     let by_policy: Vec<[Vec<u8>; 2]> = seen
-        .map(|it| [0, 1].map(|camera| it.images[camera].rgb.to_vec()))
+        .map(|observation| [0, 1].map(|camera| observation.images[camera].rgb.to_vec()))
         .collect();
     let actions = vec![[0.5, 0.0, -0.5, 0.0, 0.0, 0.0, -1.0]; by_policy.len()];
     let replay = Replay {

@@ -443,7 +443,9 @@ impl Supervisor {
             campaign,
             ..
         } = &self.slots[slot];
-        let session = assignment.as_ref().map(|it| it.session.to_string());
+        let session = assignment
+            .as_ref()
+            .map(|assignment| assignment.session.to_string());
         format!("{campaign}: {}", session.unwrap_or_default())
     }
 
@@ -513,7 +515,9 @@ impl Supervisor {
         let delivery = Delivery {
             attempt,
             label,
-            realisation: assignment.map(|it| it.realisation).unwrap_or_default(),
+            realisation: assignment
+                .map(|assignment| assignment.realisation)
+                .unwrap_or_default(),
             identity: self.config.identity.clone(),
             ending,
         };
@@ -553,7 +557,7 @@ impl Supervisor {
         }
         self.heartbeat_under_way = true;
         self.has_news = false;
-        let held = self.slots.iter().filter_map(|it| it.state.progress());
+        let held = self.slots.iter().filter_map(|slot| slot.state.progress());
         let progress = held.map(|(attempt, control_steps)| Progress {
             attempt_id: attempt.to_string(),
             control_steps,
@@ -614,7 +618,11 @@ impl Supervisor {
     /// with it. For any other task the worker gives up: a rollout waiting for that task would have
     /// its lease renewed for ever.
     fn panicked(&mut self, task: task::Id, error: String, now: Instant) {
-        let owns = |slot: &Slot| slot.process.as_ref().is_some_and(|it| it.task == task);
+        let owns = |slot: &Slot| {
+            slot.process
+                .as_ref()
+                .is_some_and(|process| process.task == task)
+        };
         if let Some(slot) = self.slots.iter().position(owns) {
             let end = ProcessEnd::from(format!("is not attended any more: {error}"));
             return self.process_ended(slot, end, now);
@@ -714,7 +722,13 @@ mod tests {
             supervisor.carry_out_decisions(now),
             "more are to be started"
         );
-        let started = |it: &Supervisor| it.slots.iter().filter(|it| it.process.is_some()).count();
+        let started = |supervisor: &Supervisor| {
+            supervisor
+                .slots
+                .iter()
+                .filter(|slot| slot.process.is_some())
+                .count()
+        };
         assert_eq!(started(&supervisor), STARTS_AT_ONCE);
         supervisor.handle(Event::Shutdown, now);
         assert!(!supervisor.carry_out_decisions(now));
@@ -755,7 +769,9 @@ mod tests {
         let event = panicked(ended).expect("an event");
         supervisor.handle(event, now);
         let state = &supervisor.slots[0].state;
-        assert!(matches!(state.work, Work::Delivering { attempt: it, .. } if it == attempt));
+        assert!(
+            matches!(state.work, Work::Delivering { attempt: delivered, .. } if delivered == attempt)
+        );
         assert!(matches!(state.process, ProcessState::Down { .. }));
         assert_eq!(supervisor.mode, Mode::Serving, "another is started");
         assert!(inbox.try_recv().is_err());

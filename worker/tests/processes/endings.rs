@@ -42,9 +42,9 @@ async fn a_drain_finishes_the_rollout_in_hand_and_begins_no_other() {
     worker.signal("TERM");
     let result = coordinator.told(1).await.commit().result;
     assert_eq!(result.expect("a result").steps, 80);
-    let said = worker.ended();
+    let log = worker.ended();
     // Log lines name their campaign, since one worker may serve several.
-    assert!(said.contains(" test: object/t0/clean/i03"), "{said}");
+    assert!(log.contains(" test: object/t0/clean/i03"), "{log}");
     assert_eq!(
         (
             coordinator.everything_told().len(),
@@ -76,8 +76,8 @@ async fn a_drain_that_takes_too_long_gives_the_rollout_back() {
     let (worker, coordinator, _policy) = busy_worker_with(&["--drain-secs", "0"]).await;
     worker.signal("TERM");
     coordinator.told(1).await.release(Reason::Draining);
-    let said = worker.ended();
-    assert!(said.contains("not finished within 0 s"), "{said}");
+    let log = worker.ended();
+    assert!(log.contains("not finished within 0 s"), "{log}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -89,8 +89,8 @@ async fn a_worker_without_work_for_long_enough_ends_and_a_busy_one_does_not() {
     let (worker, coordinator, _policy) = busy_worker_with(&idle).await;
     let result = coordinator.told(1).await.commit().result;
     assert_eq!(result.expect("a result").steps, 80);
-    let said = worker.ended();
-    assert!(said.contains("no work for 1 s"), "{said}");
+    let log = worker.ended();
+    assert!(log.contains("no work for 1 s"), "{log}");
     assert_eq!(coordinator.signed_off().len(), 1, "it says good-bye");
 }
 
@@ -159,11 +159,11 @@ async fn rollouts_of_two_campaigns_have_one_line_of_the_log_each() {
     for place in [1, 2] {
         coordinator.told(place).await.commit();
     }
-    let said = worker.ended();
+    let log = worker.ended();
     for campaign in ["first", "second"] {
         let ended = format!(" {campaign}: object/t0/clean/i03");
-        let lines = said.lines();
+        let lines = log.lines();
         let lines = lines.filter(|line| line.contains(&ended) && line.contains(" steps in "));
-        assert_eq!(lines.count(), 1, "{campaign}: {said}");
+        assert_eq!(lines.count(), 1, "{campaign}: {log}");
     }
 }

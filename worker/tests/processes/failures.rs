@@ -182,9 +182,9 @@ async fn a_worker_that_is_told_to_stop_says_why_and_fails() {
     coordinator.stop_leasing("it has failed 5 times in a row");
     coordinator.lease(lease(1, "any", "http://127.0.0.1:9"));
     let worker = WorkerProcess::start(&coordinator.url());
-    let (status, said) = worker.wait();
+    let (status, log) = worker.wait();
     assert_eq!(status.code(), Some(1));
-    assert!(said.contains("it has failed 5 times in a row"), "{said}");
+    assert!(log.contains("it has failed 5 times in a row"), "{log}");
     assert!(matches!(
         coordinator.everything_told()[..],
         [_, Told::Released(_)]

@@ -73,9 +73,9 @@ async fn a_rollout_is_filmed_from_its_actions_when_its_policy_has_gone() {
     coordinator.film(film);
     let output = film_all(&coordinator);
     assert!(output.status.success(), "{output:?}");
-    let said = String::from_utf8(output.stdout).expect("text");
+    let summary = String::from_utf8(output.stdout).expect("text");
     assert_eq!(
-        said,
+        summary,
         "1 video stored; no more is left to film with asset pack primitives and MuJoCo 3.3.7\n"
     );
     let (attempt, bytes) = video(&coordinator, 2).await;
@@ -101,8 +101,8 @@ async fn several_rollouts_are_filmed_at_a_time_and_the_log_says_how_far_it_is() 
     let output = tokio::task::block_in_place(|| command.output().expect("runs"));
     let log = String::from_utf8(output.stderr).expect("text");
     assert!(output.status.success(), "{log}");
-    let said = String::from_utf8(output.stdout).expect("text");
-    assert!(said.starts_with("3 videos stored; "), "{said}");
+    let summary = String::from_utf8(output.stdout).expect("text");
+    assert!(summary.starts_with("3 videos stored; "), "{summary}");
     assert!(log.contains("filming 2 rollouts at a time"), "{log}");
     assert!(
         log.contains("(2 left)") && log.contains("(0 left)"),
@@ -127,8 +127,8 @@ async fn a_film_that_ends_otherwise_than_its_rollout_is_not_stored() {
     coordinator.film(film);
     let output = film_all(&coordinator);
     assert_eq!(output.status.code(), Some(1), "{output:?}");
-    let said = String::from_utf8(output.stderr).expect("text");
-    assert!(said.contains("its goal held at another step"), "{said}");
+    let log = String::from_utf8(output.stderr).expect("text");
+    assert!(log.contains("its goal held at another step"), "{log}");
     assert_eq!(coordinator.everything_told().len(), 2, "no video");
 }
 

@@ -18,15 +18,15 @@ fn a_bench_counts_what_slots_do_together_and_recommends_a_number() {
     let ran = run(&measured.split(' ').collect::<Vec<_>>());
     let complaint = String::from_utf8_lossy(&ran.stderr);
     assert!(ran.status.success(), "{complaint}");
-    let said = String::from_utf8(ran.stdout).expect("UTF-8");
-    println!("{said}");
+    let table = String::from_utf8(ran.stdout).expect("UTF-8");
+    println!("{table}");
     assert!(
-        said.lines().all(|line| line.chars().count() <= 80),
-        "{said}"
+        table.lines().all(|line| line.chars().count() <= 80),
+        "{table}"
     );
     // Columns: slots, steps/s, frames/s, slowest–fastest, MiB of a slot, PSS, MiB more.
     let row = |slots: &str| -> Vec<f64> {
-        let row = said.lines().map(|line| line.split_whitespace().collect());
+        let row = table.lines().map(|line| line.split_whitespace().collect());
         let mut row = row.filter(|row: &Vec<&str>| {
             // The line about the processor may begin with the same number.
             row.len() == 7 && row[0] == slots && row[1].parse::<f64>().is_ok()
@@ -48,7 +48,7 @@ fn a_bench_counts_what_slots_do_together_and_recommends_a_number() {
         assert!(steps <= count * fastest + 0.2, "{row:?}");
         assert!(0.0 < own && own <= pss && pss <= resident, "{row:?}");
     }
-    let last = said.lines().last().expect("a line");
+    let last = table.lines().last().expect("a line");
     assert!(
         ["--slots 1,", "--slots 2,"]
             .iter()
@@ -66,10 +66,10 @@ fn slots_wait_for_a_policy_that_takes_time_and_more_of_them_are_tried() {
     let ran = run(&measured.split(' ').collect::<Vec<_>>());
     let complaint = String::from_utf8_lossy(&ran.stderr);
     assert!(ran.status.success(), "{complaint}");
-    let said = String::from_utf8(ran.stdout).expect("UTF-8");
-    println!("{said}");
-    assert!(said.contains("The policy answers after 0.3 s"), "{said}");
-    let rows = said.lines().filter_map(|line| {
+    let table = String::from_utf8(ran.stdout).expect("UTF-8");
+    println!("{table}");
+    assert!(table.contains("The policy answers after 0.3 s"), "{table}");
+    let rows = table.lines().filter_map(|line| {
         let mut columns = line.split_whitespace();
         let slots: usize = columns.next()?.parse().ok()?;
         columns
@@ -81,18 +81,18 @@ fn slots_wait_for_a_policy_that_takes_time_and_more_of_them_are_tried() {
     let rows: Vec<(usize, f64)> = rows.collect();
     let alone = rows.first().expect("a row").1;
     // At most twenty steps follow every answer.
-    assert!(alone <= 67.0, "{said}");
+    assert!(alone <= 67.0, "{table}");
     // A single slot keeps no core busy, so more slots than twice the cores are tried, unless memory
     // is too small.
     let cores = available_parallelism().expect("it says").get();
-    let tried = said
+    let tried = table
         .lines()
         .filter_map(|line| line.split_whitespace().next()?.parse().ok());
     let most: usize = tried
         .filter(|slots| *slots < 10_000)
         .max()
         .expect("a number");
-    assert!(most > 2 * cores, "{most} on {cores}: {said}");
+    assert!(most > 2 * cores, "{most} on {cores}: {table}");
 }
 
 #[test]
@@ -102,10 +102,10 @@ fn a_slot_that_cannot_be_measured_is_named_with_its_reason() {
     }
     let bench = ["bench", "--assets", "primitives", "--slots", "1"];
     let ran = run(&[&bench[..], &NO_RENDERER].concat());
-    let said = String::from_utf8_lossy(&ran.stderr);
-    assert_eq!(ran.status.code(), Some(1), "{said}");
+    let stderr = String::from_utf8_lossy(&ran.stderr);
+    assert_eq!(ran.status.code(), Some(1), "{stderr}");
     for words in ["EGL", "slot 0: its process exited with code 1"] {
-        assert!(said.contains(words), "{said}");
+        assert!(stderr.contains(words), "{stderr}");
     }
 }
 
@@ -133,11 +133,11 @@ fn more_slots_than_the_machine_can_hold_are_refused_before_any_is_started() {
         return;
     }
     let worker = WorkerProcess::start_with("http://127.0.0.1:9", &["--slots", "100000"]);
-    let (status, said) = worker.wait();
-    assert_eq!(status.code(), Some(1), "{said}");
-    assert!(said.contains("failed to start 100000 slots: "), "{said}");
-    assert!(said.contains("`--slots auto` chooses"), "{said}");
-    assert!(!said.contains("[slot "), "{said}");
+    let (status, log) = worker.wait();
+    assert_eq!(status.code(), Some(1), "{log}");
+    assert!(log.contains("failed to start 100000 slots: "), "{log}");
+    assert!(log.contains("`--slots auto` chooses"), "{log}");
+    assert!(!log.contains("[slot "), "{log}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -153,7 +153,7 @@ async fn a_worker_that_chooses_its_slots_registers_them_and_says_why() {
     let cores = available_parallelism().expect("some cores").get();
     let slots = registered.slots;
     assert!((1..=cores).contains(&(slots as usize)), "{slots} slots");
-    let said = worker.terminated();
+    let log = worker.terminated();
     // On a busy machine, it may be one slot.
     let plural = if slots == 1 { "" } else { "s" };
     for words in [
@@ -161,7 +161,7 @@ async fn a_worker_that_chooses_its_slots_registers_them_and_says_why() {
         format!("{cores} cores"),
         format!("{slots} slot{plural}, assets primitives"),
     ] {
-        assert!(said.contains(&words), "{words}: {said}");
+        assert!(log.contains(&words), "{words}: {log}");
     }
 }
 
@@ -173,9 +173,9 @@ fn slots_that_cannot_be_chosen_can_be_given() {
     let auto = "--connect http://127.0.0.1:9 --assets primitives --slots auto";
     let auto: Vec<&str> = auto.split(' ').collect();
     let ran = run(&[&auto[..], &NO_RENDERER].concat());
-    let said = String::from_utf8_lossy(&ran.stderr);
-    assert_eq!(ran.status.code(), Some(1), "{said}");
+    let stderr = String::from_utf8_lossy(&ran.stderr);
+    assert_eq!(ran.status.code(), Some(1), "{stderr}");
     for words in ["`--slots N`", "slot 0", "exited with code 1"] {
-        assert!(said.contains(words), "{words}: {said}");
+        assert!(stderr.contains(words), "{words}: {stderr}");
     }
 }

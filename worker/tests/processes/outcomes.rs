@@ -206,9 +206,9 @@ async fn an_outcome_is_kept_until_the_coordinator_is_back() {
     coordinator.come_back().await;
     coordinator.told(1).await.commit();
 
-    let said = worker.terminated();
-    assert_eq!(said.matches("cannot be reached").count(), 1, "{said}");
-    assert_eq!(said.matches("answers again").count(), 1, "{said}");
+    let log = worker.terminated();
+    assert_eq!(log.matches("cannot be reached").count(), 1, "{log}");
+    assert_eq!(log.matches("answers again").count(), 1, "{log}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -277,15 +277,15 @@ fn a_replay_without_pictures_opens_no_renderer() {
     );
     let line: Vec<&str> = line.split_whitespace().collect();
     let ran = run(&line);
-    let said = String::from_utf8_lossy(&ran.stderr);
+    let stderr = String::from_utf8_lossy(&ran.stderr);
     assert_eq!(
         ran.status.code(),
         Some(1),
-        "a video takes a renderer: {said}"
+        "a video takes a renderer: {stderr}"
     );
     let ran = run(&[&line[..], &["--no-video"]].concat());
-    let said = String::from_utf8_lossy(&ran.stderr);
-    assert!(ran.status.success(), "{said}");
+    let stderr = String::from_utf8_lossy(&ran.stderr);
+    assert!(ran.status.success(), "{stderr}");
     let result = std::fs::read(folder.path().join("result.json")).expect("a result");
     let result: serde_json::Value = serde_json::from_slice(&result).expect("JSON");
     assert_eq!(result["finished"]["outcome"]["steps"], 3);

@@ -6,10 +6,14 @@ use crate::worker_process::{ready, run};
 
 fn check(arguments: &[&str], exit_code: i32, expected: &[&str]) {
     let ran = run(arguments);
-    let said = String::from_utf8_lossy(&ran.stderr);
-    assert_eq!(ran.status.code(), Some(exit_code), "{arguments:?}: {said}");
+    let stderr = String::from_utf8_lossy(&ran.stderr);
+    assert_eq!(
+        ran.status.code(),
+        Some(exit_code),
+        "{arguments:?}: {stderr}"
+    );
     for words in expected {
-        assert!(said.contains(words), "{arguments:?}: {said}");
+        assert!(stderr.contains(words), "{arguments:?}: {stderr}");
     }
 }
 
@@ -38,9 +42,12 @@ fn the_environment_names_the_sources_in_every_mode() {
             .env("ROLLOUT_SOURCES", "/nonexistent")
             .output()
             .expect("runs");
-        let said = String::from_utf8_lossy(&ran.stderr);
-        assert_eq!(ran.status.code(), Some(1), "{mode}: {said}");
-        assert!(said.contains("/nonexistent/robosuite"), "{mode}: {said}");
+        let stderr = String::from_utf8_lossy(&ran.stderr);
+        assert_eq!(ran.status.code(), Some(1), "{mode}: {stderr}");
+        assert!(
+            stderr.contains("/nonexistent/robosuite"),
+            "{mode}: {stderr}"
+        );
     }
 }
 
@@ -75,10 +82,10 @@ fn the_coordinator_in_the_environment_is_looked_at_only_where_one_is_called() {
                 .env("COORDINATOR_URL", address)
                 .output()
                 .expect("runs");
-            let said = String::from_utf8_lossy(&ran.stderr);
+            let stderr = String::from_utf8_lossy(&ran.stderr);
             assert!(
-                !ran.status.success() && said.contains(problem),
-                "{mode}: {said}"
+                !ran.status.success() && stderr.contains(problem),
+                "{mode}: {stderr}"
             );
         }
     }

@@ -203,8 +203,8 @@ impl ScriptedCoordinator {
     /// Waits until a heartbeat reports at least this number of control steps of a job.
     pub(crate) async fn progressed(&self, job: i64, control_steps: u32) {
         self.wait_for("progress", |state| {
-            let far = |it: &&Progress| {
-                it.attempt_id == attempt_id(job) && it.control_steps >= control_steps
+            let far = |progress: &&Progress| {
+                progress.attempt_id == attempt_id(job) && progress.control_steps >= control_steps
             };
             let last = state.heartbeats.last()?;
             last.progress.iter().find(far).map(|_| ())

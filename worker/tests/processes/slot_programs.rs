@@ -69,8 +69,8 @@ async fn what_a_library_prints_half_way_through_a_line_loses_nothing() {
         assert_eq!(commit.attempt_id, attempt_id(job));
         assert_eq!(commit.result.expect("a result").steps, 21);
     }
-    let said = worker.terminated();
-    assert!(said.contains("[slot 0] WARNING: half a line"), "{said}");
+    let log = worker.terminated();
+    assert!(log.contains("[slot 0] WARNING: half a line"), "{log}");
 }
 
 /// Simulates a crash of the video encoder in every rollout.
@@ -87,8 +87,8 @@ async fn a_crash_while_filming_leaves_the_result_committed_and_charges_nobody() 
         assert_eq!(commit.attempt_id, attempt_id(job));
     }
     coordinator.claimed(3).await;
-    let said = worker.terminated();
-    assert!(said.contains("SIGSEGV"), "{said}");
+    let log = worker.terminated();
+    assert!(log.contains("SIGSEGV"), "{log}");
     assert_eq!(coordinator.everything_told().len(), 3, "no release");
 }
 
@@ -135,14 +135,14 @@ async fn slots_that_draw_differently_stop_the_worker_before_a_result_is_refused(
         panic!("a worker registers first");
     };
     assert_eq!(registered.renderer, "one");
-    let (status, said) = worker.wait();
+    let (status, log) = worker.wait();
     assert_eq!(status.code(), Some(1));
     for words in [
         "it draws with `another`",
         "is registered with `one`",
         "one worker for each renderer",
     ] {
-        assert!(said.contains(words), "{said}");
+        assert!(log.contains(words), "{log}");
     }
     assert_eq!(coordinator.everything_told().len(), 1);
 }
@@ -156,14 +156,14 @@ async fn a_slot_that_crashes_again_and_again_stops_the_worker_with_the_reason() 
     let folder = tempfile::tempdir().expect("a folder");
     let program = slot_program(folder.path(), "echo libEGL is missing >&2\nexit 3\n");
     let worker = WorkerProcess::start_with(&coordinator.url(), &["--slot-program", &program]);
-    let (status, said) = worker.wait();
+    let (status, log) = worker.wait();
     assert_eq!(status.code(), Some(1));
     for words in [
         "ended 5 times in a row",
         "exited with code 3",
         "libEGL is missing",
     ] {
-        assert!(said.contains(words), "{said}");
+        assert!(log.contains(words), "{log}");
     }
     let told = coordinator.everything_told();
     assert!(told.is_empty(), "registered without a renderer: {told:?}");

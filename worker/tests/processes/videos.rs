@@ -57,10 +57,10 @@ async fn heartbeats_say_that_a_video_is_made_and_never_count_it_as_steps() {
     coordinator.told(2).await;
     coordinator.films(0).await;
     let heartbeats = coordinator.heartbeats();
-    let steps = heartbeats.iter().flat_map(|it| &it.progress);
-    let most = steps.map(|it| it.control_steps).max();
+    let steps = heartbeats.iter().flat_map(|heartbeat| &heartbeat.progress);
+    let most = steps.map(|progress| progress.control_steps).max();
     assert!((1..=row.settle_steps + row.max_steps).contains(&most.expect("progress")));
-    assert!(heartbeats.iter().all(|it| it.filming <= 1));
+    assert!(heartbeats.iter().all(|heartbeat| heartbeat.filming <= 1));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -103,8 +103,8 @@ async fn a_coordinator_that_cannot_store_videos_gets_every_result() {
     // Sending each of the two videos is tried again.
     coordinator.refused_artifacts(4).await;
     coordinator.claimed(3).await;
-    let said = worker.terminated();
-    assert!(!said.contains("cannot be reached"), "{said}");
+    let log = worker.terminated();
+    assert!(!log.contains("cannot be reached"), "{log}");
     assert_eq!(coordinator.everything_told().len(), 3);
 }
 
@@ -122,11 +122,8 @@ async fn a_video_of_a_refused_result_is_not_sent() {
     coordinator.told(1).await.commit();
     let commit = coordinator.told(2).await.commit();
     assert_eq!(commit.attempt_id, attempt_id(2));
-    let said = worker.terminated();
-    assert!(
-        said.contains("finish the video: it was abandoned"),
-        "{said}"
-    );
+    let log = worker.terminated();
+    assert!(log.contains("finish the video: it was abandoned"), "{log}");
     assert_eq!(coordinator.everything_told().len(), 3);
 }
 
@@ -156,7 +153,6 @@ async fn a_slot_that_dies_before_its_result_is_committed_is_not_charged() {
     let commit = coordinator.told(1).await.commit();
     assert_eq!(commit.attempt_id, attempt_id(1));
     let told = coordinator.everything_told();
-    let is_crash =
-        |told: &Told| matches!(told, Told::Released(it) if it.reason() == Reason::SlotCrashed);
+    let is_crash = |told: &Told| matches!(told, Told::Released(release) if release.reason() == Reason::SlotCrashed);
     assert!(!told.iter().any(is_crash), "{told:?}");
 }

@@ -115,7 +115,7 @@ fn documents(root: &Path, unpacked: &Path) -> Result<&'static str> {
         serde_json::from_str(&std::fs::read_to_string(documents.join(stage::BILL))?)?;
     let listed: Vec<&str> = bill::names(&bill);
     let crates = crates::shipped(root)?;
-    let crates = crates.iter().map(|it| it.name.as_str());
+    let crates = crates.iter().map(|part| part.name.as_str());
     for name in crates.chain(["mujoco", "robosuite", "hf-libero"]) {
         ensure!(
             licences.contains(&format!("\n{name} ")),
@@ -152,10 +152,10 @@ fn versions(root: &Path, bare: &BareRoot) -> Result<String> {
         Err(_) => VERSION.to_owned(),
     };
     for name in PROGRAMS {
-        let said = capture(bare.program(name).arg("--version"))?;
+        let version = capture(bare.program(name).arg("--version"))?;
         ensure!(
-            said == format!("{name} {expected}"),
-            "expect {expected}: {name} is {said:?}"
+            version == format!("{name} {expected}"),
+            "expect {expected}: {name} is {version:?}"
         );
     }
     Ok(expected)

@@ -80,7 +80,7 @@ impl Elf {
         let fallback = lib.join("fallback");
         let mut provided = Vec::new();
         for name in needed {
-            if let Some(name) = OF_COMPILER.into_iter().find(|it| it == name) {
+            if let Some(name) = OF_COMPILER.into_iter().find(|library| library == name) {
                 std::fs::create_dir_all(&fallback)?;
                 let found = installed(name)?;
                 std::fs::copy(&found, fallback.join(name))
@@ -131,7 +131,7 @@ pub(super) fn oldest_glibc(files: &[PathBuf]) -> Result<(u32, u32)> {
 
 /// Parses the version at the start of a text: `2.34) puts` is (2, 34).
 fn version(text: &str) -> Option<(u32, u32)> {
-    let end = text.find(|it: char| !it.is_ascii_digit() && it != '.');
+    let end = text.find(|character: char| !character.is_ascii_digit() && character != '.');
     let mut numbers = text[..end.unwrap_or(text.len())].split('.');
     let mut number = || numbers.next()?.parse().ok();
     Some((number()?, number()?))

@@ -136,7 +136,7 @@ fn scenes(cache: &Path, folder: &Path) -> Result<String> {
         for file in files(&from)? {
             let ending = file
                 .extension()
-                .and_then(|it| it.to_str())
+                .and_then(|name| name.to_str())
                 .unwrap_or_default();
             if OF_SCENES.contains(&ending) {
                 copy(&from.join(&file), &to.join(part).join(&file))?;

@@ -101,7 +101,8 @@ impl Supervisor {
         let last = self.slots[slot].assignment.as_ref();
         let is_warm = last.is_some_and(|last| files(last.row.id) == files(row.id));
         let provider = self.config.provider.clone();
-        let Some(provider) = provider.filter(|it| !is_warm && it.is_needed(&row)) else {
+        let Some(provider) = provider.filter(|provider| !is_warm && provider.is_needed(&row))
+        else {
             return self.begin(slot, assignment, campaign, now);
         };
         let attempt = assignment.attempt;

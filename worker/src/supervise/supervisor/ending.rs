@@ -37,7 +37,7 @@ impl Supervisor {
         if self.mode == Mode::Serving {
             self.start_to_drain();
             self.told_to_end_at = Some(now);
-            let running = self.slots.iter().filter_map(|it| it.state.progress());
+            let running = self.slots.iter().filter_map(|slot| slot.state.progress());
             tracing::info!(
                 "draining: {} in flight to be finished; a second signal gives them back instead",
                 counted(running.count() as u64, "rollout")
