@@ -67,12 +67,12 @@ fn broken(released: &DescriptorPool, now: &DescriptorPool) -> Vec<String> {
 }
 
 #[test]
-fn everything_that_was_released_is_still_there() {
+fn every_released_promise_is_kept() {
     assert_eq!(broken(&released(), &today()), Vec::<String>::new());
 }
 
 #[test]
-fn whatever_is_changed_in_a_released_file_is_noticed() {
+fn incompatible_changes_of_a_released_file_are_detected() {
     let text = std::fs::read_to_string(folder().join("released/policy_v1.proto"));
     let text = text.expect("the released file");
     let check = |from: &str, to: &str, breaks: bool| {

@@ -126,7 +126,7 @@ fn crates_use_one_another_in_the_agreed_directions_only() {
 }
 
 #[test]
-fn an_arrow_that_points_up_or_sideways_is_found() {
+fn an_upward_or_sideways_dependency_is_found() {
     let layers = [
         vec!["top".to_owned(), "side".to_owned()],
         vec!["low".to_owned()],

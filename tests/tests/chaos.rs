@@ -24,7 +24,7 @@ const AT_A_TIME_PER_CORE: usize = 3;
 const CHARGED: &str = "SELECT coalesce(sum(charged), 0) FROM failure";
 
 #[test]
-fn whatever_fails_a_campaign_ends_as_the_undisturbed_one() {
+fn a_campaign_under_faults_ends_as_the_undisturbed_one() {
     play(SlotKind::Simulated, seeds(0..SIMULATED));
 }
 
@@ -122,7 +122,7 @@ fn difference(expected: &str, outcome: &str) -> String {
 }
 
 #[test]
-fn workers_that_slept_through_their_leases_are_heard_when_they_wake() {
+fn workers_suspended_beyond_their_leases_lose_no_result() {
     // With several workers, a rollout might be leased to another one before its worker wakes.
     let mut fleet = Fleet::start_with(Plan {
         workers: 1,

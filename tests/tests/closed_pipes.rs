@@ -25,7 +25,7 @@ fn check(name: &str, arguments: &[&str]) {
 }
 
 #[test]
-fn a_command_whose_reader_has_enough_ends_without_a_word() {
+fn a_command_with_a_closed_pipe_reports_no_error() {
     let data = tempfile::tempdir().expect("a temporary folder");
     let campaigns = Campaigns::start(data.path());
     campaigns.create("first", "noop", "libero_object/0", "0-9");

@@ -240,7 +240,7 @@ fn a_server_takes_its_options_from_the_environment_and_the_command_line_wins() {
 }
 
 #[test]
-fn a_variable_that_cannot_be_meant_is_named_by_what_serves_and_is_nothing_to_others() {
+fn an_invalid_variable_stops_servers_and_no_other_command() {
     for (name, arguments, variable, value) in [
         (
             "coordinator",

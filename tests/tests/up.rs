@@ -171,7 +171,7 @@ fn one_command_runs_coordinator_gateway_and_worker_and_ctrl_c_stops_all() {
 }
 
 #[test]
-fn nothing_outlives_it_if_it_is_killed() {
+fn no_program_outlives_a_killed_coordinator_up() {
     let data = tempfile::tempdir().unwrap();
     let up = Up::start(&data.path().join("data"), &["--slots", "1"]).ready();
     let children = up.children();
@@ -197,7 +197,7 @@ fn nothing_outlives_it_if_it_is_killed() {
 }
 
 #[test]
-fn a_program_that_ends_is_named_and_takes_the_others_with_it() {
+fn a_program_that_exits_is_named_and_stops_the_others() {
     let data = tempfile::tempdir().unwrap();
     let up = Up::start(&data.path().join("data"), &["--slots", "1"]).ready();
     let children = up.children();

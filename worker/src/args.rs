@@ -579,7 +579,7 @@ mod tests {
     }
 
     #[test]
-    fn short_help_fits_a_screen_and_scenes_are_no_matter_of_the_connection() {
+    fn short_help_fits_a_screen_and_scene_options_have_their_own_section() {
         let helps = helps::check(Arguments::of("0"));
         for words in ["worker", "worker rollout", "worker variants"] {
             let help = helps.iter().find(|help| help.words == words);
@@ -693,7 +693,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_meant_is_a_usage_error() {
+    fn invalid_command_lines_are_usage_errors() {
         for line in [
             "worker --connect http://h:1 --assets primitives --slots 0",
             "worker --connect http://h:1 --assets primitives --slots many",

@@ -39,7 +39,7 @@ pub fn run(arguments: &AssetsArguments) -> Result<(), PackError> {
         AssetsCommand::Path => print(&format!("{}\n", Sources::fetched_pack(&dir).display())),
         AssetsCommand::List { packs } => {
             let sources = Sources::open(&dir)?;
-            for pack in packs_or_own(packs) {
+            for pack in packs_or_default(packs) {
                 let pack = AssetPack::open(&pack, &sources)?;
                 print(&describe(&pack, &sources)?)?;
             }
@@ -48,7 +48,7 @@ pub fn run(arguments: &AssetsArguments) -> Result<(), PackError> {
         AssetsCommand::Verify { pack } => {
             let sources = Sources::open(&dir)?;
             let packs = pack.as_ref().map(std::slice::from_ref);
-            for pack in packs_or_own(packs.unwrap_or_default()) {
+            for pack in packs_or_default(packs.unwrap_or_default()) {
                 verify(&AssetPack::open(&pack, &sources)?, &sources)?;
             }
             Ok(())
@@ -156,7 +156,7 @@ impl Provider {
 }
 
 /// Returns the given packs, or `libero` and `primitives` if none is given.
-fn packs_or_own(given: &[String]) -> Vec<String> {
+fn packs_or_default(given: &[String]) -> Vec<String> {
     match given {
         [] => vec![LIBERO.to_owned(), PRIMITIVES.to_owned()],
         given => given.to_vec(),
@@ -310,8 +310,8 @@ fn tasks(arguments: &FetchArguments, sources: &Sources) -> Vec<TaskFiles> {
         let files = chosen.into_iter();
         tasks.extend(files.map(|task| TaskFiles::of_task(sources, task)));
     }
-    let own = arguments.bddl.iter();
-    tasks.extend(own.map(|bddl| TaskFiles {
+    let further = arguments.bddl.iter();
+    tasks.extend(further.map(|bddl| TaskFiles {
         bddl: bddl.clone(),
         init: Default::default(),
     }));

@@ -85,7 +85,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_policy_gets_the_readings_it_wants_in_its_order() {
+    fn a_policy_gets_the_requested_readings_in_its_order() {
         let robot = RobotState {
             eef_pos: [1.0, 2.0, 3.0],
             eef_quat_xyzw: [0.0, 0.0, 0.0, 1.0],

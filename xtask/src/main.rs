@@ -296,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn every_documented_command_of_its_is_understood() {
+    fn every_documented_command_is_accepted() {
         let parse = |command: &str| {
             let words = command.split_whitespace();
             let words = words.take_while(|word| !["#", "&&"].contains(word)).skip(1);

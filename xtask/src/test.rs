@@ -264,7 +264,7 @@ mod tests {
     use super::draws_through_opengl;
 
     #[test]
-    fn opengl_is_installed_for_what_draws_through_it_only() {
+    fn opengl_is_installed_only_for_programs_that_use_it() {
         let asks = |name: &str, arguments: &str| {
             let arguments: Vec<String> = arguments.split_whitespace().map(str::to_owned).collect();
             draws_through_opengl(name, &arguments)

@@ -269,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn a_block_that_would_be_forgotten_is_refused() {
+    fn a_block_that_would_not_run_is_refused() {
         for page in [
             "```\ncoordinator report x   # first\n```\n",
             "    cargo xtask demo\n",

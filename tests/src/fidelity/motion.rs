@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn with_one_the_differences_are_judged_by_it() {
+    fn a_measured_sensitivity_bounds_the_differences() {
         // Insensitive in the first 20 steps only.
         let sampled = [1e-13, 1e-5];
         let mut differences = vec![1e-12; 41];

@@ -92,8 +92,8 @@ fn manifests_are_what_kubernetes_takes_and_name_what_there_is() {
 }
 
 #[test]
-fn what_is_wrong_with_a_manifest_is_named() {
-    let Some(python) = python("what_is_wrong_with_a_manifest_is_named") else {
+fn manifest_faults_are_named() {
+    let Some(python) = python("manifest_faults_are_named") else {
         return;
     };
     let folder = tempfile::tempdir().expect("a folder");

@@ -50,7 +50,7 @@ fn unknown_flags(words: &[String]) -> Vec<String> {
 }
 
 #[test]
-fn a_flag_that_a_program_has_not_is_named() {
+fn an_unknown_flag_is_named() {
     let words = ["coordinator", "serve", "--data=here", "--port", "7411"];
     let words = words.map(str::to_owned);
     assert_eq!(unknown_flags(&words), ["coordinator: --port"]);

@@ -158,7 +158,7 @@ fn has_sources() -> bool {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_looks_for_a_coordinator_says_what_was_found_and_what_to_do() {
+async fn clients_of_a_coordinator_explain_unexpected_servers() {
     let data = tempfile::tempdir().expect("a temporary folder");
     let mine = Authority::new();
     let other_server = gateway(&[]);
@@ -218,7 +218,7 @@ async fn who_looks_for_a_coordinator_says_what_was_found_and_what_to_do() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_looks_for_a_policy_says_what_was_found_and_what_to_do() {
+async fn clients_of_a_policy_explain_unexpected_servers() {
     let data = tempfile::tempdir().expect("a temporary folder");
     let mine = Authority::new();
     let other_server = coordinator(data.path(), &[]);

@@ -160,8 +160,8 @@ impl fmt::Display for Coverage {
         writeln!(f, "  tasks       {}", self.summary())?;
         if self.to_fetch.is_some() {
             if !self.shown.is_empty() && !self.broken.is_empty() {
-                let there: Vec<String> = self.shown.iter().map(ToString::to_string).collect();
-                writeln!(f, "    there: {}", there.join(", "))?;
+                let shown: Vec<String> = self.shown.iter().map(ToString::to_string).collect();
+                writeln!(f, "    there: {}", shown.join(", "))?;
             }
             return Ok(());
         }
@@ -180,7 +180,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_built_in_pack_shows_every_task_and_half_of_it_names_what_is_missing() {
+    fn the_built_in_pack_shows_every_task_and_a_partial_copy_names_missing_files() {
         let sources = match Sources::open(&Sources::default_dir()) {
             Ok(sources) => sources,
             Err(error) => {

@@ -45,8 +45,8 @@ pub fn choose_slots(program: SlotProgram, scenes: usize) -> Result<Chosen, Measu
     for _ in 0..ROUNDS {
         for number in numbers(most) {
             let rate = slots.measure(number, secs)?.throughput.steps_per_sec;
-            let before: &mut f64 = best.entry(number).or_insert(rate);
-            *before = before.max(rate);
+            let best_rate: &mut f64 = best.entry(number).or_insert(rate);
+            *best_rate = best_rate.max(rate);
         }
     }
     let throughput = |(&slots, &steps_per_sec)| Throughput {

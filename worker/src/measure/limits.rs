@@ -59,7 +59,7 @@ pub fn check(slots: usize) -> Result<Option<String>, LimitError> {
     if let Some(shortage) = machine.shortage(slots) {
         return Err(LimitError::TooMany { slots, shortage });
     }
-    Ok(machine.doubt(slots))
+    Ok(machine.warning(slots))
 }
 
 /// Returns the number of rollouts to film in parallel: one per core, if memory allows.
@@ -120,12 +120,12 @@ impl Machine {
         })
     }
 
-    fn doubt(self, slots: usize) -> Option<String> {
+    fn warning(self, slots: usize) -> Option<String> {
         (slots > self.cores.saturating_mul(USUAL_PER_CORE)).then(|| {
             format!(
                 "{slots} slots share {}: more than {USUAL_PER_CORE} for each core only help with \
                  a policy that takes longer than the simulation; `worker bench --policy-secs` \
-                 measures how many are worth having",
+                 measures how many raise the throughput",
                 counted(self.cores as u64, "core")
             )
         })
@@ -164,9 +164,9 @@ mod tests {
     }
 
     #[test]
-    fn more_slots_than_a_usual_policy_keeps_busy_are_doubted() {
-        assert_eq!(MACHINE.doubt(16), None);
-        let doubt = MACHINE.doubt(17).expect("a warning");
-        assert!(doubt.starts_with("17 slots share 8 cores"), "{doubt}");
+    fn implausibly_many_slots_cause_a_warning() {
+        assert_eq!(MACHINE.warning(16), None);
+        let warning = MACHINE.warning(17).expect("a warning");
+        assert!(warning.starts_with("17 slots share 8 cores"), "{warning}");
     }
 }

@@ -86,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_limit_it_is_what_the_machine_has_left() {
+    fn without_a_limit_the_machines_memory_is_available() {
         assert_eq!(machine(&[]), 8000 << 10);
         let unlimited = [
             ("proc/self/cgroup", "0::/job\n"),
@@ -125,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn this_machine_says_how_much_it_has() {
+    fn the_available_memory_of_this_machine_is_read() {
         assert!(available().expect("it says") > 1 << 20);
     }
 }

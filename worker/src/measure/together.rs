@@ -228,7 +228,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rates_add_up_and_the_largest_slot_stands_for_all() {
+    fn rates_add_up_and_memory_is_the_largest_slots() {
         let count = |secs, steps, own| Count {
             secs,
             steps,
@@ -260,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_that_is_not_there_is_named() {
+    fn a_missing_program_is_named() {
         let mut slots = Slots::new(SlotProgram {
             program: "/nonexistent/worker".into(),
             arguments: Vec::new(),
@@ -270,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn a_process_that_ends_early_is_told_with_its_end() {
+    fn an_early_exit_is_reported_with_its_status() {
         let mut slots = Slots::new(SlotProgram {
             program: "sh".into(),
             arguments: vec!["-c".into(), "echo no JSON; exit 3".into()],

@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn the_end_of_a_process_is_told_in_words() {
+    fn the_end_of_a_process_is_described() {
         let check = |wait_status: i32, expected: &str| {
             let text = explain_status(ExitStatus::from_raw(wait_status), Verdict::GroupLimit);
             assert!(text.contains(expected), "{text}");

@@ -68,7 +68,7 @@ pub(super) struct Supervisor {
     /// Signals the link to drop its claims.
     drain: watch::Sender<bool>,
     /// Time of the first request to end.
-    told_to_end_at: Option<Instant>,
+    shutdown_requested_at: Option<Instant>,
     /// Start of the idle time. Outages of the coordinator do not count as idle.
     idle_since: Instant,
     /// Reason why the worker ends, unless it was asked to.
@@ -76,7 +76,7 @@ pub(super) struct Supervisor {
     heartbeat_under_way: bool,
     /// True if a lease was taken that no heartbeat has named yet: the first heartbeat acknowledges
     /// it.
-    has_news: bool,
+    has_unacknowledged_lease: bool,
     /// Back-off of failed fetches of assets.
     fetches: Backoff,
     /// Earliest time of the next claim after a failed fetch.
@@ -118,11 +118,11 @@ impl Supervisor {
             is_registered: false,
             mode: Mode::Serving,
             drain,
-            told_to_end_at: None,
+            shutdown_requested_at: None,
             idle_since: now,
             fault: None,
             heartbeat_under_way: false,
-            has_news: false,
+            has_unacknowledged_lease: false,
             fetches: Backoff::new(Waits::USUAL, seed),
             claims_from: now,
             idle_reason: String::new(),
@@ -206,7 +206,7 @@ impl Supervisor {
         }
         if !self.uploads.is_empty() {
             let videos = counted(self.uploads.len() as u64, "video");
-            tracing::warn!("gave up storing {videos}: there was no more time");
+            tracing::warn!("{videos} dropped: not stored in time");
         }
         self.calls.abort_all();
         self.uploads.abort_all();
@@ -245,7 +245,7 @@ impl Supervisor {
     fn handle(&mut self, event: Event, now: Instant) {
         match event {
             Event::Tick => {
-                if self.has_news {
+                if self.has_unacknowledged_lease {
                     self.send_heartbeat();
                 }
                 self.end_in_time(now);
@@ -266,7 +266,7 @@ impl Supervisor {
             } => self.delivered(slot, &label, answer),
             Event::Slot { key, event } => {
                 if self.is_current(key) {
-                    self.slot_said(key.slot, event, now);
+                    self.handle_slot_event(key.slot, event, now);
                 }
             }
             Event::Ended { key, end } => {
@@ -352,7 +352,7 @@ impl Supervisor {
         }
     }
 
-    fn slot_said(&mut self, slot: usize, event: SlotEvent, now: Instant) {
+    fn handle_slot_event(&mut self, slot: usize, event: SlotEvent, now: Instant) {
         let (attempt, event) = match event {
             SlotEvent::Ready {
                 renderer,
@@ -399,9 +399,9 @@ impl Supervisor {
         tracing::info!("slot {slot} is ready: renderer {renderer}, fingerprint {fingerprint}");
         match &self.registration {
             None => self.register(registration(&self.config, renderer)),
-            Some(known) if known.renderer == renderer => {}
-            Some(known) => {
-                let registered = known.renderer.clone();
+            Some(registration) if registration.renderer == renderer => {}
+            Some(registration) => {
+                let registered = registration.renderer.clone();
                 self.stop(SuperviseError::Renderers {
                     slot,
                     renderer,
@@ -427,7 +427,7 @@ impl Supervisor {
                 tracing::info!("registered with the coordinator at {url}");
                 self.timing = Timing::from(&answer);
                 self.is_registered = true;
-                self.tell_idle(answer.idle_reason);
+                self.log_idle_reason(answer.idle_reason);
             }
             Err(status) => {
                 let (url, answer) = (url.clone(), chain(&status));
@@ -521,7 +521,7 @@ impl Supervisor {
             identity: self.config.identity.clone(),
             ending,
         };
-        delivery.tell();
+        delivery.log();
         let label = delivery.label.clone();
         let (link, events) = (self.link.clone(), self.events.clone());
         self.calls.spawn(async move {
@@ -538,7 +538,7 @@ impl Supervisor {
     fn delivered(&mut self, slot: usize, label: &str, answer: Answer) {
         let decision = self.slots[slot].state.delivered(answer.is_committed());
         self.carry_out_video(slot, decision);
-        answer.tell(label);
+        answer.log(label);
         if let Some(reason) = answer.stop_leasing() {
             self.stop(SuperviseError::Stopped(reason));
         }
@@ -556,9 +556,9 @@ impl Supervisor {
             return;
         }
         self.heartbeat_under_way = true;
-        self.has_news = false;
-        let held = self.slots.iter().filter_map(|slot| slot.state.progress());
-        let progress = held.map(|(attempt, control_steps)| Progress {
+        self.has_unacknowledged_lease = false;
+        let under_way = self.slots.iter().filter_map(|slot| slot.state.progress());
+        let progress = under_way.map(|(attempt, control_steps)| Progress {
             attempt_id: attempt.to_string(),
             control_steps,
         });
@@ -582,26 +582,28 @@ impl Supervisor {
         for lost in &answer.lost_attempts {
             match lost.parse() {
                 Ok(attempt) => self.abandon(attempt, now),
-                Err(error) => tracing::warn!("a lost lease is not known here: {error}"),
+                Err(error) => {
+                    tracing::warn!("the coordinator named a lost attempt by an invalid id: {error}")
+                }
             }
         }
     }
 
     /// Abandons an attempt whose lease is lost, if it is still being simulated.
     fn abandon(&mut self, lost: AttemptId, now: Instant) {
-        let fetching = |slot: &Slot| slot.state.work == Work::Preparing { attempt: lost };
-        if let Some(slot) = self.slots.iter_mut().find(|slot| fetching(slot)) {
+        let is_preparing = |slot: &Slot| slot.state.work == Work::Preparing { attempt: lost };
+        if let Some(slot) = self.slots.iter_mut().find(|slot| is_preparing(slot)) {
             tracing::warn!("a lease was lost while assets were fetched for it");
             slot.state.work = Work::Nothing;
             slot.preparing = None;
             return;
         }
-        let held = |slot: &Slot| matches!(slot.state.work, Work::Running { attempt, .. } if attempt == lost);
-        let Some(slot) = self.slots.iter().position(held) else {
+        let is_running = |slot: &Slot| matches!(slot.state.work, Work::Running { attempt, .. } if attempt == lost);
+        let Some(slot) = self.slots.iter().position(is_running) else {
             return;
         };
         tracing::warn!(
-            "the lease of {} was lost; it is abandoned",
+            "the lease of {} was lost; the rollout is abandoned",
             self.label(slot)
         );
         let slot = &mut self.slots[slot];
@@ -624,10 +626,10 @@ impl Supervisor {
                 .is_some_and(|process| process.task == task)
         };
         if let Some(slot) = self.slots.iter().position(owns) {
-            let end = ProcessEnd::from(format!("is not attended any more: {error}"));
+            let end = ProcessEnd::from(format!("lost the task that supervised it: {error}"));
             return self.process_ended(slot, end, now);
         }
-        tracing::error!("a part of this worker broke off: {error}");
+        tracing::error!("a task of this worker panicked: {error}");
         self.start_to_drain();
         self.fault.get_or_insert(SuperviseError::Panicked(error));
         self.give_up(now);
@@ -714,7 +716,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_request_to_end_is_heard_while_slots_still_start() {
+    async fn a_shutdown_request_is_handled_while_slots_start() {
         let (events, _inbox) = mpsc::channel(8);
         let mut supervisor = supervisor_of(3 * STARTS_AT_ONCE, events);
         let now = Instant::now();
@@ -736,7 +738,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_machine_that_has_nothing_left_for_a_slot_ends_the_worker_at_once() {
+    async fn exhausted_resources_end_the_worker_at_once() {
         let (events, _inbox) = mpsc::channel(8);
         let mut supervisor = supervisor_of(1_000, events);
         let now = Instant::now();
@@ -750,7 +752,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_slots_task_that_panics_is_the_end_of_its_process() {
+    async fn a_panic_of_a_slots_task_ends_its_process() {
         let (events, mut inbox) = mpsc::channel(8);
         let mut supervisor = supervisor(events);
         let now = Instant::now();

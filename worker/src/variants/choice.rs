@@ -90,7 +90,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn filters_are_met_all_at_once() {
+    fn all_filters_must_match() {
         let all = Choice::default();
         assert_eq!(all.selection().cases().unwrap().len(), 10_030);
         let some = Choice {
@@ -137,9 +137,15 @@ mod tests {
             video: false,
             list: false,
         };
-        let of = |manner: &Manner, benchmark| manner.protocol_of(benchmark);
-        assert_eq!(of(&manner, Benchmark::Pro).unwrap().name, "pro-official");
-        assert_eq!(of(&manner, Benchmark::Plus).unwrap().name, "plus-official");
+        let protocol = |manner: &Manner, benchmark| manner.protocol_of(benchmark);
+        assert_eq!(
+            protocol(&manner, Benchmark::Pro).unwrap().name,
+            "pro-official"
+        );
+        assert_eq!(
+            protocol(&manner, Benchmark::Plus).unwrap().name,
+            "plus-official"
+        );
         manner.protocol = Some("plus-rlinf".parse().unwrap());
         assert!(matches!(
             of(&manner, Benchmark::Pro),

@@ -387,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_goes_on_from_its_results_and_is_pooled_with_no_other() {
+    fn a_run_resumes_from_its_own_results_only() {
         let folder = tempfile::tempdir().unwrap();
         let open = |protocol| Results::open(folder.path(), pin(protocol));
         let mut results = open("plus-official").unwrap();

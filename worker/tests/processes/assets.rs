@@ -56,7 +56,7 @@ async fn a_job_whose_assets_cannot_be_fetched_is_given_back_without_a_charge() {
         .env("ROLLOUT_WHEELS", folder.path().join("wheels"));
     let _worker = WorkerProcess::start_command(&mut worker);
     for number in 1..=2 {
-        let release = coordinator.told(number).await.release(Reason::Draining);
+        let release = coordinator.message(number).await.release(Reason::Draining);
         assert!(
             release.error.contains("find the wheel"),
             "{}",
@@ -128,8 +128,8 @@ fn packs_are_verified_against_liberos_files() {
 }
 
 #[test]
-fn a_pack_without_files_is_libero_and_says_what_it_will_fetch() {
-    if !ready("a_pack_without_files_is_libero_and_says_what_it_will_fetch") {
+fn an_empty_libero_pack_is_accepted_and_lists_its_downloads() {
+    if !ready("an_empty_libero_pack_is_accepted_and_lists_its_downloads") {
         return;
     }
     let folder = tempfile::tempdir().expect("a folder");
@@ -165,8 +165,8 @@ fn a_pack_without_files_is_libero_and_says_what_it_will_fetch() {
 }
 
 #[test]
-fn an_altered_file_is_named_and_the_pack_goes_by_another_name() {
-    let test = "an_altered_file_is_named_and_the_pack_goes_by_another_name";
+fn an_altered_file_is_named_and_changes_the_packs_name() {
+    let test = "an_altered_file_is_named_and_changes_the_packs_name";
     if !ready(test) {
         return;
     }

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use proto::coordinator::release_request::Reason;
 
-use crate::scripted_coordinator::{ScriptedCoordinator, Told};
+use crate::scripted_coordinator::{ScriptedCoordinator, WorkerMessage};
 use crate::scripted_policy::ScriptedPolicy;
 use crate::worker_process::{WorkerProcess, attempt_id, lease, ready, signal, wait_for_the_end_of};
 
@@ -21,7 +21,7 @@ async fn check(
     }
     let _worker = WorkerProcess::start(&coordinator.url());
     for (number, (policy, words)) in (1..).zip(expected) {
-        let release = coordinator.told(number).await.release(reason);
+        let release = coordinator.message(number).await.release(reason);
         let error = release.error;
         assert!(error.contains(words), "{policy}: {error}");
         assert!(error.contains(&format!("`{policy}`")), "{policy}: {error}");
@@ -63,8 +63,8 @@ async fn answers_that_no_robot_can_execute_are_the_policys_fault() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_policy_that_cannot_be_asked_is_nobodys_fault() {
-    if !ready("a_policy_that_cannot_be_asked_is_nobodys_fault") {
+async fn an_unavailable_policy_charges_no_rollout() {
+    if !ready("an_unavailable_policy_charges_no_rollout") {
         return;
     }
     let policy = ScriptedPolicy::start().await;
@@ -114,14 +114,14 @@ async fn a_slot_that_dies_costs_its_rollout_and_is_replaced() {
     for slot in worker.slots() {
         signal(slot, "KILL");
     }
-    let release = coordinator.told(1).await.release(Reason::SlotCrashed);
+    let release = coordinator.message(1).await.release(Reason::SlotCrashed);
     assert!(
         release.error.contains("killed by SIGKILL"),
         "{}",
         release.error
     );
     coordinator.lease(lease(2, "still", &policy.url()));
-    let commit = coordinator.told(2).await.commit();
+    let commit = coordinator.message(2).await.commit();
     assert_eq!(commit.attempt_id, attempt_id(2));
 }
 
@@ -139,7 +139,7 @@ async fn a_slot_that_stands_still_is_killed_and_replaced() {
     for &slot in &slots {
         signal(slot, "STOP");
     }
-    let release = coordinator.told(1).await.release(Reason::SlotStuck);
+    let release = coordinator.message(1).await.release(Reason::SlotStuck);
     assert!(
         release.error.contains("stood still on ") && release.error.contains(" for 8 s"),
         "{}",
@@ -164,7 +164,7 @@ async fn a_rollout_whose_lease_is_lost_is_abandoned_in_silence() {
     let slots = worker.slots();
     coordinator.lose(1);
     coordinator.lease(lease(2, "still", &policy.url()));
-    let commit = coordinator.told(1).await.commit();
+    let commit = coordinator.message(1).await.commit();
     assert_eq!(commit.attempt_id, attempt_id(2));
     assert_eq!(
         worker.slots(),
@@ -174,8 +174,8 @@ async fn a_rollout_whose_lease_is_lost_is_abandoned_in_silence() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_worker_that_is_told_to_stop_says_why_and_fails() {
-    if !ready("a_worker_that_is_told_to_stop_says_why_and_fails") {
+async fn a_worker_stopped_by_the_coordinator_fails_with_the_reason() {
+    if !ready("a_worker_stopped_by_the_coordinator_fails_with_the_reason") {
         return;
     }
     let coordinator = ScriptedCoordinator::start().await;
@@ -186,7 +186,7 @@ async fn a_worker_that_is_told_to_stop_says_why_and_fails() {
     assert_eq!(status.code(), Some(1));
     assert!(log.contains("it has failed 5 times in a row"), "{log}");
     assert!(matches!(
-        coordinator.everything_told()[..],
-        [_, Told::Released(_)]
+        coordinator.messages()[..],
+        [_, WorkerMessage::Released(_)]
     ));
 }

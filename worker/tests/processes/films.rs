@@ -6,7 +6,7 @@ use std::process::Output;
 use libero_ctrl::ManifestRow;
 use proto::coordinator::{Film, Lease};
 
-use crate::scripted_coordinator::{ScriptedCoordinator, Told};
+use crate::scripted_coordinator::{ScriptedCoordinator, WorkerMessage};
 use crate::scripted_policy::ScriptedPolicy;
 use crate::worker_process::{MAX_STEPS, WorkerProcess, attempt_id, lease, program, ready};
 
@@ -29,9 +29,9 @@ async fn film_of(coordinator: &ScriptedCoordinator, mut kept: Lease) -> Film {
     let mut serve = program();
     serve.env("COORDINATOR_URL", coordinator.url());
     let _worker = WorkerProcess::start_command(serve.args(["--assets", "primitives"]));
-    let commit = coordinator.told(1).await.commit();
+    let commit = coordinator.message(1).await.commit();
     if has_video {
-        coordinator.told(2).await;
+        coordinator.message(2).await;
     }
     let motion = commit.motion.expect("a motion");
     assert_eq!(motion.path.len(), (MAX_STEPS as usize + 1) * POINT_BYTES);
@@ -57,8 +57,8 @@ fn film_all(coordinator: &ScriptedCoordinator) -> Output {
 
 /// Returns the video that is the coordinator's `number`-th message, with its attempt.
 async fn video(coordinator: &ScriptedCoordinator, number: usize) -> (String, Vec<u8>) {
-    let Told::Video { attempt, bytes } = coordinator.told(number).await else {
-        panic!("{:?}", coordinator.everything_told());
+    let WorkerMessage::Video { attempt, bytes } = coordinator.message(number).await else {
+        panic!("{:?}", coordinator.messages());
     };
     (attempt, bytes)
 }
@@ -117,8 +117,8 @@ async fn several_rollouts_are_filmed_at_a_time_and_the_log_says_how_far_it_is() 
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_film_that_ends_otherwise_than_its_rollout_is_not_stored() {
-    if !ready("a_film_that_ends_otherwise_than_its_rollout_is_not_stored") {
+async fn a_film_that_ends_differently_from_its_rollout_is_not_stored() {
+    if !ready("a_film_that_ends_differently_from_its_rollout_is_not_stored") {
         return;
     }
     let coordinator = ScriptedCoordinator::start().await;
@@ -129,7 +129,7 @@ async fn a_film_that_ends_otherwise_than_its_rollout_is_not_stored() {
     assert_eq!(output.status.code(), Some(1), "{output:?}");
     let log = String::from_utf8(output.stderr).expect("text");
     assert!(log.contains("its goal held at another step"), "{log}");
-    assert_eq!(coordinator.everything_told().len(), 2, "no video");
+    assert_eq!(coordinator.messages().len(), 2, "no video");
 }
 
 /// Returns two films of one rollout: by the slot that simulated it, and made afterwards.
@@ -148,8 +148,8 @@ async fn films_of(row: &ManifestRow) -> [Vec<u8>; 2] {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_film_afterwards_is_that_of_the_slot_and_shows_the_sensors_corruption() {
-    if !ready("a_film_afterwards_is_that_of_the_slot_and_shows_the_sensors_corruption") {
+async fn a_later_film_equals_the_slots_film_and_shows_sensor_corruption() {
+    if !ready("a_later_film_equals_the_slots_film_and_shows_sensor_corruption") {
         return;
     }
     let row = |id: String| {

@@ -3,15 +3,15 @@
 use std::thread::{available_parallelism, sleep};
 use std::time::Duration;
 
-use crate::scripted_coordinator::{ScriptedCoordinator, Told};
+use crate::scripted_coordinator::{ScriptedCoordinator, WorkerMessage};
 use crate::worker_process::{WorkerProcess, ready, run, wait_for_the_end_of};
 
 /// A graphics device that does not exist.
 const NO_RENDERER: [&str; 2] = ["--renderer", "gl:99"];
 
 #[test]
-fn a_bench_counts_what_slots_do_together_and_recommends_a_number() {
-    if !ready("a_bench_counts_what_slots_do_together_and_recommends_a_number") {
+fn bench_adds_up_slots_and_recommends_a_number() {
+    if !ready("bench_adds_up_slots_and_recommends_a_number") {
         return;
     }
     let measured = "bench --assets primitives --slots 2,1 --secs 0.3 --execute 4";
@@ -58,8 +58,8 @@ fn a_bench_counts_what_slots_do_together_and_recommends_a_number() {
 }
 
 #[test]
-fn slots_wait_for_a_policy_that_takes_time_and_more_of_them_are_tried() {
-    if !ready("slots_wait_for_a_policy_that_takes_time_and_more_of_them_are_tried") {
+fn bench_tries_more_slots_for_a_slow_policy() {
+    if !ready("bench_tries_more_slots_for_a_slow_policy") {
         return;
     }
     let measured = "bench --assets primitives --secs 1 --execute 20 --policy-secs 0.3";
@@ -141,13 +141,13 @@ fn more_slots_than_the_machine_can_hold_are_refused_before_any_is_started() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_worker_that_chooses_its_slots_registers_them_and_says_why() {
-    if !ready("a_worker_that_chooses_its_slots_registers_them_and_says_why") {
+async fn automatic_slots_are_registered_and_explained() {
+    if !ready("automatic_slots_are_registered_and_explained") {
         return;
     }
     let coordinator = ScriptedCoordinator::start().await;
     let worker = WorkerProcess::start_with(&coordinator.url(), &["--slots", "auto"]);
-    let Told::Registered(registered) = coordinator.told(0).await else {
+    let WorkerMessage::Registered(registered) = coordinator.message(0).await else {
         panic!("a worker registers first");
     };
     let cores = available_parallelism().expect("some cores").get();
@@ -166,8 +166,8 @@ async fn a_worker_that_chooses_its_slots_registers_them_and_says_why() {
 }
 
 #[test]
-fn slots_that_cannot_be_chosen_can_be_given() {
-    if !ready("slots_that_cannot_be_chosen_can_be_given") {
+fn a_failed_measurement_suggests_a_fixed_number_of_slots() {
+    if !ready("a_failed_measurement_suggests_a_fixed_number_of_slots") {
         return;
     }
     let auto = "--connect http://127.0.0.1:9 --assets primitives --slots auto";

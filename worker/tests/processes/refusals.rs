@@ -18,7 +18,7 @@ fn check(arguments: &[&str], exit_code: i32, expected: &[&str]) {
 }
 
 #[test]
-fn a_worker_without_its_sources_says_how_to_get_them() {
+fn missing_sources_are_reported_with_the_remedy() {
     let arguments = ["--connect", "http://127.0.0.1:9", "--assets", "primitives"];
     let sources = ["--sources", "/nonexistent"];
     let expected = ["/nonexistent/robosuite", "cargo xtask setup"];
@@ -53,7 +53,7 @@ fn the_environment_names_the_sources_in_every_mode() {
 
 /// Slots inherit `COORDINATOR_URL` from their worker but do not use it.
 #[test]
-fn the_coordinator_in_the_environment_is_looked_at_only_where_one_is_called() {
+fn only_commands_that_call_a_coordinator_check_its_variable() {
     for (mode, problem) in [
         (
             "--assets primitives --sources /nonexistent",
@@ -92,8 +92,8 @@ fn the_coordinator_in_the_environment_is_looked_at_only_where_one_is_called() {
 }
 
 #[test]
-fn a_pack_that_is_not_there_is_named() {
-    if !ready("a_pack_that_is_not_there_is_named") {
+fn a_missing_pack_is_named() {
+    if !ready("a_missing_pack_is_named") {
         return;
     }
     let arguments = [
@@ -106,7 +106,7 @@ fn a_pack_that_is_not_there_is_named() {
 }
 
 #[test]
-fn what_cannot_be_meant_exits_with_2() {
+fn invalid_command_lines_exit_with_2() {
     let check = |arguments: &[&str], expected: &str| check(arguments, 2, &[expected]);
     check(&[], "--connect");
     check(

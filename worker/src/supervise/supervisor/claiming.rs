@@ -60,7 +60,7 @@ impl Supervisor {
             Err(status) => return self.stop(SuperviseError::Stopped(chain(&status))),
         };
         let Some(lease) = answer.lease else {
-            return self.tell_idle(answer.idle_reason);
+            return self.log_idle_reason(answer.idle_reason);
         };
         let attempt: AttemptId = match lease.attempt_id.parse() {
             Ok(attempt) => attempt,
@@ -108,7 +108,7 @@ impl Supervisor {
         let attempt = assignment.attempt;
         self.slots[slot].state.work = Work::Preparing { attempt };
         self.slots[slot].preparing = Some((assignment, campaign));
-        self.has_news = true;
+        self.has_unacknowledged_lease = true;
         let events = self.events.clone();
         self.calls.spawn_blocking(move || {
             let outcome = provider.provide(&row);
@@ -166,7 +166,7 @@ impl Supervisor {
     }
 
     /// Logs once why the coordinator grants no job although jobs wait.
-    pub(super) fn tell_idle(&mut self, reason: String) {
+    pub(super) fn log_idle_reason(&mut self, reason: String) {
         if reason != self.idle_reason {
             if !reason.is_empty() {
                 tracing::info!("nothing to do: {reason}");
@@ -190,13 +190,13 @@ impl Supervisor {
                 execution.map_err(|error: libero_ctrl::ExecutionError| error.to_string())?;
         }
         let endpoint = self.config.policy_endpoint.clone();
-        let of = match lease.record_failures_only {
+        let filmed_outcomes = match lease.record_failures_only {
             true => VideoOf::Failures,
             false => VideoOf::Everything,
         };
         let video = VideoRequest {
             file: self.video_file(attempt),
-            of,
+            of: filmed_outcomes,
         };
         Ok(Assignment {
             attempt,
@@ -226,6 +226,6 @@ impl Supervisor {
         };
         slot.assignment = Some(assignment);
         slot.campaign = campaign;
-        self.has_news = true;
+        self.has_unacknowledged_lease = true;
     }
 }
