@@ -64,8 +64,8 @@ impl Cluster {
             }
         }
         let host = host_name();
-        let known = (host.as_str(), 0).to_socket_addrs().is_ok();
-        if !known {
+        let is_resolvable = (host.as_str(), 0).to_socket_addrs().is_ok();
+        if !is_resolvable {
             return Err(format!("this machine's name, {host}, has no address"));
         }
         let mut cluster = Self {
@@ -76,7 +76,7 @@ impl Cluster {
         cluster.start_daemons();
         cluster.wait_for("both nodes are idle", |cluster| {
             cluster
-                .ask(
+                .command_output(
                     "sinfo",
                     &["--noheader", "--Node", "--format=%N %T", "--partition=low"],
                 )
@@ -203,7 +203,7 @@ impl Cluster {
     ///
     /// # Panics
     /// If the command fails.
-    pub fn ask(&self, program: &str, arguments: &[&str]) -> String {
+    pub fn command_output(&self, program: &str, arguments: &[&str]) -> String {
         succeeded(
             self.command(program)
                 .args(arguments)
@@ -220,7 +220,7 @@ impl Cluster {
         let log = format!("--output={}", self.path("jobs.log").display());
         let wrapped = format!("--wrap={command}");
         let more = ["--parsable", "--open-mode=append", &log, &wrapped];
-        self.ask("sbatch", &[options, &more].concat())
+        self.command_output("sbatch", &[options, &more].concat())
             .trim()
             .to_owned()
     }
@@ -231,9 +231,9 @@ impl Cluster {
             .command("scontrol")
             .args(["show", "job", "-o", id])
             .output();
-        let told = output.expect("scontrol runs");
-        let told = String::from_utf8_lossy(&told.stdout).into_owned();
-        let line = told.lines().next().unwrap_or_default();
+        let output = output.expect("scontrol runs");
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        let line = text.lines().next().unwrap_or_default();
         let field = |name: &str| {
             let mut words = line.split_whitespace();
             let value = words.find_map(|word| word.strip_prefix(name));
@@ -250,9 +250,9 @@ impl Cluster {
     ///
     /// # Panics
     /// If the wait times out.
-    pub fn wait_for(&self, what: &str, is_so: impl Fn(&Self) -> bool) {
+    pub fn wait_for(&self, what: &str, condition: impl Fn(&Self) -> bool) {
         let start = Instant::now();
-        while !is_so(self) {
+        while !condition(self) {
             assert!(
                 start.elapsed() < PATIENCE,
                 "{what}: not yet\n{}",

@@ -56,7 +56,7 @@ pub struct Arguments {
 
 impl Arguments {
     /// Returns the command-line parser of a program of this version.
-    pub fn of(version: &'static str) -> clap::Command {
+    pub fn parser(version: &'static str) -> clap::Command {
         Self::command().version(version)
     }
 
@@ -72,9 +72,9 @@ impl Arguments {
         I: IntoIterator<Item: Into<OsString>>,
     {
         let words = words.into_iter().map(Into::into).collect();
-        let matches = terminal::read(Self::of(version), words)?;
+        let matches = terminal::read(Self::parser(version), words)?;
         let read = Self::from_arg_matches(&matches)
-            .map_err(|error| error.format(&mut Self::of(version)))?;
+            .map_err(|error| error.format(&mut Self::parser(version)))?;
         let coordinator = match (&read.command, &read.serve) {
             (Some(Command::Film(film)), _) => Some(&film.connect),
             (None, Some(serve)) => Some(&serve.connect),
@@ -580,7 +580,7 @@ mod tests {
 
     #[test]
     fn short_help_fits_a_screen_and_scene_options_have_their_own_section() {
-        let helps = helps::check(Arguments::of("0"));
+        let helps = helps::check(Arguments::parser("0"));
         for words in ["worker", "worker rollout", "worker variants"] {
             let help = helps.iter().find(|help| help.words == words);
             let helps::Help { short, long, .. } = help.expect(words);

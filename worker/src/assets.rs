@@ -164,7 +164,7 @@ fn packs_or_default(given: &[String]) -> Vec<String> {
 }
 
 fn describe(pack: &AssetPack, sources: &Sources) -> Result<String, PackError> {
-    let coverage = Coverage::of(pack, sources)?;
+    let coverage = Coverage::check(pack, sources)?;
     let files = match pack.verified() {
         None => String::new(),
         Some(folder) => {
@@ -216,7 +216,7 @@ fn verify(pack: &AssetPack, sources: &Sources) -> Result<(), PackError> {
         });
     }
     let description = describe(pack, sources)?;
-    if !pack.is_managed() && !Coverage::of(pack, sources)?.is_whole() {
+    if !pack.is_managed() && !Coverage::check(pack, sources)?.is_whole() {
         return Err(PackError::Incomplete {
             folder,
             description,
@@ -341,7 +341,7 @@ pub fn check(pack: &AssetPack, sources: &Sources) -> Result<Vec<TaskRef>, PackEr
     if pack.name() == PRIMITIVES {
         return Ok(Vec::new());
     }
-    let coverage = Coverage::of(pack, sources)?;
+    let coverage = Coverage::check(pack, sources)?;
     tracing::info!(
         "assets {}: of the tasks, {}",
         pack.name(),

@@ -86,12 +86,18 @@ fn print_line(line: &str) -> anyhow::Result<()> {
 
 fn print_completions(shell: clap_complete::Shell) -> anyhow::Result<()> {
     let mut script = Vec::new();
-    clap_complete::generate(shell, &mut Arguments::of(VERSION), "worker", &mut script);
+    clap_complete::generate(
+        shell,
+        &mut Arguments::parser(VERSION),
+        "worker",
+        &mut script,
+    );
     terminal::print(&String::from_utf8_lossy(&script)).context("print to standard output")
 }
 
 fn manual(folder: &Path) -> anyhow::Result<()> {
-    let written = terminal::write_manual(terminal::with_variables(Arguments::of(VERSION)), folder);
+    let written =
+        terminal::write_manual(terminal::with_variables(Arguments::parser(VERSION)), folder);
     written.with_context(|| format!("write manual pages into {}", folder.display()))
 }
 

@@ -110,11 +110,11 @@ pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
     let (mut own, mut released, mut thrifty) = (Vec::new(), Vec::new(), Vec::new());
     for round in 1..=options.rounds {
         let name = |what: &str| format!("round {round}: {what}");
-        own.push(step(&name("here"), || ours().map(Told))?.0);
-        released.push(step(&name("original as released"), || theirs(1).map(Told))?.0);
+        own.push(step(&name("here"), || ours().map(RolloutTime))?.0);
+        released.push(step(&name("original as released"), || theirs(1).map(RolloutTime))?.0);
         if options.execute > 1 {
             let what = name("original drawing less");
-            thrifty.push(step(&what, || theirs(options.execute).map(Told))?.0);
+            thrifty.push(step(&what, || theirs(options.execute).map(RolloutTime))?.0);
         }
     }
     print_ratios(
@@ -220,9 +220,9 @@ impl std::fmt::Display for Built {
 }
 
 /// Result of a step that reports a rollout's duration.
-struct Told(Parts);
+struct RolloutTime(Parts);
 
-impl std::fmt::Display for Told {
+impl std::fmt::Display for RolloutTime {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{:.0} ms", self.0.whole)
     }

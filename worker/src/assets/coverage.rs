@@ -35,7 +35,7 @@ impl Coverage {
     ///
     /// # Errors
     /// If the task files cannot be read.
-    pub fn of(pack: &AssetPack, sources: &Sources) -> Result<Self, SceneError> {
+    pub fn check(pack: &AssetPack, sources: &Sources) -> Result<Self, SceneError> {
         let mut coverage = Self {
             categories: Shelf::default(),
             arenas: Shelf::default(),
@@ -189,7 +189,7 @@ mod tests {
             }
         };
         let whole = AssetPack::open("primitives", &sources).expect("built in");
-        let coverage = Coverage::of(&whole, &sources).expect("reads");
+        let coverage = Coverage::check(&whole, &sources).expect("reads");
         assert!(coverage.is_whole());
         let description = coverage.to_string();
         assert!(
@@ -204,7 +204,7 @@ mod tests {
         fs::copy(whole.dir().join(arena), folder.path().join(arena)).expect("copies");
         let path = folder.path().to_string_lossy();
         let part = AssetPack::open(&path, &sources).expect("a pack");
-        let description = Coverage::of(&part, &sources).expect("reads").to_string();
+        let description = Coverage::check(&part, &sources).expect("reads").to_string();
         assert!(
             description.contains("0 of 40 can be shown"),
             "{description}"

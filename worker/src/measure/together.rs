@@ -94,7 +94,7 @@ impl Slots {
                 counts.push(count);
             }
         }
-        Ok(Measured::of(&counts))
+        Ok(Measured::from_counts(&counts))
     }
 
     /// Starts slots until there are `slots`, and waits until all are ready.
@@ -182,7 +182,7 @@ impl Drop for Running {
 
 impl Measured {
     /// Combines at least one count.
-    fn of(counts: &[Count]) -> Self {
+    fn from_counts(counts: &[Count]) -> Self {
         let rates = || {
             counts
                 .iter()
@@ -242,7 +242,7 @@ mod tests {
                 scene_files: 7,
             },
         };
-        let all = Measured::of(&[count(2.0, 40, 100), count(2.5, 75, 90)]);
+        let all = Measured::from_counts(&[count(2.0, 40, 100), count(2.5, 75, 90)]);
         assert_eq!(all.throughput.slots, 2);
         assert_eq!(
             (all.throughput.steps_per_sec, all.frames_per_sec),

@@ -245,13 +245,13 @@ impl SlotState {
     }
 
     /// Records the progress of an attempt's rollout.
-    pub(crate) fn advanced(&mut self, reported: AttemptId, steps: u32, now: Instant) {
+    pub(crate) fn advanced(&mut self, id: AttemptId, steps: u32, now: Instant) {
         if let Work::Running {
             attempt,
             control_steps,
             moved_at,
         } = &mut self.work
-            && *attempt == reported
+            && *attempt == id
             && steps > *control_steps
         {
             *control_steps = steps;
@@ -260,14 +260,14 @@ impl SlotState {
     }
 
     /// Records the progress of an attempt's video.
-    pub(crate) fn filming_advanced(&mut self, reported: AttemptId, frames: u32, now: Instant) {
+    pub(crate) fn filming_advanced(&mut self, id: AttemptId, frames: u32, now: Instant) {
         if let Video::Filming {
             attempt,
             pictures,
             moved_at,
             ..
         } = &mut self.video
-            && *attempt == reported
+            && *attempt == id
             && frames > *pictures
         {
             *pictures = frames;
@@ -335,12 +335,7 @@ impl SlotState {
     /// Records the end of an attempt, which is filmed next if `is_filmed`. Returns true if the
     /// attempt is still wanted and must be delivered, also if its process was killed as stuck
     /// meanwhile.
-    pub(crate) fn rollout_ended(
-        &mut self,
-        reported: AttemptId,
-        is_filmed: bool,
-        now: Instant,
-    ) -> bool {
+    pub(crate) fn rollout_ended(&mut self, id: AttemptId, is_filmed: bool, now: Instant) -> bool {
         let (result, control_steps) = match self.work {
             Work::Running {
                 attempt,
@@ -350,14 +345,14 @@ impl SlotState {
             | Work::Stuck {
                 attempt,
                 control_steps,
-            } if attempt == reported => (ResultState::Delivering, control_steps),
-            Work::Abandoning { attempt, .. } if attempt == reported => (ResultState::Unwanted, 0),
+            } if attempt == id => (ResultState::Delivering, control_steps),
+            Work::Abandoning { attempt, .. } if attempt == id => (ResultState::Unwanted, 0),
             _ => return false,
         };
         self.restarts.reset();
         if is_filmed {
             self.video = Video::Filming {
-                attempt: reported,
+                attempt: id,
                 pictures: 0,
                 moved_at: now,
                 result,
@@ -366,7 +361,7 @@ impl SlotState {
         let is_wanted = result == ResultState::Delivering;
         self.work = match is_wanted {
             true => Work::Delivering {
-                attempt: reported,
+                attempt: id,
                 control_steps,
             },
             false => Work::Nothing,
@@ -375,18 +370,14 @@ impl SlotState {
     }
 
     /// Records that an attempt's video is finished or cannot be made.
-    pub(crate) fn filming_ended(
-        &mut self,
-        reported: AttemptId,
-        is_made: bool,
-    ) -> Option<VideoDecision> {
+    pub(crate) fn filming_ended(&mut self, id: AttemptId, is_made: bool) -> Option<VideoDecision> {
         let Video::Filming {
             attempt, result, ..
         } = self.video
         else {
             return None;
         };
-        if attempt != reported {
+        if attempt != id {
             return None;
         }
         self.video = Video::None;

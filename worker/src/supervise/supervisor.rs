@@ -443,9 +443,7 @@ impl Supervisor {
             campaign,
             ..
         } = &self.slots[slot];
-        let session = assignment
-            .as_ref()
-            .map(|assignment| assignment.session.to_string());
+        let session = assignment.as_ref().map(|job| job.session.to_string());
         format!("{campaign}: {}", session.unwrap_or_default())
     }
 
@@ -515,9 +513,7 @@ impl Supervisor {
         let delivery = Delivery {
             attempt,
             label,
-            realisation: assignment
-                .map(|assignment| assignment.realisation)
-                .unwrap_or_default(),
+            realisation: assignment.map(|job| job.realisation).unwrap_or_default(),
             identity: self.config.identity.clone(),
             ending,
         };
@@ -582,9 +578,7 @@ impl Supervisor {
         for lost in &answer.lost_attempts {
             match lost.parse() {
                 Ok(attempt) => self.abandon(attempt, now),
-                Err(error) => {
-                    tracing::warn!("the coordinator named a lost attempt by an invalid id: {error}")
-                }
+                Err(error) => tracing::warn!("invalid id of a lost attempt: {error}"),
             }
         }
     }
@@ -598,8 +592,8 @@ impl Supervisor {
             slot.preparing = None;
             return;
         }
-        let is_running = |slot: &Slot| matches!(slot.state.work, Work::Running { attempt, .. } if attempt == lost);
-        let Some(slot) = self.slots.iter().position(is_running) else {
+        let runs_lost = |slot: &Slot| matches!(slot.state.work, Work::Running { attempt, .. } if attempt == lost);
+        let Some(slot) = self.slots.iter().position(runs_lost) else {
             return;
         };
         tracing::warn!(
@@ -620,12 +614,12 @@ impl Supervisor {
     /// with it. For any other task the worker gives up: a rollout waiting for that task would have
     /// its lease renewed for ever.
     fn panicked(&mut self, task: task::Id, error: String, now: Instant) {
-        let owns = |slot: &Slot| {
-            slot.process
-                .as_ref()
-                .is_some_and(|process| process.task == task)
-        };
-        if let Some(slot) = self.slots.iter().position(owns) {
+        let process_task = |slot: &Slot| slot.process.as_ref().map(|process| process.task);
+        if let Some(slot) = self
+            .slots
+            .iter()
+            .position(|slot| process_task(slot) == Some(task))
+        {
             let end = ProcessEnd::from(format!("lost the task that supervised it: {error}"));
             return self.process_ended(slot, end, now);
         }
@@ -724,13 +718,8 @@ mod tests {
             supervisor.carry_out_decisions(now),
             "more are to be started"
         );
-        let started = |supervisor: &Supervisor| {
-            supervisor
-                .slots
-                .iter()
-                .filter(|slot| slot.process.is_some())
-                .count()
-        };
+        let is_started = |slot: &&Slot| slot.process.is_some();
+        let started = |parent: &Supervisor| parent.slots.iter().filter(is_started).count();
         assert_eq!(started(&supervisor), STARTS_AT_ONCE);
         supervisor.handle(Event::Shutdown, now);
         assert!(!supervisor.carry_out_decisions(now));
@@ -771,9 +760,7 @@ mod tests {
         let event = panicked(ended).expect("an event");
         supervisor.handle(event, now);
         let state = &supervisor.slots[0].state;
-        assert!(
-            matches!(state.work, Work::Delivering { attempt: delivered, .. } if delivered == attempt)
-        );
+        assert!(matches!(state.work, Work::Delivering { attempt: id, .. } if id == attempt));
         assert!(matches!(state.process, ProcessState::Down { .. }));
         assert_eq!(supervisor.mode, Mode::Serving, "another is started");
         assert!(inbox.try_recv().is_err());

@@ -99,8 +99,8 @@ fn add_glibc(bare: &BareRoot) -> Result<&'static str> {
 
 fn settings(buildah: &dyn Fn(&[&str]) -> Command, tag: &str) -> Result<String> {
     let mut inspect = buildah(&["inspect", "--type", "image", tag]);
-    let told: serde_json::Value = serde_json::from_str(&capture(&mut inspect)?)?;
-    let config = &told["OCIv1"]["config"];
+    let inspected: serde_json::Value = serde_json::from_str(&capture(&mut inspect)?)?;
+    let config = &inspected["OCIv1"]["config"];
     let user = config["User"].as_str().unwrap_or_default();
     ensure!(
         user == format!("{USER}:{USER}"),

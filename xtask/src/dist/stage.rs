@@ -62,7 +62,7 @@ pub(super) fn fill(
         let to = folder.join(DOCUMENTS);
         documents(root, folder, &to)?;
         std::fs::write(to.join(LICENCES), licences::text(root, &crates, &parts)?)?;
-        let bill = serde_json::to_string_pretty(&bill::of(&crates, &parts))?;
+        let bill = serde_json::to_string_pretty(&bill::cyclonedx(&crates, &parts))?;
         std::fs::write(to.join(BILL), bill + "\n")?;
         Ok(format!(
             "of {} crates, {} others",
