@@ -69,16 +69,16 @@ fn workers_have_given_back_their_rollouts_before_they_are_killed() {
     for name in ["base/workers.yaml", "job/workers.yaml"] {
         let text = fs::read_to_string(folder("kubernetes").join(name)).expect("a manifest");
         let number = |behind: &str| -> u32 {
-            let of = text
+            let value = text
                 .lines()
                 .find_map(|line| line.trim().strip_prefix(behind));
-            of.expect(behind).trim().parse().expect("seconds")
+            value.expect(behind).trim().parse().expect("seconds")
         };
         let drain = number("- --drain-secs=");
-        let killed = number("terminationGracePeriodSeconds:");
+        let grace = number("terminationGracePeriodSeconds:");
         assert!(
-            drain + GIVE_BACK_SECS <= killed,
-            "{name}: {drain} of {killed} s"
+            drain + GIVE_BACK_SECS <= grace,
+            "{name}: {drain} s of {grace} s"
         );
     }
 }
