@@ -60,15 +60,17 @@ fn promises(pool: &DescriptorPool) -> Vec<String> {
 }
 
 /// Returns the released promises that are not kept.
-fn broken(released: &DescriptorPool, now: &DescriptorPool) -> Vec<String> {
-    let kept = promises(now);
+fn broken_promises(released: &DescriptorPool, now: &DescriptorPool) -> Vec<String> {
+    let current = promises(now);
     let promised = promises(released).into_iter();
-    promised.filter(|promise| !kept.contains(promise)).collect()
+    promised
+        .filter(|promise| !current.contains(promise))
+        .collect()
 }
 
 #[test]
 fn every_released_promise_is_kept() {
-    assert_eq!(broken(&released(), &today()), Vec::<String>::new());
+    assert_eq!(broken_promises(&released(), &today()), Vec::<String>::new());
 }
 
 #[test]
@@ -83,7 +85,11 @@ fn incompatible_changes_of_a_released_file_are_detected() {
         std::fs::write(folder.join("changed.proto"), changed).expect("written");
         let changed = compiled(&folder, "changed.proto");
         std::fs::remove_dir_all(folder).expect("its own folder");
-        assert_eq!(!broken(&released(), &changed).is_empty(), breaks, "{to}");
+        assert_eq!(
+            !broken_promises(&released(), &changed).is_empty(),
+            breaks,
+            "{to}"
+        );
     };
     check("uint32 horizon = 8;", "uint32 horizon = 80;", true);
     check("uint32 horizon = 8;", "uint32 chunk = 8;", true);
@@ -124,7 +130,7 @@ fn value_of(field: &FieldDescriptor) -> Value {
             Value::EnumNumber(values.values().last().map_or(0, |value| value.number()))
         }
         Kind::Message(message) => Value::Message(filled(&message)),
-        other => panic!("{other:?} is new here: say what to fill in"),
+        other => panic!("{other:?} is a new kind: add its value here"),
     }
 }
 
