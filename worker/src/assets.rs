@@ -195,7 +195,7 @@ fn verify(pack: &AssetPack, sources: &Sources) -> Result<(), PackError> {
             return Err(PackError::Primitives { folder });
         }
         return print(&format!(
-            "{}: all files are as they should be\n",
+            "{}: all files have the expected digest\n",
             folder.display()
         ));
     }
@@ -256,7 +256,7 @@ fn fetch_suite(
     });
     bar.finish();
     print(&format!(
-        "{}: the task files are there; {} over the network\n",
+        "{}: the task files are present; {} over the network\n",
         Sources::family(sources.dir(), benchmark).display(),
         size_in_words(fetched?.bytes),
     ))
@@ -291,7 +291,7 @@ fn fetch(arguments: &FetchArguments, sources: &Sources) -> Result<(), PackError>
         false => pack.dir().display().to_string(),
     };
     print(&format!(
-        "{}: {} fetched{replaced}, {} over the network; {} already there. Give it as --assets \
+        "{}: {} fetched{replaced}, {} over the network; {} already present. Give it as --assets \
          {pack_or_path}\n",
         pack.dir().display(),
         counted(fetched.fetched as u64, "file"),

@@ -38,7 +38,7 @@ pub enum SlotError {
     Signals(#[source] io::Error),
     #[error("simulate and draw the fixed motion that a slot begins with")]
     Simulator(#[from] SimError),
-    #[error("talk to the parent process")]
+    #[error("exchange messages with the parent process")]
     Parent(#[source] io::Error),
 }
 

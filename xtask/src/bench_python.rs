@@ -94,7 +94,7 @@ const ROWS: [Row; 6] = [
         },
     },
     Row {
-        what: "memory of a further one",
+        what: "memory of a further environment",
         target: "<= 15 MB",
         unit: "MB",
         of: |round| faster(&round.processes, &round.pairs[0].threads, "further_mb"),

@@ -18,6 +18,6 @@ pub(crate) fn schemas(cache: &Path) -> Option<PathBuf> {
         let made = environment(&dir, &PACKAGES).map(str::to_owned);
         Ok(made.unwrap_or_else(|error| format!("none: {error:#}")))
     });
-    let there = made.is_ok_and(|status| !status.starts_with("none"));
-    there.then(|| dir.join("bin/python"))
+    let is_installed = made.is_ok_and(|status| !status.starts_with("none"));
+    is_installed.then(|| dir.join("bin/python"))
 }

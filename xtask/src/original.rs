@@ -50,12 +50,12 @@ impl Original {
         let tools = oracle.join("tools");
         ensure!(
             tools.join("baseline.py").is_file(),
-            "find the original's scripts in {}: say with --oracle where the reference data is",
+            "find the original's scripts in {}: give the folder of the reference data with --oracle",
             tools.display()
         );
         let assets = assets.canonicalize().with_context(|| {
             format!(
-                "find LIBERO's assets at {}: say with --assets where they are",
+                "find LIBERO's assets at {}: give their folder with --assets",
                 assets.display()
             )
         })?;

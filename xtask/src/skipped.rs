@@ -40,9 +40,13 @@ pub(crate) fn check(report: &Path, shared: &Path) -> Result<()> {
         println!("  {test}: {why}");
     }
     match skipped.len() {
-        0 => println!("Nothing was skipped for what this machine lacks."),
-        1 => println!("1 test, or a part of it, was skipped for what this machine lacks."),
-        n => println!("{n} tests, or parts of them, were skipped for what this machine lacks."),
+        0 => println!("No test was skipped."),
+        1 => println!(
+            "1 test, or a part of it, was skipped because this machine lacks a requirement."
+        ),
+        n => println!(
+            "{n} tests, or parts of them, were skipped because this machine lacks requirements."
+        ),
     }
     let wrongly: Vec<&str> = skipped
         .iter()

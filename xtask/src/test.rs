@@ -125,7 +125,7 @@ fn rust(root: &Path, cache: &Path, programs: &Path, filters: &[String]) -> Resul
         )
         .map(|_| "yes")
     })?;
-    step("dependencies as deny.toml wants", || deny(root))?;
+    step("dependencies against deny.toml", || deny(root))?;
     let schemas = deploy::schemas(cache);
     let bucket = s3::server(cache);
     println!("Testing");

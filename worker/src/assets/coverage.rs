@@ -118,7 +118,7 @@ impl Coverage {
             Some(files) if !files.is_empty() => {
                 let bytes = files.values().map(|file| file.transfer_bytes()).sum();
                 format!(
-                    "{shown} of {all} are there; the others' files ({} over the network) are \
+                    "{shown} of {all} are present; the others' files ({} over the network) are \
                      fetched at first use",
                     size_in_words(bytes)
                 )
@@ -161,7 +161,7 @@ impl fmt::Display for Coverage {
         if self.to_fetch.is_some() {
             if !self.shown.is_empty() && !self.broken.is_empty() {
                 let shown: Vec<String> = self.shown.iter().map(ToString::to_string).collect();
-                writeln!(f, "    there: {}", shown.join(", "))?;
+                writeln!(f, "    present: {}", shown.join(", "))?;
             }
             return Ok(());
         }

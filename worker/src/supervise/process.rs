@@ -226,6 +226,6 @@ mod tests {
             how: "aborted".to_owned(),
             last_words: last_words.into(),
         };
-        assert_eq!(end.with_last_words(), "aborted; its last words: one | two");
+        assert_eq!(end.with_last_words(), "aborted; its last output: one | two");
     }
 }

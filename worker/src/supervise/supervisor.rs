@@ -236,7 +236,7 @@ impl Supervisor {
         };
         if let Err(status) = self.link.sign_off(request).await {
             tracing::debug!(
-                "the coordinator did not hear the good-bye: {}",
+                "the coordinator did not receive the sign-off: {}",
                 chain(&status)
             );
         }
@@ -340,8 +340,8 @@ impl Supervisor {
     fn kill(&mut self, slot: usize, why: Kill) {
         let kill = match why {
             Kill::NotReady => "its process does not become ready",
-            Kill::Stuck => "its rollout stands still",
-            Kill::StuckFilming => "its filming stands still; the result is not affected",
+            Kill::Stuck => "its rollout makes no progress",
+            Kill::StuckFilming => "its video makes no progress; the result is not affected",
             Kill::NotAbandoned => "it does not abandon its rollout",
         };
         tracing::warn!("slot {slot} is killed: {kill}");
@@ -502,7 +502,7 @@ impl Supervisor {
         let host = &self.config.identity.host;
         if kind == FailureKind::SlotStuck {
             let secs = self.timing.progress_timeout.as_secs_f64();
-            format!("the rollout stood still on {host} for {secs:.0} s and was killed")
+            format!("the rollout made no progress on {host} for {secs:.0} s and was killed")
         } else {
             format!("the slot's process on {host} {end}")
         }

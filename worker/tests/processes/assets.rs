@@ -102,7 +102,7 @@ fn packs_are_verified_against_liberos_files() {
     }
     let (code, built_in) = code_and_output(run(&["assets", "verify", "primitives"]));
     assert_eq!(code, Some(0), "{built_in}");
-    assert!(built_in.contains("all files are as they should be"));
+    assert!(built_in.contains("all files have the expected digest"));
 
     // A user's own pack in LIBERO's layout.
     let sources = scene::Sources::open(&scene::Sources::default_dir()).expect("ready");
@@ -142,7 +142,7 @@ fn an_empty_libero_pack_is_accepted_and_lists_its_downloads() {
     assert_eq!(code, Some(0), "{listed}");
     for words in [
         "0 of LIBERO's 585",
-        "0 of 40 are there",
+        "0 of 40 are present",
         "118.3 MB over the network",
         "fetched at first use",
     ] {

@@ -42,13 +42,19 @@ async fn answers_that_no_robot_can_execute_are_the_policys_fault() {
         &[
             (
                 "nan",
-                "answered query 1 with what is no chunk of actions: component 2 of action 1 is NaN; \
+                "gave an invalid answer to query 1: component 2 of action 1 is NaN; \
                  `policy-gateway doctor`",
             ),
             ("narrow", "its actions are 6 numbers wide, not 7"),
-            ("ragged", "it answered 13 numbers, which are no whole actions of 7"),
+            (
+                "ragged",
+                "it answered 13 numbers, which are no whole actions of 7",
+            ),
             ("empty", "it answered no action"),
-            ("generous", "it answered 9 actions, but its Describe says at most 8"),
+            (
+                "generous",
+                "it answered 9 actions, but its Describe says at most 8",
+            ),
             (
                 "broken",
                 "failed at query 0: CUDA error: device-side assert triggered",
@@ -141,7 +147,7 @@ async fn a_slot_that_stands_still_is_killed_and_replaced() {
     }
     let release = coordinator.message(1).await.release(Reason::SlotStuck);
     assert!(
-        release.error.contains("stood still on ") && release.error.contains(" for 8 s"),
+        release.error.contains("made no progress on ") && release.error.contains(" for 8 s"),
         "{}",
         release.error
     );

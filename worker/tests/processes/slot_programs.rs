@@ -138,7 +138,7 @@ async fn slots_with_different_renderers_stop_the_worker() {
     let (status, log) = worker.wait();
     assert_eq!(status.code(), Some(1));
     for words in [
-        "it draws with `another`",
+        "its renderer is `another`",
         "is registered with `one`",
         "one worker for each renderer",
     ] {

@@ -43,7 +43,7 @@ pub(crate) fn test(
     match image::tool() {
         Ok(()) => image::make(root, &packed).map(drop),
         Err(error) => {
-            println!("  skipped the image for containers: {error:#}");
+            println!("  skipped the container image: {error:#}");
             Ok(())
         }
     }
@@ -56,7 +56,7 @@ pub(super) fn archive(root: &Path, archive: &Archive, schemas: Option<&Path>) ->
     let bare = BareRoot::make(&folder.path().join("root"), archive)?;
     bare.add_data()?;
     let unpacked = bare.dir().join(PREFIX.trim_start_matches('/'));
-    step("all files as they were packed", || whole(&unpacked))?;
+    step("digests of all files", || whole(&unpacked))?;
     step("documents", || documents(root, &unpacked))?;
     step("bill of materials as CycloneDX", || match schemas {
         Some(python) => valid(python, &unpacked.join(stage::DOCUMENTS).join(stage::BILL)),
@@ -70,9 +70,7 @@ pub(super) fn archive(root: &Path, archive: &Archive, schemas: Option<&Path>) ->
     step("a campaign in a bare root", || {
         campaign(&bare, folder.path())
     })?;
-    step("what was unpacked", || {
-        whole(&unpacked).map(|_| "as it was")
-    })?;
+    step("unpacked archive", || whole(&unpacked).map(|_| "as it was"))?;
     Ok(())
 }
 
@@ -201,7 +199,7 @@ fn campaign(bare: &BareRoot, logs: &Path) -> Result<String> {
     let rollouts = results.lines().count();
     ensure!(
         rollouts > 0 && successes == rollouts,
-        "see the expert succeed:\n{results}"
+        "check that the expert succeeds:\n{results}"
     );
     call(&["report", "bare"])?;
     Ok(format!("{successes} of {rollouts} rollouts successful"))

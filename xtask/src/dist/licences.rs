@@ -42,7 +42,7 @@ pub(super) fn text(root: &Path, crates: &[Crate], components: &[Component]) -> R
         let name = format!("{} {}", part.name, part.version);
         ensure!(
             !part.licence.is_empty(),
-            "hand out {name}: it names no licence"
+            "pack {name}: it declares no licence"
         );
         let _ = writeln!(text, "{name}: {}", part.licence);
         let mut found = files(&part.folder, 0)?;

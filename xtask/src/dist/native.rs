@@ -28,7 +28,7 @@ const OF_COMPILER: [&str; 2] = ["libgcc_s.so.1", "libstdc++.so.6"];
 
 /// Search path of the programs for libraries: the archive's `lib`, the machine's folders, then
 /// `lib/fallback` for those that the machine lacks.
-const LOOKS_IN: &str = "$ORIGIN/../lib:/lib64:/usr/lib64:/lib/x86_64-linux-gnu:\
+const LIBRARY_SEARCH_PATH: &str = "$ORIGIN/../lib:/lib64:/usr/lib64:/lib/x86_64-linux-gnu:\
                         /usr/lib/x86_64-linux-gnu:/lib/aarch64-linux-gnu:\
                         /usr/lib/aarch64-linux-gnu:/lib:/usr/lib:$ORIGIN/../lib/fallback";
 
@@ -66,7 +66,7 @@ impl Elf {
         capture(Command::new("strip").arg("--strip-all").arg(to))
             .context("strip it (Debian: `apt-get install binutils`)")?;
         let mut patchelf = Command::new(&self.patchelf);
-        capture(patchelf.args(["--set-rpath", LOOKS_IN]).arg(to))?;
+        capture(patchelf.args(["--set-rpath", LIBRARY_SEARCH_PATH]).arg(to))?;
         self.needed(to)
     }
 
@@ -90,7 +90,7 @@ impl Elf {
             }
             ensure!(
                 GLIBC.contains(&name.as_str()) || lib.join(name).exists(),
-                "hand out the programs: they need {name}, which is neither glibc's nor in the \
+                "pack the programs: they need {name}, which is neither glibc's nor in the \
                  archive"
             );
         }

@@ -54,8 +54,8 @@ pub(super) fn fill(
         install(cache, programs, (&bin, &lib), elf)
     })?;
     step("manual pages, completions", || shell_files(folder))?;
-    step("what scenes are made from", || scenes(cache, folder))?;
-    step("documents, licences, bill", || {
+    step("files of scenes", || scenes(cache, folder))?;
+    step("documents, licences, bill of materials", || {
         let mut parts = components::of_wheels(cache)?;
         parts.extend(components::of_compiler(&compilers.0)?);
         let crates = crates::shipped(root)?;

@@ -75,7 +75,7 @@ impl Supervisor {
         let up = self.slots[slot].state.process == ProcessState::Up;
         let ending = match self.assignment(attempt, lease) {
             _ if self.mode != Mode::Serving => {
-                let text = "the rollout did not begin: its worker is going down";
+                let text = "the rollout did not begin: its worker is shutting down";
                 failed(FailureKind::Draining, text.to_owned())
             }
             _ if !up => {
@@ -142,7 +142,7 @@ impl Supervisor {
                 self.fetches.reset();
                 return self.begin(slot, assignment, campaign, now);
             }
-            Ok(()) => "the rollout did not begin: its slot is going down".to_owned(),
+            Ok(()) => "the rollout did not begin: its slot cannot run it any more".to_owned(),
             Err(error) => {
                 let wait = self.fetches.next_wait();
                 self.claims_from = now + wait;
