@@ -188,7 +188,7 @@ fn run_preview(arguments: &PreviewArguments) -> anyhow::Result<()> {
         realisation: arguments.realisation,
     };
     for path in preview::write(&mut simulator, &request, &arguments.output)? {
-        say(&path.display().to_string())?;
+        print_line(&path.display().to_string())?;
     }
     Ok(())
 }

@@ -204,7 +204,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
 
 fn print(rounds: &[Round]) -> Result<()> {
     println!(
-        "{:<28} {:>10} {:>10} {:<6} {:>8} {:<13} target",
+        "{:<32} {:>10} {:>10} {:<6} {:>8} {:<13} target",
         "", "here", "there", "", "ratio", "  spread"
     );
     for row in &ROWS {
@@ -212,7 +212,7 @@ fn print(rounds: &[Round]) -> Result<()> {
         let column = |at: usize| all.iter().map(|values| values[at]).collect::<Vec<_>>();
         let (ratio, least, most) = spread(&column(2));
         println!(
-            "{:<28} {:>10.2} {:>10.2} {:<6} {ratio:>8.2} {:<13} {}",
+            "{:<32} {:>10.2} {:>10.2} {:<6} {ratio:>8.2} {:<13} {}",
             row.what,
             spread(&column(0)).0,
             spread(&column(1)).0,

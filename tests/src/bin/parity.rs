@@ -55,7 +55,7 @@ fn main() -> ExitCode {
 fn run(arguments: &Arguments) -> Result<bool> {
     ensure!(
         !arguments.frames_of_this_machine || arguments.renderer != Renderer::Software,
-        "hold frames to bits: the reference was drawn by OpenGL, so --frames-of-this-machine \
+        "compare frames bit for bit: the reference was drawn by OpenGL, so --frames-of-this-machine \
          takes --renderer gl"
     );
     let sources = arguments

@@ -69,27 +69,26 @@ impl RendererRelation {
     }
 }
 
-/// Names the frames compared with, and the reason for their bound.
+/// Describes the reference frames, and the reason for their bounds.
 impl fmt::Display for RendererRelation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::AnotherMachine => {
-                "frames that the same OpenGL driver drew on another machine, which are held to \
-                 bounds: it draws other bits on another processor"
+                "frames that the same OpenGL driver rendered on another machine, within bounds, \
+                 because the driver's bits depend on the processor"
             }
             Self::AnotherDriver => {
-                "frames that another OpenGL driver drew, or the same for other instructions of a \
-                 processor, which are held to bounds: roundings differ, and where surfaces \
-                 coincide one rounding decides which is visible"
+                "frames that another OpenGL driver rendered, or the same one with other processor \
+                 instructions, within bounds: roundings differ, and where surfaces coincide they \
+                 decide which one is visible"
             }
             Self::ThisMachine => {
-                "frames that OpenGL drew on this machine, which are held to bits: the same driver \
-                 draws the same bits again; without --frames-of-this-machine they are held to \
-                 bounds"
+                "frames that OpenGL rendered on this machine, bit for bit, because the same driver \
+                 renders the same bits; without --frames-of-this-machine, bounds apply"
             }
             Self::AnotherRenderer => {
-                "frames that OpenGL drew, which the software renderer is held to by bounds: \
-                 drivers differ among themselves, and at an edge or where surfaces coincide one \
+                "frames that OpenGL rendered, which the software renderer must match within \
+                 bounds: drivers differ too, and at an edge or where surfaces coincide one \
                  rounding decides which surface is visible"
             }
         })
@@ -286,11 +285,11 @@ mod tests {
     }
 
     #[test]
-    fn frames_of_this_machine_are_held_to_bits() {
+    fn frames_of_this_machine_must_be_equal() {
         assert_eq!(violations(&[], RendererRelation::ThisMachine), [""; 0]);
         let broken = violations(&[(1, 1)], RendererRelation::ThisMachine);
         assert_eq!(broken.len(), 1);
-        assert!(broken[0].contains("held to bits"), "{broken:?}");
+        assert!(broken[0].contains("bit for bit"), "{broken:?}");
     }
 
     #[test]
