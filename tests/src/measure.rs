@@ -20,8 +20,8 @@ impl fmt::Display for Clock {
         f.write_str(match self {
             Self::ThreadCpu => "milliseconds of processor time of the drawing thread, medians",
             Self::Wall => {
-                "milliseconds of wall clock, medians: a card draws, so that processor time says \
-                 nothing; keep the machine free of other work"
+                "milliseconds of wall clock, medians: a graphics card renders, so that processor \
+                 time is meaningless; keep the machine free of other work"
             }
         })
     }

@@ -148,8 +148,8 @@ pub struct ServeArguments {
     /// back, as at a second signal [default: as long as they take]
     #[arg(long, value_name = "SECS", hide_short_help = true, value_parser = seconds(0.0..=86_400.0))]
     pub drain_secs: Option<f64>,
-    /// Ends the worker after this time without work, if the coordinator answers [default: it waits
-    /// for more]
+    /// Ends the worker after this time without work, if the coordinator answers [default: it
+    /// waits for work]
     #[arg(long, value_name = "SECS", hide_short_help = true, value_parser = seconds(0.1..=604_800.0))]
     pub idle_secs: Option<f64>,
     /// URL of the policies, in place of the one that each campaign names
@@ -221,8 +221,8 @@ pub struct BenchArguments {
     /// Task that the slots simulate.
     #[command(flatten)]
     pub load: LoadArguments,
-    /// Numbers of slots, separated by commas [default: 1, 2, 4, … and as many
-    /// as should keep all cores busy, once and twice]
+    /// Numbers of slots, separated by commas [default: 1, 2, 4, … up to twice
+    /// the number that should keep all cores busy, and that number]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_parser = slots)]
     pub slots: Vec<NonZeroUsize>,
     /// Duration of the measurement of each number of slots, seconds
@@ -412,7 +412,7 @@ pub struct OwnTaskArguments {
     /// A BDDL file of your own, in place of a task of the protocol
     #[arg(long, value_name = "FILE", requires = "init")]
     pub bddl: Option<PathBuf>,
-    /// Its initial states, as a `.pruned_init` file
+    /// Initial states of the task, as a `.pruned_init` file
     #[arg(long, value_name = "FILE", requires = "bddl")]
     pub init: Option<PathBuf>,
     /// Number of the initial state, from 0 [default: 0]
@@ -466,11 +466,10 @@ pub enum AssetsCommand {
 /// The files to fetch, and the place to fetch them from.
 #[derive(Debug, Args)]
 pub struct FetchArguments {
-    /// The tasks to fetch for: SUITE/N, separated by commas, or `all` 40
+    /// Tasks whose assets are fetched: SUITE/N, separated by commas, or `all` 40
     #[arg(long, value_name = "SUITE/N,...|all", value_delimiter = ',', default_value = "all", value_parser = task_choice)]
     pub tasks: Vec<TaskChoice>,
-    /// A BDDL file of a further task to fetch for, of your own or of LIBERO's other suites; may be
-    /// repeated
+    /// BDDL file of a further task, of your own or of LIBERO's other suites; may be repeated
     #[arg(long, value_name = "FILE")]
     pub bddl: Vec<PathBuf>,
     /// Fetches the task files of `libero-plus`, 25 MB, or of `libero-pro`, 5 MB
@@ -521,7 +520,7 @@ pub struct PreviewArguments {
     /// The suite, for example libero_goal
     #[arg(long, value_name = "SUITE")]
     pub suite: Suite,
-    /// The task in it, 0 to 9
+    /// Task of the suite, 0 to 9
     #[arg(long, value_name = "N", value_parser = number(0..=9_u32, ""))]
     pub task: u32,
     /// The configuration: preset of every axis, and initial state

@@ -155,16 +155,16 @@ impl Rehearsal<'_> {
         let mut next_fault = Instant::now();
         loop {
             let status = self.fleet.status();
-            let of = |name: &str| status["rollouts"][name].as_u64().unwrap_or_default();
+            let count = |name: &str| status["rollouts"][name].as_u64().unwrap_or_default();
             if status["is_finished"] == true {
-                if of("quarantined") == 0 {
+                if count("quarantined") == 0 {
                     return;
                 }
                 // Like an operator who has read the errors.
-                self.retried += of("quarantined");
+                self.retried += count("quarantined");
                 self.fleet.retry_quarantined();
             }
-            let share = of("committed") as f64 / of("total").max(1) as f64;
+            let share = count("committed") as f64 / count("total").max(1) as f64;
             if let Some((_, event)) = events.next_if(|(at, _)| share >= *at) {
                 self.happen(event, &mut backup);
             } else if Instant::now() >= next_fault {

@@ -48,7 +48,7 @@ pub struct Manner {
     /// Films each rollout
     #[arg(long)]
     pub video: bool,
-    /// Prints a line for each variant: the files that it needs, and if they are here
+    /// Prints a line for each variant: the files that it needs, and whether they are present
     #[arg(long, conflicts_with = "endpoint")]
     pub list: bool,
 }
