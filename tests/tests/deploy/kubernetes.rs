@@ -121,7 +121,7 @@ fn manifest_faults_are_named() {
         (
             "/etc/rollout/token",
             "/etc/rollout/tokens",
-            "no secret of it has tokens",
+            "no secret has tokens",
         ),
     ] {
         assert!(text.contains(from), "{from}");
