@@ -24,8 +24,8 @@ const PACKAGES: [&str; 4] = [
 /// If a tool reports a fault; the error includes its output.
 pub(crate) fn run(root: &Path, cache: &Path) -> Result<()> {
     let dir = cache.join("lint-venv");
-    let made = environment(&dir, &PACKAGES);
-    if let Err(error) = made {
+    let outcome = environment(&dir, &PACKAGES);
+    if let Err(error) = outcome {
         return step("Python", || Ok(format!("not checked: {error:#}"))).map(drop);
     }
     for (what, tool, arguments) in [

@@ -103,9 +103,9 @@ impl Original {
 }
 
 fn install(dir: &Path, python: &Path) -> Result<&'static str> {
-    let wanted = [&PACKAGES[..], &ORIGINAL[..]].concat().join("\n");
+    let requirements = [&PACKAGES[..], &ORIGINAL[..]].concat().join("\n");
     let stamp = dir.join(STAMP);
-    if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) {
+    if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == requirements) {
         return Ok("already there");
     }
     capture(
@@ -122,7 +122,7 @@ fn install(dir: &Path, python: &Path) -> Result<&'static str> {
     };
     pip(&PACKAGES)?;
     pip(&[&["--no-deps"], &ORIGINAL[..]].concat())?;
-    std::fs::write(&stamp, wanted).with_context(|| format!("write {}", stamp.display()))?;
+    std::fs::write(&stamp, requirements).with_context(|| format!("write {}", stamp.display()))?;
     Ok("installed")
 }
 

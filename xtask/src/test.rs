@@ -108,13 +108,13 @@ fn rust(root: &Path, cache: &Path, programs: &Path, filters: &[String]) -> Resul
     let typescript = typescript::build(root)?;
     step("browser for the live page's tests", || {
         // If there is no browser, these tests are skipped with a message.
-        let found = setup::browser().map(str::to_owned);
-        Ok(found.unwrap_or_else(|error| format!("none: {error:#}")))
+        let outcome = setup::browser().map(str::to_owned);
+        Ok(outcome.unwrap_or_else(|error| format!("none: {error:#}")))
     })?;
     step("Slurm for the tests of deploy/", || {
         // If there is no Slurm, these tests are skipped with a message.
-        let found = setup::slurm().map(str::to_owned);
-        Ok(found.unwrap_or_else(|error| format!("none: {error:#}")))
+        let outcome = setup::slurm().map(str::to_owned);
+        Ok(outcome.unwrap_or_else(|error| format!("none: {error:#}")))
     })?;
     step("built-in pack as generated", || {
         let mut generator = Command::new("python3");

@@ -16,7 +16,7 @@ const POINT_BYTES: usize = 6;
 const ACTION_BYTES: usize = 28;
 
 /// Runs a rollout that stores its actions; returns the film to be made of it.
-async fn a_film(coordinator: &ScriptedCoordinator) -> Film {
+async fn filmable_rollout(coordinator: &ScriptedCoordinator) -> Film {
     film_of(coordinator, lease(1, "still", "")).await
 }
 
@@ -69,7 +69,7 @@ async fn a_rollout_is_filmed_from_its_actions_when_its_policy_has_gone() {
         return;
     }
     let coordinator = ScriptedCoordinator::start().await;
-    let film = a_film(&coordinator).await;
+    let film = filmable_rollout(&coordinator).await;
     coordinator.film(film);
     let output = film_all(&coordinator);
     assert!(output.status.success(), "{output:?}");
@@ -88,7 +88,7 @@ async fn several_rollouts_are_filmed_at_a_time_and_the_log_says_how_far_it_is() 
         return;
     }
     let coordinator = ScriptedCoordinator::start().await;
-    let film = a_film(&coordinator).await;
+    let film = filmable_rollout(&coordinator).await;
     for number in 1..=3 {
         coordinator.film(Film {
             attempt_id: attempt_id(number),
@@ -122,7 +122,7 @@ async fn a_film_that_ends_differently_from_its_rollout_is_not_stored() {
         return;
     }
     let coordinator = ScriptedCoordinator::start().await;
-    let mut film = a_film(&coordinator).await;
+    let mut film = filmable_rollout(&coordinator).await;
     film.success = !film.success;
     coordinator.film(film);
     let output = film_all(&coordinator);
