@@ -287,13 +287,13 @@ impl Fleet {
                 kill_all(&children(wounded));
             }
             Fault::KillGateway(down) => {
-                self.to_gateway.lead_to(None);
+                self.to_gateway.set_target(None);
                 self.gateway = None;
                 sleep(down);
                 self.start_gateway();
             }
             Fault::KillPolicy(down) => {
-                self.to_policy.lead_to(None);
+                self.to_policy.set_target(None);
                 self.policy = None;
                 sleep(down);
                 self.start_policy();
@@ -403,7 +403,7 @@ impl Fleet {
     fn start_coordinator(&mut self) {
         let mut command = self.coordinator_command();
         let coordinator = Process::serve(&mut command);
-        self.to_coordinator.lead_to(Some(&coordinator.url));
+        self.to_coordinator.set_target(Some(&coordinator.url));
         self.coordinator = Some(coordinator);
     }
 
@@ -427,7 +427,7 @@ impl Fleet {
     }
 
     fn kill_coordinator(&mut self) {
-        self.to_coordinator.lead_to(None);
+        self.to_coordinator.set_target(None);
         // Dropping a process kills it and waits for its exit.
         self.coordinator = None;
     }
@@ -435,13 +435,13 @@ impl Fleet {
     fn start_gateway(&mut self) {
         let policy = self.to_policy.url().replacen("http://", "grpc://", 1);
         let gateway = self.serve_policies(&format!("chaos={policy}/noop"));
-        self.to_gateway.lead_to(Some(&gateway.url));
+        self.to_gateway.set_target(Some(&gateway.url));
         self.gateway = Some(gateway);
     }
 
     fn start_policy(&mut self) {
         let policy = self.serve_policies("noop=builtin:noop");
-        self.to_policy.lead_to(Some(&policy.url));
+        self.to_policy.set_target(Some(&policy.url));
         self.policy = Some(policy);
     }
 
@@ -474,7 +474,7 @@ impl Fleet {
     }
 
     fn end_coordinator(&mut self) {
-        self.to_coordinator.lead_to(None);
+        self.to_coordinator.set_target(None);
         if let Some(mut coordinator) = self.coordinator.take() {
             coordinator.signal("-TERM");
             coordinator.wait();

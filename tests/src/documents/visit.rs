@@ -3,7 +3,7 @@
 use std::fs;
 use std::time::Instant;
 
-use super::folder::{Folder, Thing, checkout};
+use super::folder::{Folder, Requirement, checkout};
 use super::page::{Action, Command, Step, steps};
 use super::session::{Failure, Session};
 
@@ -73,12 +73,12 @@ fn handling(step: &Step) -> Handling<'_> {
         Action::Run { commands, needs } => {
             let reads = commands.iter().any(|command| command.text.contains(SHARED));
             let named = needs.as_deref().map(|word| {
-                Thing::named(word).unwrap_or_else(|| panic!("line {}: {word}?", step.line))
+                Requirement::parse(word).unwrap_or_else(|| panic!("line {}: {word}?", step.line))
             });
-            let things = named
+            let requirements = named
                 .into_iter()
-                .chain(reads.then_some(Thing::ReferenceData));
-            match things.filter_map(Thing::lacks).next() {
+                .chain(reads.then_some(Requirement::ReferenceData));
+            match requirements.filter_map(Requirement::unmet_reason).next() {
                 Some(why) => Handling::Report("skipped", why),
                 None => Handling::Run(commands),
             }
