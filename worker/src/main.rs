@@ -406,8 +406,8 @@ fn run_rescue(arguments: RescueArguments) -> anyhow::Result<()> {
         0 => Ok(()),
         times => print_line(&format!(
             "at {}, the placebo (nothing lifted, the robot nudged by a thousandth of a millimetre) \
-             also saves the rollout: its outcome was marginal there, and these steps do not count as \
-             rescues",
+             also saves the rollout: its outcome was marginal there, and these steps do not \
+             count as rescues",
             counted(times, "step")
         )),
     }

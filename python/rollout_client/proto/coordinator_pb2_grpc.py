@@ -315,7 +315,7 @@ class WorkerService(object):
 
 
 class OperatorServiceStub(object):
-    """The service for operators, called by `coordinator campaign|jobs|workers|report|export|backup`.
+    """The service for operators: `coordinator campaign|jobs|workers|report|export|backup`.
     """
 
     def __init__(self, channel):
@@ -412,7 +412,7 @@ class OperatorServiceStub(object):
 
 
 class OperatorServiceServicer(object):
-    """The service for operators, called by `coordinator campaign|jobs|workers|report|export|backup`.
+    """The service for operators: `coordinator campaign|jobs|workers|report|export|backup`.
     """
 
     def CreateCampaign(self, request, context):
@@ -632,7 +632,7 @@ def add_OperatorServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class OperatorService(object):
-    """The service for operators, called by `coordinator campaign|jobs|workers|report|export|backup`.
+    """The service for operators: `coordinator campaign|jobs|workers|report|export|backup`.
     """
 
     @staticmethod

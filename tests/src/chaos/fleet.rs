@@ -171,7 +171,7 @@ impl Fleet {
         let mut rows: Vec<String> = export.lines().map(without_wall_time).collect();
         rows.sort();
         self.stop();
-        self.check();
+        self.check_invariants();
         format!("{report}\n{json}\n{}", rows.join("\n"))
     }
 
@@ -481,8 +481,7 @@ impl Fleet {
         }
     }
 
-    /// Checks every invariant of the database.
-    fn check(&self) {
+    fn check_invariants(&self) {
         let output = Command::new(program("coordinator"))
             .arg("check")
             .arg(self.data())
@@ -568,7 +567,6 @@ fn set_modes(folder: &Path, of_folder: u32, of_files: u32) {
     set(folder, of_folder);
 }
 
-/// Suspends a process for a time.
 fn pause(process: &Process, time: Duration) {
     process.signal("-STOP");
     sleep(time);

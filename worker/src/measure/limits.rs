@@ -95,8 +95,8 @@ impl Machine {
         let count = slots as u64;
         if slots > self.cores.saturating_mul(MAX_PER_CORE) {
             return Some(format!(
-                "this process may use {}, which can serve at most {} slots, even if the policy takes \
-                 99 % of the time",
+                "this process may use {}, which can serve at most {} slots, even if the policy \
+                 takes 99 % of the time",
                 counted(self.cores as u64, "core"),
                 self.cores * MAX_PER_CORE
             ));

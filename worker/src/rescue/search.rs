@@ -104,7 +104,7 @@ mod tests {
         }
 
         #[test]
-        fn the_result_was_tried_for_any_outcomes(saves in prop::collection::vec(any::<bool>(), 1..80)) {
+        fn the_result_was_tried(saves in prop::collection::vec(any::<bool>(), 1..80)) {
             let search = search(saves.len(), |query| saves[query]);
             match search.result() {
                 SearchResult::NeverSaved => {

@@ -67,7 +67,6 @@ pub(super) struct Supervisor {
     mode: Mode,
     /// Signals the link to drop its claims.
     drain: watch::Sender<bool>,
-    /// Time of the first request to end.
     shutdown_requested_at: Option<Instant>,
     /// Start of the idle time. Outages of the coordinator do not count as idle.
     idle_since: Instant,
@@ -592,8 +591,8 @@ impl Supervisor {
             slot.preparing = None;
             return;
         }
-        let runs_lost = |slot: &Slot| matches!(slot.state.work, Work::Running { attempt, .. } if attempt == lost);
-        let Some(slot) = self.slots.iter().position(runs_lost) else {
+        let runs = |slot: &Slot| matches!(slot.state.work, Work::Running { attempt, .. } if attempt == lost);
+        let Some(slot) = self.slots.iter().position(runs) else {
             return;
         };
         tracing::warn!(
@@ -614,12 +613,8 @@ impl Supervisor {
     /// with it. For any other task the worker gives up: a rollout waiting for that task would have
     /// its lease renewed for ever.
     fn panicked(&mut self, task: task::Id, error: String, now: Instant) {
-        let process_task = |slot: &Slot| slot.process.as_ref().map(|process| process.task);
-        if let Some(slot) = self
-            .slots
-            .iter()
-            .position(|slot| process_task(slot) == Some(task))
-        {
+        let owns = |slot: &Slot| matches!(&slot.process, Some(process) if process.task == task);
+        if let Some(slot) = self.slots.iter().position(owns) {
             let end = ProcessEnd::from(format!("lost the task that supervised it: {error}"));
             return self.process_ended(slot, end, now);
         }

@@ -153,6 +153,9 @@ async fn a_slot_that_dies_before_its_result_is_committed_is_not_charged() {
     let commit = coordinator.message(1).await.commit();
     assert_eq!(commit.attempt_id, attempt_id(1));
     let messages = coordinator.messages();
-    let is_crash = |message: &WorkerMessage| matches!(message, WorkerMessage::Released(release) if release.reason() == Reason::SlotCrashed);
+    let is_crash = |message: &WorkerMessage| match message {
+        WorkerMessage::Released(release) => release.reason() == Reason::SlotCrashed,
+        _ => false,
+    };
     assert!(!messages.iter().any(is_crash), "{messages:?}");
 }
