@@ -321,7 +321,7 @@ mod tests {
     }
 
     #[test]
-    fn a_circle_is_found_and_its_files_and_items_are_named() {
+    fn an_import_cycle_is_found_with_its_files_and_items() {
         let circle = found(&[
             ("lib.rs", "mod a; mod b; mod c;\npub use a::A;"),
             (

@@ -183,7 +183,7 @@ fn options(name: &str, words: &[&str]) -> Vec<(String, Option<String>)> {
 }
 
 #[test]
-fn every_option_of_what_serves_has_a_variable_in_help_and_manual() {
+fn every_server_option_has_a_variable_in_help_and_manual() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let manual = folder.path().to_str().expect("UTF-8");
     for (name, words, page) in [

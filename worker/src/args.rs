@@ -628,7 +628,7 @@ mod tests {
     }
 
     #[test]
-    fn a_task_of_ones_own_needs_its_initial_states_and_an_actor() {
+    fn a_users_task_needs_initial_states_and_an_actor() {
         let end = "--assets primitives --output out";
         let own = "worker rollout --bddl a.bddl --init a.pruned_init --max-steps 30";
         let read = parse(&format!("{own} --actions a.npz {end}")).expect("complete");

@@ -188,8 +188,8 @@ fn outcomes_have_the_same_bits_however_long_the_policy_takes_by_the_clock() {
 }
 
 #[test]
-fn a_rollout_of_the_latency_axis_is_a_nominal_one_of_a_late_policy() {
-    let test = "a_rollout_of_the_latency_axis_is_a_nominal_one_of_a_late_policy";
+fn a_latency_rollout_is_nominal_with_a_delayed_policy() {
+    let test = "a_latency_rollout_is_nominal_with_a_delayed_policy";
     let Some(mut simulator) = simulator(test) else {
         return;
     };

@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn a_test_without_its_reference_data_fails_the_run_where_the_folder_is() {
+    fn a_test_that_misses_existing_reference_data_fails_the_run() {
         let folder = tempfile::tempdir().expect("a folder");
         let report = folder.path().join("junit.xml");
         let write = |why: &str| {

@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn a_comment_or_an_ampersand_of_the_page_is_no_part_of_a_background_command() {
+    fn background_commands_lose_their_comment_and_ampersand() {
         assert_eq!(in_background("a --b   # and c"), "a --b &");
         assert_eq!(in_background("a --b &"), "a --b  &");
         assert_eq!(in_background("a \\\n  --b  # c"), "a \\\n  --b &");

@@ -84,8 +84,8 @@ fn workers_have_given_back_their_rollouts_before_they_are_killed() {
 }
 
 #[test]
-fn manifests_are_what_kubernetes_takes_and_name_what_there_is() {
-    let Some(python) = python("manifests_are_what_kubernetes_takes_and_name_what_there_is") else {
+fn manifests_are_valid_and_their_references_exist() {
+    let Some(python) = python("manifests_are_valid_and_their_references_exist") else {
         return;
     };
     assert_eq!(assert_in_order(&python, &base()), serde_json::json!([]));
@@ -132,8 +132,8 @@ fn manifest_faults_are_named() {
 }
 
 #[test]
-fn kustomize_makes_manifests_in_order_of_every_folder() {
-    let test = "kustomize_makes_manifests_in_order_of_every_folder";
+fn kustomize_renders_valid_manifests_of_every_folder() {
+    let test = "kustomize_renders_valid_manifests_of_every_folder";
     let Some(python) = python(test) else { return };
     if !runs("kubectl", "version") {
         println!("skipped {test}: no kubectl");

@@ -143,7 +143,7 @@ mod tests {
     };
 
     #[test]
-    fn slots_beyond_cores_memory_or_open_files_are_refused_with_what_is_short() {
+    fn slots_beyond_cores_memory_or_open_files_are_refused_with_the_reason() {
         let check = |machine: Machine, slots, words: &str| {
             let shortage = machine.shortage(slots).expect("a shortage");
             assert!(shortage.contains(words), "{shortage}");

@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn the_tightest_group_above_counts_less_what_it_uses_and_cannot_give_back() {
+    fn the_tightest_parent_group_limits_the_available_memory() {
         let group = "sys/fs/cgroup/batch/memory";
         let unified = [
             ("proc/self/cgroup", "0::/batch/job\n"),

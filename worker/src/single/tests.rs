@@ -99,8 +99,8 @@ fn array<T: npyz::Deserialize>(trace: &Path, name: &str) -> (Vec<u64>, Vec<T>) {
 }
 
 #[test]
-fn a_task_of_ones_own_is_replayed_and_its_trace_replays_again() {
-    let test = "a_task_of_ones_own_is_replayed_and_its_trace_replays_again";
+fn a_users_task_is_replayed_and_its_trace_replays_again() {
+    let test = "a_users_task_is_replayed_and_its_trace_replays_again";
     let Some(sources) = sources(test) else {
         return;
     };

@@ -483,7 +483,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rollout_that_stands_still_is_killed_and_reported_as_stuck() {
+    fn a_rollout_without_progress_is_killed_and_reported_as_stuck() {
         let now = Instant::now();
         let mut slot = running(now);
         slot.advanced(attempt(1), 10, now + secs(100));
@@ -563,7 +563,7 @@ mod tests {
     }
 
     #[test]
-    fn filming_that_stands_still_is_killed_with_or_without_its_result_delivered() {
+    fn filming_without_progress_is_killed_in_any_state_of_its_result() {
         let now = Instant::now();
         let mut slot = filming(now);
         let kill = Some(Decision::Kill(Kill::StuckFilming));
@@ -577,7 +577,7 @@ mod tests {
     }
 
     #[test]
-    fn a_video_is_sent_once_it_is_made_and_its_result_committed_in_either_order() {
+    fn a_video_is_sent_after_filming_and_commit_in_either_order() {
         let now = Instant::now();
         let upload = Some(VideoDecision::Upload(attempt(1)));
         let mut slot = filming(now);
@@ -620,7 +620,7 @@ mod tests {
     }
 
     #[test]
-    fn a_process_that_never_becomes_ready_is_given_up_in_the_end() {
+    fn repeated_failed_starts_give_up_the_slot() {
         let now = Instant::now();
         let mut slot = SlotState::new(now, 1);
         for _ in 0..MAX_FAILED_STARTS {

@@ -691,7 +691,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_call_that_panics_ends_the_worker_with_an_error_that_says_so() {
+    async fn a_panic_of_a_call_ends_the_worker_with_an_error() {
         let (events, inbox) = mpsc::channel(8);
         let mut supervisor = supervisor(events);
         // Without the panic's detection, the delivery would never happen and its lease would be

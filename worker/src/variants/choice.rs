@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn a_suite_of_pro_is_ten_tasks_of_fifty_trials_under_a_protocol_of_its_own() {
+    fn a_pro_suite_has_ten_tasks_of_fifty_trials_and_its_own_protocol() {
         let pro = Choice {
             pro: vec!["libero_goal_swap".parse().unwrap()],
             ..Choice::default()

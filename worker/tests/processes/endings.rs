@@ -88,7 +88,7 @@ async fn a_worker_without_work_for_long_enough_ends_and_a_busy_one_does_not() {
     assert_eq!(result.expect("a result").steps, 80);
     let log = worker.ended();
     assert!(log.contains("no work for 1 s"), "{log}");
-    assert_eq!(coordinator.signed_off().len(), 1, "it says good-bye");
+    assert_eq!(coordinator.signed_off().len(), 1, "it signed off");
 }
 
 /// Regression: a worker that was shutting down leased once more and gave the job back, which pinned
@@ -141,8 +141,8 @@ async fn slots_end_with_a_worker_that_is_killed() {
 
 /// A rollout has the same name in every campaign of the design.
 #[tokio::test(flavor = "multi_thread")]
-async fn rollouts_of_two_campaigns_have_one_line_of_the_log_each() {
-    if !ready("rollouts_of_two_campaigns_have_one_line_of_the_log_each") {
+async fn rollouts_of_two_campaigns_have_one_log_line_each() {
+    if !ready("rollouts_of_two_campaigns_have_one_log_line_each") {
         return;
     }
     let policy = ScriptedPolicy::start().await;

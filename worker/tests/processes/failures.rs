@@ -132,8 +132,8 @@ async fn a_slot_that_dies_costs_its_rollout_and_is_replaced() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_slot_that_stands_still_is_killed_and_replaced() {
-    if !ready("a_slot_that_stands_still_is_killed_and_replaced") {
+async fn a_slot_without_progress_is_killed_and_replaced() {
+    if !ready("a_slot_without_progress_is_killed_and_replaced") {
         return;
     }
     let policy = ScriptedPolicy::start().await;
@@ -158,8 +158,8 @@ async fn a_slot_that_stands_still_is_killed_and_replaced() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_rollout_whose_lease_is_lost_is_abandoned_in_silence() {
-    if !ready("a_rollout_whose_lease_is_lost_is_abandoned_in_silence") {
+async fn a_lost_lease_abandons_the_rollout_without_a_report() {
+    if !ready("a_lost_lease_abandons_the_rollout_without_a_report") {
         return;
     }
     let policy = ScriptedPolicy::start().await;

@@ -64,8 +64,8 @@ async fn video(coordinator: &ScriptedCoordinator, number: usize) -> (String, Vec
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_rollout_is_filmed_from_its_actions_when_its_policy_has_gone() {
-    if !ready("a_rollout_is_filmed_from_its_actions_when_its_policy_has_gone") {
+async fn a_rollout_is_filmed_from_its_actions_without_its_policy() {
+    if !ready("a_rollout_is_filmed_from_its_actions_without_its_policy") {
         return;
     }
     let coordinator = ScriptedCoordinator::start().await;
@@ -83,8 +83,8 @@ async fn a_rollout_is_filmed_from_its_actions_when_its_policy_has_gone() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn several_rollouts_are_filmed_at_a_time_and_the_log_says_how_far_it_is() {
-    if !ready("several_rollouts_are_filmed_at_a_time_and_the_log_says_how_far_it_is") {
+async fn several_rollouts_are_filmed_in_parallel_with_progress_in_the_log() {
+    if !ready("several_rollouts_are_filmed_in_parallel_with_progress_in_the_log") {
         return;
     }
     let coordinator = ScriptedCoordinator::start().await;

@@ -298,8 +298,8 @@ fn a_replay_without_pictures_opens_no_renderer() {
 
 /// The row is from another version: the attempt is released with this reason and has no outcome.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_row_that_cannot_be_read_is_given_back_with_its_problem() {
-    if !ready("a_row_that_cannot_be_read_is_given_back_with_its_problem") {
+async fn an_unreadable_row_is_released_with_the_reason() {
+    if !ready("an_unreadable_row_is_released_with_the_reason") {
         return;
     }
     let coordinator = ScriptedCoordinator::start().await;
