@@ -30,13 +30,13 @@ from ray.exceptions import RayActorError, RayTaskError
 log = logging.getLogger("launch")
 
 # Consecutive worker failures after which the launcher gives up: they probably have the same cause.
-FAILURES_IN_A_ROW = 5
+MAX_FAILURES_IN_A_ROW = 5
 # Time that a worker needs to give back its unfinished rollouts, seconds.
-GIVE_BACK = 15.0
+GIVE_BACK_SECS = 15.0
 # By default, Ray sends SIGKILL to the child processes of its actors, so a worker could not give its
 # rollouts back.
-CHILDREN_LIVE = {"RAY_kill_child_processes_on_worker_exit": "0"}
-# Variables that a worker reads from its environment: names of files on every node.
+KEEP_CHILDREN = {"RAY_kill_child_processes_on_worker_exit": "0"}
+# Variables of the launcher that are passed to the workers; their files are on every node.
 ENVIRONMENT = ("ROLLOUT_TOKEN_FILE", "ROLLOUT_CA", "ROLLOUT_SOURCES", "RUST_LOG")
 
 
@@ -67,8 +67,8 @@ class SimWorker:
 
 
 @dataclass
-class Placed:
-    """A requested actor."""
+class RequestedActor:
+    """A requested actor, with its placement and its worker's exit code."""
 
     actor: ActorHandle[Any]
     # Resolve when the actor has been placed, and when its worker has ended.
@@ -86,54 +86,54 @@ class Fleet:
     def __init__(self, command: list[str], slots: int) -> None:
         self.command = command
         self.slots = slots
-        self.placed: list[Placed] = []
+        self.actors: list[RequestedActor] = []
         self.failures = 0
 
-    def look(self, wait: float) -> None:
+    def collect_ended(self, wait: float) -> None:
         """Records workers that have ended, waiting `wait` seconds for one."""
-        if not self.placed:
+        if not self.actors:
             time.sleep(wait)
             return
-        ends = [it.end for it in self.placed]
+        ends = [requested.end for requested in self.actors]
         ended, _ = ray.wait(ends, num_returns=1, timeout=wait)
         ended += ray.wait(ends, num_returns=len(ends), timeout=0)[0]
-        for it in [it for it in self.placed if it.end in ended]:
-            self.placed.remove(it)
-            self._ended(it)
+        for requested in [actor for actor in self.actors if actor.end in ended]:
+            self.actors.remove(requested)
+            self._record_end(requested)
 
-    def _ended(self, it: Placed) -> None:
+    def _record_end(self, requested: RequestedActor) -> None:
         try:
-            code = ray.get(it.end)
+            code = ray.get(requested.end)
         except RayActorError as error:
             # The worker itself did not fail: a replacement is started.
-            log.warning("a worker is gone with its node: %s", str(error).splitlines()[0])
+            log.warning("a worker was lost with its node: %s", str(error).splitlines()[0])
             return
         except RayTaskError as error:
             code, why = 1, f"could not be started: {error}"
         else:
             why = f"ended with code {code}; its log is above"
-        ray.kill(it.actor)
+        ray.kill(requested.actor)
         if code == 0:
             log.info("a worker ended")
             self.failures = 0
             return
         self.failures += 1
         log.error("a worker %s", why)
-        if self.failures >= FAILURES_IN_A_ROW:
-            raise TooManyFailures(f"{self.failures} workers failed one after the other")
+        if self.failures >= MAX_FAILURES_IN_A_ROW:
+            raise TooManyFailures(f"{self.failures} workers failed in a row")
 
     def grow_to(self, wanted: int) -> None:
         """Requests more workers, or cancels surplus ones that have not been placed yet."""
-        while len(self.placed) < wanted:
-            self.placed.append(self._start())
-        waiting = [it for it in self.placed if not ray.wait([it.node], timeout=0)[0]]
-        for it in waiting[: max(0, len(self.placed) - wanted)]:
-            ray.kill(it.actor)
-            self.placed.remove(it)
+        while len(self.actors) < wanted:
+            self.actors.append(self._start())
+        unplaced = [actor for actor in self.actors if not ray.wait([actor.node], timeout=0)[0]]
+        for surplus in unplaced[: max(0, len(self.actors) - wanted)]:
+            ray.kill(surplus.actor)
+            self.actors.remove(surplus)
 
-    def _start(self) -> Placed:
+    def _start(self) -> RequestedActor:
         environment = {name: os.environ[name] for name in ENVIRONMENT if name in os.environ}
-        environment |= CHILDREN_LIVE
+        environment |= KEEP_CHILDREN
         actor = SimWorker.options(  # type: ignore[attr-defined]
             resources={"sim": 1},
             num_cpus=self.slots,
@@ -141,30 +141,30 @@ class Fleet:
             scheduling_strategy="SPREAD",
             runtime_env={"env_vars": environment},
         ).remote(self.command)
-        return Placed(actor, actor.node.remote(), actor.run.remote())
+        return RequestedActor(actor, actor.node.remote(), actor.run.remote())
 
     def stop(self, patience: float) -> None:
         """Ends all workers; those that do not end in time are killed."""
-        for it in self.placed:
-            it.actor.stop.remote()
-        if self.placed:
-            ends = [it.end for it in self.placed]
+        for requested in self.actors:
+            requested.actor.stop.remote()
+        if self.actors:
+            ends = [requested.end for requested in self.actors]
             ray.wait(ends, num_returns=len(ends), timeout=patience)
-        for it in self.placed:
-            ray.kill(it.actor)
-        self.placed.clear()
+        for requested in self.actors:
+            ray.kill(requested.actor)
+        self.actors.clear()
 
 
-def depth(coordinator: str, connect: str) -> int | None:
+def queue_depth(coordinator: str, connect: str) -> int | None:
     """Returns the number of waiting and running rollouts, or None if the coordinator call fails."""
     command = [coordinator, "campaign", "status", "--json", "--connect", connect]
-    told = subprocess.run(command, check=False, capture_output=True, text=True)
-    if told.returncode != 0:
-        log.warning("how much work there is, is not known: %s", told.stderr.strip())
+    result = subprocess.run(command, check=False, capture_output=True, text=True)
+    if result.returncode != 0:
+        log.warning("the number of waiting rollouts is unknown: %s", result.stderr.strip())
         return None
-    campaigns = json.loads(told.stdout)["campaigns"]
-    running = [it["rollouts"] for it in campaigns if it["state"] == "running"]
-    return sum(int(it["queued"]) + int(it["leased"]) for it in running)
+    campaigns = json.loads(result.stdout)["campaigns"]
+    running = [campaign["rollouts"] for campaign in campaigns if campaign["state"] == "running"]
+    return sum(int(counts["queued"]) + int(counts["leased"]) for counts in running)
 
 
 def arguments(words: list[str] | None = None) -> argparse.Namespace:
@@ -174,46 +174,47 @@ def arguments(words: list[str] | None = None) -> argparse.Namespace:
     add("--address", default="auto", help="the Ray cluster (default: the one of this machine)")
     add("--connect", required=True, help="URL of the coordinator, as the nodes reach it")
     add("--assets", default="libero", help="`libero`, `primitives`, or a folder on every node")
-    add("--programs", default="", help="folder of the programs on every node (default: the path)")
+    add("--programs", default="", help="folder of the programs on every node (default: PATH)")
     add("--max-workers", type=int, required=True, help="most workers at a time")
     add("--slots", type=int, default=1, help="slots of a worker, with one CPU each")
-    add("--drain-secs", type=float, default=15, help="as `worker` has it")
-    add("--idle-secs", type=float, default=60, help="as `worker` has it")
+    add("--drain-secs", type=float, default=15, help="`--drain-secs` of each worker")
+    add("--idle-secs", type=float, default=60, help="`--idle-secs` of each worker")
     add("--look-secs", type=float, default=5, help="seconds between polls of the queue")
     add("--until-done", action="store_true", help="end when no work and no worker is left")
     return parser.parse_args(words)
 
 
-def run(given: argparse.Namespace) -> None:
+def run(options: argparse.Namespace) -> None:
     """Keeps workers running until a signal arrives or no work is left."""
-    worker, coordinator = (os.path.join(given.programs, it) for it in ("worker", "coordinator"))
-    command = [worker, "--connect", given.connect, "--assets", given.assets]
-    command += ["--slots", str(given.slots), "--drain-secs", str(given.drain_secs)]
-    command += ["--idle-secs", str(given.idle_secs)]
-    fleet = Fleet(command, given.slots)
+    worker = os.path.join(options.programs, "worker")
+    coordinator = os.path.join(options.programs, "coordinator")
+    command = [worker, "--connect", options.connect, "--assets", options.assets]
+    command += ["--slots", str(options.slots), "--drain-secs", str(options.drain_secs)]
+    command += ["--idle-secs", str(options.idle_secs)]
+    fleet = Fleet(command, options.slots)
     try:
         while True:
-            work = depth(coordinator, given.connect)
+            work = queue_depth(coordinator, options.connect)
             if work is not None:
-                wanted = min(given.max_workers, math.ceil(work / given.slots))
-                if given.until_done and work == 0 and not fleet.placed:
+                wanted = min(options.max_workers, math.ceil(work / options.slots))
+                if options.until_done and work == 0 and not fleet.actors:
                     return
                 fleet.grow_to(wanted)
-            fleet.look(given.look_secs)
+            fleet.collect_ended(options.look_secs)
     finally:
-        fleet.stop(given.drain_secs + GIVE_BACK)
+        fleet.stop(options.drain_secs + GIVE_BACK_SECS)
 
 
 def main() -> int:
     """Runs the command line; returns 1 if no worker can run."""
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(levelname)s %(message)s")
-    given = arguments()
-    ray.init(address=given.address, log_to_driver=True)
+    options = arguments()
+    ray.init(address=options.address, log_to_driver=True)
     # SIGTERM is handled like Ctrl-C, so that the workers are stopped first. Before this call, Ray's
     # own handler is installed.
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
-        run(given)
+        run(options)
     except TooManyFailures as error:
         log.error("%s", error)
         return 1

@@ -60,19 +60,21 @@ fn promises(pool: &DescriptorPool) -> Vec<String> {
 }
 
 /// Returns the released promises that are not kept.
-fn broken(released: &DescriptorPool, now: &DescriptorPool) -> Vec<String> {
-    let kept = promises(now);
+fn broken_promises(released: &DescriptorPool, now: &DescriptorPool) -> Vec<String> {
+    let current = promises(now);
     let promised = promises(released).into_iter();
-    promised.filter(|promise| !kept.contains(promise)).collect()
+    promised
+        .filter(|promise| !current.contains(promise))
+        .collect()
 }
 
 #[test]
-fn everything_that_was_released_is_still_there() {
-    assert_eq!(broken(&released(), &today()), Vec::<String>::new());
+fn every_released_promise_is_kept() {
+    assert_eq!(broken_promises(&released(), &today()), Vec::<String>::new());
 }
 
 #[test]
-fn whatever_is_changed_in_a_released_file_is_noticed() {
+fn incompatible_changes_of_a_released_file_are_detected() {
     let text = std::fs::read_to_string(folder().join("released/policy_v1.proto"));
     let text = text.expect("the released file");
     let check = |from: &str, to: &str, breaks: bool| {
@@ -83,7 +85,11 @@ fn whatever_is_changed_in_a_released_file_is_noticed() {
         std::fs::write(folder.join("changed.proto"), changed).expect("written");
         let changed = compiled(&folder, "changed.proto");
         std::fs::remove_dir_all(folder).expect("its own folder");
-        assert_eq!(!broken(&released(), &changed).is_empty(), breaks, "{to}");
+        assert_eq!(
+            !broken_promises(&released(), &changed).is_empty(),
+            breaks,
+            "{to}"
+        );
     };
     check("uint32 horizon = 8;", "uint32 horizon = 80;", true);
     check("uint32 horizon = 8;", "uint32 chunk = 8;", true);
@@ -120,9 +126,11 @@ fn value_of(field: &FieldDescriptor) -> Value {
         Kind::Double => Value::F64(f64::from(number) + 0.25),
         Kind::String => Value::String(field.name().to_owned()),
         Kind::Bytes => Value::Bytes(field.name().to_owned().into()),
-        Kind::Enum(values) => Value::EnumNumber(values.values().last().map_or(0, |it| it.number())),
+        Kind::Enum(values) => {
+            Value::EnumNumber(values.values().last().map_or(0, |value| value.number()))
+        }
         Kind::Message(message) => Value::Message(filled(&message)),
-        other => panic!("{other:?} is new here: say what to fill in"),
+        other => panic!("{other:?} is a new kind: add its value here"),
     }
 }
 
@@ -143,7 +151,11 @@ fn check<T: Message + Default>(name: &str) {
     let ours = T::decode(filled(&today).encode_to_vec().as_slice()).expect("a message");
     let read = DynamicMessage::decode(released, ours.encode_to_vec().as_slice());
     let read = read.expect("a newer message");
-    for field in theirs.descriptor().fields().filter(|it| !is_message(it)) {
+    for field in theirs
+        .descriptor()
+        .fields()
+        .filter(|field| !is_message(field))
+    {
         assert_eq!(read.get_field(&field), theirs.get_field(&field), "{name}");
     }
 }

@@ -17,7 +17,7 @@ pub const CHROMIUM: &str = "chromium";
 /// Timeout of all waits, generous because the machine may be busy.
 const PATIENCE: Duration = Duration::from_secs(120);
 /// Polling interval of the page.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 pub struct Browser {
     child: Child,
@@ -143,7 +143,7 @@ impl Browser {
                 let page = self.value("document.body.innerText");
                 panic!("never: {expression}\n{}", page.as_str().unwrap_or_default());
             }
-            thread::sleep(LOOK_EVERY);
+            thread::sleep(POLL_INTERVAL);
         }
     }
 
@@ -249,22 +249,24 @@ impl Browser {
                     error => Err(error),
                 };
             }
-            self.note(&message);
+            self.record(&message);
         }
     }
 
-    fn note(&mut self, message: &Value) {
-        let told = &message["params"];
+    fn record(&mut self, message: &Value) {
+        let params = &message["params"];
         match message["method"].as_str().unwrap_or_default() {
-            "Runtime.exceptionThrown" => self.complaints.push(told["exceptionDetails"].to_string()),
-            "Runtime.consoleAPICalled" if told["type"] == "error" => {
-                self.complaints.push(told["args"].to_string());
+            "Runtime.exceptionThrown" => {
+                self.complaints.push(params["exceptionDetails"].to_string())
             }
-            "Log.entryAdded" if told["entry"]["level"] == "error" => {
-                self.complaints.push(told["entry"].to_string());
+            "Runtime.consoleAPICalled" if params["type"] == "error" => {
+                self.complaints.push(params["args"].to_string());
+            }
+            "Log.entryAdded" if params["entry"]["level"] == "error" => {
+                self.complaints.push(params["entry"].to_string());
             }
             "Network.requestWillBeSent" => {
-                let url = told["request"]["url"].as_str().unwrap_or_default();
+                let url = params["request"]["url"].as_str().unwrap_or_default();
                 self.requests.push(url.to_owned());
             }
             _ => {}

@@ -126,7 +126,11 @@ impl PathUse {
         module: &Module,
         files: &BTreeMap<Module, PathBuf>,
     ) -> Option<(Module, String)> {
-        let supers = self.segments.iter().take_while(|it| *it == "super").count();
+        let supers = self
+            .segments
+            .iter()
+            .take_while(|segment| *segment == "super")
+            .count();
         let up = module.len().checked_sub(supers.saturating_sub(self.depth));
         let (base, rest) = match self.segments.first()?.as_str() {
             "crate" => (&[][..], &self.segments[1..]),
@@ -175,7 +179,10 @@ fn collect(tokens: TokenStream, depth: usize, found: &mut Vec<PathUse>) {
             }
             TokenTree::Ident(word) if word == "pub" => published = true,
             TokenTree::Ident(word) if word == "use" => {
-                let length = tokens[at..].iter().take_while(|it| !is(it, ';')).count();
+                let length = tokens[at..]
+                    .iter()
+                    .take_while(|token| !is(token, ';'))
+                    .count();
                 for segments in use_tree(&tokens[at..at + length]) {
                     found.push(PathUse {
                         segments,
@@ -208,7 +215,7 @@ fn collect(tokens: TokenStream, depth: usize, found: &mut Vec<PathUse>) {
 }
 
 fn is(token: &TokenTree, punctuation: char) -> bool {
-    matches!(token, TokenTree::Punct(it) if it.as_char() == punctuation)
+    matches!(token, TokenTree::Punct(punct) if punct.as_char() == punctuation)
 }
 
 fn is_path_separator(tokens: &[TokenTree]) -> bool {
@@ -283,7 +290,11 @@ fn components(imports: &Imports) -> Vec<BTreeSet<Module>> {
     let components: BTreeSet<BTreeSet<Module>> = reached
         .iter()
         .map(|(from, seen)| {
-            let back = |to: &&Module| reached.get(to).is_some_and(|it| it.contains(*from));
+            let back = |to: &&Module| {
+                reached
+                    .get(to)
+                    .is_some_and(|reachable| reachable.contains(*from))
+            };
             seen.iter().filter(back).cloned().collect()
         })
         .collect();
@@ -310,7 +321,7 @@ mod tests {
     }
 
     #[test]
-    fn a_circle_is_found_and_its_files_and_items_are_named() {
+    fn an_import_cycle_is_found_with_its_files_and_items() {
         let circle = found(&[
             ("lib.rs", "mod a; mod b; mod c;\npub use a::A;"),
             (

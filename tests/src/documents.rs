@@ -5,8 +5,8 @@
 //! comment before a block changes this:
 //!
 //! - `<!-- not run: REASON -->`: the block is only listed,
-//! - `<!-- needs: THING -->`: the block is skipped if the machine lacks the thing
-//!   ([`folder::Thing`]); paths to `../shared` need no comment,
+//! - `<!-- needs: REQUIREMENT -->`: the block is skipped if the machine does not meet it
+//!   ([`folder::Requirement`]); paths to `../shared` need no comment,
 //! - `<!-- file: NAME -->`: a block of another language is written to a file.
 
 pub mod folder;

@@ -13,7 +13,7 @@ use sim::mujoco::{Model, ObjectKind};
 use sim::{Drawer, Environment};
 
 pub use findings::{ContactFindings, Findings, Limits, Worst};
-pub use frames::{CLOSE_LEVELS, FrameFindings, FrameLimits, Kinship, Least};
+pub use frames::{CLOSE_LEVELS, FrameFindings, FrameLimits, Least, RendererRelation};
 pub use reference::{Array, ReferenceTask, find_tasks, read_npz};
 
 pub fn compare(
@@ -107,7 +107,7 @@ fn differing_array(model: &Model, task: &ReferenceTask) -> Result<Worst> {
             } else {
                 (ours - theirs).abs() / scale
             };
-            worst.see(difference, || {
+            worst.add(difference, || {
                 format!("{name}[{index}]: {ours} for {theirs}")
             });
         }

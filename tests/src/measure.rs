@@ -20,8 +20,8 @@ impl fmt::Display for Clock {
         f.write_str(match self {
             Self::ThreadCpu => "milliseconds of processor time of the drawing thread, medians",
             Self::Wall => {
-                "milliseconds of wall clock, medians: a card draws, so that processor time says \
-                 nothing; keep the machine free of other work"
+                "milliseconds of wall clock, medians: a graphics card renders, so that processor \
+                 time is meaningless; keep the machine free of other work"
             }
         })
     }
@@ -65,7 +65,7 @@ pub struct Spread {
 
 impl Spread {
     /// Summarises measurements in any order; `None` without a measurement.
-    pub fn of(values: &[f64]) -> Option<Self> {
+    pub fn from_values(values: &[f64]) -> Option<Self> {
         let mut values = values.to_vec();
         values.sort_by(f64::total_cmp);
         let (least, most) = (*values.first()?, *values.last()?);
@@ -84,10 +84,13 @@ mod tests {
 
     #[test]
     fn a_spread_has_the_middle_and_both_ends() {
-        let spread = Spread::of(&[3.0, 1.0, 7.0]).unwrap();
+        let spread = Spread::from_values(&[3.0, 1.0, 7.0]).unwrap();
         assert_eq!((spread.median, spread.least, spread.most), (3.0, 1.0, 7.0));
-        assert_eq!(Spread::of(&[4.0, 1.0, 2.0, 9.0]).unwrap().median, 3.0);
-        assert_eq!(Spread::of(&[]), None);
+        assert_eq!(
+            Spread::from_values(&[4.0, 1.0, 2.0, 9.0]).unwrap().median,
+            3.0
+        );
+        assert_eq!(Spread::from_values(&[]), None);
     }
 
     #[test]

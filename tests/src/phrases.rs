@@ -86,7 +86,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_says_nothing_is_found_and_what_says_something_is_not() {
+    fn raw_phrases_are_found_and_good_messages_are_not() {
         for raw in [
             "failed to ",
             "failed to operation was canceled",

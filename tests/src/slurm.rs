@@ -61,8 +61,8 @@ impl Cluster {
             }
         }
         let host = host_name();
-        let known = (host.as_str(), 0).to_socket_addrs().is_ok();
-        if !known {
+        let is_resolvable = (host.as_str(), 0).to_socket_addrs().is_ok();
+        if !is_resolvable {
             return Err(format!("this machine's name, {host}, has no address"));
         }
         let mut cluster = Self {
@@ -71,14 +71,15 @@ impl Cluster {
         };
         cluster.configure(&host);
         cluster.start_daemons();
-        cluster.wait_for("both nodes are idle", |it| {
-            it.ask(
-                "sinfo",
-                &["--noheader", "--Node", "--format=%N %T", "--partition=low"],
-            )
-            .lines()
-            .filter(|line| line.ends_with(" idle"))
-            .count()
+        cluster.wait_for("both nodes are idle", |cluster| {
+            cluster
+                .command_output(
+                    "sinfo",
+                    &["--noheader", "--Node", "--format=%N %T", "--partition=low"],
+                )
+                .lines()
+                .filter(|line| line.ends_with(" idle"))
+                .count()
                 == NODES.len()
         });
         Ok(cluster)
@@ -199,7 +200,7 @@ impl Cluster {
     ///
     /// # Panics
     /// If the command fails.
-    pub fn ask(&self, program: &str, arguments: &[&str]) -> String {
+    pub fn command_output(&self, program: &str, arguments: &[&str]) -> String {
         succeeded(
             self.command(program)
                 .args(arguments)
@@ -216,7 +217,7 @@ impl Cluster {
         let log = format!("--output={}", self.path("jobs.log").display());
         let wrapped = format!("--wrap={command}");
         let more = ["--parsable", "--open-mode=append", &log, &wrapped];
-        self.ask("sbatch", &[options, &more].concat())
+        self.command_output("sbatch", &[options, &more].concat())
             .trim()
             .to_owned()
     }
@@ -227,9 +228,9 @@ impl Cluster {
             .command("scontrol")
             .args(["show", "job", "-o", id])
             .output();
-        let told = output.expect("scontrol runs");
-        let told = String::from_utf8_lossy(&told.stdout).into_owned();
-        let line = told.lines().next().unwrap_or_default();
+        let output = output.expect("scontrol runs");
+        let text = String::from_utf8_lossy(&output.stdout).into_owned();
+        let line = text.lines().next().unwrap_or_default();
         let field = |name: &str| {
             let mut words = line.split_whitespace();
             let value = words.find_map(|word| word.strip_prefix(name));
@@ -246,9 +247,9 @@ impl Cluster {
     ///
     /// # Panics
     /// If the wait times out.
-    pub fn wait_for(&self, what: &str, is_so: impl Fn(&Self) -> bool) {
+    pub fn wait_for(&self, what: &str, condition: impl Fn(&Self) -> bool) {
         let start = Instant::now();
-        while !is_so(self) {
+        while !condition(self) {
             assert!(
                 start.elapsed() < PATIENCE,
                 "{what}: not yet\n{}",
@@ -261,7 +262,7 @@ impl Cluster {
     /// Returns the queue and the end of the controller's log, for a test that failed.
     pub fn state(&self) -> String {
         let queue = self.command("squeue").args(["--all", "--array"]).output();
-        let queue = queue.map(|it| String::from_utf8_lossy(&it.stdout).into_owned());
+        let queue = queue.map(|output| String::from_utf8_lossy(&output.stdout).into_owned());
         let log = std::fs::read_to_string(self.path("slurmctld.log")).unwrap_or_default();
         let lines: Vec<&str> = log.lines().collect();
         let end = lines[lines.len().saturating_sub(40)..].join("\n");
@@ -271,7 +272,9 @@ impl Cluster {
     fn ends_its_jobs(&self) -> bool {
         let quiet = |program: &str, arguments: &[&str]| {
             let output = self.command(program).args(arguments).output();
-            output.is_ok_and(|it| it.status.success() && it.stdout.trim_ascii().is_empty())
+            output.is_ok_and(|output| {
+                output.status.success() && output.stdout.trim_ascii().is_empty()
+            })
         };
         for state in ["PENDING", "RUNNING", "SUSPENDED"] {
             quiet("scancel", &["--state", state, "--partition=low"]);
@@ -328,7 +331,7 @@ pub fn host_name() -> String {
 /// If there are not enough.
 pub fn free_ports<const N: usize>() -> [u16; N] {
     let listeners = [(); N].map(|()| TcpListener::bind("127.0.0.1:0").expect("a port"));
-    listeners.map(|it| it.local_addr().expect("its address").port())
+    listeners.map(|listener| listener.local_addr().expect("its address").port())
 }
 
 fn find(program: &str) -> Option<PathBuf> {

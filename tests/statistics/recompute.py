@@ -599,9 +599,9 @@ def compare(campaign, comparison):
             error = 5 * (2 * max(p * (1 - p), 1e-3) / PERMUTATIONS) ** 0.5
             comparison.check(f"{name} {level} directions p", p, theirs["directions"]["p"], error)
     kinds = {"simultaneity", "directions"}
-    said = campaign["report"]["findings"]
-    said = {(it["level"], it["kind"]) for it in said if it["claims"] and it["kind"] in kinds}
-    comparison.count(f"{name} claims", claims(cells), said, claims(cells) == said)
+    found = [finding for finding in campaign["report"]["findings"] if finding["claims"]]
+    theirs = {(claim["level"], claim["kind"]) for claim in found if claim["kind"] in kinds}
+    comparison.count(f"{name} claims", claims(cells), theirs, claims(cells) == theirs)
 
 
 def main():
@@ -609,8 +609,8 @@ def main():
     with open(sys.argv[1]) as file:
         campaigns = json.load(file)
     for campaign in campaigns:
-        of = compare_policies if "compared" in campaign else compare
-        of(campaign, comparison)
+        check = compare_policies if "compared" in campaign else compare
+        check(campaign, comparison)
     for line in comparison.wrong[:20]:
         print(line, file=sys.stderr)
     print(f"{comparison.agreed} figures of {len(campaigns)} campaigns agree")

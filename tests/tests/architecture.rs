@@ -82,7 +82,7 @@ fn violations(
     dependencies: &BTreeMap<String, BTreeSet<String>>,
 ) -> Vec<String> {
     let layer = |name: &str| {
-        let holds = |layer: &Vec<String>| layer.iter().any(|it| it == name);
+        let holds = |layer: &Vec<String>| layer.iter().any(|member| member == name);
         layers.iter().position(holds)
     };
     let mut violations = Vec::new();
@@ -126,7 +126,7 @@ fn crates_use_one_another_in_the_agreed_directions_only() {
 }
 
 #[test]
-fn an_arrow_that_points_up_or_sideways_is_found() {
+fn an_upward_or_sideways_dependency_is_found() {
     let layers = [
         vec!["top".to_owned(), "side".to_owned()],
         vec!["low".to_owned()],
@@ -159,7 +159,10 @@ fn sources(folder: &Path, ending: &str) -> String {
         let path = entry.unwrap().path();
         if path.is_dir() {
             text.push_str(&sources(&path, ending));
-        } else if path.extension().is_some_and(|it| it == ending) {
+        } else if path
+            .extension()
+            .is_some_and(|extension| extension == ending)
+        {
             text.push_str(&std::fs::read_to_string(&path).unwrap());
         }
     }
@@ -187,13 +190,15 @@ fn names(page: &str) -> Vec<&str> {
     let outside = page.split("\n```").step_by(2);
     let quoted = outside.flat_map(|prose| prose.split('`').skip(1).step_by(2));
     quoted
-        .filter(|it| !it.is_empty() && !it.contains(char::is_whitespace))
+        .filter(|word| !word.is_empty() && !word.contains(char::is_whitespace))
         .collect()
 }
 
 /// Returns true for a name as Rust and Python have them, of at least three words.
 fn is_long_name(name: &str) -> bool {
-    let is_of_name = |it: char| it.is_ascii_lowercase() || it.is_ascii_digit() || it == '_';
+    let is_of_name = |character: char| {
+        character.is_ascii_lowercase() || character.is_ascii_digit() || character == '_'
+    };
     name.chars().all(is_of_name) && name.matches('_').count() >= 2
 }
 
@@ -211,7 +216,7 @@ fn the_map_names_only_files_tests_and_invariants_that_exist() {
         }
     };
     let mut missing = names(&map);
-    missing.retain(|it| !is_there(it));
+    missing.retain(|name| !is_there(name));
     assert!(missing.is_empty(), "not in the repository: {missing:?}");
 }
 
@@ -224,8 +229,8 @@ fn pages_name_only_files_and_tests_that_exist() {
     for folder in ["python", "policies", "training", "tests"] {
         code.push_str(&sources(&root().join(folder), "py"));
     }
-    let is_of_word = |it: char| it.is_ascii_alphanumeric() || it == '_';
-    let words: BTreeSet<&str> = code.split(|it| !is_of_word(it)).collect();
+    let is_of_word = |character: char| character.is_ascii_alphanumeric() || character == '_';
+    let words: BTreeSet<&str> = code.split(|character| !is_of_word(character)).collect();
     let is_there = |name: &str| match name.split_once('/') {
         // Other paths are names of tasks, and files of users and other projects.
         Some((folder, _)) if !folder.is_empty() && root().join(folder).join("").is_dir() => {
@@ -240,9 +245,9 @@ fn pages_name_only_files_and_tests_that_exist() {
     let mut missing = Vec::new();
     for entry in std::fs::read_dir(root().join("docs")).unwrap() {
         let path = entry.unwrap().path();
-        if path.extension().is_some_and(|it| it == "md") {
+        if path.extension().is_some_and(|extension| extension == "md") {
             let page = std::fs::read_to_string(&path).unwrap();
-            let names = names(&page).into_iter().filter(|it| !is_there(it));
+            let names = names(&page).into_iter().filter(|name| !is_there(name));
             missing.extend(names.map(|name| format!("{}: {name}", path.display())));
         }
     }

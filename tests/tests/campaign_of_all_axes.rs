@@ -20,7 +20,7 @@ const CONDITIONS: usize = 9;
 const ROLLOUTS: usize = TASKS.len() * (1 + CONDITIONS * Level::PERTURBED.len());
 
 #[test]
-fn all_conditions_at_three_levels_come_to_a_complete_paired_table() {
+fn all_conditions_at_three_levels_give_a_complete_paired_table() {
     let data = tempfile::tempdir().unwrap();
     let campaigns = Campaigns::start(data.path());
     let endpoint = &campaigns.gateway.url;

@@ -24,7 +24,7 @@ const AT_A_TIME_PER_CORE: usize = 3;
 const CHARGED: &str = "SELECT coalesce(sum(charged), 0) FROM failure";
 
 #[test]
-fn whatever_fails_a_campaign_ends_as_the_undisturbed_one() {
+fn a_campaign_under_faults_ends_as_the_undisturbed_one() {
     play(SlotKind::Simulated, seeds(0..SIMULATED));
 }
 
@@ -90,7 +90,7 @@ fn count(fleet: &Fleet, sql: &'static str) -> i64 {
 fn survives(schedule: &Schedule, slots: SlotKind, expected: &str) -> bool {
     let mut fleet = Fleet::start(slots);
     let played = catch_unwind(AssertUnwindSafe(|| {
-        fleet.suffer(schedule);
+        fleet.inject_all(schedule);
         let outcome = fleet.outcome();
         let charged = usize::try_from(count(&fleet, CHARGED)).expect("few");
         let most = schedule.charged_faults();
@@ -122,7 +122,7 @@ fn difference(expected: &str, outcome: &str) -> String {
 }
 
 #[test]
-fn workers_that_slept_through_their_leases_are_heard_when_they_wake() {
+fn workers_suspended_beyond_their_leases_lose_no_result() {
     // With several workers, a rollout might be leased to another one before its worker wakes.
     let mut fleet = Fleet::start_with(Plan {
         workers: 1,
@@ -143,7 +143,7 @@ fn workers_that_slept_through_their_leases_are_heard_when_they_wake() {
 fn a_network_that_is_cut_again_and_again_charges_nobody() {
     let mut fleet = Fleet::start(SlotKind::Simulated);
     for _ in 0..6 {
-        fleet.suffer_one(Fault::Block(
+        fleet.inject(Fault::Block(
             Way::ToCoordinator,
             LEASE + Duration::from_secs(1),
         ));
@@ -162,7 +162,7 @@ fn a_wire_that_loses_every_answer_of_the_coordinator_charges_nothing() {
     let mut fleet = Fleet::start(SlotKind::Simulated);
     for _ in 0..3 {
         // Longer than the duration of a lease that is never acknowledged.
-        fleet.suffer_one(Fault::LoseAnswers(LEASE + Duration::from_secs(1)));
+        fleet.inject(Fault::LoseAnswers(LEASE + Duration::from_secs(1)));
         std::thread::sleep(Duration::from_millis(300));
     }
     fleet.outcome();

@@ -17,15 +17,15 @@ fn check(name: &str, arguments: &[&str]) {
         .stderr(Stdio::piped())
         .output()
         .expect("the program runs");
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{name} {arguments:?}: {said}");
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{name} {arguments:?}: {stderr}");
     for words in ["ipe", "panicked", "failed"] {
-        assert!(!said.contains(words), "{name} {arguments:?}: {said}");
+        assert!(!stderr.contains(words), "{name} {arguments:?}: {stderr}");
     }
 }
 
 #[test]
-fn a_command_whose_reader_has_enough_ends_without_a_word() {
+fn a_command_with_a_closed_pipe_reports_no_error() {
     let data = tempfile::tempdir().expect("a temporary folder");
     let campaigns = Campaigns::start(data.path());
     campaigns.create("first", "noop", "libero_object/0", "0-9");

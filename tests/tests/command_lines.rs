@@ -38,8 +38,8 @@ fn serve(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> (String,
     let mut command = command(name, arguments, variables);
     let mut child = command.stdout(Stdio::piped()).spawn().expect("it starts");
     let mut out = BufReader::new(child.stdout.take().expect("piped"));
-    let mut said = String::new();
-    out.read_line(&mut said).expect("a line");
+    let mut output = String::new();
+    out.read_line(&mut output).expect("a line");
     // `timeout` forwards the signal.
     let id = child.id().to_string();
     assert!(
@@ -49,9 +49,9 @@ fn serve(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> (String,
             .expect("kill")
             .success()
     );
-    out.read_to_string(&mut said).expect("the rest");
+    out.read_to_string(&mut output).expect("the rest");
     let code = child.wait().expect("it ends").code();
-    (said, code.expect("no signal ended it"))
+    (output, code.expect("no signal ended it"))
 }
 
 /// Returns the exit codes in the table of docs/OPERATING.md.
@@ -75,8 +75,8 @@ fn exit_codes_are_those_of_the_table() {
     let grpc = format!("grpc://{NOBODY}");
     let expand = ["manifest", "expand", "--version", "v0.1", "--output", &one];
     let serves = ["serve", "--data", &data, "--listen", "127.0.0.1:0"];
-    let (said, ended) = serve("coordinator", &serves, &[]);
-    assert!(said.ends_with("stopped\n"), "{said}");
+    let (output, ended) = serve("coordinator", &serves, &[]);
+    assert!(output.ends_with("stopped\n"), "{output}");
     let gateway = [
         "--listen",
         "127.0.0.1:0",
@@ -155,7 +155,7 @@ fn options(name: &str, words: &[&str]) -> Vec<(String, Option<String>)> {
     let help = run(name, &[words, &["--help"]].concat(), &[]);
     let help = String::from_utf8(help.stdout).expect("UTF-8");
     // The help of an option may span several lines, with line breaks anywhere.
-    let mut said: Vec<(String, String)> = Vec::new();
+    let mut described: Vec<(String, String)> = Vec::new();
     for line in help.lines() {
         let indent = line.len() - line.trim_start().len();
         let mut words = line
@@ -163,9 +163,9 @@ fn options(name: &str, words: &[&str]) -> Vec<(String, Option<String>)> {
             .skip_while(|word| word.ends_with(','));
         let flag = words.next().and_then(|word| word.strip_prefix("--"));
         if let Some(flag) = flag.filter(|_| indent <= 6) {
-            said.push((flag.to_owned(), String::new()));
+            described.push((flag.to_owned(), String::new()));
         }
-        if let Some((_, text)) = said.last_mut() {
+        if let Some((_, text)) = described.last_mut() {
             *text += " ";
             *text += line.trim();
         }
@@ -174,7 +174,7 @@ fn options(name: &str, words: &[&str]) -> Vec<(String, Option<String>)> {
         let (_, behind) = text.split_once("[env: ")?;
         behind.split(['=', ']']).next().map(str::to_owned)
     };
-    let options = said.into_iter();
+    let options = described.into_iter();
     let options = options.map(|(flag, text)| (flag, variable(&text)));
     let mut options: Vec<(String, Option<String>)> = options.collect();
     options.retain(|(flag, _)| flag != "help" && flag != "version");
@@ -183,7 +183,7 @@ fn options(name: &str, words: &[&str]) -> Vec<(String, Option<String>)> {
 }
 
 #[test]
-fn every_option_of_what_serves_has_a_variable_in_help_and_manual() {
+fn every_server_option_has_a_variable_in_help_and_manual() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let manual = folder.path().to_str().expect("UTF-8");
     for (name, words, page) in [
@@ -215,16 +215,16 @@ fn a_server_takes_its_options_from_the_environment_and_the_command_line_wins() {
         ("ROLLOUT_LISTEN", "127.0.0.1:0"),
         ("ROLLOUT_MIN_FREE_MIB", ""),
     ];
-    let (said, code) = serve("coordinator", &["serve"], &variables);
-    assert!(said.contains(&format!("data in {data}")), "{said}");
+    let (output, code) = serve("coordinator", &["serve"], &variables);
+    assert!(output.contains(&format!("data in {data}")), "{output}");
     assert_eq!(code, 0);
-    let (said, _) = serve("coordinator", &["serve", "--data", &other], &variables);
-    assert!(said.contains(&format!("data in {other}")), "{said}");
+    let (output, _) = serve("coordinator", &["serve", "--data", &other], &variables);
+    assert!(output.contains(&format!("data in {other}")), "{output}");
 
     let routes = "expert=builtin:expert;noop=builtin:noop";
     let variables = [("ROLLOUT_ROUTE", routes), ("ROLLOUT_LISTEN", "127.0.0.1:0")];
-    let (said, code) = serve("policy-gateway", &[], &variables);
-    assert!(said.starts_with("listening on 127.0.0.1:"), "{said}");
+    let (output, code) = serve("policy-gateway", &[], &variables);
+    assert!(output.starts_with("listening on 127.0.0.1:"), "{output}");
     assert_eq!(code, 0);
 
     let missing = path("missing");
@@ -234,13 +234,13 @@ fn a_server_takes_its_options_from_the_environment_and_the_command_line_wins() {
         ("ROLLOUT_SLOTS", "2"),
     ];
     let output = run("worker", &[], &variables);
-    let said = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(1), "{said}");
-    assert!(said.contains(&missing), "{said}");
+    let stderr = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(1), "{stderr}");
+    assert!(stderr.contains(&missing), "{stderr}");
 }
 
 #[test]
-fn a_variable_that_cannot_be_meant_is_named_by_what_serves_and_is_nothing_to_others() {
+fn an_invalid_variable_stops_servers_and_no_other_command() {
     for (name, arguments, variable, value) in [
         (
             "coordinator",
@@ -268,18 +268,21 @@ fn a_variable_that_cannot_be_meant_is_named_by_what_serves_and_is_nothing_to_oth
         ),
     ] {
         let output = run(name, arguments, &[(variable, value)]);
-        let said = String::from_utf8_lossy(&output.stderr);
-        assert_eq!(output.status.code(), Some(2), "{said}");
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert_eq!(output.status.code(), Some(2), "{stderr}");
         let named = format!("it stands in the environment, as {variable}");
-        assert!(said.contains(&named) && said.contains(value), "{said}");
+        assert!(
+            stderr.contains(&named) && stderr.contains(value),
+            "{stderr}"
+        );
     }
     // Errors about a value of the command line do not name the environment.
     let given = ["serve", "--data", "d", "--listen", "there"];
     let output = run("coordinator", &given, &[("ROLLOUT_LISTEN", "127.0.0.1:0")]);
-    let said = String::from_utf8_lossy(&output.stderr);
+    let stderr = String::from_utf8_lossy(&output.stderr);
     assert!(
-        said.contains("there") && !said.contains("the environment"),
-        "{said}"
+        stderr.contains("there") && !stderr.contains("the environment"),
+        "{stderr}"
     );
     // Commands without these options ignore the variables of a unit that started them.
     for (name, arguments) in [
@@ -294,7 +297,7 @@ fn a_variable_that_cannot_be_meant_is_named_by_what_serves_and_is_nothing_to_oth
             .each_ref()
             .map(|(name, value)| (name.as_str(), *value));
         let output = run(name, arguments, &variables);
-        let said = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{name} {arguments:?}: {said}");
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{name} {arguments:?}: {stderr}");
     }
 }

@@ -133,7 +133,10 @@ async fn a_campaign_of_variants_has_the_outcomes_of_worker_variants() {
         run_alone(&campaigns, &folder.path().join("alone"))
     );
     // The changes reached the simulator: no two variants have the same first frames.
-    let frames: BTreeSet<&String> = outcomes.values().map(|it| &it.digests[2]).collect();
+    let frames: BTreeSet<&String> = outcomes
+        .values()
+        .map(|outcome| &outcome.digests[2])
+        .collect();
     assert_eq!(frames.len(), IDS.len(), "{outcomes:?}");
 
     let report = campaigns.succeed(&["report", "plus"]);
@@ -199,8 +202,8 @@ fn a_worker_without_the_task_files_gives_rollouts_back_and_says_how_to_get_them(
     command
         .args(["--assets", "primitives", "--sources"])
         .arg(&sources);
-    let said = std::fs::File::create(&log).expect("a file");
-    let _worker = Process::start(command.stderr(said));
+    let log_file = std::fs::File::create(&log).expect("a file");
+    let _worker = Process::start(command.stderr(log_file));
     let remedy = "worker assets fetch --suite libero-plus";
     let start = Instant::now();
     while !std::fs::read_to_string(&log)

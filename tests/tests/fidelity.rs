@@ -12,7 +12,7 @@ use sim::{
     CameraRequest, Drawer, Environment, GlDevice, ObservationRequest, Renderer, Simulator,
     SimulatorConfig,
 };
-use tests::fidelity::{Kinship, Limits, compare, find_tasks};
+use tests::fidelity::{Limits, RendererRelation, compare, find_tasks};
 use tests::files::{libero, primitives, shared, sources};
 use worker::measure::open_loop::smooth_action;
 
@@ -25,7 +25,7 @@ fn check_suite(suite: &str) {
         return;
     };
     let drawer = Drawer::open(Renderer::default()).unwrap();
-    let limits = Limits::new(Kinship::of(&drawer, false));
+    let limits = Limits::new(RendererRelation::for_drawer(&drawer, false));
     let tasks = find_tasks(&reference).unwrap();
     let mut compared = 0;
     for task in tasks.iter().filter(|task| task.suite == suite) {
@@ -73,7 +73,7 @@ fn frames_drawn_through_opengl_are_the_originals_within_bounds() {
             return;
         }
     };
-    let limits = Limits::new(Kinship::of(&drawer, false));
+    let limits = Limits::new(RendererRelation::for_drawer(&drawer, false));
     let mut tasks = find_tasks(&reference).unwrap();
     tasks.dedup_by_key(|task| task.suite.clone());
     assert_eq!(tasks.len(), 4, "the reference has tasks of all suites");
@@ -179,7 +179,11 @@ fn depths_and_segments_are_opengls() {
             let [ours, theirs] = drawers
                 .each_ref()
                 .map(|drawer| environment.segmentation(drawer, camera, SIZE).unwrap());
-            let kinds: BTreeSet<_> = ours.iter().flatten().map(|it| (it.kind, it.id)).collect();
+            let kinds: BTreeSet<_> = ours
+                .iter()
+                .flatten()
+                .map(|segment| (segment.kind, segment.id))
+                .collect();
             assert!(kinds.len() > 5, "{task} {camera} shows {kinds:?}");
             let differ = ours.iter().zip(&theirs).filter(|(a, b)| a != b).count();
             println!("{task} {camera}: {differ} segments differ");

@@ -152,7 +152,7 @@ fn outcomes_by_radius() -> String {
                 let recovers = condition == conditions[0] && index == 2;
                 for radius in (1..)
                     .map(|k| step * f64::from(k))
-                    .take_while(|it| *it <= most)
+                    .take_while(|radius| *radius <= most)
                 {
                     let level = Level::of_radius(radius).unwrap();
                     let id = RolloutId::perturbed(task, condition, level, config).unwrap();
@@ -269,7 +269,8 @@ fn on_every_screen_nothing_is_cut_off_or_too_small_and_figures_use_the_width() {
     let mut problems = Vec::new();
     for (name, path) in pages {
         let screens = WIDTHS.into_iter();
-        for (width, is_dark) in screens.flat_map(|width| themes.iter().map(move |it| (width, *it)))
+        for (width, is_dark) in
+            screens.flat_map(|width| themes.iter().map(move |theme| (width, *theme)))
         {
             let screen = Screen {
                 width,

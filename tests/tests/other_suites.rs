@@ -134,8 +134,8 @@ fn all_ninety_other_tasks_are_read_with_their_initial_states() {
 }
 
 #[test]
-fn other_tasks_run_on_the_real_assets_or_name_the_category_that_lacks() {
-    let test = "other_tasks_run_on_the_real_assets_or_name_the_category_that_lacks";
+fn other_tasks_run_on_the_real_assets_or_name_the_missing_category() {
+    let test = "other_tasks_run_on_the_real_assets_or_name_the_missing_category";
     let sources = sources();
     if let Some(pack) = libero(&sources, test) {
         check_pack(&pack, &sources);
@@ -143,7 +143,7 @@ fn other_tasks_run_on_the_real_assets_or_name_the_category_that_lacks() {
 }
 
 #[test]
-fn other_tasks_run_on_the_built_in_pack_or_name_the_category_that_lacks() {
+fn other_tasks_run_on_the_built_in_pack_or_name_the_missing_category() {
     let sources = sources();
     check_pack(&primitives(&sources), &sources);
 }

@@ -34,7 +34,7 @@ fn roll_out(id: &str, endpoint: &str) -> (Output, Option<serde_json::Value>) {
 }
 
 #[test]
-fn a_recorded_rollout_comes_out_the_same_with_its_server_gone() {
+fn a_recorded_rollout_replays_identically_without_its_server() {
     let id = "object/t0/camera/L1/c00";
     let folder = tempfile::tempdir().unwrap();
     let recorded = folder.path().join("recorded");

@@ -49,13 +49,16 @@ fn a_campaign_on_a_real_cluster_loses_nothing_and_charges_nobody() {
 
     // A worker that is asked to end while it waits for its next rollout gives nothing back.
     while lab.given_back() == 0 {
-        assert!(!lab.is_finished(), "no worker was told to end in a rollout");
+        assert!(
+            !lab.is_finished(),
+            "no worker was asked to end during a rollout"
+        );
         lab.wait_until("both workers have rollouts", |lab| {
             lab.count("leased") == 2 || lab.is_finished()
         });
-        lab.is_preempted(&on_second);
+        lab.preempt(&on_second);
     }
-    lab.loses_its_node(&on_second);
+    lab.lose_node(&on_second);
     for job in [&on_first, &gateway] {
         lab.wait_until("a job whose time was up is back", |lab| lab.is_back(job, 1));
     }
@@ -71,11 +74,11 @@ fn a_campaign_on_a_real_cluster_loses_nothing_and_charges_nobody() {
     }
 
     lab.wait_until("the campaign is finished", Lab::is_finished);
-    lab.charged_nobody();
-    let told = lab.report();
+    lab.assert_no_charges();
+    let report = lab.report();
     let endpoint = lab.endpoint.clone();
     lab.close();
-    assert_eq!(told, report_of_one_machine(&endpoint));
+    assert_eq!(report, report_of_one_machine(&endpoint));
 }
 
 /// Returns the command that creates the campaign, on the cluster or on one machine.
@@ -138,9 +141,9 @@ impl Lab {
         launch(&[]);
         let coordinator = Process::serve(Command::new("bash").arg(scripts.join("coordinator.sh")));
         launch(&["--submit"]);
-        let found = scripts.join("gateway.url");
-        cluster.wait_for("the gateway says where it is", |_| found.exists());
-        let endpoint = std::fs::read_to_string(found).expect("a line");
+        let url_file = scripts.join("gateway.url");
+        cluster.wait_for("the gateway writes its URL", |_| url_file.exists());
+        let endpoint = std::fs::read_to_string(url_file).expect("a line");
         let lab = Self {
             cluster,
             coordinator,
@@ -148,21 +151,21 @@ impl Lab {
             url,
             endpoint: endpoint.trim().to_owned(),
         };
-        lab.ask(&create(&lab.endpoint));
+        lab.command_output(&create(&lab.endpoint));
         lab
     }
 
     /// Lets a job of a partition with higher priority take a worker's node.
-    fn is_preempted(&self, task: &str) {
+    fn preempt(&self, task: &str) {
         let restarts = self.cluster.job(task).restarts;
-        let times_told = || {
+        let preemptions = || {
             let log = std::fs::read_to_string(self.cluster.path("slurmctld.log"));
-            let told = format!("preempted JobId={task}(");
-            log.unwrap_or_default().matches(&told).count()
+            let message = format!("preempted JobId={task}(");
+            log.unwrap_or_default().matches(&message).count()
         };
-        let before = times_told();
+        let before = preemptions();
         // A task that reaches its time limit just then is not preempted; the loop then tries again.
-        while times_told() == before {
+        while preemptions() == before {
             self.wait_until("the worker runs", |lab| lab.is_back(task, 0));
             let node = format!("--nodelist={}", self.cluster.job(task).node);
             let options = ["--partition=high", &node, "--exclusive"];
@@ -177,10 +180,10 @@ impl Lab {
     }
 
     /// Drains a worker's node and requeues its job.
-    fn loses_its_node(&self, task: &str) {
+    fn lose_node(&self, task: &str) {
         let before = self.cluster.job(task);
         let name = format!("NodeName={}", before.node);
-        let scontrol = |arguments: &[&str]| self.cluster.ask("scontrol", arguments);
+        let scontrol = |arguments: &[&str]| self.cluster.command_output("scontrol", arguments);
         scontrol(&["update", &name, "State=DRAIN", "Reason=a test"]);
         scontrol(&["requeue", task]);
         self.wait_until("the worker has left the drained node", |lab| {
@@ -204,7 +207,7 @@ impl Lab {
 
     /// Asserts that no attempt was charged, and that all attempts without an outcome ended for a
     /// reason in [`UNCHARGED`].
-    fn charged_nobody(&self) {
+    fn assert_no_charges(&self) {
         let jobs = self.json(&["jobs", "list", CAMPAIGN, "--limit", "10000"]);
         let jobs = jobs["jobs"].as_array().expect("a list");
         for job in jobs {
@@ -212,8 +215,8 @@ impl Lab {
             assert_eq!(job["charged_attempts"], 0, "{job}");
         }
         let endings = self.endings();
-        let known = |it: &String| UNCHARGED.contains(&it.as_str());
-        assert!(endings.iter().all(known), "{endings:?}");
+        let is_uncharged = |reason: &String| UNCHARGED.contains(&reason.as_str());
+        assert!(endings.iter().all(is_uncharged), "{endings:?}");
     }
 
     /// Returns the number of attempts that workers gave back while draining.
@@ -234,14 +237,15 @@ impl Lab {
             let id = job["rollout_id"].as_str().expect("an id");
             let shown = self.json(&["jobs", "show", CAMPAIGN, id]);
             let failures = shown["failures"].as_array().expect("a list");
-            let reasons = failures.iter().map(|it| it["reason"].as_str());
-            endings.extend(reasons.map(|it| it.unwrap_or_default().to_owned()));
+            let reasons = failures.iter().map(|failure| failure["reason"].as_str());
+            endings.extend(reasons.map(|reason| reason.unwrap_or_default().to_owned()));
         }
         endings
     }
 
     fn report(&self) -> String {
-        self.ask(&["report", CAMPAIGN, "--full"]) + &self.ask(&["report", CAMPAIGN, "--json"])
+        self.command_output(&["report", CAMPAIGN, "--full"])
+            + &self.command_output(&["report", CAMPAIGN, "--json"])
     }
 
     /// Stops the coordinator and checks the database.
@@ -255,10 +259,10 @@ impl Lab {
 
     fn job_called(&self, name: &str) -> String {
         let name = format!("--name={name}");
-        let told = self
+        let jobs = self
             .cluster
-            .ask("squeue", &["--noheader", "--format=%F", &name]);
-        told.lines().next().expect("a job").trim().to_owned()
+            .command_output("squeue", &["--noheader", "--format=%F", &name]);
+        jobs.lines().next().expect("a job").trim().to_owned()
     }
 
     fn live_workers(&self) -> usize {
@@ -268,7 +272,7 @@ impl Lab {
     }
 
     fn is_finished(&self) -> bool {
-        let status = self.ask(&["campaign", "status", CAMPAIGN]);
+        let status = self.command_output(&["campaign", "status", CAMPAIGN]);
         status.contains("finished")
     }
 
@@ -280,12 +284,12 @@ impl Lab {
     }
 
     fn json(&self, arguments: &[&str]) -> Value {
-        let told = self.ask(&[arguments, &["--json"]].concat());
-        serde_json::from_str(&told).expect("JSON")
+        let report = self.command_output(&[arguments, &["--json"]].concat());
+        serde_json::from_str(&report).expect("JSON")
     }
 
     /// Runs a command against the coordinator and returns its output.
-    fn ask(&self, arguments: &[&str]) -> String {
+    fn command_output(&self, arguments: &[&str]) -> String {
         let mut command = Command::new(program("coordinator"));
         command.args(arguments).args(["--connect", &self.url]);
         succeeded(command.output().expect("the command runs"))

@@ -35,7 +35,7 @@ fn behind_one_gateway(data: &Path, servers: &[(&str, &Process)]) -> Campaigns {
 }
 
 #[test]
-fn a_policy_that_dies_and_comes_back_holds_up_its_own_campaign_only() {
+fn a_restarted_policy_delays_only_its_own_campaign() {
     let names = ["steady", "calm", "mortal"];
     let [steady, calm, mut mortal] = names.map(|name| server(name, "127.0.0.1:0"));
     let data = tempfile::tempdir().expect("a folder");

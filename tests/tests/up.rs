@@ -110,7 +110,7 @@ impl Up {
             let children = std::fs::read_to_string(path).unwrap_or_default();
             let pids = children
                 .split_whitespace()
-                .map(|it| it.parse().expect("a number"));
+                .map(|id| id.parse().expect("a number"));
             pids.collect::<Vec<u32>>()
         });
         let name = |pid: u32| {
@@ -123,12 +123,12 @@ impl Up {
     /// Waits for the process to exit; returns its exit code and everything that it printed.
     fn end(mut self) -> (Option<i32>, String) {
         let code = self.child.wait().expect("a child").code();
-        let mut said = String::new();
+        let mut output = String::new();
         let out = self.child.stdout.as_mut().expect("a pipe");
-        out.read_to_string(&mut said).expect("UTF-8");
+        out.read_to_string(&mut output).expect("UTF-8");
         self.log.extend(self.lines.try_iter());
-        said.push_str(&self.log.join("\n"));
-        (code, said)
+        output.push_str(&self.log.join("\n"));
+        (code, output)
     }
 }
 
@@ -152,15 +152,15 @@ fn one_command_runs_coordinator_gateway_and_worker_and_ctrl_c_stops_all() {
     assert_eq!(names, ["coordinator", "policy-gateway", "worker"]);
 
     up.signal("-INT", up.child.id());
-    let (code, said) = up.end();
-    assert_eq!(code, Some(0), "{said}");
+    let (code, output) = up.end();
+    assert_eq!(code, Some(0), "{output}");
     for words in [
         "coordinator campaign create --name first --policy student",
         "Ctrl-C stops all three",
         "coordinator | stopped",
         "up          | stopped",
     ] {
-        assert!(said.contains(words), "{words}: {said}");
+        assert!(output.contains(words), "{words}: {output}");
     }
     for (name, pid) in children {
         assert!(
@@ -171,14 +171,14 @@ fn one_command_runs_coordinator_gateway_and_worker_and_ctrl_c_stops_all() {
 }
 
 #[test]
-fn nothing_outlives_it_if_it_is_killed() {
+fn no_program_outlives_a_killed_coordinator_up() {
     let data = tempfile::tempdir().unwrap();
     let up = Up::start(&data.path().join("data"), &["--slots", "1"]).ready();
     let children = up.children();
     assert_eq!(children.len(), 3);
     up.signal("-KILL", up.child.id());
-    let (code, said) = up.end();
-    assert_eq!(code, None, "{said}");
+    let (code, output) = up.end();
+    assert_eq!(code, None, "{output}");
     for (name, pid) in children {
         let began = std::time::Instant::now();
         let alive = || {
@@ -197,17 +197,17 @@ fn nothing_outlives_it_if_it_is_killed() {
 }
 
 #[test]
-fn a_program_that_ends_is_named_and_takes_the_others_with_it() {
+fn a_program_that_exits_is_named_and_stops_the_others() {
     let data = tempfile::tempdir().unwrap();
     let up = Up::start(&data.path().join("data"), &["--slots", "1"]).ready();
     let children = up.children();
     let gateway = children.iter().find(|(name, _)| name == "policy-gateway");
     up.signal("-KILL", gateway.expect("it runs").1);
-    let (code, said) = up.end();
-    assert_eq!(code, Some(1), "{said}");
+    let (code, output) = up.end();
+    assert_eq!(code, Some(1), "{output}");
     assert!(
-        said.contains("failed to keep `policy-gateway` running"),
-        "{said}"
+        output.contains("failed to keep `policy-gateway` running"),
+        "{output}"
     );
     for (name, pid) in children {
         assert!(
@@ -217,9 +217,12 @@ fn a_program_that_ends_is_named_and_takes_the_others_with_it() {
     }
     // A program that cannot start reports it, and nothing is left over.
     let bad = Up::start(&data.path().join("data"), &["--assets", "/nowhere"]);
-    let (code, said) = bad.end();
-    assert_eq!(code, Some(1), "{said}");
-    assert!(said.contains("failed to keep `worker` running"), "{said}");
+    let (code, output) = bad.end();
+    assert_eq!(code, Some(1), "{output}");
+    assert!(
+        output.contains("failed to keep `worker` running"),
+        "{output}"
+    );
 }
 
 #[test]
@@ -229,16 +232,17 @@ fn why_examines_the_policy_of_a_campaign_that_scores_nothing() {
     let up = Up::start(&data.path().join("data"), &routes).ready();
     up.create("nothing", "still");
     let why = up.call(&["why", "nothing"]);
-    let said = String::from_utf8(why.stdout).expect("UTF-8");
+    let explanation = String::from_utf8(why.stdout).expect("UTF-8");
     assert!(
-        said.contains("campaign nothing: 0 of 1 nominal and 0 of 0 perturbed rollouts succeed"),
-        "{said}"
+        explanation
+            .contains("campaign nothing: 0 of 1 nominal and 0 of 0 perturbed rollouts succeed"),
+        "{explanation}"
     );
     let asked = format!("doctor grpc://{}/still", &up.gateway["http://".len()..]);
-    assert!(said.contains(&asked), "{said}");
+    assert!(explanation.contains(&asked), "{explanation}");
     assert_eq!(
         why.status.code(),
         Some(1),
-        "a policy that never moves: {said}"
+        "a policy that never moves: {explanation}"
     );
 }

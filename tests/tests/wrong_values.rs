@@ -77,18 +77,18 @@ fn check(name: &str) {
                 let given = format!("{flag}={value}");
                 arguments.push(&given);
                 for (other, harmless) in HARMLESS {
-                    if flag != other && command.flags.iter().any(|it| it == other) {
+                    if flag != other && command.flags.iter().any(|known_flag| known_flag == other) {
                         arguments.extend([other, harmless]);
                     }
                 }
                 let output = run(name, &arguments, folder.path());
-                let said = String::from_utf8_lossy(&output.stderr);
-                let about = format!("{name} {arguments:?}: {said}");
+                let stderr = String::from_utf8_lossy(&output.stderr);
+                let about = format!("{name} {arguments:?}: {stderr}");
                 let code = output.status.code();
                 assert!(code.is_some_and(|code| code < 3), "{code:?}: {about}");
                 if code != Some(0) {
                     // The usage line follows the message and may repeat words.
-                    let error = said.split("Usage:").next().unwrap_or_default();
+                    let error = stderr.split("Usage:").next().unwrap_or_default();
                     assert_eq!(raw_phrase(error), None, "{about}");
                 }
                 tried += 1;
@@ -162,13 +162,13 @@ fn a_range_is_named_with_its_ends_and_its_unit() {
     ];
     for (name, arguments, expected) in cases {
         let output = run(name, arguments, folder.path());
-        let said = String::from_utf8_lossy(&output.stderr);
-        let flat = said.split_whitespace().collect::<Vec<_>>().join(" ");
+        let stderr = String::from_utf8_lossy(&output.stderr);
+        let flat = stderr.split_whitespace().collect::<Vec<_>>().join(" ");
         assert_eq!(
             output.status.code(),
             Some(2),
-            "{name} {arguments:?}: {said}"
+            "{name} {arguments:?}: {stderr}"
         );
-        assert!(flat.contains(expected), "{name} {arguments:?}: {said}");
+        assert!(flat.contains(expected), "{name} {arguments:?}: {stderr}");
     }
 }

@@ -48,7 +48,7 @@ pub enum PolicyError {
         problem: TooLate,
     },
     #[error(
-        "{} at {endpoint} answered {call} with what is no chunk of actions: {fault}; \
+        "{} at {endpoint} gave an invalid answer to {call}: {fault}; \
          `policy-gateway doctor` looks for the cause",
         named(policy)
     )]
@@ -67,7 +67,10 @@ pub enum PolicyError {
         endpoint: String,
         problem: String,
     },
-    #[error("the recording {} ends after {actions} actions, and the rollout goes on", path.display())]
+    #[error(
+        "the recording {} ends after {actions} actions, before the rollout does",
+        path.display()
+    )]
     Ended { path: PathBuf, actions: usize },
 }
 

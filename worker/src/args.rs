@@ -56,7 +56,7 @@ pub struct Arguments {
 
 impl Arguments {
     /// Returns the command-line parser of a program of this version.
-    pub fn of(version: &'static str) -> clap::Command {
+    pub fn parser(version: &'static str) -> clap::Command {
         Self::command().version(version)
     }
 
@@ -72,9 +72,9 @@ impl Arguments {
         I: IntoIterator<Item: Into<OsString>>,
     {
         let words = words.into_iter().map(Into::into).collect();
-        let matches = terminal::read(Self::of(version), words)?;
+        let matches = terminal::read(Self::parser(version), words)?;
         let read = Self::from_arg_matches(&matches)
-            .map_err(|error| error.format(&mut Self::of(version)))?;
+            .map_err(|error| error.format(&mut Self::parser(version)))?;
         let coordinator = match (&read.command, &read.serve) {
             (Some(Command::Film(film)), _) => Some(&film.connect),
             (None, Some(serve)) => Some(&serve.connect),
@@ -148,8 +148,8 @@ pub struct ServeArguments {
     /// back, as at a second signal [default: as long as they take]
     #[arg(long, value_name = "SECS", hide_short_help = true, value_parser = seconds(0.0..=86_400.0))]
     pub drain_secs: Option<f64>,
-    /// Ends the worker after this time without work, if the coordinator answers [default: it waits
-    /// for more]
+    /// Ends the worker after this time without work, if the coordinator answers [default: it
+    /// waits for work]
     #[arg(long, value_name = "SECS", hide_short_help = true, value_parser = seconds(0.1..=604_800.0))]
     pub idle_secs: Option<f64>,
     /// URL of the policies, in place of the one that each campaign names
@@ -221,8 +221,8 @@ pub struct BenchArguments {
     /// Task that the slots simulate.
     #[command(flatten)]
     pub load: LoadArguments,
-    /// Numbers of slots, separated by commas [default: 1, 2, 4, … and as many
-    /// as should keep all cores busy, once and twice]
+    /// Numbers of slots, separated by commas [default: 1, 2, 4, … up to twice
+    /// the number that should keep all cores busy, and that number]
     #[arg(long, value_name = "LIST", value_delimiter = ',', value_parser = slots)]
     pub slots: Vec<NonZeroUsize>,
     /// Duration of the measurement of each number of slots, seconds
@@ -412,7 +412,7 @@ pub struct OwnTaskArguments {
     /// A BDDL file of your own, in place of a task of the protocol
     #[arg(long, value_name = "FILE", requires = "init")]
     pub bddl: Option<PathBuf>,
-    /// Its initial states, as a `.pruned_init` file
+    /// Initial states of the task, as a `.pruned_init` file
     #[arg(long, value_name = "FILE", requires = "bddl")]
     pub init: Option<PathBuf>,
     /// Number of the initial state, from 0 [default: 0]
@@ -466,11 +466,10 @@ pub enum AssetsCommand {
 /// The files to fetch, and the place to fetch them from.
 #[derive(Debug, Args)]
 pub struct FetchArguments {
-    /// The tasks to fetch for: SUITE/N, separated by commas, or `all` 40
+    /// Tasks whose assets are fetched: SUITE/N, separated by commas, or `all` 40
     #[arg(long, value_name = "SUITE/N,...|all", value_delimiter = ',', default_value = "all", value_parser = task_choice)]
     pub tasks: Vec<TaskChoice>,
-    /// A BDDL file of a further task to fetch for, of your own or of LIBERO's other suites; may be
-    /// repeated
+    /// BDDL file of a further task, of your own or of LIBERO's other suites; may be repeated
     #[arg(long, value_name = "FILE")]
     pub bddl: Vec<PathBuf>,
     /// Fetches the task files of `libero-plus`, 25 MB, or of `libero-pro`, 5 MB
@@ -521,7 +520,7 @@ pub struct PreviewArguments {
     /// The suite, for example libero_goal
     #[arg(long, value_name = "SUITE")]
     pub suite: Suite,
-    /// The task in it, 0 to 9
+    /// Task of the suite, 0 to 9
     #[arg(long, value_name = "N", value_parser = number(0..=9_u32, ""))]
     pub task: u32,
     /// The configuration: preset of every axis, and initial state
@@ -579,8 +578,8 @@ mod tests {
     }
 
     #[test]
-    fn short_help_fits_a_screen_and_scenes_are_no_matter_of_the_connection() {
-        let helps = helps::check(Arguments::of("0"));
+    fn short_help_fits_a_screen_and_scene_options_have_their_own_section() {
+        let helps = helps::check(Arguments::parser("0"));
         for words in ["worker", "worker rollout", "worker variants"] {
             let help = helps.iter().find(|help| help.words == words);
             let helps::Help { short, long, .. } = help.expect(words);
@@ -629,7 +628,7 @@ mod tests {
     }
 
     #[test]
-    fn a_task_of_ones_own_needs_its_initial_states_and_an_actor() {
+    fn a_users_task_needs_initial_states_and_an_actor() {
         let end = "--assets primitives --output out";
         let own = "worker rollout --bddl a.bddl --init a.pruned_init --max-steps 30";
         let read = parse(&format!("{own} --actions a.npz {end}")).expect("complete");
@@ -693,7 +692,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_meant_is_a_usage_error() {
+    fn invalid_command_lines_are_usage_errors() {
         for line in [
             "worker --connect http://h:1 --assets primitives --slots 0",
             "worker --connect http://h:1 --assets primitives --slots many",

@@ -39,7 +39,7 @@ pub fn run(arguments: &AssetsArguments) -> Result<(), PackError> {
         AssetsCommand::Path => print(&format!("{}\n", Sources::fetched_pack(&dir).display())),
         AssetsCommand::List { packs } => {
             let sources = Sources::open(&dir)?;
-            for pack in packs_or_own(packs) {
+            for pack in packs_or_default(packs) {
                 let pack = AssetPack::open(&pack, &sources)?;
                 print(&describe(&pack, &sources)?)?;
             }
@@ -48,7 +48,7 @@ pub fn run(arguments: &AssetsArguments) -> Result<(), PackError> {
         AssetsCommand::Verify { pack } => {
             let sources = Sources::open(&dir)?;
             let packs = pack.as_ref().map(std::slice::from_ref);
-            for pack in packs_or_own(packs.unwrap_or_default()) {
+            for pack in packs_or_default(packs.unwrap_or_default()) {
                 verify(&AssetPack::open(&pack, &sources)?, &sources)?;
             }
             Ok(())
@@ -156,7 +156,7 @@ impl Provider {
 }
 
 /// Returns the given packs, or `libero` and `primitives` if none is given.
-fn packs_or_own(given: &[String]) -> Vec<String> {
+fn packs_or_default(given: &[String]) -> Vec<String> {
     match given {
         [] => vec![LIBERO.to_owned(), PRIMITIVES.to_owned()],
         given => given.to_vec(),
@@ -164,7 +164,7 @@ fn packs_or_own(given: &[String]) -> Vec<String> {
 }
 
 fn describe(pack: &AssetPack, sources: &Sources) -> Result<String, PackError> {
-    let coverage = Coverage::of(pack, sources)?;
+    let coverage = Coverage::check(pack, sources)?;
     let files = match pack.verified() {
         None => String::new(),
         Some(folder) => {
@@ -195,7 +195,7 @@ fn verify(pack: &AssetPack, sources: &Sources) -> Result<(), PackError> {
             return Err(PackError::Primitives { folder });
         }
         return print(&format!(
-            "{}: all files are as they should be\n",
+            "{}: all files have the expected digest\n",
             folder.display()
         ));
     }
@@ -216,7 +216,7 @@ fn verify(pack: &AssetPack, sources: &Sources) -> Result<(), PackError> {
         });
     }
     let description = describe(pack, sources)?;
-    if !pack.is_managed() && !Coverage::of(pack, sources)?.is_whole() {
+    if !pack.is_managed() && !Coverage::check(pack, sources)?.is_whole() {
         return Err(PackError::Incomplete {
             folder,
             description,
@@ -256,7 +256,7 @@ fn fetch_suite(
     });
     bar.finish();
     print(&format!(
-        "{}: the task files are there; {} over the network\n",
+        "{}: the task files are present; {} over the network\n",
         Sources::family(sources.dir(), benchmark).display(),
         size_in_words(fetched?.bytes),
     ))
@@ -291,7 +291,7 @@ fn fetch(arguments: &FetchArguments, sources: &Sources) -> Result<(), PackError>
         false => pack.dir().display().to_string(),
     };
     print(&format!(
-        "{}: {} fetched{replaced}, {} over the network; {} already there. Give it as --assets \
+        "{}: {} fetched{replaced}, {} over the network; {} already present. Give it as --assets \
          {pack_or_path}\n",
         pack.dir().display(),
         counted(fetched.fetched as u64, "file"),
@@ -310,8 +310,8 @@ fn tasks(arguments: &FetchArguments, sources: &Sources) -> Vec<TaskFiles> {
         let files = chosen.into_iter();
         tasks.extend(files.map(|task| TaskFiles::of_task(sources, task)));
     }
-    let own = arguments.bddl.iter();
-    tasks.extend(own.map(|bddl| TaskFiles {
+    let further = arguments.bddl.iter();
+    tasks.extend(further.map(|bddl| TaskFiles {
         bddl: bddl.clone(),
         init: Default::default(),
     }));
@@ -341,7 +341,7 @@ pub fn check(pack: &AssetPack, sources: &Sources) -> Result<Vec<TaskRef>, PackEr
     if pack.name() == PRIMITIVES {
         return Ok(Vec::new());
     }
-    let coverage = Coverage::of(pack, sources)?;
+    let coverage = Coverage::check(pack, sources)?;
     tracing::info!(
         "assets {}: of the tasks, {}",
         pack.name(),

@@ -29,7 +29,7 @@ pub(crate) fn connection() -> io::Result<(UnixStream, Stdio)> {
 /// Describes how a process ended; reads after "the process".
 pub(crate) fn explain_status(status: ExitStatus, kills: Verdict) -> String {
     match (status.code(), status.signal()) {
-        (_, Some(9)) => format!("was killed by SIGKILL{}", kills.in_words()),
+        (_, Some(9)) => format!("was killed by SIGKILL{}", kills.explanation()),
         (_, Some(signal)) => format!("died of signal {signal} ({})", signal_name(signal)),
         (Some(code), None) => format!("exited with code {code}"),
         (None, None) => format!("ended ({status})"),

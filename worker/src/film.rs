@@ -47,11 +47,14 @@ pub struct Filmed {
 /// Reason why filming stopped.
 #[derive(Debug, thiserror::Error)]
 pub enum FilmError {
-    #[error("make room for videos")]
+    #[error("create a temporary folder for videos")]
     Room(#[source] io::Error),
     #[error(transparent)]
     Link(#[from] SuperviseError),
-    #[error("ask the coordinator at {url} what to film: {}", answer(status))]
+    #[error(
+        "request a rollout to film from the coordinator at {url}: {}",
+        answer(status)
+    )]
     Refused { url: String, status: Box<Status> },
 }
 
@@ -106,9 +109,9 @@ pub fn run(
     })?;
     Ok(filmed
         .into_iter()
-        .fold(Filmed::default(), |sum, it| Filmed {
-            stored: sum.stored + it.stored,
-            failed: sum.failed + it.failed,
+        .fold(Filmed::default(), |sum, filmed| Filmed {
+            stored: sum.stored + filmed.stored,
+            failed: sum.failed + filmed.failed,
         }))
 }
 

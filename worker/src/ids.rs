@@ -47,8 +47,9 @@ const MAX_HOST_CHARS: usize = 40;
 
 /// Returns the machine's host name, or `unknown-host`.
 pub fn host_name() -> String {
-    let told = fs::read_to_string("/proc/sys/kernel/hostname").ok();
-    told.or_else(|| std::env::var("HOSTNAME").ok())
+    let kernel_name = fs::read_to_string("/proc/sys/kernel/hostname").ok();
+    kernel_name
+        .or_else(|| std::env::var("HOSTNAME").ok())
         .map(|name| name.trim().to_owned())
         .filter(|name| !name.is_empty())
         .unwrap_or_else(|| "unknown-host".to_owned())
@@ -89,13 +90,13 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_two_ids_are_alike() {
+    fn random_ids_differ() {
         let ids: std::collections::HashSet<_> = (0..1000).map(|_| random_id()).collect();
         assert_eq!(ids.len(), 1000);
     }
 
     #[test]
-    fn a_machine_is_the_same_at_every_start_and_tells_no_boot_id() {
+    fn a_machine_id_is_stable_and_hides_the_boot_id() {
         let boot = fs::read_to_string("/proc/sys/kernel/random/boot_id").expect("a boot id");
         assert_eq!(machine(), machine());
         assert_eq!(machine().len(), 32);

@@ -80,18 +80,24 @@ fn main() -> ExitCode {
 }
 
 /// Prints a line to standard output.
-fn say(line: &str) -> anyhow::Result<()> {
+fn print_line(line: &str) -> anyhow::Result<()> {
     terminal::print_line(line).context("print to standard output")
 }
 
 fn print_completions(shell: clap_complete::Shell) -> anyhow::Result<()> {
     let mut script = Vec::new();
-    clap_complete::generate(shell, &mut Arguments::of(VERSION), "worker", &mut script);
+    clap_complete::generate(
+        shell,
+        &mut Arguments::parser(VERSION),
+        "worker",
+        &mut script,
+    );
     terminal::print(&String::from_utf8_lossy(&script)).context("print to standard output")
 }
 
 fn manual(folder: &Path) -> anyhow::Result<()> {
-    let written = terminal::write_manual(terminal::with_variables(Arguments::of(VERSION)), folder);
+    let written =
+        terminal::write_manual(terminal::with_variables(Arguments::parser(VERSION)), folder);
     written.with_context(|| format!("write manual pages into {}", folder.display()))
 }
 
@@ -182,7 +188,7 @@ fn run_preview(arguments: &PreviewArguments) -> anyhow::Result<()> {
         realisation: arguments.realisation,
     };
     for path in preview::write(&mut simulator, &request, &arguments.output)? {
-        say(&path.display().to_string())?;
+        print_line(&path.display().to_string())?;
     }
     Ok(())
 }
@@ -216,7 +222,7 @@ fn run_film(arguments: FilmArguments) -> anyhow::Result<()> {
         provided.map_err(|error| transport::chain(&error))
     };
     let filmed = film::run(&config, &simulator, &provide)?;
-    say(&format!(
+    print_line(&format!(
         "{} stored; no more is left to film with asset pack {pack} and MuJoCo {}",
         counted(filmed.stored, "video"),
         Simulator::mujoco_version()
@@ -272,7 +278,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
             file: arguments.output.join("video.mp4"),
             of: VideoOf::Everything,
         }),
-        ..of_no_campaign(
+        ..standalone_assignment(
             row.under(&arguments.execution),
             arguments.replicate,
             arguments.realisation,
@@ -286,7 +292,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
         output: &arguments.output,
     };
     let result = single::run(&mut simulator, actor.as_mut(), &request)?.result;
-    say(&format!(
+    print_line(&format!(
         "{}: {} after {} in {:.1} s; see {}",
         own_task.map_or_else(
             || assignment.row.id.to_string(),
@@ -332,7 +338,7 @@ fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
             file: folder.join("video.mp4"),
             of: VideoOf::Everything,
         }),
-        ..of_no_campaign(row, 0, Realisation::Matched)
+        ..standalone_assignment(row, 0, Realisation::Matched)
     };
     let mut cases = Case::unperturbed(&audit.runnable);
     cases.extend(audit.runnable);
@@ -348,7 +354,7 @@ fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
 }
 
 /// Builds an assignment outside any campaign, without video or stored actions.
-fn of_no_campaign(row: ManifestRow, replicate: u32, realisation: Realisation) -> Assignment {
+fn standalone_assignment(row: ManifestRow, replicate: u32, realisation: Realisation) -> Assignment {
     let attempt = random_id();
     Assignment {
         attempt,
@@ -374,46 +380,47 @@ fn run_rescue(arguments: RescueArguments) -> anyhow::Result<()> {
     let assignment = Assignment {
         policy: arguments.policy.unwrap_or_default(),
         policy_endpoint: arguments.endpoint,
-        ..of_no_campaign(row, arguments.replicate, arguments.realisation)
+        ..standalone_assignment(row, arguments.replicate, arguments.realisation)
     };
     let rescued = rescue::run(&mut simulator, &mut actor, &assignment, &arguments.output)?;
     let what = match (rescued.saved_until, rescued.lost_from) {
-        (None, _) => "not saved wherever its perturbations end".to_owned(),
+        (None, _) => "not saved at any tried step at which its perturbations end".to_owned(),
         (Some(step), None) => {
-            format!("saved if its perturbations end at step {step}, the last look")
+            format!("saved if its perturbations end at step {step}, the policy's last query")
         }
         (Some(saved), Some(lost)) => {
             format!("saved if its perturbations end at step {saved}, lost from step {lost} on")
         }
     };
-    let but = match rescued.is_monotone {
+    let exception = match rescued.is_monotone {
         true => "",
-        false => ", and lost at an earlier one that was tried, too",
+        false => ", but lost if they end at an earlier tried step",
     };
-    say(&format!(
-        "{}: {what}{but} ({} tried); see {}",
+    print_line(&format!(
+        "{}: {what}{exception} ({} tried); see {}",
         rescued.rollout_id,
         counted(rescued.tried.len() as u64, "step"),
         arguments.output.display()
     ))?;
     match rescued.saved_by_placebo.len() as u64 {
         0 => Ok(()),
-        times => say(&format!(
+        times => print_line(&format!(
             "at {}, the placebo (nothing lifted, the robot nudged by a thousandth of a millimetre) \
-             saves it as well: its outcome was on an edge there, and these do not count as rescues",
+             also saves the rollout: its outcome was marginal there, and these steps do not \
+             count as rescues",
             counted(times, "step")
         )),
     }
 }
 
 fn own_task(arguments: &RolloutArguments) -> Option<OwnTask> {
-    let given = &arguments.own_task;
+    let options = &arguments.own_task;
     Some(OwnTask {
-        bddl: given.bddl.clone()?,
-        init: given.init.clone()?,
-        init_id: given.init_id.unwrap_or_default(),
-        instruction: given.instruction.clone(),
-        max_steps: given.max_steps,
+        bddl: options.bddl.clone()?,
+        init: options.init.clone()?,
+        init_id: options.init_id.unwrap_or_default(),
+        instruction: options.instruction.clone(),
+        max_steps: options.max_steps,
         id: arguments.id,
     })
 }
@@ -470,7 +477,7 @@ fn run_worker(
         asset_pack_digest: simulator.pack.digest().to_owned(),
         mujoco_version: Simulator::mujoco_version(),
     };
-    say(&format!(
+    print_line(&format!(
         "worker {}: {}, assets {} ({}), MuJoCo {}, coordinator {}",
         identity.worker,
         counted(slots.get() as u64, "slot"),

@@ -60,7 +60,7 @@ impl OomKills {
 
 impl Verdict {
     /// Explains the cause; reads after "was killed by SIGKILL".
-    pub(crate) fn in_words(self) -> &'static str {
+    pub(crate) fn explanation(self) -> &'static str {
         match self {
             Self::GroupLimit => {
                 ": out of memory, the limit of its control group was reached; give the worker \
@@ -92,7 +92,10 @@ pub(crate) fn group_folders(root: &Path, groups: &str) -> Vec<PathBuf> {
         let base = root.join("sys/fs/cgroup");
         if controllers.is_empty() {
             Some(base.join(path))
-        } else if controllers.split(',').any(|it| it == "memory") {
+        } else if controllers
+            .split(',')
+            .any(|controller| controller == "memory")
+        {
             Some(base.join("memory").join(path))
         } else {
             None
@@ -151,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn a_counter_that_rose_says_who_killed() {
+    fn a_risen_counter_identifies_the_cause_of_a_kill() {
         let kills = |group, machine| OomKills { group, machine };
         let check = |before, after: OomKills, expected| {
             assert_eq!(after.since(before), expected, "{before:?} {after:?}");
@@ -165,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn this_machine_counts() {
+    fn this_machine_has_a_kill_counter() {
         // Every Linux kernel since 4.13 has the machine's counter.
         assert!(OomKills::read().machine.is_some());
     }

@@ -85,7 +85,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_policy_gets_the_readings_it_wants_in_its_order() {
+    fn a_policy_gets_the_requested_readings_in_its_order() {
         let robot = RobotState {
             eef_pos: [1.0, 2.0, 3.0],
             eef_quat_xyzw: [0.0, 0.0, 0.0, 1.0],
@@ -103,7 +103,11 @@ mod tests {
         };
         let wanted = [StateField::GripperPos, StateField::EefPos];
         let shown = to_wire(observation, &wanted);
-        let values: Vec<&[f64]> = shown.state.iter().map(|it| it.values.as_slice()).collect();
+        let values: Vec<&[f64]> = shown
+            .state
+            .iter()
+            .map(|reading| reading.values.as_slice())
+            .collect();
         assert_eq!(values, [&[0.04, -0.04][..], &[1.0, 2.0, 3.0]]);
         assert_eq!(shown.state[0].field, StateField::GripperPos as i32);
     }

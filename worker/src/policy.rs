@@ -202,7 +202,7 @@ impl Actor for PolicyClient {
                 .under_way
                 .iter()
                 .flatten()
-                .map(|it| *it as f32)
+                .map(|value| *value as f32)
                 .collect(),
             action_width: ACTION_WIDTH as u32,
             delay: query.delay,

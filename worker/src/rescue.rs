@@ -26,7 +26,7 @@ use crate::rollout::{self, Change, Resumed, RolloutError, Simulated, Step, Watch
 use crate::stage::Stage;
 use crate::video::VideoEncoder;
 
-use search::{Found, Search};
+use search::{Search, SearchResult};
 
 /// Reason why the search failed.
 #[derive(Debug, thiserror::Error)]
@@ -117,48 +117,52 @@ pub fn run(
     };
     fs::create_dir_all(output).map_err(|source| write(output, source))?;
     let mut stage = Stage::of_the_protocol(simulator);
-    let mut looks = Looks::default();
+    let mut query_steps = QuerySteps::default();
     tracing::info!("simulating {id} to its end, to see whether and where it fails");
-    let failed = rollout::run(&mut stage, actor, assignment, &mut looks)?;
+    let failed = rollout::run(&mut stage, actor, assignment, &mut query_steps)?;
     if failed.finished.result.success {
         let steps = failed.finished.result.steps;
         return Err(RescueError::Succeeds { id, steps });
     }
-    let looks = looks.at;
+    let query_steps = query_steps.at;
     tracing::info!(
-        "{id} fails; searching {} at which the policy looked for the last that saves it",
-        terminal::counted(looks.len() as u64, "step")
+        "{id} fails; the policy was queried at {}; searching the last of them at which lifting \
+         the perturbations saves the rollout",
+        terminal::counted(query_steps.len() as u64, "step")
     );
-    let mut search = Search::new(looks.len());
+    let mut search = Search::new(query_steps.len());
     let mut tried = Vec::new();
     let mut saved: Option<(usize, Simulated)> = None;
-    while let Some(look) = search.next() {
-        let before = looks[look] as usize;
+    while let Some(query) = search.next() {
+        let before = query_steps[query] as usize;
         tracing::info!(
             "try {}: lifting the perturbations at step {before}",
             tried.len() + 1
         );
-        let mut go_on = |change| {
+        let mut resume = |change| {
             let resumed = Resumed {
                 after: &failed.actions[..before],
                 change,
             };
-            let mut looks = Looks::default();
-            rollout::run_after(Some(resumed), &mut stage, actor, assignment, &mut looks)
+            let mut watcher = QuerySteps::default();
+            rollout::run_after(Some(resumed), &mut stage, actor, assignment, &mut watcher)
         };
-        let simulated = go_on(Change::Lift)?;
+        let simulated = resume(Change::Lift)?;
         let result = &simulated.finished.result;
-        tracing::info!("{id} lifted at step {before}: {}", ended(result.success));
+        tracing::info!(
+            "{id} lifted at step {before}: {}",
+            outcome_word(result.success)
+        );
         let mut placebo_success = None;
         if result.success {
-            let success = go_on(Change::Nudge)?.finished.result.success;
-            tracing::info!("{id} nudged at step {before}: {}", ended(success));
+            let success = resume(Change::Nudge)?.finished.result.success;
+            tracing::info!("{id} nudged at step {before}: {}", outcome_word(success));
             placebo_success = Some(success);
         }
         let is_saved = placebo_success == Some(false);
-        search.record(look, is_saved);
+        search.record(query, is_saved);
         tried.push(Tried {
-            lifted_at: looks[look],
+            lifted_at: query_steps[query],
             success: result.success,
             steps: result.steps,
             placebo_success,
@@ -167,7 +171,7 @@ pub fn run(
             saved = Some((before, simulated));
         }
     }
-    tried.sort_by_key(|it| it.lifted_at);
+    tried.sort_by_key(|trial| trial.lifted_at);
     if let Some((before, simulated)) = &saved {
         tracing::info!("filming {id}, as it fails and as it is saved at step {before}");
         let film = side_by_side(&mut stage, assignment, &failed.actions, *before, simulated);
@@ -175,10 +179,9 @@ pub fn run(
         let path = output.join("rescue.mp4");
         fs::write(&path, film).map_err(|source| write(&path, source))?;
     }
-    let found = search.found();
-    let (saved, is_monotone) = match found {
-        Found::NeverSaved => (None, true),
-        Found::SavedUntil { saved, monotone } => (Some(saved), monotone),
+    let (saved, is_monotone) = match search.result() {
+        SearchResult::NeverSaved => (None, true),
+        SearchResult::SavedUntil { saved, is_monotone } => (Some(saved), is_monotone),
     };
     let evidence = failed.finished.evidence;
     let rescue = Rescue {
@@ -186,16 +189,16 @@ pub fn run(
         policy: evidence.policy_name,
         policy_checkpoint_digest: evidence.policy_checkpoint_digest,
         max_steps: assignment.row.max_steps,
-        saved_until: saved.map(|look| looks[look]),
+        saved_until: saved.map(|query| query_steps[query]),
         lost_from: match saved {
-            None => looks.first().copied(),
-            Some(look) => looks.get(look + 1).copied(),
+            None => query_steps.first().copied(),
+            Some(query) => query_steps.get(query + 1).copied(),
         },
-        looks,
+        looks: query_steps,
         saved_by_placebo: tried
             .iter()
-            .filter(|it| it.placebo_success == Some(true))
-            .map(|it| it.lifted_at)
+            .filter(|trial| trial.placebo_success == Some(true))
+            .map(|trial| trial.lifted_at)
             .collect(),
         nudge_m: NUDGE_M,
         tried,
@@ -208,7 +211,7 @@ pub fn run(
 }
 
 /// Returns a word for the end of a rollout.
-fn ended(success: bool) -> &'static str {
+fn outcome_word(success: bool) -> &'static str {
     match success {
         true => "success",
         false => "failure",
@@ -217,12 +220,12 @@ fn ended(success: bool) -> &'static str {
 
 /// Records the control steps at which the policy is queried.
 #[derive(Default)]
-struct Looks {
+struct QuerySteps {
     at: Vec<u32>,
     steps: u32,
 }
 
-impl Watcher for Looks {
+impl Watcher for QuerySteps {
     fn progress(&mut self, _control_steps: u32) -> ControlFlow<()> {
         ControlFlow::Continue(())
     }

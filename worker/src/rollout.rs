@@ -240,11 +240,11 @@ impl Run<'_> {
         let physics = &mut self.parts.physics_secs;
         let begun = processor(physics, || stage.begin(row, *realisation));
         let mut episode = begun.map_err(|source| self.simulator_failed(source))?;
-        carry_on(self.watcher.progress(0))?;
+        continue_unless_abandoned(self.watcher.progress(0))?;
         processor(&mut self.parts.physics_secs, || episode.settle())
             .map_err(|source| self.simulator_failed(source))?;
-        carry_on(self.watcher.progress(row.settle_steps))?;
-        self.path.push(whereabouts(&mut episode));
+        continue_unless_abandoned(self.watcher.progress(row.settle_steps))?;
+        self.path.push(end_effector_position(&mut episode));
         self.goal.record(&episode.environment().goal_truths());
         self.watcher.moved(None, &mut episode);
         for &command in self.resumed.map_or(&[][..], |resumed| resumed.after) {
@@ -315,11 +315,11 @@ impl Run<'_> {
         let stepped = processor(&mut self.parts.physics_secs, || episode.step(&executed));
         let success = stepped.map_err(|source| self.simulator_failed(source))?;
         self.executed.push(executed);
-        self.path.push(whereabouts(episode));
+        self.path.push(end_effector_position(episode));
         self.goal.record(&episode.environment().goal_truths());
         self.watcher.moved(Some(&Step { sent, executed }), episode);
         let settled = self.assignment.row.settle_steps;
-        carry_on(self.watcher.progress(settled + self.steps()))?;
+        continue_unless_abandoned(self.watcher.progress(settled + self.steps()))?;
         Ok(success)
     }
 
@@ -330,8 +330,8 @@ impl Run<'_> {
         query: &Query,
     ) -> Result<Vec<Action>, RolloutError> {
         let request = observation_request(self.description);
-        let seen = processor(&mut self.parts.drawing_secs, || episode.observe(&request));
-        let observation = seen.map_err(|source| self.simulator_failed(source))?;
+        let observed = processor(&mut self.parts.drawing_secs, || episode.observe(&request));
+        let observation = observed.map_err(|source| self.simulator_failed(source))?;
         self.watcher.observed(self.queries, &observation);
         if self.queries == 0 && !observation.frames.is_empty() {
             self.first_frame_digest = frames_digest(&observation);
@@ -353,14 +353,14 @@ impl Run<'_> {
         if self.executed.len() > proto::MAX_MOTION_STEPS {
             return Motion::default();
         }
-        let kept: &[Action] = match self.assignment.keep_actions {
+        let recorded: &[Action] = match self.assignment.keep_actions {
             true => &self.executed,
             false => &[],
         };
         // Policies answer with 32-bit floats, so the conversion is exact.
-        let actions: Vec<_> = kept
+        let actions: Vec<_> = recorded
             .iter()
-            .map(|action| action.map(|it| it as f32))
+            .map(|action| action.map(|value| value as f32))
             .collect();
         Motion::pack(&self.path, &actions)
     }
@@ -379,7 +379,7 @@ impl Run<'_> {
     }
 }
 
-fn carry_on(verdict: ControlFlow<()>) -> Result<(), RolloutError> {
+fn continue_unless_abandoned(verdict: ControlFlow<()>) -> Result<(), RolloutError> {
     match verdict {
         ControlFlow::Continue(()) => Ok(()),
         ControlFlow::Break(()) => Err(RolloutError::Abandoned),
@@ -389,30 +389,30 @@ fn carry_on(verdict: ControlFlow<()>) -> Result<(), RolloutError> {
 /// Returns the settings that the policy's server resolved, the number of actions executed per
 /// answer, and the execution model.
 fn settings(description: &Description, execution: &Execution) -> BTreeMap<String, String> {
-    let given = description.about.settings.iter();
+    let resolved = description.about.settings.iter();
     // Drops a server's own setting of this name: it would pass for the rollout's execution model.
-    let given = given.filter(|setting| setting.name != EXECUTION);
+    let resolved = resolved.filter(|setting| setting.name != EXECUTION);
     let model = (!execution.is_wait()).then(|| (EXECUTION.to_owned(), execution.to_string()));
-    let told = execution.is_rtc().then(|| {
-        let heeds = match description.about.real_time_chunking {
+    let chunking = execution.is_rtc().then(|| {
+        let treatment = match description.about.real_time_chunking {
             true => "heeded by the server",
             false => "ignored by the server",
         };
-        (REAL_TIME_CHUNKING.to_owned(), heeds.to_owned())
+        (REAL_TIME_CHUNKING.to_owned(), treatment.to_owned())
     });
-    given
+    resolved
         .map(|setting| (setting.name.clone(), setting.value.clone()))
         .chain([
             ("execute".to_owned(), description.execute.to_string()),
             ("horizon".to_owned(), description.horizon.to_string()),
         ])
         .chain(model)
-        .chain(told)
+        .chain(chunking)
         .collect()
 }
 
 /// Returns the end-effector's position, in tenths of a millimetre.
-fn whereabouts(episode: &mut Episode<'_>) -> [i16; 3] {
+fn end_effector_position(episode: &mut Episode<'_>) -> [i16; 3] {
     const TENTHS_OF_MM_PER_M: f64 = 10_000.0;
     let position = episode.environment().robot_state().eef_pos;
     // A cast from float to integer saturates, at about three metres.

@@ -38,7 +38,7 @@ pub enum SlotError {
     Signals(#[source] io::Error),
     #[error("simulate and draw the fixed motion that a slot begins with")]
     Simulator(#[from] SimError),
-    #[error("talk to the parent process")]
+    #[error("exchange messages with the parent process")]
     Parent(#[source] io::Error),
 }
 
@@ -124,14 +124,14 @@ fn work(
                 kind: FailureKind::Machine,
                 error: format!("failed to {}", chain(&error)),
             };
-            return reporter.tell(RolloutEvent::Failed(failure));
+            return reporter.report(RolloutEvent::Failed(failure));
         }
     };
     let (mut stage, assignment) = match &prepared {
         None => (Stage::of_the_protocol(simulator), assignment),
-        Some((of_family, completed)) => {
-            let stage = Stage::of_files(simulator, of_family.files.clone());
-            let stage = stage.with_variant(Some(of_family.start.clone()));
+        Some((prepared, completed)) => {
+            let stage = Stage::of_files(simulator, prepared.files.clone());
+            let stage = stage.with_variant(Some(prepared.start.clone()));
             (stage, completed)
         }
     };
@@ -142,15 +142,15 @@ fn work(
         Ok(simulated) => simulated,
         Err(error) => {
             let event = error.failure().map(RolloutEvent::Failed);
-            return reporter.tell(event.unwrap_or(RolloutEvent::Abandoned));
+            return reporter.report(event.unwrap_or(RolloutEvent::Abandoned));
         }
     };
-    reporter.tell(RolloutEvent::Finished(Box::new(simulated.finished.clone())));
+    reporter.report(RolloutEvent::Finished(Box::new(simulated.finished.clone())));
     let mut progress = |pictures| reporter.advance(RolloutEvent::Filming, pictures);
     match film(&mut stage, assignment, &simulated, &mut progress) {
         Ok(None) => {}
-        Ok(Some(_)) => reporter.tell(RolloutEvent::Filmed),
-        Err(error) => reporter.tell(RolloutEvent::NotFilmed(chain(&error))),
+        Ok(Some(_)) => reporter.report(RolloutEvent::Filmed),
+        Err(error) => reporter.report(RolloutEvent::NotFilmed(chain(&error))),
     }
 }
 
@@ -193,11 +193,11 @@ struct Reporter<'a> {
 }
 
 impl Reporter<'_> {
-    fn tell(&mut self, event: RolloutEvent) {
+    fn report(&mut self, event: RolloutEvent) {
         if self.broken.is_none() {
             let attempt = self.attempt;
-            let told = self.parent.send(&SlotEvent::Rollout { attempt, event });
-            self.broken = told.err();
+            let sent = self.parent.send(&SlotEvent::Rollout { attempt, event });
+            self.broken = sent.err();
         }
     }
 
@@ -208,7 +208,7 @@ impl Reporter<'_> {
             return ControlFlow::Break(());
         }
         if done.is_multiple_of(PROGRESS_EVERY) {
-            self.tell(event(done));
+            self.report(event(done));
         }
         match self.broken {
             Some(_) => ControlFlow::Break(()),

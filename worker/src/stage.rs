@@ -89,9 +89,9 @@ impl<'a> Stage<'a> {
         row: &'r ManifestRow,
         description: &Description,
     ) -> Cow<'r, str> {
-        let by_heart = description.about.language() == wire::Language::CanonicalOnly;
+        let is_canonical_only = description.about.language() == wire::Language::CanonicalOnly;
         let is_of_a_benchmark = self.files.is_none() || self.variant.is_some();
-        match by_heart && is_of_a_benchmark {
+        match is_canonical_only && is_of_a_benchmark {
             true => Cow::Owned(row.id.task().instruction()),
             false => Cow::Borrowed(&row.instruction),
         }

@@ -45,7 +45,7 @@ mod tests {
     }
 
     #[test]
-    fn work_adds_to_what_was_counted_before() {
+    fn durations_accumulate() {
         let mut busy = 5.0;
         let until = Instant::now() + Duration::from_millis(200);
         processor(&mut busy, || while Instant::now() < until {});

@@ -197,7 +197,7 @@ mod tests {
     }
 
     #[test]
-    fn a_video_holds_every_picture_and_decodes_to_what_went_in() {
+    fn a_video_decodes_to_the_frames_that_were_added() {
         let mut encoder = VideoEncoder::new().expect("starts");
         let still = pane([200, 60, 30], [20, 120, 220]);
         for shade in 0..50 {

@@ -23,14 +23,14 @@ const STEPS: u32 = 40;
 
 /// Policy whose answers depend on every bit of the hand's position, so that a difference in one
 /// step changes all later steps.
-struct Nervous {
+struct SensitivePolicy {
     /// True if each answer takes a random time.
-    dawdles: bool,
+    answers_slowly: bool,
     /// The `under_way` arguments of all queries that had one.
-    told: Vec<Query>,
+    rtc_queries: Vec<Query>,
 }
 
-impl Actor for Nervous {
+impl Actor for SensitivePolicy {
     fn describe(&mut self, _: PolicySession<'_>) -> Result<Description, PolicyError> {
         Ok(Description {
             about: wire::DescribeResponse::default(),
@@ -48,12 +48,12 @@ impl Actor for Nervous {
         horizon: usize,
         under_way: Option<&Query>,
     ) -> Result<Vec<Action>, PolicyError> {
-        if self.dawdles {
+        if self.answers_slowly {
             let random = random_id().to_string();
             let random = u64::from_str_radix(&random[..4], 16).expect("digits");
             sleep(Duration::from_micros(random / 4));
         }
-        self.told.extend(under_way.cloned());
+        self.rtc_queries.extend(under_way.cloned());
         let position = &observation.state[0].values;
         let action = |place: usize| {
             let mut action = [0.0; 7];
@@ -85,7 +85,7 @@ impl Watcher for Sent {
 struct Ran {
     simulated: Simulated,
     sent: Vec<Action>,
-    told: Vec<Query>,
+    rtc_queries: Vec<Query>,
 }
 
 impl Ran {
@@ -133,14 +133,14 @@ fn row() -> ManifestRow {
     row
 }
 
-fn run_under(simulator: &mut Simulator, model: &str, dawdles: bool) -> Ran {
-    run_row(simulator, row().under(&parsed(model)), dawdles)
+fn run_under(simulator: &mut Simulator, model: &str, answers_slowly: bool) -> Ran {
+    run_row(simulator, row().under(&parsed(model)), answers_slowly)
 }
 
-fn run_row(simulator: &mut Simulator, row: ManifestRow, dawdles: bool) -> Ran {
-    let mut actor = Nervous {
-        dawdles,
-        told: Vec::new(),
+fn run_row(simulator: &mut Simulator, row: ManifestRow, answers_slowly: bool) -> Ran {
+    let mut actor = SensitivePolicy {
+        answers_slowly,
+        rtc_queries: Vec::new(),
     };
     let mut assignment = assignment(row);
     assignment.keep_actions = true;
@@ -150,7 +150,7 @@ fn run_row(simulator: &mut Simulator, row: ManifestRow, dawdles: bool) -> Ran {
     Ran {
         simulated,
         sent: sent.0,
-        told: actor.told,
+        rtc_queries: actor.rtc_queries,
     }
 }
 
@@ -173,9 +173,9 @@ fn outcomes_have_the_same_bits_however_long_the_policy_takes_by_the_clock() {
         "overlap:1*1+4*2",
     ] {
         let at_once = run_under(&mut simulator, model, false);
-        let dawdling = run_under(&mut simulator, model, true);
-        assert_eq!(at_once.bits(), dawdling.bits(), "{model}");
-        assert_eq!(at_once.sent, dawdling.sent, "{model}");
+        let delayed = run_under(&mut simulator, model, true);
+        assert_eq!(at_once.bits(), delayed.bits(), "{model}");
+        assert_eq!(at_once.sent, delayed.sent, "{model}");
         let is_late = !model.ends_with("wait") && !model.contains(":0");
         assert_eq!(at_once.bits() == waits.bits(), !is_late, "{model}");
         let settings = &at_once.simulated.finished.evidence.policy_settings;
@@ -188,8 +188,8 @@ fn outcomes_have_the_same_bits_however_long_the_policy_takes_by_the_clock() {
 }
 
 #[test]
-fn a_rollout_of_the_latency_axis_is_a_nominal_one_of_a_late_policy() {
-    let test = "a_rollout_of_the_latency_axis_is_a_nominal_one_of_a_late_policy";
+fn a_latency_rollout_is_nominal_with_a_delayed_policy() {
+    let test = "a_latency_rollout_is_nominal_with_a_delayed_policy";
     let Some(mut simulator) = simulator(test) else {
         return;
     };
@@ -214,24 +214,27 @@ fn a_rollout_of_the_latency_axis_is_a_nominal_one_of_a_late_policy() {
 }
 
 #[test]
-fn a_policy_is_told_what_is_executed_while_it_thinks_and_only_then() {
-    let test = "a_policy_is_told_what_is_executed_while_it_thinks_and_only_then";
+fn only_real_time_chunking_sends_the_actions_under_way() {
+    let test = "only_real_time_chunking_sends_the_actions_under_way";
     let Some(mut simulator) = simulator(test) else {
         return;
     };
     let ran = run_under(&mut simulator, "overlap:3,rtc", false);
     // Of ten actions, six are executed, three steps late: one query every six steps.
-    let asked = (0..STEPS as usize).step_by(EXECUTE);
-    assert_eq!(ran.told.len(), asked.clone().count());
-    for (query, step) in ran.told.iter().zip(asked) {
+    let query_steps = (0..STEPS as usize).step_by(EXECUTE);
+    assert_eq!(ran.rtc_queries.len(), query_steps.clone().count());
+    for (query, step) in ran.rtc_queries.iter().zip(query_steps) {
         assert_eq!(query.delay, 3);
         let until = ran.sent.len().min(step + 3);
         assert_eq!(query.under_way[..until - step], ran.sent[step..until]);
     }
     assert_eq!(ran.sent[..3], [[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0]; 3]);
-    let untold = run_under(&mut simulator, "overlap:3", false);
-    assert!(untold.told.is_empty());
-    assert_eq!(untold.sent, ran.sent, "this policy heeds nothing");
+    let without_rtc = run_under(&mut simulator, "overlap:3", false);
+    assert!(without_rtc.rtc_queries.is_empty());
+    assert_eq!(
+        without_rtc.sent, ran.sent,
+        "this policy ignores the actions under way"
+    );
 }
 
 #[test]
@@ -259,9 +262,9 @@ fn a_policy_whose_every_action_would_be_dropped_is_not_run() {
     };
     let mut assignment = assignment(row().under(&parsed("overlap:10")));
     assignment.policy = "nervous".to_owned();
-    let mut actor = Nervous {
-        dawdles: false,
-        told: Vec::new(),
+    let mut actor = SensitivePolicy {
+        answers_slowly: false,
+        rtc_queries: Vec::new(),
     };
     let mut stage = Stage::of_the_protocol(&mut simulator).with_a_renderer_only_if_needed();
     let refused = run(&mut stage, &mut actor, &assignment, &mut Sent::default());

@@ -65,8 +65,8 @@ pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
     let actions = actions_of(&oracle, &options.task)?;
     if !actions.is_file() {
         println!(
-            "skipped: no recorded actions of {} at {}; choose a task of the reference, or say \
-             with --oracle where it is",
+            "skipped: no recorded actions of {} at {}; choose a task of the reference, or give \
+             its folder with --oracle",
             options.task,
             actions.display()
         );
@@ -107,19 +107,19 @@ pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
         options.steps,
         options.rounds
     );
-    let (mut own, mut released, mut thrifty) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut here, mut released, mut with_fewer_frames) = (Vec::new(), Vec::new(), Vec::new());
     for round in 1..=options.rounds {
         let name = |what: &str| format!("round {round}: {what}");
-        own.push(step(&name("here"), || ours().map(Told))?.0);
-        released.push(step(&name("original as released"), || theirs(1).map(Told))?.0);
+        here.push(step(&name("here"), || ours().map(RolloutTime))?.0);
+        released.push(step(&name("original as released"), || theirs(1).map(RolloutTime))?.0);
         if options.execute > 1 {
-            let what = name("original drawing less");
-            thrifty.push(step(&what, || theirs(options.execute).map(Told))?.0);
+            let what = name("original with fewer frames");
+            with_fewer_frames.push(step(&what, || theirs(options.execute).map(RolloutTime))?.0);
         }
     }
     print_ratios(
         "as released, both cameras drawn at every step",
-        &own,
+        &here,
         &released,
     );
     if options.execute > 1 {
@@ -127,7 +127,7 @@ pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
             "drawing only every {}th step, which it cannot do as released",
             options.execute
         );
-        print_ratios(&what, &own, &thrifty);
+        print_ratios(&what, &here, &with_fewer_frames);
     }
     Ok(())
 }
@@ -220,9 +220,9 @@ impl std::fmt::Display for Built {
 }
 
 /// Result of a step that reports a rollout's duration.
-struct Told(Parts);
+struct RolloutTime(Parts);
 
-impl std::fmt::Display for Told {
+impl std::fmt::Display for RolloutTime {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         write!(f, "{:.0} ms", self.0.whole)
     }

@@ -94,7 +94,7 @@ const ROWS: [Row; 6] = [
         },
     },
     Row {
-        what: "memory of a further one",
+        what: "memory of a further environment",
         target: "<= 15 MB",
         unit: "MB",
         of: |round| faster(&round.processes, &round.pairs[0].threads, "further_mb"),
@@ -147,7 +147,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let python = wheel::installed(root, &cache, Profile::Release)?;
     let program = build_released_program(root, WITHOUT_PYTHON)?;
     let script = root.join("python/bench/speed.py");
-    let [count, steps] = [options.environments, options.steps].map(|it| it.to_string());
+    let [count, steps] = [options.environments, options.steps].map(|number| number.to_string());
     let with = |mut command: Command, mode: &str| {
         command.args([
             mode,
@@ -204,15 +204,15 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
 
 fn print(rounds: &[Round]) -> Result<()> {
     println!(
-        "{:<28} {:>10} {:>10} {:<6} {:>8} {:<13} target",
+        "{:<32} {:>10} {:>10} {:<6} {:>8} {:<13} target",
         "", "here", "there", "", "ratio", "  spread"
     );
     for row in &ROWS {
         let all = rounds.iter().map(row.of).collect::<Result<Vec<_>>>()?;
-        let column = |at: usize| all.iter().map(|it| it[at]).collect::<Vec<_>>();
+        let column = |at: usize| all.iter().map(|values| values[at]).collect::<Vec<_>>();
         let (ratio, least, most) = spread(&column(2));
         println!(
-            "{:<28} {:>10.2} {:>10.2} {:<6} {ratio:>8.2} {:<13} {}",
+            "{:<32} {:>10.2} {:>10.2} {:<6} {ratio:>8.2} {:<13} {}",
             row.what,
             spread(&column(0)).0,
             spread(&column(1)).0,

@@ -51,7 +51,7 @@ struct Arm {
 /// Ratios are relative to the first arm of a scenario that runs, which is the original if possible.
 const SCENARIOS: [(&str, &[Arm]); 2] = [
     (
-        "each environment by itself, one look a chunk",
+        "each environment alone, one observation per chunk",
         &[
             Arm {
                 what: "original",
@@ -71,7 +71,7 @@ const SCENARIOS: [(&str, &[Arm]); 2] = [
         ],
     ),
     (
-        "every observation sent to one process",
+        "all observations sent to one process",
         &[
             Arm {
                 what: "original",

@@ -41,7 +41,7 @@ pub(crate) fn build_released_program(root: &Path, name: &str) -> Result<PathBuf>
 
 /// Builds the named programs with the release profile, and returns their folder.
 pub(crate) fn build_released_programs(root: &Path, names: &[&str]) -> Result<PathBuf> {
-    println!("Building the programs as they are handed out");
+    println!("Building the programs with the release profile");
     let bins = names.iter().flat_map(|name| ["--bin", name]);
     let what: Vec<&str> = std::iter::once("--release").chain(bins).collect();
     Ok(build(root, &what)?.with_file_name("release"))

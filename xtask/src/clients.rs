@@ -21,23 +21,23 @@ const STAMP: &str = "installed.txt";
 /// which case the tests report that they are skipped.
 pub(crate) fn provide(root: &Path, cache: &Path) -> Option<PathBuf> {
     let dir = cache.join("clients");
-    let made = step("vla-eval, lerobot, torchrl, rlinf", || {
-        let made = install(root, &dir);
-        Ok(made.unwrap_or_else(|error| format!("none: {error:#}")))
+    let outcome = step("vla-eval, lerobot, torchrl, rlinf", || {
+        let outcome = install(root, &dir);
+        Ok(outcome.unwrap_or_else(|error| format!("none: {error:#}")))
     });
     let python = dir.join("bin/python");
-    (made.is_ok() && dir.join(STAMP).exists()).then_some(python)
+    (outcome.is_ok() && dir.join(STAMP).exists()).then_some(python)
 }
 
 fn install(root: &Path, dir: &Path) -> Result<String> {
     let list = root.join("python/tests/shim/clients.txt");
     let others =
         std::fs::read_to_string(&list).with_context(|| format!("read {}", list.display()))?;
-    let wanted = [&TORCH.join("\n"), &CLIENTS.join("\n"), &others]
+    let requirements = [&TORCH.join("\n"), &CLIENTS.join("\n"), &others]
         .map(String::as_str)
         .join("\n");
     let stamp = dir.join(STAMP);
-    if std::fs::read_to_string(&stamp).is_ok_and(|there| there == wanted) {
+    if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == requirements) {
         return Ok("already there".to_owned());
     }
     new_environment(dir)?;
@@ -53,6 +53,6 @@ fn install(root: &Path, dir: &Path) -> Result<String> {
     capture(torch.args(TORCH)).context("install PyTorch (is its index reachable?)")?;
     capture(pip(dir).arg("--requirement").arg(&list))?;
     capture(pip(dir).arg("--no-deps").args(CLIENTS))?;
-    std::fs::write(&stamp, wanted).with_context(|| format!("write {}", stamp.display()))?;
+    std::fs::write(&stamp, requirements).with_context(|| format!("write {}", stamp.display()))?;
     Ok("installed".to_owned())
 }

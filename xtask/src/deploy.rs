@@ -14,10 +14,10 @@ const PACKAGES: [&str; 2] = [
 /// tests report that they are skipped.
 pub(crate) fn schemas(cache: &Path) -> Option<PathBuf> {
     let dir = cache.join("deploy-venv");
-    let made = step("schemas of deploy/", || {
-        let made = environment(&dir, &PACKAGES).map(str::to_owned);
-        Ok(made.unwrap_or_else(|error| format!("none: {error:#}")))
+    let outcome = step("schemas of deploy/", || {
+        let outcome = environment(&dir, &PACKAGES).map(str::to_owned);
+        Ok(outcome.unwrap_or_else(|error| format!("none: {error:#}")))
     });
-    let there = made.is_ok_and(|said| !said.starts_with("none"));
-    there.then(|| dir.join("bin/python"))
+    let is_installed = outcome.is_ok_and(|status| !status.starts_with("none"));
+    is_installed.then(|| dir.join("bin/python"))
 }

@@ -75,7 +75,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
 fn refuse_what_is_not_committed(root: &Path) -> Result<()> {
     let mut git = Command::new("git");
     git.current_dir(root).args(["status", "--porcelain"]);
-    let changes = capture(&mut git).context("ask git what is not committed")?;
+    let changes = capture(&mut git).context("list uncommitted changes")?;
     if let Some(first) = changes.lines().next() {
         bail!("make a release: {first:?} is not committed; commit it, or use `--profile dev`");
     }

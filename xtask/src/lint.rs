@@ -24,8 +24,8 @@ const PACKAGES: [&str; 4] = [
 /// If a tool reports a fault; the error includes its output.
 pub(crate) fn run(root: &Path, cache: &Path) -> Result<()> {
     let dir = cache.join("lint-venv");
-    let made = environment(&dir, &PACKAGES);
-    if let Err(error) = made {
+    let outcome = environment(&dir, &PACKAGES);
+    if let Err(error) = outcome {
         return step("Python", || Ok(format!("not checked: {error:#}"))).map(drop);
     }
     for (what, tool, arguments) in [
@@ -51,7 +51,7 @@ fn complaints(command: &mut Command) -> Result<&'static str> {
     if output.status.success() {
         return Ok("in order");
     }
-    let said = [output.stdout, output.stderr].concat();
-    let said = String::from_utf8_lossy(&said);
-    bail!("run `{}`:\n{}", shown(command), said.trim_end());
+    let printed = [output.stdout, output.stderr].concat();
+    let printed = String::from_utf8_lossy(&printed);
+    bail!("run `{}`:\n{}", shown(command), printed.trim_end());
 }

@@ -288,14 +288,15 @@ mod tests {
                 }
             }
             let quoted = sentences.split('`').skip(1).step_by(2);
-            let own = quoted.filter(|it| it.starts_with("cargo xtask") && !it.contains('…'));
+            let own = quoted
+                .filter(|mention| mention.starts_with("cargo xtask") && !mention.contains('…'));
             mentions.extend(own.map(str::to_owned));
         }
         (commands, mentions)
     }
 
     #[test]
-    fn every_documented_command_of_its_is_understood() {
+    fn every_documented_command_is_accepted() {
         let parse = |command: &str| {
             let words = command.split_whitespace();
             let words = words.take_while(|word| !["#", "&&"].contains(word)).skip(1);

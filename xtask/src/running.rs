@@ -84,8 +84,12 @@ impl Running {
     /// Fails with the program's log if it has ended.
     fn check(&mut self) -> Result<()> {
         if let Some(status) = self.child.try_wait()? {
-            let said = std::fs::read_to_string(&self.log).unwrap_or_default();
-            bail!("keep {} running: {status}\n{}", self.name, said.trim_end());
+            let log_text = std::fs::read_to_string(&self.log).unwrap_or_default();
+            bail!(
+                "keep {} running: {status}\n{}",
+                self.name,
+                log_text.trim_end()
+            );
         }
         Ok(())
     }

@@ -11,10 +11,10 @@ const PACKAGES: [&str; 1] = ["moto[server]==5.2.5"];
 /// that they are skipped.
 pub(crate) fn server(cache: &Path) -> Option<PathBuf> {
     let dir = cache.join("s3-venv");
-    let made = step("a server of S3's calls", || {
-        let made = environment(&dir, &PACKAGES).map(str::to_owned);
-        Ok(made.unwrap_or_else(|error| format!("none: {error:#}")))
+    let outcome = step("S3 server", || {
+        let outcome = environment(&dir, &PACKAGES).map(str::to_owned);
+        Ok(outcome.unwrap_or_else(|error| format!("none: {error:#}")))
     });
-    let there = made.is_ok_and(|said| !said.starts_with("none"));
-    there.then(|| dir.join("bin/moto_server"))
+    let is_installed = outcome.is_ok_and(|status| !status.starts_with("none"));
+    is_installed.then(|| dir.join("bin/moto_server"))
 }

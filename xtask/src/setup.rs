@@ -184,7 +184,7 @@ fn install(packages: &[&str]) -> Result<()> {
     let by_hand = format!("apt-get install --yes {}", packages.join(" "));
     let is_root = capture(Command::new("id").arg("-u")).is_ok_and(|id| id == "0");
     if !is_root {
-        bail!("install what is missing: run `sudo {by_hand}`, then this again");
+        bail!("install missing packages: run `sudo {by_hand}`, then run this command again");
     }
     let quiet = |arguments: &[&str]| {
         let mut apt = Command::new("apt-get");

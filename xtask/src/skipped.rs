@@ -40,9 +40,13 @@ pub(crate) fn check(report: &Path, shared: &Path) -> Result<()> {
         println!("  {test}: {why}");
     }
     match skipped.len() {
-        0 => println!("Nothing was skipped for what this machine lacks."),
-        1 => println!("1 test, or a part of it, was skipped for what this machine lacks."),
-        n => println!("{n} tests, or parts of them, were skipped for what this machine lacks."),
+        0 => println!("No test was skipped."),
+        1 => println!(
+            "1 test, or a part of it, was skipped because this machine lacks a requirement."
+        ),
+        n => println!(
+            "{n} tests, or parts of them, were skipped because this machine lacks requirements."
+        ),
     }
     let wrongly: Vec<&str> = skipped
         .iter()
@@ -68,8 +72,8 @@ fn list(report: &str, mark: &str) -> Result<Vec<(String, String)>> {
     let mut skipped: Vec<(String, String)> = tests
         .flat_map(|test| {
             let name = test.attribute("name").unwrap_or_default();
-            let said = test.children().filter_map(|output| output.text());
-            let lines = said.flat_map(str::lines).map(str::trim);
+            let outputs = test.children().filter_map(|output| output.text());
+            let lines = outputs.flat_map(str::lines).map(str::trim);
             lines
                 .filter(|line| begins_with(line, mark))
                 .map(move |line| {
@@ -110,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn a_test_without_its_reference_data_fails_the_run_where_the_folder_is() {
+    fn a_test_that_misses_existing_reference_data_fails_the_run() {
         let folder = tempfile::tempdir().expect("a folder");
         let report = folder.path().join("junit.xml");
         let write = |why: &str| {

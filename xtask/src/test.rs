@@ -108,13 +108,13 @@ fn rust(root: &Path, cache: &Path, programs: &Path, filters: &[String]) -> Resul
     let typescript = typescript::build(root)?;
     step("browser for the live page's tests", || {
         // If there is no browser, these tests are skipped with a message.
-        let found = setup::browser().map(str::to_owned);
-        Ok(found.unwrap_or_else(|error| format!("none: {error:#}")))
+        let outcome = setup::browser().map(str::to_owned);
+        Ok(outcome.unwrap_or_else(|error| format!("none: {error:#}")))
     })?;
     step("Slurm for the tests of deploy/", || {
         // If there is no Slurm, these tests are skipped with a message.
-        let found = setup::slurm().map(str::to_owned);
-        Ok(found.unwrap_or_else(|error| format!("none: {error:#}")))
+        let outcome = setup::slurm().map(str::to_owned);
+        Ok(outcome.unwrap_or_else(|error| format!("none: {error:#}")))
     })?;
     step("built-in pack as generated", || {
         let mut generator = Command::new("python3");
@@ -125,7 +125,7 @@ fn rust(root: &Path, cache: &Path, programs: &Path, filters: &[String]) -> Resul
         )
         .map(|_| "yes")
     })?;
-    step("dependencies as deny.toml wants", || deny(root))?;
+    step("dependencies against deny.toml", || deny(root))?;
     let schemas = deploy::schemas(cache);
     let bucket = s3::server(cache);
     println!("Testing");
@@ -216,10 +216,13 @@ fn draws_through_opengl(name: &str, arguments: &[String]) -> bool {
     match name {
         "bench_draw" => !has("--alone"),
         _ => {
-            let after = arguments.iter().skip_while(|it| *it != "--renderer").nth(1);
+            let after = arguments
+                .iter()
+                .skip_while(|argument| *argument != "--renderer")
+                .nth(1);
             let joined = arguments
                 .iter()
-                .find_map(|it| it.strip_prefix("--renderer="));
+                .find_map(|argument| argument.strip_prefix("--renderer="));
             joined
                 .or(after.map(String::as_str))
                 .is_some_and(|renderer| renderer.starts_with("gl"))
@@ -261,7 +264,7 @@ mod tests {
     use super::draws_through_opengl;
 
     #[test]
-    fn opengl_is_installed_for_what_draws_through_it_only() {
+    fn opengl_is_installed_only_for_programs_that_use_it() {
         let asks = |name: &str, arguments: &str| {
             let arguments: Vec<String> = arguments.split_whitespace().map(str::to_owned).collect();
             draws_through_opengl(name, &arguments)

@@ -15,15 +15,15 @@ const STAMP: &str = "installed.txt";
 /// # Errors
 /// If the packages cannot be installed.
 pub(crate) fn environment(dir: &Path, packages: &[&str]) -> Result<&'static str> {
-    let wanted = packages.join("\n");
+    let requirements = packages.join("\n");
     let stamp = dir.join(STAMP);
-    if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == wanted) {
+    if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == requirements) {
         return Ok("already there");
     }
     new_environment(dir)?;
     capture(pip(dir).args(packages))
         .context("install Python packages (is the package index reachable?)")?;
-    std::fs::write(&stamp, wanted).with_context(|| format!("write {}", stamp.display()))?;
+    std::fs::write(&stamp, requirements).with_context(|| format!("write {}", stamp.display()))?;
     Ok("installed")
 }
 

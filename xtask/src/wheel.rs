@@ -51,7 +51,7 @@ pub(crate) enum Profile {
 /// If they cannot be installed.
 pub(crate) fn tools(cache: &Path) -> Result<PathBuf> {
     let dir = cache.join("wheel-tools");
-    step("what wheels are built with", || {
+    step("build tools of the wheels", || {
         environment(&dir, &BUILT_WITH)
     })?;
     Ok(dir.join("bin"))
@@ -104,7 +104,7 @@ fn build(root: &Path, cache: &Path, profile: Profile) -> Result<Vec<PathBuf>> {
         let size = path.metadata()?.len();
         ensure!(
             size <= LARGEST,
-            "hand out {}: it has {size} bytes, more than {LARGEST}",
+            "build {}: it has {size} bytes, more than {LARGEST}",
             path.display()
         );
         wheels.push(path);
@@ -140,9 +140,9 @@ pub(crate) fn run(root: &Path, cache: &Path, output: Option<&Path>) -> Result<()
 pub(crate) fn installed(root: &Path, cache: &Path, profile: Profile) -> Result<PathBuf> {
     let wheels = build(root, cache, profile)?;
     let dir = cache.join("wheel-venv");
-    step("an environment with the wheels", || {
-        let asked = std::fs::read_to_string(root.join("python/pyproject.toml"))?;
-        let client = asked
+    step("environment with the wheels", || {
+        let manifest = std::fs::read_to_string(root.join("python/pyproject.toml"))?;
+        let client = manifest
             .lines()
             .find_map(|line| line.strip_prefix("client = "))
             .context("read python/pyproject.toml: the extra `client`")?;
@@ -172,7 +172,7 @@ pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
         pytest.env("ROLLOUT_CLIENTS", python);
     }
     run_command(&mut pytest)?;
-    println!("Testing the student's lessons");
+    println!("Testing the training of the student");
     let mut pytest = Command::new(&python);
     pytest
         .current_dir(root)

@@ -36,27 +36,27 @@ class Lab:
         process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True)
         self.processes.append(process)
         assert process.stdout is not None
-        said = process.stdout.readline()
-        return "http://" + said.removeprefix("listening on ").split()[0].strip(",")
+        line = process.stdout.readline()
+        return "http://" + line.removeprefix("listening on ").split()[0].strip(",")
 
-    def ask(self, *words: str) -> str:
+    def coordinator(self, *words: str) -> str:
         command = [str(PROGRAMS / "coordinator"), *words, "--connect", self.url]
         return subprocess.run(command, capture_output=True, text=True, check=True).stdout
 
     def create(self, name: str) -> None:
-        self.ask(
+        self.coordinator(
             *("campaign", "create", "--name", name, "--policy", "expert"),
             *("--endpoint", self.gateway, "--tasks", "libero_object/0-1", "--axes", "metric"),
             *("--levels", "L2", "--configs", "0-9", "--nominal", "eval"),
         )
 
     def rollouts(self, name: str) -> dict[str, int]:
-        return json.loads(self.ask("campaign", "status", name, "--json"))["campaigns"][0][
+        return json.loads(self.coordinator("campaign", "status", name, "--json"))["campaigns"][0][
             "rollouts"
         ]
 
     def workers(self) -> int:
-        return len(json.loads(self.ask("workers", "--json"))["workers"])
+        return len(json.loads(self.coordinator("workers", "--json"))["workers"])
 
     def stop(self) -> None:
         for process in self.processes:
@@ -78,9 +78,9 @@ def cluster() -> Iterator[Cluster]:
     cluster.shutdown()
 
 
-def until(what: str, is_so: Callable[[], bool]) -> None:
+def until(what: str, condition: Callable[[], bool]) -> None:
     start = time.monotonic()
-    while not is_so():
+    while not condition():
         assert time.monotonic() - start < PATIENCE, f"{what}: not yet"
         time.sleep(0.25)
 
@@ -91,7 +91,7 @@ def launch(cluster: Cluster, lab: Lab, *words: str) -> subprocess.Popen[bytes]:
     return subprocess.Popen([*command, "--drain-secs", "0", "--idle-secs", "5", *words])
 
 
-def test_a_node_that_goes_while_it_runs_loses_nothing(cluster: Cluster, lab: Lab) -> None:
+def test_a_lost_node_loses_no_rollout(cluster: Cluster, lab: Lab) -> None:
     nodes = [cluster.add_node(num_cpus=1, resources={"sim": 1}) for _ in range(2)]
     lab.create("ray")
     launcher = launch(cluster, lab, "--max-workers", "3", "--until-done")
@@ -108,13 +108,13 @@ def test_a_node_that_goes_while_it_runs_loses_nothing(cluster: Cluster, lab: Lab
         launcher.wait()
     rollouts = lab.rollouts("ray")
     assert rollouts["committed"] == rollouts["total"] == 140
-    jobs = json.loads(lab.ask("jobs", "list", "ray", "--limit", "1000", "--json"))["jobs"]
+    jobs = json.loads(lab.coordinator("jobs", "list", "ray", "--limit", "1000", "--json"))["jobs"]
     charged = {job["rollout_id"]: job["charged_attempts"] for job in jobs}
     assert not any(charged.values()), charged
     assert lab.workers() == 0
 
 
-def test_workers_follow_the_queue_and_end_when_they_are_told_to(cluster: Cluster, lab: Lab) -> None:
+def test_workers_follow_the_queue_and_end_on_sigterm(cluster: Cluster, lab: Lab) -> None:
     cluster.add_node(num_cpus=2, resources={"sim": 2})
     launcher = launch(cluster, lab, "--max-workers", "2")
     try:
@@ -122,20 +122,20 @@ def test_workers_follow_the_queue_and_end_when_they_are_told_to(cluster: Cluster
         assert lab.workers() == 0, "there is no work"
         lab.create("ray")
         until("there is work for two", lambda: lab.workers() == 2)
-        lab.ask("campaign", "pause", "ray")
+        lab.coordinator("campaign", "pause", "ray")
         until("there is no work", lambda: lab.workers() == 0)
-        lab.ask("campaign", "resume", "ray")
+        lab.coordinator("campaign", "resume", "ray")
         until("there is work again", lambda: lab.workers() == 2)
         launcher.terminate()
         assert launcher.wait(timeout=60) == 0
     finally:
         launcher.kill()
         launcher.wait()
-    assert lab.workers() == 0, "they said good-bye"
-    assert lab.rollouts("ray")["leased"] == 0, "they gave back what they had"
+    assert lab.workers() == 0, "the workers signed off"
+    assert lab.rollouts("ray")["leased"] == 0, "the workers gave back their rollouts"
 
 
-def test_workers_that_cannot_run_are_not_started_for_ever(cluster: Cluster, lab: Lab) -> None:
+def test_the_launcher_gives_up_after_repeated_failures(cluster: Cluster, lab: Lab) -> None:
     cluster.add_node(num_cpus=1, resources={"sim": 1})
     lab.create("ray")
     launcher = launch(cluster, lab, "--max-workers", "1", "--assets", "/nowhere")

@@ -6,7 +6,7 @@ from rollout_client.proto import coordinator_pb2 as rollout__client_dot_proto_do
 
 
 class WorkerServiceStub(object):
-    """Leases and commits: what a worker calls.
+    """The service for workers: leases, results and videos.
     """
 
     def __init__(self, channel):
@@ -58,27 +58,28 @@ class WorkerServiceStub(object):
 
 
 class WorkerServiceServicer(object):
-    """Leases and commits: what a worker calls.
+    """The service for workers: leases, results and videos.
     """
 
     def Register(self, request, context):
-        """Announces a worker and checks versions: FAILED_PRECONDITION names both.
+        """Registers a worker and checks protocol versions. If they differ, fails with
+        FAILED_PRECONDITION, whose message names both.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Claim(self, request, context):
-        """Leases a job. Waits up to wait_secs for one (a long poll); none then is an
-        answer, not an error. Asked again with the same claim_id, it returns the
-        same lease: an answer that is lost on its way costs nothing.
+        """Leases a job. Waits up to wait_secs for a job (long poll); without one, the
+        response has no lease. A call repeated with the same claim_id returns the same
+        lease, so that a lost response loses no lease.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Heartbeat(self, request, context):
-        """Renews leases and carries progress. The first one that names an attempt
+        """Renews leases and reports progress. The first heartbeat that names an attempt
         acknowledges its lease.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
@@ -93,30 +94,30 @@ class WorkerServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def Release(self, request, context):
-        """Ends a lease without an outcome: charged to the job, or not.
+        """Ends a lease without an outcome. The reason decides if the job is charged.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def PutArtifact(self, request_iterator, context):
-        """Stores a video beside the outcome that its attempt has committed.
+        """Stores the video of an attempt whose outcome is committed.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def NextFilm(self, request, context):
-        """A committed rollout that is to be filmed from its actions, of a campaign
-        that records transitions; none where nothing is left to film.
+        """Returns a committed rollout to film from its actions, from a campaign that
+        records transitions. Without a rollout left to film, the response has no film.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def SignOff(self, request, context):
-        """Says good-bye: this worker leases nothing more and counts as gone at once,
-        until it registers again.
+        """Signs a worker off: it claims no more jobs and counts as ended at once, until
+        it registers again.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -173,7 +174,7 @@ def add_WorkerServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class WorkerService(object):
-    """Leases and commits: what a worker calls.
+    """The service for workers: leases, results and videos.
     """
 
     @staticmethod
@@ -314,7 +315,7 @@ class WorkerService(object):
 
 
 class OperatorServiceStub(object):
-    """What operators call, through `coordinator campaign|jobs|workers|report|export|backup`.
+    """The service for operators: `coordinator campaign|jobs|workers|report|export|backup`.
     """
 
     def __init__(self, channel):
@@ -411,12 +412,12 @@ class OperatorServiceStub(object):
 
 
 class OperatorServiceServicer(object):
-    """What operators call, through `coordinator campaign|jobs|workers|report|export|backup`.
+    """The service for operators: `coordinator campaign|jobs|workers|report|export|backup`.
     """
 
     def CreateCampaign(self, request, context):
-        """Expands a campaign into jobs, in one transaction. The same specification
-        under the same name adds nothing; another one is refused.
+        """Expands a campaign into jobs, in one transaction. If the name exists, the same
+        specification adds nothing, and a different specification is refused.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -435,22 +436,22 @@ class OperatorServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def ChangeCampaign(self, request, context):
-        """Pauses, resumes or cancels a campaign; asking twice is fine.
+        """Pauses, resumes or cancels a campaign. Idempotent.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def DeleteCampaign(self, request, context):
-        """Removes a campaign with its results and files, none of whose rollouts may
-        be leased. FAILED_PRECONDITION says what is in the way.
+        """Deletes a campaign with its results and files. Fails with FAILED_PRECONDITION,
+        whose message gives the reason, for example if a rollout is leased.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def ListJobs(self, request, context):
-        """Jobs of a campaign, page by page in paired-unit order.
+        """Returns jobs of a campaign, page by page in paired-unit order.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -463,75 +464,73 @@ class OperatorServiceServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def RetryJobs(self, request, context):
-        """Takes jobs out of quarantine: all that are named, or none.
+        """Returns quarantined jobs to the queue: all named jobs, or none of them.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def SkipJobs(self, request, context):
-        """Puts rollouts that wait or are being run into quarantine, counted against
-        nobody: all that are named, or none. RetryJobs takes them out again.
+        """Quarantines waiting or running rollouts without a charge: all named jobs, or none
+        of them. RetryJobs returns them to the queue.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def ListWorkers(self, request, context):
-        """The workers with the latest calls, newest first.
+        """Returns the workers that called most recently, latest call first.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Backup(self, request, context):
-        """A copy of the database as it is now, in pieces. Videos are not in it.
+        """Streams a copy of the current database, without videos.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Report(self, request, context):
-        """All that a report is made of, as it stands; the caller computes the report.
+        """Streams the data of a report as of now; the caller computes the report.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Export(self, request, context):
-        """Committed results, one reference-format JSON line per message.
+        """Streams the committed results, one JSON line in the reference's format per message.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def ArchiveCampaign(self, request, context):
-        """A campaign with everything that belongs to it, as it is now: an archive in pieces,
-        from which ImportCampaign makes it again.
+        """Streams an archive of a campaign with all its current data, for ImportCampaign.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def ImportCampaign(self, request_iterator, context):
-        """Verifies an archive and adds its campaign. ALREADY_EXISTS names what is in the
-        way; nothing has changed then.
+        """Verifies an archive and adds its campaign. Fails with ALREADY_EXISTS, whose message
+        names the conflict, and then changes nothing.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def AlterCampaign(self, request, context):
-        """Gives a campaign another priority, policy or name. FAILED_PRECONDITION says
-        what is in the way; nothing has changed then.
+        """Changes a campaign's priority, policy or name. Fails with FAILED_PRECONDITION, whose
+        message gives the reason, and then changes nothing.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Forecast(self, request, context):
-        """How long rollouts would take, from what the workers that are there have
-        measured of late.
+        """Estimates the duration of rollouts from recent measurements of the live workers.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -633,7 +632,7 @@ def add_OperatorServiceServicer_to_server(servicer, server):
 
  # This class is part of an EXPERIMENTAL API.
 class OperatorService(object):
-    """What operators call, through `coordinator campaign|jobs|workers|report|export|backup`.
+    """The service for operators: `coordinator campaign|jobs|workers|report|export|backup`.
     """
 
     @staticmethod

@@ -178,7 +178,7 @@ fn row_of(task: TaskRef, condition: &str) -> Result<libero_ctrl::ManifestRow> {
 }
 
 /// Renders a square frame of one camera, `side` pixels wide.
-fn look(episode: &mut Episode<'_>, camera: &str, side: u32) -> Result<Frame, SimError> {
+fn render(episode: &mut Episode<'_>, camera: &str, side: u32) -> Result<Frame, SimError> {
     let request = ObservationRequest {
         cameras: vec![CameraRequest {
             name: camera.to_owned(),
@@ -251,10 +251,10 @@ impl Bench {
         let size = arguments.size;
         for frame in 0..=usize::from(arguments.frames) {
             for (camera, findings) in CAMERAS.iter().zip(&mut findings) {
-                let draw = |episode: &mut Episode<'_>| clock.time(|| look(episode, camera, size));
+                let draw = |episode: &mut Episode<'_>| clock.time(|| render(episode, camera, size));
                 let before = resident()?;
-                let (millis, own) = draw(&mut ours);
-                let own = own?;
+                let (millis, our_frame) = draw(&mut ours);
+                let our_frame = our_frame?;
                 if frame == 0 {
                     memory += resident()? - before;
                 }
@@ -263,17 +263,17 @@ impl Bench {
                     findings.ours.push(millis);
                 }
                 let Some(theirs) = &mut theirs else { continue };
-                let (millis, other) = draw(theirs);
-                let other = other?;
+                let (millis, their_frame) = draw(theirs);
+                let their_frame = their_frame?;
                 if frame > 0 {
                     findings.theirs.push(millis);
                 }
-                let off = findings.agreement.see(&own, &other);
+                let off = findings.agreement.add(&our_frame, &their_frame);
                 if findings.worst.as_ref().is_none_or(|worst| off > worst.off) {
                     findings.worst = Some(Worst {
                         off,
-                        ours: own,
-                        theirs: other,
+                        ours: our_frame,
+                        theirs: their_frame,
                     });
                 }
             }
@@ -304,7 +304,7 @@ impl Bench {
 impl Agreement {
     /// Adds a frame. Returns the number of its pixels that differ by more than
     /// [`CLOSE_LEVELS`], and of all that differ.
-    fn see(&mut self, ours: &Frame, theirs: &Frame) -> (usize, usize) {
+    fn add(&mut self, ours: &Frame, theirs: &Frame) -> (usize, usize) {
         let (mut far, mut differ) = (0, 0);
         for (a, b) in ours.rgb.chunks_exact(3).zip(theirs.rgb.chunks_exact(3)) {
             let off = a.iter().zip(b).map(|(a, b)| a.abs_diff(*b)).max();
@@ -339,15 +339,15 @@ fn header(alone: bool) -> String {
 impl Totals {
     /// Adds one scene and camera; returns its line of the table.
     fn row(&mut self, place: &str, findings: &Findings) -> Result<String> {
-        let ours = Spread::of(&findings.ours).context("a frame is timed")?;
+        let ours = Spread::from_values(&findings.ours).context("a frame is timed")?;
         let line = format!("{place:<36} {:>8.2}", ours.median);
         if findings.theirs.is_empty() {
             return Ok(line);
         }
-        let theirs = Spread::of(&findings.theirs).context("a frame is timed")?;
+        let theirs = Spread::from_values(&findings.theirs).context("a frame is timed")?;
         let pairs = findings.theirs.iter().zip(&findings.ours);
         let ratios: Vec<f64> = pairs.map(|(theirs, ours)| theirs / ours).collect();
-        let ratio = Spread::of(&ratios).context("a frame is timed")?;
+        let ratio = Spread::from_values(&ratios).context("a frame is timed")?;
         let agreement = &findings.agreement;
         let equal = agreement.percent(agreement.equal);
         let close = agreement.percent(agreement.close);
@@ -373,23 +373,26 @@ impl Totals {
         let sum = |times: fn(&Findings) -> &[f64]| -> Option<f64> {
             let medians = findings
                 .iter()
-                .map(|it| Some(Spread::of(times(it))?.median));
+                .map(|findings| Some(Spread::from_values(times(findings))?.median));
             medians.sum()
         };
-        if let (Some(ours), Some(theirs)) = (sum(|it| &it.ours), sum(|it| &it.theirs)) {
+        if let (Some(ours), Some(theirs)) = (
+            sum(|findings| &findings.ours),
+            sum(|findings| &findings.theirs),
+        ) {
             self.ratios.push((theirs / ours, scene.to_owned()));
         }
     }
 
     fn print(&self) {
-        if let Some(memory) = Spread::of(&self.memory) {
+        if let Some(memory) = Spread::from_values(&self.memory) {
             println!(
                 "resident memory that our first frames of a scene took: median {:.1} MiB, most {:.1}",
                 memory.median, memory.most
             );
         }
         let ratios: Vec<f64> = self.ratios.iter().map(|(ratio, _)| *ratio).collect();
-        let Some(spread) = Spread::of(&ratios) else {
+        let Some(spread) = Spread::from_values(&ratios) else {
             return;
         };
         let smallest = self.ratios.iter().min_by(|a, b| a.0.total_cmp(&b.0));

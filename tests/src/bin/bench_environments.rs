@@ -95,12 +95,12 @@ fn step_all(environments: &[Mutex<Environment>], threads: usize, action: &[f64; 
             let Some(environment) = environments.get(at) else {
                 return Ok(());
             };
-            let mut environment = held(environment);
+            let mut environment = lock(environment);
             environment.step(action)?;
             std::hint::black_box(environment.robot_state());
             for (camera, pictures) in CAMERAS.iter().zip(&pictures) {
                 let frame = environment.draw(&Drawer::Software, camera, SIDE, SIDE)?;
-                held(pictures)[at * bytes..][..bytes].copy_from_slice(&frame.rgb);
+                lock(pictures)[at * bytes..][..bytes].copy_from_slice(&frame.rgb);
             }
         }
     };
@@ -113,6 +113,6 @@ fn step_all(environments: &[Mutex<Environment>], threads: usize, action: &[f64; 
     })
 }
 
-fn held<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().expect("nobody panics with it")
 }

@@ -380,9 +380,9 @@ impl Bench {
         }
         let median = |phase: &dyn Fn(&Phases) -> f64| {
             let values: Vec<f64> = timers.iter().map(|timer| phase(&timer.phases)).collect();
-            Spread::of(&values).map_or(0.0, |spread| spread.median)
+            Spread::from_values(&values).map_or(0.0, |spread| spread.median)
         };
-        let settling_physics = Spread::of(&settling).map_or(0.0, |spread| spread.median);
+        let settling_physics = Spread::from_values(&settling).map_or(0.0, |spread| spread.median);
         // Computed per rollout, so that the reported share occurred in one of them.
         let shares: Vec<f64> = timers
             .iter()
@@ -393,7 +393,7 @@ impl Bench {
                 1.0 - needed / phases.total()
             })
             .collect();
-        let shares = Spread::of(&shares).context("there is a rollout")?;
+        let shares = Spread::from_values(&shares).context("there is a rollout")?;
         let last = timers.last().context("there is a rollout")?;
         Ok(json!({
             "rollouts": rollouts,

@@ -138,8 +138,8 @@ fn be_a_slot(arguments: &Arguments) -> Result<()> {
 /// A slot's process.
 struct Slot {
     child: Child,
-    tell: Option<ChildStdin>,
-    said: BufReader<ChildStdout>,
+    commands: Option<ChildStdin>,
+    responses: BufReader<ChildStdout>,
 }
 
 impl Slot {
@@ -169,18 +169,21 @@ impl Slot {
     fn spawn(command: &mut Command) -> Result<Self> {
         command.stdin(Stdio::piped()).stdout(Stdio::piped());
         let mut child = command.spawn().context("start a slot")?;
-        let said = BufReader::new(child.stdout.take().expect("piped"));
+        let responses = BufReader::new(child.stdout.take().expect("piped"));
         Ok(Self {
-            tell: child.stdin.take(),
-            said,
+            commands: child.stdin.take(),
+            responses,
             child,
         })
     }
 
     /// Sends the slot a task to start.
-    fn tell(&mut self, task: TaskRef) -> Result<()> {
-        let tell = self.tell.as_mut().context("it was told to end")?;
-        writeln!(tell, "{task}").context("tell a slot its task")
+    fn send(&mut self, task: TaskRef) -> Result<()> {
+        let commands = self
+            .commands
+            .as_mut()
+            .context("the slot was asked to end")?;
+        writeln!(commands, "{task}").context("send a slot its task")
     }
 
     fn begun(&mut self) -> Result<Begun> {
@@ -191,15 +194,15 @@ impl Slot {
     fn moved(&mut self) -> Result<()> {
         ensure!(
             self.line()?.trim() == "moved",
-            "the slot said something else"
+            "the slot did not report `moved`"
         );
         Ok(())
     }
 
     fn line(&mut self) -> Result<String> {
         let mut line = String::new();
-        match self.said.read_line(&mut line)? {
-            0 => bail!("a slot ended early; what it complained about is above"),
+        match self.responses.read_line(&mut line)? {
+            0 => bail!("a slot ended early; its error output is above"),
             _ => Ok(line),
         }
     }
@@ -243,7 +246,7 @@ impl Slot {
     }
 
     fn end(mut self) -> Result<()> {
-        self.tell = None;
+        self.commands = None;
         ensure!(self.child.wait()?.success(), "a slot failed");
         Ok(())
     }
@@ -301,7 +304,7 @@ fn measure(arguments: &Arguments) -> Result<()> {
     for task in &tasks {
         let clock = Instant::now();
         let mut slot = start()?;
-        slot.tell(*task)?;
+        slot.send(*task)?;
         slot.begun()?;
         starts.push(clock.elapsed().as_secs_f64());
         slot.moved()?;
@@ -317,7 +320,7 @@ fn measure(arguments: &Arguments) -> Result<()> {
     for task in &tasks {
         let mut both = [start()?, start()?];
         for slot in &mut both {
-            slot.tell(*task)?;
+            slot.send(*task)?;
             slot.begun()?;
             slot.moved()?;
         }
@@ -349,7 +352,7 @@ fn measure(arguments: &Arguments) -> Result<()> {
     let mut together = Vec::new();
     for turn in 0..tasks.len() {
         for (at, slot) in slots.iter_mut().enumerate() {
-            slot.tell(tasks[(at + turn) % tasks.len()])?;
+            slot.send(tasks[(at + turn) % tasks.len()])?;
         }
         for slot in &mut slots {
             slot.begun()?;
@@ -416,7 +419,7 @@ fn measure(arguments: &Arguments) -> Result<()> {
 fn each(mut slot: Slot, tasks: &[TaskRef]) -> Result<Vec<f64>> {
     let mut times = Vec::new();
     for task in tasks {
-        slot.tell(*task)?;
+        slot.send(*task)?;
         times.push(slot.begun()?.secs);
         slot.moved()?;
     }

@@ -11,7 +11,7 @@ use scene::Sources;
 use scene::pack::LIBERO;
 use sim::{Drawer, Renderer};
 use tests::fidelity::{
-    CLOSE_LEVELS, Findings, Kinship, Limits, ReferenceTask, compare, find_tasks,
+    CLOSE_LEVELS, Findings, Limits, ReferenceTask, RendererRelation, compare, find_tasks,
 };
 use tests::files::open_pack;
 
@@ -55,7 +55,7 @@ fn main() -> ExitCode {
 fn run(arguments: &Arguments) -> Result<bool> {
     ensure!(
         !arguments.frames_of_this_machine || arguments.renderer != Renderer::Software,
-        "hold frames to bits: the reference was drawn by OpenGL, so --frames-of-this-machine \
+        "compare frames bit for bit: the reference was drawn by OpenGL, so --frames-of-this-machine \
          takes --renderer gl"
     );
     let sources = arguments
@@ -73,12 +73,15 @@ fn run(arguments: &Arguments) -> Result<bool> {
         sim::mujoco::version(),
         drawer.name()
     );
-    let limits = Limits::new(Kinship::of(&drawer, arguments.frames_of_this_machine));
+    let limits = Limits::new(RendererRelation::for_drawer(
+        &drawer,
+        arguments.frames_of_this_machine,
+    ));
     println!(
         "frames: at least {} % of pixels equal and {} % within {CLOSE_LEVELS} levels, compared with {}",
         limits.frames.equal * 100.0,
         limits.frames.close * 100.0,
-        limits.frames.kinship
+        limits.frames.relation
     );
     println!("{HEADER}");
     let (mut passed, mut multiples) = (0, Vec::new());

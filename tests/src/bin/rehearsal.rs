@@ -17,7 +17,7 @@ use tests::chaos::{Fault, Fleet, Plan, SlotKind, Way};
 use tests::programs::program;
 
 /// Interval at which the progress of the campaign is polled.
-const LOOK: Duration = Duration::from_millis(500);
+const POLL_INTERVAL: Duration = Duration::from_millis(500);
 /// Range of the interval between two random faults, milliseconds.
 const CALM_MILLIS: (u64, u64) = (1_000, 4_000);
 
@@ -155,27 +155,27 @@ impl Rehearsal<'_> {
         let mut next_fault = Instant::now();
         loop {
             let status = self.fleet.status();
-            let of = |name: &str| status["rollouts"][name].as_u64().unwrap_or_default();
+            let count = |name: &str| status["rollouts"][name].as_u64().unwrap_or_default();
             if status["is_finished"] == true {
-                if of("quarantined") == 0 {
+                if count("quarantined") == 0 {
                     return;
                 }
                 // Like an operator who has read the errors.
-                self.retried += of("quarantined");
+                self.retried += count("quarantined");
                 self.fleet.retry_quarantined();
             }
-            let share = of("committed") as f64 / of("total").max(1) as f64;
+            let share = count("committed") as f64 / count("total").max(1) as f64;
             if let Some((_, event)) = events.next_if(|(at, _)| share >= *at) {
                 self.happen(event, &mut backup);
             } else if Instant::now() >= next_fault {
                 let fault = self.draw();
-                self.fleet.suffer_one(fault);
+                self.fleet.inject(fault);
                 self.count(name(fault));
                 let (least, most) = CALM_MILLIS;
                 let calm = least + self.rng.next_u64() % (most - least);
                 next_fault = Instant::now() + Duration::from_millis(calm);
             } else {
-                sleep(LOOK);
+                sleep(POLL_INTERVAL);
             }
         }
     }
@@ -183,7 +183,7 @@ impl Rehearsal<'_> {
     fn happen(&mut self, event: Event, backup: &mut Option<PathBuf>) {
         let what = match event {
             Event::PolicyOutage => {
-                self.fleet.suffer_one(Fault::KillPolicy(self.outage));
+                self.fleet.inject(Fault::KillPolicy(self.outage));
                 "outage of the policy"
             }
             Event::Upgrade => {
@@ -191,7 +191,7 @@ impl Rehearsal<'_> {
                 "upgrade of the coordinator"
             }
             Event::FullDisk => {
-                self.fleet.suffer_one(Fault::FullDisk(self.outage));
+                self.fleet.inject(Fault::FullDisk(self.outage));
                 "full disk of the coordinator"
             }
             Event::ClockJump(by) => match self.fleet.jump_clock(by) {
@@ -221,8 +221,8 @@ impl Rehearsal<'_> {
             0..=2 => Fault::KillWorker,
             3..=5 => Fault::DrainWorker,
             6 => Fault::KillSlot,
-            7 => Fault::KillCoordinator(LOOK),
-            8 => Fault::KillGateway(LOOK),
+            7 => Fault::KillCoordinator(POLL_INTERVAL),
+            8 => Fault::KillGateway(POLL_INTERVAL),
             _ => Fault::Cut(Way::ToCoordinator),
         }
     }

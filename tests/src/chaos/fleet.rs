@@ -133,7 +133,7 @@ impl Fleet {
             "campaign", "create", "--name", CAMPAIGN, "--policy", "chaos", "--endpoint", ENDPOINT,
         ];
         let design = fleet.plan.design.iter().map(String::as_str);
-        fleet.ask(&campaign.into_iter().chain(design).collect::<Vec<_>>());
+        fleet.command_output(&campaign.into_iter().chain(design).collect::<Vec<_>>());
         for machine in 0..fleet.plan.workers {
             fleet.start_worker(machine);
         }
@@ -144,11 +144,11 @@ impl Fleet {
     ///
     /// # Panics
     /// If a process does not come back.
-    pub fn suffer(&mut self, schedule: &Schedule) {
+    pub fn inject_all(&mut self, schedule: &Schedule) {
         let start = Instant::now();
         for (at, fault) in &schedule.faults {
             sleep(at.saturating_sub(start.elapsed()));
-            self.suffer_one(*fault);
+            self.inject(*fault);
         }
     }
 
@@ -160,18 +160,18 @@ impl Fleet {
     pub fn outcome(&mut self) -> String {
         let start = Instant::now();
         while !self.is_finished() {
-            let status = self.ask(&["campaign", "status", CAMPAIGN]);
+            let status = self.command_output(&["campaign", "status", CAMPAIGN]);
             let waited = start.elapsed();
             assert!(waited < self.plan.patience, "it does not finish: {status}");
             sleep(Duration::from_millis(300));
         }
-        let report = self.ask(&["report", CAMPAIGN, "--full"]);
-        let json = self.ask(&["report", CAMPAIGN, "--json"]);
-        let export = self.ask(&["export", CAMPAIGN, "--format", "jsonl"]);
+        let report = self.command_output(&["report", CAMPAIGN, "--full"]);
+        let json = self.command_output(&["report", CAMPAIGN, "--json"]);
+        let export = self.command_output(&["export", CAMPAIGN, "--format", "jsonl"]);
         let mut rows: Vec<String> = export.lines().map(without_wall_time).collect();
         rows.sort();
         self.stop();
-        self.check();
+        self.check_invariants();
         format!("{report}\n{json}\n{}", rows.join("\n"))
     }
 
@@ -188,7 +188,7 @@ impl Fleet {
     /// # Panics
     /// If the coordinator does not respond.
     pub fn status(&self) -> serde_json::Value {
-        let status = self.ask(&["campaign", "status", CAMPAIGN, "--json"]);
+        let status = self.command_output(&["campaign", "status", CAMPAIGN, "--json"]);
         let status: serde_json::Value = serde_json::from_str(&status).expect("JSON");
         status["campaigns"][0].clone()
     }
@@ -200,7 +200,7 @@ impl Fleet {
     pub fn wait_for_commits(&self, count: usize) {
         let start = Instant::now();
         let results = ["export", CAMPAIGN, "--format", "jsonl"];
-        while self.ask(&results).lines().count() < count {
+        while self.command_output(&results).lines().count() < count {
             assert!(start.elapsed() < PATIENCE, "too few are committed");
             sleep(Duration::from_millis(50));
         }
@@ -232,7 +232,7 @@ impl Fleet {
     ///
     /// # Panics
     /// If the command fails.
-    pub fn ask(&self, arguments: &[&str]) -> String {
+    pub fn command_output(&self, arguments: &[&str]) -> String {
         let coordinator = self.coordinator.as_ref().expect("a coordinator");
         let output = Command::new(program("coordinator"))
             .args(arguments)
@@ -248,7 +248,7 @@ impl Fleet {
     ///
     /// # Panics
     /// If a process does not come back.
-    pub fn suffer_one(&mut self, fault: Fault) {
+    pub fn inject(&mut self, fault: Fault) {
         match fault {
             Fault::KillCoordinator(down) => {
                 self.kill_coordinator();
@@ -287,13 +287,13 @@ impl Fleet {
                 kill_all(&children(wounded));
             }
             Fault::KillGateway(down) => {
-                self.to_gateway.lead_to(None);
+                self.to_gateway.set_target(None);
                 self.gateway = None;
                 sleep(down);
                 self.start_gateway();
             }
             Fault::KillPolicy(down) => {
-                self.to_policy.lead_to(None);
+                self.to_policy.set_target(None);
                 self.policy = None;
                 sleep(down);
                 self.start_policy();
@@ -352,7 +352,7 @@ impl Fleet {
     /// # Panics
     /// If the command fails.
     pub fn retry_quarantined(&self) {
-        self.ask(&["jobs", "retry", CAMPAIGN, "--all"]);
+        self.command_output(&["jobs", "retry", CAMPAIGN, "--all"]);
     }
 
     /// Backs up the database while the coordinator runs and returns the copy's path.
@@ -361,7 +361,7 @@ impl Fleet {
     /// If the command fails.
     pub fn back_up(&self) -> PathBuf {
         let copy = self.folder.path().join("backup.sqlite");
-        self.ask(&["backup", "--output", &copy.to_string_lossy()]);
+        self.command_output(&["backup", "--output", &copy.to_string_lossy()]);
         copy
     }
 
@@ -403,7 +403,7 @@ impl Fleet {
     fn start_coordinator(&mut self) {
         let mut command = self.coordinator_command();
         let coordinator = Process::serve(&mut command);
-        self.to_coordinator.lead_to(Some(&coordinator.url));
+        self.to_coordinator.set_target(Some(&coordinator.url));
         self.coordinator = Some(coordinator);
     }
 
@@ -427,7 +427,7 @@ impl Fleet {
     }
 
     fn kill_coordinator(&mut self) {
-        self.to_coordinator.lead_to(None);
+        self.to_coordinator.set_target(None);
         // Dropping a process kills it and waits for its exit.
         self.coordinator = None;
     }
@@ -435,13 +435,13 @@ impl Fleet {
     fn start_gateway(&mut self) {
         let policy = self.to_policy.url().replacen("http://", "grpc://", 1);
         let gateway = self.serve_policies(&format!("chaos={policy}/noop"));
-        self.to_gateway.lead_to(Some(&gateway.url));
+        self.to_gateway.set_target(Some(&gateway.url));
         self.gateway = Some(gateway);
     }
 
     fn start_policy(&mut self) {
         let policy = self.serve_policies("noop=builtin:noop");
-        self.to_policy.lead_to(Some(&policy.url));
+        self.to_policy.set_target(Some(&policy.url));
         self.policy = Some(policy);
     }
 
@@ -474,28 +474,27 @@ impl Fleet {
     }
 
     fn end_coordinator(&mut self) {
-        self.to_coordinator.lead_to(None);
+        self.to_coordinator.set_target(None);
         if let Some(mut coordinator) = self.coordinator.take() {
             coordinator.signal("-TERM");
             coordinator.wait();
         }
     }
 
-    /// Checks every invariant of the database.
-    fn check(&self) {
+    fn check_invariants(&self) {
         let output = Command::new(program("coordinator"))
             .arg("check")
             .arg(self.data())
             .output()
             .expect("the command runs");
-        let told = String::from_utf8_lossy(&output.stdout);
-        let complaint = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{told}{complaint}");
+        let findings = String::from_utf8_lossy(&output.stdout);
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{findings}{errors}");
     }
 
     /// Checks that a coordinator without write access to the database reports this and exits.
     fn refuses_to_start_read_only(&self) {
-        let Some(mut command) = as_somebody_who_may_not_write(&self.data()) else {
+        let Some(mut command) = without_write_access(&self.data()) else {
             return;
         };
         let output = command
@@ -505,13 +504,15 @@ impl Fleet {
             .output()
             .expect("the program runs");
         set_modes(&self.data(), 0o755, 0o644);
-        let told = String::from_utf8_lossy(&output.stderr);
+        let errors = String::from_utf8_lossy(&output.stderr);
         if output.status.code() == Some(127) || output.status.code() == Some(126) {
-            eprintln!("SKIPPED the read-only database: nobody may run the program: {told}");
+            eprintln!(
+                "SKIPPED the read-only database: user {NOBODY} may not run the program: {errors}"
+            );
             return;
         }
-        assert_eq!(output.status.code(), Some(1), "{told}");
-        assert!(told.contains("failed to open"), "{told}");
+        assert_eq!(output.status.code(), Some(1), "{errors}");
+        assert!(errors.contains("failed to open"), "{errors}");
     }
 
     fn log(&self) -> Stdio {
@@ -528,12 +529,12 @@ impl Fleet {
 /// Finds Debian's libfaketime in any architecture's library folder.
 fn faketime() -> Option<PathBuf> {
     let folders = std::fs::read_dir("/usr/lib").ok()?.flatten();
-    let mut libraries = folders.map(|it| it.path().join("faketime/libfaketimeMT.so.1"));
+    let mut libraries = folders.map(|folder| folder.path().join("faketime/libfaketimeMT.so.1"));
     libraries.find(|library| library.is_file())
 }
 
 /// Returns a command prefix that runs a program without write access to a folder.
-fn as_somebody_who_may_not_write(folder: &Path) -> Option<Command> {
+fn without_write_access(folder: &Path) -> Option<Command> {
     let id = Command::new("id").arg("-u").output().expect("id runs");
     if id.stdout.trim_ascii() != b"0" {
         set_modes(folder, 0o555, 0o444);
@@ -543,12 +544,13 @@ fn as_somebody_who_may_not_write(folder: &Path) -> Option<Command> {
     set_modes(folder, 0o755, 0o644);
     let mut command = Command::new("setpriv");
     command.args(["--reuid", NOBODY, "--regid", NOBODY, "--clear-groups"]);
-    if command.arg("true").status().is_ok_and(|it| it.success()) {
+    let status = command.arg("true").status();
+    if status.is_ok_and(|status| status.success()) {
         let mut command = Command::new("setpriv");
         command.args(["--reuid", NOBODY, "--regid", NOBODY, "--clear-groups"]);
         return Some(command);
     }
-    eprintln!("SKIPPED the read-only database: root, and no setpriv to be anybody else");
+    eprintln!("SKIPPED the read-only database: setpriv cannot run it as another user than root");
     None
 }
 
@@ -565,7 +567,6 @@ fn set_modes(folder: &Path, of_folder: u32, of_files: u32) {
     set(folder, of_folder);
 }
 
-/// Suspends a process for a time.
 fn pause(process: &Process, time: Duration) {
     process.signal("-STOP");
     sleep(time);
@@ -590,7 +591,6 @@ fn kill_all(processes: &[u32]) {
     }
 }
 
-/// Returns the ids of a process's children.
 fn children(pid: u32) -> Vec<u32> {
     let Ok(threads) = std::fs::read_dir(format!("/proc/{pid}/task")) else {
         return Vec::new();

@@ -83,7 +83,10 @@ impl Schedule {
         while (faults.len() as u64) < FAULTS {
             let kind = rng.next_u64() % KINDS;
             let fault = draw(&mut rng, kind);
-            let broken = faults.iter().chain([&fault]).filter(|it| it.is_charged());
+            let broken = faults
+                .iter()
+                .chain([&fault])
+                .filter(|fault| fault.is_charged());
             if broken.count() <= MAX_CHARGED_FAULTS {
                 faults.push(fault);
             }

@@ -65,7 +65,7 @@ impl Wire {
     }
 
     /// Sets the server for new connections; `None` closes them at once.
-    pub fn lead_to(&self, url: Option<&str>) {
+    pub fn set_target(&self, url: Option<&str>) {
         let address = url.map(|url| {
             let bare = url.trim_start_matches("http://");
             bare.parse().expect("an address")

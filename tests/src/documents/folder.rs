@@ -26,7 +26,7 @@ const UNSET: [&str; 6] = [
 
 /// A requirement that only some machines meet.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Thing {
+pub enum Requirement {
     /// `reference data`: the folder `shared` beside the checkout.
     ReferenceData,
     /// `Python packages`: the downloads of the pages' `pip install`.
@@ -35,9 +35,9 @@ pub enum Thing {
     TypeScriptBuild,
 }
 
-impl Thing {
+impl Requirement {
     /// Parses the word of a `needs` comment.
-    pub fn named(word: &str) -> Option<Self> {
+    pub fn parse(word: &str) -> Option<Self> {
         match word {
             "reference data" => Some(Self::ReferenceData),
             "Python packages" => Some(Self::PythonPackages),
@@ -47,7 +47,7 @@ impl Thing {
     }
 
     /// Returns the reason why the requirement is not met; `None` if it is met.
-    pub fn lacks(self) -> Option<String> {
+    pub fn unmet_reason(self) -> Option<String> {
         match self {
             Self::ReferenceData => {
                 let dir = checkout().join("../shared");
@@ -155,7 +155,7 @@ impl Folder {
         fs::create_dir_all(&here)?;
         fs::create_dir(self.outputs())?;
         for entry in fs::read_dir(checkout())? {
-            let (name, path) = entry.map(|it| (it.file_name(), it.path()))?;
+            let (name, path) = entry.map(|entry| (entry.file_name(), entry.path()))?;
             match name.to_str() {
                 Some(".git" | "target" | "demo-data") => {}
                 Some(copied) if COPIED.contains(&copied) => copy(&path, &here.join(name))?,
@@ -184,7 +184,7 @@ impl Folder {
     }
 
     /// Sets a shell's working folder and the environment of a new reader.
-    pub fn furnish(&self, shell: &mut Command) {
+    pub fn prepare_shell(&self, shell: &mut Command) {
         shell.current_dir(self.checkout());
         for name in UNSET {
             shell.env_remove(name);

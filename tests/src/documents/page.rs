@@ -229,11 +229,13 @@ mod tests {
             Action::Run { commands, .. } => commands,
             _ => Vec::new(),
         });
-        commands.map(|it| (it.line, it.text)).collect()
+        commands
+            .map(|command| (command.line, command.text))
+            .collect()
     }
 
     #[test]
-    fn commands_have_the_lines_of_their_page_and_keep_together_what_belongs_together() {
+    fn commands_have_page_lines_and_keep_their_continuation_lines() {
         let page =
             "# Page\n\n```sh\na one  # first\n\nb \\\n  two\ncat > f <<'END'\nx\nEND\nc\n```\n";
         let expected = [
@@ -249,7 +251,7 @@ mod tests {
     }
 
     #[test]
-    fn a_comment_is_for_the_block_right_after_it_only() {
+    fn a_comment_applies_only_to_the_next_block() {
         let page = "<!-- not run: hours -->\n\n```sh\na\n```\n```sh\nb\n```\n\n\
             <!-- not run: hours -->\nText.\n```sh\nc\n```\n";
         let steps = steps(page).expect("a page");
@@ -267,7 +269,7 @@ mod tests {
     }
 
     #[test]
-    fn a_block_that_would_be_forgotten_is_refused() {
+    fn a_block_that_would_not_run_is_refused() {
         for page in [
             "```\ncoordinator report x   # first\n```\n",
             "    cargo xtask demo\n",

@@ -67,7 +67,7 @@ impl Session {
         let mut words = folder.network().wrapper().iter().chain(&["bash", "-c"]);
         let mut program = Program::new(words.next().expect("a program"));
         program.args(words).arg(DRIVER);
-        folder.furnish(&mut program);
+        folder.prepare_shell(&mut program);
         program.stdin(Stdio::piped()).stdout(Stdio::piped());
         // All processes that the shell starts are in its process group.
         let mut shell = program.process_group(0).spawn().expect("a shell starts");
@@ -94,7 +94,7 @@ impl Session {
     /// # Errors
     /// If the command fails or times out, or a server exits.
     pub fn run(&mut self, command: &str) -> Result<(), Failure> {
-        if stays(command) {
+        if runs_until_stopped(command) {
             return self.start_server(command);
         }
         let (status, output) = self.call(command)?;
@@ -113,22 +113,24 @@ impl Session {
             command: command.to_owned(),
             output: output.clone(),
         });
-        let watches = watches(command);
+        let is_display = displays_progress(command);
         let start = Instant::now();
         while start.elapsed() < PATIENCE {
-            let said = fs::read_to_string(&output).unwrap_or_default();
+            let printed = fs::read_to_string(&output).unwrap_or_default();
             let ready = match command.contains("coordinator up") {
                 true => &ALL_READY[..],
                 false => &READY,
             };
-            if ready.iter().any(|ready| said.contains(ready)) || (watches && !said.is_empty()) {
+            if ready.iter().any(|ready| printed.contains(ready))
+                || (is_display && !printed.is_empty())
+            {
                 return Ok(());
             }
             let (alive, _) = self.call(&format!("kill -0 {process}"))?;
             if !alive.starts_with("0 ") {
                 self.servers.pop();
                 let (status, _) = self.call(&format!("wait {process}"))?;
-                if watches && status.starts_with("0 ") {
+                if is_display && status.starts_with("0 ") {
                     return Ok(());
                 }
                 return Err(failure("it ended at once".to_owned(), &output));
@@ -221,7 +223,7 @@ fn without_comment(command: &str) -> &str {
 }
 
 /// Returns true if a command runs until it is stopped.
-fn stays(command: &str) -> bool {
+fn runs_until_stopped(command: &str) -> bool {
     let mut words = command
         .split_whitespace()
         .skip_while(|word| word.contains('='));
@@ -230,7 +232,7 @@ fn stays(command: &str) -> bool {
     let words: Vec<&str> = words.collect();
     let first = words.first().copied().unwrap_or_default();
     match program {
-        "coordinator" => ["serve", "up"].contains(&first) || watches(command),
+        "coordinator" => ["serve", "up"].contains(&first) || displays_progress(command),
         "policy-gateway" => {
             !["check", "compare", "doctor"].contains(&first) && !words.contains(&"--help")
         }
@@ -244,7 +246,7 @@ fn stays(command: &str) -> bool {
 }
 
 /// Returns true if a command displays progress until it is interrupted.
-fn watches(command: &str) -> bool {
+fn displays_progress(command: &str) -> bool {
     command.split_whitespace().any(|word| word == "--watch")
 }
 
@@ -263,7 +265,7 @@ mod tests {
             "env/bin/python -m rollout_policies.examples.colour_servo --listen 127.0.0.1:5000",
             "coordinator campaign status --watch  # live",
         ] {
-            assert!(stays(server), "{server}");
+            assert!(runs_until_stopped(server), "{server}");
         }
         for command in [
             "coordinator campaign status",
@@ -274,12 +276,12 @@ mod tests {
             "python -m rollout_policies list",
             "umask 077",
         ] {
-            assert!(!stays(command), "{command}");
+            assert!(!runs_until_stopped(command), "{command}");
         }
     }
 
     #[test]
-    fn a_comment_or_an_ampersand_of_the_page_is_no_part_of_a_background_command() {
+    fn background_commands_lose_their_comment_and_ampersand() {
         assert_eq!(in_background("a --b   # and c"), "a --b &");
         assert_eq!(in_background("a --b &"), "a --b  &");
         assert_eq!(in_background("a \\\n  --b  # c"), "a \\\n  --b &");

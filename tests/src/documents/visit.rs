@@ -3,7 +3,7 @@
 use std::fs;
 use std::time::Instant;
 
-use super::folder::{Folder, Thing, checkout};
+use super::folder::{Folder, Requirement, checkout};
 use super::page::{Action, Command, Step, steps};
 use super::session::{Failure, Session};
 
@@ -31,8 +31,8 @@ pub fn failures(page: &str, text: &str) -> Vec<String> {
     let mut session = Session::start(&folder);
     let mut failures = Vec::new();
     for step in &steps {
-        match todo(step) {
-            Todo::Run(commands) => {
+        match handling(step) {
+            Handling::Run(commands) => {
                 for command in commands {
                     let start = Instant::now();
                     let outcome = session.run(&command.text);
@@ -41,16 +41,16 @@ pub fn failures(page: &str, text: &str) -> Vec<String> {
                     let Err(failure) = outcome else {
                         continue;
                     };
-                    failures.push(told(page, command, &failure));
+                    failures.push(describe_failure(page, command, &failure));
                     if failure.fatal {
                         return failures;
                     }
                 }
             }
-            Todo::Write(name, text) => {
+            Handling::Write(name, text) => {
                 fs::write(folder.checkout().join(name), text).expect("the page's file");
             }
-            Todo::Say(mark, why) => println!("{mark}: {page}:{}: {why}", step.line),
+            Handling::Report(mark, why) => println!("{mark}: {page}:{}: {why}", step.line),
         }
     }
     if let Err(failure) = session.finish() {
@@ -60,36 +60,36 @@ pub fn failures(page: &str, text: &str) -> Vec<String> {
 }
 
 /// Handling of a step on this machine.
-enum Todo<'a> {
+enum Handling<'a> {
     Run(&'a [Command]),
     Write(&'a str, &'a str),
-    Say(&'static str, String),
+    Report(&'static str, String),
 }
 
-fn todo(step: &Step) -> Todo<'_> {
+fn handling(step: &Step) -> Handling<'_> {
     match &step.action {
-        Action::Leave { reason } => Todo::Say("not run", reason.clone()),
-        Action::Write { name, text } => Todo::Write(name, text),
+        Action::Leave { reason } => Handling::Report("not run", reason.clone()),
+        Action::Write { name, text } => Handling::Write(name, text),
         Action::Run { commands, needs } => {
-            let reads = commands.iter().any(|it| it.text.contains(SHARED));
+            let reads = commands.iter().any(|command| command.text.contains(SHARED));
             let named = needs.as_deref().map(|word| {
-                Thing::named(word).unwrap_or_else(|| panic!("line {}: {word}?", step.line))
+                Requirement::parse(word).unwrap_or_else(|| panic!("line {}: {word}?", step.line))
             });
-            let things = named
+            let requirements = named
                 .into_iter()
-                .chain(reads.then_some(Thing::ReferenceData));
-            match things.filter_map(Thing::lacks).next() {
-                Some(why) => Todo::Say("skipped", why),
-                None => Todo::Run(commands),
+                .chain(reads.then_some(Requirement::ReferenceData));
+            match requirements.filter_map(Requirement::unmet_reason).next() {
+                Some(why) => Handling::Report("skipped", why),
+                None => Handling::Run(commands),
             }
         }
     }
 }
 
-fn told(page: &str, command: &Command, failure: &Failure) -> String {
+fn describe_failure(page: &str, command: &Command, failure: &Failure) -> String {
     let Command { line, text } = command;
     let Failure {
         problem, output, ..
     } = failure;
-    format!("{page}:{line}: {problem}\n{text}\n--- what it printed:\n{output}\n---")
+    format!("{page}:{line}: {problem}\n{text}\n--- output:\n{output}\n---")
 }

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use super::frames::{FrameFindings, FrameLimits, Kinship};
+use super::frames::{FrameFindings, FrameLimits, RendererRelation};
 
 /// Largest allowed differences of a task's simulation from the original's.
 #[derive(Debug, Clone, Copy)]
@@ -20,7 +20,7 @@ pub struct Limits {
 
 impl Limits {
     /// Returns the limits; only those of frames depend on the renderer and the machine.
-    pub fn new(frames: Kinship) -> Self {
+    pub fn new(frames: RendererRelation) -> Self {
         Self {
             arrays: 1e-12,
             smooth: 1e-9,
@@ -78,7 +78,7 @@ pub struct Worst {
 }
 
 impl Worst {
-    pub(super) fn see(&mut self, value: f64, place: impl FnOnce() -> String) {
+    pub(super) fn add(&mut self, value: f64, place: impl FnOnce() -> String) {
         if exceeds(value, self.value) {
             *self = Self {
                 value,

@@ -19,7 +19,7 @@ const REFERENCE_DRIVER: &str = "llvmpipe (LLVM 15.0.6, 256 bits)";
 /// Relation of the reference's renderer to ours. The original renders through OpenGL, whose
 /// drivers give different bits on different processors.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
-pub enum Kinship {
+pub enum RendererRelation {
     /// OpenGL with the reference's driver on another machine.
     AnotherMachine,
     /// OpenGL with another driver, or with other instructions of the processor.
@@ -34,16 +34,16 @@ pub enum Kinship {
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct FrameLimits {
     /// Kind of comparison, which determines the limits and appears in messages.
-    pub kinship: Kinship,
+    pub relation: RendererRelation,
     /// Share of pixels that must be equal.
     pub equal: f64,
     /// Share of pixels whose channels must all be within [`CLOSE_LEVELS`].
     pub close: f64,
 }
 
-impl Kinship {
+impl RendererRelation {
     /// Returns the kind of comparison for a renderer.
-    pub fn of(drawer: &Drawer, frames_of_this_machine: bool) -> Self {
+    pub fn for_drawer(drawer: &Drawer, frames_of_this_machine: bool) -> Self {
         match drawer {
             Drawer::Software => Self::AnotherRenderer,
             Drawer::Gl(_) if frames_of_this_machine => Self::ThisMachine,
@@ -62,35 +62,34 @@ impl Kinship {
             Self::AnotherRenderer => (0.94, 0.9999),
         };
         FrameLimits {
-            kinship: self,
+            relation: self,
             equal,
             close,
         }
     }
 }
 
-/// Names the frames compared with, and the reason for their bound.
-impl fmt::Display for Kinship {
+/// Describes the reference frames, and the reason for their bounds.
+impl fmt::Display for RendererRelation {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
             Self::AnotherMachine => {
-                "frames that the same OpenGL driver drew on another machine, which are held to \
-                 bounds: it draws other bits on another processor"
+                "frames that the same OpenGL driver rendered on another machine, within bounds, \
+                 because the driver's bits depend on the processor"
             }
             Self::AnotherDriver => {
-                "frames that another OpenGL driver drew, or the same for other instructions of a \
-                 processor, which are held to bounds: roundings differ, and where surfaces \
-                 coincide one rounding decides which is seen"
+                "frames that another OpenGL driver rendered, or the same one with other processor \
+                 instructions, within bounds: roundings differ, and where surfaces coincide they \
+                 decide which one is visible"
             }
             Self::ThisMachine => {
-                "frames that OpenGL drew on this machine, which are held to bits: the same driver \
-                 draws the same bits again; without --frames-of-this-machine they are held to \
-                 bounds"
+                "frames that OpenGL rendered on this machine, bit for bit, because the same driver \
+                 renders the same bits; without --frames-of-this-machine, bounds apply"
             }
             Self::AnotherRenderer => {
-                "frames that OpenGL drew, which the software renderer is held to by bounds: \
-                 drivers differ among themselves, and at an edge or where surfaces coincide one \
-                 rounding decides which surface is seen"
+                "frames that OpenGL rendered, which the software renderer must match within \
+                 bounds: drivers differ too, and at an edge or where surfaces coincide one \
+                 rounding decides which surface is visible"
             }
         })
     }
@@ -125,7 +124,7 @@ impl Default for Least {
 }
 
 impl Least {
-    fn see(&mut self, share: f64, place: &str) {
+    fn add(&mut self, share: f64, place: &str) {
         if share < self.share {
             *self = Self {
                 share,
@@ -136,7 +135,7 @@ impl Least {
 }
 
 impl FrameFindings {
-    fn see(&mut self, ours: &[u8], theirs: &[u8], place: &str) {
+    fn add(&mut self, ours: &[u8], theirs: &[u8], place: &str) {
         let (mut equal, mut close, mut pixels) = (0_u32, 0_u32, 0_u32);
         for (ours, theirs) in ours.chunks_exact(3).zip(theirs.chunks_exact(3)) {
             let off = ours.iter().zip(theirs).map(|(a, b)| a.abs_diff(*b));
@@ -147,8 +146,8 @@ impl FrameFindings {
             self.largest = self.largest.max(off);
         }
         let share = |count: u32| f64::from(count) / f64::from(pixels);
-        self.equal.see(share(equal), place);
-        self.close.see(share(close), place);
+        self.equal.add(share(equal), place);
+        self.close.add(share(close), place);
     }
 
     /// Returns descriptions of the violated limits, including the reason for each limit.
@@ -161,7 +160,7 @@ impl FrameFindings {
                     least.share * 100.0,
                     least.place,
                     limit * 100.0,
-                    limits.kinship
+                    limits.relation
                 ));
             }
         };
@@ -180,7 +179,7 @@ pub(super) struct Comparison<'a> {
     task: &'a ReferenceTask,
     drawer: &'a Drawer,
     findings: FrameFindings,
-    seen: usize,
+    compared: usize,
 }
 
 impl<'a> Comparison<'a> {
@@ -189,12 +188,12 @@ impl<'a> Comparison<'a> {
             task,
             drawer,
             findings: FrameFindings::default(),
-            seen: 0,
+            compared: 0,
         }
     }
 
     /// Compares both cameras after a step if the reference has frames of it.
-    pub(super) fn see(
+    pub(super) fn compare(
         &mut self,
         environment: &mut Environment,
         init: usize,
@@ -217,15 +216,15 @@ impl<'a> Comparison<'a> {
             );
             let Frame { rgb, .. } = environment.draw(self.drawer, camera, SIZE, SIZE)?;
             let place = format!("state {init}, step {step}, {camera}");
-            self.findings.see(&rgb, expected.as_raw(), &place);
-            self.seen += 1;
+            self.findings.add(&rgb, expected.as_raw(), &place);
+            self.compared += 1;
         }
         Ok(())
     }
 
     /// Returns the findings; `None` if the reference has no frames.
     pub(super) fn result(self) -> Option<FrameFindings> {
-        (self.seen > 0).then_some(self.findings)
+        (self.compared > 0).then_some(self.findings)
     }
 }
 
@@ -247,19 +246,19 @@ mod tests {
             next += count;
         }
         let mut findings = FrameFindings::default();
-        findings.see(&ours, &vec![0; PIXELS * 3], "state 0, step 60, agentview");
+        findings.add(&ours, &vec![0; PIXELS * 3], "state 0, step 60, agentview");
         findings
     }
 
-    fn violations(off: &[(usize, u8)], kinship: Kinship) -> Vec<String> {
-        findings(off).violations(&kinship.limits())
+    fn violations(off: &[(usize, u8)], relation: RendererRelation) -> Vec<String> {
+        findings(off).violations(&relation.limits())
     }
 
     #[test]
     fn frames_of_another_machine_are_held_to_bounds() {
-        let kinship = Kinship::AnotherMachine;
-        assert_eq!(violations(&[(600, 2)], kinship), [""; 0]);
-        let broken = violations(&[(601, 2)], kinship);
+        let relation = RendererRelation::AnotherMachine;
+        assert_eq!(violations(&[(600, 2)], relation), [""; 0]);
+        let broken = violations(&[(601, 2)], relation);
         assert_eq!(broken.len(), 1);
         assert!(
             broken[0].contains("93.9900 % of pixels are equal at state 0, step 60, agentview")
@@ -267,7 +266,7 @@ mod tests {
                 && broken[0].contains("on another machine"),
             "{broken:?}"
         );
-        let broken = violations(&[(1, 3)], kinship);
+        let broken = violations(&[(1, 3)], relation);
         assert_eq!(broken.len(), 1);
         assert!(
             broken[0].contains("99.9900 % of pixels are within 2 levels")
@@ -278,36 +277,36 @@ mod tests {
 
     #[test]
     fn another_driver_may_differ_by_more_where_surfaces_coincide() {
-        let kinship = Kinship::AnotherDriver;
-        assert_eq!(violations(&[(50, 19), (500, 2)], kinship), [""; 0]);
-        let broken = violations(&[(51, 19)], kinship);
+        let relation = RendererRelation::AnotherDriver;
+        assert_eq!(violations(&[(50, 19), (500, 2)], relation), [""; 0]);
+        let broken = violations(&[(51, 19)], relation);
         assert_eq!(broken.len(), 1);
         assert!(broken[0].contains("another OpenGL driver"), "{broken:?}");
     }
 
     #[test]
-    fn frames_of_this_machine_are_held_to_bits() {
-        assert_eq!(violations(&[], Kinship::ThisMachine), [""; 0]);
-        let broken = violations(&[(1, 1)], Kinship::ThisMachine);
+    fn frames_of_this_machine_must_be_equal() {
+        assert_eq!(violations(&[], RendererRelation::ThisMachine), [""; 0]);
+        let broken = violations(&[(1, 1)], RendererRelation::ThisMachine);
         assert_eq!(broken.len(), 1);
-        assert!(broken[0].contains("held to bits"), "{broken:?}");
+        assert!(broken[0].contains("bit for bit"), "{broken:?}");
     }
 
     #[test]
     fn the_software_renderer_may_differ_by_more_in_single_pixels_only() {
-        let kinship = Kinship::AnotherRenderer;
-        assert_eq!(violations(&[(1, 255), (500, 2)], kinship), [""; 0]);
-        let broken = violations(&[(2, 3)], kinship);
+        let relation = RendererRelation::AnotherRenderer;
+        assert_eq!(violations(&[(1, 255), (500, 2)], relation), [""; 0]);
+        let broken = violations(&[(2, 3)], relation);
         assert_eq!(broken.len(), 1);
         assert!(broken[0].contains("the software renderer"), "{broken:?}");
-        assert_eq!(violations(&[(601, 9)], kinship).len(), 2);
+        assert_eq!(violations(&[(601, 9)], relation).len(), 2);
     }
 
     #[test]
     fn the_worst_frame_counts_and_is_named() {
         let mut findings = findings(&[(10, 1)]);
         let black = vec![0; PIXELS * 3];
-        findings.see(&black, &black, "state 1, step 0, agentview");
+        findings.add(&black, &black, "state 1, step 0, agentview");
         assert_eq!(findings.equal.place, "state 0, step 60, agentview");
         assert!(findings.equal.share < 1.0 && findings.largest == 1);
     }

@@ -29,7 +29,7 @@ pub(super) fn compare_smooth(
         environment.load(array(&start, "state")?.row(init));
         let mut see = |environment: &Environment, qpos: &str, success: &str| -> Result<()> {
             let place = || format!("state {init}, {qpos}");
-            see_positions(
+            compare_positions(
                 &mut findings.settled,
                 environment,
                 array(&start, qpos)?.row(init),
@@ -44,7 +44,7 @@ pub(super) fn compare_smooth(
             environment.step(&NO_OP)?;
         }
         see(environment, "qpos10", "success10")?;
-        frames.see(environment, init, 0)?;
+        frames.compare(environment, init, 0)?;
         let recorded = format!("traj_{init}.npz");
         if task.path(&recorded).is_file() {
             follow(
@@ -68,22 +68,22 @@ fn follow(
 ) -> Result<()> {
     let (actions, qpos) = (array(recorded, "actions")?, array(recorded, "qpos")?);
     let success = array(recorded, "success")?;
-    see_observation(recorded, 0, init, environment, &mut findings.observed)?;
+    compare_observation(recorded, 0, init, environment, &mut findings.observed)?;
     for step in 1..=actions.len() {
         let succeeded = environment.step(&action(actions.row(step - 1))?)?;
         let place = || format!("state {init}, step {step}");
-        see_positions(&mut findings.smooth, environment, qpos.row(step), place);
+        compare_positions(&mut findings.smooth, environment, qpos.row(step), place);
         findings.success_flags += usize::from(succeeded != (success.values[step] != 0.0));
-        see_observation(recorded, step, init, environment, &mut findings.observed)?;
+        compare_observation(recorded, step, init, environment, &mut findings.observed)?;
         if step == actions.len() {
-            frames.see(environment, init, step)?;
+            frames.compare(environment, init, step)?;
         }
     }
     Ok(())
 }
 
 /// Compares the readings that the original returned with a step.
-fn see_observation(
+fn compare_observation(
     recorded: &Arrays,
     step: usize,
     init: usize,
@@ -102,7 +102,7 @@ fn see_observation(
     for (name, ours) in readings {
         let expected = array(recorded, name)?.row(step);
         let place = || format!("state {init}, step {step}, {name}");
-        worst.see(largest_difference(&ours, expected), place);
+        worst.add(largest_difference(&ours, expected), place);
     }
     Ok(())
 }
@@ -192,14 +192,14 @@ fn sensitivity_at(sampled: &[f64], step: usize) -> Option<f64> {
     sampled.get(step.div_ceil(EVERY).saturating_sub(1)).copied()
 }
 
-fn see_positions(
+fn compare_positions(
     worst: &mut Worst,
     environment: &Environment,
     expected: &[f64],
     place: impl FnOnce() -> String,
 ) {
     let ours = environment.data().qpos(environment.model());
-    worst.see(largest_difference(ours, expected), place);
+    worst.add(largest_difference(ours, expected), place);
 }
 
 fn largest_difference(ours: &[f64], theirs: &[f64]) -> f64 {
@@ -237,14 +237,14 @@ fn array<'a>(arrays: &'a Arrays, name: &str) -> Result<&'a Array> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::fidelity::{Kinship, Limits};
+    use crate::fidelity::{Limits, RendererRelation};
 
     fn violations(differences: &[f64], sampled: Option<&[f64]>) -> Vec<String> {
         let findings = Findings {
             contact: Some(judge_contact(differences, sampled)),
             ..Findings::default()
         };
-        findings.violations(&Limits::new(Kinship::AnotherRenderer))
+        findings.violations(&Limits::new(RendererRelation::AnotherRenderer))
     }
 
     #[test]
@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn with_one_the_differences_are_judged_by_it() {
+    fn a_measured_sensitivity_bounds_the_differences() {
         // Insensitive in the first 20 steps only.
         let sampled = [1e-13, 1e-5];
         let mut differences = vec![1e-12; 41];

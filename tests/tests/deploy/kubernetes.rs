@@ -41,16 +41,16 @@ fn check(python: &Path, files: &[PathBuf]) -> (bool, String) {
         .args(files)
         .output()
         .expect("Python runs");
-    let said = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
-    let text = said(&output.stdout) + &said(&output.stderr);
+    let decode = |bytes: &[u8]| String::from_utf8_lossy(bytes).into_owned();
+    let text = decode(&output.stdout) + &decode(&output.stderr);
     (output.status.success(), text)
 }
 
 /// Asserts that manifests and their command lines are valid; returns the kinds without a schema.
 fn assert_in_order(python: &Path, files: &[PathBuf]) -> serde_json::Value {
-    let (in_order, said) = check(python, files);
-    assert!(in_order, "{said}");
-    let (commands, last) = said.trim_end().rsplit_once('\n').expect("some lines");
+    let (in_order, output) = check(python, files);
+    assert!(in_order, "{output}");
+    let (commands, last) = output.trim_end().rsplit_once('\n').expect("some lines");
     assert_eq!(commands.lines().count(), 3, "{commands}");
     for line in commands.lines() {
         let words: Vec<String> = serde_json::from_str(line).expect("a command line");
@@ -69,31 +69,31 @@ fn workers_have_given_back_their_rollouts_before_they_are_killed() {
     for name in ["base/workers.yaml", "job/workers.yaml"] {
         let text = fs::read_to_string(folder("kubernetes").join(name)).expect("a manifest");
         let number = |behind: &str| -> u32 {
-            let of = text
+            let value = text
                 .lines()
                 .find_map(|line| line.trim().strip_prefix(behind));
-            of.expect(behind).trim().parse().expect("seconds")
+            value.expect(behind).trim().parse().expect("seconds")
         };
         let drain = number("- --drain-secs=");
-        let killed = number("terminationGracePeriodSeconds:");
+        let grace = number("terminationGracePeriodSeconds:");
         assert!(
-            drain + GIVE_BACK_SECS <= killed,
-            "{name}: {drain} of {killed} s"
+            drain + GIVE_BACK_SECS <= grace,
+            "{name}: {drain} s of {grace} s"
         );
     }
 }
 
 #[test]
-fn manifests_are_what_kubernetes_takes_and_name_what_there_is() {
-    let Some(python) = python("manifests_are_what_kubernetes_takes_and_name_what_there_is") else {
+fn manifests_are_valid_and_their_references_exist() {
+    let Some(python) = python("manifests_are_valid_and_their_references_exist") else {
         return;
     };
     assert_eq!(assert_in_order(&python, &base()), serde_json::json!([]));
 }
 
 #[test]
-fn what_is_wrong_with_a_manifest_is_named() {
-    let Some(python) = python("what_is_wrong_with_a_manifest_is_named") else {
+fn manifest_faults_are_named() {
+    let Some(python) = python("manifest_faults_are_named") else {
         return;
     };
     let folder = tempfile::tempdir().expect("a folder");
@@ -121,19 +121,19 @@ fn what_is_wrong_with_a_manifest_is_named() {
         (
             "/etc/rollout/token",
             "/etc/rollout/tokens",
-            "no secret of it has tokens",
+            "no secret has tokens",
         ),
     ] {
         assert!(text.contains(from), "{from}");
         fs::write(&broken, text.replace(from, to)).expect("a manifest");
-        let (in_order, said) = check(&python, &files);
-        assert!(!in_order && said.contains(named), "{to}: {said}");
+        let (in_order, output) = check(&python, &files);
+        assert!(!in_order && output.contains(named), "{to}: {output}");
     }
 }
 
 #[test]
-fn kustomize_makes_manifests_in_order_of_every_folder() {
-    let test = "kustomize_makes_manifests_in_order_of_every_folder";
+fn kustomize_renders_valid_manifests_of_every_folder() {
+    let test = "kustomize_renders_valid_manifests_of_every_folder";
     let Some(python) = python(test) else { return };
     if !runs("kubectl", "version") {
         println!("skipped {test}: no kubectl");

@@ -29,7 +29,7 @@ fn help(words: &[String]) -> String {
     let (name, arguments) = words.split_first().expect("a program");
     let mut help = Command::new(program(name));
     help.env_clear();
-    let command = arguments.first().filter(|it| !it.starts_with('-'));
+    let command = arguments.first().filter(|word| !word.starts_with('-'));
     let output = help.args(command).arg("--help").output().expect("help");
     String::from_utf8_lossy(&output.stdout).into_owned()
 }
@@ -39,7 +39,7 @@ fn unknown_flags(words: &[String]) -> Vec<String> {
     let (name, arguments) = words.split_first().expect("a program");
     let help = help(words);
     let known: BTreeSet<&str> = help
-        .split(|it: char| !it.is_ascii_alphanumeric() && it != '-')
+        .split(|character: char| !character.is_ascii_alphanumeric() && character != '-')
         .filter(|word| word.starts_with("--"))
         .collect();
     assert!(known.contains("--help"), "{name}: {help}");
@@ -50,7 +50,7 @@ fn unknown_flags(words: &[String]) -> Vec<String> {
 }
 
 #[test]
-fn a_flag_that_a_program_has_not_is_named() {
+fn an_unknown_flag_is_named() {
     let words = ["coordinator", "serve", "--data=here", "--port", "7411"];
     let words = words.map(str::to_owned);
     assert_eq!(unknown_flags(&words), ["coordinator: --port"]);

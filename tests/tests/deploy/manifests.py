@@ -29,14 +29,14 @@ def template(document: dict) -> dict | None:
 class Manifests:
     def __init__(self, documents: list[dict]) -> None:
         self.documents = documents
-        self.wrong: list[str] = []
+        self.faults: list[str] = []
 
-    def of(self, kind: str) -> dict[str, dict]:
-        found = (it for it in self.documents if it["kind"] == kind)
-        return {it["metadata"]["name"]: it for it in found}
+    def by_name(self, kind: str) -> dict[str, dict]:
+        found = (document for document in self.documents if document["kind"] == kind)
+        return {document["metadata"]["name"]: document for document in found}
 
-    def say(self, document: dict, what: str) -> None:
-        self.wrong.append(f"{document['kind']} {document['metadata']['name']}: {what}")
+    def add_fault(self, document: dict, fault: str) -> None:
+        self.faults.append(f"{document['kind']} {document['metadata']['name']}: {fault}")
 
     def schemas(self) -> set[str]:
         foreign = set()
@@ -51,11 +51,12 @@ class Manifests:
                     kubernetes_validate.ValidationError,
                     kubernetes_validate.SchemaNotFoundError,
                 ) as error:
-                    self.say(document, f"in {version}: {error}".splitlines()[0])
+                    self.add_fault(document, f"in {version}: {error}".splitlines()[0])
         return foreign
 
     def pods(self) -> list[tuple[dict, dict]]:
-        return [(it, template(it)) for it in self.documents if template(it)]
+        pairs = [(document, template(document)) for document in self.documents]
+        return [(document, pod) for document, pod in pairs if pod]
 
     def references(self) -> None:
         for document, pod in self.pods():
@@ -63,34 +64,38 @@ class Manifests:
             selector = document["spec"].get("selector")
             labels = pod["metadata"]["labels"]
             if selector and not matches(selector["matchLabels"], labels):
-                self.say(document, "its selector does not match its own pods")
+                self.add_fault(document, "its selector does not match its own pods")
         for kind in ("Service", "PodDisruptionBudget", "NetworkPolicy"):
-            for document in self.of(kind).values():
+            for document in self.by_name(kind).values():
                 spec = document["spec"]
                 selector = spec.get("podSelector", spec.get("selector"))
                 self.selected(document, selector.get("matchLabels", selector))
-        for policy in self.of("NetworkPolicy").values():
+        for policy in self.by_name("NetworkPolicy").values():
             self.policy(policy)
-        for service in self.of("Service").values():
+        for service in self.by_name("Service").values():
             pods = self.selected(service, service["spec"]["selector"])
             for port in service["spec"]["ports"]:
                 self.port(service, pods, port["targetPort"])
-        for scaled in self.of("ScaledObject").values():
+        for scaled in self.by_name("ScaledObject").values():
             target = scaled["spec"]["scaleTargetRef"]["name"]
-            if target not in self.of("Deployment"):
-                self.say(scaled, f"there is no Deployment {target}")
+            if target not in self.by_name("Deployment"):
+                self.add_fault(scaled, f"there is no Deployment {target}")
 
     def selected(self, document: dict, labels: dict) -> list[dict]:
         found = [pod for _, pod in self.pods() if matches(labels, pod["metadata"]["labels"])]
         if not found:
-            self.say(document, f"no pod has the labels {labels}")
+            self.add_fault(document, f"no pod has the labels {labels}")
         return [pod["spec"] for pod in found]
 
     def port(self, document: dict, pods: list[dict], name: object) -> None:
         for pod in pods:
-            ports = [port["name"] for it in pod["containers"] for port in it.get("ports", [])]
+            ports = [
+                port["name"]
+                for container in pod["containers"]
+                for port in container.get("ports", [])
+            ]
             if name not in ports:
-                self.say(document, f"no container has a port {name}")
+                self.add_fault(document, f"no container has a port {name}")
 
     def policy(self, policy: dict) -> None:
         own = self.selected(policy, policy["spec"]["podSelector"]["matchLabels"])
@@ -106,7 +111,7 @@ class Manifests:
 
     def pod(self, document: dict, pod: dict) -> None:
         if not pod["securityContext"].get("runAsNonRoot"):
-            self.say(document, "it may run as root")
+            self.add_fault(document, "it may run as root")
         volumes = {volume["name"]: volume for volume in pod.get("volumes", [])}
         claims = document["spec"].get("volumeClaimTemplates", [])
         claimed = {claim["metadata"]["name"] for claim in claims}
@@ -114,41 +119,44 @@ class Manifests:
         for volume in volumes.values():
             if "secret" in volume:
                 name = volume["secret"]["secretName"]
-                files |= set(self.of("Secret").get(name, {}).get("stringData", {}))
-                if name not in self.of("Secret"):
-                    self.say(document, f"there is no secret {name}")
-            if "configMap" in volume and volume["configMap"]["name"] not in self.of("ConfigMap"):
-                self.say(document, f"there is no ConfigMap {volume['configMap']['name']}")
+                files |= set(self.by_name("Secret").get(name, {}).get("stringData", {}))
+                if name not in self.by_name("Secret"):
+                    self.add_fault(document, f"there is no secret {name}")
+            if "configMap" in volume and volume["configMap"]["name"] not in self.by_name(
+                "ConfigMap"
+            ):
+                self.add_fault(document, f"there is no ConfigMap {volume['configMap']['name']}")
         for container in pod["containers"]:
             if not container["securityContext"].get("readOnlyRootFilesystem"):
-                self.say(document, "its root is writable")
+                self.add_fault(document, "its root is writable")
             for mount in container.get("volumeMounts", []):
                 if mount["name"] not in volumes.keys() | claimed:
-                    self.say(document, f"there is no volume {mount['name']}")
+                    self.add_fault(document, f"there is no volume {mount['name']}")
             for argument in container["args"]:
                 value = argument.partition("=")[2]
                 if value.startswith(ACCESS) and value.removeprefix(ACCESS) not in files:
-                    self.say(document, f"no secret of it has {value.removeprefix(ACCESS)}")
+                    self.add_fault(document, f"no secret has {value.removeprefix(ACCESS)}")
                 if value.startswith("https://"):
                     self.address(document, value.removeprefix("https://"))
 
     def address(self, document: dict, address: str) -> None:
         host, _, port = address.partition(":")
-        service = self.of("Service").get(host)
-        ports = [str(it["port"]) for it in service["spec"]["ports"]] if service else []
+        service = self.by_name("Service").get(host)
+        ports = [str(entry["port"]) for entry in service["spec"]["ports"]] if service else []
         if port not in ports:
-            self.say(document, f"no service listens on {address}")
+            self.add_fault(document, f"no service listens on {address}")
 
 
 def main() -> int:
     documents = []
     for path in sys.argv[1:]:
-        documents += [it for it in yaml.safe_load_all(Path(path).read_text()) if it]
+        loaded = yaml.safe_load_all(Path(path).read_text())
+        documents += [document for document in loaded if document]
     manifests = Manifests(documents)
     foreign = manifests.schemas()
     manifests.references()
-    if manifests.wrong:
-        print("\n".join(manifests.wrong))
+    if manifests.faults:
+        print("\n".join(manifests.faults))
         return 1
     for _, pod in manifests.pods():
         for container in pod["spec"]["containers"]:

@@ -29,19 +29,20 @@ fn complaints(units: &[(&str, String)]) -> String {
     let mut verify = Command::new("systemd-analyze");
     verify.args(["verify", "--man=no"]).args(paths);
     let output = verify.output().expect("systemd-analyze runs");
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+    let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
     // systemd may also complain about this machine's own units.
-    said.lines()
+    stderr
+        .lines()
         .filter(|line| line.contains("rollout-"))
         .collect()
 }
 
 /// Returns the text of a unit, with the program that was built for the tests.
-fn here(name: &str, of: &str) -> String {
-    let installed = format!("/usr/local/bin/{of}");
+fn unit_with_test_program(name: &str, program_name: &str) -> String {
+    let installed = format!("/usr/local/bin/{program_name}");
     let text = unit(name);
     assert_eq!(text.matches(&installed).count(), 1, "{name}");
-    text.replace(&installed, &program(of).display().to_string())
+    text.replace(&installed, &program(program_name).display().to_string())
 }
 
 #[test]
@@ -50,11 +51,11 @@ fn systemd_accepts_the_units() {
         println!("skipped systemd_accepts_the_units: no systemd-analyze");
         return;
     }
-    let units = UNITS.map(|(name, of)| (name, here(name, of)));
+    let units = UNITS.map(|(name, program)| (name, unit_with_test_program(name, program)));
     assert_eq!(complaints(&units), "");
     // An unknown setting is reported.
-    let (name, of) = UNITS[2];
-    let wrong = here(name, of).replace("KillMode", "KilMode");
+    let (name, program) = UNITS[2];
+    let wrong = unit_with_test_program(name, program).replace("KillMode", "KilMode");
     assert!(complaints(&[(name, wrong)]).contains("KilMode"));
 }
 
@@ -68,12 +69,12 @@ fn values<'a>(unit: &'a str, setting: &str) -> Vec<&'a str> {
 
 #[test]
 fn units_give_programs_flags_and_variables_that_they_have() {
-    for (name, of) in UNITS {
+    for (name, program) in UNITS {
         let text = unit(name);
         let started = values(&text, "ExecStart=").concat();
         let mut words: Vec<String> = started.split_whitespace().map(str::to_owned).collect();
-        assert!(Path::new(&words[0]).ends_with(of), "{name}: {words:?}");
-        words[0] = of.to_owned();
+        assert!(Path::new(&words[0]).ends_with(program), "{name}: {words:?}");
+        words[0] = program.to_owned();
         assert_eq!(unknown_flags(&words), [""; 0], "{name}");
         // Line breaks in the help may be anywhere.
         let help = help(&words)

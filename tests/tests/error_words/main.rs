@@ -113,7 +113,7 @@ fn all() -> Messages {
 }
 
 #[test]
-fn no_error_speaks_in_a_librarys_words() {
+fn no_error_has_a_raw_library_phrase() {
     let messages = all();
     let raw: Vec<String> = messages
         .texts
@@ -157,14 +157,14 @@ fn walk(folder: &Path, names: &mut BTreeSet<String>) {
         let path = entry.expect("an entry").path();
         if path.is_dir() {
             walk(&path, names);
-        } else if path.extension().is_some_and(|it| it == "rs") {
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
             errors_in(&path, names);
         }
     }
 }
 
 #[test]
-fn every_error_in_the_sources_is_looked_at() {
+fn every_error_in_the_sources_is_listed() {
     let root = Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/.."));
     let mut names = BTreeSet::new();
     for package in ["coordinator", "worker", "policy-gateway", "proto"] {

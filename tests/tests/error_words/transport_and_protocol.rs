@@ -255,7 +255,10 @@ fn troubles() -> Vec<Trouble> {
         ServerKind::VlaEval,
     ];
     let mut troubles = vec![];
-    for (found, expected) in found.iter().flat_map(|it| kinds.map(|kind| (it, kind))) {
+    for (found, expected) in found
+        .iter()
+        .flat_map(|found| kinds.map(|kind| (found, kind)))
+    {
         for has_authority in [false, true] {
             troubles.push(Trouble {
                 expected,

@@ -109,7 +109,7 @@ fn move_joints(
         ("close", Articulation::OpenClose { close, .. }) => close,
         ("turnon", Articulation::OnOff { on, .. }) => Threshold::Above(on),
         ("turnoff", Articulation::OnOff { off, .. }) => Threshold::Below(off),
-        _ => return Err(format!("nobody knows how to {predicate} {name}")),
+        _ => return Err(format!("no rule exists to {predicate} {name}")),
     };
     let model = environment.model();
     for joint in joints {

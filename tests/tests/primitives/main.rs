@@ -66,7 +66,7 @@ fn begin(simulator: &mut Simulator, task: TaskRef, state: u16) -> Episode<'_> {
 
 /// Lets a released scene come to rest; returns descriptions of the faults at rest.
 fn settle(episode: &mut Episode<'_>, problem: &Problem, drift: f64) -> Vec<String> {
-    let released = Released::look(problem, episode);
+    let released = Released::record(problem, episode);
     for _ in 0..SETTLE_STEPS {
         if let Err(error) = episode.environment().step(&NO_OP) {
             return vec![error.to_string()];

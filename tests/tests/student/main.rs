@@ -16,7 +16,7 @@ const GOLDEN: &str = include_str!("golden.jsonl");
 const TASKS: &str = "libero_spatial/2,libero_goal/8";
 
 #[test]
-fn a_campaign_of_all_axes_ends_as_everywhere() {
+fn a_campaign_of_all_axes_has_the_golden_results() {
     let data = tempfile::tempdir().unwrap();
     let campaigns = Campaigns::start(data.path());
     let endpoint = &campaigns.gateway.url;

@@ -45,7 +45,7 @@ impl NamedService for Knows {
 pub(crate) type Servers = JoinSet<Result<(), Error>>;
 
 /// Starts a server that implements the call of one path.
-pub(crate) async fn knowing(path: &'static str, servers: &mut Servers) -> SocketAddr {
+pub(crate) async fn serve_path(path: &'static str, servers: &mut Servers) -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
     let address = listener.local_addr().expect("an address");
     let server = Server::builder().add_service(Knows(path));

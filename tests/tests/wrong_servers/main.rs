@@ -8,7 +8,7 @@ mod servers;
 use std::path::Path;
 use std::process::Command;
 
-use servers::{Authority, authority, coordinator, gateway, nothing, speaking};
+use servers::{Authority, authority, coordinator, gateway, serve_text, unused_address};
 use tests::phrases::raw_phrase;
 use tests::programs::{Process, program};
 
@@ -35,12 +35,12 @@ fn case(at: impl ToString, scheme: &str, is_final: bool, expected: &[&'static st
 
 /// Returns cases that clients of any kind can meet. Hosts are names, since no certificate is issued
 /// for an address.
-fn anywhere() -> Vec<Case> {
-    let mail = speaking("220 mail.example ESMTP\r\n", "");
-    let web = speaking("", "HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n");
+fn cases_for_any_client() -> Vec<Case> {
+    let mail = serve_text("220 mail.example ESMTP\r\n", "");
+    let web = serve_text("", "HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n");
     vec![
         case(
-            nothing(),
+            unused_address(),
             "http",
             false,
             &["nothing listens there", "start it"],
@@ -52,7 +52,7 @@ fn anywhere() -> Vec<Case> {
             &["no address", "`no-such-host.invalid`"],
         ),
         case(
-            speaking("SSH-2.0-OpenSSH_9.6\r\n", ""),
+            serve_text("SSH-2.0-OpenSSH_9.6\r\n", ""),
             "http",
             true,
             &["SSH server"],
@@ -65,7 +65,7 @@ fn anywhere() -> Vec<Case> {
             &["web server", "HTTP/1.1 400 Bad Request"],
         ),
         case(
-            speaking("", ""),
+            serve_text("", ""),
             "http",
             false,
             &["hangs up or says nothing"],
@@ -75,13 +75,16 @@ fn anywhere() -> Vec<Case> {
 }
 
 /// Returns cases over TLS at servers of the right kind, with the processes of the servers.
-fn over_tls(serve: impl Fn([String; 4]) -> Process, mine: &Authority) -> (Vec<Process>, Vec<Case>) {
+fn over_tls(
+    serve: impl Fn([String; 4]) -> Process,
+    trusted: &Authority,
+) -> (Vec<Process>, Vec<Case>) {
     let other = Authority::new();
     let processes = [
-        mine.arguments("localhost", 2099),
+        trusted.arguments("localhost", 2099),
         other.arguments("localhost", 2099),
-        mine.arguments("localhost", 2020),
-        mine.arguments("gpu-3.example", 2099),
+        trusted.arguments("localhost", 2020),
+        trusted.arguments("gpu-3.example", 2099),
         other.own_arguments(),
     ]
     .map(serve);
@@ -110,21 +113,21 @@ fn over_tls(serve: impl Fn([String; 4]) -> Process, mine: &Authority) -> (Vec<Pr
 /// Runs a client and checks its message.
 fn check(who: &str, case: &Case, mut command: Command) {
     let output = command.output().expect("the program runs");
-    let said = [output.stdout, output.stderr].map(|it| String::from_utf8(it).expect("UTF-8"));
-    let said = said.concat();
-    let about = format!("{who} at {}:\n{said}", case.at);
+    let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).expect("UTF-8"));
+    let text = text.concat();
+    let about = format!("{who} at {}:\n{text}", case.at);
     assert!(!output.status.success(), "{about}");
     for words in case.expected.iter().chain([&&*case.at]) {
-        assert!(said.contains(words), "no {words:?}: {about}");
+        assert!(text.contains(words), "no {words:?}: {about}");
     }
-    assert_eq!(raw_phrase(&said), None, "{about}");
+    assert_eq!(raw_phrase(&text), None, "{about}");
     if case.is_final {
-        assert!(!said.contains("coordinator serve`"), "{about}");
-        assert!(!said.contains("trying again"), "{about}");
+        assert!(!text.contains("coordinator serve`"), "{about}");
+        assert!(!text.contains("trying again"), "{about}");
     }
 }
 
-fn listing(case: &Case, ca: &Path) -> Command {
+fn list_command(case: &Case, ca: &Path) -> Command {
     let scheme = if case.is_encrypted { "https" } else { "http" };
     let mut command = Command::new(program("coordinator"));
     let url = format!("{scheme}://{}", case.at);
@@ -135,7 +138,7 @@ fn listing(case: &Case, ca: &Path) -> Command {
 
 /// Returns a worker with simulated slots, which is ended after 10 s because it never stops retrying
 /// if a failure may pass.
-fn working(case: &Case, ca: &Path) -> Command {
+fn worker_command(case: &Case, ca: &Path) -> Command {
     let scheme = if case.is_encrypted { "grpcs" } else { "grpc" };
     let mut command = Command::new("timeout");
     command.arg("10");
@@ -158,9 +161,9 @@ fn has_sources() -> bool {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_looks_for_a_coordinator_says_what_was_found_and_what_to_do() {
+async fn clients_of_a_coordinator_explain_unexpected_servers() {
     let data = tempfile::tempdir().expect("a temporary folder");
-    let mine = Authority::new();
+    let trusted = Authority::new();
     let other_server = gateway(&[]);
     let clear = coordinator(&data.path().join("clear"), &[]);
     let numbers = std::cell::Cell::new(0);
@@ -168,7 +171,7 @@ async fn who_looks_for_a_coordinator_says_what_was_found_and_what_to_do() {
         numbers.set(numbers.get() + 1);
         coordinator(&data.path().join(numbers.get().to_string()), &arguments)
     };
-    let (_processes, encrypted) = over_tls(serve, &mine);
+    let (_processes, encrypted) = over_tls(serve, &trusted);
     let mut servers = grpc::Servers::new();
     let own_kind = [
         case(
@@ -184,7 +187,7 @@ async fn who_looks_for_a_coordinator_says_what_was_found_and_what_to_do() {
             &["does not speak TLS", "http://"],
         ),
         case(
-            grpc::knowing("/none", &mut servers).await,
+            grpc::serve_path("/none", &mut servers).await,
             "http",
             true,
             &["not a coordinator"],
@@ -192,20 +195,23 @@ async fn who_looks_for_a_coordinator_says_what_was_found_and_what_to_do() {
     ];
     let old = "/rollout.coordinator.v1.OperatorService/ListCampaigns";
     let old = case(
-        grpc::knowing(old, &mut servers).await,
+        grpc::serve_path(old, &mut servers).await,
         "http",
         true,
         &["same version"],
     );
-    let cases = anywhere().into_iter().chain(encrypted).chain(own_kind);
+    let cases = cases_for_any_client()
+        .into_iter()
+        .chain(encrypted)
+        .chain(own_kind);
     for case in cases {
         check(
             "coordinator campaign list",
             &case,
-            listing(&case, &mine.file()),
+            list_command(&case, &trusted.file()),
         );
         if has_sources() {
-            check("worker", &case, working(&case, &mine.file()));
+            check("worker", &case, worker_command(&case, &trusted.file()));
         }
     }
     // The older server implements only the call that lists campaigns.
@@ -213,17 +219,17 @@ async fn who_looks_for_a_coordinator_says_what_was_found_and_what_to_do() {
     command.args(["workers", "--connect", &format!("http://{}", old.at)]);
     check("coordinator workers", &old, command);
     if has_sources() {
-        check("worker", &old, working(&old, &mine.file()));
+        check("worker", &old, worker_command(&old, &trusted.file()));
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn who_looks_for_a_policy_says_what_was_found_and_what_to_do() {
+async fn clients_of_a_policy_explain_unexpected_servers() {
     let data = tempfile::tempdir().expect("a temporary folder");
-    let mine = Authority::new();
+    let trusted = Authority::new();
     let other_server = coordinator(data.path(), &[]);
     let clear = gateway(&[]);
-    let (_processes, encrypted) = over_tls(|arguments| gateway(&arguments), &mine);
+    let (_processes, encrypted) = over_tls(|arguments| gateway(&arguments), &trusted);
     let mut servers = grpc::Servers::new();
     let own_kind = [
         case(
@@ -234,21 +240,28 @@ async fn who_looks_for_a_policy_says_what_was_found_and_what_to_do() {
         ),
         case(authority(&clear), "https", true, &["does not speak TLS"]),
         case(
-            grpc::knowing("/none", &mut servers).await,
+            grpc::serve_path("/none", &mut servers).await,
             "http",
             true,
             &["not a policy server"],
         ),
     ];
-    for case in anywhere().into_iter().chain(encrypted).chain(own_kind) {
+    for case in cases_for_any_client()
+        .into_iter()
+        .chain(encrypted)
+        .chain(own_kind)
+    {
         let scheme = if case.is_encrypted { "https" } else { "grpc" };
         let url = format!("{scheme}://{}", case.at);
         let mut checking = Command::new(program("policy-gateway"));
-        checking.args(["check", &url, "--ca"]).arg(mine.file());
+        checking.args(["check", &url, "--ca"]).arg(trusted.file());
         check("policy-gateway check", &case, checking);
 
         let config = data.path().join("gateway.toml");
-        let text = format!("[policy.x]\nreplicas = [{url:?}]\nca = {:?}\n", mine.file());
+        let text = format!(
+            "[policy.x]\nreplicas = [{url:?}]\nca = {:?}\n",
+            trusted.file()
+        );
         std::fs::write(&config, text).expect("written");
         let mut serving = Command::new(program("policy-gateway"));
         serving
@@ -268,7 +281,9 @@ async fn who_looks_for_a_policy_says_what_was_found_and_what_to_do() {
                 "--assets",
                 "primitives",
             ]);
-            rollout.args(["--endpoint", &url, "--ca"]).arg(mine.file());
+            rollout
+                .args(["--endpoint", &url, "--ca"])
+                .arg(trusted.file());
             rollout
                 .arg("--no-video")
                 .arg("--output")

@@ -11,13 +11,13 @@ use tempfile::TempDir;
 use tests::programs::{Process, program};
 
 /// Returns an address at which nothing listens.
-pub(crate) fn nothing() -> SocketAddr {
+pub(crate) fn unused_address() -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     listener.local_addr().expect("an address")
 }
 
 /// Starts a server that sends a text, reads, and then sends another text.
-pub(crate) fn speaking(first: &'static str, then: &'static str) -> SocketAddr {
+pub(crate) fn serve_text(first: &'static str, then: &'static str) -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let address = listener.local_addr().expect("an address");
     // Ends with the test's process.

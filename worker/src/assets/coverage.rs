@@ -35,7 +35,7 @@ impl Coverage {
     ///
     /// # Errors
     /// If the task files cannot be read.
-    pub fn of(pack: &AssetPack, sources: &Sources) -> Result<Self, SceneError> {
+    pub fn check(pack: &AssetPack, sources: &Sources) -> Result<Self, SceneError> {
         let mut coverage = Self {
             categories: Shelf::default(),
             arenas: Shelf::default(),
@@ -118,7 +118,7 @@ impl Coverage {
             Some(files) if !files.is_empty() => {
                 let bytes = files.values().map(|file| file.transfer_bytes()).sum();
                 format!(
-                    "{shown} of {all} are there; the others' files ({} over the network) are \
+                    "{shown} of {all} are present; the others' files ({} over the network) are \
                      fetched at first use",
                     size_in_words(bytes)
                 )
@@ -160,8 +160,8 @@ impl fmt::Display for Coverage {
         writeln!(f, "  tasks       {}", self.summary())?;
         if self.to_fetch.is_some() {
             if !self.shown.is_empty() && !self.broken.is_empty() {
-                let there: Vec<String> = self.shown.iter().map(ToString::to_string).collect();
-                writeln!(f, "    there: {}", there.join(", "))?;
+                let shown: Vec<String> = self.shown.iter().map(ToString::to_string).collect();
+                writeln!(f, "    present: {}", shown.join(", "))?;
             }
             return Ok(());
         }
@@ -180,7 +180,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_built_in_pack_shows_every_task_and_half_of_it_names_what_is_missing() {
+    fn the_built_in_pack_shows_every_task_and_a_partial_copy_names_missing_files() {
         let sources = match Sources::open(&Sources::default_dir()) {
             Ok(sources) => sources,
             Err(error) => {
@@ -189,11 +189,14 @@ mod tests {
             }
         };
         let whole = AssetPack::open("primitives", &sources).expect("built in");
-        let coverage = Coverage::of(&whole, &sources).expect("reads");
+        let coverage = Coverage::check(&whole, &sources).expect("reads");
         assert!(coverage.is_whole());
-        let said = coverage.to_string();
-        assert!(said.contains("40 of 40 can be shown"), "{said}");
-        assert!(!said.contains("missing"), "{said}");
+        let description = coverage.to_string();
+        assert!(
+            description.contains("40 of 40 can be shown"),
+            "{description}"
+        );
+        assert!(!description.contains("missing"), "{description}");
 
         let folder = tempfile::tempdir().expect("a folder");
         fs::create_dir(folder.path().join("scenes")).expect("makes");
@@ -201,9 +204,15 @@ mod tests {
         fs::copy(whole.dir().join(arena), folder.path().join(arena)).expect("copies");
         let path = folder.path().to_string_lossy();
         let part = AssetPack::open(&path, &sources).expect("a pack");
-        let said = Coverage::of(&part, &sources).expect("reads").to_string();
-        assert!(said.contains("0 of 40 can be shown"), "{said}");
-        assert!(said.contains("akita_black_bowl, "), "{said}");
-        assert!(said.contains("arenas      1 of 5; missing: "), "{said}");
+        let description = Coverage::check(&part, &sources).expect("reads").to_string();
+        assert!(
+            description.contains("0 of 40 can be shown"),
+            "{description}"
+        );
+        assert!(description.contains("akita_black_bowl, "), "{description}");
+        assert!(
+            description.contains("arenas      1 of 5; missing: "),
+            "{description}"
+        );
     }
 }

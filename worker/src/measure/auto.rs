@@ -45,8 +45,8 @@ pub fn choose_slots(program: SlotProgram, scenes: usize) -> Result<Chosen, Measu
     for _ in 0..ROUNDS {
         for number in numbers(most) {
             let rate = slots.measure(number, secs)?.throughput.steps_per_sec;
-            let before: &mut f64 = best.entry(number).or_insert(rate);
-            *before = before.max(rate);
+            let best_rate: &mut f64 = best.entry(number).or_insert(rate);
+            *best_rate = best_rate.max(rate);
         }
     }
     let throughput = |(&slots, &steps_per_sec)| Throughput {
@@ -55,10 +55,10 @@ pub fn choose_slots(program: SlotProgram, scenes: usize) -> Result<Chosen, Measu
     };
     let measured: Vec<Throughput> = best.iter().map(throughput).collect();
     // One slot was measured, and always fits.
-    let slots = choose(&measured, most).map_or(1, |it| it.slots);
+    let slots = choose(&measured, most).map_or(1, |throughput| throughput.slots);
     let rates: Vec<String> = measured
         .iter()
-        .map(|it| format!("{}: {:.1}", it.slots, it.steps_per_sec))
+        .map(|throughput| format!("{}: {:.1}", throughput.slots, throughput.steps_per_sec))
         .collect();
     const MIB: u64 = 1 << 20;
     Ok(Chosen {

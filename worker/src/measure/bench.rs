@@ -13,8 +13,8 @@ use crate::child::SlotProgram;
 pub struct Plan {
     /// Description of the simulated task.
     pub title: String,
-    /// Numbers of slots to measure; if empty, 1, 2, 4, … up to those that should keep all cores
-    /// busy once and twice.
+    /// Numbers of slots to measure; if empty, 1, 2, 4, … up to twice the number that should keep
+    /// all cores busy, and that number.
     pub numbers: BTreeSet<usize>,
     /// Duration of the measurement of each number, seconds.
     pub secs: f64,
@@ -38,9 +38,9 @@ const MIB: f64 = (1 << 20) as f64;
 pub fn bench(plan: Plan, out: &mut dyn Write) -> Result<(), MeasureError> {
     let (cores, available) = (cores()?, room::available()?);
     let mut slots = Slots::new(plan.program);
-    let mut all = plan.numbers;
-    let is_ours = all.is_empty();
-    slots.start(all.first().copied().unwrap_or(1))?;
+    let mut pending = plan.numbers;
+    let is_default = pending.is_empty();
+    slots.start(pending.first().copied().unwrap_or(1))?;
     writeln!(
         out,
         "{cores} cores of {}\n\
@@ -56,36 +56,36 @@ pub fn bench(plan: Plan, out: &mut dyn Write) -> Result<(), MeasureError> {
     )?;
     writeln!(out, "{HEADER}")?;
     let (mut measured, mut most) = (Vec::<Measured>::new(), usize::MAX);
-    if is_ours {
-        all.insert(1);
+    if is_default {
+        pending.insert(1);
     }
-    while let Some(number) = all.pop_first() {
+    while let Some(number) = pending.pop_first() {
         if number > most {
-            writeln!(out, "{number:>5}  left out: memory has room for {most}")?;
+            writeln!(out, "{number:>5}  left out: {most} slots fit into memory")?;
             continue;
         }
         let row = slots.measure(number, plan.secs)?;
         writeln!(out, "{}", line(&row))?;
         out.flush()?;
-        if is_ours && number == 1 {
+        if is_default && number == 1 {
             let alone = row.throughput.steps_per_sec;
             let filling = to_fill(cores, alone, plan.execute, plan.policy_secs);
-            all = &numbers(filling) | &numbers(2 * filling);
-            all.remove(&1);
+            pending = &numbers(filling) | &numbers(2 * filling);
+            pending.remove(&1);
         }
         measured.push(row);
         most = fit(available, row.per_slot(plan.scenes));
     }
     writeln!(
         out,
-        "\nMiB a slot, in the largest one, with one scene compiled; in a campaign a slot\n\
-         keeps up to {}. PSS divides among processes what they share; one more slot adds\n\
-         what none can share. Scenes lie in files that all slots map: {:.0} MiB of this\n\
-         one's are in use.",
+        "\nMiB a slot: memory of the largest slot, with one compiled scene; a slot of a\n\
+         campaign keeps up to {}. PSS: the same, with shared memory divided among the\n\
+         processes. One more adds: a slot's private memory. Scenes lie in files that all\n\
+         slots map: {:.0} MiB of this scene's files are in use.",
         plan.scenes,
         measured.last().map_or(0, |row| row.memory.scene_files) as f64 / MIB
     )?;
-    let throughputs: Vec<_> = measured.iter().map(|it| it.throughput).collect();
+    let throughputs: Vec<_> = measured.iter().map(|row| row.throughput).collect();
     match choose(&throughputs, most) {
         Some(chosen) => writeln!(
             out,
@@ -95,7 +95,7 @@ pub fn bench(plan: Plan, out: &mut dyn Write) -> Result<(), MeasureError> {
         )?,
         None => writeln!(
             out,
-            "recommended: --slots {most}, which memory has room for; more were measured"
+            "recommended: --slots {most}, the most that fit into memory; more were measured"
         )?,
     }
     Ok(())
@@ -105,11 +105,11 @@ pub fn bench(plan: Plan, out: &mut dyn Write) -> Result<(), MeasureError> {
 fn policy(secs: f64) -> String {
     match secs {
         0.0 => "The policy takes no time here. Slots that wait for a real one leave cores idle,\n\
-                and more of them are worth having: see --policy-secs.\n"
+                so that more slots pay off: see --policy-secs.\n"
             .to_owned(),
         secs => format!(
-            "The policy answers after {secs} s, however many ask it: its server is taken to be\n\
-             elsewhere, and fast enough for all.\n"
+            "The policy answers after {secs} s, regardless of the number of slots: its server is\n\
+             assumed to run on another machine and to be fast enough for all slots.\n"
         ),
     }
 }

@@ -22,11 +22,18 @@ pub(super) struct Throughput {
 /// Returns the smallest number of slots that reaches [`ENOUGH`] of the best throughput. Numbers
 /// above `most` are ignored, also for the best throughput. None if no number is left.
 pub(super) fn choose(measured: &[Throughput], most: usize) -> Option<Throughput> {
-    let fitting = || measured.iter().filter(|it| it.slots <= most).copied();
-    let best = fitting().map(|it| it.steps_per_sec).fold(0.0, f64::max);
+    let fitting = || {
+        measured
+            .iter()
+            .filter(|throughput| throughput.slots <= most)
+            .copied()
+    };
+    let best = fitting()
+        .map(|throughput| throughput.steps_per_sec)
+        .fold(0.0, f64::max);
     fitting()
-        .filter(|it| it.steps_per_sec >= ENOUGH * best)
-        .min_by_key(|it| it.slots)
+        .filter(|throughput| throughput.steps_per_sec >= ENOUGH * best)
+        .min_by_key(|throughput| throughput.slots)
 }
 
 /// Returns the number of slots that should keep `cores` cores busy, if one slot alone makes
@@ -90,11 +97,11 @@ mod tests {
                 steps_per_sec,
             })
             .collect();
-        choose(&measured, most).map(|it| it.slots)
+        choose(&measured, most).map(|throughput| throughput.slots)
     }
 
     #[test]
-    fn slots_are_added_as_long_as_they_bring_something() {
+    fn slots_are_added_while_throughput_rises() {
         let measured = [(1, 30.0), (2, 59.0), (4, 110.0), (8, 112.0), (16, 113.0)];
         assert_eq!(chosen(&measured, usize::MAX), Some(4));
         let all = [(1, 30.0), (2, 59.0), (4, 117.0), (8, 230.0)];
@@ -103,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn exactly_the_share_is_enough() {
+    fn exactly_the_required_share_suffices() {
         assert_eq!(chosen(&[(1, 95.0), (2, 100.0)], 2), Some(1));
         assert_eq!(chosen(&[(1, 94.9), (2, 100.0)], 2), Some(2));
     }
@@ -115,7 +122,7 @@ mod tests {
     }
 
     #[test]
-    fn a_throughput_that_falls_takes_the_number_before_it() {
+    fn the_number_before_a_falling_throughput_is_chosen() {
         let measured = [(1, 30.0), (2, 58.0), (4, 51.0), (8, 40.0)];
         assert_eq!(chosen(&measured, usize::MAX), Some(2));
         assert_eq!(chosen(&[(1, 30.0), (2, 20.0)], usize::MAX), Some(1));
@@ -139,7 +146,7 @@ mod tests {
     }
 
     #[test]
-    fn what_does_not_fit_into_memory_is_not_chosen_and_sets_no_standard() {
+    fn numbers_beyond_memory_are_ignored() {
         let measured = [(1, 30.0), (2, 58.0), (4, 80.0), (8, 160.0)];
         assert_eq!(chosen(&measured, 4), Some(4));
         assert_eq!(chosen(&measured, 3), Some(2));
@@ -149,7 +156,7 @@ mod tests {
     }
 
     #[test]
-    fn a_part_of_the_memory_is_left_and_one_slot_always_fits() {
+    fn slots_leave_spare_memory_and_one_always_fits() {
         let own = |own| PerSlot {
             own,
             scenes: 2,

@@ -29,7 +29,7 @@ const ROLLOUT_STEPS: u32 = 120;
 /// Message of a measured slot to its parent, one JSON value per line.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub(super) enum Said {
+pub(super) enum SlotReport {
     /// The scene is compiled and was rendered once.
     Ready {
         /// The renderer's own name.
@@ -98,20 +98,20 @@ pub fn count(
     slot.roll_out(1, &mut first)?;
     let with_scene = SlotMemory::now()?;
     let renderer = slot.simulator.renderer_name();
-    parent.send(&Said::Ready {
+    parent.send(&SlotReport::Ready {
         renderer: renderer.map_err(|source| RolloutError::Simulator {
             title: slot.assignment.row.id.to_string(),
             source,
         })?,
     })?;
-    let times = listen(parent.listen()?);
-    while let Ok(secs) = times.recv() {
+    let periods = receive_periods(parent.listen()?);
+    while let Ok(secs) = periods.recv() {
         let started = Instant::now();
         let mut counter = Counter::until(started + Duration::from_secs_f64(secs));
         while !counter.is_over() {
             slot.roll_out(ROLLOUT_STEPS, &mut counter)?;
         }
-        parent.send(&Said::Counted(Count {
+        parent.send(&SlotReport::Counted(Count {
             // The last step began in time and is counted, so its whole duration counts too.
             secs: started.elapsed().as_secs_f64(),
             steps: counter.steps,
@@ -128,17 +128,17 @@ pub fn count(
 
 /// Reads the periods to count, in seconds, on a thread of its own. Ends the process when the
 /// parent closes the connection, because no one is left to report to.
-fn listen(said: FromParent<f64>) -> Receiver<f64> {
-    let (tell, times) = sync_channel(1);
+fn receive_periods(requests: FromParent<f64>) -> Receiver<f64> {
+    let (sender, periods) = sync_channel(1);
     thread::spawn(move || {
-        for secs in said.map_while(Result::ok) {
-            if tell.send(secs).is_err() {
+        for secs in requests.map_while(Result::ok) {
+            if sender.send(secs).is_err() {
                 return;
             }
         }
         process::exit(0);
     });
-    times
+    periods
 }
 
 struct Counting {

@@ -59,7 +59,7 @@ pub fn check(slots: usize) -> Result<Option<String>, LimitError> {
     if let Some(shortage) = machine.shortage(slots) {
         return Err(LimitError::TooMany { slots, shortage });
     }
-    Ok(machine.doubt(slots))
+    Ok(machine.warning(slots))
 }
 
 /// Returns the number of rollouts to film in parallel: one per core, if memory allows.
@@ -95,8 +95,8 @@ impl Machine {
         let count = slots as u64;
         if slots > self.cores.saturating_mul(MAX_PER_CORE) {
             return Some(format!(
-                "this process may use {}, which even a policy that takes 99 % of the time keeps \
-                 busy with {} slots",
+                "this process may use {}, which can serve at most {} slots, even if the policy \
+                 takes 99 % of the time",
                 counted(self.cores as u64, "core"),
                 self.cores * MAX_PER_CORE
             ));
@@ -120,12 +120,12 @@ impl Machine {
         })
     }
 
-    fn doubt(self, slots: usize) -> Option<String> {
+    fn warning(self, slots: usize) -> Option<String> {
         (slots > self.cores.saturating_mul(USUAL_PER_CORE)).then(|| {
             format!(
                 "{slots} slots share {}: more than {USUAL_PER_CORE} for each core only help with \
                  a policy that takes longer than the simulation; `worker bench --policy-secs` \
-                 measures how many are worth having",
+                 measures how many raise the throughput",
                 counted(self.cores as u64, "core")
             )
         })
@@ -143,7 +143,7 @@ mod tests {
     };
 
     #[test]
-    fn slots_beyond_cores_memory_or_open_files_are_refused_with_what_is_short() {
+    fn slots_beyond_cores_memory_or_open_files_are_refused_with_the_reason() {
         let check = |machine: Machine, slots, words: &str| {
             let shortage = machine.shortage(slots).expect("a shortage");
             assert!(shortage.contains(words), "{shortage}");
@@ -164,9 +164,9 @@ mod tests {
     }
 
     #[test]
-    fn more_slots_than_a_usual_policy_keeps_busy_are_doubted() {
-        assert_eq!(MACHINE.doubt(16), None);
-        let doubt = MACHINE.doubt(17).expect("a warning");
-        assert!(doubt.starts_with("17 slots share 8 cores"), "{doubt}");
+    fn implausibly_many_slots_cause_a_warning() {
+        assert_eq!(MACHINE.warning(16), None);
+        let warning = MACHINE.warning(17).expect("a warning");
+        assert!(warning.starts_with("17 slots share 8 cores"), "{warning}");
     }
 }

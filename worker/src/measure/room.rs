@@ -37,7 +37,9 @@ fn available_below(root: &Path) -> Result<u64, MeasureError> {
         .filter_map(|folder| {
             // The limits of all parent groups apply too. In a container, folders below the first
             // may be missing, because the path is the host's.
-            let above = folder.ancestors().take_while(|it| it.starts_with(&base));
+            let above = folder
+                .ancestors()
+                .take_while(|ancestor| ancestor.starts_with(&base));
             above.filter_map(left_in).min()
         });
     Ok(left.fold(machine, u64::min))
@@ -53,7 +55,9 @@ fn left_in(group: &Path) -> Option<u64> {
         let (limit, used) = (number(limit)?, number(used)?);
         let stat = fs::read_to_string(group.join("memory.stat")).unwrap_or_default();
         let cached = stat.lines().find_map(|line| line.strip_prefix(reclaimed));
-        let cached: u64 = cached.and_then(|it| it.trim().parse().ok()).unwrap_or(0);
+        let cached: u64 = cached
+            .and_then(|text| text.trim().parse().ok())
+            .unwrap_or(0);
         Some(limit.saturating_sub(used.saturating_sub(cached)))
     })
 }
@@ -82,7 +86,7 @@ mod tests {
     }
 
     #[test]
-    fn without_a_limit_it_is_what_the_machine_has_left() {
+    fn without_a_limit_the_machines_memory_is_available() {
         assert_eq!(machine(&[]), 8000 << 10);
         let unlimited = [
             ("proc/self/cgroup", "0::/job\n"),
@@ -93,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn the_tightest_group_above_counts_less_what_it_uses_and_cannot_give_back() {
+    fn the_tightest_parent_group_limits_the_available_memory() {
         let group = "sys/fs/cgroup/batch/memory";
         let unified = [
             ("proc/self/cgroup", "0::/batch/job\n"),
@@ -121,7 +125,7 @@ mod tests {
     }
 
     #[test]
-    fn this_machine_says_how_much_it_has() {
+    fn the_available_memory_of_this_machine_is_read() {
         assert!(available().expect("it says") > 1 << 20);
     }
 }

@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 
 use super::MeasureError;
 use super::choice::{PerSlot, Throughput};
-use super::counting::{Count, Said, SlotMemory};
+use super::counting::{Count, SlotMemory, SlotReport};
 use crate::child::{SlotProgram, connection, explain_status};
 use crate::memory::OomKills;
 
@@ -26,8 +26,8 @@ pub(super) struct Slots {
     /// Name that the slots' renderer reports for itself.
     renderer: String,
     kills_before: OomKills,
-    tell: Sender<(usize, Heard)>,
-    inbox: Receiver<(usize, Heard)>,
+    sender: Sender<(usize, Inbound)>,
+    inbox: Receiver<(usize, Inbound)>,
 }
 
 struct Running {
@@ -35,8 +35,8 @@ struct Running {
     connection: UnixStream,
 }
 
-enum Heard {
-    Said(Said),
+enum Inbound {
+    Report(SlotReport),
     /// The slot closed its connection.
     End,
 }
@@ -59,13 +59,13 @@ pub(super) struct Measured {
 impl Slots {
     /// Creates an empty set; `program` starts each slot.
     pub(super) fn new(program: SlotProgram) -> Self {
-        let (tell, inbox) = channel();
+        let (sender, inbox) = channel();
         Self {
             program,
             running: Vec::new(),
             renderer: String::new(),
             kills_before: OomKills::read(),
-            tell,
+            sender,
             inbox,
         }
     }
@@ -84,17 +84,17 @@ impl Slots {
         self.start(slots)?;
         let request = serde_json::to_string(&secs).map_err(io::Error::from)?;
         for slot in 0..slots {
-            // A failed write means that the slot has ended, which `hear` reports.
+            // A failed write means that the slot has ended, which `receive` reports.
             let _ = writeln!(self.running[slot].connection, "{request}");
         }
         let deadline = Instant::now() + Duration::from_secs_f64(secs) + PATIENCE;
         let mut counts = Vec::new();
         while counts.len() < slots {
-            if let Said::Counted(count) = self.hear(deadline)? {
+            if let SlotReport::Counted(count) = self.receive(deadline)? {
                 counts.push(count);
             }
         }
-        Ok(Measured::of(&counts))
+        Ok(Measured::from_counts(&counts))
     }
 
     /// Starts slots until there are `slots`, and waits until all are ready.
@@ -106,7 +106,7 @@ impl Slots {
             missing += 1;
         }
         while missing > 0 {
-            if let Said::Ready { renderer } = self.hear(deadline)? {
+            if let SlotReport::Ready { renderer } = self.receive(deadline)? {
                 self.renderer = renderer;
                 missing -= 1;
             }
@@ -116,7 +116,7 @@ impl Slots {
 
     fn start_one(&mut self) -> Result<(), MeasureError> {
         let (ours, theirs) = connection()?;
-        let said = BufReader::new(ours.try_clone()?);
+        let messages = BufReader::new(ours.try_clone()?);
         let child = Command::new(&self.program.program)
             .args(&self.program.arguments)
             .stdin(theirs)
@@ -127,8 +127,8 @@ impl Slots {
                 program: self.program.program.clone(),
                 source,
             })?;
-        let (slot, tell) = (self.running.len(), self.tell.clone());
-        thread::spawn(move || listen(slot, said, &tell));
+        let (slot, sender) = (self.running.len(), self.sender.clone());
+        thread::spawn(move || listen(slot, messages, &sender));
         self.running.push(Running {
             child,
             connection: ours,
@@ -136,11 +136,11 @@ impl Slots {
         Ok(())
     }
 
-    fn hear(&mut self, deadline: Instant) -> Result<Said, MeasureError> {
+    fn receive(&mut self, deadline: Instant) -> Result<SlotReport, MeasureError> {
         let left = deadline.saturating_duration_since(Instant::now());
         match self.inbox.recv_timeout(left) {
-            Ok((_, Heard::Said(said))) => Ok(said),
-            Ok((slot, Heard::End)) => {
+            Ok((_, Inbound::Report(message))) => Ok(message),
+            Ok((slot, Inbound::End)) => {
                 let status = self.running[slot].child.wait()?;
                 let kills = OomKills::read().since(self.kills_before);
                 let end = explain_status(status, kills);
@@ -157,19 +157,19 @@ impl Slots {
 }
 
 /// Passes on a slot's messages until it closes the connection.
-fn listen(slot: usize, said: BufReader<UnixStream>, tell: &Sender<(usize, Heard)>) {
-    for line in said.lines().map_while(Result::ok) {
+fn listen(slot: usize, messages: BufReader<UnixStream>, sender: &Sender<(usize, Inbound)>) {
+    for line in messages.lines().map_while(Result::ok) {
         match serde_json::from_str(&line) {
-            Ok(said) => {
-                if tell.send((slot, Heard::Said(said))).is_err() {
+            Ok(message) => {
+                if sender.send((slot, Inbound::Report(message))).is_err() {
                     return;
                 }
             }
-            Err(_) => eprintln!("slot {slot} said what is no count: {line}"),
+            Err(_) => eprintln!("slot {slot} sent a line that is not a count: {line}"),
         }
     }
     // If the receiver is gone, no one needs the message.
-    let _ = tell.send((slot, Heard::End));
+    let _ = sender.send((slot, Inbound::End));
 }
 
 impl Drop for Running {
@@ -182,9 +182,15 @@ impl Drop for Running {
 
 impl Measured {
     /// Combines at least one count.
-    fn of(counts: &[Count]) -> Self {
-        let rates = || counts.iter().map(|it| f64::from(it.steps) / it.secs);
-        let frames = counts.iter().map(|it| f64::from(it.frames) / it.secs);
+    fn from_counts(counts: &[Count]) -> Self {
+        let rates = || {
+            counts
+                .iter()
+                .map(|count| f64::from(count.steps) / count.secs)
+        };
+        let frames = counts
+            .iter()
+            .map(|count| f64::from(count.frames) / count.secs);
         let largest = |bytes: fn(&Count) -> u64| counts.iter().map(bytes).max().unwrap_or(0);
         Self {
             throughput: Throughput {
@@ -195,12 +201,12 @@ impl Measured {
             slowest: rates().fold(f64::INFINITY, f64::min),
             fastest: rates().fold(0.0, f64::max),
             memory: SlotMemory {
-                resident: largest(|it| it.memory.resident),
-                proportional: largest(|it| it.memory.proportional),
-                own: largest(|it| it.memory.own),
-                files: largest(|it| it.memory.files),
-                scene: largest(|it| it.memory.scene),
-                scene_files: largest(|it| it.memory.scene_files),
+                resident: largest(|count| count.memory.resident),
+                proportional: largest(|count| count.memory.proportional),
+                own: largest(|count| count.memory.own),
+                files: largest(|count| count.memory.files),
+                scene: largest(|count| count.memory.scene),
+                scene_files: largest(|count| count.memory.scene_files),
             },
         }
     }
@@ -222,7 +228,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rates_add_up_and_the_largest_slot_stands_for_all() {
+    fn rates_add_up_and_memory_is_the_largest_slots() {
         let count = |secs, steps, own| Count {
             secs,
             steps,
@@ -236,7 +242,7 @@ mod tests {
                 scene_files: 7,
             },
         };
-        let all = Measured::of(&[count(2.0, 40, 100), count(2.5, 75, 90)]);
+        let all = Measured::from_counts(&[count(2.0, 40, 100), count(2.5, 75, 90)]);
         assert_eq!(all.throughput.slots, 2);
         assert_eq!(
             (all.throughput.steps_per_sec, all.frames_per_sec),
@@ -254,7 +260,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_that_is_not_there_is_named() {
+    fn a_missing_program_is_named() {
         let mut slots = Slots::new(SlotProgram {
             program: "/nonexistent/worker".into(),
             arguments: Vec::new(),
@@ -264,7 +270,7 @@ mod tests {
     }
 
     #[test]
-    fn a_process_that_ends_early_is_told_with_its_end() {
+    fn an_early_exit_is_reported_with_its_status() {
         let mut slots = Slots::new(SlotProgram {
             program: "sh".into(),
             arguments: vec!["-c".into(), "echo no JSON; exit 3".into()],

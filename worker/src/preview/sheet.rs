@@ -97,7 +97,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn cells_stand_beside_and_below_one_another_with_ink_above() {
+    fn cells_form_a_grid_with_labels_above() {
         let mut sheet = Sheet::new(2, 10);
         for _ in 0..3 {
             sheet.add("A", RgbImage::from_pixel(10, 10, Rgb([9, 9, 9])));

@@ -5,13 +5,13 @@ use sim::ObjectKind;
 use sim::controller::GRIP_SITE;
 
 use super::*;
-use crate::single::tests::{Looking, assignment, simulator, sources};
+use crate::single::tests::{ObservingActor, assignment, simulator, sources};
 
 const SIDE: u32 = 64;
 const STEPS: u32 = 12;
 
 /// Observations of a policy, and the path of the hand.
-struct Seen {
+struct Observed {
     pictures: Vec<[Vec<u8>; 2]>,
     instruction_is_canonical: bool,
     path: Vec<[i16; 3]>,
@@ -24,21 +24,25 @@ fn row(id: &str) -> ManifestRow {
     row
 }
 
-fn look(simulator: &mut Simulator, row: ManifestRow, resumed: Option<Resumed<'_>>) -> Seen {
-    let mut actor = Looking {
+fn run_rollout(
+    simulator: &mut Simulator,
+    row: ManifestRow,
+    resumed: Option<Resumed<'_>>,
+) -> Observed {
+    let mut actor = ObservingActor {
         side: SIDE,
-        seen: Vec::new(),
+        observations: Vec::new(),
         instructions: Vec::new(),
     };
     let canonical = row.id.task().instruction();
     let assignment = assignment(row, None);
     let mut stage = Stage::of_the_protocol(simulator);
-    let mut watcher = Looks::default();
+    let mut watcher = QuerySteps::default();
     let simulated = rollout::run_after(resumed, &mut stage, &mut actor, &assignment, &mut watcher)
         .expect("an outcome");
-    let both = |camera| [0, 1].map(|at: usize| camera_of(&actor.seen[camera], at));
-    Seen {
-        pictures: (0..actor.seen.len()).map(both).collect(),
+    let both = |query: usize| [0, 1].map(|at| camera_of(&actor.observations[query], at));
+    Observed {
+        pictures: (0..actor.observations.len()).map(both).collect(),
         instruction_is_canonical: actor.instructions == [canonical],
         path: simulated.finished.motion.path(),
         actions: simulated.actions,
@@ -57,8 +61,8 @@ fn camera_of(observation: &proto::policy::Observation, at: usize) -> Vec<u8> {
 }
 
 #[test]
-fn what_is_lifted_before_the_first_look_leaves_the_nominal_rollout() {
-    let test = "what_is_lifted_before_the_first_look_leaves_the_nominal_rollout";
+fn lifting_before_the_first_query_gives_the_nominal_rollout() {
+    let test = "lifting_before_the_first_query_gives_the_nominal_rollout";
     let Some(sources) = sources(test) else {
         return;
     };
@@ -66,31 +70,31 @@ fn what_is_lifted_before_the_first_look_leaves_the_nominal_rollout() {
     // All axes but the robot's are perturbed, because its displacement of the arm would remain.
     let perturbed = row("object/t0/camera+lighting+sensor+actuation+language/L2/c00");
     let nominal = row(&format!("object/t0/clean/i{:02}", perturbed.init_id));
-    let nominal = look(&mut simulator, nominal, None);
-    let lifted = look(&mut simulator, perturbed.clone(), after(&[], Change::Lift));
+    let nominal = run_rollout(&mut simulator, nominal, None);
+    let lifted = run_rollout(&mut simulator, perturbed.clone(), after(&[], Change::Lift));
     assert!(lifted.pictures == nominal.pictures, "the pictures differ");
     assert_eq!(lifted.path, nominal.path);
     assert!(lifted.instruction_is_canonical && nominal.instruction_is_canonical);
 
-    let perturbed = look(&mut simulator, perturbed, None);
+    let perturbed = run_rollout(&mut simulator, perturbed, None);
     assert!(!perturbed.instruction_is_canonical);
     for (ours, nominal) in perturbed.pictures[0].iter().zip(&nominal.pictures[0]) {
-        assert!(ours != nominal, "the perturbation is not to be seen");
+        assert!(ours != nominal, "the perturbation is invisible");
     }
 }
 
 #[test]
-fn a_rollout_is_brought_back_to_the_step_at_which_it_goes_on() {
-    let test = "a_rollout_is_brought_back_to_the_step_at_which_it_goes_on";
+fn a_resumed_rollout_repeats_the_earlier_steps() {
+    let test = "a_resumed_rollout_repeats_the_earlier_steps";
     let Some(sources) = sources(test) else {
         return;
     };
     let mut simulator = simulator(sources);
     let perturbed = row("object/t0/combination/L2/c00");
-    let whole = look(&mut simulator, perturbed.clone(), None);
+    let whole = run_rollout(&mut simulator, perturbed.clone(), None);
     let before = 5;
     let commands = &whole.actions[..before];
-    let resumed = look(
+    let resumed = run_rollout(
         &mut simulator,
         perturbed.clone(),
         after(commands, Change::Lift),
@@ -103,7 +107,7 @@ fn a_rollout_is_brought_back_to_the_step_at_which_it_goes_on() {
     assert_ne!(resumed.path[STEPS as usize], whole.path[STEPS as usize]);
 
     // The placebo lifts nothing, and the hand stays within 0.1 mm of the unchanged path.
-    let nudged = look(&mut simulator, perturbed, after(commands, Change::Nudge));
+    let nudged = run_rollout(&mut simulator, perturbed, after(commands, Change::Nudge));
     assert!(!nudged.instruction_is_canonical);
     assert!(nudged.pictures[0] == whole.pictures[before]);
     let pairs = nudged.path.iter().zip(&whole.path);
@@ -143,22 +147,22 @@ fn a_nudge_moves_the_hand_up_by_a_micrometre_and_no_object() {
 }
 
 #[test]
-fn what_has_no_perturbation_to_lift_is_refused() {
-    let test = "what_has_no_perturbation_to_lift_is_refused";
+fn a_rollout_without_perturbations_is_refused() {
+    let test = "a_rollout_without_perturbations_is_refused";
     let Some(sources) = sources(test) else {
         return;
     };
     let mut simulator = simulator(sources);
     let folder = tempfile::tempdir().expect("a temporary folder");
     for id in ["object/t0/clean/i00", "object/t0/latency/L2/c00"] {
-        let mut actor = Looking {
+        let mut actor = ObservingActor {
             side: SIDE,
-            seen: Vec::new(),
+            observations: Vec::new(),
             instructions: Vec::new(),
         };
         let assignment = assignment(row(id), None);
         let refused = run(&mut simulator, &mut actor, &assignment, folder.path());
         assert!(matches!(refused, Err(RescueError::NotPerturbed(_))), "{id}");
-        assert!(actor.seen.is_empty(), "{id}");
+        assert!(actor.observations.is_empty(), "{id}");
     }
 }

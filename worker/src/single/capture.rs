@@ -60,7 +60,7 @@ impl Capture {
         written.map_err(|source| write_error(&path, source))
     }
 
-    fn look(&mut self, title: &'static str, episode: &mut Episode<'_>) {
+    fn capture_ends(&mut self, title: &'static str, episode: &mut Episode<'_>) {
         if !self.draw {
             return;
         }
@@ -80,23 +80,23 @@ impl Watcher for Capture {
     }
 
     fn observed(&mut self, query_index: u32, observation: &Observation) {
-        let seen = Some((query_index, observation.frames.clone()));
+        let query = Some((query_index, observation.frames.clone()));
         if self.first_query.is_none() {
-            self.first_query = seen;
+            self.first_query = query;
         } else {
-            self.last_query = seen;
+            self.last_query = query;
         }
     }
 
     fn moved(&mut self, step: Option<&Step>, episode: &mut Episode<'_>) {
         self.trace.add(step, episode.environment());
         if step.is_none() {
-            self.look("first", episode);
+            self.capture_ends("first", episode);
         }
     }
 
     fn ended(&mut self, episode: &mut Episode<'_>) {
-        self.look("last", episode);
+        self.capture_ends("last", episode);
     }
 }
 

@@ -18,7 +18,7 @@ use crate::message::{Session, VideoOf, VideoRequest};
 use crate::video::PANE_SIDE;
 
 #[test]
-fn an_id_alone_says_what_is_simulated() {
+fn a_rollout_id_determines_the_simulation() {
     let row = |id: &str| row_of(id.parse().expect("an id"));
     let clean = row("spatial/t0/clean/i07").expect("a row");
     assert_eq!((clean.init_id, clean.perturbation.axes().len()), (7, 0));
@@ -99,8 +99,8 @@ fn array<T: npyz::Deserialize>(trace: &Path, name: &str) -> (Vec<u64>, Vec<T>) {
 }
 
 #[test]
-fn a_task_of_ones_own_is_replayed_and_its_trace_replays_again() {
-    let test = "a_task_of_ones_own_is_replayed_and_its_trace_replays_again";
+fn a_users_task_is_replayed_and_its_trace_replays_again() {
+    let test = "a_users_task_is_replayed_and_its_trace_replays_again";
     let Some(sources) = sources(test) else {
         return;
     };
@@ -154,8 +154,8 @@ fn a_task_of_ones_own_is_replayed_and_its_trace_replays_again() {
 /// The released code distorts the policy's answers before clipping: with a gain below 1, an answer
 /// of 2 gives another command than one of 1.
 #[test]
-fn answers_beyond_the_range_reach_the_actuation_axis_as_the_released_code_has_it() {
-    let test = "answers_beyond_the_range_reach_the_actuation_axis_as_the_released_code_has_it";
+fn answers_are_distorted_before_clipping_as_in_the_released_code() {
+    let test = "answers_are_distorted_before_clipping_as_in_the_released_code";
     let Some(sources) = sources(test) else {
         return;
     };
@@ -201,8 +201,8 @@ fn answers_beyond_the_range_reach_the_actuation_axis_as_the_released_code_has_it
 }
 
 #[test]
-fn both_cameras_first_and_last_pictures_are_kept_though_nobody_looked() {
-    let test = "both_cameras_first_and_last_pictures_are_kept_though_nobody_looked";
+fn first_and_last_frames_are_written_for_a_recording() {
+    let test = "first_and_last_frames_are_written_for_a_recording";
     let Some(sources) = sources(test) else {
         return;
     };
@@ -241,14 +241,14 @@ fn both_cameras_first_and_last_pictures_are_kept_though_nobody_looked() {
 }
 
 /// Policy that requests both cameras for every action and records its observations.
-pub(crate) struct Looking {
+pub(crate) struct ObservingActor {
     pub(crate) side: u32,
-    pub(crate) seen: Vec<wire::Observation>,
+    pub(crate) observations: Vec<wire::Observation>,
     /// Instructions received, one per reset.
     pub(crate) instructions: Vec<String>,
 }
 
-impl Actor for Looking {
+impl Actor for ObservingActor {
     fn describe(&mut self, _session: PolicySession<'_>) -> Result<Description, PolicyError> {
         let camera = |name: &str| wire::CameraRequest {
             name: name.to_owned(),
@@ -285,13 +285,13 @@ impl Actor for Looking {
         _horizon: usize,
         _: Option<&Query>,
     ) -> Result<Vec<Action>, PolicyError> {
-        self.seen.push(observation);
+        self.observations.push(observation);
         Ok(vec![[0.5, 0.0, -0.5, 0.0, 0.0, 0.0, -1.0]])
     }
 }
 
 /// Frames and video of one rollout.
-struct Seen {
+struct FramesAndFilm {
     /// Frames of both cameras at every query of the policy.
     by_policy: Vec<[Vec<u8>; 2]>,
     /// Frames of both cameras from which the video is made.
@@ -301,14 +301,19 @@ struct Seen {
     first_pictures: [Vec<u8>; 2],
 }
 
-fn look(simulator: &mut Simulator, row: &ManifestRow, realisation: Realisation, side: u32) -> Seen {
+fn run_and_film(
+    simulator: &mut Simulator,
+    row: &ManifestRow,
+    realisation: Realisation,
+    side: u32,
+) -> FramesAndFilm {
     let folder = tempfile::tempdir().expect("a folder");
     let video = folder.path().join("video.mp4");
     let mut assignment = assignment(row.clone(), Some(&video));
     assignment.realisation = realisation;
-    let mut actor = Looking {
+    let mut actor = ObservingActor {
         side,
-        seen: Vec::new(),
+        observations: Vec::new(),
         instructions: Vec::new(),
     };
     let request = Request {
@@ -319,9 +324,9 @@ fn look(simulator: &mut Simulator, row: &ManifestRow, realisation: Realisation, 
         output: folder.path(),
     };
     let finished = run(simulator, &mut actor, &request).expect("an outcome");
-    let seen = actor.seen.into_iter();
-    let by_policy: Vec<[Vec<u8>; 2]> = seen
-        .map(|it| [0, 1].map(|camera| it.images[camera].rgb.to_vec()))
+    let observations = actor.observations.into_iter();
+    let by_policy: Vec<[Vec<u8>; 2]> = observations
+        .map(|observation| [0, 1].map(|camera| observation.images[camera].rgb.to_vec()))
         .collect();
     let actions = vec![[0.5, 0.0, -0.5, 0.0, 0.0, 0.0, -1.0]; by_policy.len()];
     let replay = Replay {
@@ -344,7 +349,7 @@ fn look(simulator: &mut Simulator, row: &ManifestRow, realisation: Realisation, 
         image::imageops::flip_vertical_in_place(&mut picture);
         picture.into_raw()
     });
-    Seen {
+    FramesAndFilm {
         by_policy,
         in_film,
         film: fs::read(&video).expect("a film"),
@@ -366,9 +371,9 @@ fn films_and_pictures_show_what_the_policy_saw_with_the_sensors_corruption() {
         ..sensor.clone()
     };
     let side = PANE_SIDE as u32;
-    let unperturbed = look(&mut simulator, &nominal, Realisation::Matched, side);
+    let unperturbed = run_and_film(&mut simulator, &nominal, Realisation::Matched, side);
     for realisation in [Realisation::Matched, Realisation::Reference] {
-        let corrupted = look(&mut simulator, &sensor, realisation, side);
+        let corrupted = run_and_film(&mut simulator, &sensor, realisation, side);
         for seen in [&unperturbed, &corrupted] {
             // The video also has the frame after the last action.
             assert_eq!((seen.by_policy.len(), seen.in_film.len()), (4, 5));
@@ -380,15 +385,15 @@ fn films_and_pictures_show_what_the_policy_saw_with_the_sensors_corruption() {
         }
         assert!(corrupted.film != unperturbed.film);
         // Rendering at another size than the policy's does not change the policy's frames.
-        let small = look(&mut simulator, &sensor, realisation, 128);
+        let small = run_and_film(&mut simulator, &sensor, realisation, 128);
         assert!(small.in_film == corrupted.in_film, "{realisation}");
-        let again = look(&mut simulator, &sensor, realisation, 128);
+        let again = run_and_film(&mut simulator, &sensor, realisation, 128);
         assert!(small.by_policy == again.by_policy, "{realisation}");
     }
 }
 
 #[test]
-fn recordings_that_no_robot_can_replay_are_named() {
+fn invalid_recordings_are_named() {
     let folder = tempfile::tempdir().expect("a folder");
     let check = |name: &str, content: &str, expected: &str| {
         let path = folder.path().join(name);

@@ -45,7 +45,7 @@ pub(crate) enum Answer {
 
 impl Delivery {
     /// Logs how the rollout ended.
-    pub(crate) fn tell(&self) {
+    pub(crate) fn log(&self) {
         let label = &self.label;
         match &self.ending {
             Ending::Finished(finished) => {
@@ -63,7 +63,7 @@ impl Delivery {
 
 impl Answer {
     /// Logs the answer to the ending of a rollout, unless it was accepted.
-    pub(crate) fn tell(&self, label: &str) {
+    pub(crate) fn log(&self, label: &str) {
         match self {
             Self::Committed(answer) => match answer.verdict() {
                 CommitVerdict::Accepted | CommitVerdict::Duplicate => {}
@@ -90,7 +90,7 @@ impl Answer {
             },
             Self::Refused(status) => {
                 tracing::error!(
-                    "{label}: the coordinator refuses how the rollout ended: {}",
+                    "{label}: the coordinator refuses the report of the rollout: {}",
                     chain(status)
                 );
             }

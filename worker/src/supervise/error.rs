@@ -29,7 +29,7 @@ pub enum SuperviseError {
     Panicked(String),
     /// The slots have different renderers, whose pixels would differ.
     #[error(
-        "keep slot {slot}: it draws with `{renderer}` and this worker is registered with \
+        "keep slot {slot}: its renderer is `{renderer}` and this worker is registered with \
          `{registered}`; start one worker for each renderer"
     )]
     Renderers {

@@ -23,7 +23,7 @@ impl ProcessEnd {
         match self.last_words.is_empty() {
             true => self.how.clone(),
             false => format!(
-                "{}; its last words: {}",
+                "{}; its last output: {}",
                 self.how,
                 self.last_words.join(" | ")
             ),

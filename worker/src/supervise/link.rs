@@ -67,7 +67,7 @@ struct LinkState {
     /// Start of the current outage, if there is one.
     outage: Mutex<Option<Instant>>,
     /// Notified when an outage ends.
-    back: Notify,
+    outage_ended: Notify,
 }
 
 /// Failed call, with an explanation in the status.
@@ -97,7 +97,7 @@ impl Link {
                 seed,
                 has_answered: AtomicBool::new(false),
                 outage: Mutex::new(None),
-                back: Notify::new(),
+                outage_ended: Notify::new(),
             }),
             draining,
         })
@@ -108,7 +108,7 @@ impl Link {
         &self,
         request: RegisterRequest,
     ) -> Result<RegisterResponse, Status> {
-        self.insist(CALL_DEADLINE, |mut grpc| {
+        self.retry(CALL_DEADLINE, |mut grpc| {
             let request = request.clone();
             async move { grpc.register(request).await }
         })
@@ -121,7 +121,7 @@ impl Link {
     pub(crate) async fn claim(&self, mut request: ClaimRequest) -> Result<ClaimResponse, Status> {
         request.wait_secs = CLAIM_WAIT.as_secs_f64();
         let mut draining = self.draining.clone();
-        let claiming = self.insist(CLAIM_WAIT + CALL_DEADLINE, |mut grpc| {
+        let claiming = self.retry(CLAIM_WAIT + CALL_DEADLINE, |mut grpc| {
             let request = request.clone();
             async move { grpc.claim(request).await }
         });
@@ -141,12 +141,12 @@ impl Link {
     ) -> Result<HeartbeatResponse, Status> {
         let mut grpc = self.grpc.clone();
         let answer = within(deadline, grpc.heartbeat(request)).await;
-        self.noted(answer).await.map_err(|failed| failed.status)
+        self.recorded(answer).await.map_err(|failed| failed.status)
     }
 
     /// Reports a result; retries until the coordinator answers.
     pub(crate) async fn commit(&self, request: CommitRequest) -> Result<CommitResponse, Status> {
-        self.insist(CALL_DEADLINE, |mut grpc| {
+        self.retry(CALL_DEADLINE, |mut grpc| {
             let request = request.clone();
             async move { grpc.commit(request).await }
         })
@@ -155,7 +155,7 @@ impl Link {
 
     /// Gives a job back; retries until the coordinator answers.
     pub(crate) async fn release(&self, request: ReleaseRequest) -> Result<ReleaseResponse, Status> {
-        self.insist(CALL_DEADLINE, |mut grpc| {
+        self.retry(CALL_DEADLINE, |mut grpc| {
             let request = request.clone();
             async move { grpc.release(request).await }
         })
@@ -174,7 +174,7 @@ impl Link {
         &self,
         request: NextFilmRequest,
     ) -> Result<NextFilmResponse, Status> {
-        self.insist(CALL_DEADLINE, |mut grpc| {
+        self.retry(CALL_DEADLINE, |mut grpc| {
             let request = request.clone();
             async move { grpc.next_film(request).await }
         })
@@ -208,7 +208,7 @@ impl Link {
     }
 
     /// Repeats a call until the coordinator answers or refuses for good.
-    async fn insist<T, F>(
+    async fn retry<T, F>(
         &self,
         deadline: Duration,
         call: impl Fn(WorkerServiceClient<Connection>) -> F,
@@ -219,10 +219,10 @@ impl Link {
         let mut backoff = Backoff::new(Waits::USUAL, self.state.seed);
         loop {
             let answer = within(deadline, call(self.grpc.clone())).await;
-            match self.noted(answer).await {
+            match self.recorded(answer).await {
                 Err(failed) if failed.may_pass => tokio::select! {
                     () = tokio::time::sleep(backoff.next_wait()) => {}
-                    () = self.state.back.notified() => {}
+                    () = self.state.outage_ended.notified() => {}
                 },
                 answered => return answered.map_err(|failed| failed.status),
             }
@@ -230,7 +230,7 @@ impl Link {
     }
 
     /// Records the outcome of a call for the outage log, and explains a failure.
-    async fn noted<T>(&self, answer: Result<T, Status>) -> Result<T, Failed> {
+    async fn recorded<T>(&self, answer: Result<T, Status>) -> Result<T, Failed> {
         let answer = match answer {
             Ok(answer) => {
                 self.state.has_answered.store(true, Ordering::Relaxed);
@@ -243,7 +243,7 @@ impl Link {
             }
             Err(status) => Err(self.explained(status).await),
         };
-        self.note(&answer);
+        self.log_outage(&answer);
         answer
     }
 
@@ -265,7 +265,7 @@ impl Link {
     }
 
     /// Logs the start and the end of an outage once each.
-    fn note<T>(&self, answer: &Result<T, Failed>) {
+    fn log_outage<T>(&self, answer: &Result<T, Failed>) {
         let url = &self.state.url;
         let mut outage = self.lock_outage();
         match (answer, *outage) {
@@ -273,7 +273,7 @@ impl Link {
                 *outage = Some(Instant::now());
                 tracing::warn!(
                     "coordinator {url} cannot be reached: {}; trying again every {} to {} s, \
-                     rollouts in flight go on",
+                     rollouts in flight continue",
                     transport::answer(&failed.status),
                     Waits::USUAL.first.as_secs(),
                     Waits::USUAL.longest.as_secs()
@@ -286,7 +286,7 @@ impl Link {
                 *outage = None;
                 let secs = since.elapsed().as_secs_f64();
                 tracing::info!("coordinator {url} answers again after {secs:.0} s");
-                self.state.back.notify_waiters();
+                self.state.outage_ended.notify_waiters();
             }
             (_, None) => {}
         }

@@ -89,10 +89,10 @@ async fn attend(
     events: mpsc::Sender<Event>,
 ) {
     let kills_before = OomKills::read();
-    let (said, commands) = connection.into_split();
+    let (events_socket, commands) = connection.into_split();
     let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
     let ((), _, last_words, status) = tokio::join!(
-        tell_events(said, key, &events),
+        forward_events(events_socket, key, &events),
         relay(stdout, key.slot),
         relay(stderr, key.slot),
         carry_out(child, commands, requests)
@@ -144,9 +144,9 @@ async fn send(commands: &mut OwnedWriteHalf, command: &SlotCommand) -> io::Resul
     commands.write_all(&line).await
 }
 
-async fn tell_events(said: OwnedReadHalf, key: ProcessKey, events: &mpsc::Sender<Event>) {
-    let mut said = BufReader::new(said);
-    while let Some(line) = next_line(&mut said, MAX_LINE_BYTES).await {
+async fn forward_events(stream: OwnedReadHalf, key: ProcessKey, events: &mpsc::Sender<Event>) {
+    let mut stream = BufReader::new(stream);
+    while let Some(line) = next_line(&mut stream, MAX_LINE_BYTES).await {
         match serde_json::from_slice::<SlotEvent>(&line) {
             Ok(event) => {
                 if events.send(Event::Slot { key, event }).await.is_err() {
@@ -156,7 +156,10 @@ async fn tell_events(said: OwnedReadHalf, key: ProcessKey, events: &mpsc::Sender
             // Only the slot's own program writes to this socket, so this is a defect.
             Err(error) => {
                 let line = String::from_utf8_lossy(&line);
-                tracing::error!("slot {} said what is no event ({error}): {line}", key.slot);
+                tracing::error!(
+                    "slot {} sent a line that is not an event ({error}): {line}",
+                    key.slot
+                );
             }
         }
     }
@@ -210,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn the_end_of_a_process_is_told_in_words() {
+    fn the_end_of_a_process_is_described() {
         let check = |wait_status: i32, expected: &str| {
             let text = explain_status(ExitStatus::from_raw(wait_status), Verdict::GroupLimit);
             assert!(text.contains(expected), "{text}");
@@ -223,6 +226,6 @@ mod tests {
             how: "aborted".to_owned(),
             last_words: last_words.into(),
         };
-        assert_eq!(end.with_last_words(), "aborted; its last words: one | two");
+        assert_eq!(end.with_last_words(), "aborted; its last output: one | two");
     }
 }

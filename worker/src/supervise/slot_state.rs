@@ -245,13 +245,13 @@ impl SlotState {
     }
 
     /// Records the progress of an attempt's rollout.
-    pub(crate) fn advanced(&mut self, of: AttemptId, steps: u32, now: Instant) {
+    pub(crate) fn advanced(&mut self, id: AttemptId, steps: u32, now: Instant) {
         if let Work::Running {
             attempt,
             control_steps,
             moved_at,
         } = &mut self.work
-            && *attempt == of
+            && *attempt == id
             && steps > *control_steps
         {
             *control_steps = steps;
@@ -260,17 +260,17 @@ impl SlotState {
     }
 
     /// Records the progress of an attempt's video.
-    pub(crate) fn filming_advanced(&mut self, of: AttemptId, made: u32, now: Instant) {
+    pub(crate) fn filming_advanced(&mut self, id: AttemptId, frames: u32, now: Instant) {
         if let Video::Filming {
             attempt,
             pictures,
             moved_at,
             ..
         } = &mut self.video
-            && *attempt == of
-            && made > *pictures
+            && *attempt == id
+            && frames > *pictures
         {
-            *pictures = made;
+            *pictures = frames;
             *moved_at = now;
         }
     }
@@ -335,7 +335,7 @@ impl SlotState {
     /// Records the end of an attempt, which is filmed next if `is_filmed`. Returns true if the
     /// attempt is still wanted and must be delivered, also if its process was killed as stuck
     /// meanwhile.
-    pub(crate) fn rollout_ended(&mut self, of: AttemptId, is_filmed: bool, now: Instant) -> bool {
+    pub(crate) fn rollout_ended(&mut self, id: AttemptId, is_filmed: bool, now: Instant) -> bool {
         let (result, control_steps) = match self.work {
             Work::Running {
                 attempt,
@@ -345,14 +345,14 @@ impl SlotState {
             | Work::Stuck {
                 attempt,
                 control_steps,
-            } if attempt == of => (ResultState::Delivering, control_steps),
-            Work::Abandoning { attempt, .. } if attempt == of => (ResultState::Unwanted, 0),
+            } if attempt == id => (ResultState::Delivering, control_steps),
+            Work::Abandoning { attempt, .. } if attempt == id => (ResultState::Unwanted, 0),
             _ => return false,
         };
         self.restarts.reset();
         if is_filmed {
             self.video = Video::Filming {
-                attempt: of,
+                attempt: id,
                 pictures: 0,
                 moved_at: now,
                 result,
@@ -361,7 +361,7 @@ impl SlotState {
         let is_wanted = result == ResultState::Delivering;
         self.work = match is_wanted {
             true => Work::Delivering {
-                attempt: of,
+                attempt: id,
                 control_steps,
             },
             false => Work::Nothing,
@@ -370,14 +370,14 @@ impl SlotState {
     }
 
     /// Records that an attempt's video is finished or cannot be made.
-    pub(crate) fn filming_ended(&mut self, of: AttemptId, is_made: bool) -> Option<VideoDecision> {
+    pub(crate) fn filming_ended(&mut self, id: AttemptId, is_made: bool) -> Option<VideoDecision> {
         let Video::Filming {
             attempt, result, ..
         } = self.video
         else {
             return None;
         };
-        if attempt != of {
+        if attempt != id {
             return None;
         }
         self.video = Video::None;
@@ -483,7 +483,7 @@ mod tests {
     }
 
     #[test]
-    fn a_rollout_that_stands_still_is_killed_and_reported_as_stuck() {
+    fn a_rollout_without_progress_is_killed_and_reported_as_stuck() {
         let now = Instant::now();
         let mut slot = running(now);
         slot.advanced(attempt(1), 10, now + secs(100));
@@ -500,7 +500,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_said_of_another_attempt_changes_nothing() {
+    fn events_of_another_attempt_change_nothing() {
         let now = Instant::now();
         let mut slot = running(now);
         let before = slot.work.clone();
@@ -514,7 +514,7 @@ mod tests {
     }
 
     #[test]
-    fn a_crash_costs_the_rollout_in_hand_and_nothing_else() {
+    fn a_crash_costs_only_the_running_rollout() {
         let now = Instant::now();
         let mut slot = running(now);
         assert_eq!(slot.ended(now), lost(FailureKind::SlotCrashed));
@@ -563,7 +563,7 @@ mod tests {
     }
 
     #[test]
-    fn filming_that_stands_still_is_killed_with_or_without_its_result_delivered() {
+    fn filming_without_progress_is_killed_in_any_state_of_its_result() {
         let now = Instant::now();
         let mut slot = filming(now);
         let kill = Some(Decision::Kill(Kill::StuckFilming));
@@ -577,7 +577,7 @@ mod tests {
     }
 
     #[test]
-    fn a_video_is_sent_once_it_is_made_and_its_result_committed_in_either_order() {
+    fn a_video_is_sent_after_filming_and_commit_in_either_order() {
         let now = Instant::now();
         let upload = Some(VideoDecision::Upload(attempt(1)));
         let mut slot = filming(now);
@@ -620,7 +620,7 @@ mod tests {
     }
 
     #[test]
-    fn a_process_that_never_becomes_ready_is_given_up_in_the_end() {
+    fn repeated_failed_starts_give_up_the_slot() {
         let now = Instant::now();
         let mut slot = SlotState::new(now, 1);
         for _ in 0..MAX_FAILED_STARTS {
@@ -640,7 +640,7 @@ mod tests {
         /// no attempt is forgotten before its report is delivered, each report is delivered once,
         /// and a video is sent at most once, after its result was committed.
         #[test]
-        fn a_draining_worker_takes_on_nothing_and_forgets_no_attempt(
+        fn a_draining_worker_claims_nothing_and_reports_every_attempt(
             events in proptest::collection::vec(0..10_u8, 0..40),
             is_filmed: bool,
             is_committed: bool,
@@ -675,8 +675,8 @@ mod tests {
                 }
                 uploads += u32::from(matches!(video, Some(VideoDecision::Upload(_))));
                 prop_assert!(uploads <= u32::from(answered && has_result && is_committed));
-                let held = slot.progress().map(|(attempt, _)| attempt);
-                prop_assert_eq!(held, (!answered).then_some(attempt(1)));
+                let renewed = slot.progress().map(|(attempt, _)| attempt);
+                prop_assert_eq!(renewed, (!answered).then_some(attempt(1)));
                 let delivering = matches!(slot.work, Work::Delivering { .. });
                 prop_assert_eq!(deliveries, u32::from(delivering || answered));
             }

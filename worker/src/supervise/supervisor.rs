@@ -67,8 +67,7 @@ pub(super) struct Supervisor {
     mode: Mode,
     /// Signals the link to drop its claims.
     drain: watch::Sender<bool>,
-    /// Time of the first request to end.
-    told_to_end_at: Option<Instant>,
+    shutdown_requested_at: Option<Instant>,
     /// Start of the idle time. Outages of the coordinator do not count as idle.
     idle_since: Instant,
     /// Reason why the worker ends, unless it was asked to.
@@ -76,7 +75,7 @@ pub(super) struct Supervisor {
     heartbeat_under_way: bool,
     /// True if a lease was taken that no heartbeat has named yet: the first heartbeat acknowledges
     /// it.
-    has_news: bool,
+    has_unacknowledged_lease: bool,
     /// Back-off of failed fetches of assets.
     fetches: Backoff,
     /// Earliest time of the next claim after a failed fetch.
@@ -118,11 +117,11 @@ impl Supervisor {
             is_registered: false,
             mode: Mode::Serving,
             drain,
-            told_to_end_at: None,
+            shutdown_requested_at: None,
             idle_since: now,
             fault: None,
             heartbeat_under_way: false,
-            has_news: false,
+            has_unacknowledged_lease: false,
             fetches: Backoff::new(Waits::USUAL, seed),
             claims_from: now,
             idle_reason: String::new(),
@@ -206,7 +205,7 @@ impl Supervisor {
         }
         if !self.uploads.is_empty() {
             let videos = counted(self.uploads.len() as u64, "video");
-            tracing::warn!("gave up storing {videos}: there was no more time");
+            tracing::warn!("{videos} dropped: not stored in time");
         }
         self.calls.abort_all();
         self.uploads.abort_all();
@@ -236,7 +235,7 @@ impl Supervisor {
         };
         if let Err(status) = self.link.sign_off(request).await {
             tracing::debug!(
-                "the coordinator did not hear the good-bye: {}",
+                "the coordinator did not receive the sign-off: {}",
                 chain(&status)
             );
         }
@@ -245,7 +244,7 @@ impl Supervisor {
     fn handle(&mut self, event: Event, now: Instant) {
         match event {
             Event::Tick => {
-                if self.has_news {
+                if self.has_unacknowledged_lease {
                     self.send_heartbeat();
                 }
                 self.end_in_time(now);
@@ -266,7 +265,7 @@ impl Supervisor {
             } => self.delivered(slot, &label, answer),
             Event::Slot { key, event } => {
                 if self.is_current(key) {
-                    self.slot_said(key.slot, event, now);
+                    self.handle_slot_event(key.slot, event, now);
                 }
             }
             Event::Ended { key, end } => {
@@ -340,8 +339,8 @@ impl Supervisor {
     fn kill(&mut self, slot: usize, why: Kill) {
         let kill = match why {
             Kill::NotReady => "its process does not become ready",
-            Kill::Stuck => "its rollout stands still",
-            Kill::StuckFilming => "its filming stands still; the result is not affected",
+            Kill::Stuck => "its rollout makes no progress",
+            Kill::StuckFilming => "its video makes no progress; the result is not affected",
             Kill::NotAbandoned => "it does not abandon its rollout",
         };
         tracing::warn!("slot {slot} is killed: {kill}");
@@ -352,7 +351,7 @@ impl Supervisor {
         }
     }
 
-    fn slot_said(&mut self, slot: usize, event: SlotEvent, now: Instant) {
+    fn handle_slot_event(&mut self, slot: usize, event: SlotEvent, now: Instant) {
         let (attempt, event) = match event {
             SlotEvent::Ready {
                 renderer,
@@ -399,9 +398,9 @@ impl Supervisor {
         tracing::info!("slot {slot} is ready: renderer {renderer}, fingerprint {fingerprint}");
         match &self.registration {
             None => self.register(registration(&self.config, renderer)),
-            Some(known) if known.renderer == renderer => {}
-            Some(known) => {
-                let registered = known.renderer.clone();
+            Some(registration) if registration.renderer == renderer => {}
+            Some(registration) => {
+                let registered = registration.renderer.clone();
                 self.stop(SuperviseError::Renderers {
                     slot,
                     renderer,
@@ -427,7 +426,7 @@ impl Supervisor {
                 tracing::info!("registered with the coordinator at {url}");
                 self.timing = Timing::from(&answer);
                 self.is_registered = true;
-                self.tell_idle(answer.idle_reason);
+                self.log_idle_reason(answer.idle_reason);
             }
             Err(status) => {
                 let (url, answer) = (url.clone(), chain(&status));
@@ -443,7 +442,7 @@ impl Supervisor {
             campaign,
             ..
         } = &self.slots[slot];
-        let session = assignment.as_ref().map(|it| it.session.to_string());
+        let session = assignment.as_ref().map(|job| job.session.to_string());
         format!("{campaign}: {}", session.unwrap_or_default())
     }
 
@@ -502,7 +501,7 @@ impl Supervisor {
         let host = &self.config.identity.host;
         if kind == FailureKind::SlotStuck {
             let secs = self.timing.progress_timeout.as_secs_f64();
-            format!("the rollout stood still on {host} for {secs:.0} s and was killed")
+            format!("the rollout made no progress on {host} for {secs:.0} s and was killed")
         } else {
             format!("the slot's process on {host} {end}")
         }
@@ -513,11 +512,11 @@ impl Supervisor {
         let delivery = Delivery {
             attempt,
             label,
-            realisation: assignment.map(|it| it.realisation).unwrap_or_default(),
+            realisation: assignment.map(|job| job.realisation).unwrap_or_default(),
             identity: self.config.identity.clone(),
             ending,
         };
-        delivery.tell();
+        delivery.log();
         let label = delivery.label.clone();
         let (link, events) = (self.link.clone(), self.events.clone());
         self.calls.spawn(async move {
@@ -534,7 +533,7 @@ impl Supervisor {
     fn delivered(&mut self, slot: usize, label: &str, answer: Answer) {
         let decision = self.slots[slot].state.delivered(answer.is_committed());
         self.carry_out_video(slot, decision);
-        answer.tell(label);
+        answer.log(label);
         if let Some(reason) = answer.stop_leasing() {
             self.stop(SuperviseError::Stopped(reason));
         }
@@ -552,9 +551,9 @@ impl Supervisor {
             return;
         }
         self.heartbeat_under_way = true;
-        self.has_news = false;
-        let held = self.slots.iter().filter_map(|it| it.state.progress());
-        let progress = held.map(|(attempt, control_steps)| Progress {
+        self.has_unacknowledged_lease = false;
+        let under_way = self.slots.iter().filter_map(|slot| slot.state.progress());
+        let progress = under_way.map(|(attempt, control_steps)| Progress {
             attempt_id: attempt.to_string(),
             control_steps,
         });
@@ -578,26 +577,26 @@ impl Supervisor {
         for lost in &answer.lost_attempts {
             match lost.parse() {
                 Ok(attempt) => self.abandon(attempt, now),
-                Err(error) => tracing::warn!("a lost lease is not known here: {error}"),
+                Err(error) => tracing::warn!("invalid id of a lost attempt: {error}"),
             }
         }
     }
 
     /// Abandons an attempt whose lease is lost, if it is still being simulated.
     fn abandon(&mut self, lost: AttemptId, now: Instant) {
-        let fetching = |slot: &Slot| slot.state.work == Work::Preparing { attempt: lost };
-        if let Some(slot) = self.slots.iter_mut().find(|slot| fetching(slot)) {
+        let is_preparing = |slot: &Slot| slot.state.work == Work::Preparing { attempt: lost };
+        if let Some(slot) = self.slots.iter_mut().find(|slot| is_preparing(slot)) {
             tracing::warn!("a lease was lost while assets were fetched for it");
             slot.state.work = Work::Nothing;
             slot.preparing = None;
             return;
         }
-        let held = |slot: &Slot| matches!(slot.state.work, Work::Running { attempt, .. } if attempt == lost);
-        let Some(slot) = self.slots.iter().position(held) else {
+        let runs = |slot: &Slot| matches!(slot.state.work, Work::Running { attempt, .. } if attempt == lost);
+        let Some(slot) = self.slots.iter().position(runs) else {
             return;
         };
         tracing::warn!(
-            "the lease of {} was lost; it is abandoned",
+            "the lease of {} was lost; the rollout is abandoned",
             self.label(slot)
         );
         let slot = &mut self.slots[slot];
@@ -614,12 +613,12 @@ impl Supervisor {
     /// with it. For any other task the worker gives up: a rollout waiting for that task would have
     /// its lease renewed for ever.
     fn panicked(&mut self, task: task::Id, error: String, now: Instant) {
-        let owns = |slot: &Slot| slot.process.as_ref().is_some_and(|it| it.task == task);
+        let owns = |slot: &Slot| matches!(&slot.process, Some(process) if process.task == task);
         if let Some(slot) = self.slots.iter().position(owns) {
-            let end = ProcessEnd::from(format!("is not attended any more: {error}"));
+            let end = ProcessEnd::from(format!("lost the task that supervised it: {error}"));
             return self.process_ended(slot, end, now);
         }
-        tracing::error!("a part of this worker broke off: {error}");
+        tracing::error!("a task of this worker panicked: {error}");
         self.start_to_drain();
         self.fault.get_or_insert(SuperviseError::Panicked(error));
         self.give_up(now);
@@ -692,7 +691,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_call_that_panics_ends_the_worker_with_an_error_that_says_so() {
+    async fn a_panic_of_a_call_ends_the_worker_with_an_error() {
         let (events, inbox) = mpsc::channel(8);
         let mut supervisor = supervisor(events);
         // Without the panic's detection, the delivery would never happen and its lease would be
@@ -706,7 +705,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_request_to_end_is_heard_while_slots_still_start() {
+    async fn a_shutdown_request_is_handled_while_slots_start() {
         let (events, _inbox) = mpsc::channel(8);
         let mut supervisor = supervisor_of(3 * STARTS_AT_ONCE, events);
         let now = Instant::now();
@@ -714,7 +713,8 @@ mod tests {
             supervisor.carry_out_decisions(now),
             "more are to be started"
         );
-        let started = |it: &Supervisor| it.slots.iter().filter(|it| it.process.is_some()).count();
+        let is_started = |slot: &&Slot| slot.process.is_some();
+        let started = |parent: &Supervisor| parent.slots.iter().filter(is_started).count();
         assert_eq!(started(&supervisor), STARTS_AT_ONCE);
         supervisor.handle(Event::Shutdown, now);
         assert!(!supervisor.carry_out_decisions(now));
@@ -722,7 +722,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_machine_that_has_nothing_left_for_a_slot_ends_the_worker_at_once() {
+    async fn exhausted_resources_end_the_worker_at_once() {
         let (events, _inbox) = mpsc::channel(8);
         let mut supervisor = supervisor_of(1_000, events);
         let now = Instant::now();
@@ -736,7 +736,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_slots_task_that_panics_is_the_end_of_its_process() {
+    async fn a_panic_of_a_slots_task_ends_its_process() {
         let (events, mut inbox) = mpsc::channel(8);
         let mut supervisor = supervisor(events);
         let now = Instant::now();
@@ -755,7 +755,7 @@ mod tests {
         let event = panicked(ended).expect("an event");
         supervisor.handle(event, now);
         let state = &supervisor.slots[0].state;
-        assert!(matches!(state.work, Work::Delivering { attempt: it, .. } if it == attempt));
+        assert!(matches!(state.work, Work::Delivering { attempt: id, .. } if id == attempt));
         assert!(matches!(state.process, ProcessState::Down { .. }));
         assert_eq!(supervisor.mode, Mode::Serving, "another is started");
         assert!(inbox.try_recv().is_err());

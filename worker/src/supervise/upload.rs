@@ -62,7 +62,7 @@ impl Uploader {
 pub(crate) async fn remove(file: PathBuf) {
     match tokio::fs::remove_file(&file).await {
         Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-            tracing::warn!("{} stays behind: {error}", file.display());
+            tracing::warn!("{} cannot be removed: {error}", file.display());
         }
         _ => {}
     }

@@ -104,10 +104,14 @@ impl Audit {
     pub fn list(&self) -> String {
         let mut text = String::new();
         let all = [(None, &self.runnable)];
-        let lacking = self.lacking.0.iter().map(|(lack, it)| (Some(lack), it));
+        let lacking = self
+            .lacking
+            .0
+            .iter()
+            .map(|(lack, cases)| (Some(lack), cases));
         for (lack, cases) in all.into_iter().chain(lacking) {
             for case in cases {
-                let difficulty = case.difficulty().map(|it| it.to_string());
+                let difficulty = case.difficulty().map(|difficulty| difficulty.to_string());
                 let state = match lack {
                     None => "runs".to_owned(),
                     Some(lack) => format!("lacks {lack}"),
@@ -170,7 +174,7 @@ pub fn lack(
         Some(Benchmark::Pro) => {
             let problem = files.problem()?;
             let declared = problem.objects.iter().chain(&problem.fixtures);
-            let mut models = declared.filter_map(|it| category(&it.category));
+            let mut models = declared.filter_map(|model| category(&model.category));
             let is_there = |file: &str| {
                 (pack.is_managed() && Table::libero().get(file).is_some())
                     || pack.dir().join(file).is_file()

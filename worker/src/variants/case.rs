@@ -60,7 +60,9 @@ fn start(case: &Case, protocol: &Protocol) -> VariantStart {
     };
     VariantStart {
         view: variant.map(|variant| variant.view()),
-        posture: variant.and_then(|it| it.robot()).and_then(start_posture),
+        posture: variant
+            .and_then(|variant| variant.robot())
+            .and_then(start_posture),
         seed: protocol.seed,
         earlier_resets: u32::from(case.trial),
         start: match protocol.beginning {
@@ -68,7 +70,7 @@ fn start(case: &Case, protocol: &Protocol) -> VariantStart {
             Beginning::Reset => Start::Reset,
         },
         corruption: variant
-            .and_then(|it| it.corruption())
+            .and_then(|variant| variant.corruption())
             .and_then(Corruption::new),
     }
 }

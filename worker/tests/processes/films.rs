@@ -6,7 +6,7 @@ use std::process::Output;
 use libero_ctrl::ManifestRow;
 use proto::coordinator::{Film, Lease};
 
-use crate::scripted_coordinator::{ScriptedCoordinator, Told};
+use crate::scripted_coordinator::{ScriptedCoordinator, WorkerMessage};
 use crate::scripted_policy::ScriptedPolicy;
 use crate::worker_process::{MAX_STEPS, WorkerProcess, attempt_id, lease, program, ready};
 
@@ -16,7 +16,7 @@ const POINT_BYTES: usize = 6;
 const ACTION_BYTES: usize = 28;
 
 /// Runs a rollout that stores its actions; returns the film to be made of it.
-async fn a_film(coordinator: &ScriptedCoordinator) -> Film {
+async fn filmable_rollout(coordinator: &ScriptedCoordinator) -> Film {
     film_of(coordinator, lease(1, "still", "")).await
 }
 
@@ -29,9 +29,9 @@ async fn film_of(coordinator: &ScriptedCoordinator, mut kept: Lease) -> Film {
     let mut serve = program();
     serve.env("COORDINATOR_URL", coordinator.url());
     let _worker = WorkerProcess::start_command(serve.args(["--assets", "primitives"]));
-    let commit = coordinator.told(1).await.commit();
+    let commit = coordinator.message(1).await.commit();
     if has_video {
-        coordinator.told(2).await;
+        coordinator.message(2).await;
     }
     let motion = commit.motion.expect("a motion");
     assert_eq!(motion.path.len(), (MAX_STEPS as usize + 1) * POINT_BYTES);
@@ -57,25 +57,25 @@ fn film_all(coordinator: &ScriptedCoordinator) -> Output {
 
 /// Returns the video that is the coordinator's `number`-th message, with its attempt.
 async fn video(coordinator: &ScriptedCoordinator, number: usize) -> (String, Vec<u8>) {
-    let Told::Video { attempt, bytes } = coordinator.told(number).await else {
-        panic!("{:?}", coordinator.everything_told());
+    let WorkerMessage::Video { attempt, bytes } = coordinator.message(number).await else {
+        panic!("{:?}", coordinator.messages());
     };
     (attempt, bytes)
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_rollout_is_filmed_from_its_actions_when_its_policy_has_gone() {
-    if !ready("a_rollout_is_filmed_from_its_actions_when_its_policy_has_gone") {
+async fn a_rollout_is_filmed_from_its_actions_without_its_policy() {
+    if !ready("a_rollout_is_filmed_from_its_actions_without_its_policy") {
         return;
     }
     let coordinator = ScriptedCoordinator::start().await;
-    let film = a_film(&coordinator).await;
+    let film = filmable_rollout(&coordinator).await;
     coordinator.film(film);
     let output = film_all(&coordinator);
     assert!(output.status.success(), "{output:?}");
-    let said = String::from_utf8(output.stdout).expect("text");
+    let summary = String::from_utf8(output.stdout).expect("text");
     assert_eq!(
-        said,
+        summary,
         "1 video stored; no more is left to film with asset pack primitives and MuJoCo 3.3.7\n"
     );
     let (attempt, bytes) = video(&coordinator, 2).await;
@@ -83,12 +83,12 @@ async fn a_rollout_is_filmed_from_its_actions_when_its_policy_has_gone() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn several_rollouts_are_filmed_at_a_time_and_the_log_says_how_far_it_is() {
-    if !ready("several_rollouts_are_filmed_at_a_time_and_the_log_says_how_far_it_is") {
+async fn several_rollouts_are_filmed_in_parallel_with_progress_in_the_log() {
+    if !ready("several_rollouts_are_filmed_in_parallel_with_progress_in_the_log") {
         return;
     }
     let coordinator = ScriptedCoordinator::start().await;
-    let film = a_film(&coordinator).await;
+    let film = filmable_rollout(&coordinator).await;
     for number in 1..=3 {
         coordinator.film(Film {
             attempt_id: attempt_id(number),
@@ -101,8 +101,8 @@ async fn several_rollouts_are_filmed_at_a_time_and_the_log_says_how_far_it_is() 
     let output = tokio::task::block_in_place(|| command.output().expect("runs"));
     let log = String::from_utf8(output.stderr).expect("text");
     assert!(output.status.success(), "{log}");
-    let said = String::from_utf8(output.stdout).expect("text");
-    assert!(said.starts_with("3 videos stored; "), "{said}");
+    let summary = String::from_utf8(output.stdout).expect("text");
+    assert!(summary.starts_with("3 videos stored; "), "{summary}");
     assert!(log.contains("filming 2 rollouts at a time"), "{log}");
     assert!(
         log.contains("(2 left)") && log.contains("(0 left)"),
@@ -117,19 +117,19 @@ async fn several_rollouts_are_filmed_at_a_time_and_the_log_says_how_far_it_is() 
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_film_that_ends_otherwise_than_its_rollout_is_not_stored() {
-    if !ready("a_film_that_ends_otherwise_than_its_rollout_is_not_stored") {
+async fn a_film_that_ends_differently_from_its_rollout_is_not_stored() {
+    if !ready("a_film_that_ends_differently_from_its_rollout_is_not_stored") {
         return;
     }
     let coordinator = ScriptedCoordinator::start().await;
-    let mut film = a_film(&coordinator).await;
+    let mut film = filmable_rollout(&coordinator).await;
     film.success = !film.success;
     coordinator.film(film);
     let output = film_all(&coordinator);
     assert_eq!(output.status.code(), Some(1), "{output:?}");
-    let said = String::from_utf8(output.stderr).expect("text");
-    assert!(said.contains("its goal held at another step"), "{said}");
-    assert_eq!(coordinator.everything_told().len(), 2, "no video");
+    let log = String::from_utf8(output.stderr).expect("text");
+    assert!(log.contains("its goal held at another step"), "{log}");
+    assert_eq!(coordinator.messages().len(), 2, "no video");
 }
 
 /// Returns two films of one rollout: by the slot that simulated it, and made afterwards.
@@ -148,8 +148,8 @@ async fn films_of(row: &ManifestRow) -> [Vec<u8>; 2] {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_film_afterwards_is_that_of_the_slot_and_shows_the_sensors_corruption() {
-    if !ready("a_film_afterwards_is_that_of_the_slot_and_shows_the_sensors_corruption") {
+async fn a_later_film_equals_the_slots_film_and_shows_sensor_corruption() {
+    if !ready("a_later_film_equals_the_slots_film_and_shows_sensor_corruption") {
         return;
     }
     let row = |id: String| {

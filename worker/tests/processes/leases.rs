@@ -7,8 +7,8 @@ use crate::scripted_policy::ScriptedPolicy;
 use crate::worker_process::{WorkerProcess, attempt_id, lease, ready};
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_claim_whose_answer_is_lost_is_asked_again_under_its_own_name() {
-    if !ready("a_claim_whose_answer_is_lost_is_asked_again_under_its_own_name") {
+async fn a_claim_whose_answer_is_lost_is_repeated_with_the_same_id() {
+    if !ready("a_claim_whose_answer_is_lost_is_repeated_with_the_same_id") {
         return;
     }
     let coordinator = ScriptedCoordinator::start().await;
@@ -19,12 +19,12 @@ async fn a_claim_whose_answer_is_lost_is_asked_again_under_its_own_name() {
     }
     let _worker = WorkerProcess::start(&coordinator.url());
     for (number, job) in [(1, 1), (2, 2)] {
-        let commit = coordinator.told(number).await.commit();
+        let commit = coordinator.message(number).await.commit();
         assert_eq!(commit.attempt_id, attempt_id(job));
     }
     let claims = coordinator.claims().into_iter();
     let names: Vec<String> = claims.map(|claim| claim.claim_id).collect();
-    assert_eq!(names[0], names[1], "asked again");
+    assert_eq!(names[0], names[1], "the repeated claim has the same id");
     assert_ne!(names[1], names[2], "another claim");
     assert!(names.iter().all(|name| name.len() == 32), "{names:?}");
 }

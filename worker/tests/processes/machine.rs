@@ -3,30 +3,30 @@
 use std::thread::{available_parallelism, sleep};
 use std::time::Duration;
 
-use crate::scripted_coordinator::{ScriptedCoordinator, Told};
+use crate::scripted_coordinator::{ScriptedCoordinator, WorkerMessage};
 use crate::worker_process::{WorkerProcess, ready, run, wait_for_the_end_of};
 
 /// A graphics device that does not exist.
 const NO_RENDERER: [&str; 2] = ["--renderer", "gl:99"];
 
 #[test]
-fn a_bench_counts_what_slots_do_together_and_recommends_a_number() {
-    if !ready("a_bench_counts_what_slots_do_together_and_recommends_a_number") {
+fn bench_adds_up_slots_and_recommends_a_number() {
+    if !ready("bench_adds_up_slots_and_recommends_a_number") {
         return;
     }
     let measured = "bench --assets primitives --slots 2,1 --secs 0.3 --execute 4";
     let ran = run(&measured.split(' ').collect::<Vec<_>>());
     let complaint = String::from_utf8_lossy(&ran.stderr);
     assert!(ran.status.success(), "{complaint}");
-    let said = String::from_utf8(ran.stdout).expect("UTF-8");
-    println!("{said}");
+    let table = String::from_utf8(ran.stdout).expect("UTF-8");
+    println!("{table}");
     assert!(
-        said.lines().all(|line| line.chars().count() <= 80),
-        "{said}"
+        table.lines().all(|line| line.chars().count() <= 80),
+        "{table}"
     );
     // Columns: slots, steps/s, frames/s, slowest–fastest, MiB of a slot, PSS, MiB more.
     let row = |slots: &str| -> Vec<f64> {
-        let row = said.lines().map(|line| line.split_whitespace().collect());
+        let row = table.lines().map(|line| line.split_whitespace().collect());
         let mut row = row.filter(|row: &Vec<&str>| {
             // The line about the processor may begin with the same number.
             row.len() == 7 && row[0] == slots && row[1].parse::<f64>().is_ok()
@@ -48,7 +48,7 @@ fn a_bench_counts_what_slots_do_together_and_recommends_a_number() {
         assert!(steps <= count * fastest + 0.2, "{row:?}");
         assert!(0.0 < own && own <= pss && pss <= resident, "{row:?}");
     }
-    let last = said.lines().last().expect("a line");
+    let last = table.lines().last().expect("a line");
     assert!(
         ["--slots 1,", "--slots 2,"]
             .iter()
@@ -58,18 +58,18 @@ fn a_bench_counts_what_slots_do_together_and_recommends_a_number() {
 }
 
 #[test]
-fn slots_wait_for_a_policy_that_takes_time_and_more_of_them_are_tried() {
-    if !ready("slots_wait_for_a_policy_that_takes_time_and_more_of_them_are_tried") {
+fn bench_tries_more_slots_for_a_slow_policy() {
+    if !ready("bench_tries_more_slots_for_a_slow_policy") {
         return;
     }
     let measured = "bench --assets primitives --secs 1 --execute 20 --policy-secs 0.3";
     let ran = run(&measured.split(' ').collect::<Vec<_>>());
     let complaint = String::from_utf8_lossy(&ran.stderr);
     assert!(ran.status.success(), "{complaint}");
-    let said = String::from_utf8(ran.stdout).expect("UTF-8");
-    println!("{said}");
-    assert!(said.contains("The policy answers after 0.3 s"), "{said}");
-    let rows = said.lines().filter_map(|line| {
+    let table = String::from_utf8(ran.stdout).expect("UTF-8");
+    println!("{table}");
+    assert!(table.contains("The policy answers after 0.3 s"), "{table}");
+    let rows = table.lines().filter_map(|line| {
         let mut columns = line.split_whitespace();
         let slots: usize = columns.next()?.parse().ok()?;
         columns
@@ -81,18 +81,18 @@ fn slots_wait_for_a_policy_that_takes_time_and_more_of_them_are_tried() {
     let rows: Vec<(usize, f64)> = rows.collect();
     let alone = rows.first().expect("a row").1;
     // At most twenty steps follow every answer.
-    assert!(alone <= 67.0, "{said}");
+    assert!(alone <= 67.0, "{table}");
     // A single slot keeps no core busy, so more slots than twice the cores are tried, unless memory
     // is too small.
     let cores = available_parallelism().expect("it says").get();
-    let tried = said
+    let tried = table
         .lines()
         .filter_map(|line| line.split_whitespace().next()?.parse().ok());
     let most: usize = tried
         .filter(|slots| *slots < 10_000)
         .max()
         .expect("a number");
-    assert!(most > 2 * cores, "{most} on {cores}: {said}");
+    assert!(most > 2 * cores, "{most} on {cores}: {table}");
 }
 
 #[test]
@@ -102,10 +102,10 @@ fn a_slot_that_cannot_be_measured_is_named_with_its_reason() {
     }
     let bench = ["bench", "--assets", "primitives", "--slots", "1"];
     let ran = run(&[&bench[..], &NO_RENDERER].concat());
-    let said = String::from_utf8_lossy(&ran.stderr);
-    assert_eq!(ran.status.code(), Some(1), "{said}");
+    let stderr = String::from_utf8_lossy(&ran.stderr);
+    assert_eq!(ran.status.code(), Some(1), "{stderr}");
     for words in ["EGL", "slot 0: its process exited with code 1"] {
-        assert!(said.contains(words), "{said}");
+        assert!(stderr.contains(words), "{stderr}");
     }
 }
 
@@ -133,27 +133,27 @@ fn more_slots_than_the_machine_can_hold_are_refused_before_any_is_started() {
         return;
     }
     let worker = WorkerProcess::start_with("http://127.0.0.1:9", &["--slots", "100000"]);
-    let (status, said) = worker.wait();
-    assert_eq!(status.code(), Some(1), "{said}");
-    assert!(said.contains("failed to start 100000 slots: "), "{said}");
-    assert!(said.contains("`--slots auto` chooses"), "{said}");
-    assert!(!said.contains("[slot "), "{said}");
+    let (status, log) = worker.wait();
+    assert_eq!(status.code(), Some(1), "{log}");
+    assert!(log.contains("failed to start 100000 slots: "), "{log}");
+    assert!(log.contains("`--slots auto` chooses"), "{log}");
+    assert!(!log.contains("[slot "), "{log}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_worker_that_chooses_its_slots_registers_them_and_says_why() {
-    if !ready("a_worker_that_chooses_its_slots_registers_them_and_says_why") {
+async fn automatic_slots_are_registered_and_explained() {
+    if !ready("automatic_slots_are_registered_and_explained") {
         return;
     }
     let coordinator = ScriptedCoordinator::start().await;
     let worker = WorkerProcess::start_with(&coordinator.url(), &["--slots", "auto"]);
-    let Told::Registered(registered) = coordinator.told(0).await else {
+    let WorkerMessage::Registered(registered) = coordinator.message(0).await else {
         panic!("a worker registers first");
     };
     let cores = available_parallelism().expect("some cores").get();
     let slots = registered.slots;
     assert!((1..=cores).contains(&(slots as usize)), "{slots} slots");
-    let said = worker.terminated();
+    let log = worker.terminated();
     // On a busy machine, it may be one slot.
     let plural = if slots == 1 { "" } else { "s" };
     for words in [
@@ -161,21 +161,21 @@ async fn a_worker_that_chooses_its_slots_registers_them_and_says_why() {
         format!("{cores} cores"),
         format!("{slots} slot{plural}, assets primitives"),
     ] {
-        assert!(said.contains(&words), "{words}: {said}");
+        assert!(log.contains(&words), "{words}: {log}");
     }
 }
 
 #[test]
-fn slots_that_cannot_be_chosen_can_be_given() {
-    if !ready("slots_that_cannot_be_chosen_can_be_given") {
+fn a_failed_measurement_suggests_a_fixed_number_of_slots() {
+    if !ready("a_failed_measurement_suggests_a_fixed_number_of_slots") {
         return;
     }
     let auto = "--connect http://127.0.0.1:9 --assets primitives --slots auto";
     let auto: Vec<&str> = auto.split(' ').collect();
     let ran = run(&[&auto[..], &NO_RENDERER].concat());
-    let said = String::from_utf8_lossy(&ran.stderr);
-    assert_eq!(ran.status.code(), Some(1), "{said}");
+    let stderr = String::from_utf8_lossy(&ran.stderr);
+    assert_eq!(ran.status.code(), Some(1), "{stderr}");
     for words in ["`--slots N`", "slot 0", "exited with code 1"] {
-        assert!(said.contains(words), "{words}: {said}");
+        assert!(stderr.contains(words), "{words}: {stderr}");
     }
 }

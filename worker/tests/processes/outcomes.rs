@@ -3,13 +3,13 @@
 use libero_ctrl::ManifestRow;
 use proto::coordinator::release_request::Reason;
 
-use crate::scripted_coordinator::{ScriptedCoordinator, Told};
+use crate::scripted_coordinator::{ScriptedCoordinator, WorkerMessage};
 use crate::scripted_policy::{FRAME_SIDE, HORIZON, ScriptedPolicy};
 use crate::worker_process::{MAX_STEPS, WorkerProcess, attempt_id, lease, ready, run};
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_outcome_goes_with_everything_that_it_came_out_of() {
-    if !ready("an_outcome_goes_with_everything_that_it_came_out_of") {
+async fn a_result_carries_its_provenance() {
+    if !ready("a_result_carries_its_provenance") {
         return;
     }
     let coordinator = ScriptedCoordinator::start().await;
@@ -17,10 +17,10 @@ async fn an_outcome_goes_with_everything_that_it_came_out_of() {
     coordinator.lease(lease(1, "looking", &policy.url()));
     let _worker = WorkerProcess::start(&coordinator.url());
 
-    let Told::Registered(registered) = coordinator.told(0).await else {
+    let WorkerMessage::Registered(registered) = coordinator.message(0).await else {
         panic!("a worker registers first");
     };
-    let commit = coordinator.told(1).await.commit();
+    let commit = coordinator.message(1).await.commit();
     assert_eq!(commit.attempt_id, attempt_id(1));
 
     let result = commit.result.expect("a result");
@@ -53,19 +53,19 @@ async fn an_outcome_goes_with_everything_that_it_came_out_of() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_policy_is_shown_what_it_wants_once_per_query() {
-    if !ready("a_policy_is_shown_what_it_wants_once_per_query") {
+async fn a_policy_gets_the_requested_observation_once_per_query() {
+    if !ready("a_policy_gets_the_requested_observation_once_per_query") {
         return;
     }
     let coordinator = ScriptedCoordinator::start().await;
     let policy = ScriptedPolicy::start().await;
     coordinator.lease(lease(1, "looking", &policy.url()));
     let _worker = WorkerProcess::start(&coordinator.url());
-    coordinator.told(1).await.commit();
+    coordinator.message(1).await.commit();
 
-    let asked = policy.asked.lock().expect("unpoisoned");
-    let [reset] = asked.resets.as_slice() else {
-        panic!("{:?}", asked.resets)
+    let received = policy.received.lock().expect("unpoisoned");
+    let [reset] = received.resets.as_slice() else {
+        panic!("{:?}", received.resets)
     };
     let session = format!("object/t0/clean/i03#r0#{}", attempt_id(1));
     assert_eq!(reset.session, session);
@@ -74,13 +74,13 @@ async fn a_policy_is_shown_what_it_wants_once_per_query() {
         reset.instruction,
         "pick up the alphabet soup and place it in the basket"
     );
-    let indices: Vec<u32> = asked
+    let indices: Vec<u32> = received
         .queries
         .iter()
         .map(|query| query.query_index)
         .collect();
     assert_eq!(indices, [0, 1, 2]);
-    for query in &asked.queries {
+    for query in &received.queries {
         let shown = query.observation.as_ref().expect("an observation");
         let frames: Vec<_> = shown.images.iter().map(|image| image.rgb.len()).collect();
         assert_eq!(frames, [(FRAME_SIDE * FRAME_SIDE * 3) as usize; 2]);
@@ -95,8 +95,8 @@ async fn a_policy_is_shown_what_it_wants_once_per_query() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_policy_that_knows_canonical_instructions_only_is_told_no_paraphrase() {
-    if !ready("a_policy_that_knows_canonical_instructions_only_is_told_no_paraphrase") {
+async fn a_canonical_only_policy_gets_no_paraphrase() {
+    if !ready("a_canonical_only_policy_gets_no_paraphrase") {
         return;
     }
     let coordinator = ScriptedCoordinator::start().await;
@@ -110,16 +110,16 @@ async fn a_policy_that_knows_canonical_instructions_only_is_told_no_paraphrase()
     }
     let _worker = WorkerProcess::start(&coordinator.url());
     for number in 1..=2 {
-        coordinator.told(number).await.commit();
+        coordinator.message(number).await.commit();
     }
-    let asked = policy.asked.lock().expect("unpoisoned");
-    let told: Vec<_> = asked
+    let received = policy.received.lock().expect("unpoisoned");
+    let instructions: Vec<_> = received
         .resets
         .iter()
         .map(|reset| (reset.policy.as_str(), reset.instruction.as_str()))
         .collect();
     assert_eq!(
-        told,
+        instructions,
         [
             ("looking", "kindly put the soup into the basket"),
             (
@@ -139,7 +139,7 @@ async fn actions_beyond_the_range_are_clipped_and_counted() {
     let policy = ScriptedPolicy::start().await;
     coordinator.lease(lease(1, "wild", &policy.url()));
     let _worker = WorkerProcess::start(&coordinator.url());
-    let result = coordinator.told(1).await.commit().result;
+    let result = coordinator.message(1).await.commit().result;
     assert_eq!(result.expect("a result").clipped_actions, MAX_STEPS);
 }
 
@@ -154,8 +154,8 @@ async fn a_rollout_without_frames_names_its_slots_renderer_too() {
         coordinator.lease(lease(job, name, &policy.url()));
     }
     let _worker = WorkerProcess::start(&coordinator.url());
-    let blind = coordinator.told(1).await.commit().provenance;
-    let looking = coordinator.told(2).await.commit().provenance;
+    let blind = coordinator.message(1).await.commit().provenance;
+    let looking = coordinator.message(2).await.commit().provenance;
     let (blind, looking) = (blind.expect("one"), looking.expect("one"));
     assert_eq!(blind.first_frame_digest, "");
     assert_eq!(looking.first_frame_digest.len(), 64);
@@ -175,11 +175,11 @@ async fn the_same_rollout_has_the_same_outcome_and_frames_every_time() {
         coordinator.lease(lease(job, "looking", &policy.url()));
     }
     let _worker = WorkerProcess::start(&coordinator.url());
-    let first = coordinator.told(1).await.commit().provenance;
-    let second = coordinator.told(2).await.commit().provenance;
+    let first = coordinator.message(1).await.commit().provenance;
+    let second = coordinator.message(2).await.commit().provenance;
     assert_eq!(first, second);
-    let asked = policy.asked.lock().expect("unpoisoned");
-    let (first, second) = asked.queries.split_at(asked.queries.len() / 2);
+    let received = policy.received.lock().expect("unpoisoned");
+    let (first, second) = received.queries.split_at(received.queries.len() / 2);
     for (first, second) in first.iter().zip(second) {
         assert!(
             first.observation == second.observation,
@@ -202,13 +202,13 @@ async fn an_outcome_is_kept_until_the_coordinator_is_back() {
     coordinator.go_down();
     // Three answers take 200 ms each, so the rollout ends during the outage.
     tokio::time::sleep(std::time::Duration::from_secs(3)).await;
-    assert_eq!(coordinator.everything_told().len(), 1);
+    assert_eq!(coordinator.messages().len(), 1);
     coordinator.come_back().await;
-    coordinator.told(1).await.commit();
+    coordinator.message(1).await.commit();
 
-    let said = worker.terminated();
-    assert_eq!(said.matches("cannot be reached").count(), 1, "{said}");
-    assert_eq!(said.matches("answers again").count(), 1, "{said}");
+    let log = worker.terminated();
+    assert_eq!(log.matches("cannot be reached").count(), 1, "{log}");
+    assert_eq!(log.matches("answers again").count(), 1, "{log}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -277,15 +277,15 @@ fn a_replay_without_pictures_opens_no_renderer() {
     );
     let line: Vec<&str> = line.split_whitespace().collect();
     let ran = run(&line);
-    let said = String::from_utf8_lossy(&ran.stderr);
+    let stderr = String::from_utf8_lossy(&ran.stderr);
     assert_eq!(
         ran.status.code(),
         Some(1),
-        "a video takes a renderer: {said}"
+        "a video takes a renderer: {stderr}"
     );
     let ran = run(&[&line[..], &["--no-video"]].concat());
-    let said = String::from_utf8_lossy(&ran.stderr);
-    assert!(ran.status.success(), "{said}");
+    let stderr = String::from_utf8_lossy(&ran.stderr);
+    assert!(ran.status.success(), "{stderr}");
     let result = std::fs::read(folder.path().join("result.json")).expect("a result");
     let result: serde_json::Value = serde_json::from_slice(&result).expect("JSON");
     assert_eq!(result["finished"]["outcome"]["steps"], 3);
@@ -298,8 +298,8 @@ fn a_replay_without_pictures_opens_no_renderer() {
 
 /// The row is from another version: the attempt is released with this reason and has no outcome.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_row_that_cannot_be_read_is_given_back_with_its_problem() {
-    if !ready("a_row_that_cannot_be_read_is_given_back_with_its_problem") {
+async fn an_unreadable_row_is_released_with_the_reason() {
+    if !ready("an_unreadable_row_is_released_with_the_reason") {
         return;
     }
     let coordinator = ScriptedCoordinator::start().await;
@@ -307,7 +307,7 @@ async fn a_row_that_cannot_be_read_is_given_back_with_its_problem() {
     strange.manifest_row = strange.manifest_row.replace("object/t0", "object/t1");
     coordinator.lease(strange);
     let _worker = WorkerProcess::start(&coordinator.url());
-    let release = coordinator.told(1).await.release(Reason::SimulatorError);
+    let release = coordinator.message(1).await.release(Reason::SimulatorError);
     assert!(
         release.error.contains("`task_id` is 0"),
         "{}",

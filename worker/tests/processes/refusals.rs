@@ -6,15 +6,19 @@ use crate::worker_process::{ready, run};
 
 fn check(arguments: &[&str], exit_code: i32, expected: &[&str]) {
     let ran = run(arguments);
-    let said = String::from_utf8_lossy(&ran.stderr);
-    assert_eq!(ran.status.code(), Some(exit_code), "{arguments:?}: {said}");
+    let stderr = String::from_utf8_lossy(&ran.stderr);
+    assert_eq!(
+        ran.status.code(),
+        Some(exit_code),
+        "{arguments:?}: {stderr}"
+    );
     for words in expected {
-        assert!(said.contains(words), "{arguments:?}: {said}");
+        assert!(stderr.contains(words), "{arguments:?}: {stderr}");
     }
 }
 
 #[test]
-fn a_worker_without_its_sources_says_how_to_get_them() {
+fn missing_sources_are_reported_with_the_remedy() {
     let arguments = ["--connect", "http://127.0.0.1:9", "--assets", "primitives"];
     let sources = ["--sources", "/nonexistent"];
     let expected = ["/nonexistent/robosuite", "cargo xtask setup"];
@@ -38,15 +42,18 @@ fn the_environment_names_the_sources_in_every_mode() {
             .env("ROLLOUT_SOURCES", "/nonexistent")
             .output()
             .expect("runs");
-        let said = String::from_utf8_lossy(&ran.stderr);
-        assert_eq!(ran.status.code(), Some(1), "{mode}: {said}");
-        assert!(said.contains("/nonexistent/robosuite"), "{mode}: {said}");
+        let stderr = String::from_utf8_lossy(&ran.stderr);
+        assert_eq!(ran.status.code(), Some(1), "{mode}: {stderr}");
+        assert!(
+            stderr.contains("/nonexistent/robosuite"),
+            "{mode}: {stderr}"
+        );
     }
 }
 
 /// Slots inherit `COORDINATOR_URL` from their worker but do not use it.
 #[test]
-fn the_coordinator_in_the_environment_is_looked_at_only_where_one_is_called() {
+fn only_commands_that_call_a_coordinator_check_its_variable() {
     for (mode, problem) in [
         (
             "--assets primitives --sources /nonexistent",
@@ -75,18 +82,18 @@ fn the_coordinator_in_the_environment_is_looked_at_only_where_one_is_called() {
                 .env("COORDINATOR_URL", address)
                 .output()
                 .expect("runs");
-            let said = String::from_utf8_lossy(&ran.stderr);
+            let stderr = String::from_utf8_lossy(&ran.stderr);
             assert!(
-                !ran.status.success() && said.contains(problem),
-                "{mode}: {said}"
+                !ran.status.success() && stderr.contains(problem),
+                "{mode}: {stderr}"
             );
         }
     }
 }
 
 #[test]
-fn a_pack_that_is_not_there_is_named() {
-    if !ready("a_pack_that_is_not_there_is_named") {
+fn a_missing_pack_is_named() {
+    if !ready("a_missing_pack_is_named") {
         return;
     }
     let arguments = [
@@ -99,7 +106,7 @@ fn a_pack_that_is_not_there_is_named() {
 }
 
 #[test]
-fn what_cannot_be_meant_exits_with_2() {
+fn invalid_command_lines_exit_with_2() {
     let check = |arguments: &[&str], expected: &str| check(arguments, 2, &[expected]);
     check(&[], "--connect");
     check(

@@ -27,14 +27,14 @@ use crate::worker_process::attempt_id;
 const PATIENCE: Duration = Duration::from_secs(60);
 
 #[derive(Clone, Debug)]
-pub(crate) enum Told {
+pub(crate) enum WorkerMessage {
     Registered(Box<RegisterRequest>),
     Video { attempt: String, bytes: Vec<u8> },
     Committed(Box<CommitRequest>),
     Released(Box<ReleaseRequest>),
 }
 
-impl Told {
+impl WorkerMessage {
     pub(crate) fn commit(self) -> CommitRequest {
         match self {
             Self::Committed(commit) => *commit,
@@ -55,12 +55,12 @@ struct State {
     leases: VecDeque<Lease>,
     films: VecDeque<Film>,
     lost_attempts: Vec<String>,
-    told: Vec<Told>,
+    messages: Vec<WorkerMessage>,
     heartbeats: Vec<HeartbeatRequest>,
     signed_off: Vec<String>,
     claims: Vec<ClaimRequest>,
     /// Number of claims that were withdrawn before they were answered.
-    claims_taken_back: u32,
+    claims_withdrawn: u32,
     /// Number of answers to claims that are still to be lost.
     answers_to_lose: u32,
     /// Leases granted to claims whose answers were lost.
@@ -187,27 +187,27 @@ impl ScriptedCoordinator {
     }
 
     /// Waits until a claim was withdrawn before it was answered.
-    pub(crate) async fn claim_taken_back(&self) {
-        self.wait_for("a claim to be taken back", |state| {
-            (state.claims_taken_back > 0).then_some(())
+    pub(crate) async fn claim_withdrawn(&self) {
+        self.wait_for("a withdrawn claim", |state| {
+            (state.claims_withdrawn > 0).then_some(())
         })
         .await;
     }
 
     /// Waits for message `number`; the registration is message 0.
-    pub(crate) async fn told(&self, number: usize) -> Told {
-        self.wait_for("to be told more", |state| state.told.get(number).cloned())
+    pub(crate) async fn message(&self, number: usize) -> WorkerMessage {
+        self.wait_for("a message", |state| state.messages.get(number).cloned())
             .await
     }
 
     /// Waits until a heartbeat reports at least this number of control steps of a job.
     pub(crate) async fn progressed(&self, job: i64, control_steps: u32) {
         self.wait_for("progress", |state| {
-            let far = |it: &&Progress| {
-                it.attempt_id == attempt_id(job) && it.control_steps >= control_steps
+            let is_far_enough = |progress: &&Progress| {
+                progress.attempt_id == attempt_id(job) && progress.control_steps >= control_steps
             };
             let last = state.heartbeats.last()?;
-            last.progress.iter().find(far).map(|_| ())
+            last.progress.iter().find(is_far_enough).map(|_| ())
         })
         .await;
     }
@@ -236,8 +236,13 @@ impl ScriptedCoordinator {
     }
 
     /// Returns all messages so far, in order.
-    pub(crate) fn everything_told(&self) -> Vec<Told> {
-        self.service.state.lock().expect("unpoisoned").told.clone()
+    pub(crate) fn messages(&self) -> Vec<WorkerMessage> {
+        self.service
+            .state
+            .lock()
+            .expect("unpoisoned")
+            .messages
+            .clone()
     }
 
     /// Returns the ids of the workers that signed off.
@@ -256,12 +261,12 @@ impl ScriptedCoordinator {
         self.service.change(change);
     }
 
-    async fn wait_for<T>(&self, what: &str, mut seen: impl FnMut(&State) -> Option<T>) -> T {
+    async fn wait_for<T>(&self, what: &str, mut probe: impl FnMut(&State) -> Option<T>) -> T {
         let mut changes = self.service.changed.subscribe();
         let waiting = async {
             loop {
-                if let Some(seen) = seen(&self.service.state.lock().expect("unpoisoned")) {
-                    return seen;
+                if let Some(found) = probe(&self.service.state.lock().expect("unpoisoned")) {
+                    return found;
                 }
                 changes
                     .changed()
@@ -270,10 +275,10 @@ impl ScriptedCoordinator {
             }
         };
         match tokio::time::timeout(PATIENCE, waiting).await {
-            Ok(seen) => seen,
+            Ok(found) => found,
             Err(_) => panic!(
-                "waited {PATIENCE:?} for {what}; was told {:#?}",
-                self.everything_told()
+                "waited {PATIENCE:?} for {what}; received {:#?}",
+                self.messages()
             ),
         }
     }
@@ -308,8 +313,8 @@ impl Service {
         change(&mut self.state.lock().expect("unpoisoned"))
     }
 
-    fn tell(&self, told: Told) {
-        self.change(|state| state.told.push(told));
+    fn record(&self, message: WorkerMessage) {
+        self.change(|state| state.messages.push(message));
     }
 }
 
@@ -321,7 +326,7 @@ struct Waiting<'a> {
 impl Drop for Waiting<'_> {
     fn drop(&mut self) {
         if !self.is_answered {
-            self.service.change(|state| state.claims_taken_back += 1);
+            self.service.change(|state| state.claims_withdrawn += 1);
         }
     }
 }
@@ -332,7 +337,7 @@ impl WorkerService for Service {
         &self,
         request: Request<RegisterRequest>,
     ) -> Result<Response<RegisterResponse>, Status> {
-        self.tell(Told::Registered(Box::new(request.into_inner())));
+        self.record(WorkerMessage::Registered(Box::new(request.into_inner())));
         Ok(Response::new(RegisterResponse {
             protocol_version: proto::COORDINATOR_PROTOCOL_VERSION,
             program_version: "scripted".to_owned(),
@@ -358,8 +363,8 @@ impl WorkerService for Service {
         let leasing = async {
             loop {
                 let lease = self.change_quietly(|state| {
-                    let known = state.leased.remove(&claim.claim_id);
-                    known.or_else(|| state.leases.pop_front())
+                    let repeated = state.leased.remove(&claim.claim_id);
+                    repeated.or_else(|| state.leases.pop_front())
                 });
                 if let Some(lease) = lease {
                     return lease;
@@ -402,7 +407,7 @@ impl WorkerService for Service {
         &self,
         request: Request<CommitRequest>,
     ) -> Result<Response<CommitResponse>, Status> {
-        self.tell(Told::Committed(Box::new(request.into_inner())));
+        self.record(WorkerMessage::Committed(Box::new(request.into_inner())));
         Ok(Response::new(CommitResponse {
             verdict: self
                 .change_quietly(|state| state.commit_verdict)
@@ -415,7 +420,7 @@ impl WorkerService for Service {
         &self,
         request: Request<ReleaseRequest>,
     ) -> Result<Response<ReleaseResponse>, Status> {
-        self.tell(Told::Released(Box::new(request.into_inner())));
+        self.record(WorkerMessage::Released(Box::new(request.into_inner())));
         Ok(Response::new(ReleaseResponse {
             verdict: release_response::Verdict::Requeued as i32,
             backoff_secs: 0.0,
@@ -461,7 +466,7 @@ impl WorkerService for Service {
         if is_refused {
             return Err(Status::internal("no space left on the device"));
         }
-        self.tell(Told::Video { attempt, bytes });
+        self.record(WorkerMessage::Video { attempt, bytes });
         Ok(Response::new(PutArtifactResponse {
             path: "video.mp4".to_owned(),
         }))

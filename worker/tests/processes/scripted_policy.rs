@@ -23,14 +23,14 @@ pub(crate) const HORIZON: u32 = 8;
 
 /// Requests that the policies received.
 #[derive(Debug, Default)]
-pub(crate) struct Asked {
+pub(crate) struct ReceivedRequests {
     pub resets: Vec<ResetRequest>,
     pub queries: Vec<InferRequest>,
 }
 
 pub(crate) struct ScriptedPolicy {
     address: SocketAddr,
-    pub(crate) asked: Arc<Mutex<Asked>>,
+    pub(crate) received: Arc<Mutex<ReceivedRequests>>,
     /// The server's task, which ends when this is dropped.
     _serving: JoinSet<()>,
 }
@@ -39,9 +39,9 @@ impl ScriptedPolicy {
     pub(crate) async fn start() -> Self {
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a port");
         let address = listener.local_addr().expect("an address");
-        let asked: Arc<Mutex<Asked>> = Arc::default();
+        let received: Arc<Mutex<ReceivedRequests>> = Arc::default();
         let service = Service {
-            asked: Arc::clone(&asked),
+            received: Arc::clone(&received),
         };
         let mut serving = JoinSet::new();
         serving.spawn(async move {
@@ -52,7 +52,7 @@ impl ScriptedPolicy {
         });
         Self {
             address,
-            asked,
+            received,
             _serving: serving,
         }
     }
@@ -63,7 +63,7 @@ impl ScriptedPolicy {
 }
 
 struct Service {
-    asked: Arc<Mutex<Asked>>,
+    received: Arc<Mutex<ReceivedRequests>>,
 }
 
 /// Returns an answer of this number of values, as actions of this width.
@@ -122,7 +122,11 @@ impl Policy for Service {
     ) -> Result<Response<ResetResponse>, Status> {
         let request = request.into_inner();
         let policy = request.policy.clone();
-        self.asked.lock().expect("unpoisoned").resets.push(request);
+        self.received
+            .lock()
+            .expect("unpoisoned")
+            .resets
+            .push(request);
         match policy.as_str() {
             "refusing" => Err(Status::invalid_argument(
                 "this instruction is not one of 40",
@@ -137,7 +141,11 @@ impl Policy for Service {
     ) -> Result<Response<InferResponse>, Status> {
         let request = request.into_inner();
         let (policy, query) = (request.policy.clone(), request.query_index);
-        self.asked.lock().expect("unpoisoned").queries.push(request);
+        self.received
+            .lock()
+            .expect("unpoisoned")
+            .queries
+            .push(request);
         let full = HORIZON as usize * 7;
         let mut actions = answer(full, 7);
         match policy.as_str() {

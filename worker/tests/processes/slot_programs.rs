@@ -3,7 +3,7 @@
 
 use std::path::Path;
 
-use crate::scripted_coordinator::{ScriptedCoordinator, Told};
+use crate::scripted_coordinator::{ScriptedCoordinator, WorkerMessage};
 use crate::worker_process::{WorkerProcess, attempt_id, lease, ready};
 
 /// Writes a program that takes the place of a slot; returns its path.
@@ -18,13 +18,13 @@ fn slot_program(folder: &Path, script: &str) -> String {
 /// Shell functions of a slot, which reports that it is ready, reads commands and extracts their
 /// attempts. Output to `&0` goes to the parent.
 const SHELL_SLOT: &str = r#"
-say() { printf '%s\n' "$1" >&0; }
-say '{"ready": {"renderer": "shell", "fingerprint": "ff"}}'
+send_line() { printf '%s\n' "$1" >&0; }
+send_line '{"ready": {"renderer": "shell", "fingerprint": "ff"}}'
 next_attempt() {
     read -r command || exit 0
     attempt=$(printf '%s' "$command" | sed 's/.*"attempt":"\([0-9a-f]*\)".*/\1/')
 }
-tell() { say '{"rollout": {"attempt": "'"$attempt"'", "event": '"$1"'}}'; }
+send_event() { send_line '{"rollout": {"attempt": "'"$attempt"'", "event": '"$1"'}}'; }
 result() {
     printf '{"finished": {"result": {"success": true, "steps": %s, "wall_secs": 1.0,
         "ik": null, "clipped_actions": 0, "policy_queries": 1},
@@ -51,26 +51,26 @@ async fn worker_with(script: &str, folder: &Path) -> (WorkerProcess, ScriptedCoo
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_a_library_prints_half_way_through_a_line_loses_nothing() {
-    if !ready("what_a_library_prints_half_way_through_a_line_loses_nothing") {
+async fn library_output_amid_events_loses_no_event() {
+    if !ready("library_output_amid_events_loses_no_event") {
         return;
     }
     let folder = tempfile::tempdir().expect("a folder");
     let script = "while :; do
         next_attempt
         printf 'WARNING: half a line'
-        tell '{\"progress\": 10}'
+        send_event '{\"progress\": 10}'
         printf '{\"rollout\": '
-        tell \"$(result 21 false)\"
+        send_event \"$(result 21 false)\"
     done";
     let (worker, coordinator) = worker_with(script, folder.path()).await;
     for job in 1..=2 {
-        let commit = coordinator.told(job as usize).await.commit();
+        let commit = coordinator.message(job as usize).await.commit();
         assert_eq!(commit.attempt_id, attempt_id(job));
         assert_eq!(commit.result.expect("a result").steps, 21);
     }
-    let said = worker.terminated();
-    assert!(said.contains("[slot 0] WARNING: half a line"), "{said}");
+    let log = worker.terminated();
+    assert!(log.contains("[slot 0] WARNING: half a line"), "{log}");
 }
 
 /// Simulates a crash of the video encoder in every rollout.
@@ -80,21 +80,21 @@ async fn a_crash_while_filming_leaves_the_result_committed_and_charges_nobody() 
         return;
     }
     let folder = tempfile::tempdir().expect("a folder");
-    let script = "next_attempt; tell \"$(result 21 true)\"; kill -SEGV $$";
+    let script = "next_attempt; send_event \"$(result 21 true)\"; kill -SEGV $$";
     let (worker, coordinator) = worker_with(script, folder.path()).await;
     for job in 1..=2 {
-        let commit = coordinator.told(job as usize).await.commit();
+        let commit = coordinator.message(job as usize).await.commit();
         assert_eq!(commit.attempt_id, attempt_id(job));
     }
     coordinator.claimed(3).await;
-    let said = worker.terminated();
-    assert!(said.contains("SIGSEGV"), "{said}");
-    assert_eq!(coordinator.everything_told().len(), 3, "no release");
+    let log = worker.terminated();
+    assert!(log.contains("SIGSEGV"), "{log}");
+    assert_eq!(coordinator.messages().len(), 3, "no release");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_a_slot_says_of_another_attempt_is_ignored() {
-    if !ready("what_a_slot_says_of_another_attempt_is_ignored") {
+async fn messages_about_another_attempt_are_ignored() {
+    if !ready("messages_about_another_attempt_are_ignored") {
         return;
     }
     let folder = tempfile::tempdir().expect("a folder");
@@ -102,21 +102,21 @@ async fn what_a_slot_says_of_another_attempt_is_ignored() {
         next_attempt
         mine=$attempt
         attempt=$(printf '%032d' 99)
-        tell \"$(result 99 false)\"
+        send_event \"$(result 99 false)\"
         attempt=$mine
-        tell \"$(result 21 false)\"
+        send_event \"$(result 21 false)\"
     done";
     let (_worker, coordinator) = worker_with(script, folder.path()).await;
     for job in 1..=2 {
-        let commit = coordinator.told(job as usize).await.commit();
+        let commit = coordinator.message(job as usize).await.commit();
         let steps = commit.result.expect("a result").steps;
         assert_eq!((commit.attempt_id, steps), (attempt_id(job), 21));
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn slots_that_draw_differently_stop_the_worker_before_a_result_is_refused() {
-    if !ready("slots_that_draw_differently_stop_the_worker_before_a_result_is_refused") {
+async fn slots_with_different_renderers_stop_the_worker() {
+    if !ready("slots_with_different_renderers_stop_the_worker") {
         return;
     }
     let coordinator = ScriptedCoordinator::start().await;
@@ -131,20 +131,20 @@ async fn slots_that_draw_differently_stop_the_worker_before_a_result_is_refused(
     let program = slot_program(folder.path(), &script);
     let arguments = ["--slots", "2", "--slot-program", &program];
     let worker = WorkerProcess::start_with(&coordinator.url(), &arguments);
-    let Told::Registered(registered) = coordinator.told(0).await else {
+    let WorkerMessage::Registered(registered) = coordinator.message(0).await else {
         panic!("a worker registers first");
     };
     assert_eq!(registered.renderer, "one");
-    let (status, said) = worker.wait();
+    let (status, log) = worker.wait();
     assert_eq!(status.code(), Some(1));
     for words in [
-        "it draws with `another`",
+        "its renderer is `another`",
         "is registered with `one`",
         "one worker for each renderer",
     ] {
-        assert!(said.contains(words), "{said}");
+        assert!(log.contains(words), "{log}");
     }
-    assert_eq!(coordinator.everything_told().len(), 1);
+    assert_eq!(coordinator.messages().len(), 1);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -156,15 +156,18 @@ async fn a_slot_that_crashes_again_and_again_stops_the_worker_with_the_reason() 
     let folder = tempfile::tempdir().expect("a folder");
     let program = slot_program(folder.path(), "echo libEGL is missing >&2\nexit 3\n");
     let worker = WorkerProcess::start_with(&coordinator.url(), &["--slot-program", &program]);
-    let (status, said) = worker.wait();
+    let (status, log) = worker.wait();
     assert_eq!(status.code(), Some(1));
     for words in [
         "ended 5 times in a row",
         "exited with code 3",
         "libEGL is missing",
     ] {
-        assert!(said.contains(words), "{said}");
+        assert!(log.contains(words), "{log}");
     }
-    let told = coordinator.everything_told();
-    assert!(told.is_empty(), "registered without a renderer: {told:?}");
+    let messages = coordinator.messages();
+    assert!(
+        messages.is_empty(),
+        "registered without a renderer: {messages:?}"
+    );
 }

@@ -7,7 +7,7 @@ use proto::coordinator::Lease;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::release_request::Reason;
 
-use crate::scripted_coordinator::{ScriptedCoordinator, Told};
+use crate::scripted_coordinator::{ScriptedCoordinator, WorkerMessage};
 use crate::scripted_policy::ScriptedPolicy;
 use crate::worker_process::{WorkerProcess, attempt_id, lease, ready, signal};
 
@@ -33,17 +33,17 @@ async fn a_video_of_a_failure_arrives_after_its_result() {
     filmed.record_failures_only = true;
     coordinator.lease(filmed);
     let _worker = WorkerProcess::start(&coordinator.url());
-    let result = coordinator.told(1).await.commit().result;
+    let result = coordinator.message(1).await.commit().result;
     assert!(!result.expect("a result").success);
-    let Told::Video { attempt, bytes } = coordinator.told(2).await else {
-        panic!("{:?}", coordinator.everything_told());
+    let WorkerMessage::Video { attempt, bytes } = coordinator.message(2).await else {
+        panic!("{:?}", coordinator.messages());
     };
     assert_eq!((attempt, &bytes[4..8]), (attempt_id(1), &b"ftyp"[..]));
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn heartbeats_say_that_a_video_is_made_and_never_count_it_as_steps() {
-    if !ready("heartbeats_say_that_a_video_is_made_and_never_count_it_as_steps") {
+async fn heartbeats_report_filming_and_never_count_it_as_steps() {
+    if !ready("heartbeats_report_filming_and_never_count_it_as_steps") {
         return;
     }
     let coordinator = ScriptedCoordinator::start().await;
@@ -52,15 +52,15 @@ async fn heartbeats_say_that_a_video_is_made_and_never_count_it_as_steps() {
     let row: ManifestRow = serde_json::from_str(&filmed.manifest_row).expect("a row");
     coordinator.lease(filmed);
     let _worker = WorkerProcess::start(&coordinator.url());
-    coordinator.told(1).await.commit();
+    coordinator.message(1).await.commit();
     coordinator.films(1).await;
-    coordinator.told(2).await;
+    coordinator.message(2).await;
     coordinator.films(0).await;
     let heartbeats = coordinator.heartbeats();
-    let steps = heartbeats.iter().flat_map(|it| &it.progress);
-    let most = steps.map(|it| it.control_steps).max();
+    let steps = heartbeats.iter().flat_map(|heartbeat| &heartbeat.progress);
+    let most = steps.map(|progress| progress.control_steps).max();
     assert!((1..=row.settle_steps + row.max_steps).contains(&most.expect("progress")));
-    assert!(heartbeats.iter().all(|it| it.filming <= 1));
+    assert!(heartbeats.iter().all(|heartbeat| heartbeat.filming <= 1));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -72,13 +72,13 @@ async fn a_slot_killed_while_it_films_costs_the_video_and_not_the_result() {
     let policy = ScriptedPolicy::start().await;
     coordinator.lease(filmed(1, &policy.url()));
     let worker = WorkerProcess::start(&coordinator.url());
-    let commit = coordinator.told(1).await.commit();
+    let commit = coordinator.message(1).await.commit();
     assert_eq!(commit.attempt_id, attempt_id(1));
     for slot in worker.slots() {
         signal(slot, "KILL");
     }
     coordinator.lease(lease(2, "still", &policy.url()));
-    let commit = coordinator.told(2).await.commit();
+    let commit = coordinator.message(2).await.commit();
     assert_eq!(commit.attempt_id, attempt_id(2), "no video, no release");
 }
 
@@ -97,15 +97,15 @@ async fn a_coordinator_that_cannot_store_videos_gets_every_result() {
     }
     let worker = WorkerProcess::start(&coordinator.url());
     for (number, job) in [(1, 1), (2, 2)] {
-        let commit = coordinator.told(number).await.commit();
+        let commit = coordinator.message(number).await.commit();
         assert_eq!(commit.attempt_id, attempt_id(job));
     }
     // Sending each of the two videos is tried again.
     coordinator.refused_artifacts(4).await;
     coordinator.claimed(3).await;
-    let said = worker.terminated();
-    assert!(!said.contains("cannot be reached"), "{said}");
-    assert_eq!(coordinator.everything_told().len(), 3);
+    let log = worker.terminated();
+    assert!(!log.contains("cannot be reached"), "{log}");
+    assert_eq!(coordinator.messages().len(), 3);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -119,15 +119,12 @@ async fn a_video_of_a_refused_result_is_not_sent() {
     coordinator.lease(filmed(1, &policy.url()));
     coordinator.lease(lease(2, "still", &policy.url()));
     let worker = WorkerProcess::start(&coordinator.url());
-    coordinator.told(1).await.commit();
-    let commit = coordinator.told(2).await.commit();
+    coordinator.message(1).await.commit();
+    let commit = coordinator.message(2).await.commit();
     assert_eq!(commit.attempt_id, attempt_id(2));
-    let said = worker.terminated();
-    assert!(
-        said.contains("finish the video: it was abandoned"),
-        "{said}"
-    );
-    assert_eq!(coordinator.everything_told().len(), 3);
+    let log = worker.terminated();
+    assert!(log.contains("finish the video: it was abandoned"), "{log}");
+    assert_eq!(coordinator.messages().len(), 3);
 }
 
 /// To the parent process, this looks like a crash of the encoder at the worst moment.
@@ -153,10 +150,12 @@ async fn a_slot_that_dies_before_its_result_is_committed_is_not_charged() {
         signal(slot, "KILL");
     }
     coordinator.come_back().await;
-    let commit = coordinator.told(1).await.commit();
+    let commit = coordinator.message(1).await.commit();
     assert_eq!(commit.attempt_id, attempt_id(1));
-    let told = coordinator.everything_told();
-    let is_crash =
-        |told: &Told| matches!(told, Told::Released(it) if it.reason() == Reason::SlotCrashed);
-    assert!(!told.iter().any(is_crash), "{told:?}");
+    let messages = coordinator.messages();
+    let is_crash = |message: &WorkerMessage| match message {
+        WorkerMessage::Released(release) => release.reason() == Reason::SlotCrashed,
+        _ => false,
+    };
+    assert!(!messages.iter().any(is_crash), "{messages:?}");
 }

@@ -92,7 +92,7 @@ impl WorkerProcess {
         let children = children.unwrap_or_default();
         children
             .split_whitespace()
-            .filter_map(|it| it.parse().ok())
+            .filter_map(|pid| pid.parse().ok())
             .collect()
     }
 
@@ -108,9 +108,9 @@ impl WorkerProcess {
 
     /// Waits until the process has succeeded and returns its output.
     pub(crate) fn ended(self) -> String {
-        let (status, said) = self.wait();
-        assert!(status.success(), "{said}");
-        said
+        let (status, output) = self.wait();
+        assert!(status.success(), "{output}");
+        output
     }
 
     /// Waits until the process exits; also returns its output.
@@ -123,15 +123,15 @@ impl WorkerProcess {
             assert!(started.elapsed() < PATIENCE, "the worker does not end");
             sleep(Duration::from_millis(20));
         };
-        let mut said = String::new();
+        let mut output = String::new();
         let (out, err) = (self.child.stdout.take(), self.child.stderr.take());
         out.expect("piped")
-            .read_to_string(&mut said)
+            .read_to_string(&mut output)
             .expect("UTF-8");
         err.expect("piped")
-            .read_to_string(&mut said)
+            .read_to_string(&mut output)
             .expect("UTF-8");
-        (status, said)
+        (status, output)
     }
 }
 

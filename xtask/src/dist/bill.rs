@@ -9,7 +9,7 @@ use super::release::VERSION;
 /// Lists all third-party parts of the archive with version, licence and, if known, the SHA-256 of
 /// their source file. Has neither time nor serial number, so that it is reproducible from the
 /// commit.
-pub(super) fn of(crates: &[Crate], components: &[Component]) -> Value {
+pub(super) fn cyclonedx(crates: &[Crate], components: &[Component]) -> Value {
     let crates = crates.iter().map(|part| {
         let version = part.version.replace('+', "%2B");
         let purl = format!("pkg:cargo/{}@{version}", part.name);
@@ -46,7 +46,9 @@ pub(super) fn add(bill: &mut Value, component: &Component) {
 pub(super) fn names(bill: &Value) -> Vec<&str> {
     let listed = bill["components"].as_array();
     let listed = listed.into_iter().flatten();
-    listed.filter_map(|it| it["name"].as_str()).collect()
+    listed
+        .filter_map(|component| component["name"].as_str())
+        .collect()
 }
 
 fn entry(part: &Component) -> Value {

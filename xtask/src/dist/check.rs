@@ -43,7 +43,7 @@ pub(crate) fn test(
     match image::tool() {
         Ok(()) => image::make(root, &packed).map(drop),
         Err(error) => {
-            println!("  skipped the image for containers: {error:#}");
+            println!("  skipped the container image: {error:#}");
             Ok(())
         }
     }
@@ -56,7 +56,7 @@ pub(super) fn archive(root: &Path, archive: &Archive, schemas: Option<&Path>) ->
     let bare = BareRoot::make(&folder.path().join("root"), archive)?;
     bare.add_data()?;
     let unpacked = bare.dir().join(PREFIX.trim_start_matches('/'));
-    step("all files as they were packed", || whole(&unpacked))?;
+    step("digests of all files", || whole(&unpacked))?;
     step("documents", || documents(root, &unpacked))?;
     step("bill of materials as CycloneDX", || match schemas {
         Some(python) => valid(python, &unpacked.join(stage::DOCUMENTS).join(stage::BILL)),
@@ -70,9 +70,7 @@ pub(super) fn archive(root: &Path, archive: &Archive, schemas: Option<&Path>) ->
     step("a campaign in a bare root", || {
         campaign(&bare, folder.path())
     })?;
-    step("what was unpacked", || {
-        whole(&unpacked).map(|_| "as it was")
-    })?;
+    step("unpacked archive", || whole(&unpacked).map(|_| "as it was"))?;
     Ok(())
 }
 
@@ -115,7 +113,7 @@ fn documents(root: &Path, unpacked: &Path) -> Result<&'static str> {
         serde_json::from_str(&std::fs::read_to_string(documents.join(stage::BILL))?)?;
     let listed: Vec<&str> = bill::names(&bill);
     let crates = crates::shipped(root)?;
-    let crates = crates.iter().map(|it| it.name.as_str());
+    let crates = crates.iter().map(|part| part.name.as_str());
     for name in crates.chain(["mujoco", "robosuite", "hf-libero"]) {
         ensure!(
             licences.contains(&format!("\n{name} ")),
@@ -152,10 +150,10 @@ fn versions(root: &Path, bare: &BareRoot) -> Result<String> {
         Err(_) => VERSION.to_owned(),
     };
     for name in PROGRAMS {
-        let said = capture(bare.program(name).arg("--version"))?;
+        let version = capture(bare.program(name).arg("--version"))?;
         ensure!(
-            said == format!("{name} {expected}"),
-            "expect {expected}: {name} is {said:?}"
+            version == format!("{name} {expected}"),
+            "expect {expected}: {name} is {version:?}"
         );
     }
     Ok(expected)
@@ -201,7 +199,7 @@ fn campaign(bare: &BareRoot, logs: &Path) -> Result<String> {
     let rollouts = results.lines().count();
     ensure!(
         rollouts > 0 && successes == rollouts,
-        "see the expert succeed:\n{results}"
+        "check that the expert succeeds:\n{results}"
     );
     call(&["report", "bare"])?;
     Ok(format!("{successes} of {rollouts} rollouts successful"))

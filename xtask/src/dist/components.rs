@@ -63,8 +63,8 @@ pub(super) fn of_compiler(libraries: &[&str]) -> Result<Vec<Component>> {
 
 /// Describes the C library, which the container image contains and the archive does not.
 pub(super) fn glibc() -> Result<Component> {
-    let told = capture(Command::new("ldd").arg("--version"))?;
-    let first = told.lines().next().unwrap_or_default();
+    let ldd_version = capture(Command::new("ldd").arg("--version"))?;
+    let first = ldd_version.lines().next().unwrap_or_default();
     let version = first.split_whitespace().last().unwrap_or_default();
     Ok(Component {
         name: "glibc".to_owned(),

@@ -89,7 +89,7 @@ pub(super) fn shipped(root: &Path) -> Result<Vec<Crate>> {
     let checksums = checksums(&lock);
     let used = used(&metadata);
     let packages = metadata.packages.into_iter();
-    let foreign = packages.filter(|it| it.source.is_some() && used.contains(&it.id));
+    let foreign = packages.filter(|package| package.source.is_some() && used.contains(&package.id));
     let mut crates: Vec<Crate> = foreign
         .map(|package| Crate {
             checksum: checksums
@@ -117,21 +117,26 @@ fn used(metadata: &Metadata) -> BTreeSet<String> {
         .resolve
         .nodes
         .iter()
-        .map(|it| (&it.id, it))
+        .map(|node| (&node.id, node))
         .collect();
-    let packages: BTreeMap<_, _> = metadata.packages.iter().map(|it| (&it.id, it)).collect();
+    let packages: BTreeMap<_, _> = metadata
+        .packages
+        .iter()
+        .map(|package| (&package.id, package))
+        .collect();
     let programs = metadata.packages.iter();
-    let programs = programs.filter(|it| PROGRAMS.contains(&it.name.as_str()));
-    let mut open: Vec<&String> = programs.map(|it| &it.id).collect();
+    let programs = programs.filter(|package| PROGRAMS.contains(&package.name.as_str()));
+    let mut open: Vec<&String> = programs.map(|package| &package.id).collect();
     let mut seen = BTreeSet::new();
     while let Some(id) = open.pop() {
-        let mut kinds = packages[id].targets.iter().flat_map(|it| &it.kind);
+        let mut kinds = packages[id].targets.iter().flat_map(|target| &target.kind);
         if kinds.any(|kind| kind == "proc-macro") || !seen.insert(id.clone()) {
             continue;
         }
         let normal = nodes[id].deps.iter();
-        let normal = normal.filter(|it| it.dep_kinds.iter().any(|kind| kind.kind.is_none()));
-        open.extend(normal.map(|it| &it.pkg));
+        let normal =
+            normal.filter(|dependency| dependency.dep_kinds.iter().any(|kind| kind.kind.is_none()));
+        open.extend(normal.map(|dependency| &dependency.pkg));
     }
     seen
 }
@@ -160,23 +165,23 @@ mod tests {
     #[test]
     fn the_programs_are_made_of_crates_with_checksums_and_licences() {
         let crates = shipped(&crate::root()).expect("cargo's metadata");
-        let named = |name: &str| crates.iter().any(|it| it.name == name);
+        let named = |name: &str| crates.iter().any(|part| part.name == name);
         assert!(named("tokio") && named("openh264-sys2") && named("libsqlite3-sys"));
         assert!(!named("serde_derive"), "a macro");
         assert!(!named("cc"), "for build scripts");
         assert!(!named("proptest"), "for tests");
         assert!(!named("worker"), "our own");
-        for it in &crates {
+        for part in &crates {
             assert_eq!(
-                it.checksum.as_deref().map(str::len),
+                part.checksum.as_deref().map(str::len),
                 Some(64),
                 "{}",
-                it.name
+                part.name
             );
             assert!(
-                !it.licence.is_empty() && !it.licence.contains('/'),
+                !part.licence.is_empty() && !part.licence.contains('/'),
                 "{}",
-                it.name
+                part.name
             );
         }
     }

@@ -26,7 +26,7 @@ pub(super) fn tool() -> Result<()> {
 /// Makes the image beside the archive, as a file that container engines load.
 pub(super) fn make(root: &Path, archive: &Archive) -> Result<PathBuf> {
     tool()?;
-    println!("Making the image for containers");
+    println!("Building the container image");
     let folder = tempfile::tempdir().context("make a folder")?;
     let context = folder.path().join("context");
     std::fs::create_dir_all(context.join("data"))?;
@@ -67,12 +67,12 @@ pub(super) fn make(root: &Path, archive: &Archive) -> Result<PathBuf> {
         let size = file.metadata()?.len();
         ensure!(
             size <= LARGEST,
-            "hand out an image of {size} bytes: {LARGEST} at most"
+            "build an image of {LARGEST} bytes at most: it has {size} bytes"
         );
         Ok(format!("{:.1} MB compressed", size as f64 / 1e6))
     })?;
-    step("its settings", || settings(&buildah, &tag))?;
-    step("it runs", || run(&buildah, &tag))?;
+    step("settings of the image", || settings(&buildah, &tag))?;
+    step("start of the image", || run(&buildah, &tag))?;
     Ok(file)
 }
 
@@ -99,12 +99,12 @@ fn add_glibc(bare: &BareRoot) -> Result<&'static str> {
 
 fn settings(buildah: &dyn Fn(&[&str]) -> Command, tag: &str) -> Result<String> {
     let mut inspect = buildah(&["inspect", "--type", "image", tag]);
-    let told: serde_json::Value = serde_json::from_str(&capture(&mut inspect)?)?;
-    let config = &told["OCIv1"]["config"];
+    let inspected: serde_json::Value = serde_json::from_str(&capture(&mut inspect)?)?;
+    let config = &inspected["OCIv1"]["config"];
     let user = config["User"].as_str().unwrap_or_default();
     ensure!(
         user == format!("{USER}:{USER}"),
-        "run it as nobody special: its user is {user:?}"
+        "run the image as an unprivileged user: its user is {user:?}"
     );
     Ok(format!("user {user}"))
 }

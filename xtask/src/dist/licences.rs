@@ -42,7 +42,7 @@ pub(super) fn text(root: &Path, crates: &[Crate], components: &[Component]) -> R
         let name = format!("{} {}", part.name, part.version);
         ensure!(
             !part.licence.is_empty(),
-            "hand out {name}: it names no licence"
+            "pack {name}: it declares no licence"
         );
         let _ = writeln!(text, "{name}: {}", part.licence);
         let mut found = files(&part.folder, 0)?;
@@ -73,7 +73,9 @@ fn files(folder: &Path, depth: usize) -> Result<Vec<String>> {
     let mut found = Vec::new();
     let entries = std::fs::read_dir(folder);
     let entries = entries.with_context(|| format!("read {}", folder.display()))?;
-    let mut paths: Vec<_> = entries.map(|it| Ok(it?.path())).collect::<Result<_>>()?;
+    let mut paths: Vec<_> = entries
+        .map(|entry| Ok(entry?.path()))
+        .collect::<Result<_>>()?;
     paths.sort();
     for path in paths {
         let name = path.file_name().unwrap_or_default().to_string_lossy();
@@ -82,7 +84,7 @@ fn files(folder: &Path, depth: usize) -> Result<Vec<String>> {
             if depth < DEPTH {
                 found.extend(files(&path, depth + 1)?);
             }
-        } else if NAMES.iter().any(|it| name.starts_with(it)) && !name.ends_with(".rs") {
+        } else if NAMES.iter().any(|prefix| name.starts_with(prefix)) && !name.ends_with(".rs") {
             let bytes = std::fs::read(&path)?;
             found.push(String::from_utf8_lossy(&bytes).trim().replace('\r', ""));
         }
@@ -93,8 +95,8 @@ fn files(folder: &Path, depth: usize) -> Result<Vec<String>> {
 /// Returns the standard text of a licence that a crate names but does not include.
 fn standard(root: &Path, licence: &str) -> Result<String> {
     let file = match licence {
-        it if it.contains("MIT") => "LICENSE-MIT",
-        it if it.contains("Apache-2.0") => "LICENSE-APACHE",
+        expression if expression.contains("MIT") => "LICENSE-MIT",
+        expression if expression.contains("Apache-2.0") => "LICENSE-APACHE",
         "BSD-2-Clause" => return Ok(BSD_2_CLAUSE.to_owned()),
         _ => anyhow::bail!("find the text of {licence}: add it to xtask/src/dist/licences.rs"),
     };

@@ -28,7 +28,7 @@ const OF_COMPILER: [&str; 2] = ["libgcc_s.so.1", "libstdc++.so.6"];
 
 /// Search path of the programs for libraries: the archive's `lib`, the machine's folders, then
 /// `lib/fallback` for those that the machine lacks.
-const LOOKS_IN: &str = "$ORIGIN/../lib:/lib64:/usr/lib64:/lib/x86_64-linux-gnu:\
+const LIBRARY_SEARCH_PATH: &str = "$ORIGIN/../lib:/lib64:/usr/lib64:/lib/x86_64-linux-gnu:\
                         /usr/lib/x86_64-linux-gnu:/lib/aarch64-linux-gnu:\
                         /usr/lib/aarch64-linux-gnu:/lib:/usr/lib:$ORIGIN/../lib/fallback";
 
@@ -44,19 +44,19 @@ impl Elf {
         Ok(Self { patchelf })
     }
 
-    fn ask(&self, question: &str, file: &Path) -> Result<String> {
-        capture(Command::new(&self.patchelf).arg(question).arg(file))
+    fn query(&self, option: &str, file: &Path) -> Result<String> {
+        capture(Command::new(&self.patchelf).arg(option).arg(file))
     }
 
     /// Returns the libraries that a file needs.
     fn needed(&self, file: &Path) -> Result<BTreeSet<String>> {
-        let names = self.ask("--print-needed", file)?;
+        let names = self.query("--print-needed", file)?;
         Ok(names.lines().map(str::to_owned).collect())
     }
 
     /// Returns the dynamic linker of a program.
     pub(super) fn interpreter(&self, program: &Path) -> Result<PathBuf> {
-        Ok(self.ask("--print-interpreter", program)?.into())
+        Ok(self.query("--print-interpreter", program)?.into())
     }
 
     /// Copies a program without its symbols and with the archive's search path; returns the
@@ -66,7 +66,7 @@ impl Elf {
         capture(Command::new("strip").arg("--strip-all").arg(to))
             .context("strip it (Debian: `apt-get install binutils`)")?;
         let mut patchelf = Command::new(&self.patchelf);
-        capture(patchelf.args(["--set-rpath", LOOKS_IN]).arg(to))?;
+        capture(patchelf.args(["--set-rpath", LIBRARY_SEARCH_PATH]).arg(to))?;
         self.needed(to)
     }
 
@@ -80,7 +80,7 @@ impl Elf {
         let fallback = lib.join("fallback");
         let mut provided = Vec::new();
         for name in needed {
-            if let Some(name) = OF_COMPILER.into_iter().find(|it| it == name) {
+            if let Some(name) = OF_COMPILER.into_iter().find(|library| library == name) {
                 std::fs::create_dir_all(&fallback)?;
                 let found = installed(name)?;
                 std::fs::copy(&found, fallback.join(name))
@@ -90,7 +90,7 @@ impl Elf {
             }
             ensure!(
                 GLIBC.contains(&name.as_str()) || lib.join(name).exists(),
-                "hand out the programs: they need {name}, which is neither glibc's nor in the \
+                "pack the programs: they need {name}, which is neither glibc's nor in the \
                  archive"
             );
         }
@@ -131,7 +131,7 @@ pub(super) fn oldest_glibc(files: &[PathBuf]) -> Result<(u32, u32)> {
 
 /// Parses the version at the start of a text: `2.34) puts` is (2, 34).
 fn version(text: &str) -> Option<(u32, u32)> {
-    let end = text.find(|it: char| !it.is_ascii_digit() && it != '.');
+    let end = text.find(|character: char| !character.is_ascii_digit() && character != '.');
     let mut numbers = text[..end.unwrap_or(text.len())].split('.');
     let mut number = || numbers.next()?.parse().ok();
     Some((number()?, number()?))

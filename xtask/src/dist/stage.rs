@@ -54,15 +54,15 @@ pub(super) fn fill(
         install(cache, programs, (&bin, &lib), elf)
     })?;
     step("manual pages, completions", || shell_files(folder))?;
-    step("what scenes are made from", || scenes(cache, folder))?;
-    step("documents, licences, bill", || {
+    step("files of scenes", || scenes(cache, folder))?;
+    step("documents, licences, bill of materials", || {
         let mut parts = components::of_wheels(cache)?;
         parts.extend(components::of_compiler(&compilers.0)?);
         let crates = crates::shipped(root)?;
         let to = folder.join(DOCUMENTS);
         documents(root, folder, &to)?;
         std::fs::write(to.join(LICENCES), licences::text(root, &crates, &parts)?)?;
-        let bill = serde_json::to_string_pretty(&bill::of(&crates, &parts))?;
+        let bill = serde_json::to_string_pretty(&bill::cyclonedx(&crates, &parts))?;
         std::fs::write(to.join(BILL), bill + "\n")?;
         Ok(format!(
             "of {} crates, {} others",
@@ -136,7 +136,7 @@ fn scenes(cache: &Path, folder: &Path) -> Result<String> {
         for file in files(&from)? {
             let ending = file
                 .extension()
-                .and_then(|it| it.to_str())
+                .and_then(|name| name.to_str())
                 .unwrap_or_default();
             if OF_SCENES.contains(&ending) {
                 copy(&from.join(&file), &to.join(part).join(&file))?;

@@ -45,15 +45,15 @@ class PolicyServicer(object):
     """Missing associated documentation comment in .proto file."""
 
     def Describe(self, request, context):
-        """What the policy is and what it wants to see. Also the version handshake:
-        FAILED_PRECONDITION means that the two sides speak different versions.
+        """Describes the policy and the inputs that it requests. Also the version handshake:
+        FAILED_PRECONDITION means that the protocol versions differ.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def Reset(self, request, context):
-        """Starts an episode. A session that is already open is started anew.
+        """Starts an episode. Restarts a session that is already open.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
@@ -69,18 +69,18 @@ class PolicyServicer(object):
         raise NotImplementedError('Method not implemented!')
 
     def InferBatch(self, request, context):
-        """Several independent queries at once, for servers whose Describe says
-        max_batch > 1. Results come in request order; one may fail alone.
+        """Answers several independent queries, for servers whose description has
+        max_batch > 1. Results are in the order of the queries; each may fail alone.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')
         raise NotImplementedError('Method not implemented!')
 
     def End(self, request, context):
-        """Ends an episode, so that what is kept of it can go. Optional: a server that
-        answers UNIMPLEMENTED forgets sessions on its own. Sent at most once and
-        never retried, so that a server still has to bound what it keeps; a session
-        that is not open is no error.
+        """Ends an episode, so that the server can drop its session. Optional: a server that
+        answers UNIMPLEMENTED drops sessions by itself. Sent at most once and never retried,
+        so a server must bound its stored sessions in any case. Ending a session that is not
+        open is no error.
         """
         context.set_code(grpc.StatusCode.UNIMPLEMENTED)
         context.set_details('Method not implemented!')

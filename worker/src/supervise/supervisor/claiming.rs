@@ -60,7 +60,7 @@ impl Supervisor {
             Err(status) => return self.stop(SuperviseError::Stopped(chain(&status))),
         };
         let Some(lease) = answer.lease else {
-            return self.tell_idle(answer.idle_reason);
+            return self.log_idle_reason(answer.idle_reason);
         };
         let attempt: AttemptId = match lease.attempt_id.parse() {
             Ok(attempt) => attempt,
@@ -75,7 +75,7 @@ impl Supervisor {
         let up = self.slots[slot].state.process == ProcessState::Up;
         let ending = match self.assignment(attempt, lease) {
             _ if self.mode != Mode::Serving => {
-                let text = "the rollout did not begin: its worker is going down";
+                let text = "the rollout did not begin: its worker is shutting down";
                 failed(FailureKind::Draining, text.to_owned())
             }
             _ if !up => {
@@ -101,13 +101,14 @@ impl Supervisor {
         let last = self.slots[slot].assignment.as_ref();
         let is_warm = last.is_some_and(|last| files(last.row.id) == files(row.id));
         let provider = self.config.provider.clone();
-        let Some(provider) = provider.filter(|it| !is_warm && it.is_needed(&row)) else {
+        let Some(provider) = provider.filter(|provider| !is_warm && provider.is_needed(&row))
+        else {
             return self.begin(slot, assignment, campaign, now);
         };
         let attempt = assignment.attempt;
         self.slots[slot].state.work = Work::Preparing { attempt };
         self.slots[slot].preparing = Some((assignment, campaign));
-        self.has_news = true;
+        self.has_unacknowledged_lease = true;
         let events = self.events.clone();
         self.calls.spawn_blocking(move || {
             let outcome = provider.provide(&row);
@@ -141,7 +142,7 @@ impl Supervisor {
                 self.fetches.reset();
                 return self.begin(slot, assignment, campaign, now);
             }
-            Ok(()) => "the rollout did not begin: its slot is going down".to_owned(),
+            Ok(()) => "the rollout did not begin: its slot cannot run it any more".to_owned(),
             Err(error) => {
                 let wait = self.fetches.next_wait();
                 self.claims_from = now + wait;
@@ -165,7 +166,7 @@ impl Supervisor {
     }
 
     /// Logs once why the coordinator grants no job although jobs wait.
-    pub(super) fn tell_idle(&mut self, reason: String) {
+    pub(super) fn log_idle_reason(&mut self, reason: String) {
         if reason != self.idle_reason {
             if !reason.is_empty() {
                 tracing::info!("nothing to do: {reason}");
@@ -189,13 +190,13 @@ impl Supervisor {
                 execution.map_err(|error: libero_ctrl::ExecutionError| error.to_string())?;
         }
         let endpoint = self.config.policy_endpoint.clone();
-        let of = match lease.record_failures_only {
+        let filmed_outcomes = match lease.record_failures_only {
             true => VideoOf::Failures,
             false => VideoOf::Everything,
         };
         let video = VideoRequest {
             file: self.video_file(attempt),
-            of,
+            of: filmed_outcomes,
         };
         Ok(Assignment {
             attempt,
@@ -225,6 +226,6 @@ impl Supervisor {
         };
         slot.assignment = Some(assignment);
         slot.campaign = campaign;
-        self.has_news = true;
+        self.has_unacknowledged_lease = true;
     }
 }

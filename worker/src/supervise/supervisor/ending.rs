@@ -36,8 +36,8 @@ impl Supervisor {
     pub(super) fn shut_down(&mut self, now: Instant) {
         if self.mode == Mode::Serving {
             self.start_to_drain();
-            self.told_to_end_at = Some(now);
-            let running = self.slots.iter().filter_map(|it| it.state.progress());
+            self.shutdown_requested_at = Some(now);
+            let running = self.slots.iter().filter_map(|slot| slot.state.progress());
             tracing::info!(
                 "draining: {} in flight to be finished; a second signal gives them back instead",
                 counted(running.count() as u64, "rollout")
@@ -54,7 +54,7 @@ impl Supervisor {
             limit.filter(|limit| now.duration_since(since) >= *limit)
         };
         if self.mode == Mode::Draining
-            && let Some(since) = self.told_to_end_at
+            && let Some(since) = self.shutdown_requested_at
             && let Some(limit) = is_over(since, self.config.drain)
         {
             tracing::info!(
@@ -81,7 +81,7 @@ impl Supervisor {
     /// Returns true if a shutdown request duplicates the first: some service managers signal both
     /// the process and its group.
     fn is_duplicate(&self, now: Instant) -> bool {
-        self.told_to_end_at
+        self.shutdown_requested_at
             .is_some_and(|first| now.duration_since(first) < DUPLICATE_REQUEST)
     }
 
