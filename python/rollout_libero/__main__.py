@@ -12,7 +12,7 @@ from pathlib import Path
 from rollout_libero import doctor, files
 
 INTERRUPTED = 130
-"""Exit status after Ctrl-C, as shells have it."""
+"""Exit status after Ctrl-C, by the convention of shells."""
 HUB = "https://huggingface.co"
 
 

@@ -96,7 +96,7 @@ class Scene:
         """Name of the asset pack."""
     @property
     def pack_differences(self) -> list[str]:
-        """Files because of which the pack is not LIBERO's."""
+        """Files in which the pack differs from LIBERO's."""
     def root_body(self, instance: str) -> str: ...
     def joints(self, instance: str) -> list[str]: ...
 

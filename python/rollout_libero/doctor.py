@@ -15,7 +15,7 @@ from pathlib import Path
 
 SHIM = "rollout-libero-shim"
 OF_THE_SHIM = "_absent.py"
-"""A module that only the shim's package has."""
+"""A file that only the shim's package contains."""
 RIVALS = ("libero", "hf-libero", "rlinf-libero")
 """Other distributions with a package `libero`."""
 REINSTALL = f"pip install --force-reinstall --no-deps {SHIM}, from its wheel, as the last of all"

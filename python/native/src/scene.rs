@@ -26,7 +26,7 @@ pub(crate) struct Scene {
     pack: String,
     #[pyo3(get)]
     digest: String,
-    /// Files that differ from those of LIBERO's pack, or are missing.
+    /// Files in which the pack differs from LIBERO's.
     #[pyo3(get)]
     pack_differences: Vec<String>,
 }
