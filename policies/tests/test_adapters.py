@@ -151,7 +151,8 @@ def test_a_checkpoint_of_the_paper_executes_as_the_protocol_and_others_as_they_s
 
 def test_other_than_the_paper_s_is_said(caplog):
     executed(entry("smolvla"), Options(checkpoint="me/mine"), chunk=50, own=10)
-    assert "executing 10 of every chunk" in caplog.text and "executes 1 of" in caplog.text
+    assert "executing 10 actions of every chunk" in caplog.text
+    assert "LIBERO-CTRL executes 1 with" in caplog.text
 
 
 @pytest.mark.parametrize(

@@ -90,5 +90,5 @@ def test_how_the_data_s_images_were_renamed_tells_more_than_the_slots():
         "camera2": SCENE,
     }
     strange = {"observation.images.second_image": "observation.images.camera2"}
-    with pytest.raises(UnusableCheckpoint, match="camera2 is no name that is known"):
+    with pytest.raises(UnusableCheckpoint, match="camera2 is not a known name"):
         by_name("camera1", "camera2", renamed=strange)

@@ -224,7 +224,7 @@ def findings_of(servicer, healthy=True):
         ("version", Point.VERSION, "to a caller of version 2"),
         ("health", Point.HEALTH, "UNIMPLEMENTED"),
         ("width", Point.SHAPE, "6 numbers wide"),
-        ("horizon", Point.SHAPE, "3 actions, of a horizon of 2"),
+        ("horizon", Point.SHAPE, "3 actions; its horizon is 2"),
         ("nan", Point.SHAPE, "component 2 of action 1 is nan"),
         ("retry", Point.RETRY, "at query 0 the actions differ"),
         ("restart", Point.RESTART, "the actions differ"),

@@ -51,7 +51,7 @@ def test_a_folder_of_a_repository_is_found_in_it(hub):
     fetched = fetch(entry("minerva"), "me/mine/small")
     assert fetched.folder == hub.snapshot / "ckpt" / "small"
     assert hub.asked[0][2] == {"allow_patterns": ["small/*", "*/small/*"]}
-    with pytest.raises(UnusableCheckpoint, match="has no folders large; at its top are ckpt"):
+    with pytest.raises(UnusableCheckpoint, match="has no folders large; its top folders are ckpt"):
         fetch(entry("minerva"), "me/mine/large")
 
 

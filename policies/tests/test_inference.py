@@ -268,7 +268,7 @@ def test_a_policy_warms_up_with_one_query_and_a_full_batch_of_a_suite_it_takes(m
 
 @pytest.mark.parametrize(
     ("answer", "expected"),
-    [(RuntimeError("no kernel"), "no kernel"), (np.zeros((3, 7)), "a horizon of 2")],
+    [(RuntimeError("no kernel"), "no kernel"), (np.zeros((3, 7)), "its horizon is 2")],
 )
 def test_a_policy_that_cannot_answer_says_so_before_it_serves(answer, expected):
     policy = WarmedUp(answer)

@@ -205,7 +205,7 @@ def test_the_transformers_of_everybody_else_is_refused_for_openvla_oft(oft, monk
 
 def test_a_transformers_that_attends_otherwise_is_named(oft, monkeypatch):
     monkeypatch.setattr(prismatic, "_sees_ahead", lambda *_: False)
-    with pytest.raises(UpstreamMissing, match="does not see the tokens behind it.*environment"):
+    with pytest.raises(UpstreamMissing, match="does not see later tokens.*environment"):
         served(oft)
 
 

@@ -193,7 +193,7 @@ def test_what_is_under_way_reaches_the_policy_with_its_own_gripper(serving, grip
     request.query_index, request.under_way.action_width = 2, 6
     code, text = refusal(client.stub.Infer, request)
     assert code == grpc.StatusCode.INVALID_ARGUMENT
-    assert "6 an action, not 7" in text
+    assert "6 per action, not 7" in text
 
 
 def test_noise_depends_on_seed_and_query_alone(serving):
@@ -239,7 +239,7 @@ def test_episodes_do_not_share_memory(serving):
         (np.zeros((1, 6)), "[1, 6]"),
         (np.zeros((0, 7)), "0 actions"),
         (np.zeros((3, 7)), "3 actions"),
-        ("left", "no array of numbers"),
+        ("left", "not an array of numbers"),
         (RuntimeError("CUDA error:\nout of memory"), "RuntimeError: CUDA error: out of memory"),
     ],
 )

@@ -28,7 +28,7 @@ def test_statistics_are_told_by_the_way_and_a_digest_of_all_of_them():
         ("QUANTILES", {"q01": np.zeros(7), "q99": np.zeros(7)}, "no spread"),
         ("MEAN_STD", {"mean": np.ones(7), "std": np.zeros(7)}, "no spread"),
         ("QUANTILES", {"q01": -np.ones(6), "q99": np.ones(6)}, "6 numbers, and LIBERO's are 7"),
-        ("SOFTMAX", GOOD, "by SOFTMAX, which is not known"),
+        ("SOFTMAX", GOOD, "by SOFTMAX, an unknown mode"),
     ],
 )
 def test_statistics_that_cannot_be_right_are_refused_with_the_reason(mode, statistics, words):

@@ -32,7 +32,7 @@ def test_a_file_of_initial_states_cannot_run_code(tmp_path: Path) -> None:
         load_init_states(file)
 
 
-class Asks:
+class PickledCall:
     """Pickles as a call of a NumPy function, with a state for its result."""
 
     def __init__(self, *asked: Any) -> None:
@@ -46,9 +46,9 @@ class Asks:
     "asked",
     [
         # Its bytes would be read as pointers to objects.
-        Asks(np.ndarray, ((1,), "O", b"AAAAAAAA")),
-        Asks(np.ndarray, ((1 << 36,),)),
-        Asks(np.dtype, ("V8", False, True), (3, "<", None, None, None, 1 << 30, 1, 0)),
+        PickledCall(np.ndarray, ((1,), "O", b"AAAAAAAA")),
+        PickledCall(np.ndarray, ((1 << 36,),)),
+        PickledCall(np.dtype, ("V8", False, True), (3, "<", None, None, None, 1 << 30, 1, 0)),
         np.zeros((2, 3), "i4"),
         np.zeros((1, 2, 3)),
         np.array([[None]]),
@@ -99,7 +99,7 @@ def test_a_file_of_initial_states_takes_no_more_memory_than_its_size_says(
         reason = "its pickle is neither stored nor deflated"
     elif bomb == "notes":
         content = b"\x80\x02Nr" + (1 << 26).to_bytes(4, "little") + b"."
-        reason = "its pickle takes note 67108864 of 256"
+        reason = "its pickle uses memo entry 67108864 of 256"
     elif bomb == "texts":
         # The bytes of one text of 8 MB, eighty times.
         text = b"X" + (8_000_000).to_bytes(4, "little") + b"a" * 8_000_000

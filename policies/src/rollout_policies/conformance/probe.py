@@ -1,5 +1,5 @@
-"""The requests of the check: a client that plays episodes of made-up
-observations and returns the answers. It judges only yes-or-no questions."""
+"""The requests of the check: a client that plays episodes of synthetic observations and returns
+the answers. The module `verdict` judges them, except for calls with a yes-or-no result."""
 
 from __future__ import annotations
 
@@ -252,7 +252,7 @@ class Probe(contextlib.AbstractContextManager):
 
     def _scene(self, query_index: int) -> pb.Observation:
         known = {reading.value for reading in State}
-        # Inputs that cannot be made up are left out; a server that needs them reports it.
+        # Inputs of unknown kinds are left out; a server that needs them reports an error.
         wanted = Description(
             name="made up",
             cameras=tuple(
