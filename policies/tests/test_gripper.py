@@ -33,7 +33,7 @@ def test_a_declared_gripper_convention_becomes_the_simulators(serving, gripper, 
 
 
 @pytest.mark.parametrize(("gripper", "warnings"), [(0.5, 1), (-0.5, 0)])
-def test_a_gripper_that_never_opens_is_warned_of_once(serving, caplog, gripper, warnings):
+def test_a_gripper_that_never_opens_is_logged_once(serving, caplog, gripper, warnings):
     class Closed(Policy):
         # Actions that are not executed do not count as opening.
         description = Description(name="closed", horizon=20, execute=10)

@@ -92,18 +92,18 @@ def failed(examination):
 
 
 @pytest.mark.parametrize("policy", [Looking, ColourServo])
-def test_a_server_without_mistakes_is_not_accused(judged, policy):
+def test_a_correct_server_has_no_findings(judged, policy):
     assert failed(judged("doctor", policy())) == {}
     assert judged("compare", policy(), policy())["differences"] == []
 
 
-def test_frames_that_are_fed_as_they_come_are_named(judged):
+def test_unturned_frames_are_found(judged):
     (difference,) = judged("compare", Looking(), Flipped())["differences"]
     assert difference["kind"] == "frame_orientation"
     assert "flipped vertically" in difference["text"]
 
 
-def test_a_server_that_keeps_every_episode_is_found_by_its_process(judged):
+def test_a_server_that_keeps_every_episode_is_found_by_its_memory(judged):
     found = failed(judged("doctor", Keeping()))
     assert list(found) == ["memory"]
     assert f"process {os.getpid()} grew" in found["memory"]

@@ -182,7 +182,7 @@ def check_whole(pack):
         assert path.read_bytes() == contents()[path.relative_to(pack).as_posix()], path
 
 
-def test_fetched_assets_are_what_environments_are_made_of(index, sources):
+def test_environments_use_the_fetched_assets(index, sources):
     status, printed, said = ended(start())
     assert status == 0, said
     pack = sources / "packs" / "libero"
@@ -200,7 +200,7 @@ def test_fetched_assets_are_what_environments_are_made_of(index, sources):
     assert len(index.seen) == asked
 
 
-def test_an_environment_fetches_what_it_needs_at_first_use(index, sources, capfd):
+def test_an_environment_fetches_its_assets_at_first_use(index, sources, capfd):
     with rollout_libero.Environment(TASK, height=64, width=80) as environment:
         environment.reset()
     check_whole(sources / "packs" / "libero")
@@ -217,7 +217,7 @@ def test_assets_go_into_a_given_folder(index, sources):
         assert environment.scene.pack == "libero"
 
 
-def test_another_pack_says_that_it_is_not_liberos(index, sources):
+def test_a_pack_that_differs_from_liberos_gives_a_warning(index, sources):
     into = rollout_libero.fetch_assets([TASK], into=sources / "own")
     model = next(path for path in into.rglob("*.xml") if "scenes" in path.parts)
     model.write_bytes(model.read_bytes() + b"\n")
@@ -228,7 +228,7 @@ def test_another_pack_says_that_it_is_not_liberos(index, sources):
     environment.close()
 
 
-def test_ctrl_c_ends_a_fetch_and_the_next_one_goes_on_from_there(index, sources):
+def test_the_next_fetch_continues_one_interrupted_by_ctrl_c(index, sources):
     index.stalls = True
     process = start()
     incoming = sources / "packs" / "libero" / ".incoming"
@@ -250,7 +250,7 @@ def test_ctrl_c_ends_a_fetch_and_the_next_one_goes_on_from_there(index, sources)
     assert first not in index.of_wheels()[:before], "the rest was asked for"
 
 
-def test_an_interrupted_fetch_leaves_a_notebook_that_can_go_on(index, sources):
+def test_a_notebook_works_after_an_interrupted_fetch(index, sources):
     # The index runs in this process: it answers only while the fetch releases the interpreter.
     index.stalls = True
     into = sources / "elsewhere" / "assets"
@@ -274,7 +274,7 @@ def test_an_interrupted_fetch_leaves_a_notebook_that_can_go_on(index, sources):
     check_whole(into)
 
 
-def test_what_goes_wrong_is_said_with_a_remedy(index, sources):
+def test_fetch_errors_have_a_remedy(index, sources):
     index.refuses = True
     status, _, said = ended(start())
     assert status == 1 and "Traceback" not in said, said

@@ -110,7 +110,7 @@ def test_a_second_run_adds_shards(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert len(shards_of(tmp_path, monkeypatch, seconds=1.5)) > first
 
 
-def test_perturbations_are_none_of_the_benchmarks(
+def test_perturbations_differ_from_the_benchmarks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     names = np.concatenate(
@@ -147,7 +147,7 @@ def test_the_student_needs_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         shards_of(tmp_path, monkeypatch, driver="student")
 
 
-def test_the_student_takes_part_once_it_is_there(
+def test_the_student_takes_part_once_its_weights_exist(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import torch

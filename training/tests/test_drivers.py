@@ -42,7 +42,7 @@ def test_a_push_is_one_direction_for_three_to_ten_steps() -> None:
             assert 3 <= steps <= 10 or start + steps == len(of_one)
 
 
-def test_the_student_is_asked_when_its_actions_are_used_up() -> None:
+def test_the_student_is_queried_when_its_actions_are_used_up() -> None:
     drives = InTurns(N, np.random.default_rng(2))
     drives.begin(np.arange(N))
     drives.driver[:] = Driver.STUDENT

@@ -61,7 +61,7 @@ def test_an_archive_has_the_results_and_the_motion_of_its_campaign(archive):
         assert rollout.instruction.startswith("pick up")
 
 
-def test_what_is_no_whole_archive_is_refused_by_name(archive, tmp_path):
+def test_an_incomplete_or_altered_archive_is_refused(archive, tmp_path):
     file, _ = archive
     whole = file.read_bytes()
     bad = tmp_path / "bad.tar.gz"
@@ -129,7 +129,7 @@ def rewritten(file, to, films=(), sql="", lie=None):
             out.addfile(member, io.BytesIO(content))
 
 
-def test_a_film_is_a_member_of_its_archive_or_none(archive, tmp_path):
+def test_a_film_outside_the_archive_is_refused(archive, tmp_path):
     """Otherwise an export of an untrusted archive's films would publish any file that it names."""
     pytest.importorskip("pyarrow")
     file, _ = archive
@@ -154,7 +154,7 @@ def test_a_film_is_a_member_of_its_archive_or_none(archive, tmp_path):
         assert {it.film.read_bytes() for it in kept.rollouts()} == {b"a film"}
 
 
-def test_a_strangers_archive_takes_no_memory_no_disk_and_runs_nothing(archive, tmp_path):
+def test_a_malicious_archive_takes_no_memory_or_disk_and_runs_no_code(archive, tmp_path):
     file, _ = archive
     swollen = 192 << 20
     bad = tmp_path / "bad.tar.gz"
@@ -232,7 +232,7 @@ def test_a_lerobot_dataset_has_an_episode_for_each_rollout(archive, tmp_path):
     assert not (tmp_path / "f").exists()
 
 
-def test_what_others_make_of_the_lerobot_dataset(archive, tmp_path):
+def test_lerobot_doctor_accepts_the_dataset(archive, tmp_path):
     doctor = shutil.which("lerobot-doctor")
     if doctor is None:
         pytest.skip("lerobot-doctor is not installed")
@@ -243,7 +243,7 @@ def test_what_others_make_of_the_lerobot_dataset(archive, tmp_path):
     assert "FAIL" not in done.stdout, done.stdout
 
 
-def test_tensorboard_reads_the_rates_as_they_came_about(archive, tmp_path):
+def test_tensorboard_reads_the_success_rates_over_time(archive, tmp_path):
     pytest.importorskip("tensorboard", reason="pip install tensorboard")
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 

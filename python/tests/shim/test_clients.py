@@ -91,7 +91,7 @@ def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("client", CLIENTS)
-def test_a_client_runs_an_episode_and_sees_what_it_sees_with_the_original(
+def test_a_client_gets_the_same_episode_as_with_the_original(
     client: str, clients: str, actions: Path, shim: Path, tmp_path: Path
 ) -> None:
     # vla-eval and torchrl write or need a configuration; an empty folder acts as a new one.

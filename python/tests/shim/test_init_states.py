@@ -55,7 +55,7 @@ class PickledCall:
         [1, 2],
     ],
 )
-def test_a_file_of_initial_states_makes_nothing_but_a_table_of_numbers(
+def test_a_file_of_initial_states_gives_only_a_table_of_numbers(
     tmp_path: Path, asked: Any
 ) -> None:
     with pytest.raises(ValueError, match="holds no initial states"):
@@ -67,7 +67,7 @@ def test_a_file_of_initial_states_makes_nothing_but_a_table_of_numbers(
         assert np.array_equal(found, states)
 
 
-def test_a_file_of_initial_states_unpacks_no_more_than_memory_has_room_for(tmp_path: Path) -> None:
+def test_a_file_of_initial_states_that_is_too_large_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="larger than 64 MiB"):
         read_states(tmp_path, bytes((64 << 20) + 1))
 
@@ -88,7 +88,7 @@ except Exception as error:
 
 
 @pytest.mark.parametrize("bomb", ["bzip2", "notes", "operations", "texts"])
-def test_a_file_of_initial_states_takes_no_more_memory_than_its_size_says(
+def test_a_file_of_initial_states_with_a_bomb_takes_little_memory(
     tmp_path: Path, bomb: str
 ) -> None:
     file = tmp_path / "task.pruned_init"

@@ -70,7 +70,7 @@ def actions(steps: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("number", range(len(READINGS)))
-def test_however_it_is_read_it_holds_what_was_drawn_at_once(number: int, bddl_file: str) -> None:
+def test_lazy_observations_equal_those_drawn_at_once(number: int, bddl_file: str) -> None:
     env, eager = construct(bddl_file), construct(bddl_file)
     for action in actions(2):
         late, *_ = env.step(action)
@@ -86,7 +86,7 @@ def test_however_it_is_read_it_holds_what_was_drawn_at_once(number: int, bddl_fi
         np.testing.assert_array_equal(read[key], array, err_msg=key)
 
 
-def test_steps_that_nobody_looks_at_draw_nothing(bddl_file: str) -> None:
+def test_unread_observations_draw_nothing(bddl_file: str) -> None:
     size = {"camera_heights": 23, "camera_widths": 31}
     env = OffScreenRenderEnv(bddl_file_name=bddl_file, **size)
     # The scene's first observation through these cameras is drawn at once, to find errors early.
@@ -106,7 +106,7 @@ def test_steps_that_nobody_looks_at_draw_nothing(bddl_file: str) -> None:
     env.close()
 
 
-def test_a_camera_that_is_said_to_be_unused_is_black_and_the_rest_is_as_ever(
+def test_an_unused_camera_is_black_and_the_other_is_unchanged(
     bddl_file: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     asked = {"camera_depths": True, "camera_segmentations": "instance"}
@@ -205,7 +205,7 @@ def test_observations_are_compared_by_their_pictures(bddl_file: str) -> None:
     env.close()
 
 
-def test_it_is_drawn_after_its_environment_was_closed_or_while_that_computes(
+def test_a_picture_is_drawn_while_its_environment_is_busy_or_closed(
     bddl_file: str,
 ) -> None:
     env, eager = construct(bddl_file), construct(bddl_file)

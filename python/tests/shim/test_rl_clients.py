@@ -95,7 +95,7 @@ def assert_same(ours: Any, theirs: Any, what: str) -> None:
 
 @pytest.mark.parametrize("which", ["package", "checkout"])
 @pytest.mark.parametrize("kind", ["rlinf", "rlinf_auto_reset", "rlinf_evaluated", "rlinf_recorded"])
-def test_rlinf_in_one_process_is_rlinf(
+def test_rlinf_in_one_process_equals_rlinfs_processes(
     kind: str, which: str, python: str, shim: Path, tmp_path: Path
 ) -> None:
     sources = rlinf(python, which)
@@ -154,7 +154,7 @@ def test_simplevla_rl_rolls_out_in_a_forked_process(
 @pytest.mark.parametrize(
     ("framework", "name"), [("verl_vla", "verl-vla"), ("vlarl", "vlarl"), ("siirl", "siiRL")]
 )
-def test_several_environments_of_a_framework_are_those_of_the_shim(
+def test_a_frameworks_several_environments_equal_the_shims(
     framework: str, name: str, python: str, shim: Path, tmp_path: Path
 ) -> None:
     rollouts = rolled_out(python, shim, tmp_path, framework, checkout(name))
