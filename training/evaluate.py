@@ -2,7 +2,7 @@
 
     python -m training.evaluate --weights runs/second/student.safetensors --episodes 5
 
-It is not a study: the product's campaigns measure students, on the benchmark's own states.
+This is not the final measurement: campaigns measure students on the benchmark's own states.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ def evaluate(arguments: argparse.Namespace) -> None:
     names = [name for name in reversed(tasks) for _ in range(at_once)]
     n, rng = len(names), np.random.default_rng(UNSEEN_SEED)
     drawn = {name: draw(name, at_once + 1, UNSEEN_SEED)[1:] for name in tasks}
-    said = [canonical(name) for name in names]
+    instructions = [canonical(name) for name in names]
     if arguments.wordings == "drawn":
-        said = [drawn[name].pop() for name in names]
+        instructions = [drawn[name].pop() for name in names]
     released = arguments.states == "released"
     env = rollout_libero.VectorEnvironment(
         names,
@@ -66,7 +66,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
     left = np.full(n, each)
     over = np.zeros(n, bool)
     while (left > 0).any() and time.monotonic() - begun < arguments.seconds:
-        answers = student.act(observation, said)
+        answers = student.act(observation, instructions)
         observation, _, terminated, truncated, info = env.step_chunk(
             answers[:, : arguments.actions]
         )
@@ -87,7 +87,7 @@ def report(
     if arguments.states == "released":
         # Environments that take turns may begin one round more than there are states.
         ended = {
-            name: [it for it in dict(own).items() if it[0] < arguments.episodes]
+            name: [episode for episode in dict(own).items() if episode[0] < arguments.episodes]
             for name, own in ended.items()
         }
     solved = {name: sum(success for _, success in own) for name, own in ended.items()}

@@ -41,12 +41,12 @@ def python(module: str, *arguments: object) -> list[str]:
 
 def rounds(data: Path) -> list[Path]:
     """Returns the folders of the rounds so far, in order."""
-    return sorted(it for it in data.glob("round_*") if it.is_dir())
+    return sorted(folder for folder in data.glob("round_*") if folder.is_dir())
 
 
 def collectors(arguments: argparse.Namespace, seconds: float) -> list[subprocess.Popen[bytes]]:
     """Begins a round on all cores."""
-    number = len({it.name.split("_")[1] for it in rounds(arguments.data)})
+    number = len({folder.name.split("_")[1] for folder in rounds(arguments.data)})
     count = max(1, arguments.workers // THREADS)
     begun = []
     for at in range(count):
@@ -94,7 +94,7 @@ def teach(arguments: argparse.Namespace) -> None:
             minutes = arguments.expert_minutes if first else arguments.round_minutes
             seconds = min(60 * minutes, left)
             running = collectors(arguments, seconds)
-            while any(it.poll() is None for it in running) and trainer.poll() is None:
+            while any(process.poll() is None for process in running) and trainer.poll() is None:
                 time.sleep(1.0)
             if trainer.poll() is None:
                 show_rounds(arguments.data)
@@ -112,10 +112,10 @@ def show_rounds(data: Path) -> None:
     """Prints each round's results: the last line of each collection, and its failures."""
     for folder in rounds(data):
         log = data / f"{folder.name}.log"
-        lines = [it for it in log.read_text().splitlines() if " steps (" in it]
+        lines = [line for line in log.read_text().splitlines() if " steps (" in line]
         print(f"{folder.name}: {lines[-1] if lines else log.read_text()[-500:]}", flush=True)
     alone = read_outcomes(rounds(data)[-2:])
-    failing = sorted(alone.items(), key=lambda it: it[1][0] / it[1][1])[:12]
+    failing = sorted(alone.items(), key=lambda item: item[1][0] / item[1][1])[:12]
     print("fails most: " + ", ".join(f"{name} {a}/{b}" for name, (a, b) in failing), flush=True)
 
 

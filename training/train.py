@@ -55,13 +55,13 @@ class Losses(nn.Module):
     def forward(self, batch: Batch, change: PictureChange, rows: Tensor, present: Tensor) -> Tensor:
         """Returns the loss of a batch: L1 of the arm, and a little cross-entropy of the gripper."""
         views = changed(batch.pictures, change)
-        said = self.network(*views, batch.state, rows, present)
+        output = self.network(*views, batch.state, rows, present)
         valid = batch.valid
         total = valid.sum().clamp(min=1.0)
-        arm = (said.arm - batch.targets[:, :, :ARM]).abs().mean(dim=2)
+        arm = (output.arm - batch.targets[:, :, :ARM]).abs().mean(dim=2)
         closes = (batch.targets[:, :, ARM] > 0).float()
         gripper = functional.binary_cross_entropy_with_logits(
-            said.gripper, closes, reduction="none"
+            output.gripper, closes, reduction="none"
         )
         loss: Tensor = ((arm + GRIPPER_WEIGHT * gripper) * valid).sum() / total
         return loss
@@ -126,9 +126,9 @@ class Trainer:
             batch = store.batch(torch.arange(first, last, device=self._device))
             views = scaled(batch.pictures[:, 0]), scaled(batch.pictures[:, 1])
             with self._precision():
-                said = self._mean(*views, batch.state, *wordings.canonical(batch.task))
-            arm = (said.arm.clamp(-1, 1) - batch.targets[:, :, :ARM]).abs().mean(dim=2)
-            agrees = (said.gripper > 0) == (batch.targets[:, :, ARM] > 0)
+                output = self._mean(*views, batch.state, *wordings.canonical(batch.task))
+            arm = (output.arm.clamp(-1, 1) - batch.targets[:, :, :ARM]).abs().mean(dim=2)
+            agrees = (output.gripper > 0) == (batch.targets[:, :, ARM] > 0)
             distance = distance + (arm * batch.valid).sum()
             right = right + (agrees * batch.valid).sum()
             total = total + batch.valid.sum()
@@ -223,7 +223,7 @@ class Trainer:
 
 
 def _schedule(step: int, fraction: float) -> float:
-    """Returns the learning rate's factor: a warm-up by steps, then a cosine decay over the time."""
+    """Returns the learning rate's factor: a warm-up over steps, then a cosine decay over time."""
     return min(1.0, (step + 1) / WARM_UP) * 0.5 * (1 + math.cos(math.pi * min(1.0, fraction)))
 
 
@@ -319,7 +319,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=300.0, help="how long, start included")
     parser.add_argument(
         "--stop-after", type=float, metavar="SECONDS",
-        help="leave a checkpoint then, from which the same command goes on",
+        help="leave a checkpoint then, from which the same command resumes",
     )  # fmt: skip
     parser.add_argument(
         "--watch", action="store_true", help="wait for shards, and load those that appear meanwhile"

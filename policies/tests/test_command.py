@@ -15,7 +15,7 @@ from rollout_policies import command as command_module
 
 
 class Flags(Policy):
-    """Answers what it is told.
+    """Answers zeros.
 
     In 100 % of the cases.
     """
@@ -141,7 +141,7 @@ def test_help_shows_the_docstring_and_fits_a_terminal(capsys, monkeypatch):
     assert caught.value.code == 0
     said = capsys.readouterr().out
     for words in (
-        "Answers what it is told.\n\nIn 100 % of the cases.\n", "--steps INT", "default: 10",
+        "Answers zeros.\n\nIn 100 % of the cases.\n", "--steps INT", "default: 10",
         "--fast, --no-fast", "--checkpoint STR", "required", "--listen ADDR", "--token-file FILE",
         "--execute N",
     ):  # fmt: skip

@@ -138,22 +138,22 @@ def test_a_chunk_continues_the_actions_under_way(policy, checkpoint):
     seen = observation(1)
     policy.reset(seen.episode)
     free = policy.infer(seen)
-    # Actions of another episode stand for the rest of an earlier chunk: any actions would do.
+    # Actions of another episode replace the rest of an earlier chunk; any actions would do.
     executed = policy.infer(observation(2))[2:].astype(np.float32)
     delay = 4
-    told = policy.infer(replace(seen, under_way=UnderWay(executed, delay)))
-    assert told.shape == free.shape and np.isfinite(told).all()
+    continued = policy.infer(replace(seen, under_way=UnderWay(executed, delay)))
+    assert continued.shape == free.shape and np.isfinite(continued).all()
 
     def apart(chunk, steps):
         return np.abs(chunk[steps] - executed[steps]).mean()
 
     # lerobot's guidance fades from the delay on, and ends after ten actions.
     until, later = slice(0, delay), slice(delay, 8)
-    assert apart(told, until) < apart(free, until) / 2
-    assert np.array_equal(policy.infer(seen), free), "a query that is told nothing is as ever"
-    # Nothing guides the new chunk beyond the end of the last one.
+    assert apart(continued, until) < apart(free, until) / 2
+    assert np.array_equal(policy.infer(seen), free), "a query without actions under way gives the same chunk"
+    # The last chunk does not guide the new chunk beyond its own end.
     short = policy.infer(replace(seen, under_way=UnderWay(executed[:delay], delay)))
-    assert apart(told, later) < apart(short, later)
+    assert apart(continued, later) < apart(short, later)
 
 
 def test_a_batch_changes_low_order_bits_only(checkpoint):

@@ -174,7 +174,7 @@ def test_scaling_by_bounds_is_invertible_and_respects_the_mask():
 
 def test_the_ensemble_averages_the_chunks_actions_for_the_current_step():
     ensemble = Ensemble(decay=0.1)
-    first = np.arange(3)[:, None] + np.zeros(7)  # says 0, then 1, then 2
+    first = np.arange(3)[:, None] + np.zeros(7)  # actions of zeros, ones and twos
     assert ensemble.add(first)[0] == 0
     second = 10 + first
     older = math.exp(-0.1)

@@ -1,4 +1,4 @@
-"""`compare` and `doctor` judge this package's servers by their answers.
+"""The gateway's commands `compare` and `doctor` find the faults of this package's servers.
 
 Runs the program that the environment variable POLICY_GATEWAY names.
 """

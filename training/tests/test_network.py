@@ -31,7 +31,7 @@ def test_the_network_has_fewer_than_two_million_parameters(network: Network) -> 
 
 
 def test_the_networks_tensors_are_those_of_the_weights_file(network: Network) -> None:
-    shapes = {name: tuple(it.shape) for name, it in network.state_dict().items()}
+    shapes = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
     assert shapes["words.weight"] == (4096, 48)
     assert shapes["wrist.stem.conv.weight"] == (32, 3, 3, 3)
     assert shapes["agentview.block2.film.weight"] == (192, 128)
@@ -49,9 +49,9 @@ def test_an_answer_does_not_depend_on_its_batch(network: Network) -> None:
     together = network(*inputs)
     assert together.arm.shape == (3, 8, 6) and together.gripper.shape == (3, 8)
     order = torch.tensor([2, 0, 1])
-    permuted = network(*(it[order] for it in inputs))
+    permuted = network(*(value[order] for value in inputs))
     torch.testing.assert_close(permuted.arm, together.arm[order], rtol=1e-4, atol=1e-5)
-    alone = network(*(it[1:2] for it in inputs))
+    alone = network(*(value[1:2] for value in inputs))
     torch.testing.assert_close(alone.gripper, together.gripper[1:2], rtol=1e-4, atol=1e-5)
 
 
@@ -59,7 +59,7 @@ def test_words_never_trained_on_add_nothing() -> None:
     network = Network().eval()
     *views, _, _ = queries(2)
     heard = [
-        network(*views, *(torch.from_numpy(it) for it in instruction_rows(texts))).arm
+        network(*views, *(torch.from_numpy(array) for array in instruction_rows(texts))).arm
         for texts in (["", ""], ["open it", "shut the microwave"])
     ]
     torch.testing.assert_close(heard[0], heard[1])

@@ -64,8 +64,8 @@ def test_targets_continue_after_noise_and_end_when_the_student_drifts(tmp_path: 
     noisy, straying, gripping, agreeing = (episode(9) for _ in range(4))
     noisy.executed[:, 1] += 0.4
     noisy.source[:] = Source.NOISE
-    for it in (straying, gripping, agreeing):
-        it.source[:] = Source.STUDENT
+    for driven in (straying, gripping, agreeing):
+        driven.source[:] = Source.STUDENT
     straying.executed[:, 1] += 0.2
     gripping.executed[2, 6] += 2.0
     agreeing.executed[:, 1] += 0.01
@@ -92,7 +92,7 @@ def test_a_writer_continues_after_existing_shards(tmp_path: Path) -> None:
     for _ in range(3):
         writer.add(episode(10))
     writer.close()
-    assert [it.name for it in shard_folders(tmp_path)] == [
+    assert [path.name for path in shard_folders(tmp_path)] == [
         "shard_00003",
         "shard_00004",
         "shard_00005",

@@ -49,7 +49,7 @@ def test_wordings_contain_no_template_syntax(drawn: dict[str, list[str]]) -> Non
 
 def test_every_slot_can_be_filled() -> None:
     for task, (_, grammar) in TASKS.items():
-        templates = [it for kind in FRAMES for it in (*FRAMES[kind], *grammar[kind])]
+        templates = [template for kind in FRAMES for template in (*FRAMES[kind], *grammar[kind])]
         for template in templates:
             for slot in re.findall(r"\{([^{}]+)\}", template):
                 assert slot in grammar, f"{task}: {template}"
@@ -81,6 +81,6 @@ def test_the_digests_are_those_of_the_benchmarks_rows(drawn: dict[str, list[str]
 
 def test_canonical_instructions_are_the_benchmarks() -> None:
     libero = pytest.importorskip("rollout_libero", reason="rollout_libero is not installed")
-    assert {it.name: it.instruction for it in libero.tasks()} == {
+    assert {task.name: task.instruction for task in libero.tasks()} == {
         task: canonical(task) for task in TASK_NAMES
     }

@@ -1,4 +1,4 @@
-"""Access to a coordinator, and messages about servers that are not coordinators."""
+"""Access to a coordinator, and errors about servers that are not coordinators."""
 
 import http.server
 import logging

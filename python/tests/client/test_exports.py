@@ -47,7 +47,7 @@ def test_an_archive_has_the_results_and_the_motion_of_its_campaign(archive):
         assert kept.specification()["record"] == "transitions"
         assert kept.report()["reports"][0]["policy"] == "expert"
         rollouts = list(kept.rollouts())
-    assert [it.rollout_id for it in rollouts] == list(results.index)
+    assert [rollout.rollout_id for rollout in rollouts] == list(results.index)
     for rollout in rollouts:
         result = results.loc[rollout.rollout_id]
         assert (rollout.success, rollout.steps) == (result.success, result.steps)
@@ -130,7 +130,7 @@ def rewritten(file, to, films=(), sql="", lie=None):
 
 
 def test_a_film_outside_the_archive_is_refused(archive, tmp_path):
-    """Otherwise an export of an untrusted archive's films would publish any file that it names."""
+    """Otherwise the export of an untrusted archive could publish any file of the machine."""
     pytest.importorskip("pyarrow")
     file, _ = archive
     secret = tmp_path / "secret"
@@ -145,13 +145,13 @@ def test_a_film_outside_the_archive_is_refused(archive, tmp_path):
         with Archive(bad) as kept:
             with pytest.raises(ArchiveError, match="which is not in the archive"):
                 export(kept, tmp_path / "dataset", films=True)
-        exported = [it for it in tmp_path.glob("dataset/**/*") if it.is_file()]
-        assert all(b"hunter2" not in it.read_bytes() for it in exported)
+        exported = [path for path in tmp_path.glob("dataset/**/*") if path.is_file()]
+        assert all(b"hunter2" not in path.read_bytes() for path in exported)
     # A film with a name too long for a tar header is a member like any other.
     film = f"artifacts/kept/{'f' * 120}.mp4"
     rewritten(file, bad, films={film: b"a film"}, sql=filmed.format(path=film))
     with Archive(bad) as kept:
-        assert {it.film.read_bytes() for it in kept.rollouts()} == {b"a film"}
+        assert {rollout.film.read_bytes() for rollout in kept.rollouts()} == {b"a film"}
 
 
 def test_a_malicious_archive_takes_no_memory_or_disk_and_runs_no_code(archive, tmp_path):
@@ -182,7 +182,7 @@ def test_a_malicious_archive_takes_no_memory_or_disk_and_runs_no_code(archive, t
     rewritten(file, bad, films={film: bytes(swollen)}, lie=film)
     with pytest.raises(ArchiveError, match="it has 201326592 bytes"):
         Archive(bad)
-    # Without the rule, this view would count without end.
+    # If the authorizer permitted views, this view would count without end.
     endless = """
         ALTER TABLE motion RENAME TO former;
         CREATE VIEW motion AS
@@ -209,7 +209,7 @@ def test_a_lerobot_dataset_has_an_episode_for_each_rollout(archive, tmp_path):
         rollouts = list(kept.rollouts())
     assert info["codebase_version"] == "v2.1"
     assert info["total_episodes"] == len(rollouts) == len(lines["episodes"])
-    assert info["total_frames"] == sum(it.steps for it in rollouts)
+    assert info["total_frames"] == sum(rollout.steps for rollout in rollouts)
     first = 0
     for index, rollout in enumerate(rollouts):
         name = info["data_path"].format(episode_chunk=0, episode_index=index)

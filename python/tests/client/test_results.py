@@ -23,7 +23,7 @@ def test_results_are_the_exported_rows_with_types(measured):
     assert len(results) == len(rows) == 8
     for key in rows[0]:
         expected = [row[key] for row in rows]
-        assert [None if pd.isna(it) else it for it in results[key]] == expected, key
+        assert [None if pd.isna(value) else value for value in results[key]] == expected, key
     assert set(results["axis"]) == {"clean", "camera", "actuation", "combination"}
     assert results["success"].dtype == "bool"
     assert results["config"].dtype == "Int64"
@@ -168,9 +168,9 @@ def test_without_the_program_reports_fail_with_a_remedy_and_results_are_read(
 ):
     url = measured._connection.access.url
     monkeypatch.setenv("PATH", str(tmp_path))
-    for program, said in [(None, "put its folder on PATH"), (tmp_path / "none", "tmp|none")]:
+    for program, words in [(None, "put its folder on PATH"), (tmp_path / "none", "tmp|none")]:
         campaign = connect(url, program=program).campaign("measured")
-        with pytest.raises(ProgramError, match=said) as failed:
+        with pytest.raises(ProgramError, match=words) as failed:
             campaign.report()
         assert "Client(program=" in str(failed.value)
         assert len(campaign.results()) == 8

@@ -163,9 +163,9 @@ def test_a_row_sets_settling_steps_and_budget(make):
     row = json.loads(native.configuration_row("goal/t0/robot/L1/c01"))
     row |= {"num_steps_wait": 4, "max_steps": 3}
     custom = make(cameras=[], settle_steps=None, perturbation=row)
-    told = make(cameras=[], settle_steps=4, max_steps=3, perturbation="robot/L1/c01")
+    overridden = make(cameras=[], settle_steps=4, max_steps=3, perturbation="robot/L1/c01")
     assert custom.max_steps == 3
-    assert_same(custom.reset()[0], told.reset()[0])
+    assert_same(custom.reset()[0], overridden.reset()[0])
     *_, truncated, info = custom.step_chunk(np.zeros((9, 7)))
     assert truncated and info["steps"] == 3
     as_designed = make(cameras=[], settle_steps=None, perturbation="robot/L1/c01")
@@ -241,8 +241,8 @@ def test_frames_have_the_chosen_orientation_and_render_is_upright(make, make_vec
 def test_frames_have_the_policy_orientation_by_default(make):
     observation, _ = make().reset()
     for camera in ("agentview", "robot0_eye_in_hand"):
-        told, _ = make(orientation="policy").reset()
-        np.testing.assert_array_equal(observation[camera], told[camera])
+        expected, _ = make(orientation="policy").reset()
+        np.testing.assert_array_equal(observation[camera], expected[camera])
 
 
 def python(program):

@@ -239,7 +239,7 @@ class Machine:
             result = self.real.step_chunk(actions)
         observation, rewards, terminations, truncations, infos = result
         assert infos["taken"].tolist() == taken
-        assert rewards.tolist() == [float(it) for it in success]
+        assert rewards.tolist() == [float(value) for value in success]
         assert terminations.tolist() == success and truncations.tolist() == truncated
         self.compare(observation, infos, which)
         if any(at_once):

@@ -170,8 +170,8 @@ def test_a_perturbation_takes_effect_at_the_next_rollout(make_vector):
         environments.set_perturbation(1, "camrea/L2/c03")
     *_, infos = environments.step(actions(environments))
     assert infos["instruction"].tolist() == nominal
-    told = environments.reset()[1]["instruction"]
-    assert told[0] == nominal[0] and told[1] != nominal[1]
+    instructions = environments.reset()[1]["instruction"]
+    assert instructions[0] == nominal[0] and instructions[1] != nominal[1]
 
 
 def test_without_autoreset_reset_mask_selects_environments(make_vector):

@@ -552,7 +552,7 @@ def test_after_an_error_answers_belong_to_their_own_calls(kind: Any, bddl_file: 
     moves = [[0.9, 0.9, 0, 0, 0, 0, -1]] * 2
     with pytest.raises(ValueError, match="7 numbers"):
         envs.step([[0.0], moves[1]])
-    # The other environment has stepped. Its answer must not be taken for that of the next call.
+    # The other environment has stepped. Its answer must not become the answer to the next call.
     before = seen(envs.step(moves)[0])
     after = seen(envs.step(moves)[0])
     states = envs.get_sim_state()

@@ -174,7 +174,7 @@ def test_pictures_read_in_any_order_are_those_drawn_at_once(seed: int, bddl_file
     for late, early in kept:
         for key in late:
             np.testing.assert_array_equal(late[key], early[key])
-    # Reading has moved nothing.
+    # Reading pictures has not changed the state.
     np.testing.assert_array_equal(env.get_sim_state(), eager.get_sim_state())
     for it in (env, eager):
         it.close()

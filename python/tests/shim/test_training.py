@@ -71,7 +71,7 @@ def test_rows_of_any_tasks_equal_scripts_environments(envs: TrainingEnvironment)
         for action in chunk[at]:
             seen, *_ = env.step(action)
         assert_same(stepped.observation, at, seen)
-    # Another task, in the middle row only, without a state, from an environment that is kept.
+    # Another task in the middle row only: without a state, in a reused environment.
     other = Start(task("libero_goal", 6)[0], seed=5, loads=3)
     observation = envs.reset([other], rows=[1])
     assert_same(observation, 0, begun(other, resets=2)[1])
@@ -190,7 +190,7 @@ def test_failed_rows_are_named_and_the_others_continue(envs: TrainingEnvironment
     file, states = task("libero_goal", 8)
     envs.reset([Start(file, states[0])] * 3)
     wild = states[0].copy()
-    wild[1:8] = 1e9  # rad: no physics survives that
+    wild[1:8] = 1e9  # rad: the physics diverges
     simulation = envs.simulations[1]
     assert simulation is not None
     simulation.set_state(wild)
