@@ -150,7 +150,7 @@ def test_a_chunk_continues_the_actions_under_way(policy, checkpoint):
     # lerobot's guidance fades from the delay on, and ends after ten actions.
     until, later = slice(0, delay), slice(delay, 8)
     assert apart(continued, until) < apart(free, until) / 2
-    assert np.array_equal(policy.infer(seen), free), "a query without actions under way gives the same chunk"
+    assert np.array_equal(policy.infer(seen), free), "without actions under way, nothing changes"
     # The last chunk does not guide the new chunk beyond its own end.
     short = policy.infer(replace(seen, under_way=UnderWay(executed[:delay], delay)))
     assert apart(continued, later) < apart(short, later)
