@@ -131,7 +131,7 @@ def test_a_flow_policy_passes_on_the_actions_under_way_per_query():
     queries[1] = replace(queries[1], under_way=under_way)
     policy = flow(max_batch=4)
     assert policy.description.real_time_chunking
-    alone = [policy.infer(one) for one in queries]
+    alone = [policy.infer(query) for query in queries]
     policy.model.calls.clear()
     assert np.array_equal(policy.infer_batch(queries), alone)
     assert policy.model.calls == [(1, under_way), (2, None)]

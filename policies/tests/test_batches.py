@@ -84,7 +84,7 @@ def test_a_batch_with_too_few_answers_is_repeated_query_by_query(serving):
 
     policy = Forgetful(KeyError("butter"))
     client = serving(policy)
-    assert [len(one) == 7 for one in answered_in_a_batch(client)] == [True, False, True]
+    assert [len(answer) == 7 for answer in answered_in_a_batch(client)] == [True, False, True]
 
 
 @pytest.mark.parametrize(

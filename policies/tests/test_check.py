@@ -50,7 +50,7 @@ SPEAKS_OF = {
         (Remembering(), {Point.BATCH, Point.ORDER}),
         (ColourServo(), {Point.BATCH}),
     ],
-    ids=lambda it: it.description.name if isinstance(it, Policy) else "",
+    ids=lambda case: case.description.name if isinstance(case, Policy) else "",
 )
 def test_a_policy_that_keeps_the_protocol_passes_every_point(policy, skipped):
     findings = check(policy)
@@ -236,7 +236,7 @@ def findings_of(servicer, healthy=True):
 def test_a_servers_fault_fails_its_point(fault, failing, expected):
     findings = findings_of(Wire(fault), healthy=fault != "health")
     assert [finding.point for finding in findings] == list(Point)
-    failed = {one.point: one.verdict.text for one in findings if one.verdict.failed}
+    failed = {finding.point: finding.verdict.text for finding in findings if finding.verdict.failed}
     if failing is None:
         assert failed == {}
     else:

@@ -139,14 +139,14 @@ def test_help_shows_the_docstring_and_fits_a_terminal(capsys, monkeypatch):
     with pytest.raises(SystemExit) as caught:
         run(Flags, ["--help"])
     assert caught.value.code == 0
-    said = capsys.readouterr().out
+    printed = capsys.readouterr().out
     for words in (
         "Answers zeros.\n\nIn 100 % of the cases.\n", "--steps INT", "default: 10",
         "--fast, --no-fast", "--checkpoint STR", "required", "--listen ADDR", "--token-file FILE",
         "--execute N",
     ):  # fmt: skip
-        assert words in said
-    assert max(map(len, said.splitlines())) <= 80
+        assert words in printed
+    assert max(map(len, printed.splitlines())) <= 80
 
 
 @pytest.mark.parametrize(
@@ -240,11 +240,11 @@ def test_resolved_settings_are_printed_before_the_address(tmp_path):
         command = [sys.executable, str(script), "--weights", "org/w"]
         with running(*command, stderr=errors) as (_, address):
             errors.seek(0)
-            said = errors.read().splitlines()
+            lines = errors.read().splitlines()
             client = Client(address)
             assert client.describe().checkpoint == "org/w"
             client.channel.close()
-    assert said[:9] == [
+    assert lines[:9] == [
         "a model that prints while it loads",
         "policy: it",
         "checkpoint: org/w",
@@ -255,7 +255,7 @@ def test_resolved_settings_are_printed_before_the_address(tmp_path):
         "gripper: -1 open, 1 closed",
         "a: b",
     ]
-    assert said[9] == "warming up" and said[10].startswith("warm after ")
+    assert lines[9] == "warming up" and lines[10].startswith("warm after ")
 
 
 def test_a_failing_warm_up_stops_the_server_before_it_listens(tmp_path, capfd):

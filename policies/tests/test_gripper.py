@@ -59,7 +59,7 @@ def test_a_gripper_that_never_opens_is_logged_once(serving, caplog, gripper, war
         client.infer("d")
         client.end("d")
         client.reset("e")
-    said = [record.getMessage() for record in caplog.records]
-    assert len(said) == warnings
-    for text in said:
+    warned = [record.getMessage() for record in caplog.records]
+    assert len(warned) == warnings
+    for text in warned:
         assert "'closed'" in text and "session 'a'" in text and "gripper=" in text

@@ -77,7 +77,7 @@ def test_frames_are_prepared_while_the_model_answers_other_queries(serving):
     client.reset("a")
     client.reset("b")
     with ThreadPoolExecutor(2) as pool:
-        assert [one.shape for one in pool.map(client.infer, "ab")] == [(1, 7), (1, 7)]
+        assert [answer.shape for answer in pool.map(client.infer, "ab")] == [(1, 7), (1, 7)]
 
 
 def test_an_exception_in_prepare_fails_its_query_only(serving):
@@ -291,7 +291,8 @@ def test_a_policy_that_refuses_all_synthetic_episodes_is_served_without_warm_up(
 
 @pytest.mark.parametrize("name", ["openvla-oft", "univla"])
 def test_jpeg_round_trips_run_outside_the_inference_thread(serving, monkeypatch, name):
-    policy, *_ = [it for it in around_computed_networks() if it.description.name == name]
+    policies = around_computed_networks()
+    policy, *_ = [policy for policy in policies if policy.description.name == name]
     prepared_in = []
 
     def frame(turned):

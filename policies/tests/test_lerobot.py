@@ -162,7 +162,7 @@ def test_a_batch_changes_low_order_bits_only(checkpoint):
         pytest.skip(f"{name} answers one query at a time")
     policy = loaded(name, folder, max_batch=4)
     queries = [observation(seed, instruction="pick up the butter") for seed in (1, 2, 3)]
-    alone = [policy.infer(one) for one in queries]
+    alone = [policy.infer(query) for query in queries]
     assert np.allclose(policy.infer_batch(queries), alone, atol=1e-4)
 
 
@@ -315,7 +315,8 @@ def test_a_checkpoint_without_statistics_is_refused(altered, which):
 
 
 def drop_statistics(file, which):
-    kept = {key: one for key, one in load_file(file).items() if not key.startswith(f"{which}.")}
+    tensors = load_file(file)
+    kept = {key: tensors[key] for key in tensors if not key.startswith(f"{which}.")}
     save_file(kept, file)
 
 

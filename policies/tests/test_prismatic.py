@@ -106,7 +106,7 @@ def oft(tmp_path, upstream):
         "action_head": torch.nn.Linear(WIDTH, 7),
         "proprio_projector": torch.nn.Linear(8, WIDTH),
     }.items():
-        stored = {f"module.{name}": one for name, one in made.state_dict().items()}
+        stored = {f"module.{name}": tensor for name, tensor in made.state_dict().items()}
         torch.save(stored, tmp_path / f"{part}--50000_checkpoint.pt")
     numbers = {
         of: {"q01": [-1.0] * width, "q99": [1.0] * width}
@@ -134,9 +134,9 @@ def test_all_parts_of_openvla_oft_are_loaded_onto_the_chosen_device(oft):
     # "meta" holds no numbers, but it differs from upstream's device.
     parts = (policy.model.action_head, policy.model.proprio_projector, policy.model.network)
     elsewhere = served(oft, device="meta").model
-    for one in (elsewhere.network, elsewhere.action_head, elsewhere.proprio_projector):
-        assert {number.device.type for number in one.parameters()} == {"meta"}
-    assert {number.device.type for one in parts for number in one.parameters()} == {"cpu"}
+    for part in (elsewhere.network, elsewhere.action_head, elsewhere.proprio_projector):
+        assert {number.device.type for number in part.parameters()} == {"meta"}
+    assert {number.device.type for part in parts for number in part.parameters()} == {"cpu"}
 
 
 def test_a_network_that_lacks_a_tensor_is_refused(oft):

@@ -78,8 +78,8 @@ def judged():
         )
         assert ran.returncode in (0, 1) and ran.stdout, ran.stderr
         judgement = json.loads(ran.stdout)
-        said = judgement["is_same" if command == "compare" else "is_sound"]
-        assert said == (ran.returncode == 0)
+        verdict = judgement["is_same" if command == "compare" else "is_sound"]
+        assert verdict == (ran.returncode == 0)
         return judgement
 
     yield run
@@ -88,7 +88,11 @@ def judged():
 
 
 def failed(examination):
-    return {it["point"]: it["text"] for it in examination["findings"] if it["verdict"] == "fail"}
+    return {
+        finding["point"]: finding["text"]
+        for finding in examination["findings"]
+        if finding["verdict"] == "fail"
+    }
 
 
 @pytest.mark.parametrize("policy", [Looking, ColourServo])

@@ -48,7 +48,7 @@ def test_resolved_settings_are_sent_and_printed(serving):
         )
 
     settings = serving(Resolved()).describe().settings
-    assert [(one.name, one.value) for one in settings] == [
+    assert [(setting.name, setting.value) for setting in settings] == [
         ("image slots", "image=agentview"),
         ("revision", "1f2e3d"),
         ("gripper", "0 closed, 1 open"),
@@ -109,8 +109,8 @@ def test_frames_are_contiguous_and_may_be_written_to(serving):
     client.reset()
     client.infer(observation=pb.Observation(images=[frame()], state=readings()))
     seen = policy.observation
-    for one in (seen.images["agentview"], seen.upright("agentview"), seen.rotated("agentview")):
-        assert one.flags.c_contiguous and one.flags.writeable
+    for image in (seen.images["agentview"], seen.upright("agentview"), seen.rotated("agentview")):
+        assert image.flags.c_contiguous and image.flags.writeable
     # A copy, so that changing it does not change the frame.
     seen.upright("agentview")[:] = 0
     assert seen.images["agentview"][0, 1].tolist() == [3, 4, 5]

@@ -162,7 +162,7 @@ def test_a_session_table_is_bounded_in_number_and_idle_time():
         return Session(Episode(name, "", "", 0))
 
     def names(sessions):
-        return [one.episode.session for one in sessions]
+        return [session.episode.session for session in sessions]
 
     assert [names(table.open(session(name))) for name in "abc"] == [[], [], []]
     now[0] = 4.0

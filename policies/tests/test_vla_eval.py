@@ -293,8 +293,8 @@ def test_every_episode_has_its_own_connection_and_chunks(program, received):
                 np.testing.assert_array_equal(action[0, :6], expected[:6])
         assert not [line for line in lines(received) if line["type"] == "gone"]
         client.stub.End(pb.EndRequest(session="a"))
-        until(lambda: [it for it in lines(received) if it["type"] == "gone"])
-        assert [it["type"] for it in lines(received)][-2:] == ["episode_end", "gone"]
+        until(lambda: [line for line in lines(received) if line["type"] == "gone"])
+        assert [line["type"] for line in lines(received)][-2:] == ["episode_end", "gone"]
         with pytest.raises(grpc.RpcError) as caught:
             client.infer("a", 3, OBSERVATION)
         assert caught.value.code() == grpc.StatusCode.UNAVAILABLE
@@ -312,7 +312,7 @@ def test_the_description_has_resolved_settings_and_the_address_takes_precedence(
     assert description.checkpoint.startswith("not named by its server")
     assert description.stateful and description.stochastic and description.unseeded
     assert description.batch_mode == "single, unseeded"
-    settings = {it.name: it.value for it in description.settings}
+    settings = {setting.name: setting.value for setting in description.settings}
     assert settings == {
         "server": "Policy of vla-eval 0.8.0",
         "observation parameters": 'send_state=true, env_seed=0, success_mode="truncation"',
@@ -325,10 +325,10 @@ def test_the_description_has_resolved_settings_and_the_address_takes_precedence(
         "controller states": "of the instant of observation, not of the end of the control step",
         "gripper": "open below 0, else closed",
     }
-    settings = {it.name: it.value for it in other.settings}
+    settings = {setting.name: setting.value for setting in other.settings}
     assert settings["image slots"] == "agentview=agentview, wrist=robot0_eye_in_hand"
     assert settings["state"] == "none" and not other.state
-    assert [it.name for it in other.cameras] == ["agentview", "robot0_eye_in_hand"]
+    assert [camera.name for camera in other.cameras] == ["agentview", "robot0_eye_in_hand"]
 
 
 @pytest.mark.parametrize(

@@ -77,7 +77,7 @@ def test_files_are_compared_in_pieces_of_any_size(tmp_path, monkeypatch, piece):
     monkeypatch.setattr(weights, "PIECE", piece)
     file = tmp_path / "model.safetensors"
     # Files may have a higher precision than the network.
-    stored = {f"old.{name}": one.float() for name, one in network.state_dict().items()}
+    stored = {f"old.{name}": tensor.float() for name, tensor in network.state_dict().items()}
     stored["old.0.weight"] += 1e-6 * stored["old.0.weight"]
     save_file(stored, file)
 
@@ -115,7 +115,7 @@ def test_a_file_is_never_read_whole(tmp_path, monkeypatch):
 
 def test_parts_that_an_adapter_loads_must_fit_exactly():
     torch, network = torch_network()
-    stored = {name: one.clone() + 1 for name, one in network.state_dict().items()}
+    stored = {name: tensor.clone() + 1 for name, tensor in network.state_dict().items()}
     weights.load_stored(network, stored, "mine", "the decoder")
     assert torch.equal(network[0].weight, stored["0.weight"])
     del stored["0.bias"]

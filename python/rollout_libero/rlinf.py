@@ -55,7 +55,7 @@ def together(base: Any) -> Any:
 
         def _init_env(self) -> None:
             parameters = self.get_env_fn_params()
-            unknown = {name for one in parameters for name in one} - _PARAMETERS
+            unknown = {name for of_env in parameters for name in of_env} - _PARAMETERS
             if unknown:
                 raise ValueError(
                     f"env.init_params has {', '.join(sorted(unknown))}, which rollout_libero.rlinf "

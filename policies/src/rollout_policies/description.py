@@ -218,7 +218,9 @@ class Description:
             name=message.name,
             horizon=message.horizon,
             execute=message.execute,
-            cameras=tuple(Camera(one.name, one.width, one.height) for one in message.cameras),
+            cameras=tuple(
+                Camera(camera.name, camera.width, camera.height) for camera in message.cameras
+            ),
             state=tuple(State(number) for number in message.state),
             checkpoint=message.checkpoint,
             checkpoint_digest=message.checkpoint_digest,

@@ -286,7 +286,7 @@ def as_arrays(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: as_arrays(one) for key, one in value.items()}
     if isinstance(value, list | tuple):
-        return [as_arrays(one) for one in value]
+        return [as_arrays(item) for item in value]
     return value
 
 

@@ -225,8 +225,8 @@ def test_states_are_set_concurrently() -> None:
     envs = SubprocVectorEnv([Slow] * 3)
     envs.reset()
     seen = envs.set_init_state([0.5, 0.3, 0.4])
-    assert max(one["begun"] for one in seen) < min(one["ended"] for one in seen)
-    assert [round(one["ended"] - one["begun"], 1) for one in seen] == [0.5, 0.3, 0.4]
+    assert max(times["begun"] for times in seen) < min(times["ended"] for times in seen)
+    assert [round(times["ended"] - times["begun"], 1) for times in seen] == [0.5, 0.3, 0.4]
     envs.close()
 
 

@@ -160,7 +160,7 @@ def test_pictures_read_in_any_order_are_those_drawn_at_once(seed: int, bddl_file
     for _ in range(40):
         what = chance.choice(["step"] * 5 + ["reset", "state", "camera", "stove"])
         value = next(steps) if what in ("step", "stove") else chance.randrange(50)
-        late, early = (moved(it, what, value) for it in (env, eager))
+        late, early = (moved(environment, what, value) for environment in (env, eager))
         kept.append((late, dict(early)))
         while kept and chance.random() < 0.4:
             late, early = kept[chance.randrange(len(kept))]
@@ -176,8 +176,8 @@ def test_pictures_read_in_any_order_are_those_drawn_at_once(seed: int, bddl_file
             np.testing.assert_array_equal(late[key], early[key])
     # Reading pictures has not changed the state.
     np.testing.assert_array_equal(env.get_sim_state(), eager.get_sim_state())
-    for it in (env, eager):
-        it.close()
+    for environment in (env, eager):
+        environment.close()
 
 
 def test_two_observations_of_one_instant_share_their_pictures(bddl_file: str) -> None:
@@ -261,5 +261,5 @@ def test_depths_and_segmentations_are_drawn_late_too(bddl_file: str) -> None:
     for late, early in reversed(kept):
         for key in reversed(early):
             np.testing.assert_array_equal(late[key], early[key], err_msg=key)
-    for it in (env, eager):
-        it.close()
+    for environment in (env, eager):
+        environment.close()

@@ -208,4 +208,4 @@ def test_ript_wraps_one_environment_and_several(python: str, shim: Path, tmp_pat
         for observation, reward, terminated, truncated, info in (stepped, again):
             assert observation["agentview_rgb"].shape == (count, SIZE, SIZE, 3)
             assert reward.shape == terminated.shape == truncated.shape == (count,)
-            assert [one["success"] for one in info] == [False] * count
+            assert [of_env["success"] for of_env in info] == [False] * count

@@ -212,7 +212,7 @@ class Probe(contextlib.AbstractContextManager):
         began = time.perf_counter()
         with ThreadPoolExecutor(concurrency) as pool:
             played = pool.map(lambda at: self.episode(f"side by side {at}", at), range(concurrency))
-            latencies = [latency for one in played for latency in one.latencies]
+            latencies = [latency for episode in played for latency in episode.latencies]
         return time.perf_counter() - began, latencies
 
     def _describe(self, version: int) -> pb.DescribeResponse:
@@ -256,9 +256,9 @@ class Probe(contextlib.AbstractContextManager):
         wanted = Description(
             name="made up",
             cameras=tuple(
-                Camera(one.name, one.width, one.height)
-                for one in self.described.cameras
-                if one.width and one.height
+                Camera(camera.name, camera.width, camera.height)
+                for camera in self.described.cameras
+                if camera.width and camera.height
             ),
             state=tuple(State(number) for number in self.described.state if number in known),
         )
