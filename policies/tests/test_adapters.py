@@ -500,12 +500,12 @@ def test_a_checkpoint_of_predvla_that_would_run_code_is_refused(tmp_path):
     torch = pytest.importorskip("torch")
     file, ran = tmp_path / "predvla_goal_s1.pt", tmp_path / "ran"
 
-    class Hostile:
+    class MaliciousPickle:
         def __reduce__(self):
             return os.mkdir, (str(ran),)
 
     plain = {"cfg": {"data": {"vision_stride": 4}}, "model": {"weight": torch.ones(2)}}
-    torch.save({**plain, "extra": Hostile()}, file)
+    torch.save({**plain, "extra": MaliciousPickle()}, file)
     with pytest.raises(UnusableCheckpoint, match="would run code of its author"):
         predvla._saved(torch, file)
     assert not ran.exists()

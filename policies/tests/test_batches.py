@@ -78,11 +78,11 @@ def test_only_the_faulty_query_of_a_batch_fails(serving):
 
 
 def test_a_batch_with_too_few_answers_is_repeated_query_by_query(serving):
-    class Forgetful(Batching):
+    class AnsweringTooFew(Batching):
         def infer_batch(self, observations):
             return super().infer_batch(observations[:1])
 
-    policy = Forgetful(KeyError("butter"))
+    policy = AnsweringTooFew(KeyError("butter"))
     client = serving(policy)
     assert [len(answer) == 7 for answer in answered_in_a_batch(client)] == [True, False, True]
 
@@ -103,11 +103,11 @@ def test_a_failed_batch_of_a_stateful_or_broken_policy_fails_as_a_whole(serving,
 
 
 def test_after_an_unrecoverable_error_the_rest_of_a_batch_is_not_queried(serving):
-    class Breaking(Batching):
+    class FailingBatch(Batching):
         def infer_batch(self, observations):
             raise ValueError("of this batch")
 
-    policy = Breaking(RuntimeError("CUDA out of memory"))
+    policy = FailingBatch(RuntimeError("CUDA out of memory"))
     one, guilty, other = answered_in_a_batch(serving(policy))
     assert one == [0.5] * 7
     assert "out of memory" in guilty and "out of memory" in other

@@ -73,7 +73,7 @@ class Unseeded(Faulty):
         return np.random.default_rng().uniform(-1, 1, (4, 7))
 
 
-class Deaf(Faulty):
+class SeedIgnoring(Faulty):
     def infer(self, observation):
         return np.zeros((4, 7))
 
@@ -119,7 +119,7 @@ class Millimetres(Faulty):
     ("policy", "failing", "expected"),
     [
         (Unseeded, Point.SAME_SEED, "at query 0 the actions differ"),
-        (Deaf, Point.OTHER_SEED, "declares itself stochastic"),
+        (SeedIgnoring, Point.OTHER_SEED, "declares itself stochastic"),
         (SecretlyStochastic, Point.OTHER_SEED, "declares itself deterministic"),
         (Sharing, Point.ISOLATION, "the actions differ"),
         (Carrying, Point.ORDER, "the actions differ"),
@@ -155,13 +155,13 @@ def test_low_order_differences_in_batches_pass_with_a_note():
 
 
 def test_a_policy_of_one_suite_is_checked_with_a_task_of_that_suite():
-    class OfGoal(Faulty):
+    class LiberoGoalOnly(Faulty):
         def reset(self, episode):
             assert episode.suite == "libero_goal" and "drawer" in episode.instruction
 
     with pytest.raises(CannotCheck, match="AssertionError"):
-        check(OfGoal())
-    check(OfGoal(), suite="libero_goal")
+        check(LiberoGoalOnly())
+    check(LiberoGoalOnly(), suite="libero_goal")
 
 
 class Wire(pb_grpc.PolicyServicer):

@@ -78,12 +78,12 @@ def test_parameters_become_flags_of_their_types(ran):
 
 
 def test_a_parameter_execute_of_the_policy_replaces_the_flag(ran):
-    class Own(Flags):
+    class WithExecute(Flags):
         def __init__(self, execute: int = 2):
             self.description = Description(name="own", horizon=8, execute=execute)
 
-    assert ran(Own)[0].description.execute == 2
-    assert ran(Own, "--execute", "5")[0].description.execute == 5
+    assert ran(WithExecute)[0].description.execute == 2
+    assert ran(WithExecute, "--execute", "5")[0].description.execute == 5
 
 
 def test_a_policy_without_a_constructor_has_the_servers_flags_only(ran):

@@ -81,7 +81,7 @@ def test_frames_are_prepared_while_the_model_answers_other_queries(serving):
 
 
 def test_an_exception_in_prepare_fails_its_query_only(serving):
-    class Picky(Policy):
+    class FailingPrepare(Policy):
         description = Description(name="picky", max_batch=2)
 
         def reset(self, episode):
@@ -94,7 +94,7 @@ def test_an_exception_in_prepare_fails_its_query_only(serving):
         def infer(self, observation):
             return np.zeros(7)
 
-    client = serving(Picky())
+    client = serving(FailingPrepare())
     client.reset("bad")
     client.reset("good")
     queries = [client.request("bad"), client.request("good")]

@@ -16,7 +16,7 @@ from rollout_policies.examples.colour_servo import ColourServo
 CAMERAS = (Camera("agentview", 128, 128), Camera("robot0_eye_in_hand", 128, 128))
 
 
-class Looking(Policy):
+class PositionSensitive(Policy):
     """Answers depend on the positions in its frames, its state and its instruction."""
 
     description = Description(
@@ -43,14 +43,14 @@ class Looking(Policy):
         return 0.8 * np.sin(seen + 0.2 * np.arange(4)[:, None])
 
 
-class Flipped(Looking):
+class Flipped(PositionSensitive):
     """Uses its frames without turning them: bottom row first."""
 
     def frames(self, observation):
         return [observation.images[camera.name] for camera in CAMERAS]
 
 
-class Keeping(Looking):
+class Keeping(PositionSensitive):
     """Keeps the frames of all episodes, and so uses more and more memory."""
 
     def __init__(self):
@@ -95,14 +95,14 @@ def failed(examination):
     }
 
 
-@pytest.mark.parametrize("policy", [Looking, ColourServo])
+@pytest.mark.parametrize("policy", [PositionSensitive, ColourServo])
 def test_a_correct_server_has_no_findings(judged, policy):
     assert failed(judged("doctor", policy())) == {}
     assert judged("compare", policy(), policy())["differences"] == []
 
 
 def test_unturned_frames_are_found(judged):
-    (difference,) = judged("compare", Looking(), Flipped())["differences"]
+    (difference,) = judged("compare", PositionSensitive(), Flipped())["differences"]
     assert difference["kind"] == "frame_orientation"
     assert "flipped vertically" in difference["text"]
 

@@ -163,7 +163,7 @@ def test_a_retry_gets_the_same_actions_without_another_query(serving):
     ],
 )
 def test_actions_under_way_reach_the_policy_in_its_gripper_convention(serving, gripper, expected):
-    class Told(Policy):
+    class RealTimeChunking(Policy):
         description = Description(
             name="told", horizon=3, gripper=gripper, real_time_chunking=True
         )
@@ -175,7 +175,7 @@ def test_actions_under_way_reach_the_policy_in_its_gripper_convention(serving, g
             self.under_way = observation.under_way
             return np.zeros((3, 7))
 
-    policy = Told()
+    policy = RealTimeChunking()
     client = serving(policy)
     assert client.describe().real_time_chunking
     client.reset()

@@ -79,11 +79,11 @@ def test_a_repeated_reset_ends_the_earlier_episode(serving):
 
 
 def test_an_exception_in_end_is_only_logged(serving):
-    class Careless(Remembering):
+    class FailingEnd(Remembering):
         def end(self, episode):
             raise RuntimeError("no such file")
 
-    policy = Careless()
+    policy = FailingEnd()
     client = serving(policy)
     client.reset("a")
     client.end("a")
@@ -132,13 +132,13 @@ def test_an_idle_episode_ends_without_a_further_call(serving, monkeypatch):
 
 
 def test_a_reset_that_raises_leaves_no_episode_and_ends_the_one_before(serving):
-    class Fussy(Remembering):
+    class FailingReset(Remembering):
         def reset(self, episode):
             if self.episodes:
                 raise ValueError("one is enough")
             super().reset(episode)
 
-    policy = Fussy()
+    policy = FailingReset()
     client = serving(policy)
     client.reset("a")
     assert code_of(client.reset, "a") == grpc.StatusCode.INTERNAL

@@ -28,7 +28,7 @@ SERVER = f"""
 {ANSWER}
 from rollout_policies import Description, Policy, State, serve
 
-class Nervous(Policy):
+class HandPositionPolicy(Policy):
     description = Description(
         name="nervous", cameras=(), state=(State.EEF_POS,), horizon={HORIZON}, execute={EXECUTE}
     )
@@ -39,7 +39,7 @@ class Nervous(Policy):
     def infer(self, observation):
         return answer(observation.vector(State.EEF_POS))
 
-serve(Nervous())
+serve(HandPositionPolicy())
 """
 namespace: dict = {}
 exec(ANSWER, namespace)

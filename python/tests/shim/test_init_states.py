@@ -17,13 +17,13 @@ from libero.libero.benchmark.init_states import load_init_states
 
 
 def test_a_file_of_initial_states_cannot_run_code(tmp_path: Path) -> None:
-    class Attack:
+    class MaliciousPickle:
         def __reduce__(self) -> Any:
             return os.mkdir, (str(tmp_path / "ran"),)
 
     file = tmp_path / "task.pruned_init"
     with zipfile.ZipFile(file, "w") as archive:
-        archive.writestr("archive/data.pkl", pickle.dumps(Attack()))
+        archive.writestr("archive/data.pkl", pickle.dumps(MaliciousPickle()))
     with pytest.raises(ValueError, match="fetch the file again"):
         load_init_states(file)
     assert not (tmp_path / "ran").exists()
