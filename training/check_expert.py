@@ -105,10 +105,10 @@ def check(arguments: argparse.Namespace) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--driver", choices=["none", "pushes", "stranger"], default="stranger")
-    parser.add_argument("--tasks", nargs="+", default=["libero"], help="beginnings of names")
-    parser.add_argument("--states", type=int, default=5, help="of each task")
+    parser.add_argument("--tasks", nargs="+", default=["libero"], help="prefixes of task names")
+    parser.add_argument("--states", type=int, default=5, help="states per task")
     parser.add_argument("--first", type=int, default=0, help="number of the first state")
-    parser.add_argument("--assets", help="a pack, or its folder")
+    parser.add_argument("--assets", help="asset pack or its folder")
     parser.add_argument("--threads", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--seed", type=int, default=0)
     check(parser.parse_args())

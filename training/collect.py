@@ -217,7 +217,7 @@ class Group:
                     self._run(until)
                 except rollout_libero.SimulationError as error:
                     # Rare: the physics diverged after a push.
-                    print(f"begin {len(self._tasks)} episodes anew: {error}", flush=True)
+                    print(f"restarting {len(self._tasks)} episodes: {error}", flush=True)
         finally:
             self._env.close()
 
@@ -480,24 +480,25 @@ def main() -> None:
     suites = list(dict.fromkeys(name.split("/")[0] for name in TASK_NAMES))
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--into", type=Path, required=True, help="folder of shards")
-    parser.add_argument("--seconds", type=float, default=300.0, help="how long, start included")
+    parser.add_argument("--seconds", type=float, default=300.0, help="duration, start included")
     parser.add_argument("--driver", choices=["expert", "student"], default="expert")
     parser.add_argument(
         "--weights", type=Path,
-        help="the student's, read again when they change; the expert drives until there are any",
+        help="file of the student's weights, read again if it changes; the expert drives until it"
+        " exists",
     )  # fmt: skip
     parser.add_argument(
-        "--perturbed", type=float, default=0.0, metavar="SHARE", help="of the episodes, 0 to 1"
+        "--perturbed", type=float, default=0.0, metavar="SHARE", help="perturbed episodes, 0 to 1"
     )
-    parser.add_argument("--envs", type=int, default=100, help="environments in all")
-    parser.add_argument("--groups", type=int, default=2, help="of environments, which take turns")
-    parser.add_argument("--threads", type=int, default=16, help="of each group")
+    parser.add_argument("--envs", type=int, default=100, help="number of environments")
+    parser.add_argument("--groups", type=int, default=2, help="alternating groups of environments")
+    parser.add_argument("--threads", type=int, default=16, help="threads per group")
     parser.add_argument("--suites", nargs="+", choices=suites, default=suites)
     parser.add_argument(
         "--failures", type=Path, nargs="+", metavar="FOLDER",
-        help="shards of a student: tasks that it failed alone get more environments",
+        help="folders of earlier shards: tasks that the student failed alone get more environments",
     )  # fmt: skip
-    parser.add_argument("--assets", default="libero", help="a pack, or its folder")
+    parser.add_argument("--assets", default="libero", help="asset pack or its folder")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     collect(parser.parse_args())

@@ -106,23 +106,23 @@ def report(
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--weights", type=Path, required=True)
-    parser.add_argument("--episodes", type=int, default=5, help="of each task")
-    parser.add_argument("--tasks", nargs="+", default=["libero"], help="beginnings of names")
+    parser.add_argument("--episodes", type=int, default=5, help="episodes per task")
+    parser.add_argument("--tasks", nargs="+", default=["libero"], help="prefixes of task names")
     parser.add_argument(
         "--states", choices=["sampled", "released"], default="sampled",
-        help="placed anew, or the benchmark's",
+        help="new placements, or the benchmark's released states",
     )  # fmt: skip
-    parser.add_argument("--envs", type=int, default=200, help="environments in all")
-    parser.add_argument("--assets", default="libero", help="a pack, or its folder")
+    parser.add_argument("--envs", type=int, default=200, help="number of environments")
+    parser.add_argument("--assets", default="libero", help="asset pack or its folder")
     parser.add_argument("--table", type=Path, help="file for each episode's outcome, JSON")
     parser.add_argument("--wordings", choices=["canonical", "drawn"], default="canonical")
     parser.add_argument(
-        "--perturbed", action="store_true", help="as a collection is, every episode"
+        "--perturbed", action="store_true", help="perturb every episode, as in a collection"
     )
     parser.add_argument(
-        "--actions", type=int, choices=[1, 2, 4, 8], default=CHUNK, help="done of each answer"
+        "--actions", type=int, choices=[1, 2, 4, 8], default=CHUNK, help="executed per answer"
     )
-    parser.add_argument("--seconds", type=float, default=600.0, help="at most")
+    parser.add_argument("--seconds", type=float, default=600.0, help="time limit")
     parser.add_argument("--threads", type=int, default=16)
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     evaluate(parser.parse_args())

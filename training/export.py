@@ -93,10 +93,10 @@ def write_reference(weights: Path, into: Path, assets: str) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--run", type=Path, required=True)
-    parser.add_argument("--name", default="student", help="student, or another name")
+    parser.add_argument("--name", default="student", help="name of the student")
     parser.add_argument("--into", type=Path, required=True, help="the weights file")
     parser.add_argument("--reference", type=Path, help="file for queries and answers")
-    parser.add_argument("--assets", default="libero", help="a pack, or its folder")
+    parser.add_argument("--assets", default="libero", help="asset pack or its folder")
     arguments = parser.parse_args()
     export(arguments.run, arguments.name, arguments.into)
     if arguments.reference:

@@ -133,13 +133,13 @@ def test_a_run_resumes_from_checkpoint(tmp_path: Path, capsys: pytest.CaptureFix
 
     torch.save(state | {"finished": False}, tmp_path / "run" / CHECKPOINT)
     train(arguments(tmp_path, seconds=state["trained_seconds"] + 2.0))
-    assert f"goes on at step {state['step']}" in capsys.readouterr().out
+    assert f"resumes at step {state['step']}" in capsys.readouterr().out
     later = torch.load(tmp_path / "run" / CHECKPOINT, weights_only=True)
     assert later["step"] > state["step"] and later["trained_seconds"] > state["trained_seconds"]
 
     weights = tmp_path / "run" / WEIGHTS
     train(arguments(tmp_path, run=tmp_path / "second", start_from=weights))
-    assert f"begins with {weights}" in capsys.readouterr().out
+    assert f"starts from {weights}" in capsys.readouterr().out
 
 
 def test_weights_are_half_precision_except_the_states_scale(tmp_path: Path) -> None:

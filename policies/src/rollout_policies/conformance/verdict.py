@@ -62,7 +62,7 @@ def refused(error: grpc.RpcError) -> Verdict:
 
 
 def words_of(error: grpc.RpcError) -> str:
-    """Describes a failed call for people."""
+    """Describes a failed call."""
     return f"{error.details()} ({error.code().name})"
 
 
