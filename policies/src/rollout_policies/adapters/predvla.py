@@ -180,8 +180,8 @@ def load(entry: Entry, options: Options) -> Policy:
     executed(entry, options, chunk=1, own=1)
     if options.revision is not None:
         raise UnusableOption(
-            f"--revision names a commit of the hub, and {entry.title}'s weights are files of its"
-            " authors' repository: check out the commit there"
+            f"--revision names a commit of the hub, but {entry.title}'s weights are files in its"
+            " authors' repository: check out the commit in that repository"
         )
     torch = require("torch", entry)
     package = require("predvla.model", entry)
@@ -198,8 +198,8 @@ def load(entry: Entry, options: Options) -> Policy:
     statistics = sorted(cache.glob("*.npz"))
     if not statistics:
         raise UnusableCheckpoint(
-            f"checkpoint {checkpoint} normalises with the statistics of {cache}, where there are"
-            f" none: unpack {entry.title}'s feature caches there"
+            f"checkpoint {checkpoint} needs the statistics in {cache}, which has none:"
+            f" unpack {entry.title}'s feature caches there"
         )
     front = require("predvla.frontend", entry).Frontend(str(cache), device=options.device)
     # An action takes four hundred steps of a small network. Compiled, it is several times faster;

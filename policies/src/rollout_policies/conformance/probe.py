@@ -84,8 +84,8 @@ class Probe(contextlib.AbstractContextManager):
         if self.described.privileged:
             self._channel.close()
             raise CannotCheck(
-                f"failed to check {self.described.name}: it wants the simulator's own state, which"
-                " is not made up here; use `policy-gateway check`"
+                f"failed to check {self.described.name}: it requests the simulator's own state,"
+                " which this check does not generate; use `policy-gateway check`"
             )
         try:
             self._scenes = [self._scene(query_index) for query_index in range(QUERIES)]
@@ -121,9 +121,9 @@ class Probe(contextlib.AbstractContextManager):
         self._reset(name, seed)
         answers, played = {}, Played()
         for query_index in order:
-            asked = time.perf_counter()
+            sent = time.perf_counter()
             answers[query_index] = self._infer(name, query_index)
-            played.latencies.append(time.perf_counter() - asked)
+            played.latencies.append(time.perf_counter() - sent)
         self._end(name)
         played.answers = [answers[query_index] for query_index in sorted(answers)]
         return played
@@ -140,14 +140,14 @@ class Probe(contextlib.AbstractContextManager):
 
     def interleaved(self, seed: int, other: int) -> list[pb.InferResponse]:
         """Plays two episodes in turns and returns the first one's answers."""
-        self._reset("mine", seed)
-        self._reset("other's", other)
+        self._reset("first", seed)
+        self._reset("second", other)
         answers = []
         for query_index in range(QUERIES):
-            self._infer("other's", query_index)
-            answers.append(self._infer("mine", query_index))
-        self._end("mine")
-        self._end("other's")
+            self._infer("second", query_index)
+            answers.append(self._infer("first", query_index))
+        self._end("first")
+        self._end("second")
         return answers
 
     def restarted(self, seed: int, other: int) -> list[pb.InferResponse]:
@@ -202,7 +202,7 @@ class Probe(contextlib.AbstractContextManager):
                     raise
                 self.episode("after the end", seed)
                 return verdict.skipped(
-                    "it knows no End, which came later, and forgets sessions on its own"
+                    "it does not implement End, which is newer, and drops sessions by itself"
                 )
         self.episode("after the end", seed)
         return verdict.passed()
