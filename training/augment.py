@@ -29,11 +29,11 @@ MOST_NOISE = 0.04
 """Greatest standard deviation of the noise on pixels; a picture's range is 2."""
 
 CANONICAL_SHARE = 0.2
-"""Share of the instructions in the benchmark's own words."""
+"""Share of the instructions that are the benchmark's own."""
 MOST_WORDS_LOST = 0.25
 MOST_PAIRS_LOST = 0.6
-"""Largest share of the words, and of the remaining pairs, that an instruction loses, as if
-they were words that never occur in training."""
+"""Largest shares of the words, and of the remaining pairs, that are dropped from an instruction,
+which simulates words that never occur in training."""
 
 
 class PictureChange(NamedTuple):
@@ -124,7 +124,8 @@ class Wordings:
 
 
 def _kept(features_of: Tensor, most_lost: float, whole: Tensor) -> Tensor:
-    """Mask of the features to keep: all where ``whole``, and in half of the other rows."""
+    """Mask of the features to keep: all features in rows that are ``whole`` and in half of the
+    other rows; in the remaining rows, features are dropped at random."""
     n, device = len(features_of), features_of.device
     lost = most_lost * torch.rand(n, 1, device=device)
     lost = torch.where(whole[:, None] | (torch.rand(n, 1, device=device) < 0.5), 0.0, lost)

@@ -1,4 +1,4 @@
-"""Counts how often the expert ends a task although it is disturbed for stretches of steps.
+"""Counts how often the expert succeeds although it is disturbed for stretches of steps.
 
     python -m training.check_expert --driver stranger --states 10
 
@@ -32,8 +32,8 @@ STRETCHES = 3
 DELAY = 20
 """Delay of the actions that a stranger repeats, control steps of 50 ms."""
 WANDERING = np.array([0.5, 0.5, 0.5, 0.1, 0.1, 0.1])
-"""Largest action of a wandering stranger, and a third of a push. Larger turns would end at the
-joint limits, from which no policy that commands the hand recovers."""
+"""Largest action of a wandering stranger; a push is three times as large. Larger rotations would
+end at the joint limits, from which no policy that commands the hand recovers."""
 LATE, STILL, WANDERS = range(3)
 
 
@@ -80,7 +80,7 @@ def rollout(name: str, state: int, arguments: argparse.Namespace) -> tuple[bool,
 
 def check(arguments: argparse.Namespace) -> None:
     """Runs the rollouts on some threads and prints the successes."""
-    tasks = [it for it in TASK_NAMES if any(it.startswith(own) for own in arguments.tasks)]
+    tasks = [name for name in TASK_NAMES if name.startswith(tuple(arguments.tasks))]
     states = range(arguments.first, arguments.first + arguments.states)
     begun, solved = time.monotonic(), 0
     with ThreadPoolExecutor(arguments.threads) as pool:
@@ -105,10 +105,10 @@ def check(arguments: argparse.Namespace) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--driver", choices=["none", "pushes", "stranger"], default="stranger")
-    parser.add_argument("--tasks", nargs="+", default=["libero"], help="beginnings of names")
-    parser.add_argument("--states", type=int, default=5, help="of each task")
+    parser.add_argument("--tasks", nargs="+", default=["libero"], help="prefixes of task names")
+    parser.add_argument("--states", type=int, default=5, help="states per task")
     parser.add_argument("--first", type=int, default=0, help="number of the first state")
-    parser.add_argument("--assets", help="a pack, or its folder")
+    parser.add_argument("--assets", help="asset pack or its folder")
     parser.add_argument("--threads", type=int, default=len(os.sched_getaffinity(0)))
     parser.add_argument("--seed", type=int, default=0)
     check(parser.parse_args())

@@ -36,14 +36,15 @@ from training.wordings import TASK_NAMES, draw
 STEPS_PER_FRAME = 4
 """Control steps between frames. It must divide the student's eight actions."""
 SEVERAL = 2.0
-"""Environments per task of libero_10, relative to other suites: its episodes are longer, and
-few of its steps resemble each other."""
+"""Environments per task of libero_10, relative to other suites, because its episodes are longer
+and their steps more diverse."""
 FAILURES_WEIGHT = 3.0
 """Factor on the number of environments of a task that the student always fails."""
 BUDGETS = 2
 """Step limit of an episode, in multiples of the benchmark's: a learning student is slow."""
 OUTCOMES = "outcomes.json"
-"""File in the folder of shards: by task, successes and episodes of the student alone."""
+"""File in the folder of shards: by task, the number of successes and of episodes in which the
+student drove alone."""
 REPORT_SECONDS = 10.0
 WORDINGS = 200
 """Number of wordings of each task that the student may be given."""
@@ -98,7 +99,8 @@ class Tally:
 
 
     def alone(self) -> dict[str, list[int]]:
-        """Returns for each task the student's successes alone and the number of such episodes."""
+        """Returns by task the numbers of successes and of episodes in which the student drove
+        alone."""
         found: dict[str, list[int]] = {}
         with self._lock:
             for task, driver, success in self._ended:
@@ -190,7 +192,7 @@ class Group:
         )
         self._by_expert = ExpertDrives(n, self._rng)
         self._in_turns = InTurns(n, self._rng)
-        # True for episodes that began after a student existed, in which it takes part.
+        # True for episodes that began after a student existed; the student takes turns in them.
         self._takes_part = np.zeros(n, bool)
         self._perturbations = [""] * n
         self._instructions = [""] * n
@@ -215,7 +217,7 @@ class Group:
                     self._run(until)
                 except rollout_libero.SimulationError as error:
                     # Rare: the physics diverged after a push.
-                    print(f"begin {len(self._tasks)} episodes anew: {error}", flush=True)
+                    print(f"restarting {len(self._tasks)} episodes: {error}", flush=True)
         finally:
             self._env.close()
 
@@ -223,7 +225,7 @@ class Group:
         n = len(self._tasks)
         for index in range(n):
             self._perturb(index)
-        seeds = [int(it) for it in self._rng.integers(2**31, size=n)]
+        seeds = [int(seed) for seed in self._rng.integers(2**31, size=n)]
         observation, _ = self._env.reset(seed=seeds)
         self._begin(np.arange(n))
         begins = np.zeros(n, bool)
@@ -351,7 +353,7 @@ class Group:
 
 
 def perturbation(rng: np.random.Generator) -> str:
-    """Returns a configuration on the benchmark's axes, with none of the benchmark's directions."""
+    """Returns a configuration on the benchmark's axes, in a direction that the benchmark lacks."""
     combined = rng.random() < COMBINATION_SHARE
     axis = "combination" if combined else SINGLE_AXES[rng.integers(len(SINGLE_AXES))]
     first, last = CONFIGURATIONS
@@ -359,7 +361,8 @@ def perturbation(rng: np.random.Generator) -> str:
 
 
 def read_outcomes(folders: Sequence[Path]) -> dict[str, list[int]]:
-    """Returns the student's successes alone and episodes in these folders' collections, by task."""
+    """Returns by task the numbers of successes and of episodes in which the student drove alone,
+    summed over these folders."""
     total: dict[str, list[int]] = {}
     for folder in folders:
         file = folder / OUTCOMES
@@ -395,7 +398,7 @@ def tasks_of_environments(
 
 
 def compile_scenes(tasks: Iterable[int], assets: str, threads: int) -> None:
-    """Compiles the tasks' scenes concurrently; they are kept."""
+    """Compiles the tasks' scenes concurrently and keeps them in ``SCENES``."""
 
     def compiled(task: int) -> Any:
         return scene_of_task(rollout_libero.Task.of(TASK_NAMES[task]), assets)
@@ -405,7 +408,7 @@ def compile_scenes(tasks: Iterable[int], assets: str, threads: int) -> None:
 
 
 SCENES: list[Any] = []
-"""Keeps compiled scenes alive, which would be dropped with the last environment in them."""
+"""Keeps compiled scenes alive, which would otherwise be freed with their last environment."""
 
 
 def collect(arguments: argparse.Namespace) -> None:
@@ -477,24 +480,25 @@ def main() -> None:
     suites = list(dict.fromkeys(name.split("/")[0] for name in TASK_NAMES))
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--into", type=Path, required=True, help="folder of shards")
-    parser.add_argument("--seconds", type=float, default=300.0, help="how long, start included")
+    parser.add_argument("--seconds", type=float, default=300.0, help="duration, start included")
     parser.add_argument("--driver", choices=["expert", "student"], default="expert")
     parser.add_argument(
         "--weights", type=Path,
-        help="the student's, read again when they change; the expert drives until there are any",
+        help="file of the student's weights, read again if it changes; the expert drives until it"
+        " exists",
     )  # fmt: skip
     parser.add_argument(
-        "--perturbed", type=float, default=0.0, metavar="SHARE", help="of the episodes, 0 to 1"
+        "--perturbed", type=float, default=0.0, metavar="SHARE", help="perturbed episodes, 0 to 1"
     )
-    parser.add_argument("--envs", type=int, default=100, help="environments in all")
-    parser.add_argument("--groups", type=int, default=2, help="of environments, which take turns")
-    parser.add_argument("--threads", type=int, default=16, help="of each group")
+    parser.add_argument("--envs", type=int, default=100, help="number of environments")
+    parser.add_argument("--groups", type=int, default=2, help="alternating groups of environments")
+    parser.add_argument("--threads", type=int, default=16, help="threads per group")
     parser.add_argument("--suites", nargs="+", choices=suites, default=suites)
     parser.add_argument(
         "--failures", type=Path, nargs="+", metavar="FOLDER",
-        help="shards of a student: tasks that it failed alone get more environments",
+        help="folders of earlier shards: tasks that the student failed alone get more environments",
     )  # fmt: skip
-    parser.add_argument("--assets", default="libero", help="a pack, or its folder")
+    parser.add_argument("--assets", default="libero", help="asset pack or its folder")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     collect(parser.parse_args())

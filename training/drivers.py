@@ -16,7 +16,7 @@ from training.shards import Driver, Source
 WIDTH = ARM + 1
 
 CLEAN_SHARE = 0.2
-"""Share of the expert's episodes that nothing disturbs."""
+"""Share of the expert's episodes without disturbances."""
 NOISE = (0.05, 0.4)
 """Least and greatest standard deviation of the noise on the six numbers of the arm."""
 QUIET_SHARE = 0.25
@@ -27,8 +27,8 @@ PUSH_CHANCE = 1 / 120
 """Probability that a push begins in a step of a disturbed episode."""
 PUSH_STEPS = (3, 10)
 PUSH_SIZE = (0.5, 1.5)
-"""Largest translation of a push, which is added to the expert's action. From 2 on, it would
-outweigh the expert entirely."""
+"""Least and largest translation of a push, which is added to the expert's action, -1..1. A push of
+2 or more would outweigh any action of the expert."""
 PUSH_ROTATION = 0.4
 """Factor on a push's rotation relative to its translation."""
 
@@ -38,7 +38,7 @@ DISTURBED_SHARE = 0.5
 """Share of the episodes in turns in which the expert's turns are disturbed."""
 STUDENT_STEPS = (16, 160)
 EXPERT_STEPS = (12, 60)
-"""Least and most steps of a turn of each."""
+"""Least and most steps of a turn of the student, and of the expert."""
 HORIZONS = (CHUNK, CHUNK, CHUNK // 2)
 """Number of actions of an answer that the student executes before the next query; one is
 drawn for each turn."""
@@ -130,7 +130,7 @@ class ExpertDrives:
 class InTurns:
     """Student and expert drive n environments in turns; some episodes are the student's alone.
 
-    One of them drives a whole chunk of steps: turns begin and end between chunks.
+    The driver changes only between chunks of steps.
     """
 
     def __init__(self, n: int, rng: np.random.Generator) -> None:

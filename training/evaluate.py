@@ -2,7 +2,7 @@
 
     python -m training.evaluate --weights runs/second/student.safetensors --episodes 5
 
-It is not a study: the product's campaigns measure students, on the benchmark's own states.
+This is not the final measurement: campaigns measure students on the benchmark's own states.
 """
 
 from __future__ import annotations
@@ -41,9 +41,9 @@ def evaluate(arguments: argparse.Namespace) -> None:
     names = [name for name in reversed(tasks) for _ in range(at_once)]
     n, rng = len(names), np.random.default_rng(UNSEEN_SEED)
     drawn = {name: draw(name, at_once + 1, UNSEEN_SEED)[1:] for name in tasks}
-    said = [canonical(name) for name in names]
+    instructions = [canonical(name) for name in names]
     if arguments.wordings == "drawn":
-        said = [drawn[name].pop() for name in names]
+        instructions = [drawn[name].pop() for name in names]
     released = arguments.states == "released"
     env = rollout_libero.VectorEnvironment(
         names,
@@ -66,7 +66,7 @@ def evaluate(arguments: argparse.Namespace) -> None:
     left = np.full(n, each)
     over = np.zeros(n, bool)
     while (left > 0).any() and time.monotonic() - begun < arguments.seconds:
-        answers = student.act(observation, said)
+        answers = student.act(observation, instructions)
         observation, _, terminated, truncated, info = env.step_chunk(
             answers[:, : arguments.actions]
         )
@@ -87,7 +87,7 @@ def report(
     if arguments.states == "released":
         # Environments that take turns may begin one round more than there are states.
         ended = {
-            name: [it for it in dict(own).items() if it[0] < arguments.episodes]
+            name: [episode for episode in dict(own).items() if episode[0] < arguments.episodes]
             for name, own in ended.items()
         }
     solved = {name: sum(success for _, success in own) for name, own in ended.items()}
@@ -106,23 +106,23 @@ def report(
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--weights", type=Path, required=True)
-    parser.add_argument("--episodes", type=int, default=5, help="of each task")
-    parser.add_argument("--tasks", nargs="+", default=["libero"], help="beginnings of names")
+    parser.add_argument("--episodes", type=int, default=5, help="episodes per task")
+    parser.add_argument("--tasks", nargs="+", default=["libero"], help="prefixes of task names")
     parser.add_argument(
         "--states", choices=["sampled", "released"], default="sampled",
-        help="placed anew, or the benchmark's",
+        help="new placements, or the benchmark's released states",
     )  # fmt: skip
-    parser.add_argument("--envs", type=int, default=200, help="environments in all")
-    parser.add_argument("--assets", default="libero", help="a pack, or its folder")
+    parser.add_argument("--envs", type=int, default=200, help="number of environments")
+    parser.add_argument("--assets", default="libero", help="asset pack or its folder")
     parser.add_argument("--table", type=Path, help="file for each episode's outcome, JSON")
     parser.add_argument("--wordings", choices=["canonical", "drawn"], default="canonical")
     parser.add_argument(
-        "--perturbed", action="store_true", help="as a collection is, every episode"
+        "--perturbed", action="store_true", help="perturb every episode, as in a collection"
     )
     parser.add_argument(
-        "--actions", type=int, choices=[1, 2, 4, 8], default=CHUNK, help="done of each answer"
+        "--actions", type=int, choices=[1, 2, 4, 8], default=CHUNK, help="executed per answer"
     )
-    parser.add_argument("--seconds", type=float, default=600.0, help="at most")
+    parser.add_argument("--seconds", type=float, default=600.0, help="time limit")
     parser.add_argument("--threads", type=int, default=16)
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     evaluate(parser.parse_args())

@@ -1,4 +1,4 @@
-"""Writes a run's weights as the product ships them, and answers to check them against.
+"""Writes a run's weights in the released format, and reference answers for tests.
 
     python -m training.export --run runs/second --name student --into student.safetensors \\
         --reference queries.safetensors
@@ -53,7 +53,7 @@ def write_reference(weights: Path, into: Path, assets: str) -> None:
     )
     n = len(REFERENCE_TASKS)
     env.reset(seed=[REFERENCE_SEED + at for at in range(n)])
-    # Each arm moves a little further than the one before it.
+    # The arm of each environment moves a little further than that of the environment before.
     sizes = np.linspace(0.0, 1.0, n)[:, np.newaxis, np.newaxis]
     nothing = np.zeros((n, REFERENCE_STEPS, 7))
     _, _, _, _, info = env.step_chunk(nothing, "none", expert=np.ones((n, REFERENCE_STEPS), bool))
@@ -68,10 +68,10 @@ def write_reference(weights: Path, into: Path, assets: str) -> None:
     cpu = torch.device("cpu")
     network = load_network(weights, cpu)
     pictures = frames(observation, cpu)
-    rows, present = (torch.from_numpy(it) for it in instruction_rows(instructions))
+    rows, present = (torch.from_numpy(array) for array in instruction_rows(instructions))
     state = torch.from_numpy(robot_state(observation))
     with torch.inference_mode():
-        said = network(scaled(pictures[:, 0]), scaled(pictures[:, 1]), state, rows, present)
+        output = network(scaled(pictures[:, 0]), scaled(pictures[:, 1]), state, rows, present)
     matrix = rotation(np.asarray(observation["eef_quat"], np.float64)).astype(np.float32)
     save_file(
         {
@@ -80,8 +80,8 @@ def write_reference(weights: Path, into: Path, assets: str) -> None:
             "eef_pos": torch.from_numpy(observation["eef_pos"].astype(np.float32)),
             "eef_rotation": torch.from_numpy(matrix),
             "gripper_pos": torch.from_numpy(observation["gripper_pos"].astype(np.float32)),
-            "arm": said.arm.clamp(-1.0, 1.0).contiguous(),
-            "gripper_logits": said.gripper.contiguous(),
+            "arm": output.arm.clamp(-1.0, 1.0).contiguous(),
+            "gripper_logits": output.gripper.contiguous(),
         },
         into,
         metadata={"instructions": json.dumps(instructions), "weights": weights.name},
@@ -93,10 +93,10 @@ def write_reference(weights: Path, into: Path, assets: str) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--run", type=Path, required=True)
-    parser.add_argument("--name", default="student", help="student, or another name")
+    parser.add_argument("--name", default="student", help="name of the student")
     parser.add_argument("--into", type=Path, required=True, help="the weights file")
     parser.add_argument("--reference", type=Path, help="file for queries and answers")
-    parser.add_argument("--assets", default="libero", help="a pack, or its folder")
+    parser.add_argument("--assets", default="libero", help="asset pack or its folder")
     arguments = parser.parse_args()
     export(arguments.run, arguments.name, arguments.into)
     if arguments.reference:

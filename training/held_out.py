@@ -15,7 +15,7 @@ PRESETS = 10
 
 
 def evaluation_sentences() -> list[str]:
-    """Returns the benchmark's wordings of the language axis and of the combination."""
+    """Returns the benchmark's wordings on the language axis and under all axes together."""
     from rollout_libero._library import native
 
     found = set()

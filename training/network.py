@@ -26,7 +26,7 @@ WORD_WIDTH = 48
 TEXT_WIDTH = 128
 POINTS = 64
 GRID = 32
-"""Side of the map in which points are located; twice that of the last features."""
+"""Side of the map in which points are located; twice the side of the last features."""
 HEAD = 512
 GROUPS = 8
 
@@ -123,7 +123,7 @@ class Network(nn.Module):
         self.gripper = nn.Linear(HEAD, CHUNK)
         self.register_buffer("state_mean", torch.zeros(STATE))
         self.register_buffer("state_std", torch.ones(STATE))
-        # Zero, so that words never seen in training add nothing.
+        # Zero, so that words that never occur in training have no effect.
         nn.init.zeros_(self.words.weight)
 
     def forward(
@@ -149,10 +149,10 @@ class Network(nn.Module):
 
 def parameters(network: nn.Module) -> int:
     """Number of trainable parameters."""
-    return sum(it.numel() for it in network.parameters())
+    return sum(parameter.numel() for parameter in network.parameters())
 
 
-def to_actions(said: Actions) -> Tensor:
+def to_actions(output: Actions) -> Tensor:
     """Converts outputs to the robot's actions, [n, 8, 7]: arm -1 to 1, gripper 1 or -1."""
-    gripper = torch.where(said.gripper > 0, 1.0, -1.0)
-    return torch.cat([said.arm.clamp(-1.0, 1.0), gripper[:, :, None]], dim=2)
+    gripper = torch.where(output.gripper > 0, 1.0, -1.0)
+    return torch.cat([output.arm.clamp(-1.0, 1.0), gripper[:, :, None]], dim=2)

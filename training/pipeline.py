@@ -41,12 +41,12 @@ def python(module: str, *arguments: object) -> list[str]:
 
 def rounds(data: Path) -> list[Path]:
     """Returns the folders of the rounds so far, in order."""
-    return sorted(it for it in data.glob("round_*") if it.is_dir())
+    return sorted(folder for folder in data.glob("round_*") if folder.is_dir())
 
 
 def collectors(arguments: argparse.Namespace, seconds: float) -> list[subprocess.Popen[bytes]]:
     """Begins a round on all cores."""
-    number = len({it.name.split("_")[1] for it in rounds(arguments.data)})
+    number = len({folder.name.split("_")[1] for folder in rounds(arguments.data)})
     count = max(1, arguments.workers // THREADS)
     begun = []
     for at in range(count):
@@ -94,7 +94,7 @@ def teach(arguments: argparse.Namespace) -> None:
             minutes = arguments.expert_minutes if first else arguments.round_minutes
             seconds = min(60 * minutes, left)
             running = collectors(arguments, seconds)
-            while any(it.poll() is None for it in running) and trainer.poll() is None:
+            while any(process.poll() is None for process in running) and trainer.poll() is None:
                 time.sleep(1.0)
             if trainer.poll() is None:
                 show_rounds(arguments.data)
@@ -112,11 +112,12 @@ def show_rounds(data: Path) -> None:
     """Prints each round's results: the last line of each collection, and its failures."""
     for folder in rounds(data):
         log = data / f"{folder.name}.log"
-        lines = [it for it in log.read_text().splitlines() if " steps (" in it]
+        lines = [line for line in log.read_text().splitlines() if " steps (" in line]
         print(f"{folder.name}: {lines[-1] if lines else log.read_text()[-500:]}", flush=True)
     alone = read_outcomes(rounds(data)[-2:])
-    failing = sorted(alone.items(), key=lambda it: it[1][0] / it[1][1])[:12]
-    print("fails most: " + ", ".join(f"{name} {a}/{b}" for name, (a, b) in failing), flush=True)
+    failing = sorted(alone.items(), key=lambda item: item[1][0] / item[1][1])[:12]
+    counts = ", ".join(f"{name} {successes}/{total}" for name, (successes, total) in failing)
+    print(f"tasks with most failures (successes/episodes): {counts}", flush=True)
 
 
 def evaluate(arguments: argparse.Namespace) -> None:
@@ -140,19 +141,19 @@ def evaluate(arguments: argparse.Namespace) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--stage", choices=["teach", "evaluate"], required=True)
-    parser.add_argument("--data", type=Path, required=True, help="folder of everything")
-    parser.add_argument("--into", type=Path, default=Path("."), help="folder for what is exported")
-    parser.add_argument("--minutes", type=float, required=True, help="of this call")
-    parser.add_argument("--total-minutes", type=float, default=18.0, help="of training, all calls")
-    parser.add_argument("--expert-minutes", type=float, default=3.0, help="of the first round")
-    parser.add_argument("--round-minutes", type=float, default=5.0, help="of a later one")
+    parser.add_argument("--data", type=Path, required=True, help="folder of all rounds and logs")
+    parser.add_argument("--into", type=Path, default=Path("."), help="folder of exported files")
+    parser.add_argument("--minutes", type=float, required=True, help="duration of this call")
+    parser.add_argument("--total-minutes", type=float, default=18.0, help="time of all calls")
+    parser.add_argument("--expert-minutes", type=float, default=3.0, help="length of round 1")
+    parser.add_argument("--round-minutes", type=float, default=5.0, help="length of other rounds")
     parser.add_argument("--workers", type=int, default=len(os.sched_getaffinity(0)))
-    parser.add_argument("--envs", type=int, default=160, help="in all")
-    parser.add_argument("--perturbed", type=float, default=0.0, help="share of the episodes")
-    parser.add_argument("--episodes", type=int, default=10, help="of each task, in evaluate")
+    parser.add_argument("--envs", type=int, default=160, help="number of environments")
+    parser.add_argument("--perturbed", type=float, default=0.0, help="share of episodes")
+    parser.add_argument("--episodes", type=int, default=10, help="per task, in evaluate")
     parser.add_argument("--batch", type=int, default=1024)
-    parser.add_argument("--wordings", type=int, default=4000, help="of each task")
-    parser.add_argument("--assets", default="libero", help="a pack, or its folder")
+    parser.add_argument("--wordings", type=int, default=4000, help="wordings per task")
+    parser.add_argument("--assets", default="libero", help="asset pack or its folder")
     parser.add_argument("--name", default="student")
     arguments = parser.parse_args()
     {"teach": teach, "evaluate": evaluate}[arguments.stage](arguments)

@@ -162,8 +162,8 @@ def worth_learning(shard: Shard) -> NDArray[np.bool_]:
 def stalled(shard: Shard) -> NDArray[np.bool_]:
     """Returns a mask [F] of the frames in which the robot has not moved for a while.
 
-    In these frames the expert has not found a way, or the student ignores it. A
-    few of them are instructive; hundreds only add weight.
+    In these frames the expert makes no progress, or the student does not follow it. A
+    few such frames are instructive; hundreds would dominate the training.
     """
     first = shard.of_frames(np.cumsum(shard.episode_frames) - shard.episode_frames)
     number = np.arange(len(shard.state)) - first
@@ -178,39 +178,40 @@ def stalled(shard: Shard) -> NDArray[np.bool_]:
 
 def shard_folders(folder: Path) -> list[Path]:
     """Returns the shards of a folder, in order."""
-    return sorted(it for it in folder.glob(f"{PREFIX}*") if not it.name.endswith(".part"))
+    return sorted(path for path in folder.glob(f"{PREFIX}*") if not path.name.endswith(".part"))
 
 
 def next_number(folder: Path) -> int:
     """Returns the number of the next shard."""
-    return max((int(it.name.removeprefix(PREFIX)) + 1 for it in shard_folders(folder)), default=0)
+    numbers = (int(path.name.removeprefix(PREFIX)) for path in shard_folders(folder))
+    return max(numbers, default=-1) + 1
 
 
 def write(folder: Path, number: int, episodes: list[Episode]) -> Path:
     """Writes a shard atomically."""
-    steps = np.array([len(it.label) for it in episodes], np.int32)
+    steps = np.array([len(episode.label) for episode in episodes], np.int32)
     begun = np.cumsum(steps, dtype=np.int32) - steps
     table: dict[str, Any] = {
-        "state": np.concatenate([it.state for it in episodes]),
+        "state": np.concatenate([episode.state for episode in episodes]),
         "frame_step": np.concatenate(
-            [it.frame_step + at for it, at in zip(episodes, begun, strict=True)]
+            [episode.frame_step + at for episode, at in zip(episodes, begun, strict=True)]
         ).astype(np.int32),
-        "label": np.concatenate([it.label for it in episodes]),
-        "executed": np.concatenate([it.executed for it in episodes]),
-        "source": np.concatenate([it.source for it in episodes]),
-        "frames": np.array([len(it.frames) for it in episodes], np.int32),
+        "label": np.concatenate([episode.label for episode in episodes]),
+        "executed": np.concatenate([episode.executed for episode in episodes]),
+        "source": np.concatenate([episode.source for episode in episodes]),
+        "frames": np.array([len(episode.frames) for episode in episodes], np.int32),
         "steps": steps,
-        "task": np.array([it.task for it in episodes], np.int16),
-        "outcome": np.array([it.outcome for it in episodes], np.uint8),
-        "driver": np.array([it.driver for it in episodes], np.uint8),
-        "perturbation": np.array([it.perturbation for it in episodes], np.str_),
+        "task": np.array([episode.task for episode in episodes], np.int16),
+        "outcome": np.array([episode.outcome for episode in episodes], np.uint8),
+        "driver": np.array([episode.driver for episode in episodes], np.uint8),
+        "perturbation": np.array([episode.perturbation for episode in episodes], np.str_),
     }
     done = folder / f"{PREFIX}{number:05}"
     part = done.with_name(done.name + ".part")
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)
     np.savez(part / "table.npz", **table)
-    np.save(part / "frames.npy", np.concatenate([it.frames for it in episodes]))
+    np.save(part / "frames.npy", np.concatenate([episode.frames for episode in episodes]))
     os.replace(part, done)
     return done
 

@@ -127,7 +127,7 @@ class Library:
         new = [path for path in paths if path not in self._known]
         self._known.update(new)
         with ThreadPoolExecutor(READERS) as readers:
-            # In groups, because shards that are not on the device yet occupy the host's memory.
+            # In groups, to limit the host memory of shards that are not on the device yet.
             for first in range(0, len(new), READERS):
                 some = new[first : first + READERS]
                 for path, shard in zip(some, readers.map(read, some), strict=True):

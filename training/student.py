@@ -60,7 +60,7 @@ class Student:
     ) -> NDArray[np.float64]:
         """Returns the actions for pictures, uint8 [n, 2, 128, 128, 3], and states [n, 14]."""
         rows, present = (
-            torch.from_numpy(it).to(self._device) for it in instruction_rows(instructions)
+            torch.from_numpy(array).to(self._device) for array in instruction_rows(instructions)
         )
         views = scaled(pictures[:, 0]), scaled(pictures[:, 1])
         actions = to_actions(self._network(*views, state, rows, present))

@@ -15,7 +15,7 @@ _WORD = re.compile(r"[a-z0-9]+")
 def words(text: str) -> list[str]:
     """Returns the words of a text: maximal runs of a–z and 0–9, in lower case."""
     # Only ASCII letters are lowered: str.lower would turn the Kelvin sign into an ASCII "k".
-    lowered = "".join(it.lower() if it.isascii() else it for it in text)
+    lowered = "".join(character.lower() if character.isascii() else character for character in text)
     return _WORD.findall(lowered)
 
 

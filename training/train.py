@@ -55,13 +55,13 @@ class Losses(nn.Module):
     def forward(self, batch: Batch, change: PictureChange, rows: Tensor, present: Tensor) -> Tensor:
         """Returns the loss of a batch: L1 of the arm, and a little cross-entropy of the gripper."""
         views = changed(batch.pictures, change)
-        said = self.network(*views, batch.state, rows, present)
+        output = self.network(*views, batch.state, rows, present)
         valid = batch.valid
         total = valid.sum().clamp(min=1.0)
-        arm = (said.arm - batch.targets[:, :, :ARM]).abs().mean(dim=2)
+        arm = (output.arm - batch.targets[:, :, :ARM]).abs().mean(dim=2)
         closes = (batch.targets[:, :, ARM] > 0).float()
         gripper = functional.binary_cross_entropy_with_logits(
-            said.gripper, closes, reduction="none"
+            output.gripper, closes, reduction="none"
         )
         loss: Tensor = ((arm + GRIPPER_WEIGHT * gripper) * valid).sum() / total
         return loss
@@ -126,9 +126,9 @@ class Trainer:
             batch = store.batch(torch.arange(first, last, device=self._device))
             views = scaled(batch.pictures[:, 0]), scaled(batch.pictures[:, 1])
             with self._precision():
-                said = self._mean(*views, batch.state, *wordings.canonical(batch.task))
-            arm = (said.arm.clamp(-1, 1) - batch.targets[:, :, :ARM]).abs().mean(dim=2)
-            agrees = (said.gripper > 0) == (batch.targets[:, :, ARM] > 0)
+                output = self._mean(*views, batch.state, *wordings.canonical(batch.task))
+            arm = (output.arm.clamp(-1, 1) - batch.targets[:, :, :ARM]).abs().mean(dim=2)
+            agrees = (output.gripper > 0) == (batch.targets[:, :, ARM] > 0)
             distance = distance + (arm * batch.valid).sum()
             right = right + (agrees * batch.valid).sum()
             total = total + batch.valid.sum()
@@ -158,7 +158,7 @@ class Trainer:
             state = torch.load(own, map_location=self._device, weights_only=True)
             if state["finished"]:
                 raise SystemExit(
-                    f"{self._run} has finished; to train on, name another --run, and with "
+                    f"{self._run} has finished; to train further, name another --run, and add "
                     f"--start-from {self._run / WEIGHTS}"
                 )
             self._network.load_state_dict(state["network"])
@@ -166,12 +166,12 @@ class Trainer:
             self._optimizer.load_state_dict(state["optimizer"])
             self.step, self.trained_seconds = state["step"], state["trained_seconds"]
             self.spent_seconds = state["spent_seconds"]
-            print(f"goes on at step {self.step:,}, after {self.trained_seconds:.0f} s")
+            print(f"resumes at step {self.step:,}, after {self.trained_seconds:.0f} s")
         elif self._arguments.start_from is not None:
             weights = load_network(self._arguments.start_from, self._device).state_dict()
             self._network.load_state_dict(weights)
             self._mean.load_state_dict(weights)
-            print(f"begins with {self._arguments.start_from}")
+            print(f"starts from {self._arguments.start_from}")
         else:
             return
         self._knows_scale = True
@@ -223,7 +223,7 @@ class Trainer:
 
 
 def _schedule(step: int, fraction: float) -> float:
-    """Returns the learning rate's factor: a warm-up by steps, then a cosine decay over the time."""
+    """Returns the learning rate's factor: a warm-up over steps, then a cosine decay over time."""
     return min(1.0, (step + 1) / WARM_UP) * 0.5 * (1 + math.cos(math.pi * min(1.0, fraction)))
 
 
@@ -316,27 +316,27 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--data", type=Path, nargs="+", required=True, help="folders of shards")
     parser.add_argument("--run", type=Path, required=True, help="folder of checkpoint and weights")
-    parser.add_argument("--seconds", type=float, default=300.0, help="how long, start included")
+    parser.add_argument("--seconds", type=float, default=300.0, help="duration, start included")
     parser.add_argument(
         "--stop-after", type=float, metavar="SECONDS",
-        help="leave a checkpoint then, from which the same command goes on",
+        help="stop then with a checkpoint, from which the same command resumes",
     )  # fmt: skip
     parser.add_argument(
-        "--watch", action="store_true", help="wait for shards, and load those that appear meanwhile"
+        "--watch", action="store_true", help="wait for shards, and load new shards during training"
     )
     parser.add_argument(
-        "--start-from", type=Path, metavar="WEIGHTS", help="begin with the weights of this file"
+        "--start-from", type=Path, metavar="WEIGHTS", help="file of the initial weights"
     )
-    parser.add_argument("--name", default="student", help="written into the weights")
+    parser.add_argument("--name", default="student", help="name in the weights file")
     parser.add_argument("--batch", type=int, default=1024)
     parser.add_argument("--learning-rate", type=float, default=1e-3)
     parser.add_argument("--weight-decay", type=float, default=1e-3)
-    parser.add_argument("--wordings", type=int, default=4_000, help="of each task")
+    parser.add_argument("--wordings", type=int, default=4_000, help="wordings per task")
     parser.add_argument(
         "--suite-weights", type=float, nargs=4, default=[1.0, 1.0, 1.0, 1.0],
-        metavar=("SPATIAL", "OBJECT", "GOAL", "LIBERO_10"), help="of each suite's frames",
+        metavar=("SPATIAL", "OBJECT", "GOAL", "LIBERO_10"), help="sampling weights of frames",
     )  # fmt: skip
-    parser.add_argument("--capacity", type=int, help="frames; by default what the GPU has room for")
+    parser.add_argument("--capacity", type=int, help="most frames; by default as fit on the GPU")
     parser.add_argument("--processes", type=int, default=min(8, len(os.sched_getaffinity(0))))
     parser.add_argument("--compile", action=argparse.BooleanOptionalAction, default=cuda)
     parser.add_argument("--seed", type=int, default=0)

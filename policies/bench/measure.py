@@ -1,8 +1,8 @@
-"""Measures the answers per second of a GPU policy: of the network alone, behind the
-Python server, and behind the gateway too.
+"""Measures the answers per second of a GPU policy: the network alone, the network behind the
+Python server, and that server behind the gateway.
 
-Writes one JSON object. Slots are those of `bench_gateway slots`: each sends its
-next query at once after an answer, over a connection of its own.
+Writes one JSON object. Slots are those of `bench_gateway slots`: each has its own connection
+and sends its next query immediately after an answer.
 """
 
 from __future__ import annotations
@@ -43,15 +43,15 @@ def observations(policy: SimulatedSmolvla, count: int) -> list[Observation]:
 
 def limit(policy: SimulatedSmolvla, batch: int, secs: float) -> dict:
     """Measures the network alone, in this process, batch after batch."""
-    asked = observations(policy, batch)
+    batch_observations = observations(policy, batch)
     for _ in range(3):
-        policy.infer_batch(asked)
+        policy.infer_batch(batch_observations)
     took = []
     ends = time.perf_counter() + secs
     while time.perf_counter() < ends:
         began = time.perf_counter()
         # The answers are copied to the processor, so the batch is complete.
-        policy.infer_batch(asked)
+        policy.infer_batch(batch_observations)
         took.append(time.perf_counter() - began)
     millis = 1e3 * np.array(took)
     return {
@@ -113,7 +113,7 @@ def main() -> None:
     found = [arguments.bin / "examples" / "bench_gateway", arguments.bin / "bench_gateway"]
     programs = {
         "gateway": str(arguments.bin / "policy-gateway"),
-        "bench": str(next((it for it in found if it.exists()), found[0])),
+        "bench": str(next((path for path in found if path.exists()), found[0])),
     }
     policy = SimulatedSmolvla(arguments.device, max(BATCHES), arguments.tiny)
     limits = [limit(policy, batch, arguments.secs / 2) for batch in (1, 4, 16, 32)]

@@ -96,8 +96,8 @@ class Layer(nn.Module):
         self.down = nn.Linear(hidden, width, bias=False)
 
     def forward(self, x: Tensor, before: Tensor | None = None) -> tuple[Tensor, Tensor]:
-        """Attends to `before`, keys and values [2, batch, kv heads, n, head],
-        besides its own. Returns its own keys and values, too."""
+        """Attends to its own keys and values and to `before`, keys and values [2, batch, kv heads,
+        n, head]. Returns the output, and its own keys and values."""
         batch, count, _ = x.shape
         normed = self.norms[0](x)
         query = self.query(normed).view(batch, count, -1, self.size.head).transpose(1, 2)
@@ -105,7 +105,7 @@ class Layer(nn.Module):
         own = own.permute(2, 0, 3, 1, 4)
         key, value = own if before is None else torch.cat([before, own], dim=3)
         share = self.size.heads // self.size.kv_heads
-        key, value = (it.repeat_interleave(share, dim=1) for it in (key, value))
+        key, value = (tensor.repeat_interleave(share, dim=1) for tensor in (key, value))
         mixed = functional.scaled_dot_product_attention(query, key, value)
         x = x + self.out(mixed.transpose(1, 2).reshape(batch, count, -1))
         gate, up = self.gate_up(self.norms[1](x)).chunk(2, dim=-1)
@@ -208,14 +208,20 @@ class SimulatedSmolvla(Policy):
 
     def _inputs(self, observations: Sequence[Observation]) -> list[Tensor]:
         frames = np.stack(
-            [[one.rotated(camera.name) for camera in CAMERAS] for one in observations]
+            [
+                [observation.rotated(camera.name) for camera in CAMERAS]
+                for observation in observations
+            ]
         )
-        words = np.stack([one.episode.memory for one in observations])
+        words = np.stack([observation.episode.memory for observation in observations])
         state = np.zeros((len(observations), WIDTH), dtype=np.float32)
-        for row, one in zip(state, observations):
-            row[:8] = one.vector()
+        for row, observation in zip(state, observations):
+            row[:8] = observation.vector()
         noise = np.stack(
-            [one.rng.standard_normal((CHUNK, WIDTH), dtype=np.float32) for one in observations]
+            [
+                observation.rng.standard_normal((CHUNK, WIDTH), dtype=np.float32)
+                for observation in observations
+            ]
         )
         return [
             torch.from_numpy(frames).to(self.device),

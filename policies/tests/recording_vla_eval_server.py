@@ -74,7 +74,7 @@ class Policy(PredictModelServer):
 def described(value):
     """Converts a received value to one that JSON can hold."""
     if isinstance(value, dict):
-        return {key: described(it) for key, it in value.items()}
+        return {key: described(entry) for key, entry in value.items()}
     if isinstance(value, np.ndarray) and value.dtype == np.uint8:
         digest = hashlib.sha256(value.tobytes()).hexdigest()
         return [value.dtype.str, *value.shape, digest, value.mean(axis=(0, 1)).tolist()]
@@ -86,7 +86,7 @@ def described(value):
 def wire_forms(data):
     """Returns the encodings of the frames of a message."""
     images = msgpack.unpackb(data)["payload"].get("images", {})
-    return {name: it.get("format", it.get("dtype")) for name, it in images.items()}
+    return {name: image.get("format", image.get("dtype")) for name, image in images.items()}
 
 
 def main():

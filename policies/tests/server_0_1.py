@@ -1,8 +1,8 @@
 """The first release's policy server, unchanged, for tests. It runs in a
 separate process because its messages have the same names as this package's.
 
-It uses nothing of this package, implements proto/released/policy_v1.proto, whose
-code it generates when it starts, and must not be updated.
+It uses no module of this package, implements proto/released/policy_v1.proto, whose
+code it generates at the start, and must not be updated.
 """
 
 import importlib

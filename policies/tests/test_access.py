@@ -68,7 +68,7 @@ class TlsClient(Client):
 
 
 @pytest.mark.parametrize("role", ["worker", "operator"])
-def test_who_asks_policies_is_let_in_over_tls(files, guarded, role):
+def test_worker_and_operator_tokens_are_accepted_over_tls(files, guarded, role):
     client = TlsClient(guarded, files / "ca.pem", TOKENS[role])
     assert client.describe().name == "colour-servo"
     client.reset()
@@ -83,7 +83,7 @@ def test_who_asks_policies_is_let_in_over_tls(files, guarded, role):
         (TOKENS["viewer"], grpc.StatusCode.PERMISSION_DENIED, "token of a viewer"),
     ],
 )
-def test_others_are_refused_and_told_why(files, guarded, token, code, expected):
+def test_missing_and_wrong_tokens_are_refused(files, guarded, token, code, expected):
     client = TlsClient(guarded, files / "ca.pem", token)
     for call in (client.describe, client.reset, client.infer, client.end):
         with pytest.raises(grpc.RpcError) as caught:
@@ -94,13 +94,13 @@ def test_others_are_refused_and_told_why(files, guarded, token, code, expected):
     client.channel.close()
 
 
-def test_the_gateway_asks_a_guarded_server(files, guarded):
+def test_the_gateway_queries_a_server_with_tls_and_tokens(files, guarded):
     assert_gateway_finds_that_it_conforms(
         f"https://{guarded}", "--ca", str(files / "ca.pem"), "--token-file", str(files / "operator")
     )
 
 
-def test_a_campaigns_gateway_finds_a_guarded_server_by_its_configuration(files, guarded):
+def test_a_configured_gateway_queries_a_server_with_tls_and_tokens(files, guarded):
     program = gateway_program()
     (files / "gateway.toml").write_text(
         f'[policy.servo]\nreplicas = ["https://{guarded}"]\nca = "ca.pem"\n'
@@ -113,7 +113,7 @@ def test_a_campaigns_gateway_finds_a_guarded_server_by_its_configuration(files, 
         client.channel.close()
 
 
-def test_this_packages_check_asks_a_guarded_server(files, guarded, capsys):
+def test_the_check_command_works_with_tls_and_tokens(files, guarded, capsys):
     arguments = ["check", f"https://{guarded}", "--ca", str(files / "ca.pem")]
     assert main([*arguments, "--token-file", str(files / "operator")]) == 0
     assert capsys.readouterr().out.endswith("conforms\n")
@@ -132,7 +132,7 @@ def test_this_packages_check_asks_a_guarded_server(files, guarded, capsys):
         (True, True, None),
     ],
 )
-def test_only_loopback_is_open_without_being_told_so(encrypted, tokens, expected):
+def test_only_loopback_addresses_need_no_tls_and_tokens(encrypted, tokens, expected):
     known = Tokens.parse("worker 0123456789abcdef", "the test") if tokens else None
     for loopback in ("127.0.0.1:1", "localhost:0", "[::1]:1", "[::ffff:127.0.0.1]:1"):
         require_guarded(loopback, encrypted, known)
@@ -147,14 +147,14 @@ def test_only_loopback_is_open_without_being_told_so(encrypted, tokens, expected
     assert is_loopback("127.9.9.9") and not is_loopback("")
 
 
-def test_a_policy_is_not_served_to_other_machines_by_accident():
+def test_serving_other_machines_without_tls_and_tokens_is_refused():
     with pytest.raises(UnguardedAddress):
         serve(Noisy(), "0.0.0.0:0")
     with pytest.raises(UnguardedAddress):
         start(Noisy(), "0.0.0.0:0")
 
 
-def test_a_trusted_network_is_served_when_that_is_said():
+def test_insecure_permits_serving_other_machines():
     with running(*COLOUR_SERVO, "--listen", "0.0.0.0:0", "--insecure") as (_, address):
         client = Client("127.0.0.1:" + address.rpartition(":")[2])
         assert client.describe().name == "colour-servo"
@@ -175,17 +175,17 @@ def test_a_trusted_network_is_served_when_that_is_said():
         ("viewer 0123456789abcdef\n" * 257, "more than 256"),
     ],
 )
-def test_a_bad_line_of_tokens_is_named_by_its_number_and_never_by_its_secret(text, expected):
+def test_an_invalid_token_line_is_reported_by_number_without_the_token(text, expected):
     with pytest.raises(AccessError, match=expected) as caught:
         Tokens.parse(text, "the test")
     assert "s3cr" not in str(caught.value)
 
 
-def test_tokens_do_not_print(files):
+def test_tokens_are_not_in_their_repr(files):
     assert "0123456789" not in repr(Tokens.read(files / "tokens"))
 
 
-def test_files_that_are_no_use_are_named(files, tmp_path):
+def test_unusable_files_are_named(files, tmp_path):
     large = tmp_path / "large"
     large.write_bytes(b"#" * (1 << 20))
     large.chmod(0o600)

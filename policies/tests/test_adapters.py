@@ -116,7 +116,7 @@ def flow(cls=FlowPolicy, name="smolvla", **fields):
     return cls(entry(name), RecordingFlow(), execute=1, **fields)
 
 
-def test_a_flow_policy_describes_its_chunk_and_what_is_executed():
+def test_a_flow_policy_describes_its_chunk_and_executed_actions():
     described = flow(max_batch=8).description
     assert (described.horizon, described.execute, described.max_batch) == (50, 1, 8)
     assert described.stochastic and not described.stateful
@@ -125,19 +125,19 @@ def test_a_flow_policy_describes_its_chunk_and_what_is_executed():
     assert sent == Loaded.settings
 
 
-def test_a_flow_policy_hands_on_what_is_under_way_query_by_query():
+def test_a_flow_policy_passes_on_the_actions_under_way_per_query():
     under_way = UnderWay(np.ones((9, 7), np.float32), 4)
     queries = [observation(seed) for seed in (1, 2, 3)]
     queries[1] = replace(queries[1], under_way=under_way)
     policy = flow(max_batch=4)
     assert policy.description.real_time_chunking
-    alone = [policy.infer(one) for one in queries]
+    alone = [policy.infer(query) for query in queries]
     policy.model.calls.clear()
     assert np.array_equal(policy.infer_batch(queries), alone)
     assert policy.model.calls == [(1, under_way), (2, None)]
 
 
-def test_a_checkpoint_of_the_paper_executes_as_the_protocol_and_others_as_they_say():
+def test_listed_checkpoints_execute_the_protocols_number_and_others_their_own():
     smolvla = entry("smolvla")
     own = {"chunk": 50, "own": 10}
     assert executed(smolvla, Options(), **own) == 1
@@ -149,9 +149,10 @@ def test_a_checkpoint_of_the_paper_executes_as_the_protocol_and_others_as_they_s
     assert executed(entry("pi05"), Options(checkpoint="me/mine"), chunk=5, own=5) == 5
 
 
-def test_other_than_the_paper_s_is_said(caplog):
+def test_an_executed_number_other_than_the_protocols_is_logged(caplog):
     executed(entry("smolvla"), Options(checkpoint="me/mine"), chunk=50, own=10)
-    assert "executing 10 of every chunk" in caplog.text and "executes 1 of" in caplog.text
+    assert "executing 10 actions of every chunk" in caplog.text
+    assert "LIBERO-CTRL executes 1 with" in caplog.text
 
 
 @pytest.mark.parametrize(
@@ -167,7 +168,7 @@ def test_more_actions_than_a_chunk_has_are_refused(chunk, options, words):
 
 
 @pytest.mark.parametrize(("cls", "name"), [(FlowPolicy, "smolvla"), (VlaJepa, "vla-jepa")])
-def test_noise_depends_on_seed_and_query_and_on_no_neighbour(cls, name):
+def test_noise_depends_on_seed_and_query_only(cls, name):
     policy = flow(cls, name)
     ours, other = observation(seed=1, query_index=3), observation(seed=2, query_index=3)
     alone = policy.infer(ours)
@@ -189,7 +190,7 @@ class RecordingLerobot(Loaded):
         return np.full(7, memory["count"] / 10)
 
 
-def test_minerva_knows_canonical_instructions_only_and_mixes_no_episodes():
+def test_minerva_declares_canonical_instructions_and_keeps_episodes_apart():
     policy = Minerva(entry("minerva"), RecordingLerobot())
     assert policy.description.language is Language.CANONICAL_ONLY
     assert policy.description.stateful and policy.description.horizon == 1
@@ -212,7 +213,7 @@ class RecordingOft:
         return np.full((8, 7), 0.9)
 
 
-def test_openvla_oft_is_asked_with_cropped_frames_a_prompt_and_percentiles():
+def test_openvla_oft_gets_cropped_frames_a_prompt_and_a_scaled_state():
     model = RecordingOft()
     policy = openvla_oft.OpenVlaOft(
         entry("openvla-oft"), model, suite="libero_goal", checkpoint="weights"
@@ -286,7 +287,7 @@ def test_univla_carries_latent_actions_and_chunks_from_query_to_query():
     assert (model.pixels == openvla_oft.frame(pattern(256)[::-1, ::-1])).all()
 
 
-def test_univla_as_in_the_study_draws_on_from_one_seed_and_crops_whole_pixels():
+def test_univlas_study_protocol_uses_one_seed_and_crops_whole_pixels():
     model = RecordingUnivla()
     bounds = {"q01": [-2.0] * 7, "q99": [2.0] * 7, "mask": [True] * 6 + [False]}
     policy = univla.UniVla(
@@ -323,7 +324,7 @@ class RecordingPredvla:
         return np.zeros(7)
 
 
-def test_predvla_looks_every_fourth_step_at_frames_that_are_not_turned():
+def test_predvla_gets_unturned_frames_at_every_fourth_step():
     model = RecordingPredvla()
     policy = predvla.PredVla(entry("predvla"), model, suite="libero_goal", checkpoint="weights")
     seen = observation()
@@ -349,7 +350,7 @@ def test_every_episode_of_predvla_has_its_own_instruction():
     assert two.episode.memory.correction == ["two"]
 
 
-def test_cached_statistics_are_looked_for_in_the_package(tmp_path):
+def test_cached_statistics_are_searched_in_the_package(tmp_path):
     assert predvla._cache("../data/cache_l64", tmp_path) == str(tmp_path / "data/cache_l64")
     assert predvla._cache("/elsewhere/cache", tmp_path) == "/elsewhere/cache"
 
@@ -374,7 +375,7 @@ def test_an_episode_of_another_suite_is_refused(name):
         made.reset(observation().episode)
 
 
-def test_weights_of_predvla_are_those_of_its_repository(tmp_path):
+def test_weights_of_predvla_are_found_in_its_repository(tmp_path):
     listed = {suite: entry("predvla").checkpoint_for(suite) for suite in predvla_suites()}
     assert listed == {
         "libero_spatial": "checkpoints/predvla_spatial_s1.pt",
@@ -409,7 +410,7 @@ def test_every_policy_of_the_catalogue_has_an_adapter():
             assert listed.checkpoint_for(suite)
 
 
-def test_weights_of_a_suite_need_a_suite():
+def test_weights_per_suite_require_a_suite():
     with pytest.raises(NoCheckpoint, match="--suite must be one of libero_spatial"):
         entry("univla").checkpoint_for("libero_90")
 
@@ -436,7 +437,7 @@ def command(*arguments):
     )
 
 
-def test_the_command_line_lists_every_policy_with_what_it_needs():
+def test_list_prints_every_policy_with_its_installation():
     listed = command("list")
     assert listed.returncode == 0
     for name in MODULES:
@@ -445,7 +446,7 @@ def test_the_command_line_lists_every_policy_with_what_it_needs():
     assert max(map(len, listed.stdout.splitlines())) <= 80
 
 
-def test_the_command_line_lists_all_that_is_downloaded():
+def test_list_prints_all_downloads():
     listed = " ".join(command("list").stdout.split())
     for name in (
         "google/paligemma-3b-pt-224 (tokeniser; gated",
@@ -483,7 +484,7 @@ def test_a_wrong_command_is_refused_with_the_remedy(arguments, code, words):
         assert word in refused.stderr
 
 
-def test_a_missing_upstream_package_is_named_with_how_to_install_it():
+def test_the_error_for_a_missing_upstream_package_has_the_install_command():
     try:
         import huggingface_hub  # noqa: F401
     except ImportError:
@@ -499,12 +500,12 @@ def test_a_checkpoint_of_predvla_that_would_run_code_is_refused(tmp_path):
     torch = pytest.importorskip("torch")
     file, ran = tmp_path / "predvla_goal_s1.pt", tmp_path / "ran"
 
-    class Hostile:
+    class MaliciousPickle:
         def __reduce__(self):
             return os.mkdir, (str(ran),)
 
     plain = {"cfg": {"data": {"vision_stride": 4}}, "model": {"weight": torch.ones(2)}}
-    torch.save({**plain, "extra": Hostile()}, file)
+    torch.save({**plain, "extra": MaliciousPickle()}, file)
     with pytest.raises(UnusableCheckpoint, match="would run code of its author"):
         predvla._saved(torch, file)
     assert not ran.exists()

@@ -13,7 +13,7 @@ from rollout_policies.broken import BROKEN_WORDS
 from rollout_policies.proto import policy_pb2 as pb
 
 
-def test_one_query_of_a_batch_fails_alone_and_neighbours_change_nothing(serving):
+def test_a_query_of_a_batch_fails_alone_and_answers_do_not_depend_on_the_batch(serving):
     class Batched(Noisy):
         description = Description(name="batched", horizon=4, stochastic=True, max_batch=3)
         sizes = []
@@ -69,7 +69,7 @@ def answered_in_a_batch(client):
     return [result.error or list(result.response.actions) for result in results]
 
 
-def test_only_the_guilty_query_of_a_batch_fails(serving):
+def test_only_the_faulty_query_of_a_batch_fails(serving):
     policy = Batching(KeyError("butter"))
     one, guilty, other = answered_in_a_batch(serving(policy))
     assert one == other == [0.5] * 7
@@ -77,14 +77,14 @@ def test_only_the_guilty_query_of_a_batch_fails(serving):
     assert policy.alone == ["a", "bad", "b"]
 
 
-def test_a_batch_that_answers_too_little_is_asked_one_by_one(serving):
-    class Forgetful(Batching):
+def test_a_batch_with_too_few_answers_is_repeated_query_by_query(serving):
+    class AnsweringTooFew(Batching):
         def infer_batch(self, observations):
             return super().infer_batch(observations[:1])
 
-    policy = Forgetful(KeyError("butter"))
+    policy = AnsweringTooFew(KeyError("butter"))
     client = serving(policy)
-    assert [len(one) == 7 for one in answered_in_a_batch(client)] == [True, False, True]
+    assert [len(answer) == 7 for answer in answered_in_a_batch(client)] == [True, False, True]
 
 
 @pytest.mark.parametrize(
@@ -96,25 +96,25 @@ def test_a_batch_that_answers_too_little_is_asked_one_by_one(serving):
     ],
     ids=["from which no process recovers", "stateful"],
 )
-def test_a_batch_that_cannot_be_asked_again_fails_as_one(serving, policy):
+def test_a_failed_batch_of_a_stateful_or_broken_policy_fails_as_a_whole(serving, policy):
     answers = answered_in_a_batch(serving(policy))
     assert all(answer.startswith("infer raised ") for answer in answers)
     assert policy.alone == []
 
 
-def test_after_an_error_from_which_no_process_recovers_nobody_else_is_asked(serving):
-    class Breaking(Batching):
+def test_after_an_unrecoverable_error_the_rest_of_a_batch_is_not_queried(serving):
+    class FailingBatch(Batching):
         def infer_batch(self, observations):
             raise ValueError("of this batch")
 
-    policy = Breaking(RuntimeError("CUDA out of memory"))
+    policy = FailingBatch(RuntimeError("CUDA out of memory"))
     one, guilty, other = answered_in_a_batch(serving(policy))
     assert one == [0.5] * 7
     assert "out of memory" in guilty and "out of memory" in other
     assert policy.alone == ["a", "bad"]
 
 
-def test_the_gateway_looks_for_the_same_words_of_a_broken_process():
+def test_the_gateway_has_the_same_words_of_unrecoverable_errors():
     source = pathlib.Path(__file__).parents[2] / "policy-gateway" / "src" / "health.rs"
     words = re.search(r"BROKEN_WORDS: \[&str; \d+\] = \[(.*?)\]", source.read_text(), re.DOTALL)
     assert tuple(re.findall(r'"(.*?)"', words[1])) == BROKEN_WORDS

@@ -38,7 +38,7 @@ def test_known_names_get_their_cameras_in_any_order(scene, wrist):
     assert by_name(wrist, scene) == {scene: SCENE, wrist: WRIST}
 
 
-def test_slots_that_never_were_in_the_data_get_nothing():
+def test_slots_that_were_never_in_the_training_data_stay_empty():
     assert by_name("camera3", "camera1", "empty_camera_0", "camera2") == {
         "camera1": SCENE,
         "camera2": WRIST,
@@ -49,7 +49,7 @@ def test_slots_that_never_were_in_the_data_get_nothing():
     }
 
 
-def test_one_camera_alone_is_enough():
+def test_a_single_camera_is_accepted():
     assert by_name("image") == {"image": SCENE}
     assert camera_of_slot(["observation.image"]) == {"observation.image": SCENE}
 
@@ -57,7 +57,7 @@ def test_one_camera_alone_is_enough():
 @pytest.mark.parametrize(
     "names", [("left", "right"), ("image", "depth"), ("image", "front"), ("empty_camera_0",), ()]
 )
-def test_unknown_or_doubtful_names_are_refused_with_the_flag_to_write(names):
+def test_unknown_or_ambiguous_slot_names_are_refused_with_the_flag_to_add(names):
     with pytest.raises(UnusableCheckpoint) as refused:
         by_name(*names)
     assert f"slots are {', '.join(names) or 'none'}" in str(refused.value)
@@ -66,7 +66,7 @@ def test_unknown_or_doubtful_names_are_refused_with_the_flag_to_write(names):
         assert f"--image-keys scene={names[0]},wrist={names[1]}" in str(refused.value)
 
 
-def test_the_command_line_decides_where_names_do_not():
+def test_image_keys_assign_slots_with_unknown_names():
     given = {"scene": "right", "wrist": "observation.images.left"}
     assert by_name("left", "right", given=given) == {"right": SCENE, "left": WRIST}
     # The command line may contradict the names, and may leave a slot empty.
@@ -75,12 +75,12 @@ def test_the_command_line_decides_where_names_do_not():
 
 
 @pytest.mark.parametrize("given", [{"scene": "front"}, {"scene": "left", "wrist": "left"}])
-def test_a_slot_that_is_not_there_or_is_given_twice_is_refused(given):
+def test_a_missing_slot_or_one_given_twice_is_refused(given):
     with pytest.raises(UnusableOption, match="--image-keys"):
         by_name("left", "right", given=given)
 
 
-def test_how_the_data_s_images_were_renamed_tells_more_than_the_slots():
+def test_recorded_renames_take_precedence_over_slot_names():
     wrist_first = {
         "observation.images.wrist_image": "observation.images.camera1",
         "observation.images.image": "observation.images.camera2",
@@ -90,5 +90,5 @@ def test_how_the_data_s_images_were_renamed_tells_more_than_the_slots():
         "camera2": SCENE,
     }
     strange = {"observation.images.second_image": "observation.images.camera2"}
-    with pytest.raises(UnusableCheckpoint, match="camera2 is no name that is known"):
+    with pytest.raises(UnusableCheckpoint, match="camera2 is not a known name"):
         by_name("camera1", "camera2", renamed=strange)

@@ -50,7 +50,7 @@ SPEAKS_OF = {
         (Remembering(), {Point.BATCH, Point.ORDER}),
         (ColourServo(), {Point.BATCH}),
     ],
-    ids=lambda it: it.description.name if isinstance(it, Policy) else "",
+    ids=lambda case: case.description.name if isinstance(case, Policy) else "",
 )
 def test_a_policy_that_keeps_the_protocol_passes_every_point(policy, skipped):
     findings = check(policy)
@@ -73,7 +73,7 @@ class Unseeded(Faulty):
         return np.random.default_rng().uniform(-1, 1, (4, 7))
 
 
-class Deaf(Faulty):
+class SeedIgnoring(Faulty):
     def infer(self, observation):
         return np.zeros((4, 7))
 
@@ -119,7 +119,7 @@ class Millimetres(Faulty):
     ("policy", "failing", "expected"),
     [
         (Unseeded, Point.SAME_SEED, "at query 0 the actions differ"),
-        (Deaf, Point.OTHER_SEED, "declares itself stochastic"),
+        (SeedIgnoring, Point.OTHER_SEED, "declares itself stochastic"),
         (SecretlyStochastic, Point.OTHER_SEED, "declares itself deterministic"),
         (Sharing, Point.ISOLATION, "the actions differ"),
         (Carrying, Point.ORDER, "the actions differ"),
@@ -127,7 +127,7 @@ class Millimetres(Faulty):
         (Millimetres, Point.RANGE, "is it un-normalised?"),
     ],
 )
-def test_a_policys_fault_is_found_at_its_point(policy, failing, expected):
+def test_a_policys_fault_fails_its_point(policy, failing, expected):
     with pytest.raises(DoesNotConform) as caught:
         check(policy())
     failed = {finding.point: finding.verdict.text for finding in caught.value.findings
@@ -145,7 +145,7 @@ def test_a_policy_that_answers_nothing_cannot_be_checked():
         check(Raising())
 
 
-def test_a_policy_that_moves_low_order_bits_in_batches_is_told_so():
+def test_low_order_differences_in_batches_pass_with_a_note():
     class Rounding(Faulty):
         def infer_batch(self, observations):
             return [self.infer(observation) + 1e-5 for observation in observations]
@@ -154,14 +154,14 @@ def test_a_policy_that_moves_low_order_bits_in_batches_is_told_so():
     assert "batches cost reproducibility" in batch.verdict.text
 
 
-def test_a_policy_of_one_suite_is_checked_with_a_task_of_it():
-    class OfGoal(Faulty):
+def test_a_policy_of_one_suite_is_checked_with_a_task_of_that_suite():
+    class LiberoGoalOnly(Faulty):
         def reset(self, episode):
             assert episode.suite == "libero_goal" and "drawer" in episode.instruction
 
     with pytest.raises(CannotCheck, match="AssertionError"):
-        check(OfGoal())
-    check(OfGoal(), suite="libero_goal")
+        check(LiberoGoalOnly())
+    check(LiberoGoalOnly(), suite="libero_goal")
 
 
 class Wire(pb_grpc.PolicyServicer):
@@ -224,7 +224,7 @@ def findings_of(servicer, healthy=True):
         ("version", Point.VERSION, "to a caller of version 2"),
         ("health", Point.HEALTH, "UNIMPLEMENTED"),
         ("width", Point.SHAPE, "6 numbers wide"),
-        ("horizon", Point.SHAPE, "3 actions, of a horizon of 2"),
+        ("horizon", Point.SHAPE, "3 actions; its horizon is 2"),
         ("nan", Point.SHAPE, "component 2 of action 1 is nan"),
         ("retry", Point.RETRY, "at query 0 the actions differ"),
         ("restart", Point.RESTART, "the actions differ"),
@@ -233,10 +233,10 @@ def findings_of(servicer, healthy=True):
         (None, None, None),
     ],
 )
-def test_a_servers_fault_is_found_at_its_point(fault, failing, expected):
+def test_a_servers_fault_fails_its_point(fault, failing, expected):
     findings = findings_of(Wire(fault), healthy=fault != "health")
     assert [finding.point for finding in findings] == list(Point)
-    failed = {one.point: one.verdict.text for one in findings if one.verdict.failed}
+    failed = {finding.point: finding.verdict.text for finding in findings if finding.verdict.failed}
     if failing is None:
         assert failed == {}
     else:
@@ -257,7 +257,7 @@ def command(*arguments):
     )
 
 
-def test_the_command_prints_every_point_and_ends_with_0_for_a_server_that_conforms():
+def test_check_prints_every_point_and_exits_with_0_for_a_conforming_server():
     with running(sys.executable, "-m", "rollout_policies.examples.colour_servo") as (_, address):
         done = command(f"grpc://{address}")
     assert done.returncode == 0, done.stderr
@@ -266,7 +266,7 @@ def test_the_command_prints_every_point_and_ends_with_0_for_a_server_that_confor
     assert all(line.startswith(("pass  ", "skip  ")) for line in lines[:-1])
 
 
-def test_the_command_ends_with_1_for_a_server_that_does_not_conform():
+def test_check_exits_with_1_for_a_server_that_does_not_conform():
     server = start(Millimetres())
     try:
         done = command(f"http://{server.address}")
@@ -288,7 +288,7 @@ def test_the_command_ends_with_1_for_a_server_that_does_not_conform():
         ([], 2, "url"),
     ],
 )
-def test_a_command_that_can_check_nothing_says_why(arguments, code, expected):
+def test_an_impossible_check_reports_the_reason(arguments, code, expected):
     done = command(*arguments)
     assert done.returncode == code
     assert expected in done.stderr and "Traceback" not in done.stderr
@@ -303,7 +303,7 @@ EVERYTHING = Description(
 )
 
 
-def test_a_made_up_observation_is_of_the_shape_that_was_asked_for():
+def test_a_synthetic_observation_has_the_requested_shape():
     made = fake_observation(EVERYTHING)
     assert {name: frame.shape for name, frame in made.images.items()} == {
         "agentview": (48, 64, 3),
@@ -315,7 +315,7 @@ def test_a_made_up_observation_is_of_the_shape_that_was_asked_for():
     assert all(np.abs(reading).max() < 4 for reading in made.state.values())
 
 
-def test_made_up_observations_follow_seed_and_query():
+def test_synthetic_observations_depend_on_seed_and_query():
     def bytes_of(*which):
         made = fake_observation(EVERYTHING, *which)
         return made.images["agentview"].tobytes() + made.vector().tobytes()
@@ -324,7 +324,7 @@ def test_made_up_observations_follow_seed_and_query():
     assert len({bytes_of(1, 2), bytes_of(1, 3), bytes_of(2, 2)}) == 3
 
 
-def test_made_up_readings_describe_one_posture():
+def test_synthetic_readings_describe_one_posture():
     state = fake_observation(EVERYTHING, 5).state
     x, y, z, w = quaternion = state[State.EEF_QUAT_XYZW]
     assert np.linalg.norm(quaternion) == pytest.approx(1)
@@ -339,7 +339,7 @@ def test_made_up_readings_describe_one_posture():
     assert state[State.EEF_ROTATION][8] == pytest.approx(-1)
 
 
-def test_the_tasks_are_those_of_the_gateways_check():
+def test_the_synthetic_tasks_equal_those_of_the_gateways_check():
     source = Path(__file__).parents[2] / "crates/policies/policy-doctor/src/conformance/scene.rs"
     table = source.read_text().partition("pub const TASKS")[2].partition("];")[0]
     texts = re.findall(r'"(.*?)"', table)

@@ -28,7 +28,7 @@ def answer(upright, rotation=POINTING_DOWN):
     return ColourServo().infer(observation)
 
 
-def test_the_blob_is_found_where_it_is():
+def test_the_position_of_a_blob_is_found():
     centre, span = find_blob(upright_frame(row=32, column=96))
     assert centre == pytest.approx([0.5, 0.5], abs=0.02)
     assert span == pytest.approx(12 / SIDE, abs=0.05)
@@ -44,12 +44,12 @@ def test_the_hand_moves_towards_the_colour():
     assert answer(far_up, turned)[0] < -0.5
 
 
-def test_it_descends_when_centred_and_closes_when_the_fingers_are_beside_the_colour():
+def test_the_hand_descends_when_centred_and_closes_around_the_colour():
     centred = answer(upright_frame(105, 64))
     assert centred[2] < 0 and centred[6] == -1
     assert answer(upright_frame(95, 64, size=48))[6] == 1
 
 
-def test_it_rises_with_an_open_hand_when_everything_is_grey():
+def test_the_hand_rises_open_if_the_frame_is_grey():
     action = answer(np.full((SIDE, SIDE, 3), 90, dtype=np.uint8))
     assert action[2] > 0 and action[6] == -1

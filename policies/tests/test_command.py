@@ -15,7 +15,7 @@ from rollout_policies import command as command_module
 
 
 class Flags(Policy):
-    """Answers what it is told.
+    """Answers zeros.
 
     In 100 % of the cases.
     """
@@ -77,13 +77,13 @@ def test_parameters_become_flags_of_their_types(ran):
     assert options["listen"] == "localhost:0"
 
 
-def test_an_execute_of_the_policys_own_is_its_own(ran):
-    class Own(Flags):
+def test_a_parameter_execute_of_the_policy_replaces_the_flag(ran):
+    class WithExecute(Flags):
         def __init__(self, execute: int = 2):
             self.description = Description(name="own", horizon=8, execute=execute)
 
-    assert ran(Own)[0].description.execute == 2
-    assert ran(Own, "--execute", "5")[0].description.execute == 5
+    assert ran(WithExecute)[0].description.execute == 2
+    assert ran(WithExecute, "--execute", "5")[0].description.execute == 5
 
 
 def test_a_policy_without_a_constructor_has_the_servers_flags_only(ran):
@@ -117,7 +117,7 @@ def test_a_wrong_command_line_is_refused_with_2(capsys, arguments, expected):
     assert expected in capsys.readouterr().err
 
 
-def test_what_is_wrong_with_access_is_found_before_weights_are_loaded(capsys, tmp_path):
+def test_access_errors_show_before_weights_are_loaded(capsys, tmp_path):
     taken = start(Flags("w"))
     try:
         for arguments, expected in (
@@ -134,19 +134,19 @@ def test_what_is_wrong_with_access_is_found_before_weights_are_loaded(capsys, tm
         taken.stop(0)
 
 
-def test_help_says_what_the_docstring_says_and_fits_a_terminal(capsys, monkeypatch):
+def test_help_shows_the_docstring_and_fits_a_terminal(capsys, monkeypatch):
     monkeypatch.setenv("COLUMNS", "80")
     with pytest.raises(SystemExit) as caught:
         run(Flags, ["--help"])
     assert caught.value.code == 0
-    said = capsys.readouterr().out
+    printed = capsys.readouterr().out
     for words in (
-        "Answers what it is told.\n\nIn 100 % of the cases.\n", "--steps INT", "default: 10",
+        "Answers zeros.\n\nIn 100 % of the cases.\n", "--steps INT", "default: 10",
         "--fast, --no-fast", "--checkpoint STR", "required", "--listen ADDR", "--token-file FILE",
         "--execute N",
     ):  # fmt: skip
-        assert words in said
-    assert max(map(len, said.splitlines())) <= 80
+        assert words in printed
+    assert max(map(len, printed.splitlines())) <= 80
 
 
 @pytest.mark.parametrize(
@@ -159,7 +159,7 @@ def test_help_says_what_the_docstring_says_and_fits_a_terminal(capsys, monkeypat
         (lambda self, sizes, /: None, "parameter sizes of Odd"),
     ],
 )
-def test_a_parameter_that_can_be_no_flag_is_named(constructor, expected):
+def test_a_parameter_that_cannot_be_a_flag_is_named(constructor, expected):
     odd = type("Odd", (Flags,), {"__init__": constructor})
     if expected is None:
         with pytest.raises(SystemExit):
@@ -169,7 +169,7 @@ def test_a_parameter_that_can_be_no_flag_is_named(constructor, expected):
         run(odd, ["--help"])
 
 
-def test_run_is_given_a_class():
+def test_run_refuses_an_instance():
     with pytest.raises(SystemExit, match="give it a subclass of rollout_policies.Policy"):
         run(Flags("w"), [])
 
@@ -202,14 +202,14 @@ async def infer_later(self, observation):
         ),
     ],
 )
-def test_a_class_that_cannot_be_served_is_told_what_to_write(methods, expected):
+def test_the_error_for_an_unusable_class_has_the_line_to_write(methods, expected):
     attributes = {"description": Description("own"), "reset": lambda self, episode: None}
     with pytest.raises(SystemExit) as ended:
         run(type("Own", (Policy,), {**attributes, **methods}), [])
     assert str(ended.value).startswith("error: " + expected)
 
 
-def test_a_policy_without_reset_is_one_line_and_no_traceback(tmp_path):
+def test_a_policy_without_reset_gives_a_one_line_error(tmp_path):
     script = tmp_path / "own.py"
     script.write_text(
         "from rollout_policies import Description, Policy, run\n"
@@ -224,7 +224,7 @@ def test_a_policy_without_reset_is_one_line_and_no_traceback(tmp_path):
     assert (ended.returncode, ended.stdout, ended.stderr) == (1, "", line)
 
 
-def test_what_was_resolved_is_printed_before_the_address(tmp_path):
+def test_resolved_settings_are_printed_before_the_address(tmp_path):
     script = tmp_path / "it.py"
     script.write_text(
         "from rollout_policies import *\n"
@@ -240,11 +240,11 @@ def test_what_was_resolved_is_printed_before_the_address(tmp_path):
         command = [sys.executable, str(script), "--weights", "org/w"]
         with running(*command, stderr=errors) as (_, address):
             errors.seek(0)
-            said = errors.read().splitlines()
+            lines = errors.read().splitlines()
             client = Client(address)
             assert client.describe().checkpoint == "org/w"
             client.channel.close()
-    assert said[:9] == [
+    assert lines[:9] == [
         "a model that prints while it loads",
         "policy: it",
         "checkpoint: org/w",
@@ -255,10 +255,10 @@ def test_what_was_resolved_is_printed_before_the_address(tmp_path):
         "gripper: -1 open, 1 closed",
         "a: b",
     ]
-    assert said[9] == "warming up" and said[10].startswith("warm after ")
+    assert lines[9] == "warming up" and lines[10].startswith("warm after ")
 
 
-def test_a_warm_up_that_fails_ends_the_server_before_it_begins(tmp_path, capfd):
+def test_a_failing_warm_up_stops_the_server_before_it_listens(tmp_path, capfd):
     class Broken(Flags):
         def infer(self, observation):
             raise RuntimeError("no kernel image")
@@ -268,7 +268,7 @@ def test_a_warm_up_that_fails_ends_the_server_before_it_begins(tmp_path, capfd):
     assert "listening" not in capfd.readouterr().out
 
 
-def test_a_port_of_a_server_that_warms_up_is_closed(tmp_path):
+def test_the_port_is_closed_during_the_warm_up(tmp_path):
     ready, go = tmp_path / "ready", tmp_path / "go"
     script = tmp_path / "it.py"
     script.write_text(

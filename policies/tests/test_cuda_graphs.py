@@ -44,7 +44,7 @@ run(Compiled)
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="PyTorch finds no GPU here")
-def test_a_network_of_cuda_graphs_is_asked_from_many_connections(tmp_path):
+def test_a_network_with_cuda_graphs_answers_many_connections(tmp_path):
     program = tmp_path / "compiled.py"
     program.write_text(POLICY)
     with running(sys.executable, program) as (_, address):

@@ -31,14 +31,14 @@ def hub(tmp_path, monkeypatch):
     return SimpleNamespace(asked=asked, snapshot=snapshot)
 
 
-def test_a_revision_is_asked_for_and_the_commit_is_kept(hub):
+def test_a_revision_is_requested_and_the_commit_is_recorded(hub):
     fetched = fetch(entry("smolvla"), "me/mine", "v2")
     assert hub.asked == [("me/mine", "v2", {})]
     assert fetched.folder == hub.snapshot
     assert fetched.settings == {"revision": COMMIT}
 
 
-def test_a_folder_here_is_taken_as_it_is_and_has_no_revision(hub, tmp_path):
+def test_a_local_folder_has_no_revision(hub, tmp_path):
     fetched = fetch(entry("smolvla"), str(tmp_path))
     assert (fetched.folder, fetched.settings, hub.asked) == (tmp_path, {}, [])
     with pytest.raises(UnusableOption, match="--revision names a commit of the hub"):
@@ -51,7 +51,7 @@ def test_a_folder_of_a_repository_is_found_in_it(hub):
     fetched = fetch(entry("minerva"), "me/mine/small")
     assert fetched.folder == hub.snapshot / "ckpt" / "small"
     assert hub.asked[0][2] == {"allow_patterns": ["small/*", "*/small/*"]}
-    with pytest.raises(UnusableCheckpoint, match="has no folders large; at its top are ckpt"):
+    with pytest.raises(UnusableCheckpoint, match="has no folders large; its top folders are ckpt"):
         fetch(entry("minerva"), "me/mine/large")
 
 
@@ -62,13 +62,13 @@ def test_minerva_s_default_is_a_folder_of_its_repository(hub):
 
 
 @pytest.mark.parametrize("name", ["./ckpt", "/no/such/folder", "~/none", "weights"])
-def test_what_is_no_folder_and_no_name_of_the_hub_is_refused_without_asking(hub, name):
+def test_a_name_that_is_neither_folder_nor_hub_name_is_refused_without_a_request(hub, name):
     with pytest.raises(NoCheckpoint, match="there is no folder"):
         fetch(entry("smolvla"), name)
     assert hub.asked == []
 
 
-def test_what_the_hub_does_not_give_is_refused_with_all_that_is_downloaded(hub):
+def test_the_error_for_a_missing_hub_repository_lists_all_downloads(hub):
     with pytest.raises(UnusableCheckpoint) as refused:
         fetch(entry("vla-jepa"), "me/none", "v2")
     for words in (
@@ -86,7 +86,7 @@ def test_a_missing_download_is_refused_with_the_list():
             raise OSError("\nCannot reach it.\nmore")
 
 
-def test_every_policy_refuses_a_suite_that_there_is_not(hub):
+def test_every_policy_refuses_an_unknown_suite(hub):
     for name in ("pi05", "minerva", "univla"):
         with pytest.raises(UnusableOption, match="--suite must be one of"):
             load(name, Options(suite="libero_90"))

@@ -33,7 +33,7 @@ def test_a_declared_gripper_convention_becomes_the_simulators(serving, gripper, 
 
 
 @pytest.mark.parametrize(("gripper", "warnings"), [(0.5, 1), (-0.5, 0)])
-def test_a_gripper_that_never_opens_is_warned_of_once(serving, caplog, gripper, warnings):
+def test_a_gripper_that_never_opens_is_logged_once(serving, caplog, gripper, warnings):
     class Closed(Policy):
         # Actions that are not executed do not count as opening.
         description = Description(name="closed", horizon=20, execute=10)
@@ -59,7 +59,7 @@ def test_a_gripper_that_never_opens_is_warned_of_once(serving, caplog, gripper, 
         client.infer("d")
         client.end("d")
         client.reset("e")
-    said = [record.getMessage() for record in caplog.records]
-    assert len(said) == warnings
-    for text in said:
+    warned = [record.getMessage() for record in caplog.records]
+    assert len(warned) == warnings
+    for text in warned:
         assert "'closed'" in text and "session 'a'" in text and "gripper=" in text

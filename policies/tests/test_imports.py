@@ -24,7 +24,7 @@ def imported_by(path, modules):
             yield from names & modules or {base}
 
 
-def test_no_files_import_in_a_circle():
+def test_there_is_no_import_cycle():
     paths = {name_of(path): path for path in PACKAGE.rglob("*.py")}
     left = {name: set(imported_by(path, paths.keys())) for name, path in paths.items()}
     assert {"rollout_policies.policy"} <= left["rollout_policies.server"]

@@ -23,7 +23,7 @@ THREADS = pathlib.Path(__file__).parent / "threads.py"
 PATIENCE = 60
 
 
-def test_one_thread_makes_a_policy_warms_it_up_and_asks_it(tmp_path):
+def test_one_thread_creates_warms_up_and_queries_a_policy(tmp_path):
     notes = tmp_path / "notes"
     with running(sys.executable, str(THREADS), "--notes", str(notes)) as (_, address):
         assert [line.split()[0] for line in notes.read_text().splitlines()] == [
@@ -53,7 +53,7 @@ def test_one_thread_makes_a_policy_warms_it_up_and_asks_it(tmp_path):
     assert threads["prepare"].isdisjoint(of_model[0])
 
 
-def test_frames_are_prepared_while_the_model_answers_others(serving):
+def test_frames_are_prepared_while_the_model_answers_other_queries(serving):
     class Waiting(Policy):
         description = Description(name="waiting")
 
@@ -77,11 +77,11 @@ def test_frames_are_prepared_while_the_model_answers_others(serving):
     client.reset("a")
     client.reset("b")
     with ThreadPoolExecutor(2) as pool:
-        assert [one.shape for one in pool.map(client.infer, "ab")] == [(1, 7), (1, 7)]
+        assert [answer.shape for answer in pool.map(client.infer, "ab")] == [(1, 7), (1, 7)]
 
 
-def test_what_prepare_raises_fails_its_query_alone(serving):
-    class Picky(Policy):
+def test_an_exception_in_prepare_fails_its_query_only(serving):
+    class FailingPrepare(Policy):
         description = Description(name="picky", max_batch=2)
 
         def reset(self, episode):
@@ -94,7 +94,7 @@ def test_what_prepare_raises_fails_its_query_alone(serving):
         def infer(self, observation):
             return np.zeros(7)
 
-    client = serving(Picky())
+    client = serving(FailingPrepare())
     client.reset("bad")
     client.reset("good")
     queries = [client.request("bad"), client.request("good")]
@@ -103,7 +103,7 @@ def test_what_prepare_raises_fails_its_query_alone(serving):
     assert len(good.response.actions) == 7
 
 
-def test_a_query_whose_caller_has_gone_before_its_turn_is_never_computed(serving, monkeypatch):
+def test_a_query_whose_caller_has_left_is_not_computed(serving, monkeypatch):
     class Slow(Policy):
         description = Description(name="slow", max_batch=2)
 
@@ -160,7 +160,7 @@ def until(is_true):
         time.sleep(0.005)
 
 
-def test_calls_are_made_in_turn_and_what_waits_at_the_end_is_cancelled():
+def test_calls_are_made_in_order_and_queued_calls_are_cancelled_at_the_end():
     inference = InferenceThread()
     made, swept, release = [], threading.Event(), threading.Event()
     thread = threading.Thread(target=inference.work, args=(swept.set, 0.01), daemon=True)
@@ -184,7 +184,7 @@ def test_calls_are_made_in_turn_and_what_waits_at_the_end_is_cancelled():
     assert "too late" not in made
 
 
-def test_idle_episodes_are_looked_for_while_calls_never_stop_coming():
+def test_idle_episodes_are_closed_although_calls_keep_arriving():
     inference, swept = InferenceThread(), threading.Event()
     gives_up_at = time.monotonic() + PATIENCE
 
@@ -199,7 +199,7 @@ def test_idle_episodes_are_looked_for_while_calls_never_stop_coming():
     assert swept.is_set()
 
 
-def test_queries_under_way_are_answered_before_a_server_stops(tmp_path):
+def test_running_queries_are_answered_before_a_server_stops(tmp_path):
     script = tmp_path / "slow_policy.py"
     script.write_text(
         "import pathlib, sys, time\n"
@@ -260,7 +260,7 @@ class WarmedUp(Policy):
 
 
 @pytest.mark.parametrize(("max_batch", "sizes"), [(1, [1]), (4, [1, 4])])
-def test_a_policy_warms_up_with_one_query_and_a_full_batch_of_a_suite_it_takes(max_batch, sizes):
+def test_the_warm_up_sends_one_query_and_a_full_batch_of_an_accepted_suite(max_batch, sizes):
     policy = WarmedUp(np.zeros(7), max_batch)
     policy.warm_up()
     assert policy.sizes == sizes and policy.open == set()
@@ -268,16 +268,16 @@ def test_a_policy_warms_up_with_one_query_and_a_full_batch_of_a_suite_it_takes(m
 
 @pytest.mark.parametrize(
     ("answer", "expected"),
-    [(RuntimeError("no kernel"), "no kernel"), (np.zeros((3, 7)), "a horizon of 2")],
+    [(RuntimeError("no kernel"), "no kernel"), (np.zeros((3, 7)), "its horizon is 2")],
 )
-def test_a_policy_that_cannot_answer_says_so_before_it_serves(answer, expected):
+def test_a_policy_without_valid_answers_fails_in_the_warm_up(answer, expected):
     policy = WarmedUp(answer)
     with pytest.raises((RuntimeError, UnusableActions), match=expected):
         policy.warm_up()
     assert policy.open == set()
 
 
-def test_a_policy_that_takes_no_made_up_episode_is_served_cold_with_a_warning(caplog):
+def test_a_policy_that_refuses_all_synthetic_episodes_is_served_without_warm_up(caplog):
     class Elsewhere(WarmedUp):
         def reset(self, episode):
             raise ValueError("another robot's tasks")
@@ -290,8 +290,9 @@ def test_a_policy_that_takes_no_made_up_episode_is_served_cold_with_a_warning(ca
 
 
 @pytest.mark.parametrize("name", ["openvla-oft", "univla"])
-def test_frames_that_go_through_a_jpeg_are_prepared_outside_the_turn(serving, monkeypatch, name):
-    policy, *_ = [it for it in around_computed_networks() if it.description.name == name]
+def test_jpeg_round_trips_run_outside_the_inference_thread(serving, monkeypatch, name):
+    policies = around_computed_networks()
+    policy, *_ = [policy for policy in policies if policy.description.name == name]
     prepared_in = []
 
     def frame(turned):

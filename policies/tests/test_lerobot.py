@@ -60,7 +60,7 @@ def play(policy, seed, queries=3):
     return [policy.infer(next_one(seen, index)) for index in range(queries)]
 
 
-def test_the_description_counts_and_names_what_was_loaded(policy, checkpoint):
+def test_the_description_has_parameters_and_checkpoint(policy, checkpoint):
     described = policy.description
     assert described.checkpoint == str(checkpoint[1])
     assert len(described.checkpoint_digest) == 64
@@ -70,7 +70,7 @@ def test_the_description_counts_and_names_what_was_loaded(policy, checkpoint):
     assert (described.horizon, described.execute) == expected[checkpoint[0]]
 
 
-def test_what_was_resolved_is_in_the_settings(policy, checkpoint):
+def test_the_settings_hold_the_resolved_configuration(policy, checkpoint):
     settings = dict(policy.description.settings)
     name = checkpoint[0]
     slots = {
@@ -86,7 +86,7 @@ def test_what_was_resolved_is_in_the_settings(policy, checkpoint):
     assert settings["lerobot"]
 
 
-def test_as_many_actions_are_executed_as_the_command_line_says(checkpoint):
+def test_execute_sets_the_number_of_executed_actions(checkpoint):
     name, folder = checkpoint
     if name == "act":
         with pytest.raises(UnusableOption, match="--execute is 2, and MINERVA answers 1 action"):
@@ -105,7 +105,7 @@ def test_an_episode_depends_on_its_seed_alone(policy):
     assert same != policy.description.stochastic
 
 
-def test_episodes_side_by_side_are_those_that_ran_alone(policy):
+def test_interleaved_episodes_equal_single_ones(policy):
     alone = [play(policy, seed) for seed in (1, 2)]
     episodes = [observation(1), observation(2)]
     for one in episodes:
@@ -114,7 +114,7 @@ def test_episodes_side_by_side_are_those_that_ran_alone(policy):
     assert np.array_equal(np.swapaxes(together, 0, 1), alone)
 
 
-def test_the_instruction_and_the_frames_matter(policy, checkpoint):
+def test_actions_depend_on_instruction_and_frames(policy, checkpoint):
     # Random weights depend little on the input; the test needs only some dependence.
     seen = observation(1)
     dark = observation(1)
@@ -130,7 +130,7 @@ def test_the_instruction_and_the_frames_matter(policy, checkpoint):
     assert (answers[0] != answers[2]).any() == reads
 
 
-def test_a_chunk_goes_on_from_what_is_executed_meanwhile(policy, checkpoint):
+def test_a_chunk_continues_the_actions_under_way(policy, checkpoint):
     name, _ = checkpoint
     assert policy.description.real_time_chunking == (name in ("smolvla", "pi05"))
     if not policy.description.real_time_chunking:
@@ -138,31 +138,31 @@ def test_a_chunk_goes_on_from_what_is_executed_meanwhile(policy, checkpoint):
     seen = observation(1)
     policy.reset(seen.episode)
     free = policy.infer(seen)
-    # Actions of another episode stand for the rest of an earlier chunk: any actions would do.
+    # Actions of another episode replace the rest of an earlier chunk; any actions would do.
     executed = policy.infer(observation(2))[2:].astype(np.float32)
     delay = 4
-    told = policy.infer(replace(seen, under_way=UnderWay(executed, delay)))
-    assert told.shape == free.shape and np.isfinite(told).all()
+    continued = policy.infer(replace(seen, under_way=UnderWay(executed, delay)))
+    assert continued.shape == free.shape and np.isfinite(continued).all()
 
     def apart(chunk, steps):
         return np.abs(chunk[steps] - executed[steps]).mean()
 
     # lerobot's guidance fades from the delay on, and ends after ten actions.
     until, later = slice(0, delay), slice(delay, 8)
-    assert apart(told, until) < apart(free, until) / 2
-    assert np.array_equal(policy.infer(seen), free), "a query that is told nothing is as ever"
-    # Nothing guides the new chunk beyond the end of the last one.
+    assert apart(continued, until) < apart(free, until) / 2
+    assert np.array_equal(policy.infer(seen), free), "without actions under way, nothing changes"
+    # The last chunk does not guide the new chunk beyond its own end.
     short = policy.infer(replace(seen, under_way=UnderWay(executed[:delay], delay)))
-    assert apart(told, later) < apart(short, later)
+    assert apart(continued, later) < apart(short, later)
 
 
-def test_a_batch_moves_low_order_bits_and_no_more(checkpoint):
+def test_a_batch_changes_low_order_bits_only(checkpoint):
     name, folder = checkpoint
     if name not in ("smolvla", "pi05"):
         pytest.skip(f"{name} answers one query at a time")
     policy = loaded(name, folder, max_batch=4)
     queries = [observation(seed, instruction="pick up the butter") for seed in (1, 2, 3)]
-    alone = [policy.infer(one) for one in queries]
+    alone = [policy.infer(query) for query in queries]
     assert np.allclose(policy.infer_batch(queries), alone, atol=1e-4)
 
 
@@ -228,7 +228,7 @@ def test_a_file_with_one_tensor_too_many_is_refused(altered):
         loaded(name, folder)
 
 
-def test_a_large_tensor_that_is_not_the_file_s_is_refused(altered, monkeypatch):
+def test_a_large_tensor_that_differs_from_the_file_is_refused(altered, monkeypatch):
     # Simulates a loader that fails half way: one number of the largest tensor differs.
     name, folder = altered
     from rollout_policies.adapters import lerobot as adapter
@@ -280,7 +280,7 @@ def rename_slots(folder, names):
         (folder / file).write_text(text, "utf-8")
 
 
-def test_two_cameras_whose_names_sort_the_other_way_are_not_swapped(policy, altered):
+def test_the_order_of_camera_names_does_not_matter(policy, altered):
     name, folder = altered
     first, second = ("camera1", "camera2") if name == "smolvla" else ("image", "image2")
     rename_slots(folder, {first: "front", second: "cam_wrist"})
@@ -292,7 +292,7 @@ def test_two_cameras_whose_names_sort_the_other_way_are_not_swapped(policy, alte
     assert not np.array_equal(play(swapped, seed=1), play(policy, seed=1))
 
 
-def test_slots_whose_names_do_not_tell_are_refused_with_the_flag(altered):
+def test_slots_with_unknown_names_are_refused_with_the_flag_to_add(altered):
     name, folder = altered
     first, second = ("camera1", "camera2") if name == "smolvla" else ("image", "image2")
     rename_slots(folder, {first: "left", second: "right"})
@@ -315,11 +315,12 @@ def test_a_checkpoint_without_statistics_is_refused(altered, which):
 
 
 def drop_statistics(file, which):
-    kept = {key: one for key, one in load_file(file).items() if not key.startswith(f"{which}.")}
+    tensors = load_file(file)
+    kept = {key: tensors[key] for key in tensors if not key.startswith(f"{which}.")}
     save_file(kept, file)
 
 
-def test_a_file_that_is_not_there_is_named_with_what_to_do(altered):
+def test_a_missing_file_is_named_with_the_remedy(altered):
     name, folder = altered
     (folder / "policy_preprocessor.json").unlink()
     with pytest.raises(UnusableCheckpoint, match="no policy_preprocessor.json.*convert it"):
@@ -330,7 +331,7 @@ def test_a_file_that_is_not_there_is_named_with_what_to_do(altered):
         loaded(name, folder)
 
 
-def test_a_download_that_does_not_come_is_refused_with_the_list(altered, monkeypatch):
+def test_the_error_for_a_failed_download_lists_all_downloads(altered, monkeypatch):
     name, folder = altered
     field = {"smolvla": "vlm_model_name", "vla-jepa": "qwen_model_name"}.get(name)
     if field is None:
@@ -349,5 +350,5 @@ def test_a_checkpoint_of_another_policy_is_refused(checkpoint):
         load(other, Options(checkpoint=str(folder), device="cpu"))
 
 
-def test_a_server_of_it_conforms(policy):
+def test_a_server_of_each_adapter_conforms(policy):
     assert_conforms(policy)

@@ -56,7 +56,7 @@ def observation(side=256):
     return frames, pb.Observation(images=images, state=state)
 
 
-def test_the_server_is_shown_what_openpis_own_client_shows(program, shown):
+def test_the_server_gets_the_inputs_of_openpis_own_client(program, shown):
     frames, message = observation()
     with (
         simulated(shown) as server,
@@ -89,7 +89,7 @@ def test_the_server_is_shown_what_openpis_own_client_shows(program, shown):
     }
 
 
-def test_it_passes_the_conformance_check_but_for_its_seeds(program, shown):
+def test_the_server_passes_the_conformance_check_except_for_seeds(program, shown):
     with simulated(shown) as server:
         check = subprocess.run(
             [program, "check", f"ws://{server}?execute=10", "--suite", "libero_goal"],
@@ -104,7 +104,7 @@ def test_it_passes_the_conformance_check_but_for_its_seeds(program, shown):
     assert prompts == {"open the middle drawer of the cabinet"}
 
 
-def test_what_the_policy_raises_reaches_the_worker_and_the_next_query_is_answered(program, shown):
+def test_the_policys_exception_reaches_the_worker_and_the_next_query_is_answered(program, shown):
     _, message = observation()
     with (
         simulated(shown) as server,
@@ -119,7 +119,7 @@ def test_what_the_policy_raises_reaches_the_worker_and_the_next_query_is_answere
         assert client.infer(observation=message).shape == (5, 7)
 
 
-def test_actions_of_another_robot_are_named(program, shown):
+def test_actions_of_another_width_are_refused(program, shown):
     _, message = observation()
     with simulated(shown, "--width", "14") as server:
         with client_behind(program, "--route", f"x=ws://{server}") as client:
@@ -129,7 +129,7 @@ def test_actions_of_another_robot_are_named(program, shown):
     assert "its actions are 14 numbers wide, not 7" in caught.value.details()
 
 
-def test_a_server_that_asks_for_a_key_is_shown_the_one_in_the_file(program, shown, tmp_path):
+def test_the_key_in_the_token_file_is_sent_to_the_server(program, shown, tmp_path):
     _, message = observation()
     config = tmp_path / "gateway.toml"
     key = tmp_path / "key"

@@ -106,7 +106,7 @@ def oft(tmp_path, upstream):
         "action_head": torch.nn.Linear(WIDTH, 7),
         "proprio_projector": torch.nn.Linear(8, WIDTH),
     }.items():
-        stored = {f"module.{name}": one for name, one in made.state_dict().items()}
+        stored = {f"module.{name}": tensor for name, tensor in made.state_dict().items()}
         torch.save(stored, tmp_path / f"{part}--50000_checkpoint.pt")
     numbers = {
         of: {"q01": [-1.0] * width, "q99": [1.0] * width}
@@ -122,7 +122,7 @@ def served(folder, name="openvla-oft", **options):
     return load(name, Options(**given))
 
 
-def test_openvla_oft_is_loaded_whole_and_onto_the_device_that_was_asked_for(oft):
+def test_all_parts_of_openvla_oft_are_loaded_onto_the_chosen_device(oft):
     policy = served(oft)
     seen = observation()
     policy.reset(seen.episode)
@@ -134,9 +134,9 @@ def test_openvla_oft_is_loaded_whole_and_onto_the_device_that_was_asked_for(oft)
     # "meta" holds no numbers, but it differs from upstream's device.
     parts = (policy.model.action_head, policy.model.proprio_projector, policy.model.network)
     elsewhere = served(oft, device="meta").model
-    for one in (elsewhere.network, elsewhere.action_head, elsewhere.proprio_projector):
-        assert {number.device.type for number in one.parameters()} == {"meta"}
-    assert {number.device.type for one in parts for number in one.parameters()} == {"cpu"}
+    for part in (elsewhere.network, elsewhere.action_head, elsewhere.proprio_projector):
+        assert {number.device.type for number in part.parameters()} == {"meta"}
+    assert {number.device.type for part in parts for number in part.parameters()} == {"cpu"}
 
 
 def test_a_network_that_lacks_a_tensor_is_refused(oft):
@@ -187,7 +187,7 @@ def test_another_robot_s_chunk_is_refused(oft):
         served(oft)
 
 
-def test_the_transformers_of_everybody_else_is_refused_for_openvla_oft(oft, monkeypatch):
+def test_openvla_oft_refuses_the_standard_transformers(oft, monkeypatch):
     # Both have the same version, but only in OpenVLA-OFT's does a token attend to later ones.
     monkeypatch.undo()
     network = Network()
@@ -203,9 +203,9 @@ def test_the_transformers_of_everybody_else_is_refused_for_openvla_oft(oft, monk
     assert prismatic._sees_ahead(network, torch, transformers)
 
 
-def test_a_transformers_that_attends_otherwise_is_named(oft, monkeypatch):
+def test_a_transformers_with_another_attention_is_refused(oft, monkeypatch):
     monkeypatch.setattr(prismatic, "_sees_ahead", lambda *_: False)
-    with pytest.raises(UpstreamMissing, match="does not see the tokens behind it.*environment"):
+    with pytest.raises(UpstreamMissing, match="does not see later tokens.*environment"):
         served(oft)
 
 
@@ -240,7 +240,7 @@ def test_univla_s_decoder_must_fit_exactly(of_univla):
         served(of_univla, "univla")
 
 
-def test_univla_s_draws_go_on_where_they_stood(of_univla):
+def test_univlas_random_numbers_continue_across_queries(of_univla):
     model = univla.UnivlaModel(
         SimpleNamespace(
             predict_latent_action=lambda **_: (

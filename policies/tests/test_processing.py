@@ -53,7 +53,7 @@ def test_bilinear_shrinks_as_torch_with_antialias():
     ]
 
 
-def test_halving_with_a_triangle_weighs_four_samples_by_hand():
+def test_halving_with_a_triangle_filter_equals_weights_computed_by_hand():
     # The filter's half width is 2. The centre 1.0 is 1/4 of that from the samples at 0.5
     # and 1.5, and 3/4 from 2.5. At the edge, the filter's left quarter is cut off.
     row = np.zeros((1, 8, 3), dtype=np.uint8)
@@ -75,7 +75,7 @@ def test_the_centre_crop_is_tensorflows():
     ]
 
 
-def test_plain_shrinking_leaves_samples_out_as_torch_without_antialias():
+def test_plain_shrinking_equals_torch_without_antialias():
     # From PyTorch 2.11.0, as are the next ones.
     assert images.resize_plainly(pattern(8), 5, 5)[..., 2].tolist() == [
         [40, 43, 45, 48, 50],
@@ -153,7 +153,7 @@ def test_axis_angles_are_robosuites_and_antipodes_are_not_flipped(quaternion, ex
 @pytest.mark.parametrize(
     ("learnt", "commanded"), [(0.0, 1), (0.2, 1), (0.5, 0), (0.9, -1), (1, -1)]
 )
-def test_a_gripper_learnt_as_0_closed_becomes_1_closed(learnt, commanded):
+def test_a_gripper_of_rlds_is_converted(learnt, commanded):
     chunk = np.zeros((2, 7))
     chunk[:, :6] = 0.3
     chunk[:, 6] = learnt
@@ -162,7 +162,7 @@ def test_a_gripper_learnt_as_0_closed_becomes_1_closed(learnt, commanded):
     assert (turned[:, :6] == 0.3).all() and chunk[0, 6] == learnt
 
 
-def test_bounds_go_to_one_and_back_and_the_mask_leaves_out():
+def test_scaling_by_bounds_is_invertible_and_respects_the_mask():
     low, high, mask = [-2.0, 0.0, -1.0], [4.0, 1.0, 1.0], [True, True, False]
     world = np.array([-2.0, 0.75, 0.4])
     scaled = within_bounds(world, low, high, mask)
@@ -172,9 +172,9 @@ def test_bounds_go_to_one_and_back_and_the_mask_leaves_out():
     assert within_bounds(np.array([9.0, -3.0, 5.0]), low, high, mask).tolist() == [1, -1, 1]
 
 
-def test_the_ensemble_weighs_what_earlier_chunks_said_about_now():
+def test_the_ensemble_averages_the_chunks_actions_for_the_current_step():
     ensemble = Ensemble(decay=0.1)
-    first = np.arange(3)[:, None] + np.zeros(7)  # says 0, then 1, then 2
+    first = np.arange(3)[:, None] + np.zeros(7)  # actions of zeros, ones and twos
     assert ensemble.add(first)[0] == 0
     second = 10 + first
     older = math.exp(-0.1)

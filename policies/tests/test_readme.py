@@ -37,13 +37,13 @@ def test_a_sample_serves_a_policy_that_answers(sample, serving, monkeypatch):
     check(policy)
 
 
-def test_everything_that_the_page_names_is_exported():
+def test_every_name_in_the_readme_is_exported():
     named = set(re.findall(r"`([A-Za-z_0-9]+)\(", PAGE.read_text(encoding="utf-8")))
     exported = {name for name in named if hasattr(rollout_policies, name)}
     assert {"check", "fake_observation", "resize", "Ensemble", "gripper_from_rlds"} <= exported
     assert set(rollout_policies.__all__) >= exported
 
 
-def test_type_checkers_are_told_that_the_package_is_typed():
+def test_the_package_has_py_typed():
     assert (pathlib.Path(rollout_policies.__file__).parent / "py.typed").is_file()
     assert '"py.typed"' in (PACKAGE / "pyproject.toml").read_text(encoding="utf-8")

@@ -1,4 +1,4 @@
-"""`compare` and `doctor` judge this package's servers by their answers.
+"""The gateway's commands `compare` and `doctor` find the faults of this package's servers.
 
 Runs the program that the environment variable POLICY_GATEWAY names.
 """
@@ -16,7 +16,7 @@ from rollout_policies.examples.colour_servo import ColourServo
 CAMERAS = (Camera("agentview", 128, 128), Camera("robot0_eye_in_hand", 128, 128))
 
 
-class Looking(Policy):
+class PositionSensitive(Policy):
     """Answers depend on the positions in its frames, its state and its instruction."""
 
     description = Description(
@@ -43,14 +43,14 @@ class Looking(Policy):
         return 0.8 * np.sin(seen + 0.2 * np.arange(4)[:, None])
 
 
-class Flipped(Looking):
+class Flipped(PositionSensitive):
     """Uses its frames without turning them: bottom row first."""
 
     def frames(self, observation):
         return [observation.images[camera.name] for camera in CAMERAS]
 
 
-class Keeping(Looking):
+class Keeping(PositionSensitive):
     """Keeps the frames of all episodes, and so uses more and more memory."""
 
     def __init__(self):
@@ -78,8 +78,8 @@ def judged():
         )
         assert ran.returncode in (0, 1) and ran.stdout, ran.stderr
         judgement = json.loads(ran.stdout)
-        said = judgement["is_same" if command == "compare" else "is_sound"]
-        assert said == (ran.returncode == 0)
+        verdict = judgement["is_same" if command == "compare" else "is_sound"]
+        assert verdict == (ran.returncode == 0)
         return judgement
 
     yield run
@@ -88,22 +88,26 @@ def judged():
 
 
 def failed(examination):
-    return {it["point"]: it["text"] for it in examination["findings"] if it["verdict"] == "fail"}
+    return {
+        finding["point"]: finding["text"]
+        for finding in examination["findings"]
+        if finding["verdict"] == "fail"
+    }
 
 
-@pytest.mark.parametrize("policy", [Looking, ColourServo])
-def test_a_server_without_mistakes_is_not_accused(judged, policy):
+@pytest.mark.parametrize("policy", [PositionSensitive, ColourServo])
+def test_a_correct_server_has_no_findings(judged, policy):
     assert failed(judged("doctor", policy())) == {}
     assert judged("compare", policy(), policy())["differences"] == []
 
 
-def test_frames_that_are_fed_as_they_come_are_named(judged):
-    (difference,) = judged("compare", Looking(), Flipped())["differences"]
+def test_unturned_frames_are_found(judged):
+    (difference,) = judged("compare", PositionSensitive(), Flipped())["differences"]
     assert difference["kind"] == "frame_orientation"
     assert "flipped vertically" in difference["text"]
 
 
-def test_a_server_that_keeps_every_episode_is_found_by_its_process(judged):
+def test_a_server_that_keeps_every_episode_is_found_by_its_memory(judged):
     found = failed(judged("doctor", Keeping()))
     assert list(found) == ["memory"]
     assert f"process {os.getpid()} grew" in found["memory"]

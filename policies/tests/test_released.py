@@ -46,7 +46,7 @@ def test_the_gateways_check_finds_that_a_released_server_conforms(released):
     assert_gateway_finds_that_it_conforms(f"grpc://{released}")
 
 
-def test_the_end_of_an_episode_does_a_released_server_no_harm(released):
+def test_a_released_server_works_after_the_end_of_an_episode(released):
     client = Client(released)
     client.reset("a")
     before = client.infer("a", observation=scene(client))

@@ -37,7 +37,7 @@ def test_the_description_reaches_the_caller(serving):
     assert list(described.state) == [pb.STATE_FIELD_EEF_POS, pb.STATE_FIELD_GRIPPER_POS]
 
 
-def test_what_was_resolved_reaches_the_caller_and_people(serving):
+def test_resolved_settings_are_sent_and_printed(serving):
     class Resolved(Seeing):
         description = dataclasses.replace(
             Seeing.description,
@@ -48,7 +48,7 @@ def test_what_was_resolved_reaches_the_caller_and_people(serving):
         )
 
     settings = serving(Resolved()).describe().settings
-    assert [(one.name, one.value) for one in settings] == [
+    assert [(setting.name, setting.value) for setting in settings] == [
         ("image slots", "image=agentview"),
         ("revision", "1f2e3d"),
         ("gripper", "0 closed, 1 open"),
@@ -74,7 +74,7 @@ def test_another_protocol_version_is_refused_naming_both(serving):
     assert "version 99" in text and "version 1;" in text
 
 
-def test_a_worker_that_means_another_policy_is_refused(serving):
+def test_a_request_for_another_policy_is_refused(serving):
     client = serving(Noisy())
     assert client.describe(policy="noisy").name == "noisy"
     code, text = refusal(client.describe, policy="pi05")
@@ -109,8 +109,8 @@ def test_frames_are_contiguous_and_may_be_written_to(serving):
     client.reset()
     client.infer(observation=pb.Observation(images=[frame()], state=readings()))
     seen = policy.observation
-    for one in (seen.images["agentview"], seen.upright("agentview"), seen.rotated("agentview")):
-        assert one.flags.c_contiguous and one.flags.writeable
+    for image in (seen.images["agentview"], seen.upright("agentview"), seen.rotated("agentview")):
+        assert image.flags.c_contiguous and image.flags.writeable
     # A copy, so that changing it does not change the frame.
     seen.upright("agentview")[:] = 0
     assert seen.images["agentview"][0, 1].tolist() == [3, 4, 5]
@@ -143,7 +143,7 @@ def test_an_observation_that_lacks_something_is_refused_naming_it(serving, obser
     assert text.startswith("the observation cannot be used: ") and expected in text
 
 
-def test_a_retry_gets_the_same_actions_and_does_not_ask_the_policy_again(serving):
+def test_a_retry_gets_the_same_actions_without_another_query(serving):
     policy = Noisy()
     client = serving(policy)
     client.reset()
@@ -162,8 +162,8 @@ def test_a_retry_gets_the_same_actions_and_does_not_ask_the_policy_again(serving
         (Gripper.ZERO_OPENS, [0, 1, 0]),
     ],
 )
-def test_what_is_under_way_reaches_the_policy_with_its_own_gripper(serving, gripper, expected):
-    class Told(Policy):
+def test_actions_under_way_reach_the_policy_in_its_gripper_convention(serving, gripper, expected):
+    class RealTimeChunking(Policy):
         description = Description(
             name="told", horizon=3, gripper=gripper, real_time_chunking=True
         )
@@ -175,7 +175,7 @@ def test_what_is_under_way_reaches_the_policy_with_its_own_gripper(serving, grip
             self.under_way = observation.under_way
             return np.zeros((3, 7))
 
-    policy = Told()
+    policy = RealTimeChunking()
     client = serving(policy)
     assert client.describe().real_time_chunking
     client.reset()
@@ -193,7 +193,7 @@ def test_what_is_under_way_reaches_the_policy_with_its_own_gripper(serving, grip
     request.query_index, request.under_way.action_width = 2, 6
     code, text = refusal(client.stub.Infer, request)
     assert code == grpc.StatusCode.INVALID_ARGUMENT
-    assert "6 an action, not 7" in text
+    assert "6 per action, not 7" in text
 
 
 def test_noise_depends_on_seed_and_query_alone(serving):
@@ -239,11 +239,11 @@ def test_episodes_do_not_share_memory(serving):
         (np.zeros((1, 6)), "[1, 6]"),
         (np.zeros((0, 7)), "0 actions"),
         (np.zeros((3, 7)), "3 actions"),
-        ("left", "no array of numbers"),
+        ("left", "not an array of numbers"),
         (RuntimeError("CUDA error:\nout of memory"), "RuntimeError: CUDA error: out of memory"),
     ],
 )
-def test_a_policy_that_fails_says_why_in_one_line_and_repeats_nothing_of_the_call(
+def test_an_error_of_the_policy_is_one_line_without_session_and_query(
     serving, answer, expected
 ):
     client = serving(Answering(answer))
@@ -255,7 +255,7 @@ def test_a_policy_that_fails_says_why_in_one_line_and_repeats_nothing_of_the_cal
     assert "crooked" not in text and "object/t0" not in text and "query" not in text
 
 
-def test_a_reset_that_raises_says_what(serving):
+def test_the_error_of_a_failing_reset_has_its_exception(serving):
     class Refusing(Answering):
         def reset(self, episode):
             raise KeyError(episode.instruction)
@@ -288,7 +288,7 @@ def test_a_port_that_is_taken_is_named():
         first.stop(0)
 
 
-def test_a_description_that_cannot_be_true_is_refused_when_it_is_made():
+def test_an_inconsistent_description_is_refused_at_construction():
     with pytest.raises(ValueError, match="execute is 9 and horizon 8"):
         Description(name="p", horizon=8, execute=9)
     with pytest.raises(ValueError, match="a policy needs a name"):
@@ -310,7 +310,7 @@ def test_a_description_that_cannot_be_true_is_refused_when_it_is_made():
         ({"description": {"name": "p"}}, "description of policy Nameless is of type dict, not"),
     ],
 )
-def test_a_policy_that_does_not_say_what_it_is_is_told_what_to_write(attributes, expected):
+def test_the_error_for_a_missing_description_has_the_line_to_write(attributes, expected):
     methods = {"reset": lambda *_: None, "infer": lambda *_: None}
     nameless = type("Nameless", (Policy,), {**methods, **attributes})
     with pytest.raises(UnusableDescription, match=expected):

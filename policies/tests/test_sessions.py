@@ -35,7 +35,7 @@ def code_of(call, *arguments):
     return refusal(call, *arguments)[0]
 
 
-def test_an_ended_episode_is_told_to_the_policy_and_let_go_of(serving):
+def test_the_end_of_an_episode_calls_end_and_releases_its_memory(serving):
     policy = Remembering()
     client = serving(policy)
     client.reset("a")
@@ -59,7 +59,7 @@ def test_the_end_of_a_session_that_is_not_open_is_no_error(serving):
     assert policy.ended == [("a", "of a")]
 
 
-def test_the_end_at_another_policy_ends_nothing(serving):
+def test_an_end_for_another_policy_is_refused(serving):
     policy = Remembering()
     client = serving(policy)
     client.reset("a")
@@ -69,7 +69,7 @@ def test_the_end_at_another_policy_ends_nothing(serving):
     assert policy.ended == []
 
 
-def test_an_episode_that_is_started_anew_has_ended(serving):
+def test_a_repeated_reset_ends_the_earlier_episode(serving):
     policy = Remembering()
     client = serving(policy)
     client.reset("a")
@@ -78,12 +78,12 @@ def test_an_episode_that_is_started_anew_has_ended(serving):
     assert [episode.memory for episode in policy.episodes] == [None, "of a"]
 
 
-def test_what_end_raises_hurts_nobody(serving):
-    class Careless(Remembering):
+def test_an_exception_in_end_is_only_logged(serving):
+    class FailingEnd(Remembering):
         def end(self, episode):
             raise RuntimeError("no such file")
 
-    policy = Careless()
+    policy = FailingEnd()
     client = serving(policy)
     client.reset("a")
     client.end("a")
@@ -104,7 +104,7 @@ def test_the_idlest_episode_ends_when_there_are_too_many(serving, monkeypatch):
     client.infer("a", 1)
 
 
-def test_an_episode_of_which_nothing_is_heard_ends_without_another_call(serving, monkeypatch):
+def test_an_idle_episode_ends_without_a_further_call(serving, monkeypatch):
     now = [0.0]
     table = SessionTable(idle_secs=10.0, clock=lambda: now[0])
     monkeypatch.setattr("rollout_policies.server.SessionTable", lambda: table)
@@ -132,13 +132,13 @@ def test_an_episode_of_which_nothing_is_heard_ends_without_another_call(serving,
 
 
 def test_a_reset_that_raises_leaves_no_episode_and_ends_the_one_before(serving):
-    class Fussy(Remembering):
+    class FailingReset(Remembering):
         def reset(self, episode):
             if self.episodes:
                 raise ValueError("one is enough")
             super().reset(episode)
 
-    policy = Fussy()
+    policy = FailingReset()
     client = serving(policy)
     client.reset("a")
     assert code_of(client.reset, "a") == grpc.StatusCode.INTERNAL
@@ -146,7 +146,7 @@ def test_a_reset_that_raises_leaves_no_episode_and_ends_the_one_before(serving):
     assert code_of(client.infer, "a") == grpc.StatusCode.UNAVAILABLE
 
 
-def test_an_ended_episode_takes_the_answer_for_retries_with_it(serving):
+def test_the_end_of_an_episode_drops_its_answer_for_retries(serving):
     client = serving(Noisy())
     client.reset("a")
     client.infer("a")
@@ -154,7 +154,7 @@ def test_an_ended_episode_takes_the_answer_for_retries_with_it(serving):
     assert code_of(client.infer, "a", 0) == grpc.StatusCode.UNAVAILABLE
 
 
-def test_a_table_forgets_by_number_and_by_time_and_nothing_else():
+def test_a_session_table_is_bounded_in_number_and_idle_time():
     now = [0.0]
     table = SessionTable(most=3, idle_secs=5.0, clock=lambda: now[0])
 
@@ -162,7 +162,7 @@ def test_a_table_forgets_by_number_and_by_time_and_nothing_else():
         return Session(Episode(name, "", "", 0))
 
     def names(sessions):
-        return [one.episode.session for one in sessions]
+        return [session.episode.session for session in sessions]
 
     assert [names(table.open(session(name))) for name in "abc"] == [[], [], []]
     now[0] = 4.0

@@ -12,9 +12,9 @@ from conftest import Client, running
 EPISODES = 2_000
 QUERIES = 2
 #: Number of episodes between two memory measurements.
-EPISODES_PER_LOOK = 20
-#: Limits of a quarter of the run, relative to the first. If episodes never ended, memory would grow
-#: by a thousand times what the policy keeps of one.
+EPISODES_PER_MEASUREMENT = 20
+#: Limits of a quarter of the run, relative to the first quarter. If episodes never ended, memory
+#: would grow by the state of a thousand episodes.
 MORE_MEMORY, MORE_LATENCY = 1.5, 3.0
 
 POLICY = """
@@ -55,7 +55,7 @@ def test_memory_and_latency_are_level_over_two_thousand_episodes(tmp_path):
                 client.infer(name, query_index)
                 latencies.append(time.perf_counter() - asked)
             client.end(name)
-            if episode % EPISODES_PER_LOOK == 0:
+            if episode % EPISODES_PER_MEASUREMENT == 0:
                 memory.append(resident_bytes(process.pid))
         client.channel.close()
     for measured, factor in ((memory, MORE_MEMORY), (latencies, MORE_LATENCY)):

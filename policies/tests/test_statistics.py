@@ -12,7 +12,7 @@ from rollout_policies.adapters.upstream import UnusableCheckpoint
 GOOD = {"q01": -np.ones(7), "q99": np.ones(7)}
 
 
-def test_statistics_are_told_by_the_way_and_a_digest_of_all_of_them():
+def test_statistics_are_summarised_as_mode_and_digest():
     brief = require_statistics("actions", "QUANTILES", GOOD, 7)
     assert brief == f"actions QUANTILES {digest(GOOD)}" and len(digest(GOOD)) == 12
     assert digest({**GOOD, "q99": np.ones(7) * 2}) != digest(GOOD)
@@ -28,10 +28,10 @@ def test_statistics_are_told_by_the_way_and_a_digest_of_all_of_them():
         ("QUANTILES", {"q01": np.zeros(7), "q99": np.zeros(7)}, "no spread"),
         ("MEAN_STD", {"mean": np.ones(7), "std": np.zeros(7)}, "no spread"),
         ("QUANTILES", {"q01": -np.ones(6), "q99": np.ones(6)}, "6 numbers, and LIBERO's are 7"),
-        ("SOFTMAX", GOOD, "by SOFTMAX, which is not known"),
+        ("SOFTMAX", GOOD, "by SOFTMAX, an unknown mode"),
     ],
 )
-def test_statistics_that_cannot_be_right_are_refused_with_the_reason(mode, statistics, words):
+def test_invalid_statistics_are_refused_with_the_reason(mode, statistics, words):
     with pytest.raises(UnusableCheckpoint, match=words):
         require_statistics("actions", mode, statistics, 7)
 

@@ -222,7 +222,7 @@ def test_the_server_receives_message_by_message_what_vla_evals_own_benchmark_sen
     assert set(ours[:, 6]) == {-1, 1}
 
     expected = messages(by_theirs)
-    # The description, asked for before every Reset, left its connection open for the episode.
+    # The description, requested before every Reset, left its connection open for the episode.
     hello, *episode = messages(received)
     assert [line["type"] for line in episode] == [line["type"] for line in expected][1:]
     start, *observations, end = expected[1:]
@@ -236,7 +236,7 @@ def test_the_server_receives_message_by_message_what_vla_evals_own_benchmark_sen
 
 
 @pytest.mark.parametrize("form, sent", [("png", "png"), ("raw", "|u1"), ("jpeg", "jpeg")])
-def test_frames_travel_in_each_of_its_formats(program, received, form, sent):
+def test_frames_are_sent_in_each_image_format(program, received, form, sent):
     # Smooth waves, because JPEG is meant for pictures, not for noise.
     y, x = np.mgrid[:256, :256] / 16
     waves = np.stack([np.sin(x) + np.cos(y), np.sin(x + y), np.cos(x - y)], axis=-1)
@@ -256,7 +256,7 @@ def test_frames_travel_in_each_of_its_formats(program, received, form, sent):
     np.testing.assert_allclose(mean, turned.mean(axis=(0, 1)), atol=1)
 
 
-def test_a_chunk_of_the_servers_is_executed_here_if_the_address_says_so(program, received):
+def test_execute_in_the_address_executes_the_servers_chunks(program, received):
     with serving(received) as server:
         # vla-eval's own client accepts chunks only from a server that hands them out one by one.
         with pytest.raises(Exception, match="Action dimension mismatch: got 6"):
@@ -282,7 +282,7 @@ def test_a_chunk_of_the_servers_is_executed_here_if_the_address_says_so(program,
             assert "leave out ?execute" in caught.value.details()
 
 
-def test_every_episode_has_its_connection_and_its_chunks_and_ends_with_it(program, received):
+def test_every_episode_has_its_own_connection_and_chunks(program, received):
     with serving(received, "--chunk-size", "4") as server, gateway(program, server) as client:
         for session in ("a", "b"):
             client.reset(session, suite=SUITE, instruction="answer a chunk")
@@ -293,15 +293,15 @@ def test_every_episode_has_its_connection_and_its_chunks_and_ends_with_it(progra
                 np.testing.assert_array_equal(action[0, :6], expected[:6])
         assert not [line for line in lines(received) if line["type"] == "gone"]
         client.stub.End(pb.EndRequest(session="a"))
-        until(lambda: [it for it in lines(received) if it["type"] == "gone"])
-        assert [it["type"] for it in lines(received)][-2:] == ["episode_end", "gone"]
+        until(lambda: [line for line in lines(received) if line["type"] == "gone"])
+        assert [line["type"] for line in lines(received)][-2:] == ["episode_end", "gone"]
         with pytest.raises(grpc.RpcError) as caught:
             client.infer("a", 3, OBSERVATION)
         assert caught.value.code() == grpc.StatusCode.UNAVAILABLE
         client.infer("b", 3, OBSERVATION)
 
 
-def test_it_describes_what_was_resolved_and_the_address_wins(program, received):
+def test_the_description_has_resolved_settings_and_the_address_takes_precedence(program, received):
     asked = {"send_state": True, "env_seed": 0, "success_mode": "truncation"}
     with serving(received, "--gripper", "binary_close_positive", **asked) as server:
         with gateway(program, server) as client:
@@ -312,7 +312,7 @@ def test_it_describes_what_was_resolved_and_the_address_wins(program, received):
     assert description.checkpoint.startswith("not named by its server")
     assert description.stateful and description.stochastic and description.unseeded
     assert description.batch_mode == "single, unseeded"
-    settings = {it.name: it.value for it in description.settings}
+    settings = {setting.name: setting.value for setting in description.settings}
     assert settings == {
         "server": "Policy of vla-eval 0.8.0",
         "observation parameters": 'send_state=true, env_seed=0, success_mode="truncation"',
@@ -325,10 +325,10 @@ def test_it_describes_what_was_resolved_and_the_address_wins(program, received):
         "controller states": "of the instant of observation, not of the end of the control step",
         "gripper": "open below 0, else closed",
     }
-    settings = {it.name: it.value for it in other.settings}
+    settings = {setting.name: setting.value for setting in other.settings}
     assert settings["image slots"] == "agentview=agentview, wrist=robot0_eye_in_hand"
     assert settings["state"] == "none" and not other.state
-    assert [it.name for it in other.cameras] == ["agentview", "robot0_eye_in_hand"]
+    assert [camera.name for camera in other.cameras] == ["agentview", "robot0_eye_in_hand"]
 
 
 @pytest.mark.parametrize(
@@ -341,7 +341,7 @@ def test_it_describes_what_was_resolved_and_the_address_wins(program, received):
         ([], {"suite": "libero_spatial"}, "give the policy a server per suite"),
     ],
 )
-def test_what_cannot_be_run_as_it_is_meant_is_refused_with_the_reason(
+def test_unsupported_configurations_are_refused_with_the_reason(
     program, received, arguments, params, words
 ):
     with serving(received, *arguments, **params) as server, gateway(program, server) as client:
@@ -361,7 +361,7 @@ def test_what_cannot_be_run_as_it_is_meant_is_refused_with_the_reason(
         ("answer a cube", "its actions have shape [2, 3, 7]"),
     ],
 )
-def test_what_the_policy_does_wrong_is_the_policys_and_the_next_query_is_answered(
+def test_an_error_of_the_policy_is_reported_and_the_next_query_is_answered(
     program, received, instruction, words
 ):
     with serving(received) as server, gateway(program, server) as client:
@@ -374,13 +374,13 @@ def test_what_the_policy_does_wrong_is_the_policys_and_the_next_query_is_answere
         assert client.infer("t", observation=OBSERVATION).shape == (1, 7)
 
 
-def test_a_list_of_numbers_is_an_action_too(program, received):
+def test_a_list_of_numbers_is_accepted_as_an_action(program, received):
     with serving(received) as server, gateway(program, server) as client:
         client.reset(suite=SUITE, instruction="answer a list")
         assert client.infer(observation=OBSERVATION).tolist() == [[0.5, 0, 0, 0, 0, 0, -1]]
 
 
-def test_an_episode_that_the_policy_does_not_start_says_why(program, received):
+def test_the_error_of_a_refused_episode_has_the_policys_reason(program, received):
     with serving(received) as server, gateway(program, server) as client:
         client.reset(suite=SUITE, instruction="refuse to start")
         with pytest.raises(grpc.RpcError) as caught:
@@ -389,7 +389,7 @@ def test_an_episode_that_the_policy_does_not_start_says_why(program, received):
     assert "episode_start_failed: KeyError: 'no such task'" in caught.value.details()
 
 
-def test_a_server_that_dies_in_an_episode_is_an_outage_and_is_found_again(program, received):
+def test_a_server_that_dies_in_an_episode_is_an_outage_until_it_restarts(program, received):
     with serving(received) as server:
         port = server.rsplit(":", 1)[1]
         with gateway(program, server) as client:
@@ -418,7 +418,7 @@ def test_a_server_that_dies_in_an_episode_is_an_outage_and_is_found_again(progra
                 assert caught.value.code() == grpc.StatusCode.UNAVAILABLE
 
 
-def test_it_passes_the_conformance_check_but_for_its_seeds(program, received):
+def test_the_server_passes_the_conformance_check_except_for_seeds(program, received):
     with serving(received, "--chunk-size", "4", **EVERYTHING) as server:
         check = subprocess.run(
             [program, "check", f"vla-eval://{server}", "--suite", SUITE],

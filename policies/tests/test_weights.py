@@ -18,7 +18,7 @@ def tensors(**shapes):
     return {name: np.full(shape, len(name)) for name, shape in shapes.items()}
 
 
-def test_what_agrees_has_no_differences():
+def test_equal_tensors_have_no_differences():
     network = tensors(weight=(3, 4), bias=(3,))
     assert str(found(network, dict(reversed(network.items())))) == ""
 
@@ -33,12 +33,12 @@ def test_every_kind_of_difference_is_named():
     assert differences.content == ["content"]
 
 
-def test_of_many_differences_the_first_and_their_number_are_shown():
+def test_the_first_differences_and_their_number_are_shown():
     network = tensors(**{f"layer{index}": (1,) for index in range(9)})
     assert str(found(network, {})) == "9 missing in the file (layer0, layer1, layer2, ...)"
 
 
-def test_tied_names_stand_for_one_another_and_are_compared():
+def test_tied_tensors_are_compared_under_either_name():
     tied = Exceptions(tied={"embed": "head"})
     both, one = tensors(embed=(2,), head=(2,)), {"head": np.full(2, 5)}
     both["head"] = both["embed"]
@@ -49,7 +49,7 @@ def test_tied_names_stand_for_one_another_and_are_compared():
     assert found(both, one).missing == ["embed"]
 
 
-def test_what_is_unused_or_for_training_may_lack_its_other_side():
+def test_unused_and_skipped_tensors_may_be_missing_on_one_side():
     named = Exceptions(unused=("*.head",), skipped=("video.*",))
     network, stored = tensors(a=(1,)), tensors(a=(1,))
     network["text.head"], stored["video.encoder"] = np.ones(1), np.ones(1)
@@ -77,7 +77,7 @@ def test_files_are_compared_in_pieces_of_any_size(tmp_path, monkeypatch, piece):
     monkeypatch.setattr(weights, "PIECE", piece)
     file = tmp_path / "model.safetensors"
     # Files may have a higher precision than the network.
-    stored = {f"old.{name}": one.float() for name, one in network.state_dict().items()}
+    stored = {f"old.{name}": tensor.float() for name, tensor in network.state_dict().items()}
     stored["old.0.weight"] += 1e-6 * stored["old.0.weight"]
     save_file(stored, file)
 
@@ -115,7 +115,7 @@ def test_a_file_is_never_read_whole(tmp_path, monkeypatch):
 
 def test_parts_that_an_adapter_loads_must_fit_exactly():
     torch, network = torch_network()
-    stored = {name: one.clone() + 1 for name, one in network.state_dict().items()}
+    stored = {name: tensor.clone() + 1 for name, tensor in network.state_dict().items()}
     weights.load_stored(network, stored, "mine", "the decoder")
     assert torch.equal(network[0].weight, stored["0.weight"])
     del stored["0.bias"]

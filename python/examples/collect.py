@@ -94,7 +94,8 @@ def collect(
     output: Path,
     seed: int,
 ) -> tuple[int, int]:
-    """Writes this many episodes in the order of their ends. Returns their steps and successes."""
+    """Writes `episodes` episodes in the order of their ends. Returns their total numbers of steps
+    and successes."""
     observations, infos = envs.reset(seed=seed)
     instructions = [str(text) for text in infos["instruction"]]
     running = [

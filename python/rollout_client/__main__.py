@@ -37,14 +37,14 @@ def _parser() -> argparse.ArgumentParser:
     forms = export.add_subparsers(dest="form", required=True, metavar="FORM")
     for form, about in (
         ("lerobot", "a LeRobot dataset (format v2.1) of the rollouts that recorded their actions"),
-        ("tensorboard", "success rates as they came about"),
-        ("wandb", "the same, with a table of all results, for `wandb sync`"),
+        ("tensorboard", "success rates over time"),
+        ("wandb", "success rates over time and a table of all results, for `wandb sync`"),
     ):
         command = forms.add_parser(form, help=about)
-        command.add_argument("archive", help="made with `coordinator campaign archive`")
+        command.add_argument("archive", help="file written by `coordinator campaign archive`")
         command.add_argument("--output", required=True, metavar="DIR", help="folder to write")
         if form == "lerobot":
-            command.add_argument("--films", action="store_true", help="filmed rollouts only")
+            command.add_argument("--films", action="store_true", help="export filmed rollouts only")
         if form == "wandb":
             command.add_argument("--project", default="rollout", help="default: rollout")
     return parser

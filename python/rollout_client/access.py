@@ -19,11 +19,11 @@ TOKEN_FILE_VARIABLE = "ROLLOUT_TOKEN_FILE"
 TOKENS_VARIABLE = "ROLLOUT_TOKENS"
 CA_VARIABLE = "ROLLOUT_CA"
 DEFAULT_URL = "http://127.0.0.1:7411"
-#: A client uses the first of these roles for which it has a token: an operator may also read
-#: campaigns.
+#: Roles in order of preference: a client uses the first role for which it has a token. An operator
+#: may also read campaigns.
 ROLES = ("operator", "viewer")
 ALL_ROLES = ("worker", *ROLES)
-#: URL schemes, and True for those that mean TLS.
+#: URL schemes; True for a scheme that implies TLS.
 SCHEMES = {"http": False, "grpc": False, "https": True, "grpcs": True}
 
 
@@ -94,8 +94,8 @@ def _address(url: str) -> tuple[str, int, bool]:
     is_bare = parts.path in ("", "/") and not (parts.query or parts.fragment or parts.username)
     if parts.scheme not in SCHEMES or not parts.hostname or not is_bare:
         raise SettingsError(
-            f"failed to read {url!r} as a coordinator's address: write http://HOST:PORT, and for"
-            " one over TLS https://HOST:PORT"
+            f"failed to read {url!r} as a coordinator's address: write http://HOST:PORT, or with"
+            " TLS https://HOST:PORT"
         )
     is_encrypted = SCHEMES[parts.scheme]
     return parts.hostname, port or (443 if is_encrypted else 80), is_encrypted

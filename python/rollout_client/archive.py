@@ -154,8 +154,8 @@ class Archive:
             raise self._unreadable(error) from error
 
     def _film(self, path: str | None) -> Path | None:
-        """Returns the path of an unpacked film. Only members of the archive are accepted: otherwise
-        a database could name another file and have it copied into an export."""
+        """Returns the path of an unpacked film. Only members of the archive are accepted, because a
+        malicious database could name another file, which an export would then copy."""
         if path is None:
             return None
         if path not in self._films:
@@ -196,7 +196,7 @@ class Archive:
                 if len(stream.read(MAX_PADDING + 1)) > MAX_PADDING:
                     raise self._bad("there is more behind it", name)
         except FileNotFoundError as error:
-            raise ArchiveError(f"failed to read archive {self._file}: it is not there") from error
+            raise ArchiveError(f"failed to read archive {self._file}: no such file") from error
         except (OSError, EOFError, tarfile.TarError, zlib.error) as error:
             raise self._bad("it is cut off, damaged or something else", name) from error
         except (ValueError, KeyError, TypeError) as error:
@@ -206,15 +206,15 @@ class Archive:
         return contents
 
     def _check_version(self, contents: dict[str, Any]) -> None:
-        for what, found, known in (
+        for what, version, newest in (
             ("form", contents["format"], FORMAT),
             ("schema", contents["schema"], SCHEMA),
         ):
-            if found > known:
+            if version > newest:
                 raise ArchiveError(
                     f"failed to read archive {self._file}: {contents.get('program')} wrote it, with"
-                    f" {what} {found}, and this package knows up to {known}; install a release as"
-                    " new as that one"
+                    f" {what} {version}, and this package reads up to {newest}; install a release"
+                    " at least as new"
                 )
 
     def _check_members(self, contents: dict[str, Any], folder: Path) -> None:
@@ -234,16 +234,17 @@ class Archive:
                 raise self._bad(f"{name!r} is no film of this campaign", LIST)
         total = sum(member["bytes"] for member in members)
         compressed = self._file.stat().st_size
-        if total > max(SMALL, MAX_RATIO * compressed) or any(it["bytes"] < 0 for it in members):
+        has_negative = any(member["bytes"] < 0 for member in members)
+        if total > max(SMALL, MAX_RATIO * compressed) or has_negative:
             raise self._bad(
                 f"it claims {total >> 20} MiB of members in {compressed >> 10} KiB of archive", LIST
             )
         free = shutil.disk_usage(folder).free
         if total > free:
             raise ArchiveError(
-                f"failed to unpack archive {self._file}: that takes {total >> 20} MiB and the disk"
-                f" of {folder} has {free >> 20} left; make room, or name a folder of another disk"
-                " in TMPDIR"
+                f"failed to unpack archive {self._file}: it needs {total >> 20} MiB and the disk"
+                f" of {folder} has {free >> 20} MiB left; make room, or name a folder of another"
+                " disk in TMPDIR"
             )
 
     def _member(self, entries: _Entries, member: dict[str, Any], folder: Path) -> None:
@@ -278,8 +279,8 @@ class Archive:
 
 
 class _Entries:
-    """The entries of a tar file, header by header. `tarfile` itself would resolve long
-    names and extended headers in memory, however long they claim to be."""
+    """The entries of a tar file, header by header. `tarfile` itself would read long names and
+    extended headers into memory, whatever size they declare."""
 
     def __init__(self, stream: gzip.GzipFile) -> None:
         self._stream = stream
@@ -312,8 +313,8 @@ class _Entries:
 def _tables_only(
     action: int, table: str | None, _column: str | None, _database: str | None, view: str | None
 ) -> int:
-    """Permits SQLite to read real tables only. A view or a generated column in
-    place of one would run code of the archive's author."""
+    """Permits SQLite to read real tables only. A view or a generated column in place of a table
+    would run expressions written by the archive's author."""
     is_of_a_table = action == sqlite3.SQLITE_READ and table in TABLES and view is None
     is_allowed = action == sqlite3.SQLITE_SELECT or is_of_a_table
     return sqlite3.SQLITE_OK if is_allowed else sqlite3.SQLITE_DENY

@@ -87,7 +87,7 @@ class Campaign:
         condition: str | None = None,
         level: str | None = None,
     ) -> pd.DataFrame:
-        """Returns a row per rollout, whatever its state, in the order in which they are leased.
+        """Returns a row per rollout in any state, in the order of leasing.
 
         state: `queued`, `leased`, `committed`, `quarantined`. outcome: `success`, `failure`.
         task: `libero_object/0`, or a suite. condition and level: as in rollout ids.

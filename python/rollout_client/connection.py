@@ -27,8 +27,8 @@ from .proto.coordinator_pb2_grpc import OperatorServiceStub
 FIRST_PAUSE, LONGEST_PAUSE = 0.25, 4.0
 #: Longest wait for an answer of one message, s.
 PATIENCE = 60.0
-#: Status codes that may mean a connection failure; all others are a server's answer.
-OF_THE_WAY = (
+#: Status codes that may mean a connection failure; all other codes come from a server.
+CONNECTION_CODES = (
     grpc.StatusCode.UNAVAILABLE,
     grpc.StatusCode.UNIMPLEMENTED,
     grpc.StatusCode.DEADLINE_EXCEEDED,
@@ -76,30 +76,31 @@ class Connection:
     def _patiently(self, send: Callable[[], T]) -> T:
         deadline = time.monotonic() + self.retry_secs
         pause = FIRST_PAUSE
-        was_told = False
+        has_warned = False
         while True:
             try:
                 return send()
             except grpc.RpcError as error:
                 found = self._found(error)
                 failure = _refusal(error) if found is None else self._unreachable(found)
-                may_pass = _is_outage(error) if found is None else not found.is_final
-            if not may_pass or time.monotonic() + pause > deadline:
+                is_temporary = _is_outage(error) if found is None else not found.is_final
+            if not is_temporary or time.monotonic() + pause > deadline:
                 raise failure
-            if not was_told:
-                was_told = True
+            if not has_warned:
+                has_warned = True
                 log.warning("%s; trying again for %g s", failure, self.retry_secs)
             time.sleep(pause)
             pause = min(2 * pause, LONGEST_PAUSE)
 
     def _found(self, error: grpc.RpcError) -> probe.Found | None:
-        """Diagnoses what answers at the URL instead; None if the coordinator answered."""
+        """Identifies the server at the URL; None if the coordinator itself answered."""
         code, details = error.code(), error.details() or ""
-        is_of_web = details.startswith(probe.WEB_ANSWER)
+        is_from_web_server = details.startswith(probe.WEB_ANSWER)
         # Only answers of a server have headers; errors of this client have none.
-        has_answered = bool(error.trailing_metadata()) and not is_of_web
+        has_answered = bool(error.trailing_metadata()) and not is_from_web_server
         is_unknown_call = code is grpc.StatusCode.UNIMPLEMENTED
-        if not is_of_web and code not in OF_THE_WAY or has_answered and not is_unknown_call:
+        may_be_lost = is_from_web_server or code in CONNECTION_CODES
+        if not may_be_lost or has_answered and not is_unknown_call:
             return None
         found = probe.look(self.access)
         return probe.OLDER if found is probe.BROKEN and is_unknown_call else found

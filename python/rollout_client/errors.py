@@ -1,4 +1,4 @@
-"""Errors between a notebook and a coordinator, each with its remedy in the message."""
+"""Errors of calls to a coordinator. Each message includes the remedy."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class UnreachableError(CoordinatorError, ConnectionError):
         super().__init__(f"failed to reach the coordinator at {url}: {found}; {remedy}")
         #: The coordinator's address, as given.
         self.url = url
-        #: Description of what was found at the URL instead: another server, or none.
+        #: Description of the server at the URL, or of the failed connection.
         self.found = found
         #: Description of the remedy.
         self.remedy = remedy

@@ -1,4 +1,4 @@
-"""Diagnosis of a failed call. gRPC's own errors say only that something did not fit, so
+"""Diagnosis of a failed call. gRPC's own errors do not say which kind of server is at the URL, so
 a client that got no answer connects again without gRPC and reads the reply."""
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ FRAME_HEAD, FRAME_TYPE, SETTINGS_FRAME = 9, 3, 4
 QUOTED_CHARS = 60
 #: HTTP statuses of a proxy that cannot reach its server.
 PROXY_WAITING = ("502", "503", "504")
-#: Calls that change nothing for any argument, used to tell servers apart.
+#: Calls without side effects, which only some kinds of servers implement.
 COORDINATOR_CALL = "/rollout.coordinator.v1.OperatorService/ListCampaigns"
 POLICY_CALL = "/rollout.policy.v1.Policy/Describe"
 #: Start of gRPC's message about an answer from a web server.
@@ -74,7 +74,7 @@ MUTE = Found(
 
 
 def look(access: Access) -> Found:
-    """Connects as the client does, and describes what answers. Takes a few seconds at most."""
+    """Connects as the client does, and describes the server. Takes a few seconds at most."""
     try:
         connection = socket.create_connection((access.host, access.port), timeout=PATIENCE)
     except OSError as error:
@@ -82,7 +82,9 @@ def look(access: Access) -> Found:
     if access.is_encrypted:
         with connection:
             try:
-                found = _hear(_context(access).wrap_socket(connection, server_hostname=access.host))
+                found = _read_reply(
+                    _context(access).wrap_socket(connection, server_hostname=access.host)
+                )
             except ssl.SSLCertVerificationError as error:
                 return _certificate(access, error)
             except OSError:
@@ -90,7 +92,7 @@ def look(access: Access) -> Found:
                 return _in_the_clear(access)
         return found or _server_of_grpc(access)
     with connection:
-        found = _hear(connection)
+        found = _read_reply(connection)
     if found is MUTE and _speaks_tls(access):
         return ENCRYPTED
     return found or _server_of_grpc(access)
@@ -124,22 +126,22 @@ def _certificate(access: Access, error: ssl.SSLCertVerificationError) -> Found:
         words = "its certificate was signed by an authority that is not known here"
         if access.ca is not None:
             words = f"its certificate was not signed by the authority in {access.ca}"
-        remedy = "name the certificate of the authority that signed it with `ca`"
+        remedy = "name with `ca` the certificate of the authority that signed it"
     elif error.verify_code in OTHER_NAME:
         words = f"its certificate is not for `{access.host}`"
         remedy = (
-            "write a name that it is for in the URL, or start the coordinator with a certificate"
-            f" for `{access.host}`"
+            "write a host name of the certificate in the URL, or start the coordinator with a"
+            f" certificate for `{access.host}`"
         )
     elif error.verify_code == EXPIRED:
         words = "its certificate has expired"
-        remedy = "start the coordinator with a new one in --tls-cert"
+        remedy = "start the coordinator with a new certificate in --tls-cert"
     elif error.verify_code == NOT_YET_VALID:
         words = "its certificate is not valid yet"
         remedy = "set the clocks of both machines right"
     else:
         words = f"its certificate cannot be used ({error.verify_message})"
-        remedy = "start the coordinator with one of its own, as docs/OPERATING.md says"
+        remedy = "start the coordinator with its own certificate, as docs/OPERATING.md describes"
     return Found(words, remedy, is_final=True)
 
 
@@ -147,7 +149,7 @@ def _in_the_clear(access: Access) -> Found:
     """Connects without TLS, and describes a server that completes no TLS handshake."""
     try:
         with socket.create_connection((access.host, access.port), timeout=PATIENCE) as connection:
-            found = _hear(connection)
+            found = _read_reply(connection)
     except OSError:
         return MUTE
     # HTTP/1 or HTTP/2, but without TLS.
@@ -166,64 +168,63 @@ def _speaks_tls(access: Access) -> bool:
     return True
 
 
-def _hear(connection: socket.socket) -> Found | None:
+def _read_reply(connection: socket.socket) -> Found | None:
     """Sends an HTTP/2 client's preface, and describes the reply; None if it is HTTP/2."""
-    heard = b""
+    reply = b""
     connection.settimeout(PATIENCE)
     try:
         # A server may send first, and close the connection because of the preface.
         connection.sendall(PREFACE)
-        while len(heard) < FRAME_HEAD and (more := connection.recv(128)):
-            heard += more
+        while len(reply) < FRAME_HEAD and (more := connection.recv(128)):
+            reply += more
     except OSError:
         pass
-    return _kind(heard)
+    return _kind(reply)
 
 
-def _kind(heard: bytes) -> Found | None:
-    line = heard.decode("utf-8", "replace").partition("\n")[0]
-    said = "".join(character for character in line if character.isprintable())[:QUOTED_CHARS]
-    if not heard:
+def _kind(reply: bytes) -> Found | None:
+    line = reply.decode("utf-8", "replace").partition("\n")[0]
+    quoted = "".join(character for character in line if character.isprintable())[:QUOTED_CHARS]
+    if not reply:
         return MUTE
-    if heard[:1] in (b"\x15", b"\x16") and heard[1:2] == b"\x03":
+    if reply[:1] in (b"\x15", b"\x16") and reply[1:2] == b"\x03":
         return ENCRYPTED
-    if heard.startswith(b"SSH-"):
+    if reply.startswith(b"SSH-"):
         return _other("an SSH server is there")
-    if heard.startswith((b"HTTP/", b"<")):
-        return _web(said)
-    if heard[:1] == b"\0" and heard[FRAME_TYPE : FRAME_TYPE + 1] == bytes([SETTINGS_FRAME]):
+    if reply.startswith((b"HTTP/", b"<")):
+        return _web(quoted)
+    if reply[:1] == b"\0" and reply[FRAME_TYPE : FRAME_TYPE + 1] == bytes([SETTINGS_FRAME]):
         return None
-    return _other(f"a server of another kind is there, which says {said!r}")
+    return _other(f"a server of another kind is there, which says {quoted!r}")
 
 
 def _other(words: str) -> Found:
     return Found(words, NAME_ANOTHER, is_final=True)
 
 
-def _web(said: str) -> Found:
-    if any(status in said.split() for status in PROXY_WAITING):
-        words = f"a proxy there cannot reach the server behind it ({said})"
+def _web(status_line: str) -> Found:
+    if any(status in status_line.split() for status in PROXY_WAITING):
+        words = f"a proxy there cannot reach the server behind it ({status_line})"
         return Found(words, "start it with `coordinator serve`", is_final=False)
-    return _other(f"a web server of another kind is there ({said})")
+    return _other(f"a web server of another kind is there ({status_line})")
 
 
 def _server_of_grpc(access: Access) -> Found:
     """Describes an HTTP/2 server by the gRPC methods that it implements."""
-    with channel(access) as there:
-        found = _has_call(there, access, COORDINATOR_CALL)
+    with channel(access) as opened:
+        found = _has_call(opened, access, COORDINATOR_CALL)
         if found is True:
             return BROKEN
         if isinstance(found, Found):
             return found
-        if _has_call(there, access, POLICY_CALL) is True:
+        if _has_call(opened, access, POLICY_CALL) is True:
             return _other("a policy server or policy-gateway is there, not a coordinator")
     return _other("a gRPC server is there, and it is not a coordinator")
 
 
-def _has_call(there: grpc.Channel, access: Access, path: str) -> bool | Found:
-    """Returns True if a server has the method `path`, or a description if it does not speak
-    gRPC."""
-    call = there.unary_unary(path, request_serializer=None, response_deserializer=None)
+def _has_call(opened: grpc.Channel, access: Access, path: str) -> bool | Found:
+    """Returns True if a server has the method `path`, or a description if it is no gRPC server."""
+    call = opened.unary_unary(path, request_serializer=None, response_deserializer=None)
     try:
         call(b"", timeout=PATIENCE, metadata=access.metadata)
     except grpc.RpcError as error:

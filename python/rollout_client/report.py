@@ -162,7 +162,7 @@ class Comparison:
 
 def report(connection: Connection, program: Program, sources: tuple[str | Path, ...]) -> Report:
     """Returns a report on campaigns (names) and result files (paths). Raises CoordinatorError."""
-    _look_for(connection, sources)
+    _require_campaigns(connection, sources)
     names = [source for source in sources if isinstance(source, str)]
     files = [word for path in sources if isinstance(path, Path) for word in ("--from", path)]
     types: dict[Any, Any] = dict(CONFIGURATIONS)
@@ -184,8 +184,8 @@ def report(connection: Connection, program: Program, sources: tuple[str | Path, 
 
 def compare(connection: Connection, program: Program, a: str | Path, b: str | Path) -> Comparison:
     """Compares A - B for campaigns (names) or result files (paths). Raises CoordinatorError."""
-    _look_for(connection, (a, b))
-    words = [w for source in (a, b) for w in _source(source)]
+    _require_campaigns(connection, (a, b))
+    words = [word for source in (a, b) for word in _source(source)]
     text = program.run(*program.connected("compare", *words, "--json"))
     document = json.loads(text)
     return Comparison(
@@ -199,9 +199,8 @@ def compare(connection: Connection, program: Program, a: str | Path, b: str | Pa
     )
 
 
-def _look_for(connection: Connection, sources: tuple[str | Path, ...]) -> None:
-    """Requests the campaigns once, because the coordinator's errors have types
-    and the program's have only text."""
+def _require_campaigns(connection: Connection, sources: tuple[str | Path, ...]) -> None:
+    """Raises a typed error if a campaign does not exist: the program would only print a text."""
     for source in sources:
         if isinstance(source, str):
             connection.campaign(source)
@@ -251,7 +250,11 @@ def _paired(document: Mapping[str, Any]) -> Iterator[dict[str, Any]]:
                 "level": cell["level"],
                 **measures,
                 **{f"s_{axis}": rate for axis, rate in measures["s_axis"].items()},
-                **{end: it for name in INTERVALS for end, it in _ends(measures, name).items()},
+                **{
+                    end: value
+                    for name in INTERVALS
+                    for end, value in _ends(measures, name).items()
+                },
             }
 
 

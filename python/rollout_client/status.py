@@ -27,8 +27,8 @@ class Status:
     #: The campaign cannot change by itself: it is cancelled or stopped, or every rollout is
     #: committed or quarantined and none can follow.
     is_finished: bool
-    #: Counts of rollouts: all, waiting, running, with a result; of the latter, those that reached
-    #: their goal and those that did not; and those without a result after too many failures.
+    #: Counts of rollouts: all; waiting; running; with a result; results that reached their goal;
+    #: results that did not; rollouts without a result after too many failures.
     total: int
     queued: int
     leased: int
@@ -40,18 +40,18 @@ class Status:
     #: committed, and unless the campaign is running.
     rate_per_sec: float | None
     remaining_secs: float | None
-    #: Number of live workers that can run it.
+    #: Number of live workers that can run the campaign.
     live_workers: int
-    #: Reason why its policy is considered down.
+    #: Reason why the campaign's policy is considered down; None if it is not.
     policy_outage: str | None
-    #: Reason why nothing is running although rollouts wait or are still to follow.
+    #: Reason why no rollout is running although some wait or will be created later.
     waiting_reason: str | None
     #: Description of the different fingerprints in its results, if there are several.
     mixed_fingerprints: str | None
     #: Condition for an early stop, such as `width(I) < 0.08`; None if there is none.
     stop_rule: str | None
-    #: Number of its configurations after which it stopped early, and number of rollouts saved; None
-    #: while it has not stopped.
+    #: Number of configurations after which the campaign stopped early, and number of rollouts
+    #: saved; None while it has not stopped.
     stopped_after: int | None
     saved: int | None
     #: Campaign whose outcomes determine its rollouts, if there is one.
@@ -114,8 +114,8 @@ class Speed:
 
     #: Number of results that state how their time was spent.
     results: int
-    #: Mean seconds of one rollout: processor time of physics and drawing, time until the policy had
-    #: answered, and the rest of its duration.
+    #: Mean seconds of one rollout: processor time of physics and of drawing, waiting time for the
+    #: policy's answers, and the rest of its duration.
     physics_secs: float
     drawing_secs: float
     policy_secs: float
@@ -154,15 +154,14 @@ class Forecast:
 
     #: Rollouts per suite, replicates included.
     rollouts: Mapping[str, int]
-    #: Number of live workers that can share a campaign, and of their slots; of several such groups,
-    #: the one that would finish first.
+    #: Number of live workers that can share a campaign, and of their slots. If there are several
+    #: such groups of workers, those of the group that would finish first.
     workers: int
     slots: int
     #: Seconds that these slots take together, if they run nothing else; None if no rollout was
     #: measured on such a worker recently.
     secs: float | None
-    #: Number of recent results used, and True if they are of this policy, False if of other
-    #: policies.
+    #: Number of recent results used; and True if they are of this policy, False if of others.
     results: int
     is_of_policy: bool
     #: Suites without such a result, assumed to be as fast as the others.

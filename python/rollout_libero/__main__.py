@@ -12,7 +12,7 @@ from pathlib import Path
 from rollout_libero import doctor, files
 
 INTERRUPTED = 130
-"""Exit status after Ctrl-C, as shells have it."""
+"""Exit status after Ctrl-C, by the convention of shells."""
 HUB = "https://huggingface.co"
 
 
@@ -21,23 +21,23 @@ def main() -> int:
     parser = argparse.ArgumentParser(prog="python -m rollout_libero")
     commands = parser.add_subparsers(dest="command", required=True)
     words = (
-        "Fetches task files, robot models and LIBERO's assets; goes on where it was interrupted."
+        "Fetches task files, robot models and LIBERO's assets; continues an interrupted fetch."
     )
     fetch = commands.add_parser("fetch", help=words, description=words)
     fetch.add_argument(
         "--tasks",
         metavar="SUITE/N,...|all",
         default="all",
-        help="the tasks whose assets are fetched [default: all forty]",
+        help="tasks whose assets are fetched [default: all forty]",
     )
     fetch.add_argument(
-        "--everything", action="store_true", help="fetches all of LIBERO's 585 files, 236 MB"
+        "--everything", action="store_true", help="fetch all of LIBERO's 585 files, 236 MB"
     )
     fetch.add_argument(
         "--into",
         type=Path,
         metavar="DIR",
-        help="where the assets go [default: where scenes look for them]",
+        help="folder for the assets [default: the folder from which scenes load them]",
     )
     places = fetch.add_mutually_exclusive_group()
     places.add_argument(
@@ -60,7 +60,7 @@ def main() -> int:
         help="hf-libero's hub in place of the package index, or a mirror of it [without a URL: "
         "$HF_ENDPOINT, else the hub itself]",
     )
-    words = "Says which package libero is imported here, what else has its name, and the remedy."
+    words = "Reports the imported package libero, others of the same name, and remedies."
     commands.add_parser("doctor", help=words, description=words)
     given = parser.parse_args()
     if given.command == "doctor":
@@ -77,7 +77,7 @@ def main() -> int:
             hub=given.hub,
         )
     except KeyboardInterrupt:
-        print("interrupted; the same command goes on from here", file=sys.stderr)
+        print("interrupted; the same command continues from here", file=sys.stderr)
         return INTERRUPTED
     except (FileNotFoundError, ValueError) as error:
         print(f"failed to {error}", file=sys.stderr)

@@ -28,7 +28,7 @@ class Start(NamedTuple):
     instruction: str
     max_steps: int
     execution: str
-    """Execution model: the robot's conduct while an answer is under way."""
+    """Execution model: the robot's behaviour while an answer is computed."""
     turn: int
     """The environment's turn in the sequence of starts, after this start."""
     generator: np.random.Generator
@@ -115,8 +115,8 @@ class Starts:
         *,
         turn: int | None = None,
     ) -> Start:
-        """Returns the next start, at a given turn if there is one. Changes
-        nothing: pass the start to ``use`` once it has begun.
+        """Returns the next start, at the given turn or the environment's own. Changes nothing:
+        pass the start to ``use`` after the rollout has begun.
 
         Raises:
             ValueError: if the options name no initial state of the task.
@@ -166,13 +166,13 @@ class Starts:
         )
 
     def _execution_of(self, row: Mapping[str, Any] | None) -> str:
-        own = "wait" if row is None else row.get("execution", "wait")
-        if self._execution in (None, own):
-            return own
+        of_row = "wait" if row is None else row.get("execution", "wait")
+        if self._execution in (None, of_row):
+            return of_row
         if row is not None and row["axis"] == "latency":
             raise ValueError(
-                f"run {row['rollout_id']} under execution model {self._execution!r}: its axis is "
-                f"the policy's delay, {own!r}; leave out `execution`"
+                f"run {row['rollout_id']} under execution model {self._execution!r}: the row's "
+                f"latency axis already sets {of_row!r}; leave out `execution`"
             )
         return self._execution
 
@@ -187,8 +187,8 @@ class Starts:
             )
         if "*" in execution and self._chosen == "sampled":
             raise ValueError(
-                f"run under execution model {execution!r}: delays are drawn by the initial state's "
-                "number, and init_states='sampled' has none; choose one delay"
+                f"run under execution model {execution!r}: the initial state's number seeds the "
+                "delays, and init_states='sampled' has no number; choose a constant delay"
             )
 
     def _nominal(self, init_state: int) -> dict[str, Any]:
@@ -217,7 +217,8 @@ def _chosen(init_states: InitStates, count: int) -> str | Sequence[int]:
             f"choose init_states {init_states!r}: it is 'cycle', 'random', 'sampled', a number, or "
             "numbers"
         )
-    numbers = [init_states] if isinstance(init_states, int) else [int(it) for it in init_states]
+    given = [init_states] if isinstance(init_states, int) else init_states
+    numbers = [int(number) for number in given]
     if not numbers or not all(0 <= number < count for number in numbers):
         raise ValueError(f"choose init_states {init_states!r}: the task has 0 to {count - 1}")
     return numbers
@@ -234,7 +235,7 @@ def _row(task: Task, perturbation: str | Mapping[str, Any]) -> dict[str, Any]:
         row = json.loads(native.configuration_row(text))
     else:
         row = dict(perturbation)
-    given = f"{row.get('suite')}/{row.get('task_id')}"
-    if given != task.name:
-        raise ValueError(f"perturb {task.name}: the configuration is of {given}")
+    task_of_row = f"{row.get('suite')}/{row.get('task_id')}"
+    if task_of_row != task.name:
+        raise ValueError(f"perturb {task.name}: the configuration is of {task_of_row}")
     return row

@@ -15,10 +15,10 @@ from pathlib import Path
 
 SHIM = "rollout-libero-shim"
 OF_THE_SHIM = "_absent.py"
-"""A module that only the shim's package has."""
+"""A file that only the shim's package contains."""
 RIVALS = ("libero", "hf-libero", "rlinf-libero")
 """Other distributions with a package `libero`."""
-REINSTALL = f"pip install --force-reinstall --no-deps {SHIM}, from its wheel, as the last of all"
+REINSTALL = f"pip install --force-reinstall --no-deps {SHIM}, from its wheel, after all others"
 
 
 def examine(path: Iterable[str] | None = None) -> tuple[list[str], list[str]]:
@@ -30,7 +30,7 @@ def examine(path: Iterable[str] | None = None) -> tuple[list[str], list[str]]:
     if imported is None:
         wrong.append(f"no libero can be imported: {REINSTALL}")
     elif (imported / OF_THE_SHIM).is_file():
-        version = installed or "(not installed: from a folder)"
+        version = installed or "(not installed, but found in a folder)"
         found.append(f"libero is {SHIM} {version}: {imported}")
         if rivals:
             wrong.append(
@@ -41,7 +41,7 @@ def examine(path: Iterable[str] | None = None) -> tuple[list[str], list[str]]:
         wrong.append(f"libero is not {SHIM}, but {imported}: {_remedy(imported, rivals)}")
     for folder in _folders(sys.path if path is None else path):
         if imported is not None and not _is_same(folder, imported):
-            found.append(f"hidden, as it comes later on the path: {folder}")
+            found.append(f"hidden by the imported package, which is earlier on the path: {folder}")
     found += _configuration()
     return found, wrong
 
@@ -97,7 +97,7 @@ def _configuration() -> list[str]:
     pairs = [line.partition(":") for line in lines if line.startswith(("bddl_files", "assets"))]
     named = [(key, value.strip().strip("'\"")) for key, _, value in pairs]
     return [
-        f"{key} are those that {file} names, {value}: remove the file unless that is meant"
+        f"{file} sets {key} to {value}: remove the file unless this is intended"
         for key, value in named
         if os.path.isdir(value) and os.listdir(value)
     ]

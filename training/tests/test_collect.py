@@ -46,13 +46,13 @@ class MadeUp:
         for index in np.flatnonzero(begins):
             self.step[index], self.perturbed[index] = 0, self.perturbed_next[index]
         taken = np.where(begins, 0, np.minimum(k, self.length - self.step))
-        said = np.full((self.n, k, 7), np.nan)
+        labels = np.full((self.n, k, 7), np.nan)
         for index in range(self.n):
-            said[index, : taken[index]] = 0.0
-            said[index, : taken[index], 0] = (self.step[index] + np.arange(taken[index])) / 100
+            labels[index, : taken[index]] = 0.0
+            labels[index, : taken[index], 0] = (self.step[index] + np.arange(taken[index])) / 100
         self.step += taken
         self.ended = ~begins & (self.step == self.length)
-        info = {"taken": taken, "expert_action": said}
+        info = {"taken": taken, "expert_action": labels}
         return self.observation(), None, self.ended, np.zeros(self.n, bool), info
 
     def observation(self) -> dict[str, Any]:
@@ -81,7 +81,7 @@ def shards_of(folder: Path, monkeypatch: pytest.MonkeyPatch, **given: Any) -> li
         "assets": "primitives", "seed": 0, "device": "cpu",
     }  # fmt: skip
     collect.collect(argparse.Namespace(**(usual | given)))
-    return [read(it) for it in shard_folders(folder)]
+    return [read(path) for path in shard_folders(folder)]
 
 
 def test_frames_labels_and_episodes_agree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -110,11 +110,11 @@ def test_a_second_run_adds_shards(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     assert len(shards_of(tmp_path, monkeypatch, seconds=1.5)) > first
 
 
-def test_perturbations_are_none_of_the_benchmarks(
+def test_perturbations_differ_from_the_benchmarks(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     names = np.concatenate(
-        [it.perturbation for it in shards_of(tmp_path, monkeypatch, perturbed=0.7)]
+        [shard.perturbation for shard in shards_of(tmp_path, monkeypatch, perturbed=0.7)]
     )
     assert 0.5 < (names != "").mean() < 0.9
     for name in names[names != ""]:
@@ -147,7 +147,7 @@ def test_the_student_needs_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatc
         shards_of(tmp_path, monkeypatch, driver="student")
 
 
-def test_the_student_takes_part_once_it_is_there(
+def test_the_student_takes_part_once_its_weights_exist(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     import torch
@@ -160,7 +160,7 @@ def test_the_student_takes_part_once_it_is_there(
     shards = shards_of(
         tmp_path / "data", monkeypatch, driver="student", weights=tmp_path / "weights", seconds=5.0
     )
-    drivers = np.concatenate([it.driver for it in shards])
+    drivers = np.concatenate([shard.driver for shard in shards])
     assert set(drivers) <= {Driver.IN_TURNS, Driver.STUDENT} and len(drivers)
     for shard in shards:
         begun = np.cumsum(shard.episode_steps) - shard.episode_steps

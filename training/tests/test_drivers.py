@@ -15,9 +15,9 @@ def test_a_fifth_of_the_experts_episodes_is_clean() -> None:
     drives = ExpertDrives(N, np.random.default_rng(0))
     drives.begin(np.arange(N))
     orders = [drives.next(3) for _ in range(100)]
-    actions = np.concatenate([it.actions for it in orders], axis=1)
-    source = np.concatenate([it.source for it in orders], axis=1)
-    assert actions.shape == (N, 300, 7) and all(it.expert.all() for it in orders)
+    actions = np.concatenate([order.actions for order in orders], axis=1)
+    source = np.concatenate([order.source for order in orders], axis=1)
+    assert actions.shape == (N, 300, 7) and all(order.expert.all() for order in orders)
     clean = drives.driver == Driver.CLEAN
     assert 0.1 < clean.mean() < 0.3
     assert not actions[clean].any() and (source[clean] == Source.EXPERT).all()
@@ -31,8 +31,8 @@ def test_a_push_is_one_direction_for_three_to_ten_steps() -> None:
     drives = ExpertDrives(N, np.random.default_rng(1))
     drives.begin(np.arange(N))
     orders = [drives.next(3) for _ in range(60)]
-    actions = np.concatenate([it.actions for it in orders], axis=1)
-    pushed = np.concatenate([it.source for it in orders], axis=1) == Source.PUSH
+    actions = np.concatenate([order.actions for order in orders], axis=1)
+    pushed = np.concatenate([order.source for order in orders], axis=1) == Source.PUSH
     assert np.abs(actions[pushed][:, :3]).max(axis=1).min() >= 0.49
     for of_one, where in zip(actions, pushed, strict=True):
         starts = np.flatnonzero(np.diff(of_one[:, 0] * where, prepend=0.0) * where)
@@ -42,7 +42,7 @@ def test_a_push_is_one_direction_for_three_to_ten_steps() -> None:
             assert 3 <= steps <= 10 or start + steps == len(of_one)
 
 
-def test_the_student_is_asked_when_its_actions_are_used_up() -> None:
+def test_the_student_is_queried_when_its_actions_are_used_up() -> None:
     drives = InTurns(N, np.random.default_rng(2))
     drives.begin(np.arange(N))
     drives.driver[:] = Driver.STUDENT

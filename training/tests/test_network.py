@@ -26,12 +26,12 @@ def queries(n: int) -> tuple[torch.Tensor, ...]:
     return pictures[0], pictures[1], state, torch.from_numpy(rows), torch.from_numpy(present)
 
 
-def test_it_has_fewer_than_two_million_parameters(network: Network) -> None:
+def test_the_network_has_fewer_than_two_million_parameters(network: Network) -> None:
     assert parameters(network) == 1_976_184
 
 
-def test_its_tensors_are_those_of_the_weights_file(network: Network) -> None:
-    shapes = {name: tuple(it.shape) for name, it in network.state_dict().items()}
+def test_the_networks_tensors_are_those_of_the_weights_file(network: Network) -> None:
+    shapes = {name: tuple(tensor.shape) for name, tensor in network.state_dict().items()}
     assert shapes["words.weight"] == (4096, 48)
     assert shapes["wrist.stem.conv.weight"] == (32, 3, 3, 3)
     assert shapes["agentview.block2.film.weight"] == (192, 128)
@@ -44,14 +44,14 @@ def test_its_tensors_are_those_of_the_weights_file(network: Network) -> None:
     assert len(shapes) == 83
 
 
-def test_a_query_is_answered_alike_in_any_company(network: Network) -> None:
+def test_an_answer_does_not_depend_on_its_batch(network: Network) -> None:
     inputs = queries(3)
     together = network(*inputs)
     assert together.arm.shape == (3, 8, 6) and together.gripper.shape == (3, 8)
     order = torch.tensor([2, 0, 1])
-    permuted = network(*(it[order] for it in inputs))
+    permuted = network(*(value[order] for value in inputs))
     torch.testing.assert_close(permuted.arm, together.arm[order], rtol=1e-4, atol=1e-5)
-    alone = network(*(it[1:2] for it in inputs))
+    alone = network(*(value[1:2] for value in inputs))
     torch.testing.assert_close(alone.gripper, together.gripper[1:2], rtol=1e-4, atol=1e-5)
 
 
@@ -59,20 +59,20 @@ def test_words_never_trained_on_add_nothing() -> None:
     network = Network().eval()
     *views, _, _ = queries(2)
     heard = [
-        network(*views, *(torch.from_numpy(it) for it in instruction_rows(texts))).arm
+        network(*views, *(torch.from_numpy(array) for array in instruction_rows(texts))).arm
         for texts in (["", ""], ["open it", "shut the microwave"])
     ]
     torch.testing.assert_close(heard[0], heard[1])
 
 
-def test_actions_are_what_a_robot_takes(network: Network) -> None:
+def test_actions_are_clipped_and_the_gripper_is_binary(network: Network) -> None:
     actions = to_actions(network(*queries(2)))
     assert actions.shape == (2, 8, 7)
     assert actions[..., :6].abs().max() <= 1
     assert set(actions[..., 6].unique().tolist()) <= {-1.0, 1.0}
 
 
-def test_a_point_of_a_clear_peak_is_where_the_peak_is() -> None:
+def test_a_learned_point_is_at_the_maps_peak() -> None:
     """Columns and rows range from -1 to 1; the picture's top left is (-1, -1)."""
     encoder = Network().agentview.eval()
     seen: list[torch.Tensor] = []

@@ -60,12 +60,12 @@ def test_targets_after_a_push_do_not_count(tmp_path: Path) -> None:
     assert valid[0].tolist() == [True] * 6 + [False] * 2
 
 
-def test_noise_does_not_matter_but_a_student_that_strays_does(tmp_path: Path) -> None:
+def test_targets_continue_after_noise_and_end_when_the_student_drifts(tmp_path: Path) -> None:
     noisy, straying, gripping, agreeing = (episode(9) for _ in range(4))
     noisy.executed[:, 1] += 0.4
     noisy.source[:] = Source.NOISE
-    for it in (straying, gripping, agreeing):
-        it.source[:] = Source.STUDENT
+    for driven in (straying, gripping, agreeing):
+        driven.source[:] = Source.STUDENT
     straying.executed[:, 1] += 0.2
     gripping.executed[2, 6] += 2.0
     agreeing.executed[:, 1] += 0.01
@@ -73,7 +73,7 @@ def test_noise_does_not_matter_but_a_student_that_strays_does(tmp_path: Path) ->
     assert valid[::3].sum(axis=1).tolist() == [8, 3, 3, 8]
 
 
-def test_an_experts_failures_are_left_out(tmp_path: Path) -> None:
+def test_the_experts_failed_episodes_are_left_out(tmp_path: Path) -> None:
     lost = Outcome.FAILURE
     kinds = [
         episode(3), episode(3, outcome=lost), episode(3, outcome=Outcome.UNFINISHED),
@@ -85,14 +85,14 @@ def test_an_experts_failures_are_left_out(tmp_path: Path) -> None:
     assert worth_learning(shard).tolist() == [True, False, True, False, True, True]
 
 
-def test_a_writer_goes_on_behind_what_is_there(tmp_path: Path) -> None:
+def test_a_writer_continues_after_existing_shards(tmp_path: Path) -> None:
     (tmp_path / "shard_00003").mkdir()
     (tmp_path / "shard_00007.part").mkdir()
     writer = Writer(tmp_path, frames_per_shard=5)
     for _ in range(3):
         writer.add(episode(10))
     writer.close()
-    assert [it.name for it in shard_folders(tmp_path)] == [
+    assert [path.name for path in shard_folders(tmp_path)] == [
         "shard_00003",
         "shard_00004",
         "shard_00005",
@@ -102,7 +102,7 @@ def test_a_writer_goes_on_behind_what_is_there(tmp_path: Path) -> None:
     assert len(read(tmp_path / "shard_00005").task) == 1
 
 
-def test_a_writer_says_what_the_disk_refuses(tmp_path: Path) -> None:
+def test_a_writer_raises_errors_of_the_disk(tmp_path: Path) -> None:
     writer = Writer(tmp_path / "here", frames_per_shard=1)
     (tmp_path / "here").rmdir()
     (tmp_path / "here").write_text("a file in the folder's place")

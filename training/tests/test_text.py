@@ -20,7 +20,7 @@ def test_the_hash_is_fnv_1a() -> None:
 
 
 def test_words_and_pairs_have_their_rows() -> None:
-    assert [bucket(it) for it in ("bowl", "plate", "the bowl", "turn on")] == [
+    assert [bucket(feature) for feature in ("bowl", "plate", "the bowl", "turn on")] == [
         2693,
         1027,
         2884,

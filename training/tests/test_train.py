@@ -49,7 +49,7 @@ def arguments(folder: Path, **given: object) -> argparse.Namespace:
     return argparse.Namespace(**(usual | given))
 
 
-def test_a_library_keeps_episodes_apart_and_finds_new_shards(tmp_path: Path) -> None:
+def test_a_library_separates_held_out_episodes_and_loads_new_shards(tmp_path: Path) -> None:
     fill(tmp_path, 2)
     library = Library([tmp_path], 100, 100, [1.0] * 4, CPU)
     # Shard 0 holds out its first episode; shard 1 would hold out its eighth, which it lacks.
@@ -63,7 +63,7 @@ def test_a_library_keeps_episodes_apart_and_finds_new_shards(tmp_path: Path) -> 
     assert library.by_suite.tolist() == [32, 0, 0, 0]
 
 
-def test_in_a_full_device_later_frames_take_the_place_of_others(tmp_path: Path) -> None:
+def test_later_frames_replace_others_when_the_store_is_full(tmp_path: Path) -> None:
     fill(tmp_path, 2)
     library = Library([tmp_path], 14, 100, [1.0] * 4, CPU)
     torch.manual_seed(0)
@@ -95,7 +95,7 @@ def test_a_shift_repeats_the_edge() -> None:
     assert ((right[0, 2, 9] + 1) * 127.5).round().tolist() == [0] * 4 + [*range(124)]
 
 
-def test_no_change_is_what_the_network_is_given_later() -> None:
+def test_unchanged_pictures_equal_the_input_in_use() -> None:
     pictures = torch.randint(0, 256, (2, 2, 128, 128, 3), dtype=torch.uint8)
     none = PictureChange(torch.zeros(2, 2, 2, dtype=torch.int64), torch.ones(2, 2, 1, 1, 3),
                          torch.zeros(2, 2, 1, 1, 1), torch.zeros(2, 2, 1, 1, 1))  # fmt: skip
@@ -112,7 +112,7 @@ def test_instructions_in_training_have_the_features_of_their_words() -> None:
         assert np.array_equal(mine, np.bincount(own[0][there[0] > 0], minlength=BUCKETS))
 
 
-def test_a_word_that_is_lost_takes_its_pairs_along(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_dropping_a_word_drops_its_pairs(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(augment, "CANONICAL_SHARE", 0.0)
     monkeypatch.setattr(augment, "MOST_PAIRS_LOST", 0.0)
     torch.manual_seed(1)
@@ -123,7 +123,7 @@ def test_a_word_that_is_lost_takes_its_pairs_along(monkeypatch: pytest.MonkeyPat
     assert (kept.sum(dim=1).unique().numel()) > 3
 
 
-def test_a_run_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_run_resumes_from_checkpoint(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     fill(tmp_path / "data", 2)
     train(arguments(tmp_path))
     state = torch.load(tmp_path / "run" / CHECKPOINT, weights_only=True)
@@ -133,16 +133,16 @@ def test_a_run_goes_on_where_it_was(tmp_path: Path, capsys: pytest.CaptureFixtur
 
     torch.save(state | {"finished": False}, tmp_path / "run" / CHECKPOINT)
     train(arguments(tmp_path, seconds=state["trained_seconds"] + 2.0))
-    assert f"goes on at step {state['step']}" in capsys.readouterr().out
+    assert f"resumes at step {state['step']}" in capsys.readouterr().out
     later = torch.load(tmp_path / "run" / CHECKPOINT, weights_only=True)
     assert later["step"] > state["step"] and later["trained_seconds"] > state["trained_seconds"]
 
     weights = tmp_path / "run" / WEIGHTS
     train(arguments(tmp_path, run=tmp_path / "second", start_from=weights))
-    assert f"begins with {weights}" in capsys.readouterr().out
+    assert f"starts from {weights}" in capsys.readouterr().out
 
 
-def test_weights_are_halves_but_for_the_states_scale(tmp_path: Path) -> None:
+def test_weights_are_half_precision_except_the_states_scale(tmp_path: Path) -> None:
     from safetensors import safe_open
 
     fill(tmp_path / "data", 1)
@@ -157,6 +157,6 @@ def test_weights_are_halves_but_for_the_states_scale(tmp_path: Path) -> None:
     assert load_network(file, CPU).state_std.min() >= 0.009
 
 
-def test_nothing_to_train_on_is_said(tmp_path: Path) -> None:
+def test_training_without_shards_is_refused(tmp_path: Path) -> None:
     with pytest.raises(SystemExit, match="run training.collect first"):
         train(arguments(tmp_path))

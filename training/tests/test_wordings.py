@@ -41,7 +41,7 @@ def test_a_seed_gives_the_same_wordings() -> None:
     assert draw("libero_goal/7", 50, seed=1)[1:] != draw("libero_goal/7", 50, seed=2)[1:]
 
 
-def test_nothing_of_a_template_is_left(drawn: dict[str, list[str]]) -> None:
+def test_wordings_contain_no_template_syntax(drawn: dict[str, list[str]]) -> None:
     for texts in drawn.values():
         for text in texts:
             assert not re.search(r"[\[\]{}|]|  |^ | $", text), text
@@ -49,13 +49,13 @@ def test_nothing_of_a_template_is_left(drawn: dict[str, list[str]]) -> None:
 
 def test_every_slot_can_be_filled() -> None:
     for task, (_, grammar) in TASKS.items():
-        templates = [it for kind in FRAMES for it in (*FRAMES[kind], *grammar[kind])]
+        templates = [template for kind in FRAMES for template in (*FRAMES[kind], *grammar[kind])]
         for template in templates:
             for slot in re.findall(r"\{([^{}]+)\}", template):
                 assert slot in grammar, f"{task}: {template}"
 
 
-def test_more_than_there_are_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_more_wordings_than_the_grammar_has_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     one = {kind: ("turn on the stove",) for kind in FRAMES}
     monkeypatch.setattr(wordings, "TASKS", {"libero_goal/7": ("turn on the stove", one)})
     monkeypatch.setattr(wordings, "FRAMES", {kind: (f"{{{kind}}}",) for kind in FRAMES})
@@ -63,7 +63,7 @@ def test_more_than_there_are_is_refused(monkeypatch: pytest.MonkeyPatch) -> None
         draw("libero_goal/7", 5, seed=0)
 
 
-def test_no_wording_is_the_evaluations(drawn: dict[str, list[str]]) -> None:
+def test_no_wording_is_one_of_the_evaluations(drawn: dict[str, list[str]]) -> None:
     assert len(held_out_digests()) >= 1_000
     for texts in drawn.values():
         assert not held_out_digests() & {digest(text) for text in texts[1:]}
@@ -81,6 +81,6 @@ def test_the_digests_are_those_of_the_benchmarks_rows(drawn: dict[str, list[str]
 
 def test_canonical_instructions_are_the_benchmarks() -> None:
     libero = pytest.importorskip("rollout_libero", reason="rollout_libero is not installed")
-    assert {it.name: it.instruction for it in libero.tasks()} == {
+    assert {task.name: task.instruction for task in libero.tasks()} == {
         task: canonical(task) for task in TASK_NAMES
     }

@@ -2,8 +2,8 @@
 
 Subclass `Policy`, describe the policy and its inputs in `description`, implement
 `reset` and `infer`, and call `run`, or `serve` with an instance of your own.
-This package is responsible for the wire: sessions, retries, checks and errors.
-The actions come from the policy. `check` checks that a policy conforms to the protocol, and
+This package implements the protocol: sessions, retries, checks and errors. The policy only
+computes actions. `check` checks that a policy conforms to the protocol, and
 `fake_observation` generates an observation of the kind that the policy receives.
 """
 

@@ -73,55 +73,55 @@ def _parser() -> argparse.ArgumentParser:
     )
     commands = parser.add_subparsers(dest="command", required=True)
     commands.add_parser("list", help="the policies, their checkpoints and what they need")
-    one = commands.add_parser("serve", help="load a policy and serve it")
-    one.add_argument("policy", choices=list(MODULES))
-    one.add_argument(
+    server = commands.add_parser("serve", help="load a policy and serve it")
+    server.add_argument("policy", choices=list(MODULES))
+    server.add_argument(
         "--checkpoint",
         metavar="NAME",
-        help="hub name (owner/repository, with /folder if need be) or local path of the weights",
+        help="hub name (owner/repository or owner/repository/folder) or local path of the weights",
     )
-    one.add_argument("--revision", metavar="REV", help="the hub's branch, tag or commit")
-    one.add_argument("--suite", help="which weights, where every suite has its own")
-    one.add_argument("--device", default="cuda", help="as torch names it (default: cuda)")
-    one.add_argument(
+    server.add_argument("--revision", metavar="REV", help="the hub's branch, tag or commit")
+    server.add_argument("--suite", help="suite of the weights, if every suite has its own")
+    server.add_argument("--device", default="cuda", help="torch's device name (default: cuda)")
+    server.add_argument(
         "--execute",
         type=_positive,
         metavar="N",
-        help="actions of a chunk that are executed before the next query (default: as the"
-        " checkpoint says; of the checkpoints of `list`, as LIBERO-CTRL's protocol says)",
+        help="number of actions of a chunk that are executed before the next query (default:"
+        " LIBERO-CTRL's number for the checkpoints of `list`, else the checkpoint's own)",
     )
-    one.add_argument(
+    server.add_argument(
         "--image-keys",
         type=_image_keys,
         metavar="scene=SLOT,wrist=SLOT",
-        help=f"which camera feeds which image slot, for {', '.join(WITH_SLOTS)} (default: by"
+        help=f"image slots of the two cameras, for {', '.join(WITH_SLOTS)} (default: by"
         " the slots' names, if they are known)",
     )
-    one.add_argument(
+    server.add_argument(
         "--evaluation",
         choices=EVALUATIONS,
         default=EVALUATIONS[0],
-        help=f"whose way to evaluate, for {', '.join(WITH_STUDY)}: its authors' or LIBERO-CTRL's"
-        " (default: upstream)",
+        help=f"evaluation protocol, for {', '.join(WITH_STUDY)}: that of its authors (upstream) or"
+        " of LIBERO-CTRL (study) (default: upstream)",
     )
-    add_server_flags(one)
-    one.add_argument(
+    add_server_flags(server)
+    server.add_argument(
         "--max-batch",
         type=_positive,
         default=1,
         metavar="N",
-        help=f"queries in one forward pass, for {' and '.join(BATCHING)}; moves low-order bits"
-        " (default: 1)",
+        help=f"queries in one forward pass, for {' and '.join(BATCHING)}; changes low-order bits"
+        " of actions (default: 1)",
     )
-    _add_check(commands.add_parser("check", help="whether a server keeps the policy protocol"))
+    _add_check(commands.add_parser("check", help="check that a server conforms to the protocol"))
     return parser
 
 
 def _add_check(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("url", help="grpc://HOST:PORT, or https://HOST:PORT over TLS")
-    parser.add_argument("--policy", default="", help="which, where the server has several")
+    parser.add_argument("--policy", default="", help="policy to check, if the server has several")
     parser.add_argument(
-        "--suite", choices=list(TASKS), default="libero_object", help="whose task is made up"
+        "--suite", choices=list(TASKS), default="libero_object", help="suite of the synthetic task"
     )
     parser.add_argument(
         "--ca",

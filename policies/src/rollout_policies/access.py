@@ -21,7 +21,7 @@ import grpc
 ROLES = ("worker", "operator", "viewer")
 #: Roles that may query a policy.
 ASKING_ROLES = ("worker", "operator")
-#: Fewest and most bytes in a token, most tokens in a file, and most bytes of a file.
+#: Fewest and most bytes of a token, most tokens of a file, and most bytes of a file.
 MIN_TOKEN_BYTES, MAX_TOKEN_BYTES = 16, 256
 MAX_TOKENS = 256
 MAX_TOKEN_FILE_BYTES = 128 << 10
@@ -31,7 +31,7 @@ TOKENS_VARIABLE = "ROLLOUT_TOKENS"
 HEALTH_PATH = "/grpc.health.v1.Health/"
 #: Interval after which a refusal of the same kind to the same machine is logged again, s.
 LOGGED_AGAIN_SECS = 600.0
-#: Number of refusals remembered for that purpose.
+#: Most machines and kinds of refusal whose last log time is remembered.
 MAX_LOGGED = 1024
 
 log = logging.getLogger("rollout_policies")
@@ -108,7 +108,7 @@ class Tokens:
         return found
 
     def for_role(self, *roles: str) -> str | None:
-        """The first token of one of these roles, in the order of the roles."""
+        """Returns the first token of one of these roles, in the order of the roles."""
         return next((token for role in roles for has, token in self.entries if has == role), None)
 
 
@@ -116,7 +116,7 @@ def _require_private(what: str, path: str | Path, found: os.stat_result) -> None
     """Refuses a file of secrets that other users can read or write, as the gateway
     does. The group may have access only if the file belongs to another user."""
     if not hasattr(os, "geteuid"):
-        return  # Windows has another kind of permissions.
+        return  # Windows has no such permission bits.
     others = 0o077 if found.st_uid == os.geteuid() else 0o007
     if stat.S_ISREG(found.st_mode) and found.st_mode & others:
         raise AccessError(
@@ -237,10 +237,10 @@ class TokenGate(grpc.ServerInterceptor):
     def _refusal(self, code: grpc.StatusCode, why: str) -> grpc.RpcMethodHandler:
         def refuse(_request, context):
             peer = context.peer().rpartition(":")[0]
-            if self._is_news(peer, code):
+            if self._should_log(peer, code):
                 log.warning(
-                    "a request of %s was refused, it failed to %s (more of this kind from there"
-                    " is not logged)",
+                    "a request from %s was refused: failed to %s (further refusals of this kind to"
+                    " this machine are not logged for ten minutes)",
                     peer,
                     why,
                 )
@@ -248,7 +248,7 @@ class TokenGate(grpc.ServerInterceptor):
 
         return grpc.unary_unary_rpc_method_handler(refuse)
 
-    def _is_news(self, peer: str, code: grpc.StatusCode) -> bool:
+    def _should_log(self, peer: str, code: grpc.StatusCode) -> bool:
         now = time.monotonic()
         with self._lock:
             if now - self._logged.get((peer, code), -LOGGED_AGAIN_SECS) < LOGGED_AGAIN_SECS:

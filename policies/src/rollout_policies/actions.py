@@ -27,11 +27,11 @@ def read_actions(answer: object, horizon: int) -> np.ndarray:
     try:
         actions = np.atleast_2d(np.asarray(answer, dtype=np.float32))
     except (TypeError, ValueError) as error:
-        raise UnusableActions(f"it answered no array of numbers: {error}") from error
+        raise UnusableActions(f"its answer is not an array of numbers: {error}") from error
     if actions.ndim != 2 or actions.shape[1] != ACTION_WIDTH:
         raise UnusableActions(f"its actions have shape {list(actions.shape)}, not [n, 7]")
     if not 1 <= len(actions) <= horizon:
-        raise UnusableActions(f"it answered {len(actions)} actions, of a horizon of {horizon}")
+        raise UnusableActions(f"it answered {len(actions)} actions; its horizon is {horizon}")
     if not np.isfinite(actions).all():
         row, column = np.argwhere(~np.isfinite(actions))[0]
         raise UnusableActions(
@@ -62,7 +62,7 @@ def to_simulator(actions: np.ndarray, gripper: Gripper) -> np.ndarray:
     turned = actions.copy()
     turned[:, -1] *= -1
     if gripper is Gripper.ZERO_OPENS:
-        # After the sign change the range is -1 (closed) to 0 (open); adding 1 gives RLDS's.
+        # After the sign change the range is -1 (closed) to 0 (open); adding 1 gives RLDS's range.
         turned[:, -1] += 1
         return gripper_from_rlds(turned).astype(np.float32)
     return turned
@@ -79,7 +79,7 @@ def read_under_way(message: pb.InferRequest, description: Description) -> UnderW
     actions = np.array(sent.actions, dtype=np.float32)
     if sent.action_width != ACTION_WIDTH or actions.size % ACTION_WIDTH:
         raise UnusableObservation(
-            f"what is under way is {actions.size} numbers, {sent.action_width} an action, not"
+            f"the actions under way are {actions.size} numbers, {sent.action_width} per action, not"
             f" {ACTION_WIDTH}"
         )
     actions = from_simulator(actions.reshape(-1, ACTION_WIDTH), description.gripper)

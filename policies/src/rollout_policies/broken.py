@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-#: Words from errors of CUDA, cuBLAS, cuDNN, HIP and PyTorch. The gateway has the same list
-#: in policy-gateway/src/health.rs, and takes a server with such an error out at once.
+#: Words from errors of CUDA, cuBLAS, cuDNN, HIP and PyTorch. The gateway has the same list in
+#: policy-gateway/src/health.rs, and sends no further queries to a server with such an error.
 BROKEN_WORDS = (
     "cuda error",
     "cuda runtime error",

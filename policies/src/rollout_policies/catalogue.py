@@ -52,7 +52,7 @@ class Entry:
         return not isinstance(self.checkpoint, str)
 
     def lists(self, checkpoint: str | None) -> bool:
-        """Returns True if the command line's checkpoint is one of these."""
+        """Returns True if the command line's checkpoint is one of the catalogue's."""
         if isinstance(self.checkpoint, str):
             return checkpoint in (None, self.checkpoint)
         return checkpoint is None or checkpoint in self.checkpoint.values()
@@ -80,7 +80,7 @@ def entries() -> dict[str, Entry]:
 
 def entry(name: str) -> Entry:
     """Returns one policy. Raises UnknownPolicy, which lists the known names."""
-    known = entries()
-    if name not in known:
-        raise UnknownPolicy(f"there is no adapter {name!r}; there are: {', '.join(known)}")
-    return known[name]
+    listed = entries()
+    if name not in listed:
+        raise UnknownPolicy(f"there is no adapter {name!r}; there are: {', '.join(listed)}")
+    return listed[name]

@@ -27,8 +27,8 @@ FLAG_TYPES = (bool, int, float, str, Path)
 def run(policy_class: type[Policy], arguments: Sequence[str] | None = None) -> None:
     """Makes a policy from the command line and serves it until it is stopped.
 
-    Every parameter of the class's `__init__` becomes a flag. Its type (bool,
-    int, float, str or Path) is that of its annotation or default; `X | None` is
+    Every parameter of the class's `__init__` becomes a flag. The flag's type (bool,
+    int, float, str or Path) is that of the parameter's annotation or default; `X | None` is
     accepted, too. A parameter without a default is required.
     Further flags are --listen, --tls-cert, --tls-key, --token-file, --insecure
     and --execute. --help shows the class's docstring. If `arguments` is None,
@@ -98,18 +98,18 @@ def add_server_flags(parser: argparse.ArgumentParser) -> None:
         metavar="FILE",
         help="certificate chain of this server, PEM; clients then write https://",
     )
-    server.add_argument("--tls-key", metavar="FILE", help="its private key, PEM")
+    server.add_argument("--tls-key", metavar="FILE", help="the certificate's private key, PEM")
     server.add_argument(
         "--token-file",
         metavar="FILE",
         default=os.environ.get("ROLLOUT_TOKEN_FILE") or None,
-        help="who is let in, one `ROLE TOKEN` per line (or ROLLOUT_TOKEN_FILE, or the lines in"
+        help="accepted tokens, one `ROLE TOKEN` per line (or ROLLOUT_TOKEN_FILE, or the lines in"
         " ROLLOUT_TOKENS)",
     )
     server.add_argument(
         "--insecure",
         action="store_true",
-        help="listens to other machines without TLS or without tokens: for networks that only"
+        help="listen to other machines without TLS or without tokens: for networks that only"
         " trusted people reach",
     )
 
@@ -154,13 +154,13 @@ def _parser(policy_class: type[Policy]) -> tuple[argparse.ArgumentParser, list[s
                 "--execute",
                 type=int,
                 metavar="N",
-                help="actions of every answer that are executed (default: what the policy says)",
+                help="number of executed actions of every answer (default: the policy's own)",
             )
         add_server_flags(parser)
     except argparse.ArgumentError as error:
         raise UnusableParameter(
             f"a parameter of {policy_class.__name__} is called like a flag of the server"
-            f" ({error}); rename it"
+            f" ({error}); rename the parameter"
         ) from error
     return parser, own
 
@@ -192,9 +192,9 @@ def _type_of(parameter: inspect.Parameter) -> type | None:
     """Returns the type of a parameter; None if a flag cannot have it."""
     annotation = parameter.annotation
     if annotation is parameter.empty:
-        unsaid = parameter.default is parameter.empty or parameter.default is None
-        annotation = str if unsaid else type(parameter.default)
+        has_no_default = parameter.default is parameter.empty or parameter.default is None
+        annotation = str if has_no_default else type(parameter.default)
     if typing.get_origin(annotation) in (typing.Union, types.UnionType):
-        kinds = [one for one in typing.get_args(annotation) if one is not type(None)]
+        kinds = [kind for kind in typing.get_args(annotation) if kind is not type(None)]
         annotation = kinds[0] if len(kinds) == 1 else None
     return annotation if annotation in FLAG_TYPES else None

@@ -11,20 +11,20 @@ from .proto import policy_pb2 as pb
 PROTOCOL_VERSION = 1
 #: Longest chunk that a policy may declare: twice the length of LIBERO's longest episode.
 MAX_HORIZON = 1040
-#: Longest text of a description, bytes: results hold as much.
+#: Longest text of a description, bytes: the limit of texts in results.
 MAX_TEXT_BYTES = 512
 #: Largest message, in bytes: as in the gateway and the worker.
 MAX_MESSAGE_BYTES = 32 << 20
 
 
 class State(enum.Enum):
-    """Robot readings that a policy may ask for, in SI units and in the world frame."""
+    """Robot readings that a policy may request, in SI units and in the world frame."""
 
     #: Position of the site between the fingertips, m (3).
     EEF_POS = pb.STATE_FIELD_EEF_POS
     #: Orientation of the hand body, as a quaternion x y z w (4).
     EEF_QUAT_XYZW = pb.STATE_FIELD_EEF_QUAT_XYZW
-    #: The same orientation as axis times angle, rad (3), with antipodes kept.
+    #: The same orientation as axis times angle, rad (3), without changing the quaternion's sign.
     EEF_AXIS_ANGLE = pb.STATE_FIELD_EEF_AXIS_ANGLE
     #: The same orientation as a rotation matrix, row by row (9).
     EEF_ROTATION = pb.STATE_FIELD_EEF_ROTATION
@@ -118,7 +118,7 @@ class Description:
     parameters: int = 0
     #: The policy keeps state in `episode.memory` between the queries of an episode.
     stateful: bool = False
-    #: The policy draws random numbers: another seed gives other actions.
+    #: The policy draws random numbers, so its actions depend on the seed.
     stochastic: bool = False
     language: Language = Language.FREE_FORM
     #: Largest batch: above 1, `infer_batch` answers up to this many queries at once.
@@ -130,7 +130,7 @@ class Description:
     #: for all results of a campaign and suite.
     settings: Mapping[str, str] = field(default_factory=dict, hash=False)
     #: Name or digest of the asset pack used in training, such as "libero". Reports warn if the
-    #: policy is measured on another.
+    #: policy is measured on another pack.
     taught_on: str = ""
     #: The policy uses `observation.under_way`: its answers continue the actions that are executed
     #: while it computes.
@@ -209,7 +209,8 @@ class Description:
 
     @classmethod
     def from_message(cls, message: pb.DescribeResponse) -> Description:
-        """Returns the description that a server sent; its actions follow LIBERO's convention.
+        """Returns the description that a server sent. The server's actions follow LIBERO's gripper
+        convention.
 
         Raises ValueError if it is inconsistent.
         """
@@ -217,7 +218,9 @@ class Description:
             name=message.name,
             horizon=message.horizon,
             execute=message.execute,
-            cameras=tuple(Camera(one.name, one.width, one.height) for one in message.cameras),
+            cameras=tuple(
+                Camera(camera.name, camera.width, camera.height) for camera in message.cameras
+            ),
             state=tuple(State(number) for number in message.state),
             checkpoint=message.checkpoint,
             checkpoint_digest=message.checkpoint_digest,

@@ -44,10 +44,11 @@ class UnderWay:
     """Actions that the robot executes while the answer to a query is computed."""
 
     #: Commands of the control steps from this observation on, float32 [n, 7], with the
-    #: description's gripper convention. The first `delay` are executed in any case; the others are
-    #: the rest of the last answer, which the new answer replaces.
+    #: description's gripper convention. The first `delay` commands are executed in any case; the
+    #: others are the rest of the last answer, which the new answer replaces.
     actions: np.ndarray
-    #: Control steps until the answer takes effect; its first `delay` actions are dropped.
+    #: Control steps until the answer takes effect; the first `delay` actions of the answer are
+    #: dropped.
     delay: int
 
 

@@ -1,5 +1,5 @@
-"""Made-up observations: any input that a policy can request, of the right shape
-and a plausible size, reproducible from a seed."""
+"""Synthetic observations: any input that a policy can request, with the right shape and
+plausible values, reproducible from a seed."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def fake_observation(
     """Returns an observation as the description requests it, drawn from (seed, query_index).
 
     Frames show a table with coloured objects; readings are consistent with one
-    arm near its rest posture. Without `episode`, one is made up.
+    arm near its rest posture. Without `episode`, an episode is made up, too.
     """
     rng = np.random.default_rng([seed, query_index])
     readings = fake_readings(rng)

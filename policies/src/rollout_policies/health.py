@@ -1,8 +1,7 @@
 """The part of the standard health service, `grpc.health.v1`, that a policy
 server needs. Its two messages have one field each and are encoded by hand here:
-the usual package needs newer protobuf versions than many policies' environments
-have, and a second copy of its generated messages could not be loaded beside the
-first."""
+the package grpcio-health-checking needs newer protobuf versions than many policies'
+environments have, and protobuf refuses to load a second copy of the generated messages."""
 
 from __future__ import annotations
 

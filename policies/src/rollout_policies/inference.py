@@ -1,7 +1,7 @@
 """The single thread that calls a policy.
 
-Compiled models belong to the thread that compiled them: CUDA graphs fail in any
-other. So one thread answers, in turn, the requests that arrive in many threads.
+Compiled models belong to the thread that compiled them: CUDA graphs fail in any other thread. So
+one thread answers, in turn, the requests that arrive in many threads.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class InferenceThread:
         return answer
 
     def work(self, sweep: Callable[[], None], every_secs: float) -> None:
-        """Makes calls in this thread until `close`, and calls `sweep` at intervals."""
+        """Makes the queued calls in this thread until `close`, and calls `sweep` at intervals."""
         sweep_at = time.monotonic() + every_secs
         while True:
             # Checked before each call, because a busy queue is never idle.

@@ -39,20 +39,20 @@ class Policy(abc.ABC):
 
     @abc.abstractmethod
     def infer(self, observation: Observation) -> np.ndarray:
-        """Returns actions [n, 7], 0 < n <= horizon; [7] is taken as n = 1.
+        """Returns actions [n, 7], 0 < n <= horizon; an array [7] counts as one action.
 
-        Each holds end-effector translation (3) and rotation (3), within -1..1,
+        An action holds end-effector translation (3) and rotation (3), within -1..1,
         and the gripper, in the description's convention. Random numbers must
-        come from `observation.rng` only. Retries are not passed on: the server
+        come from `observation.rng` only. Retries do not call this method: the server
         repeats its last answer. An exception fails the rollout's attempt, with
-        its message, and is not counted as a failure of the task.
+        the exception's message, and is not counted as a failure of the task.
         """
 
     def infer_batch(self, observations: Sequence[Observation]) -> Sequence[np.ndarray]:
         """Answers several episodes' observations at once, in their order.
 
         Only called if the description's max_batch is above 1. If it raises, `infer` is
-        called for each query, so that only the faulty query fails; but not if the
+        called for each query, so that only the faulty query fails. It is not called if the
         policy is stateful, because its memories may have advanced already, nor after an
         error that only a new process can recover from.
         """
@@ -62,7 +62,7 @@ class Policy(abc.ABC):
         """Does work on an observation that needs neither the model nor
         `episode.memory`, such as decoding or resizing frames.
 
-        Called before `infer`, which finds the result in `observation.prepared`.
+        Called before `infer`, which receives the result as `observation.prepared`.
         Calls come from several threads concurrently, while the model answers
         other queries.
         """
@@ -173,13 +173,13 @@ def _answer_made_up(policy: Policy) -> None:
                 return
             episodes.append(episode)
         for size in sizes:
-            # In the batch, the first episode sends query 1: its query 0 was the single one.
-            asked = [
+            # In the batch, the first episode sends query 1: its query 0 was the single query.
+            queries = [
                 fake_observation(description, at, int(size > 1 and at == 0), episode)
                 for at, episode in enumerate(episodes[:size])
             ]
-            asked = [replace(one, prepared=policy.prepare(one)) for one in asked]
-            answers = [policy.infer(asked[0])] if size == 1 else policy.infer_batch(asked)
+            queries = [replace(query, prepared=policy.prepare(query)) for query in queries]
+            answers = [policy.infer(queries[0])] if size == 1 else policy.infer_batch(queries)
             for answer in answers:
                 read_actions(answer, description.horizon)
     finally:

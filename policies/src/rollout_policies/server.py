@@ -173,8 +173,8 @@ def _require_address(listen: str) -> None:
 
 
 def _require_free(listen: str) -> None:
-    """Detects a taken port before a long warm-up. Nothing listens there during
-    the warm-up, so that callers are refused rather than kept waiting."""
+    """Detects a taken port before a long warm-up. The port stays closed during the warm-up, so
+    that callers are refused rather than kept waiting."""
     host, _, port = listen.rpartition(":")
     try:
         [family, kind, number, _, address], *_ = socket.getaddrinfo(

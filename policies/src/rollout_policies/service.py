@@ -24,8 +24,8 @@ from .proto import policy_pb2 as pb
 from .proto import policy_pb2_grpc as pb_grpc
 from .sessions import Session, SessionTable
 
-#: Number of executed actions after which the gripper should have opened once.
-TELLING_ACTIONS = 50
+#: Number of executed actions after which an episode without an opened gripper is suspicious.
+GRIPPER_CHECK_ACTIONS = 50
 
 log = logging.getLogger("rollout_policies")
 
@@ -96,8 +96,8 @@ class PolicyService(pb_grpc.PolicyServicer):
             self._require_policy(query.policy, context)
         results = self._results(request.queries, context)
         for result in results:
-            # UNAVAILABLE is not charged to a query, which the text of a single result cannot
-            # express, so the whole call fails.
+            # UNAVAILABLE means that no query is at fault. A single result holds only a text, not a
+            # code, so the whole call fails.
             if isinstance(result, QueryError) and result.code == grpc.StatusCode.UNAVAILABLE:
                 context.abort(result.code, result.text)
         return pb.InferBatchResponse(
@@ -113,12 +113,12 @@ class PolicyService(pb_grpc.PolicyServicer):
         self._require_policy(request.policy, context)
         session = self._sessions.close(request.session)
         if session is not None:
-            # Not awaited: queries of other episodes may come first.
+            # Not awaited, because queries of other episodes may be queued before it.
             self._inference.submit(self._forget, session)
         return pb.EndResponse()
 
     def _require_policy(self, name, context):
-        # A worker that expects another policy must not measure this one.
+        # A worker that expects another policy must not measure this policy.
         if name not in ("", self._description.name):
             context.abort(
                 grpc.StatusCode.NOT_FOUND,
@@ -126,7 +126,7 @@ class PolicyService(pb_grpc.PolicyServicer):
             )
 
     def _results(self, requests, context):
-        """One response or QueryError per request, in their order."""
+        """Returns one response or QueryError per request, in the order of the requests."""
         results = [self._read(request) for request in requests]
         if any(isinstance(result, Observation) for result in results):
             return self._in_turn(context, self._answer, results)
@@ -196,7 +196,7 @@ class PolicyService(pb_grpc.PolicyServicer):
     def _forget(self, session: Session) -> None:
         """Tells the policy that an episode is over, and releases its memory."""
         episode = session.episode
-        if session.executed >= TELLING_ACTIONS and not session.opened:
+        if session.executed >= GRIPPER_CHECK_ACTIONS and not session.opened:
             self._warn_of_gripper(session)
         try:
             self._policy.end(episode)
@@ -210,8 +210,8 @@ class PolicyService(pb_grpc.PolicyServicer):
         self._warned_of_gripper = True
         log.warning(
             "policy %r never opened the gripper in session %r: none of %d actions has a negative"
-            " seventh number, and -1 opens; if the model means something else by it, declare that"
-            " (Description(gripper=...)). This is said once",
+            " seventh number, and -1 opens; if the model has another convention, declare it"
+            " (Description(gripper=...)). Further episodes are not reported",
             self._description.name,
             session.episode.session,
             session.executed,
@@ -220,21 +220,24 @@ class PolicyService(pb_grpc.PolicyServicer):
     def _answer(self, results: list) -> list:
         """Returns the results with observations replaced by answers."""
         results = list(results)
-        asked = []
+        unanswered = []
         for at, observation in enumerate(results):
             if isinstance(observation, Observation):
-                known = self._known(observation)
-                if known is None:
-                    asked.append(at)
+                result = self._result_without_policy(observation)
+                if result is None:
+                    unanswered.append(at)
                 else:
-                    results[at] = known
-        answers = self._infer([results[at] for at in asked])
-        for at, answer in zip(asked, answers):
+                    results[at] = result
+        answers = self._infer([results[at] for at in unanswered])
+        for at, answer in zip(unanswered, answers):
             results[at] = self._keep(results[at], answer)
         return results
 
-    def _known(self, observation: Observation) -> pb.InferResponse | QueryError | None:
-        """Returns the answer to a query that needs no policy, checked again when its turn comes."""
+    def _result_without_policy(
+        self, observation: Observation
+    ) -> pb.InferResponse | QueryError | None:
+        """Returns the earlier answer to a retry, an error, or None if the policy must answer.
+        `_read` has checked the same, but the session may have changed while the query waited."""
         name, query = observation.episode.session, observation.query_index
         where = f"session {name!r}, query {query}"
         session = self._sessions.get(name)

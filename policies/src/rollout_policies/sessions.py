@@ -1,5 +1,5 @@
-"""The open episodes: a bounded table, which forgets episodes that nobody ended.
-The caller handles the forgotten ones."""
+"""The open episodes: a bounded table, which removes episodes that no caller ended and returns
+them to its caller."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from .proto import policy_pb2 as pb
 
 #: Number of episodes kept; the one idle for longest is forgotten first.
 MAX_SESSIONS = 1024
-#: Idle time after which an episode counts as over, if nobody ended it before.
+#: Idle time after which an episode counts as over, unless a caller ended it before.
 IDLE_SECS = 900.0
 
 
@@ -27,7 +27,7 @@ class Session:
     #: The last query and its answer, in one attribute because threads that handle a retry read it
     #: while another thread writes it.
     last: tuple[int, pb.InferResponse] | None = None
-    #: Number of answered actions that are executed, and whether one opened the gripper.
+    #: Number of answered actions that are executed; and True if one of them opened the gripper.
     executed: int = 0
     opened: bool = False
     used_at: float = 0.0

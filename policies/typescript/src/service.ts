@@ -1,6 +1,6 @@
 /**
  * The service `rollout.policy.v1.Policy`: versions, sessions, retries and
- * errors. What the actions are is `wander.ts`'s business.
+ * errors. `wander.ts` computes the actions.
  */
 
 import {
@@ -22,16 +22,16 @@ import { ACTION_WIDTH, act, CAMERA, HORIZON, type Sight } from "./wander.js";
 
 const NAME = "wander";
 const PROTOCOL_VERSION = 1;
-/** Episodes remembered; the one opened first is forgotten first. */
+/** Most open episodes; beyond it, the oldest episode is removed. */
 const MAX_SESSIONS = 1024;
 
 interface Session {
   seed: string;
-  /** The last answer: a retry gets it again. */
+  /** The last query and its answer, which is repeated for a retry. */
   last?: { query: number; answer: InferResponse };
 }
 
-/** Why a call gets no answer. */
+/** Reason for refusing a call. */
 class Refusal extends Error {
   constructor(
     readonly code: status,
@@ -41,8 +41,8 @@ class Refusal extends Error {
   }
 }
 
-/** The methods that this server has. It declares no batches, so InferBatch is
- * left to the library, which answers UNIMPLEMENTED. */
+/** Implements the service's methods except InferBatch, to which the library
+ * answers UNIMPLEMENTED: the description declares no batches. */
 export function policy(): UntypedServiceImplementation {
   const sessions = new Map<string, Session>();
   return {
@@ -121,7 +121,7 @@ function sightOf(request: InferRequest__Output, where: string): Sight {
   return { rgb: image.rgb, position: reading.values };
 }
 
-/** A worker that means another policy must not measure this one. */
+/** Refuses a request for another policy, so that no worker measures the wrong one. */
 function requirePolicy(name: string): void {
   if (name !== "" && name !== NAME) {
     throw new Refusal(
@@ -131,7 +131,7 @@ function requirePolicy(name: string): void {
   }
 }
 
-/** A method from a function that returns the answer or throws. */
+/** Converts a function that returns the answer or throws to a gRPC method. */
 function answering<Request, Response>(answer: (request: Request) => Response) {
   return (call: ServerUnaryCall<Request, Response>, send: sendUnaryData<Response>): void => {
     try {

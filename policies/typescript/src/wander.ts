@@ -1,7 +1,7 @@
 /**
- * A policy that wanders: it moves the hand a little at random, keeps it at a
- * height, and closes the fingers when what is before them is dark. It solves no
- * task; it shows what a policy gets and gives.
+ * An example policy: it moves the hand a little at random, keeps it at a
+ * constant height, and closes the fingers if the wrist camera's frame is dark.
+ * It solves no task; it shows the inputs and outputs of a policy.
  */
 
 import { createHash } from "node:crypto";
@@ -10,7 +10,7 @@ import { createHash } from "node:crypto";
 export const ACTION_WIDTH = 7;
 /** Actions per answer, all of which are executed. */
 export const HORIZON = 4;
-/** What is looked at: one camera, in pixels. */
+/** The requested camera, with the size of its frames in pixels. */
 export const CAMERA = { name: "robot0_eye_in_hand", width: 32, height: 32 };
 
 /** Height that the fingertips are kept at, m, world frame. */
@@ -22,7 +22,7 @@ const REACH = 0.3;
 /** Mean brightness, 0..255, under which the frame is dark. */
 const DARK = 60;
 
-/** What one query shows. */
+/** The inputs of one query. */
 export interface Sight {
   /** RGB, row after row, the bottom row first. */
   rgb: Buffer;
@@ -31,24 +31,24 @@ export interface Sight {
 }
 
 /**
- * The next actions, row by row. Chance comes from the rollout's seed and the
- * query's index alone, so that neither a retry nor another order of requests
+ * Returns the next actions, row by row. Random numbers depend only on the rollout's
+ * seed and the query's index, so that neither a retry nor another order of requests
  * changes a rollout.
  */
 export function act(sight: Sight, seed: string, query: number): number[] {
   const rise = clip(GAIN * (HEIGHT - (sight.position[2] ?? HEIGHT)));
   const gripper = mean(sight.rgb) < DARK ? 1 : -1;
-  const chance = uniform(seed, query, 2 * HORIZON);
+  const random = uniform(seed, query, 2 * HORIZON);
   return Array.from({ length: HORIZON }, (_, at) => [
-    REACH * (chance[2 * at] ?? 0),
-    REACH * (chance[2 * at + 1] ?? 0),
+    REACH * (random[2 * at] ?? 0),
+    REACH * (random[2 * at + 1] ?? 0),
     rise,
     ...[0, 0, 0],
     gripper,
   ]).flat();
 }
 
-/** Numbers in -1..1 from a hash: at most eight. */
+/** Returns up to eight numbers in -1..1, derived from a hash. */
 function uniform(seed: string, query: number, count: number): number[] {
   const bytes = createHash("sha256").update(`${seed}/${query}`).digest();
   return Array.from({ length: count }, (_, at) => bytes.readInt32LE(4 * at) / 2 ** 31);

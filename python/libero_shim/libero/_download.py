@@ -17,7 +17,7 @@ def command(arguments: Sequence[str] | None = None) -> list[str]:
     parser.add_argument(
         "--skip-existing",
         action="store_true",
-        help="accepted: what is there and whole is never fetched again",
+        help="accepted without effect: complete files are never fetched again",
     )
     parser.parse_args(arguments)
     return ["fetch"]

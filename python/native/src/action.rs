@@ -25,7 +25,7 @@ pub(crate) fn actions(given: &Numbers<'_>, shape: &[usize]) -> PyResult<Vec<[f64
     let numbers: Vec<f64> = given.as_array().iter().copied().collect();
     if let Some(number) = numbers.iter().find(|number| !number.is_finite()) {
         return Err(PyValueError::new_err(format!(
-            "read actions: one of the numbers is {number}; look for it in the policy"
+            "read actions: one of the numbers is {number}; search the policy for its origin"
         )));
     }
     let (actions, _) = numbers.as_chunks::<WIDTH>();

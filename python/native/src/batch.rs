@@ -73,7 +73,7 @@ struct Task<'a> {
 struct Done<'a> {
     steps: &'a mut u32,
     success: &'a mut bool,
-    /// Per step: true if the goal holds after it. Empty if steps end with the first success.
+    /// Per step: true if the goal holds after it. Empty if the first success ends the task.
     successes: &'a mut [bool],
     /// Per step: action of the expert, if it is queried.
     expert_actions: &'a mut [[f64; WIDTH]],
@@ -91,15 +91,20 @@ impl Batch {
     fn new(simulations: Vec<Py<Simulation>>, threads: usize) -> PyResult<Self> {
         if simulations.is_empty() || threads == 0 {
             return Err(PyValueError::new_err(
-                "make a batch: it takes one environment at least, and one thread",
+                "make a batch: at least one environment and one thread are needed",
             ));
         }
         // An OpenGL context belongs to one thread.
-        let threads = match simulations.iter().any(|it| it.get().draws_through_opengl()) {
+        let uses_opengl = simulations
+            .iter()
+            .any(|simulation| simulation.get().draws_through_opengl());
+        let threads = match uses_opengl {
             true => 1,
             false => threads.min(simulations.len()),
         };
-        let states = simulations.iter().map(|it| it.get().state.clone());
+        let states = simulations
+            .iter()
+            .map(|simulation| simulation.get().state.clone());
         Ok(Self {
             states: states.collect(),
             threads,
@@ -147,7 +152,7 @@ impl Batch {
     /// Invalid arguments raise before any environment moves. A failing environment does not
     /// stop the others: `errors` has its exception, and `steps` counts the steps that it
     /// completed.
-    #[expect(clippy::too_many_arguments, reason = "they are Python's keywords")]
+    #[expect(clippy::too_many_arguments, reason = "keyword arguments in Python")]
     #[pyo3(signature = (
         actions, limits, starts, cameras, *,
         render = "last", absolute = false, mirrored = false, expert = None,
@@ -205,10 +210,10 @@ impl Batch {
         };
         let mut steps = vec![0_u32; count];
         let mut success = vec![false; count];
-        let told = if past_success { chunk } else { 0 };
-        let mut successes = vec![false; count * told];
-        let asked = if expert.is_some() { chunk } else { 0 };
-        let mut expert_actions = vec![[f64::NAN; WIDTH]; count * asked];
+        let success_steps = if past_success { chunk } else { 0 };
+        let mut successes = vec![false; count * success_steps];
+        let expert_steps = if expert.is_some() { chunk } else { 0 };
+        let mut expert_actions = vec![[f64::NAN; WIDTH]; count * expert_steps];
         let mut readings = vec![[0.0; READING_WIDTH]; count * shown];
         let drawn: &[Camera] = match render {
             Render::None => &[],
@@ -225,9 +230,9 @@ impl Batch {
             .map(|(frames, camera)| frames.chunks_exact_mut(shown * bytes(camera.size)))
             .collect();
         let mut tasks = Vec::with_capacity(count);
-        let mut success_rows = successes.chunks_exact_mut(told.max(1));
-        let mut expert_rows = expert_actions.chunks_exact_mut(asked.max(1));
-        let places = steps
+        let mut success_rows = successes.chunks_exact_mut(success_steps.max(1));
+        let mut expert_rows = expert_actions.chunks_exact_mut(expert_steps.max(1));
+        let outputs = steps
             .iter_mut()
             .zip(&mut success)
             .zip(readings.chunks_exact_mut(shown));
@@ -235,7 +240,7 @@ impl Batch {
             .states
             .iter()
             .zip(starts)
-            .zip(places)
+            .zip(outputs)
             .zip(limits.into_iter().enumerate())
         {
             tasks.push(Task {
@@ -252,7 +257,7 @@ impl Batch {
                     readings,
                     frames: rows
                         .iter_mut()
-                        .map(|rows| rows.next().expect("one each"))
+                        .map(|rows| rows.next().expect("frames of each environment"))
                         .collect(),
                 },
             });
@@ -275,7 +280,7 @@ impl Batch {
         result.set_item("steps", shaped(py, steps, &[count])?)?;
         result.set_item("success", shaped(py, success, &[count])?)?;
         if past_success {
-            let successes = shaped(py, successes, &[count, told])?;
+            let successes = shaped(py, successes, &[count, success_steps])?;
             result.set_item("successes", successes)?;
         }
         if expert.is_some() {
@@ -326,20 +331,20 @@ impl Task<'_> {
         for (step, action) in actions.iter().take(limit).enumerate() {
             let mut action = *action;
             if let Some(drives) = expert {
-                let own = state.expert_action()?;
-                done.expert_actions[step] = own;
+                let expert_action = state.expert_action()?;
+                done.expert_actions[step] = expert_action;
                 if !drives[step] || is_push(&action) {
                     state.expert_is_interrupted();
                 }
                 if drives[step] {
-                    action = followed(own, action);
+                    action = added_to_expert(expert_action, action);
                 }
             }
             *done.success = state.step(&action, of)?;
             *done.steps += 1;
-            let goes_on = match done.successes.get_mut(step) {
-                Some(told) => {
-                    *told = *done.success;
+            let continues = match done.successes.get_mut(step) {
+                Some(success) => {
+                    *success = *done.success;
                     true
                 }
                 None => !*done.success,
@@ -347,7 +352,7 @@ impl Task<'_> {
             if view.render == Render::All {
                 done.show(state, step, view)?;
             }
-            if !goes_on {
+            if !continues {
                 break;
             }
         }
@@ -401,15 +406,15 @@ fn reading(robot: &RobotState) -> [f64; READING_WIDTH] {
         &robot.gripper_vel,
     ];
     let mut numbers = parts.into_iter().flatten();
-    std::array::from_fn(|_| *numbers.next().expect("as many as there are"))
+    std::array::from_fn(|_| *numbers.next().expect("parts hold READING_WIDTH numbers"))
 }
 
 /// Adds `added` to the arm components of the expert's action, clamped to the valid range.
-fn followed(own: [f64; WIDTH], added: [f64; WIDTH]) -> [f64; WIDTH] {
+fn added_to_expert(expert: [f64; WIDTH], added: [f64; WIDTH]) -> [f64; WIDTH] {
     const GRIPPER: usize = WIDTH - 1;
     std::array::from_fn(|at| match at {
-        GRIPPER => own[at],
-        _ => (own[at] + added[at]).clamp(-1.0, 1.0),
+        GRIPPER => expert[at],
+        _ => (expert[at] + added[at]).clamp(-1.0, 1.0),
     })
 }
 
@@ -426,12 +431,12 @@ fn expert_drives(
 ) -> PyResult<Vec<bool>> {
     if absolute {
         return Err(PyValueError::new_err(
-            "ask the expert: its actions are displacements; use control=\"relative\"",
+            "query the expert: its actions are displacements; use control=\"relative\"",
         ));
     }
     if drives.shape() != shape {
         return Err(PyValueError::new_err(format!(
-            "ask the expert: `expert` has shape {:?}; expected [environments, steps], {shape:?}",
+            "query the expert: `expert` has shape {:?}; expected [environments, steps], {shape:?}",
             drives.shape()
         )));
     }
@@ -464,10 +469,10 @@ fn run<'a>(
     let left = Mutex::new(tasks.into_iter().enumerate());
     let work = || {
         loop {
-            let next = left.lock().expect("nobody panics with it").next();
+            let next = left.lock().expect("no panic under the lock").next();
             let Some((at, task)) = next else { break };
             if let Err(error) = execute(task) {
-                errors.lock().expect("nobody panics with it")[at] = Some(error);
+                errors.lock().expect("no panic under the lock")[at] = Some(error);
             }
         }
     };
@@ -477,5 +482,5 @@ fn run<'a>(
         }
         work();
     });
-    errors.into_inner().expect("nobody panics with it")
+    errors.into_inner().expect("no panic under the lock")
 }

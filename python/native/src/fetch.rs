@@ -16,10 +16,10 @@ use crate::error;
 use crate::pack::opened;
 
 /// Interval at which Python's signals are checked.
-const LOOK: Duration = Duration::from_millis(100);
+const SIGNAL_INTERVAL: Duration = Duration::from_millis(100);
 /// Longest wait for an interrupted fetch to end. If its server does not respond, the fetch
 /// ends later in the background.
-const FAREWELL: Duration = Duration::from_secs(2);
+const INTERRUPT_WAIT: Duration = Duration::from_secs(2);
 
 /// Fetches the missing LIBERO assets for the scenes of BDDL files, or all assets, and shows
 /// progress on standard error. Ctrl-C interrupts the fetch; completely received files are
@@ -32,7 +32,7 @@ const FAREWELL: Duration = Duration::from_secs(2);
     sources, bddl_files, *, everything = false, into = None, index = None, wheels = None,
     hub = None
 ))]
-#[expect(clippy::too_many_arguments, reason = "they are named in Python")]
+#[expect(clippy::too_many_arguments, reason = "keyword arguments in Python")]
 pub(crate) fn fetch_assets(
     py: Python<'_>,
     sources: PathBuf,
@@ -101,7 +101,7 @@ fn fetch(
 
 /// Shows the latest report. Returns true if the fetch has ended.
 fn show(reports: &mut Receiver<Report>, bar: &mut Bar) -> bool {
-    match reports.recv_timeout(LOOK) {
+    match reports.recv_timeout(SIGNAL_INTERVAL) {
         Ok(first) => bar.show(reports.try_iter().last().unwrap_or(first)),
         Err(RecvTimeoutError::Timeout) => {}
         Err(RecvTimeoutError::Disconnected) => return true,
@@ -110,7 +110,7 @@ fn show(reports: &mut Receiver<Report>, bar: &mut Bar) -> bool {
 }
 
 fn wait(fetch: &JoinHandle<Result<Fetched, AssetsError>>) {
-    let until = Instant::now() + FAREWELL;
+    let until = Instant::now() + INTERRUPT_WAIT;
     while !fetch.is_finished() && Instant::now() < until {
         thread::sleep(Duration::from_millis(10));
     }

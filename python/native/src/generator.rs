@@ -19,7 +19,7 @@ pub(crate) fn read((name, key, position, has_gauss, gauss): &Generator<'_>) -> P
         ))
     };
     if name != "MT19937" {
-        return Err(wrong(format!("it is of `{name}` and not of `MT19937`")));
+        return Err(wrong(format!("its generator is `{name}`, not `MT19937`")));
     }
     let key: PyReadonlyArray1<'_, u32> = key.readonly();
     let words = key.as_slice()?;

@@ -12,10 +12,10 @@ pub(crate) struct Guarded<T>(Arc<Inner<T>>);
 
 struct Inner<T> {
     value: Mutex<Option<T>>,
-    /// Number of threads that only read the value, for example to render a deferred
+    /// Number of threads in [`Guarded::try_read`], for example to render a deferred
     /// picture. Callers of [`Guarded::hold`] wait for these instead of failing, because
     /// users cannot know when such a picture is rendered.
-    looking: AtomicUsize,
+    readers: AtomicUsize,
 }
 
 impl<T> Clone for Guarded<T> {
@@ -28,29 +28,29 @@ impl<T> Guarded<T> {
     pub(crate) fn new(value: T) -> Self {
         Self(Arc::new(Inner {
             value: Mutex::new(Some(value)),
-            looking: AtomicUsize::new(0),
+            readers: AtomicUsize::new(0),
         }))
     }
 
-    /// Reads the value; `None` if it is in use or closed.
-    pub(crate) fn look<R>(&self, look: impl FnOnce(&mut T) -> Option<R>) -> Option<R> {
-        self.0.looking.fetch_add(1, Ordering::SeqCst);
-        let seen = match self.0.value.try_lock() {
-            Ok(mut held) => held.as_mut().and_then(look),
+    /// Returns the result of `read`; `None` if the value is in use or closed.
+    pub(crate) fn try_read<R>(&self, read: impl FnOnce(&mut T) -> Option<R>) -> Option<R> {
+        self.0.readers.fetch_add(1, Ordering::SeqCst);
+        let result = match self.0.value.try_lock() {
+            Ok(mut held) => held.as_mut().and_then(read),
             Err(_) => None,
         };
-        self.0.looking.fetch_sub(1, Ordering::SeqCst);
-        seen
+        self.0.readers.fetch_sub(1, Ordering::SeqCst);
+        result
     }
 
-    /// Locks the value. Waits only for threads in [`Self::look`].
+    /// Locks the value. Waits only for threads in [`Self::try_read`].
     ///
     /// # Errors
     /// `BusyError` if another thread holds the value; `ClosedError` after a panic.
     pub(crate) fn hold(&self) -> PyResult<MutexGuard<'_, Option<T>>> {
         match self.0.value.try_lock() {
             Ok(guard) => Ok(guard),
-            Err(TryLockError::WouldBlock) if self.0.looking.load(Ordering::SeqCst) > 0 => {
+            Err(TryLockError::WouldBlock) if self.0.readers.load(Ordering::SeqCst) > 0 => {
                 let held = self.0.value.lock();
                 held.map_err(|_| closed("it failed in an earlier call"))
             }
@@ -63,7 +63,7 @@ impl<T> Guarded<T> {
         }
     }
 
-    /// Computes with the value while the interpreter is detached.
+    /// Returns the result of `compute`, which runs while the interpreter is detached.
     ///
     /// # Errors
     /// `BusyError` if another thread holds the value, `ClosedError` if it is closed, and

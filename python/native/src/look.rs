@@ -16,7 +16,7 @@ pub(crate) struct Look {
     pub(crate) look: sim::Look,
     pub(crate) compiled: Arc<CompiledScene>,
     pub(crate) renderer: Renderer,
-    /// State of the observed environment, which renders the views if it is available.
+    /// State of the observed environment, which renders the views unless it is busy or closed.
     pub(crate) state: Guarded<State>,
 }
 
@@ -54,7 +54,7 @@ impl Look {
 
     /// Renders the kind (mjtObj) and id of the object at each pixel, [height, width, 2]; -1
     /// for the background; row 0 is the bottom. Sites are transparent, as in frames, unlike
-    /// in `MuJoCo`'s segmentation. A burner is shown as observed.
+    /// in `MuJoCo`'s segmentation. A burner glows if it glowed at the observation.
     fn segmentation<'py>(
         &self,
         py: Python<'py>,
@@ -75,25 +75,25 @@ impl Look {
 
 impl Look {
     /// Renders with the observed environment or, if that is busy or closed, with a new one, so
-    /// that a deferred picture is always available, like one rendered at once.
+    /// that deferred rendering never fails for these reasons.
     fn draw<T: Send>(
         &self,
         py: Python<'_>,
         draw: impl Fn(&mut Environment, &sim::Drawer) -> Result<T, SimError> + Sync,
     ) -> PyResult<T> {
-        let see = |environment: &mut Environment| {
+        let render = |environment: &mut Environment| {
             environment.seeing(&self.look, |environment| {
                 with_drawer(self.renderer, |drawer| draw(environment, drawer))
             })
         };
         py.detach(|| {
-            let seen = self.state.look(|state| {
+            let rendered = self.state.try_read(|state| {
                 Arc::ptr_eq(state.environment.compiled(), &self.compiled)
-                    .then(|| see(&mut state.environment))
+                    .then(|| render(&mut state.environment))
             });
-            seen.unwrap_or_else(|| {
-                let other = Environment::of(Arc::clone(&self.compiled)).map_err(simulation);
-                see(&mut other?)
+            rendered.unwrap_or_else(|| {
+                let new = Environment::of(Arc::clone(&self.compiled)).map_err(simulation);
+                render(&mut new?)
             })
         })
     }

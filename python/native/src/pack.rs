@@ -1,5 +1,5 @@
-//! Cache of asset packs. Each is opened once per process, because checking whether a folder
-//! is LIBERO's reads all of its files.
+//! Cache of asset packs. Each pack is opened once per process, because comparing a folder with
+//! LIBERO's pack reads all of its files.
 
 use std::collections::HashMap;
 use std::path::PathBuf;
@@ -11,7 +11,7 @@ type Packs = HashMap<(String, PathBuf), AssetPack>;
 
 static PACKS: Mutex<Option<Packs>> = Mutex::new(None);
 
-/// Returns the asset pack `libero`, `primitives` or that of a folder.
+/// Returns the asset pack `libero`, `primitives`, or the pack in a folder.
 pub(crate) fn opened(assets: &str, sources: &Sources) -> Result<AssetPack, SceneError> {
     let mut packs = PACKS.lock().unwrap_or_else(PoisonError::into_inner);
     let packs = packs.get_or_insert_default();

@@ -26,7 +26,7 @@ pub(crate) struct Scene {
     pack: String,
     #[pyo3(get)]
     digest: String,
-    /// Files because of which the pack is not LIBERO's.
+    /// Files in which the pack differs from LIBERO's.
     #[pyo3(get)]
     pack_differences: Vec<String>,
 }
@@ -155,7 +155,7 @@ impl Scene {
 
     fn instance(&self, name: &str) -> PyResult<&scene::Instance> {
         self.compiled.scene().instance(name).ok_or_else(|| {
-            let known: Vec<&str> = self
+            let names: Vec<&str> = self
                 .compiled
                 .scene()
                 .instances
@@ -164,7 +164,7 @@ impl Scene {
                 .collect();
             PyValueError::new_err(format!(
                 "find instance `{name}` in the scene: it has {}",
-                known.join(", ")
+                names.join(", ")
             ))
         })
     }

@@ -1,4 +1,4 @@
-//! Python class of a late policy's schedule.
+//! Python class of the schedule of queries whose responses take effect late.
 
 use libero_ctrl::{ACTION_WIDTH, Action, Execution, TaskRef};
 use numpy::{PyArrayDyn, PyUntypedArrayMethods};

@@ -68,7 +68,7 @@ impl Simulation {
     /// NumPy's legacy generator, and observes once. `joint_sampler_rounds` is the number of
     /// times that the original has loaded its model so far: once in the constructor, and
     /// once per hard reset. Returns the generator's state after the reset and the number of
-    /// rounds, which is larger than given if objects had to be placed again.
+    /// rounds, which is larger than given if placements were repeated for lack of room.
     #[pyo3(signature = (generator, joint_sampler_rounds, *, hard = true))]
     fn reset<'py>(
         &self,
@@ -83,7 +83,7 @@ impl Simulation {
             false => Reset::Soft,
         };
         let (rng, rounds) = self.state.with(py, move |state| {
-            state.forget();
+            state.end_rollout();
             let reset = state
                 .environment
                 .reset(&mut rng, kind, joint_sampler_rounds);
@@ -98,7 +98,7 @@ impl Simulation {
         let numbers = numbers(&state);
         self.state.with(py, |state| {
             check_width(&state.environment, &numbers)?;
-            state.forget();
+            state.end_rollout();
             state.environment.load(&numbers);
             Ok(())
         })
@@ -303,8 +303,8 @@ impl Simulation {
         let array = self.state.with(py, |state| {
             state.environment.model().array(name).ok_or_else(|| {
                 PyValueError::new_err(format!(
-                    "read array `{name}` of the model: it has none of this name; names are those \
-                     of mjModel, and meshes and textures are left out"
+                    "read array `{name}` of the model: it has no array of this name; names are \
+                     those of mjModel, without meshes and textures"
                 ))
             })
         })?;
@@ -323,7 +323,7 @@ impl Simulation {
             let array = state.environment.model_mut().own_array_mut(name);
             let array = array.ok_or_else(|| {
                 PyValueError::new_err(format!(
-                    "write array `{name}` of the model: those that can be written are {}",
+                    "write array `{name}` of the model: writable arrays are {}",
                     Model::OWN_ARRAYS.join(", ")
                 ))
             })?;
@@ -333,7 +333,7 @@ impl Simulation {
             };
             if numbers.len() != needed {
                 return Err(PyValueError::new_err(format!(
-                    "write array `{name}` of the model: {} numbers were given and it has {needed}",
+                    "write array `{name}` of the model: {} numbers were given, {needed} are needed",
                     numbers.len()
                 )));
             }
@@ -408,11 +408,11 @@ fn object_kind(name: &str) -> PyResult<ObjectKind> {
         ("actuator", ObjectKind::Actuator),
         ("sensor", ObjectKind::Sensor),
     ];
-    let found = KINDS.iter().find(|(known, _)| *known == name);
+    let found = KINDS.iter().find(|(kind, _)| *kind == name);
     found.map(|(_, kind)| *kind).ok_or_else(|| {
         PyValueError::new_err(format!(
             "list names of kind `{name}`: kinds are {}",
-            KINDS.map(|(known, _)| known).join(", ")
+            KINDS.map(|(kind, _)| kind).join(", ")
         ))
     })
 }

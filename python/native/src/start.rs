@@ -95,11 +95,11 @@ impl Start {
                 conditions.settle(environment).map_err(simulation)?;
                 Ok(Some(conditions))
             }
-            Self::Sampled(it) => {
-                let mut rng = LegacyRng::seed(it.sampled);
+            Self::Sampled(placement) => {
+                let mut rng = LegacyRng::seed(placement.sampled);
                 let reset = environment.reset(&mut rng, Reset::Hard, JOINT_SAMPLER_ROUNDS);
                 reset.map_err(simulation)?;
-                let conditions = match &it.perturbed {
+                let conditions = match &placement.perturbed {
                     Some(row) => {
                         let (state, ready) = (environment.state(), complete(ready)?);
                         let how = Realisation::Matched;
@@ -108,12 +108,12 @@ impl Start {
                     }
                     None => None,
                 };
-                for _ in 0..it.settle_steps {
+                for _ in 0..placement.settle_steps {
                     environment.step(&NO_OP).map_err(simulation)?;
                 }
                 Ok(conditions)
             }
-            Self::Legacy(it) => it.begin(environment).map(|()| None),
+            Self::Legacy(start) => start.begin(environment).map(|()| None),
         }
     }
 }
@@ -150,8 +150,8 @@ pub(crate) fn check_width(environment: &Environment, numbers: &[f64]) -> PyResul
         return Ok(());
     }
     Err(PyValueError::new_err(format!(
-        "load a state of {} numbers: this scene's have {needed} (time, {} of qpos, {} of qvel); is \
-         it of another task?",
+        "load a state of {} numbers: a state of this scene has {needed} (time, {} of qpos, {} of \
+         qvel); is it of another task?",
         numbers.len(),
         model.nq(),
         model.nv()

@@ -28,7 +28,7 @@ pub(crate) struct State {
     pub(crate) environment: Environment,
     /// Conditions of the current rollout, if one was started.
     pub(crate) conditions: Option<Conditions>,
-    /// Scripted expert; if used, it must be queried at every step of the rollout.
+    /// Scripted expert. A rollout that uses it queries it at every step.
     pub(crate) expert: Expert,
     pub(crate) ready: Option<Arc<ReadyScene>>,
     pub(crate) renderer: Renderer,
@@ -48,14 +48,14 @@ impl State {
     }
 
     /// Ends the rollout: removes perturbations and resets the expert.
-    pub(crate) fn forget(&mut self) {
+    pub(crate) fn end_rollout(&mut self) {
         self.conditions = None;
         self.expert = Expert::default();
     }
 
     /// Starts a rollout.
     pub(crate) fn begin(&mut self, start: &Start) -> PyResult<()> {
-        self.forget();
+        self.end_rollout();
         self.conditions = start.begin(self.ready.as_deref(), &mut self.environment)?;
         Ok(())
     }
@@ -88,7 +88,7 @@ impl State {
         let action = self
             .expert
             .act(&seen)
-            .map_err(|problem| PyValueError::new_err(format!("ask the expert: {problem}")))?;
+            .map_err(|problem| PyValueError::new_err(format!("query the expert: {problem}")))?;
         Ok(action.map(f64::from))
     }
 
@@ -117,7 +117,7 @@ pub(crate) fn with_drawer<T>(
         return draw(&Drawer::Software).map_err(simulation);
     }
     OPENGL.with_borrow_mut(|opened| {
-        let at = match opened.iter().position(|(known, _)| *known == renderer) {
+        let at = match opened.iter().position(|(opened, _)| *opened == renderer) {
             Some(at) => at,
             None => {
                 let drawer = Drawer::open(renderer).map_err(simulation)?;

@@ -47,23 +47,23 @@ def export(archive: Archive, folder: str | os.PathLike[str], *, films: bool = Fa
     target = Path(folder)
     if target.exists() and any(target.iterdir()):
         raise SettingsError(f"failed to export into {target}: it is not empty; name a new folder")
-    writing = _Writing(target, films)
+    writer = _DatasetWriter(target, films)
     for rollout in archive.rollouts():
-        # Actions are only kept by campaigns that record transitions.
+        # Only campaigns that record transitions keep actions.
         if len(rollout.actions) > 0 and (rollout.film or not films):
-            writing.add(rollout)
-    if writing.episodes == 0:
+            writer.add(rollout)
+    if writer.episodes == 0:
         what = "was filmed and has its actions" if films else "has its actions"
         raise ArchiveError(
             f"failed to export campaign {archive.name}: no rollout of it {what}; create campaigns"
             " with --record transitions to keep actions"
         )
-    writing.finish(archive)
-    return writing.episodes
+    writer.finish(archive)
+    return writer.episodes
 
 
-class _Writing:
-    """A dataset that is being written."""
+class _DatasetWriter:
+    """Writer of a dataset, episode by episode."""
 
     def __init__(self, folder: Path, films: bool) -> None:
         self.folder, self.films = folder, films

@@ -17,7 +17,7 @@ class Point:
     #: Number of results of the condition so far, and of successes among them.
     results: int
     successes: int
-    #: Commit time of the last of them, seconds since the Unix epoch.
+    #: Commit time of the latest of these results, seconds since the Unix epoch.
     committed: float
 
     @property
@@ -28,12 +28,18 @@ class Point:
 
 def points(archive: Archive) -> Iterator[Point]:
     """Yields a point after each result, in the order of the commits."""
-    so_far: dict[str, tuple[int, int]] = {}
+    counts: dict[str, tuple[int, int]] = {}
     rollouts = [
-        (it.committed_ms, it.rollout_id, it.replicate, f"{it.level}/{it.axis}", it.success)
-        for it in archive.rollouts()
+        (
+            rollout.committed_ms,
+            rollout.rollout_id,
+            rollout.replicate,
+            f"{rollout.level}/{rollout.axis}",
+            rollout.success,
+        )
+        for rollout in archive.rollouts()
     ]
     for committed_ms, _, _, condition, success in sorted(rollouts):
-        results, successes = so_far.get(condition, (0, 0))
-        so_far[condition] = (results + 1, successes + success)
+        results, successes = counts.get(condition, (0, 0))
+        counts[condition] = (results + 1, successes + success)
         yield Point(condition, results + 1, successes + success, committed_ms / 1_000)

@@ -36,7 +36,7 @@ def export(archive: Archive, folder: str | os.PathLike[str], *, project: str = "
                 run.define_metric(rate, step_metric=steps)
             run.log({rate: point.rate, steps: point.results})
             count += 1
-        rows = [[getattr(it, name) for name in COLUMNS] for it in archive.rollouts()]
+        rows = [[getattr(rollout, name) for name in COLUMNS] for rollout in archive.rollouts()]
         run.log({"rollouts": wandb.Table(columns=COLUMNS, data=rows)})
         run.summary["report"] = archive.report()
     finally:

@@ -20,7 +20,7 @@ from rollout_client import Client
 #: Longest wait for a program to listen, and for the small campaign, s.
 START_SECS, CAMPAIGN_SECS = 60, 600
 
-#: Variables that users may have set and that tests must not have.
+#: Environment variables of the user, which tests must not see.
 UNSET = ("COORDINATOR_URL", "ROLLOUT_TOKENS", "ROLLOUT_TOKEN_FILE", "ROLLOUT_CA")
 
 
@@ -145,8 +145,8 @@ def run(programs):
             try:
                 for status in campaign.follow(every=0.5):
                     if worker.poll() is not None or time.monotonic() > end:
-                        said = worker.stdout.read()
-                        pytest.fail(f"the campaign did not finish: {status}; {said}")
+                        printed = worker.stdout.read()
+                        pytest.fail(f"the campaign did not finish: {status}; {printed}")
             finally:
                 worker.terminate()
                 worker.communicate(timeout=START_SECS)

@@ -1,4 +1,4 @@
-"""Access to a coordinator, and messages about servers that are not coordinators."""
+"""Access to a coordinator, and errors about servers that are not coordinators."""
 
 import http.server
 import logging
@@ -50,7 +50,7 @@ def guarded(serve, certificates, tmp_path_factory):
     return f"https://localhost:{server.port}"
 
 
-def test_an_operator_steers_a_guarded_coordinator_and_its_program_too(
+def test_an_operator_and_the_program_use_a_coordinator_with_tls_and_tokens(
     guarded, certificates, connect, tmp_path
 ):
     # The client uses the operator's line of a file with several roles.
@@ -61,7 +61,7 @@ def test_an_operator_steers_a_guarded_coordinator_and_its_program_too(
     assert client.forecast(specification("more")).total == 8
 
 
-def test_credentials_come_from_the_environment_as_those_of_the_command_line(
+def test_credentials_are_read_from_the_command_lines_environment_variables(
     guarded, certificates, connect, tmp_path, monkeypatch
 ):
     monkeypatch.setenv("COORDINATOR_URL", guarded)
@@ -74,7 +74,7 @@ def test_credentials_come_from_the_environment_as_those_of_the_command_line(
         connect(None).campaigns()
 
 
-def test_who_may_not_is_told_which_token_it_takes(guarded, certificates, connect, tmp_path):
+def test_the_error_for_a_refused_token_has_the_remedy(guarded, certificates, connect, tmp_path):
     ca = certificates / "ca.pem"
     with pytest.raises(AccessDeniedError, match="without a token.*token_file"):
         connect(guarded, ca=ca).campaigns()
@@ -98,13 +98,13 @@ def test_who_may_not_is_told_which_token_it_takes(guarded, certificates, connect
         (["# nothing"], "token of role operator or viewer"),
     ],
 )
-def test_a_token_file_that_is_no_use_is_named_with_the_line(tmp_path, lines, said):
+def test_an_unusable_token_file_is_named_with_the_line(tmp_path, lines, said):
     with pytest.raises(SettingsError, match=said) as wrong:
         Client(token_file=token_file(tmp_path, *lines))
     assert TOKENS["worker"] not in str(wrong.value)
 
 
-def test_files_and_addresses_that_are_none_are_named(tmp_path):
+def test_invalid_files_and_addresses_are_named(tmp_path):
     (tmp_path / "text").write_text("no certificate")
     with pytest.raises(SettingsError, match="absent"):
         Client(token_file=tmp_path / "absent")
@@ -136,7 +136,7 @@ def unreachable(client):
     return failed.value
 
 
-def test_where_nothing_is_the_error_says_so_and_how_to_start_one(connect):
+def test_the_error_without_a_server_has_the_command_that_starts_one(connect):
     with socket.create_server(("127.0.0.1", 0)) as free:
         port = free.getsockname()[1]
     error = unreachable(connect(f"http://127.0.0.1:{port}"))
@@ -169,7 +169,7 @@ def test_a_web_server_is_named(connect):
     assert "a web server of another kind is there" in error.found
 
 
-def test_tls_where_there_is_none_and_the_other_way_round(guarded, certificates, connect, serve):
+def test_a_url_with_the_wrong_scheme_is_diagnosed(guarded, certificates, connect, serve):
     plain = serve()
     error = unreachable(connect(f"https://{plain.address}", ca=certificates / "ca.pem"))
     assert error.found == "the server there does not speak TLS"
@@ -178,7 +178,7 @@ def test_tls_where_there_is_none_and_the_other_way_round(guarded, certificates, 
     assert "https://" in error.remedy
 
 
-def test_certificates_that_are_not_to_be_trusted_are_named(guarded, certificates, connect):
+def test_untrusted_certificates_are_diagnosed(guarded, certificates, connect):
     other = certificates / "other.pem"
     error = unreachable(connect(guarded, ca=other))
     assert error.found == f"its certificate was not signed by the authority in {other}"
@@ -188,7 +188,7 @@ def test_certificates_that_are_not_to_be_trusted_are_named(guarded, certificates
     assert error.found == "its certificate is not for `127.0.0.1`"
 
 
-def test_a_coordinator_that_comes_up_while_a_client_waits_answers_it(
+def test_a_waiting_client_gets_its_answer_when_the_coordinator_starts(
     serve, connect, caplog, tmp_path
 ):
     with socket.create_server(("127.0.0.1", 0)) as free:

@@ -39,7 +39,7 @@ def test_a_campaign_is_created_from_fields_and_from_a_file(client, tmp_path):
     assert 0 <= age.total_seconds() < 600
 
 
-def test_what_is_listed_is_what_the_command_line_prints(client, programs):
+def test_campaigns_and_jobs_equal_the_command_lines_output(client, programs):
     client.create(specification("first"))
     printed = client._program.run(
         *client._program.connected("campaign", "status", "first", "--json")
@@ -55,7 +55,7 @@ def test_what_is_listed_is_what_the_command_line_prints(client, programs):
             assert pd.isna(listed[key]) if value is None else listed[key] == value, key
 
 
-def test_a_campaign_that_may_end_early_says_by_which_rule(client):
+def test_the_status_has_the_stop_rule(client):
     client.create(specification("early", stop={"rule": "I excludes 0", "seed": 3}))
     status = client.campaign("early").status()
     assert status.stop_rule == "I excludes 0"
@@ -70,7 +70,7 @@ def test_the_same_specification_is_the_same_campaign_and_another_is_refused(clie
     assert client.campaign("first").spec()["configs"] == [0, 1]
 
 
-def test_a_specification_that_cannot_run_is_refused_in_the_coordinators_words(client, tmp_path):
+def test_an_invalid_specification_is_refused_with_the_coordinators_message(client, tmp_path):
     with pytest.raises(RefusedError, match="`color`"):
         client.create(specification("first", color="red"))
     with pytest.raises(RefusedError, match="libero_object/99"):
@@ -90,13 +90,13 @@ def test_a_forecast_counts_rollouts_of_each_suite_and_creates_nothing(client):
     assert len(client.campaigns()) == 0
 
 
-def test_a_forecast_with_a_policys_rate_that_cannot_be_is_refused(client):
+def test_a_forecast_with_an_invalid_policy_rate_is_refused(client):
     with pytest.raises(RefusedError, match="policy_rate"):
         client.forecast(specification("first"), policy_rate=-1.0)
     assert client.forecast(specification("first"), policy_rate=40.0).total == 8
 
 
-def test_what_bounds_a_forecast_is_read_as_it_is_sent():
+def test_the_bottleneck_of_a_forecast_is_converted():
     sent = wire.Speed(
         results=9,
         physics_secs=3.0,
@@ -112,7 +112,7 @@ def test_what_bounds_a_forecast_is_read_as_it_is_sent():
     assert (unknown.bottleneck, unknown.enough_slots) == (None, None)
 
 
-def test_a_forecast_counts_what_is_then_created_of_a_manifest_too(client):
+def test_a_forecast_of_a_manifest_counts_the_created_rollouts(client):
     design = specification("first", replicates=2)
     text = client._program.run("manifest", "expand", "--spec", "-", text=json.dumps(design))
     rows = [json.loads(line) for line in text.splitlines()]
@@ -164,7 +164,7 @@ def test_ctrl_c_ends_following_and_leaves_the_campaign_running(client):
     assert "Traceback" not in errors
 
 
-def test_a_campaign_that_is_not_there_is_named_with_what_to_do(client):
+def test_a_missing_campaign_is_named_and_a_renamed_one_with_its_new_name(client):
     with pytest.raises(NoSuchCampaignError, match="`nope`.*has no such campaign"):
         client.campaign("nope")
     campaign = client.create(specification("first"))
@@ -175,7 +175,7 @@ def test_a_campaign_that_is_not_there_is_named_with_what_to_do(client):
             ask()
 
 
-def test_jobs_come_page_by_page_and_by_what_became_of_them(client, monkeypatch):
+def test_jobs_are_listed_in_pages_and_filtered(client, monkeypatch):
     campaign = client.create(specification("first"))
     whole = campaign.jobs()
     monkeypatch.setattr("rollout_client.campaign.PAGE", 3)

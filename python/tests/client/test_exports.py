@@ -47,7 +47,7 @@ def test_an_archive_has_the_results_and_the_motion_of_its_campaign(archive):
         assert kept.specification()["record"] == "transitions"
         assert kept.report()["reports"][0]["policy"] == "expert"
         rollouts = list(kept.rollouts())
-    assert [it.rollout_id for it in rollouts] == list(results.index)
+    assert [rollout.rollout_id for rollout in rollouts] == list(results.index)
     for rollout in rollouts:
         result = results.loc[rollout.rollout_id]
         assert (rollout.success, rollout.steps) == (result.success, result.steps)
@@ -61,7 +61,7 @@ def test_an_archive_has_the_results_and_the_motion_of_its_campaign(archive):
         assert rollout.instruction.startswith("pick up")
 
 
-def test_what_is_no_whole_archive_is_refused_by_name(archive, tmp_path):
+def test_an_incomplete_or_altered_archive_is_refused(archive, tmp_path):
     file, _ = archive
     whole = file.read_bytes()
     bad = tmp_path / "bad.tar.gz"
@@ -69,7 +69,7 @@ def test_what_is_no_whole_archive_is_refused_by_name(archive, tmp_path):
         bad.write_bytes(content)
         with pytest.raises(ArchiveError, match=r"bad\.tar\.gz"):
             Archive(bad)
-    with pytest.raises(ArchiveError, match="not there"):
+    with pytest.raises(ArchiveError, match="no such file"):
         Archive(tmp_path / "nowhere.tar.gz")
 
     def altered(change):
@@ -90,7 +90,7 @@ def test_what_is_no_whole_archive_is_refused_by_name(archive, tmp_path):
     with pytest.raises(ArchiveError, match=r"report\.json .*not what archive\.json says"):
         Archive(bad)
     altered(with_list(format=2))
-    with pytest.raises(ArchiveError, match="install a release as new"):
+    with pytest.raises(ArchiveError, match="install a release at least as new"):
         Archive(bad)
     outside = [{"name": "../outside", "bytes": 0, "sha256": ""}]
     altered(with_list(members=outside))
@@ -129,8 +129,8 @@ def rewritten(file, to, films=(), sql="", lie=None):
             out.addfile(member, io.BytesIO(content))
 
 
-def test_a_film_is_a_member_of_its_archive_or_none(archive, tmp_path):
-    """Otherwise an export of an untrusted archive's films would publish any file that it names."""
+def test_a_film_outside_the_archive_is_refused(archive, tmp_path):
+    """Otherwise the export of an untrusted archive could publish any file of the machine."""
     pytest.importorskip("pyarrow")
     file, _ = archive
     secret = tmp_path / "secret"
@@ -145,16 +145,16 @@ def test_a_film_is_a_member_of_its_archive_or_none(archive, tmp_path):
         with Archive(bad) as kept:
             with pytest.raises(ArchiveError, match="which is not in the archive"):
                 export(kept, tmp_path / "dataset", films=True)
-        exported = [it for it in tmp_path.glob("dataset/**/*") if it.is_file()]
-        assert all(b"hunter2" not in it.read_bytes() for it in exported)
+        exported = [path for path in tmp_path.glob("dataset/**/*") if path.is_file()]
+        assert all(b"hunter2" not in path.read_bytes() for path in exported)
     # A film with a name too long for a tar header is a member like any other.
     film = f"artifacts/kept/{'f' * 120}.mp4"
     rewritten(file, bad, films={film: b"a film"}, sql=filmed.format(path=film))
     with Archive(bad) as kept:
-        assert {it.film.read_bytes() for it in kept.rollouts()} == {b"a film"}
+        assert {rollout.film.read_bytes() for rollout in kept.rollouts()} == {b"a film"}
 
 
-def test_a_strangers_archive_takes_no_memory_no_disk_and_runs_nothing(archive, tmp_path):
+def test_a_malicious_archive_takes_no_memory_or_disk_and_runs_no_code(archive, tmp_path):
     file, _ = archive
     swollen = 192 << 20
     bad = tmp_path / "bad.tar.gz"
@@ -182,7 +182,7 @@ def test_a_strangers_archive_takes_no_memory_no_disk_and_runs_nothing(archive, t
     rewritten(file, bad, films={film: bytes(swollen)}, lie=film)
     with pytest.raises(ArchiveError, match="it has 201326592 bytes"):
         Archive(bad)
-    # Without the rule, this view would count without end.
+    # If the authorizer permitted views, this view would count without end.
     endless = """
         ALTER TABLE motion RENAME TO former;
         CREATE VIEW motion AS
@@ -209,7 +209,7 @@ def test_a_lerobot_dataset_has_an_episode_for_each_rollout(archive, tmp_path):
         rollouts = list(kept.rollouts())
     assert info["codebase_version"] == "v2.1"
     assert info["total_episodes"] == len(rollouts) == len(lines["episodes"])
-    assert info["total_frames"] == sum(it.steps for it in rollouts)
+    assert info["total_frames"] == sum(rollout.steps for rollout in rollouts)
     first = 0
     for index, rollout in enumerate(rollouts):
         name = info["data_path"].format(episode_chunk=0, episode_index=index)
@@ -232,7 +232,7 @@ def test_a_lerobot_dataset_has_an_episode_for_each_rollout(archive, tmp_path):
     assert not (tmp_path / "f").exists()
 
 
-def test_what_others_make_of_the_lerobot_dataset(archive, tmp_path):
+def test_lerobot_doctor_accepts_the_dataset(archive, tmp_path):
     doctor = shutil.which("lerobot-doctor")
     if doctor is None:
         pytest.skip("lerobot-doctor is not installed")
@@ -243,7 +243,7 @@ def test_what_others_make_of_the_lerobot_dataset(archive, tmp_path):
     assert "FAIL" not in done.stdout, done.stdout
 
 
-def test_tensorboard_reads_the_rates_as_they_came_about(archive, tmp_path):
+def test_tensorboard_reads_the_success_rates_over_time(archive, tmp_path):
     pytest.importorskip("tensorboard", reason="pip install tensorboard")
     from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 

@@ -23,7 +23,7 @@ def test_results_are_the_exported_rows_with_types(measured):
     assert len(results) == len(rows) == 8
     for key in rows[0]:
         expected = [row[key] for row in rows]
-        assert [None if pd.isna(it) else it for it in results[key]] == expected, key
+        assert [None if pd.isna(value) else value for value in results[key]] == expected, key
     assert set(results["axis"]) == {"clean", "camera", "actuation", "combination"}
     assert results["success"].dtype == "bool"
     assert results["config"].dtype == "Int64"
@@ -31,7 +31,7 @@ def test_results_are_the_exported_rows_with_types(measured):
     assert (results["wall_s"] > 0).all()
 
 
-def test_a_finished_campaign_says_so_and_its_worker_is_listed(measured):
+def test_the_status_of_a_finished_campaign_and_its_worker(measured):
     status = measured.campaign("measured").status()
     assert status.is_finished and status.committed == status.total == 8
     results = measured.campaign("measured").results()
@@ -113,7 +113,7 @@ def test_successes_of_published_outcomes_are_those_of_their_file(connect):
         assert cell.rate == cell.successes / cell.n
 
 
-def test_the_first_of_two_that_are_compared_is_a(connect, tmp_path):
+def test_the_first_of_two_compared_campaigns_is_a(connect, tmp_path):
     rows = published_rows()
     solved = [row for row in rows if "/robot/L2/" in row["rollout_id"] and row["success"]]
     for row in solved[:30]:
@@ -130,7 +130,7 @@ def test_the_first_of_two_that_are_compared_is_a(connect, tmp_path):
     assert comparison.a != comparison.b
 
 
-def test_several_subjects_stand_beside_one_another(measured):
+def test_a_report_covers_several_campaigns_and_files(measured):
     report = measured.report("measured", PUBLISHED)
     assert set(report.success["policy"]) == {"expert", "OpenVLA-OFT"}
     assert set(report.configurations["policy"]) == {"expert", "OpenVLA-OFT"}
@@ -153,7 +153,7 @@ def test_a_campaign_compared_with_itself_differs_in_nothing(measured):
     assert not comparison.unpaired
 
 
-def test_what_cannot_be_compared_is_refused_in_the_programs_words(measured, tmp_path):
+def test_an_impossible_comparison_is_refused_with_the_programs_message(measured, tmp_path):
     campaign = measured.campaign("measured")
     with pytest.raises(RefusedError, match="realisation"):
         campaign.compare(PUBLISHED)
@@ -163,14 +163,14 @@ def test_what_cannot_be_compared_is_refused_in_the_programs_words(measured, tmp_
         campaign.compare("nope")
 
 
-def test_without_its_program_a_client_says_what_to_do_and_reads_results_all_the_same(
+def test_without_the_program_reports_fail_with_a_remedy_and_results_are_read(
     measured, connect, monkeypatch, tmp_path
 ):
     url = measured._connection.access.url
     monkeypatch.setenv("PATH", str(tmp_path))
-    for program, said in [(None, "put its folder on PATH"), (tmp_path / "none", "tmp|none")]:
+    for program, words in [(None, "put its folder on PATH"), (tmp_path / "none", "tmp|none")]:
         campaign = connect(url, program=program).campaign("measured")
-        with pytest.raises(ProgramError, match=said) as failed:
+        with pytest.raises(ProgramError, match=words) as failed:
             campaign.report()
         assert "Client(program=" in str(failed.value)
         assert len(campaign.results()) == 8

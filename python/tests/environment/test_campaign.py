@@ -31,7 +31,7 @@ def beyond_the_range():
 
 
 @pytest.mark.parametrize("axis", [*AXES, None])
-def test_a_rollout_has_a_campaigns_bits(make, worker, tmp_path, axis):
+def test_a_rollout_is_bit_identical_to_a_campaigns(make, worker, tmp_path, axis):
     task = TASK.removeprefix("libero_").replace("/", "/t")
     rollout = f"{task}/clean/i03" if axis is None else f"{task}/{axis}/L3/c02"
     actions = beyond_the_range()

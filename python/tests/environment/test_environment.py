@@ -25,7 +25,7 @@ def assert_same(one, other):
         np.testing.assert_array_equal(values, other[name], err_msg=name)
 
 
-def test_gymnasium_finds_nothing_wrong(make):
+def test_gymnasiums_environment_checker_passes(make):
     check_env(make(), skip_render_check=True)
 
 
@@ -39,7 +39,7 @@ def test_equal_seeds_and_actions_give_equal_bits(make):
         assert_same(one, other)
 
 
-def test_a_chunk_is_its_steps(make):
+def test_a_chunk_equals_its_single_steps(make):
     single, chunked = make(), make()
     single.reset(seed=0)
     chunked.reset(seed=0)
@@ -57,7 +57,7 @@ def test_a_chunk_is_its_steps(make):
     assert cameras <= shown["last"].keys() and not cameras & shown["none"].keys()
 
 
-def test_a_snapshot_leads_back_to_the_same_bits_here_and_in_another_environment(make):
+def test_a_snapshot_restores_the_same_bits_in_this_and_another_environment(make):
     one, other = make(), make()
     one.reset(seed=3)
     one.step_chunk(actions(3))
@@ -96,7 +96,7 @@ def test_the_budget_truncates(make):
     assert (terminated, truncated, info["steps"]) == (False, True, 3)
 
 
-def test_a_configuration_brings_its_instruction_and_its_perturbations(make):
+def test_a_configuration_sets_instruction_and_perturbations(make):
     nominal = make()
     perturbed = make(perturbation="combination/L2/c03")
     whole = make(perturbation="goal/t0/combination/L2/c03")
@@ -117,14 +117,14 @@ def test_sampled_placements_differ_by_seed_alone(make):
     assert not np.array_equal(first["agentview"], second["agentview"])
 
 
-def test_initial_states_come_in_turn_or_as_asked(make):
+def test_initial_states_are_cycled_or_chosen(make):
     environment = make(init_states=[4, 2])
     seen = [environment.reset()[1]["init_state"] for _ in range(3)]
     assert seen == [4, 2, 4]
     assert environment.reset(options={"init_state": 9})[1]["init_state"] == 9
 
 
-def test_a_seed_chooses_the_initial_state_and_later_resets_go_on_from_it(make):
+def test_a_seed_selects_the_initial_state_and_later_resets_continue_from_it(make):
     environment = make(cameras=[])
     assert [environment.reset(seed=seed)[1]["init_state"] for seed in (0, 7, 7, 53)] == [0, 7, 7, 3]
     assert [environment.reset()[1]["init_state"] for _ in range(2)] == [4, 5]
@@ -159,13 +159,13 @@ def test_a_rollout_that_diverged_is_over(make):
     assert environment.step(np.zeros(7))[-1]["steps"] == 1
 
 
-def test_a_row_brings_its_waiting_steps_and_its_budget(make):
+def test_a_row_sets_settling_steps_and_budget(make):
     row = json.loads(native.configuration_row("goal/t0/robot/L1/c01"))
     row |= {"num_steps_wait": 4, "max_steps": 3}
     custom = make(cameras=[], settle_steps=None, perturbation=row)
-    told = make(cameras=[], settle_steps=4, max_steps=3, perturbation="robot/L1/c01")
+    overridden = make(cameras=[], settle_steps=4, max_steps=3, perturbation="robot/L1/c01")
     assert custom.max_steps == 3
-    assert_same(custom.reset()[0], told.reset()[0])
+    assert_same(custom.reset()[0], overridden.reset()[0])
     *_, truncated, info = custom.step_chunk(np.zeros((9, 7)))
     assert truncated and info["steps"] == 3
     as_designed = make(cameras=[], settle_steps=None, perturbation="robot/L1/c01")
@@ -175,7 +175,7 @@ def test_a_row_brings_its_waiting_steps_and_its_budget(make):
     assert not np.array_equal(custom.reset()[0]["joint_pos"], rests["joint_pos"])
 
 
-def test_a_row_that_is_none_is_refused_when_it_is_given(make):
+def test_an_invalid_row_is_refused_at_once(make):
     row = json.loads(native.configuration_row("goal/t0/robot/L1/c01"))
     with pytest.raises(ValueError, match="manifest"):
         make(perturbation=row | {"level": "L2"})
@@ -211,7 +211,7 @@ def axis_angle(matrix):
     return axis * np.arccos((np.trace(matrix) - 1.0) / 2.0)
 
 
-def test_absolute_control_holds_the_pose_that_is_commanded(make):
+def test_absolute_control_holds_the_commanded_pose(make):
     environment = make(control="absolute", max_steps=100)
     observation, _ = environment.reset()
     pos, matrix = environment.simulation.controller_pose()
@@ -223,7 +223,7 @@ def test_absolute_control_holds_the_pose_that_is_commanded(make):
 
 
 @pytest.mark.parametrize("orientation", ["policy", "upright"])
-def test_frames_are_oriented_as_asked_and_rendered_upright(make, make_vector, orientation):
+def test_frames_have_the_chosen_orientation_and_render_is_upright(make, make_vector, orientation):
     environment = make(render_mode="rgb_array", orientation=orientation)
     observation, _ = environment.reset()
     raw = environment.simulation.frame("agentview", 80, 64)
@@ -238,11 +238,11 @@ def test_frames_are_oriented_as_asked_and_rendered_upright(make, make_vector, or
     np.testing.assert_array_equal(chunk["agentview"][0], single["agentview"])
 
 
-def test_frames_are_those_that_policies_were_trained_on_unless_told_otherwise(make):
+def test_frames_have_the_policy_orientation_by_default(make):
     observation, _ = make().reset()
     for camera in ("agentview", "robot0_eye_in_hand"):
-        told, _ = make(orientation="policy").reset()
-        np.testing.assert_array_equal(observation[camera], told[camera])
+        expected, _ = make(orientation="policy").reset()
+        np.testing.assert_array_equal(observation[camera], expected[camera])
 
 
 def python(program):

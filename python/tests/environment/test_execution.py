@@ -28,7 +28,7 @@ SERVER = f"""
 {ANSWER}
 from rollout_policies import Description, Policy, State, serve
 
-class Nervous(Policy):
+class HandPositionPolicy(Policy):
     description = Description(
         name="nervous", cameras=(), state=(State.EEF_POS,), horizon={HORIZON}, execute={EXECUTE}
     )
@@ -39,7 +39,7 @@ class Nervous(Policy):
     def infer(self, observation):
         return answer(observation.vector(State.EEF_POS))
 
-serve(Nervous())
+serve(HandPositionPolicy())
 """
 namespace: dict = {}
 exec(ANSWER, namespace)
@@ -63,7 +63,7 @@ def endpoint():
 
 
 @pytest.mark.parametrize("model", ["wait", "hold:2", "overlap:4", "overlap:7", "overlap:1*1+4*2"])
-def test_a_late_policys_rollout_has_a_campaigns_bits(make_vector, endpoint, tmp_path, model):
+def test_an_execution_model_gives_a_campaigns_bits(make_vector, endpoint, tmp_path, model):
     folder = os.environ.get("ROLLOUT_PROGRAMS")
     if not folder:
         pytest.skip("ROLLOUT_PROGRAMS names no folder with worker")
@@ -93,7 +93,7 @@ def test_a_late_policys_rollout_has_a_campaigns_bits(make_vector, endpoint, tmp_
     assert step == len(trace["qpos"]) - 1 > 100
 
 
-def test_what_is_under_way_is_told_and_executed(make_vector):
+def test_actions_under_way_are_reported_and_executed(make_vector):
     environments = make_vector(num_envs=1, cameras=[], execution="overlap:3,rtc", execute=5)
     observations, infos = environments.reset(seed=1)
     assert infos["delay"].tolist() == [3]
@@ -105,7 +105,7 @@ def test_what_is_under_way_is_told_and_executed(make_vector):
     np.testing.assert_array_equal(infos["under_way"][0], first[5:])
 
 
-def test_a_refused_chunk_changes_no_schedule_and_a_snapshot_has_it(make_vector):
+def test_a_refused_chunk_changes_no_schedule_and_snapshots_include_it(make_vector):
     environments = make_vector(num_envs=1, cameras=[], execution="overlap:3", execute=5)
     observations, _ = environments.reset(seed=1)
     chunk = answer(observations["eef_pos"][0])[np.newaxis]
@@ -125,7 +125,7 @@ def test_a_refused_chunk_changes_no_schedule_and_a_snapshot_has_it(make_vector):
     assert ends[0] == ends[1]
 
 
-def test_a_row_brings_its_execution_model(make, make_vector):
+def test_a_row_sets_its_execution_model(make, make_vector):
     row = {**nominal_row(), "execution": "hold:2"}
     environments = make_vector(num_envs=1, cameras=[], perturbation=row)
     environments.reset()
@@ -146,7 +146,7 @@ def nominal_row():
     return json.loads(rollout_libero._native.nominal_row(TASK, 3))
 
 
-def test_a_schedule_stands_alone():
+def test_a_schedule_works_without_an_environment():
     schedule = rollout_libero.Schedule("overlap:2", TASK, 0, execute=4)
     with pytest.raises(ValueError, match="a query is due"):
         schedule.advance()

@@ -15,7 +15,7 @@ def test_the_expert_solves_scenes_that_no_released_state_has(make_vector):
     assert terminated.all() and 50 < infos["taken"][0] < whole
 
 
-def test_labels_are_what_the_expert_would_do_whoever_drives(make_vector):
+def test_labels_are_the_experts_actions_whether_it_drives_or_not(make_vector):
     environments = make_vector(TASK, 2, init_states=[0], cameras=[])
     environments.reset()
     drives = np.array([[True] * 5, [False] * 5])
@@ -32,7 +32,7 @@ def test_labels_are_what_the_expert_would_do_whoever_drives(make_vector):
     np.testing.assert_allclose(infos["expert_action"], given, atol=1e-12)
 
 
-def test_noise_is_added_to_what_the_expert_does(make_vector):
+def test_noise_is_added_to_the_experts_actions(make_vector):
     environments = make_vector(TASK, 2, init_states=[0], cameras=[])
     environments.reset()
     noise = np.zeros((2, 4, 7))
@@ -63,7 +63,7 @@ def test_sampled_scenes_may_be_perturbed(make_vector):
     assert (observation["agentview"][0] != observation["agentview"][1]).mean() < 0.02
 
 
-def test_a_snapshot_includes_what_the_expert_remembers(make_vector):
+def test_a_snapshot_includes_the_experts_state(make_vector):
     environments = make_vector(TASK, 1, init_states=[0], cameras=[])
     environments.reset()
     drives, nothing = np.ones((1, 60), bool), np.zeros((1, 60, 7))
@@ -83,7 +83,7 @@ def test_a_snapshot_includes_what_the_expert_remembers(make_vector):
     np.testing.assert_array_equal(infos["expert_action"], labels[0])
 
 
-def test_misuse_names_what_is_wrong(make_vector):
+def test_invalid_expert_arguments_are_refused(make_vector):
     environments = make_vector(TASK, 2, cameras=[])
     environments.reset()
     with pytest.raises(ValueError, match=r"`expert` has shape \[2\]; expected .*\[2, 4\]"):

@@ -13,7 +13,7 @@ import rollout_libero
 from .conftest import diverge
 
 
-def test_actions_of_a_wrong_shape_or_without_a_value(make, make_vector):
+def test_actions_of_a_wrong_shape_or_with_nan_are_refused(make, make_vector):
     environment, environments = make(), make_vector()
     environment.reset()
     environments.reset()
@@ -31,7 +31,7 @@ def test_actions_of_a_wrong_shape_or_without_a_value(make, make_vector):
     environment.step(np.zeros(7))
 
 
-def test_a_closed_environment(make):
+def test_a_closed_environment_raises_closed_error(make):
     environment = make()
     environment.reset()
     environment.close()
@@ -41,7 +41,7 @@ def test_a_closed_environment(make):
             use()
 
 
-def test_two_threads_in_one_environment(make):
+def test_two_threads_in_one_environment_raise_busy_error(make):
     environment = make(height=512, width=512)
     environment.reset()
     errors = []
@@ -62,7 +62,7 @@ def test_two_threads_in_one_environment(make):
     environment.step(np.zeros(7))
 
 
-def test_what_does_not_exist(make):
+def test_unknown_names_and_invalid_values_are_refused(make):
     with pytest.raises(ValueError, match="libero_goal/0 to libero_goal/9"):
         make("libero_goal/10")
     with pytest.raises(ValueError, match="libero_spatial, libero_object"):
@@ -85,7 +85,7 @@ def test_what_does_not_exist(make):
         make(perturbation="camrea/L2/c03")
 
 
-def test_missing_assets_say_how_to_get_them(make, monkeypatch, tmp_path):
+def test_the_error_for_missing_assets_has_the_remedy(make, monkeypatch, tmp_path):
     with pytest.raises(rollout_libero.MissingAssetsError, match="scenes"):
         make(assets=tmp_path)
     monkeypatch.delenv("ROLLOUT_ASSETS", raising=False)
@@ -99,7 +99,7 @@ def test_missing_assets_say_how_to_get_them(make, monkeypatch, tmp_path):
         make(assets=None)
 
 
-def test_sources_that_cannot_be_fetched_say_what_to_do(tmp_path):
+def test_the_error_for_unfetchable_sources_has_the_remedy(tmp_path):
     environment = {
         **os.environ,
         "ROLLOUT_SOURCES": str(tmp_path / "sources"),
@@ -121,7 +121,7 @@ def test_sources_that_cannot_be_fetched_say_what_to_do(tmp_path):
     assert sorted(path.name for path in (tmp_path / "sources").iterdir()) == [".fetching"]
 
 
-def test_a_diverging_simulation_is_an_error_of_its_own(make):
+def test_a_diverging_simulation_raises_simulation_error(make):
     environment = make()
     environment.reset()
     diverge(environment.simulation)

@@ -26,8 +26,8 @@ READINGS = ("eef_pos", "joint_pos", "joint_vel")
 
 
 @dataclass
-class One:
-    """One environment of the model: a separate simulation that steps singly."""
+class ModelEnvironment:
+    """An environment of the model: a separate simulation, stepped alone."""
 
     task: str
     rank: int
@@ -94,7 +94,7 @@ class Machine:
             settle_steps=SETTLE, max_steps=BUDGET, autoreset_mode=self.mode,
         )  # fmt: skip
         self.model = [
-            One(task, rank, stride, self.init_states == "random",
+            ModelEnvironment(task, rank, stride, self.init_states == "random",
                 native.Simulation(simulation.scene), turn=rank)
             for task, rank, stride, simulation
             in zip(TASKS, RANKS, STRIDES, self.real.simulations, strict=True)
@@ -104,17 +104,17 @@ class Machine:
 
     def close(self):
         self.real.close()
-        for one in self.model:
-            one.simulation.close()
+        for env in self.model:
+            env.simulation.close()
 
     def compare(self, observation, infos, failed=()):
-        for at, one in enumerate(self.model):
-            assert infos["steps"][at] == one.steps, at
-            assert infos["init_state"][at] == one.init_state, at
-            assert infos["instruction"][at] == one.instruction, at
+        for at, env in enumerate(self.model):
+            assert infos["steps"][at] == env.steps, at
+            assert infos["init_state"][at] == env.init_state, at
+            assert infos["instruction"][at] == env.instruction, at
             if at in failed:
                 continue
-            readings = one.simulation.readings()
+            readings = env.simulation.readings()
             for name in READINGS:
                 np.testing.assert_array_equal(observation[name][at], readings[name], err_msg=name)
 
@@ -125,15 +125,15 @@ class Machine:
         if wanted is not None:
             options["init_state"] = wanted
         observation, infos = self.real.reset(seed=seed, options=options)
-        for at, one in enumerate(self.model):
+        for at, env in enumerate(self.model):
             if mask is not None and not mask[at]:
                 continue
             own = seed[at] if isinstance(seed, list) else None if seed is None else seed + at
             if own is not None:
-                one.generator = seeding.np_random(own)[0]
-                one.turn = own if isinstance(seed, list) else seed + one.rank
-            one.begin(wanted)
-        failed = [at for at, one in enumerate(self.model) if one.over]
+                env.generator = seeding.np_random(own)[0]
+                env.turn = own if isinstance(seed, list) else seed + env.rank
+            env.begin(wanted)
+        failed = [at for at, env in enumerate(self.model) if env.over]
         self.compare(observation, infos, failed)
 
     def reset_all(self):
@@ -141,7 +141,7 @@ class Machine:
         self.reset(seed=self.chance.choice([None, seeds[0], seeds]))
 
     def reset_some(self):
-        mask = [self.chance.random() < (0.9 if one.over else 0.3) for one in self.model]
+        mask = [self.chance.random() < (0.9 if env.over else 0.3) for env in self.model]
         if any(mask):
             self.reset(mask=mask, wanted=self.chance.choice([None, 7]))
 
@@ -181,7 +181,7 @@ class Machine:
         self.model[at].perturbation = chosen
 
     def keep(self):
-        state = [(one.simulation.snapshot(), replace(one)) for one in self.model]
+        state = [(env.simulation.snapshot(), replace(env)) for env in self.model]
         self.kept = self.real.snapshot(), state
 
     def go_back(self):
@@ -189,10 +189,10 @@ class Machine:
             return
         snapshot, state = self.kept
         self.real.restore(snapshot)
-        for one, (simulation, then) in zip(self.model, state, strict=True):
-            one.simulation.restore(simulation)
+        for env, (simulation, then) in zip(self.model, state, strict=True):
+            env.simulation.restore(simulation)
             for name in ("steps", "init_state", "instruction", "begun", "over"):
-                setattr(one, name, getattr(then, name))
+                setattr(env, name, getattr(then, name))
 
     def succeed_next(self):
         at = self.chance.choice([0, 2])
@@ -209,25 +209,25 @@ class Machine:
         chunk = self.chance.randint(1, 3)
         numbers = np.random.default_rng(self.chance.randrange(1 << 30))
         actions = numbers.uniform(-1.5, 1.5, (count, chunk, 7))
-        over = [one.over for one in self.model]
+        over = [env.over for env in self.model]
         if any(over) and self.mode != AutoresetMode.NEXT_STEP:
             with pytest.raises(gymnasium.error.ResetNeeded, match="reset_mask"):
                 self.real.step_chunk(actions)
             self.happened.add("reset needed")
             return
         expected = []
-        for one, given, ended in zip(self.model, actions, over, strict=True):
+        for env, given, ended in zip(self.model, actions, over, strict=True):
             if ended:
-                one.begin()
-            expected.append((0, False, False, False) if ended else one.step(given))
+                env.begin()
+            expected.append((0, False, False, False) if ended else env.step(given))
         taken, success, truncated, failed = map(list, zip(*expected, strict=True))
-        last = [one.simulation.readings() for one in self.model]
+        last = [env.simulation.readings() for env in self.model]
         at_once = [False] * count
         if self.mode == AutoresetMode.SAME_STEP:
             at_once = [a or b for a, b in zip(success, truncated, strict=True)]
-            for one, begins in zip(self.model, at_once, strict=True):
+            for env, begins in zip(self.model, at_once, strict=True):
                 if begins:
-                    one.begin()
+                    env.begin()
         which = [at for at in range(count) if failed[at]]
         if which:
             with pytest.raises(rollout_libero.SimulationError) as raised:
@@ -239,7 +239,7 @@ class Machine:
             result = self.real.step_chunk(actions)
         observation, rewards, terminations, truncations, infos = result
         assert infos["taken"].tolist() == taken
-        assert rewards.tolist() == [float(it) for it in success]
+        assert rewards.tolist() == [float(value) for value in success]
         assert terminations.tolist() == success and truncations.tolist() == truncated
         self.compare(observation, infos, which)
         if any(at_once):

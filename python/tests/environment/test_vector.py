@@ -22,7 +22,7 @@ def assert_same(one, other):
         np.testing.assert_array_equal(values, other[name], err_msg=name)
 
 
-def test_each_moves_as_it_would_alone_on_any_number_of_threads(make, make_vector):
+def test_environments_equal_single_ones_on_any_number_of_threads(make, make_vector):
     tasks = ["libero_goal/0", "libero_object/1"]
     runs = []
     for threads in (1, 3):
@@ -41,7 +41,7 @@ def test_each_moves_as_it_would_alone_on_any_number_of_threads(make, make_vector
     assert_same({name: values[1] for name, values in runs[0].items()}, observation)
 
 
-def test_environments_of_a_task_take_different_turns(make_vector):
+def test_environments_of_a_task_get_different_initial_states(make_vector):
     environments = make_vector(num_envs=4, init_states="cycle", cameras=[])
     states = [environments.reset()[1]["init_state"].tolist() for _ in range(2)]
     assert states == [[0, 1, 2, 3], [4, 5, 6, 7]]
@@ -57,7 +57,7 @@ def test_environments_of_a_task_take_different_turns(make_vector):
     assert several.reset(seed=20)[1]["init_state"].tolist() == [20, 20, 21, 22, 21, 23]
 
 
-def test_seeds_are_each_environments_own(make_vector):
+def test_every_environment_has_its_own_seed(make_vector):
     environments = make_vector(num_envs=3, init_states="random")
     states = environments.reset(seed=[4, 5, 4])[1]["init_state"]
     again = environments.reset(seed=[4, 5, 4])[1]["init_state"]
@@ -66,7 +66,7 @@ def test_seeds_are_each_environments_own(make_vector):
     assert numbered[:2].tolist() == states[:2].tolist()
 
 
-def test_the_next_step_begins_a_rollout_in_the_place_of_one_that_ended(make_vector):
+def test_next_step_mode_begins_a_rollout_in_the_following_step(make_vector):
     environments = make_vector(num_envs=2, init_states=[0, 1])
     assert environments.metadata["autoreset_mode"] == AutoresetMode.NEXT_STEP
     environments.reset()
@@ -82,7 +82,7 @@ def test_the_next_step_begins_a_rollout_in_the_place_of_one_that_ended(make_vect
                 {name: values[0] for name, values in first.items()})
 
 
-def test_the_same_step_begins_one_and_keeps_the_last_observation(make_vector):
+def test_same_step_mode_begins_a_rollout_and_returns_the_last_observation(make_vector):
     environments = make_vector(
         num_envs=2, init_states=[0, 1], autoreset_mode=AutoresetMode.SAME_STEP
     )
@@ -99,7 +99,7 @@ def test_the_same_step_begins_one_and_keeps_the_last_observation(make_vector):
 
 
 @pytest.mark.parametrize("refused", [np.full((2, 7), np.nan), np.zeros((2, 6)), "render"])
-def test_a_refused_action_in_the_place_of_a_reset_is_no_success(make_vector, refused):
+def test_a_refused_action_at_an_autoreset_changes_nothing(make_vector, refused):
     environments = make_vector(num_envs=2, init_states="cycle", cameras=[])
     environments.reset()
     open_the_drawer(environments.simulations[1])
@@ -116,7 +116,7 @@ def test_a_refused_action_in_the_place_of_a_reset_is_no_success(make_vector, ref
 
 
 @pytest.mark.parametrize("mode", list(AutoresetMode))
-def test_an_environment_that_fails_does_not_lose_the_others_steps(make_vector, mode):
+def test_a_failing_environment_keeps_the_results_of_the_others(make_vector, mode):
     environments = make_vector(num_envs=3, init_states=[0], cameras=[], autoreset_mode=mode)
     alone = make_vector(num_envs=1, init_states=[0], cameras=[])
     environments.reset()
@@ -162,7 +162,7 @@ def test_a_refused_snapshot_restores_none(make_vector):
     assert environments.step(actions(environments))[-1]["steps"].tolist() == [2, 2]
 
 
-def test_a_perturbation_acts_and_is_told_from_the_next_rollout_on(make_vector):
+def test_a_perturbation_takes_effect_at_the_next_rollout(make_vector):
     environments = make_vector(num_envs=2, init_states=[0], cameras=[])
     nominal = environments.reset()[1]["instruction"].tolist()
     environments.set_perturbation(1, "language/L2/c03")
@@ -170,11 +170,11 @@ def test_a_perturbation_acts_and_is_told_from_the_next_rollout_on(make_vector):
         environments.set_perturbation(1, "camrea/L2/c03")
     *_, infos = environments.step(actions(environments))
     assert infos["instruction"].tolist() == nominal
-    told = environments.reset()[1]["instruction"]
-    assert told[0] == nominal[0] and told[1] != nominal[1]
+    instructions = environments.reset()[1]["instruction"]
+    assert instructions[0] == nominal[0] and instructions[1] != nominal[1]
 
 
-def test_without_autoreset_a_mask_says_which_begin(make_vector):
+def test_without_autoreset_reset_mask_selects_environments(make_vector):
     environments = make_vector(num_envs=2, max_steps=2, autoreset_mode="Disabled")
     environments.reset()
     environments.reset(options={"reset_mask": np.array([True, False])})
@@ -187,7 +187,7 @@ def test_without_autoreset_a_mask_says_which_begin(make_vector):
     environments.step(actions(environments))
 
 
-def test_a_chunk_shows_all_steps_that_were_taken_and_nothing_beyond(make_vector):
+def test_a_chunks_arrays_hold_the_executed_steps_and_zeros(make_vector):
     environments = make_vector(num_envs=2)
     environments.reset()
     open_the_drawer(environments.simulations[0])
@@ -199,7 +199,7 @@ def test_a_chunk_shows_all_steps_that_were_taken_and_nothing_beyond(make_vector)
     assert frames[0, 0].any() and not frames[0, 1:].any() and frames[1, 2].any()
 
 
-def test_a_snapshot_leads_all_back(make_vector):
+def test_a_snapshot_restores_all_environments(make_vector):
     environments = make_vector()
     environments.reset(seed=0)
     environments.step(actions(environments))

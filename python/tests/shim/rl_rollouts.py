@@ -28,7 +28,7 @@ import numpy as np
 SUITE, SIZE = "libero_spatial", 64
 Rollouts = dict[str, Any]
 SOURCES = Path(os.environ.get("FRAMEWORK_SOURCES") or ".")
-#: Other imports of these files, for policies and training, that are not called here.
+#: Packages for policies and training that these files import but do not call here.
 _BESIDE = (
     *("codetiming", "draccus", "h5py", "hydra", "imageio", "matplotlib", "natsort", "ray"),
     *("pandas", "robosuite", "tensordict", "tensorflow", "termcolor", "tqdm", "transformers"),
@@ -131,12 +131,12 @@ def rlinf(together: bool = False, suite: str = SUITE, **settings: Any) -> Rollou
 
 
 def rlinf_of_130() -> Rollouts:
-    """Uses the tasks of all suites, numbered through in the suites' order."""
+    """Runs `rlinf` with the tasks of all suites, numbered consecutively in the suites' order."""
     return rlinf(suite="libero_130", specific_reset_id=None)
 
 
 def rlinf_together() -> Rollouts:
-    """Runs the same as `rlinf` in one process."""
+    """Runs `rlinf` with all environments in one process."""
     return rlinf(together=True)
 
 
@@ -204,7 +204,7 @@ def simplevla_rl() -> Rollouts:
 
 
 def _vectors(venv: Any, kind: str, reconfigured: bool = False) -> Rollouts:
-    """Resets some of several environments and puts their results in place of earlier ones."""
+    """Resets some of several environments; their results replace earlier ones."""
     envs = getattr(venv, kind)([_Construct(i) for i in (0, 3)])
     states = [_task(0)[1][1], _task(3)[1][2]]
     envs.seed(4)
@@ -286,7 +286,7 @@ def as_arrays(value: Any) -> Any:
     if isinstance(value, dict):
         return {key: as_arrays(one) for key, one in value.items()}
     if isinstance(value, list | tuple):
-        return [as_arrays(one) for one in value]
+        return [as_arrays(item) for item in value]
     return value
 
 

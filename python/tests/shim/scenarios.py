@@ -128,7 +128,7 @@ def states() -> Log:
     log.append(("set, success", bool(env.check_success())))
     for i, action in enumerate(actions(3)):
         log.append((f"step after set {i}", env.step(action)))
-    # Each of these calls moves the instant at which later steps sample.
+    # Each of these calls shifts the time at which later steps observe.
     for i in range(27):
         log.append((f"regenerated {i}", env.regenerate_obs_from_state(kept)))
         if i % 3 == 0 or i > 20:
@@ -206,7 +206,7 @@ def segmentations() -> Log:
 
 
 def stove() -> Log:
-    """Turns on a burner, which glows, and continues to glow if the model is not reloaded."""
+    """Turns on a burner, which glows, also after a reset without reloading the model."""
     log: Log = []
     for hard_reset in (False, True):
         env = make("turn_on", hard_reset=hard_reset)

@@ -91,7 +91,7 @@ def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.parametrize("client", CLIENTS)
-def test_a_client_runs_an_episode_and_sees_what_it_sees_with_the_original(
+def test_a_client_gets_the_same_episode_as_with_the_original(
     client: str, clients: str, actions: Path, shim: Path, tmp_path: Path
 ) -> None:
     # vla-eval and torchrl write or need a configuration; an empty folder acts as a new one.
@@ -130,7 +130,7 @@ def assert_same(our: Any, their: Any, what: str) -> None:
             assert_same(our[key], their[key], f"{what}: {key}")
     elif isinstance(their, np.ndarray) and their.dtype == np.uint8:
         channels_last = -1 if their.shape[-1] == 3 else 0
-        our, their = (np.moveaxis(it, channels_last, -1) for it in (our, their))
+        our, their = (np.moveaxis(frame, channels_last, -1) for frame in (our, their))
         assert_close_frames(our, their, what, DRAWN_HERE)
     elif isinstance(their, np.ndarray) and their.dtype.kind == "f":
         assert our.dtype == their.dtype, what

@@ -115,7 +115,7 @@ def test_smooth_steps_give_the_originals_readings_and_frames(
     env.close()
 
 
-def test_grasping_gives_the_originals_success_flags_and_positions_as_far_as_rounding_lets(
+def test_grasping_gives_the_originals_success_and_positions_within_rounding(
     task: Path,
 ) -> None:
     recorded = np.load(SHARED / "oracle" / "contact" / f"{task.parent.name}_{task.name[:2]}.npz")
@@ -145,7 +145,7 @@ def rounding_grows_to(task: Path, step: int) -> float:
     return NEAR if response < CALM else 100 * response
 
 
-def test_an_environment_shows_the_originals_frames_turned_as_policies_were_trained(
+def test_an_environments_frames_are_the_originals_turned_by_180_degrees(
     task: Path,
 ) -> None:
     suite, number = task.parent.name, int(task.name[:2])

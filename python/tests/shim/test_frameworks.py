@@ -88,7 +88,7 @@ def test_suites_are_in_the_originals_order() -> None:
     assert names[120] == benchmark.get_benchmark("libero_10")().get_task_names()[0]
 
 
-def test_what_a_cameras_depths_mean_can_be_read(bddl_file: str) -> None:
+def test_the_constants_that_convert_depths_to_metres_are_available(bddl_file: str) -> None:
     env = OffScreenRenderEnv(bddl_file_name=bddl_file, use_camera_obs=False)
     model = env.sim.model
     # Converts the depth buffer to metres: MuJoCo's planes are in units of the extent.
@@ -162,7 +162,7 @@ class Counting:
         pass
 
 
-def test_workers_of_another_project_are_served() -> None:
+def test_a_subclass_of_the_worker_of_another_project_works() -> None:
     envs = venv.BaseVectorEnv([Counting] * 2, OwnWorker)
     assert envs.worker_class is OwnWorker
     assert (envs.wait_num, envs.timeout, envs.waiting_conn) == (2, None, [])
@@ -221,16 +221,16 @@ class Slow(Counting):
         return {"begun": begun, "ended": time.monotonic()}
 
 
-def test_states_are_set_side_by_side() -> None:
+def test_states_are_set_concurrently() -> None:
     envs = SubprocVectorEnv([Slow] * 3)
     envs.reset()
     seen = envs.set_init_state([0.5, 0.3, 0.4])
-    assert max(one["begun"] for one in seen) < min(one["ended"] for one in seen)
-    assert [round(one["ended"] - one["begun"], 1) for one in seen] == [0.5, 0.3, 0.4]
+    assert max(times["begun"] for times in seen) < min(times["ended"] for times in seen)
+    assert [round(times["ended"] - times["begun"], 1) for times in seen] == [0.5, 0.3, 0.4]
     envs.close()
 
 
-def test_an_environment_without_a_picture_has_none(bddl_file: str) -> None:
+def test_render_returns_none_without_a_picture(bddl_file: str) -> None:
     def construct() -> OffScreenRenderEnv:
         return OffScreenRenderEnv(bddl_file_name=bddl_file, use_camera_obs=False)
 
@@ -240,7 +240,7 @@ def test_an_environment_without_a_picture_has_none(bddl_file: str) -> None:
         envs.close()
 
 
-def test_time_is_taken_and_videos_have_a_home() -> None:
+def test_the_timer_works_and_missing_video_utilities_name_the_remedy() -> None:
     from libero.libero.utils.time_utils import Timer
 
     with Timer() as timer:
@@ -297,7 +297,7 @@ def test_a_forked_process_constructs_and_steps(bddl_file: str) -> None:
     idle.close()
 
 
-def test_another_allocator_does_no_harm(bddl_file: str) -> None:
+def test_another_allocator_is_tolerated(bddl_file: str) -> None:
     allocator = next(
         filter(None, map(ctypes.util.find_library, ("jemalloc", "tcmalloc", "mimalloc"))), None
     )
@@ -319,7 +319,7 @@ def test_another_allocator_does_no_harm(bddl_file: str) -> None:
     assert done.returncode == 0, done.stderr
 
 
-def test_a_construction_that_fails_is_said_though_the_error_is_swallowed() -> None:
+def test_a_failed_construction_is_printed_even_if_the_error_is_caught() -> None:
     code = (
         "from libero.libero.envs import OffScreenRenderEnv\n"
         "for _ in range(3):\n"
@@ -334,7 +334,7 @@ def test_a_construction_that_fails_is_said_though_the_error_is_swallowed() -> No
 # Several packages with the same name.
 
 
-def test_the_doctor_says_which_libero_is_imported(tmp_path: Path) -> None:
+def test_doctor_reports_the_imported_libero(tmp_path: Path) -> None:
     def doctor(*path: Path) -> subprocess.CompletedProcess[str]:
         searched = [*map(str, path), os.environ.get("PYTHONPATH", "")]
         return subprocess.run(

@@ -17,13 +17,13 @@ from libero.libero.benchmark.init_states import load_init_states
 
 
 def test_a_file_of_initial_states_cannot_run_code(tmp_path: Path) -> None:
-    class Attack:
+    class MaliciousPickle:
         def __reduce__(self) -> Any:
             return os.mkdir, (str(tmp_path / "ran"),)
 
     file = tmp_path / "task.pruned_init"
     with zipfile.ZipFile(file, "w") as archive:
-        archive.writestr("archive/data.pkl", pickle.dumps(Attack()))
+        archive.writestr("archive/data.pkl", pickle.dumps(MaliciousPickle()))
     with pytest.raises(ValueError, match="fetch the file again"):
         load_init_states(file)
     assert not (tmp_path / "ran").exists()
@@ -32,7 +32,7 @@ def test_a_file_of_initial_states_cannot_run_code(tmp_path: Path) -> None:
         load_init_states(file)
 
 
-class Asks:
+class PickledCall:
     """Pickles as a call of a NumPy function, with a state for its result."""
 
     def __init__(self, *asked: Any) -> None:
@@ -46,16 +46,16 @@ class Asks:
     "asked",
     [
         # Its bytes would be read as pointers to objects.
-        Asks(np.ndarray, ((1,), "O", b"AAAAAAAA")),
-        Asks(np.ndarray, ((1 << 36,),)),
-        Asks(np.dtype, ("V8", False, True), (3, "<", None, None, None, 1 << 30, 1, 0)),
+        PickledCall(np.ndarray, ((1,), "O", b"AAAAAAAA")),
+        PickledCall(np.ndarray, ((1 << 36,),)),
+        PickledCall(np.dtype, ("V8", False, True), (3, "<", None, None, None, 1 << 30, 1, 0)),
         np.zeros((2, 3), "i4"),
         np.zeros((1, 2, 3)),
         np.array([[None]]),
         [1, 2],
     ],
 )
-def test_a_file_of_initial_states_makes_nothing_but_a_table_of_numbers(
+def test_a_file_of_initial_states_gives_only_a_table_of_numbers(
     tmp_path: Path, asked: Any
 ) -> None:
     with pytest.raises(ValueError, match="holds no initial states"):
@@ -67,7 +67,7 @@ def test_a_file_of_initial_states_makes_nothing_but_a_table_of_numbers(
         assert np.array_equal(found, states)
 
 
-def test_a_file_of_initial_states_unpacks_no_more_than_memory_has_room_for(tmp_path: Path) -> None:
+def test_a_file_of_initial_states_that_is_too_large_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="larger than 64 MiB"):
         read_states(tmp_path, bytes((64 << 20) + 1))
 
@@ -88,7 +88,7 @@ except Exception as error:
 
 
 @pytest.mark.parametrize("bomb", ["bzip2", "notes", "operations", "texts"])
-def test_a_file_of_initial_states_takes_no_more_memory_than_its_size_says(
+def test_a_file_of_initial_states_with_a_bomb_takes_little_memory(
     tmp_path: Path, bomb: str
 ) -> None:
     file = tmp_path / "task.pruned_init"
@@ -99,7 +99,7 @@ def test_a_file_of_initial_states_takes_no_more_memory_than_its_size_says(
         reason = "its pickle is neither stored nor deflated"
     elif bomb == "notes":
         content = b"\x80\x02Nr" + (1 << 26).to_bytes(4, "little") + b"."
-        reason = "its pickle takes note 67108864 of 256"
+        reason = "its pickle uses memo entry 67108864 of 256"
     elif bomb == "texts":
         # The bytes of one text of 8 MB, eighty times.
         text = b"X" + (8_000_000).to_bytes(4, "little") + b"a" * 8_000_000

@@ -50,7 +50,7 @@ def config_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 # Folders.
 
 
-def test_importing_needs_no_standard_input_no_configuration_and_no_heavy_package(
+def test_importing_needs_no_input_configuration_or_heavy_package(
     tmp_path: Path,
 ) -> None:
     code = (
@@ -70,7 +70,7 @@ def test_importing_needs_no_standard_input_no_configuration_and_no_heavy_package
     assert not settings.exists()
 
 
-def test_folders_are_those_that_were_fetched_without_a_configuration(config_file: Path) -> None:
+def test_without_a_configuration_folders_are_the_fetched_ones(config_file: Path) -> None:
     bddl_files = Path(get_libero_path("bddl_files"))
     assert (bddl_files / "libero_goal" / "turn_on_the_stove.bddl").is_file()
     init_states = Path(get_libero_path("init_states"))
@@ -81,7 +81,7 @@ def test_folders_are_those_that_were_fetched_without_a_configuration(config_file
         get_libero_path("robots")
 
 
-def test_a_configured_folder_counts_where_it_has_files(config_file: Path, tmp_path: Path) -> None:
+def test_a_configured_folder_is_used_if_it_has_files(config_file: Path, tmp_path: Path) -> None:
     mine = tmp_path / "mine"
     (mine / "libero_goal").mkdir(parents=True)
     config_file.write_text(f"bddl_files: {mine}\ninit_states: {tmp_path / 'gone'}\n")
@@ -89,7 +89,7 @@ def test_a_configured_folder_counts_where_it_has_files(config_file: Path, tmp_pa
     assert Path(get_libero_path("init_states"), "libero_goal").is_dir()
 
 
-def test_a_configuration_of_folders_inside_the_package_does_no_harm(config_file: Path) -> None:
+def test_a_configuration_with_folders_of_the_package_is_ignored(config_file: Path) -> None:
     # torchrl writes this before its first import of LIBERO.
     import libero.libero
 
@@ -165,7 +165,7 @@ def test_orders_of_tasks() -> None:
         benchmark.get_benchmark("libero_90")(1)
 
 
-def test_suites_that_are_not_there_are_named() -> None:
+def test_unknown_suites_are_refused_with_the_known_ones() -> None:
     assert "libero_100" in benchmark.get_benchmark_dict()
     with pytest.raises(KeyError, match="libero_90 and libero_10"):
         benchmark.get_benchmark("libero_100")()
@@ -185,7 +185,7 @@ def test_initial_states_are_an_array_and_need_no_torch() -> None:
 # BDDL.
 
 
-def test_a_problem_says_what_it_is(bddl_file: str) -> None:
+def test_a_problems_info_is_read(bddl_file: str) -> None:
     assert bddl_utils.get_problem_info(bddl_file) == {
         "problem_name": "libero_tabletop_manipulation",
         "domain_name": "robosuite",
@@ -205,7 +205,7 @@ def test_libero_plus_is_refused_with_the_remedy() -> None:
         __import__("liberoplus.liberoplus.benchmark")
 
 
-def test_what_only_the_original_has_is_refused_with_the_remedy(bddl_file: str) -> None:
+def test_features_of_the_original_only_are_refused_with_the_remedy(bddl_file: str) -> None:
     for argument, value in {
         "controller": "JOINT_POSITION",
         "control_freq": 10,
@@ -302,7 +302,7 @@ def test_states_of_another_scene_are_refused(env: OffScreenRenderEnv) -> None:
         env.set_init_state(np.zeros(71))
 
 
-def test_a_closed_environment_says_so(bddl_file: str) -> None:
+def test_a_closed_environment_is_reported(bddl_file: str) -> None:
     env = OffScreenRenderEnv(bddl_file_name=bddl_file, use_camera_obs=False)
     sim, domain = env.sim, env.env
     controller = env.robots[0].controller
@@ -323,7 +323,7 @@ def test_a_closed_environment_says_so(bddl_file: str) -> None:
             use()
 
 
-def test_two_threads_in_one_environment_are_told(env: OffScreenRenderEnv) -> None:
+def test_two_threads_in_one_environment_get_an_error(env: OffScreenRenderEnv) -> None:
     outcomes: list[Exception | None] = []
 
     def work() -> None:
@@ -346,7 +346,7 @@ def test_two_threads_in_one_environment_are_told(env: OffScreenRenderEnv) -> Non
     env.step(NOTHING)
 
 
-def test_the_end_of_an_episode_is_said_with_the_remedy(bddl_file: str) -> None:
+def test_a_step_after_the_end_is_refused_with_the_remedy(bddl_file: str) -> None:
     env = OffScreenRenderEnv(bddl_file_name=bddl_file, use_camera_obs=False, horizon=1)
     env.reset()
     env.step(NOTHING)
@@ -357,7 +357,7 @@ def test_the_end_of_an_episode_is_said_with_the_remedy(bddl_file: str) -> None:
     env.close()
 
 
-def test_another_global_generator_is_refused(env: OffScreenRenderEnv) -> None:
+def test_a_global_generator_other_than_mt19937_is_refused(env: OffScreenRenderEnv) -> None:
     before = np.random.get_bit_generator()
     np.random.set_bit_generator(np.random.PCG64(1))
     try:
@@ -371,7 +371,7 @@ def test_another_global_generator_is_refused(env: OffScreenRenderEnv) -> None:
     env.reset()
 
 
-def test_arrays_cannot_be_written_to_in_vain(env: OffScreenRenderEnv) -> None:
+def test_writing_to_copied_arrays_raises(env: OffScreenRenderEnv) -> None:
     with pytest.raises(ValueError, match=r"sim.model.set\('cam_pos'"):
         env.sim.model.cam_pos[0] = 0
     with pytest.raises(ValueError, match="set_state_from_flattened"):
@@ -403,7 +403,7 @@ def test_a_camera_is_moved_in_one_environment_only(bddl_file: str) -> None:
         env.close()
 
 
-def test_pictures_of_the_present_do_not_move_the_instant_of_observation(bddl_file: str) -> None:
+def test_rendering_the_current_state_does_not_shift_observations(bddl_file: str) -> None:
     def run(look: bool) -> list[Any]:
         env = OffScreenRenderEnv(bddl_file_name=bddl_file, use_camera_obs=False)
         env.seed(0)
@@ -419,7 +419,7 @@ def test_pictures_of_the_present_do_not_move_the_instant_of_observation(bddl_fil
     np.testing.assert_array_equal(run(look=True), run(look=False))
 
 
-def test_what_is_left_out_is_not_observed(env: OffScreenRenderEnv) -> None:
+def test_omitted_keys_are_not_observed(env: OffScreenRenderEnv) -> None:
     env.env.modify_observable("agentview_image", "enabled", False)
     env.env.modify_observable("robot0_joint_vel", "active", False)
     observation, *_ = env.step(NOTHING)
@@ -433,7 +433,7 @@ def test_what_is_left_out_is_not_observed(env: OffScreenRenderEnv) -> None:
         env.env.modify_observable("agentview_image", "corrupter", None)
 
 
-def test_what_is_left_out_of_the_package_is_named(env: OffScreenRenderEnv) -> None:
+def test_omitted_modules_are_refused_with_the_remedy(env: OffScreenRenderEnv) -> None:
     for module in (
         "libero.lifelong",
         "libero.libero.utils.dataset_utils",
@@ -472,7 +472,7 @@ def test_a_problems_class_makes_the_environment_too(bddl_file: str) -> None:
         TASK_MAPPING["libero_floor_manipulation"](bddl_file, **arguments)
 
 
-def test_segments_are_taken_apart(bddl_file: str) -> None:
+def test_segmentations_are_split_by_instance(bddl_file: str) -> None:
     env = SegmentationRenderEnv(bddl_file_name=bddl_file, camera_names="agentview")
     observation = env.reset()
     segments = observation["agentview_segmentation_instance"]
@@ -508,7 +508,7 @@ def seen(observations: Any) -> list[Any]:
 
 
 @pytest.mark.parametrize("kind", [DummyVectorEnv, SubprocVectorEnv])
-def test_several_environments_do_what_one_does(kind: Any, bddl_file: str) -> None:
+def test_several_environments_equal_single_ones(kind: Any, bddl_file: str) -> None:
     state = benchmark.get_benchmark("libero_goal")().get_task_init_states(8)
     envs = kind([lambda: Blind(bddl_file)() for _ in range(3)])
     assert len(envs) == 3
@@ -552,7 +552,7 @@ def test_after_an_error_answers_belong_to_their_own_calls(kind: Any, bddl_file: 
     moves = [[0.9, 0.9, 0, 0, 0, 0, -1]] * 2
     with pytest.raises(ValueError, match="7 numbers"):
         envs.step([[0.0], moves[1]])
-    # The other environment has stepped. Its answer must not be taken for that of the next call.
+    # The other environment has stepped. Its answer must not become the answer to the next call.
     before = seen(envs.step(moves)[0])
     after = seen(envs.step(moves)[0])
     states = envs.get_sim_state()
@@ -564,7 +564,7 @@ def test_after_an_error_answers_belong_to_their_own_calls(kind: Any, bddl_file: 
     envs.close()
 
 
-def test_an_answer_that_ctrl_c_left_behind_is_dropped(bddl_file: str) -> None:
+def test_the_answer_to_an_interrupted_command_is_dropped(bddl_file: str) -> None:
     envs = SubprocVectorEnv([Blind(bddl_file)])
     envs.reset()
     envs.workers[0].send([0.9, 0.9, 0, 0, 0, 0, -1])
@@ -572,7 +572,7 @@ def test_an_answer_that_ctrl_c_left_behind_is_dropped(bddl_file: str) -> None:
     envs.close()
 
 
-def test_processes_that_cannot_construct_say_why(bddl_file: str) -> None:
+def test_a_failed_construction_in_a_process_raises_its_error(bddl_file: str) -> None:
     envs = SubprocVectorEnv([Blind("nowhere.bddl")])
     with pytest.raises(FileNotFoundError, match="nowhere.bddl"):
         envs.reset()

@@ -70,7 +70,7 @@ def actions(steps: int) -> np.ndarray:
 
 
 @pytest.mark.parametrize("number", range(len(READINGS)))
-def test_however_it_is_read_it_holds_what_was_drawn_at_once(number: int, bddl_file: str) -> None:
+def test_lazy_observations_equal_those_drawn_at_once(number: int, bddl_file: str) -> None:
     env, eager = construct(bddl_file), construct(bddl_file)
     for action in actions(2):
         late, *_ = env.step(action)
@@ -86,7 +86,7 @@ def test_however_it_is_read_it_holds_what_was_drawn_at_once(number: int, bddl_fi
         np.testing.assert_array_equal(read[key], array, err_msg=key)
 
 
-def test_steps_that_nobody_looks_at_draw_nothing(bddl_file: str) -> None:
+def test_unread_observations_draw_nothing(bddl_file: str) -> None:
     size = {"camera_heights": 23, "camera_widths": 31}
     env = OffScreenRenderEnv(bddl_file_name=bddl_file, **size)
     # The scene's first observation through these cameras is drawn at once, to find errors early.
@@ -106,7 +106,7 @@ def test_steps_that_nobody_looks_at_draw_nothing(bddl_file: str) -> None:
     env.close()
 
 
-def test_a_camera_that_is_said_to_be_unused_is_black_and_the_rest_is_as_ever(
+def test_an_unused_camera_is_black_and_the_other_is_unchanged(
     bddl_file: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     asked = {"camera_depths": True, "camera_segmentations": "instance"}
@@ -160,7 +160,7 @@ def test_pictures_read_in_any_order_are_those_drawn_at_once(seed: int, bddl_file
     for _ in range(40):
         what = chance.choice(["step"] * 5 + ["reset", "state", "camera", "stove"])
         value = next(steps) if what in ("step", "stove") else chance.randrange(50)
-        late, early = (moved(it, what, value) for it in (env, eager))
+        late, early = (moved(environment, what, value) for environment in (env, eager))
         kept.append((late, dict(early)))
         while kept and chance.random() < 0.4:
             late, early = kept[chance.randrange(len(kept))]
@@ -174,10 +174,10 @@ def test_pictures_read_in_any_order_are_those_drawn_at_once(seed: int, bddl_file
     for late, early in kept:
         for key in late:
             np.testing.assert_array_equal(late[key], early[key])
-    # Reading has moved nothing.
+    # Reading pictures has not changed the state.
     np.testing.assert_array_equal(env.get_sim_state(), eager.get_sim_state())
-    for it in (env, eager):
-        it.close()
+    for environment in (env, eager):
+        environment.close()
 
 
 def test_two_observations_of_one_instant_share_their_pictures(bddl_file: str) -> None:
@@ -205,7 +205,7 @@ def test_observations_are_compared_by_their_pictures(bddl_file: str) -> None:
     env.close()
 
 
-def test_it_is_drawn_after_its_environment_was_closed_or_while_that_computes(
+def test_a_picture_is_drawn_while_its_environment_is_busy_or_closed(
     bddl_file: str,
 ) -> None:
     env, eager = construct(bddl_file), construct(bddl_file)
@@ -261,5 +261,5 @@ def test_depths_and_segmentations_are_drawn_late_too(bddl_file: str) -> None:
     for late, early in reversed(kept):
         for key in reversed(early):
             np.testing.assert_array_equal(late[key], early[key], err_msg=key)
-    for it in (env, eager):
-        it.close()
+    for environment in (env, eager):
+        environment.close()

@@ -95,7 +95,7 @@ def assert_same(ours: Any, theirs: Any, what: str) -> None:
 
 @pytest.mark.parametrize("which", ["package", "checkout"])
 @pytest.mark.parametrize("kind", ["rlinf", "rlinf_auto_reset", "rlinf_evaluated", "rlinf_recorded"])
-def test_rlinf_in_one_process_is_rlinf(
+def test_rlinf_in_one_process_equals_rlinfs_processes(
     kind: str, which: str, python: str, shim: Path, tmp_path: Path
 ) -> None:
     sources = rlinf(python, which)
@@ -154,7 +154,7 @@ def test_simplevla_rl_rolls_out_in_a_forked_process(
 @pytest.mark.parametrize(
     ("framework", "name"), [("verl_vla", "verl-vla"), ("vlarl", "vlarl"), ("siirl", "siiRL")]
 )
-def test_several_environments_of_a_framework_are_those_of_the_shim(
+def test_a_frameworks_several_environments_equal_the_shims(
     framework: str, name: str, python: str, shim: Path, tmp_path: Path
 ) -> None:
     rollouts = rolled_out(python, shim, tmp_path, framework, checkout(name))
@@ -201,11 +201,11 @@ def test_several_environments_of_a_framework_are_those_of_the_shim(
 def test_ript_wraps_one_environment_and_several(python: str, shim: Path, tmp_path: Path) -> None:
     rollouts = rolled_out(python, shim, tmp_path, "ript_vla", checkout("ript-vla"))
     alone, several = rollouts["seen"][:4], rollouts["seen"][4:]
-    # `reset_ori` returns the observation before its states are set; the second reset sets them.
+    # `reset_ori` returns the observation before it sets the states; the second reset sets them.
     for count, (first, stepped, reset, again) in ((1, alone), (2, several)):
         assert first["agentview_rgb"].shape == (count, SIZE, SIZE, 3)
         assert reset["gripper_states"].shape == (count, 2)
         for observation, reward, terminated, truncated, info in (stepped, again):
             assert observation["agentview_rgb"].shape == (count, SIZE, SIZE, 3)
             assert reward.shape == terminated.shape == truncated.shape == (count,)
-            assert [one["success"] for one in info] == [False] * count
+            assert [of_env["success"] for of_env in info] == [False] * count

@@ -56,7 +56,7 @@ def envs() -> Any:
     made.close()
 
 
-def test_rows_of_any_tasks_begin_and_step_as_scripts_have_them(envs: TrainingEnvironment) -> None:
+def test_rows_of_any_tasks_equal_scripts_environments(envs: TrainingEnvironment) -> None:
     # A drawer whose joint and place depend on the seed, an object, and a task of libero_90.
     tasks = [task("libero_goal", 0), task("libero_object", 3), task("libero_90", 44)]
     starts = [Start(file, states[7 + i], seed=20 + i) for i, (file, states) in enumerate(tasks)]
@@ -71,7 +71,7 @@ def test_rows_of_any_tasks_begin_and_step_as_scripts_have_them(envs: TrainingEnv
         for action in chunk[at]:
             seen, *_ = env.step(action)
         assert_same(stepped.observation, at, seen)
-    # Another task, in the middle row only, without a state, from an environment that is kept.
+    # Another task in the middle row only: without a state, in a reused environment.
     other = Start(task("libero_goal", 6)[0], seed=5, loads=3)
     observation = envs.reset([other], rows=[1])
     assert_same(observation, 0, begun(other, resets=2)[1])
@@ -85,7 +85,7 @@ def test_rows_of_any_tasks_begin_and_step_as_scripts_have_them(envs: TrainingEnv
             assert_same({k: v[:, step] for k, v in stepped.observation.items()}, place, seen)
 
 
-def test_chunks_go_on_past_success_and_say_when_it_held(envs: TrainingEnvironment) -> None:
+def test_chunks_continue_past_success_and_report_it_per_step(envs: TrainingEnvironment) -> None:
     file, states = task("libero_object", 0)
     start = Start(file, states[0], seed=7)
     env, seen = begun(start)
@@ -121,7 +121,7 @@ def test_chunks_go_on_past_success_and_say_when_it_held(envs: TrainingEnvironmen
         np.testing.assert_array_equal(stepped.observation[name][0], seen[NAMES[name]])
 
 
-def test_a_group_comes_to_rest_once_and_goes_its_own_ways(
+def test_rows_with_equal_starts_settle_once_and_then_step_independently(
     envs: TrainingEnvironment, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file, states = task("libero_goal", 8)
@@ -152,7 +152,7 @@ def test_a_group_comes_to_rest_once_and_goes_its_own_ways(
     alone.close()
 
 
-def test_settling_is_chosen() -> None:
+def test_settling_steps_and_action_are_configurable() -> None:
     file, states = task("libero_goal", 8)
     made = TrainingEnvironment(
         1, height=SIZE, width=SIZE, settle_steps=15, settle_action=[0.0] * 7
@@ -165,7 +165,7 @@ def test_settling_is_chosen() -> None:
     made.close()
 
 
-def test_what_is_refused_moves_nothing(envs: TrainingEnvironment) -> None:
+def test_a_refused_call_moves_no_row(envs: TrainingEnvironment) -> None:
     file, states = task("libero_goal", 8)
     with pytest.raises(ValueError, match="row 0: it has no rollout; call reset"):
         envs.step_chunk(np.zeros((3, 1, 7)))
@@ -186,11 +186,11 @@ def test_what_is_refused_moves_nothing(envs: TrainingEnvironment) -> None:
     np.testing.assert_array_equal(at[0], at[2])
 
 
-def test_rows_that_fail_are_named_and_the_others_go_on(envs: TrainingEnvironment) -> None:
+def test_failed_rows_are_named_and_the_others_continue(envs: TrainingEnvironment) -> None:
     file, states = task("libero_goal", 8)
     envs.reset([Start(file, states[0])] * 3)
     wild = states[0].copy()
-    wild[1:8] = 1e9  # rad: no physics survives that
+    wild[1:8] = 1e9  # rad: the physics diverges
     simulation = envs.simulations[1]
     assert simulation is not None
     simulation.set_state(wild)

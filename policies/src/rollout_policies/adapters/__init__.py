@@ -96,15 +96,16 @@ def _require_options(listed: Entry, options: Options) -> None:
 
 
 def executed(listed: Entry, options: Options, *, chunk: int, own: int) -> int:
-    """Returns how many actions of a chunk are executed: the command line's number, else
-    LIBERO-CTRL's for its own checkpoints, else the checkpoint's `own`.
+    """Returns the number of executed actions of a chunk: the command line's, else LIBERO-CTRL's
+    for the checkpoints of the catalogue, else the checkpoint's, `own`.
 
     Raises UnusableOption for a number that does not fit the chunk.
     """
     protocol = listed.execute if listed.lists(options.checkpoint) else None
-    number = next(one for one in (options.execute, protocol, own) if one is not None)
+    candidates = (options.execute, protocol, own)
+    number = next(number for number in candidates if number is not None)
     if not 1 <= number <= chunk:
-        source = "--execute" if options.execute is not None else "the number that is executed"
+        source = "--execute" if options.execute is not None else "the number of executed actions"
         answers = "1 action" if chunk == 1 else f"chunks of {chunk} actions"
         raise UnusableOption(
             f"{source} is {number}, and {listed.title} answers {answers} here; it must be"
@@ -112,8 +113,8 @@ def executed(listed: Entry, options: Options, *, chunk: int, own: int) -> int:
         )
     if options.execute is None and listed.execute not in (None, number):
         log.warning(
-            "executing %d of every chunk, as the checkpoint says; LIBERO-CTRL executes %d of"
-            " its own checkpoint of %s (--execute N sets another number)",
+            "executing %d actions of every chunk, the checkpoint's number; LIBERO-CTRL executes %d"
+            " with the listed checkpoint of %s (--execute N sets another number)",
             number,
             listed.execute,
             listed.title,

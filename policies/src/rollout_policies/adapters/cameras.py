@@ -43,11 +43,12 @@ def camera_of_slot(
     """Returns the simulator's camera of each slot that gets one.
 
     `given` maps camera roles ("scene", "wrist") to slots, as on the command line. `renamed` maps
-    image names of the data set to slots, as recorded in the checkpoint; the data set's names are
-    more telling than slot names such as `camera1`.
+    image names of the data set to slots, as recorded in the checkpoint; the data set's names
+    identify cameras better than slot names such as `camera1`.
 
     Raises UnusableOption if `given` names an unknown role or slot, or one slot twice;
-    UnusableCheckpoint, which tells which flag to add, if the names do not determine the cameras.
+    UnusableCheckpoint, whose message has the flag to add, if the names do not determine the
+    cameras.
     """
     if given:
         return _as_given(slots, given)
@@ -55,14 +56,14 @@ def camera_of_slot(
     for slot in slots:
         roles = {_camera(name) for name in _names_of(slot, renamed or {})}
         if len(roles) != 1 or (camera := roles.pop()) == "unknown":
-            raise _unclear(slots, f"{short(slot)} is no name that is known")
+            raise _unclear(slots, f"{short(slot)} is not a known name")
         if camera is None:
             continue
         if camera in found.values():
-            raise _unclear(slots, "two of them seem to be of one camera")
+            raise _unclear(slots, "two of them have names of the same camera")
         found[slot] = camera
     if not found:
-        raise _unclear(slots, "none of them is of a camera of LIBERO")
+        raise _unclear(slots, "none of them has the name of a LIBERO camera")
     return found
 
 
@@ -94,19 +95,20 @@ def _names_of(slot: str, renamed: Mapping[str, str]) -> list[str]:
 
 
 def _camera(name: str) -> str | None:
-    """Returns the camera that a name stands for, None if it stands for none, or "unknown"."""
-    known = short(name).lower().replace("-", "_")
-    if known in NEVER_FILLED or known.startswith("empty"):
+    """Returns the camera of a slot name: None for a slot that no LIBERO data set fills, "unknown"
+    for an unknown name."""
+    key = short(name).lower().replace("-", "_")
+    if key in NEVER_FILLED or key.startswith("empty"):
         return None
-    return next((camera for camera, names in NAMES.items() if known in names), "unknown")
+    return next((camera for camera, names in NAMES.items() if key in names), "unknown")
 
 
 def _unclear(slots: Sequence[str], why: str) -> UnusableCheckpoint:
     names = [short(slot) for slot in slots]
     example = ",".join(f"{role}={name}" for role, name in zip(ROLES, names))
     return UnusableCheckpoint(
-        f"which camera belongs into which image slot is not clear: the checkpoint's slots are"
-        f" {_listed(slots)}, and {why}; say which is which, for example --image-keys {example}"
+        f"the cameras of the image slots are not clear: the checkpoint's slots are"
+        f" {_listed(slots)}, and {why}; assign them, for example --image-keys {example}"
     )
 
 

@@ -44,13 +44,13 @@ def fetch(entry: Entry, name: str, revision: str | None = None) -> Fetched:
                 f"--revision names a commit of the hub, and {name} is a folder here"
             )
         cached = local.resolve()
-        known = cached.parent.name == "snapshots" and COMMIT.fullmatch(cached.name)
-        return Fetched(local, cached.name if known else "")
+        is_snapshot = cached.parent.name == "snapshots" and COMMIT.fullmatch(cached.name)
+        return Fetched(local, cached.name if is_snapshot else "")
     named = HUB_NAME.fullmatch(name)
     if named is None:
         raise NoCheckpoint(
-            f"{entry.title}'s weights: there is no folder {name}, and that is no name of the"
-            " hub's (owner/repository); name the weights with --checkpoint"
+            f"{entry.title}'s weights: there is no folder {name}, and this is not a name on the hub"
+            " (owner/repository); name the weights with --checkpoint"
         )
     repository, folder = named["repository"], named["folder"]
     hub = require("huggingface_hub", entry)
@@ -74,10 +74,10 @@ def _inside(snapshot: Path, folder: str | None, name: str) -> Path:
     found = [path for path in snapshot.rglob(wanted[-1]) if path.parts[-len(wanted) :] == wanted]
     found = [path for path in found if path.is_dir()]
     if len(found) != 1:
-        there = sorted(path.name for path in snapshot.iterdir() if path.is_dir())
+        top = sorted(path.name for path in snapshot.iterdir() if path.is_dir())
         raise UnusableCheckpoint(
             f"checkpoint {name}: its repository has {len(found) or 'no'} folders {folder};"
-            f" at its top are {', '.join(there) or 'none'}"
+            f" its top folders are {', '.join(top) or 'none'}"
         )
     return found[0]
 
@@ -96,13 +96,13 @@ def downloads(needed: Mapping[str, str]) -> str:
     """Returns a sentence that lists the downloads besides the checkpoint and
     explains how to serve without a network."""
     cached = (
-        "Without a network, download it all beforehand (`hf download NAME`) and set"
+        "Without a network, download everything beforehand (`hf download NAME`) and set"
         " HF_HUB_OFFLINE=1"
     )
     if not needed:
         return f"Nothing else is downloaded. {cached}"
     listed = "; ".join(f"{name} ({what})" for name, what in needed.items())
-    return f"Besides the checkpoint, this is downloaded: {listed}. {cached}"
+    return f"Downloads besides the checkpoint: {listed}. {cached}"
 
 
 def first_line(error: BaseException) -> str:

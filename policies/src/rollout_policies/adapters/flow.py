@@ -56,11 +56,13 @@ class FlowPolicy(Policy):
     def infer_batch(self, observations: Sequence[Observation]) -> Sequence[np.ndarray]:
         """Answers each query. Queries with actions that are executed during inference are answered
         one by one, since a call of the network has one delay."""
-        heeds = self.description.real_time_chunking
+        uses_under_way = self.description.real_time_chunking
         answers: dict[int, np.ndarray] = {}
-        for at, one in enumerate(observations):
-            if heeds and one.under_way is not None:
-                answers[at] = self.model.chunks([one], self.noise([one]), one.under_way)[0]
+        for at, observation in enumerate(observations):
+            under_way = observation.under_way
+            if uses_under_way and under_way is not None:
+                chunks = self.model.chunks([observation], self.noise([observation]), under_way)
+                answers[at] = chunks[0]
         others = [at for at in range(len(observations)) if at not in answers]
         if others:
             rest = [observations[at] for at in others]
@@ -72,4 +74,7 @@ class FlowPolicy(Policy):
         query's generator and does not depend on the other queries of the batch."""
         config = self.model.config
         shape = (config.chunk_size, config.max_action_dim)
-        return np.stack([one.rng.standard_normal(shape, dtype=np.float32) for one in observations])
+        rows = [
+            observation.rng.standard_normal(shape, dtype=np.float32) for observation in observations
+        ]
+        return np.stack(rows)

@@ -2,9 +2,8 @@
 
 Only `LerobotModel` uses lerobot and torch. lerobot's own processors normalise,
 tokenise, resize and un-normalise, with the statistics stored beside the
-checkpoint; nothing of that is repeated here.
-This module refuses two faults that lerobot ignores silently: weights that do
-not fit, and missing statistics.
+checkpoint; this module does not repeat that processing. It refuses two faults
+that lerobot ignores silently: weights that do not fit, and missing statistics.
 """
 
 from __future__ import annotations
@@ -75,12 +74,12 @@ def batch_of(
     instructions are verbatim.
     """
     batch: dict[str, Any] = {
-        slot: np.stack([unit_planes(one.rotated(camera)) for one in observations])
+        slot: np.stack([unit_planes(each.rotated(camera)) for each in observations])
         for slot, camera in slots.items()
     }
     if with_state:
-        batch[STATE] = np.stack([state_vector(one) for one in observations]).astype(np.float32)
-    batch["task"] = [one.episode.instruction for one in observations]
+        batch[STATE] = np.stack([state_vector(each) for each in observations]).astype(np.float32)
+    batch["task"] = [each.episode.instruction for each in observations]
     return batch
 
 
@@ -225,7 +224,7 @@ class LerobotModel:
             device = next(self.network.parameters()).device
             given["noise"] = torch.from_numpy(noise.astype(np.float32)).to(device)
         if under_way is not None:
-            # Normalised and starting at this observation's step, as lerobot keeps its last chunk.
+            # Normalised and starting at this observation's step, like lerobot's own last chunk.
             given["prev_chunk_left_over"] = batch.pop(ACTION)
             given["inference_delay"] = under_way.delay
             guided = self.config.rtc_config.execution_horizon
@@ -255,8 +254,8 @@ class LerobotModel:
     def act(self, observation: Observation, memory: dict[str, Any]) -> np.ndarray:
         """Returns the next action [7] of an episode and advances its memory.
 
-        lerobot keeps an episode's queues inside the policy, as if there were one
-        episode at a time; here each call installs the queues of its episode.
+        lerobot keeps the queues of a single episode inside the policy; here each call installs the
+        queues of its own episode.
         """
         import torch
 
@@ -273,7 +272,7 @@ class LerobotModel:
 
         batch = batch_of(observations, self.slots, self.with_state)
         if under_way is not None:
-            # lerobot's processor normalises actions as it does for training.
+            # lerobot's processor normalises actions in a batch, as in training.
             left = under_way.actions[: self.config.chunk_size]
             batch[ACTION] = np.array(left, dtype=np.float32)[np.newaxis]
         return self.before(
@@ -316,7 +315,7 @@ def _slots(
     empty = [short(slot) for slot in declared if slot not in slots]
     if empty and config.type not in LEAVE_SLOTS_EMPTY:
         raise UnusableCheckpoint(
-            f"the checkpoint wants an image in every slot, and LIBERO has none for"
+            f"the checkpoint needs an image in every slot, and LIBERO has none for"
             f" {', '.join(empty)}: it was trained with other cameras"
         )
     return slots
@@ -333,14 +332,15 @@ def _downloads(entry: Entry, config: Any, steps: Sequence[Mapping[str, Any]]) ->
 
 def _require_weights(network: Any, weights: Path, name: str) -> None:
     """Compares the network with the file of its weights."""
-    own = network.state_dict()
+    tensors = network.state_dict()
 
     def rename(stored: str) -> str:
         # lerobot's pi05 loader also accepts openpi's names, which have no prefix and differ for two
         # layers.
         other = stored.replace("action_time_mlp_", "time_mlp_")
         return next(
-            (one for one in (stored, f"model.{stored}", f"model.{other}") if one in own), stored
+            (name for name in (stored, f"model.{stored}", f"model.{other}") if name in tensors),
+            stored,
         )
 
     with stored_in([weights], rename) as stored:
@@ -357,7 +357,7 @@ def _statistics(
     if any(getattr(step, "enabled", False) for step in before.steps if _is(step, "Relative")):
         raise UnusableCheckpoint(
             "the checkpoint's actions are relative to the state (use_relative_actions), and"
-            " LIBERO's robot takes them as they are"
+            " this server passes actions to LIBERO's robot unchanged"
         )
     width = config.action_feature.shape[0]
     if width != ACTION_WIDTH:
@@ -369,7 +369,7 @@ def _statistics(
     if with_state:
         found.append(_of(STATE, "STATE", config, before, "Normalizer", STATE_WIDTH))
     images = [_of(slot, "VISUAL", config, before, "Normalizer") for slot in sorted(slots)]
-    return found + [one for one in images if not one.endswith("not normalised")]
+    return found + [text for text in images if not text.endswith("not normalised")]
 
 
 def _of(

@@ -1,11 +1,11 @@
 """MINERVA, whose repository is its own version of lerobot.
 
-It reads no language: the instruction is looked up in a table of LIBERO's 40
+It has no language model: it finds the instruction in a table of LIBERO's 40
 tasks, and any other wording is an error. Its description therefore declares
 canonical instructions only. The language axis does not change its input, so its
 results on that axis say nothing about language.
 
-It takes two observations at a time and is queried at every step; it averages
+Its input is the last two observations, and it is queried at every step; it averages
 the overlapping chunks itself, with weights exp(-0.01 i).
 """
 

@@ -35,8 +35,8 @@ SIDE = 224
 CROP_AREA = 0.9
 #: Actions in a chunk.
 CHUNK = 8
-#: The parts that have files of their own, and (`NOT_SERVED`) the parts found in
-#: unsupported checkpoints, with the method that each stands for.
+#: The parts with separate files; and, as `NOT_SERVED`, the parts found only in unsupported
+#: checkpoints, with the training method that each indicates.
 HEAD, PROJECTOR = "action_head", "proprio_projector"
 NOT_SERVED = {"noisy_action_projector": "diffusion", "vision_backbone": "FiLM"}
 

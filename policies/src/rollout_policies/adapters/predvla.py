@@ -1,12 +1,11 @@
 """PredVLA: a recurrent network that corrects itself while it acts.
 
 At every step it runs ten iterations of Adam over its last forty steps, to infer
-the free variables that explain its observations. All of this state belongs to
-one episode; here each episode has its own, created from its own instruction, so
-that no instruction is used after its episode.
+the free variables that explain its observations. Upstream has one such state; here each
+episode has its own, created from its own instruction.
 
-Frames are not turned. They are rendered at 256 as for every policy, because blur and
-noise are defined in those pixels, and reduced to the 128 of the training.
+Frames are not turned. They are rendered at 256 x 256, as for every policy, because blur and
+noise are defined at that size, and reduced to 128 x 128, the size in training.
 """
 
 from __future__ import annotations
@@ -152,7 +151,7 @@ class PredVla(Policy):
         memory = observation.episode.memory
         frames = None
         if looks(memory.step, self.model.stride):
-            frames = tuple(frame(observation.images[one.name]) for one in (SCENE, WRIST))
+            frames = tuple(frame(observation.images[camera.name]) for camera in (SCENE, WRIST))
         joints = observation.vector(State.JOINT_POS, State.GRIPPER_POS)
         action = self.model.step(memory.correction, joints, frames)
         memory.step += 1
@@ -181,8 +180,8 @@ def load(entry: Entry, options: Options) -> Policy:
     executed(entry, options, chunk=1, own=1)
     if options.revision is not None:
         raise UnusableOption(
-            f"--revision names a commit of the hub, and {entry.title}'s weights are files of its"
-            " authors' repository: check out the commit there"
+            f"--revision names a commit of the hub, but {entry.title}'s weights are files in its"
+            " authors' repository: check out the commit in that repository"
         )
     torch = require("torch", entry)
     package = require("predvla.model", entry)
@@ -199,8 +198,8 @@ def load(entry: Entry, options: Options) -> Policy:
     statistics = sorted(cache.glob("*.npz"))
     if not statistics:
         raise UnusableCheckpoint(
-            f"checkpoint {checkpoint} normalises with the statistics of {cache}, where there are"
-            f" none: unpack {entry.title}'s feature caches there"
+            f"checkpoint {checkpoint} needs the statistics in {cache}, which has none:"
+            f" unpack {entry.title}'s feature caches there"
         )
     front = require("predvla.frontend", entry).Frontend(str(cache), device=options.device)
     # An action takes four hundred steps of a small network. Compiled, it is several times faster;
@@ -252,8 +251,8 @@ def _require_trained_for(suite: str, config: Mapping[str, Any], checkpoint: str)
 
 
 def _cache(named: str, home: Path) -> str:
-    """Returns the path of the front end's statistics. Checkpoints name it
-    relative to a folder of the authors' that lay beside `home`'s data."""
+    """Returns the path of the front end's statistics. Checkpoints name it relative to a folder
+    of their authors, whose contents are in `home` here."""
     path = Path(named)
     if path.is_absolute():
         return str(path)

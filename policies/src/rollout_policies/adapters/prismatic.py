@@ -85,10 +85,10 @@ def load_network(
         require_loaded(network, stored, checkpoint)
     if _sees_ahead(network, torch, transformers) == causal:
         raise UpstreamMissing(
-            f"the transformers that is installed ({transformers.__version__}) is another one than"
-            f" {entry.title}'s: in its language models a token"
-            f" {'sees' if causal else 'does not see'} the tokens behind it. OpenVLA-OFT brings a"
-            f" transformers of its own, of the same version; install in an environment by itself:"
+            f"the installed transformers ({transformers.__version__}) is not the one that"
+            f" {entry.title} needs: in its language models a token"
+            f" {'sees' if causal else 'does not see'} later tokens. OpenVLA-OFT has its own"
+            f" transformers, with the same version number; install in a separate environment:"
             f" {entry.install}"
         )
     processor = processing.PrismaticProcessor(
@@ -108,12 +108,11 @@ def _sees_ahead(network: Any, torch: Any, transformers: Any) -> bool:
     config.pad_token_id = None
     with torch.random.fork_rng(devices=[]), torch.inference_mode():
         model = transformers.AutoModelForCausalLM.from_config(config).float().eval()
-        one = torch.randn(1, 3, 8)
-        other = torch.cat([one[:, :2], torch.randn(1, 1, 8)], dim=1)
+        tokens = torch.randn(1, 3, 8)
+        other_end = torch.cat([tokens[:, :2], torch.randn(1, 1, 8)], dim=1)
+        mask = torch.ones(1, 3, dtype=torch.long)
         first, second = (
-            model(inputs_embeds=each, attention_mask=torch.ones(1, 3, dtype=torch.long)).logits[
-                :, 0
-            ]
-            for each in (one, other)
+            model(inputs_embeds=inputs, attention_mask=mask).logits[:, 0]
+            for inputs in (tokens, other_end)
         )
     return not torch.equal(first, second)

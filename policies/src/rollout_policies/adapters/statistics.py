@@ -38,13 +38,13 @@ def require_statistics(
     if mode == "IDENTITY":
         return f"{what} not normalised"
     if mode not in NEEDED:
-        raise UnusableCheckpoint(f"the checkpoint normalises {what} by {mode}, which is not known")
+        raise UnusableCheckpoint(f"the checkpoint normalises {what} by {mode}, an unknown mode")
     lacking = [name for name in NEEDED[mode] if name not in statistics]
     if lacking:
         raise UnusableCheckpoint(
             f"the checkpoint has no statistics of {what}: it normalises them by {mode} and lacks"
-            f" {' and '.join(lacking)}. Without them it moves and fails every task, as a base"
-            " model that was not fine-tuned does; serve a checkpoint that was trained on LIBERO,"
+            f" {' and '.join(lacking)}. Without them the arm moves but every task fails, as with a"
+            " base model that was not fine-tuned; serve a checkpoint that was trained on LIBERO,"
             " with the processors that were saved beside it"
         )
     low, high = (np.asarray(statistics[name], dtype=np.float64) for name in NEEDED[mode])

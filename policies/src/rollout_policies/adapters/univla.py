@@ -209,8 +209,8 @@ def load(entry: Entry, options: Options) -> Policy:
     folder = fetched.folder
     if not (folder / DECODER).is_file():
         raise UnusableCheckpoint(
-            f"checkpoint {checkpoint} has no {DECODER}, which turns latent actions into real"
-            " ones: it was pre-trained, and not fine-tuned on LIBERO"
+            f"checkpoint {checkpoint} has no {DECODER}, which turns latent actions into the robot's"
+            " actions: it was pre-trained, but not fine-tuned on LIBERO"
         )
     everything, key, brief = statistics_in(folder, options.suite)
     statistics = everything[key]["action"]

@@ -41,7 +41,7 @@ def require(module: str, entry: Entry) -> ModuleType:
         return importlib.import_module(module)
     except ImportError as error:
         raise UpstreamMissing(
-            f"failed to import {module}, which {entry.title} is made of ({error});"
+            f"failed to import {module}, the package of {entry.title} ({error});"
             f" install it: {entry.install}"
         ) from error
 
@@ -65,17 +65,18 @@ def digest(files: Iterable[Path]) -> str:
     for path in sorted(files, key=lambda path: path.name):
         total.update(path.name.encode())
         with path.open("rb") as file:
-            one = hashlib.sha256()
+            of_file = hashlib.sha256()
             while piece := file.read(PIECE):
-                one.update(piece)
-        total.update(one.digest())
+                of_file.update(piece)
+        total.update(of_file.digest())
     return total.hexdigest()
 
 
 def precision(device: str, *networks: Any) -> dict[str, str]:
     """Returns the settings that determine a network's low-order digits: the
     data types of its parameters and the device type."""
-    kinds = {str(one.dtype).removeprefix("torch.") for net in networks for one in net.parameters()}
+    tensors = (tensor for network in networks for tensor in network.parameters())
+    kinds = {str(tensor.dtype).removeprefix("torch.") for tensor in tensors}
     return {"precision": ", ".join(sorted(kinds)), "device": device.partition(":")[0]}
 
 

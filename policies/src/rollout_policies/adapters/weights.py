@@ -82,28 +82,28 @@ def compare(
     """
     found = Differences()
 
-    def look(name: str, mine: Any, theirs: Any) -> None:
-        if tuple(mine.shape) != tuple(theirs.shape):
-            found.shape.append(f"{name}: {list(mine.shape)}, in the file {list(theirs.shape)}")
-        elif not same(mine, theirs):
+    def compare_pair(name: str, loaded: Any, in_file: Any) -> None:
+        if tuple(loaded.shape) != tuple(in_file.shape):
+            found.shape.append(f"{name}: {list(loaded.shape)}, in the file {list(in_file.shape)}")
+        elif not same(loaded, in_file):
             found.content.append(name)
 
-    for name, mine in network.items():
+    for name, loaded in network.items():
         partner = exceptions.partner(name)
         if name in stored:
-            look(name, mine, stored[name])
+            compare_pair(name, loaded, stored[name])
         elif any(fnmatchcase(name, pattern) for pattern in exceptions.unused):
             continue
         elif partner in stored:
-            look(name, mine, stored[partner])
+            compare_pair(name, loaded, stored[partner])
         else:
             found.missing.append(name)
-    for name, theirs in stored.items():
+    for name, in_file in stored.items():
         partner = exceptions.partner(name)
         if name in network or any(fnmatchcase(name, p) for p in exceptions.skipped):
             continue
         if partner in network:
-            look(name, network[partner], theirs)
+            compare_pair(name, network[partner], in_file)
         else:
             found.unknown.append(name)
     return found
@@ -125,8 +125,8 @@ def require_loaded(
     if differences := str(found):
         raise UnusableCheckpoint(
             f"checkpoint {checkpoint} was not loaded as it is stored: of {part}, {differences}."
-            " What was not loaded is random. Install the version of the policy's package"
-            " that wrote the checkpoint, or write the checkpoint again with this one"
+            " Tensors that were not loaded are random. Install the version of the policy's package"
+            " that wrote the checkpoint, or write the checkpoint again with the installed version"
         )
 
 
@@ -147,7 +147,7 @@ def load_stored(
 def stored_in(
     files: Iterable[Path], rename: Callable[[str], str] = lambda name: name
 ) -> Iterator[dict[str, Any]]:
-    """The tensors of safetensors files by name, read only when they are compared.
+    """Context of the tensors of safetensors files by name, read only when they are compared.
 
     `rename` converts a name in the file to the network's.
     """
@@ -177,17 +177,18 @@ class _InFile:
         return self._file.get_tensor(self._name)
 
 
-def _same(mine: Any, theirs: Any) -> bool:
-    """Returns True if the tensors are equal in the data type of the network's."""
+def _same(loaded: Any, in_file: Any) -> bool:
+    """Returns True if both tensors are equal in the data type of the loaded tensor."""
     import torch
 
-    if not mine.shape:
-        whole = theirs.whole() if isinstance(theirs, _InFile) else theirs
-        return torch.equal(whole.to(mine.device, mine.dtype), mine)
-    rows = max(1, PIECE // max(1, mine[:1].numel()))
+    if not loaded.shape:
+        whole = in_file.whole() if isinstance(in_file, _InFile) else in_file
+        return torch.equal(whole.to(loaded.device, loaded.dtype), loaded)
+    rows = max(1, PIECE // max(1, loaded[:1].numel()))
     return all(
         torch.equal(
-            theirs[start : start + rows].to(mine.device, mine.dtype), mine[start : start + rows]
+            in_file[start : start + rows].to(loaded.device, loaded.dtype),
+            loaded[start : start + rows],
         )
-        for start in range(0, len(mine), rows)
+        for start in range(0, len(loaded), rows)
     )

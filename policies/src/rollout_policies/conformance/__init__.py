@@ -1,8 +1,7 @@
 """Conformance check of a policy: the points that `check` and `python -m
 rollout_policies check URL` examine, as `policy-gateway check` does.
 
-It judges the protocol, not the policy: the observations are made up, so no
-answer to them is good or bad.
+It checks the protocol, not the quality of the policy: the observations are synthetic.
 """
 
 from __future__ import annotations

@@ -19,7 +19,7 @@ CONCURRENCY = 8
 
 
 class Point(enum.Enum):
-    """One point of the protocol, as a sentence that should be true. The members
+    """A point of the protocol, as a sentence that is true of a conforming server. The members
     are in the order of the checks."""
 
     DESCRIPTION = "the description can be true"

@@ -1,5 +1,5 @@
-"""The requests of the check: a client that plays episodes of made-up
-observations and returns the answers. It judges only yes-or-no questions."""
+"""The requests of the check: a client that plays episodes of synthetic observations and returns
+the answers. The module `verdict` judges them, except for calls with a yes-or-no result."""
 
 from __future__ import annotations
 
@@ -84,8 +84,8 @@ class Probe(contextlib.AbstractContextManager):
         if self.described.privileged:
             self._channel.close()
             raise CannotCheck(
-                f"failed to check {self.described.name}: it wants the simulator's own state, which"
-                " is not made up here; use `policy-gateway check`"
+                f"failed to check {self.described.name}: it requests the simulator's own state,"
+                " which this check does not generate; use `policy-gateway check`"
             )
         try:
             self._scenes = [self._scene(query_index) for query_index in range(QUERIES)]
@@ -121,9 +121,9 @@ class Probe(contextlib.AbstractContextManager):
         self._reset(name, seed)
         answers, played = {}, Played()
         for query_index in order:
-            asked = time.perf_counter()
+            sent = time.perf_counter()
             answers[query_index] = self._infer(name, query_index)
-            played.latencies.append(time.perf_counter() - asked)
+            played.latencies.append(time.perf_counter() - sent)
         self._end(name)
         played.answers = [answers[query_index] for query_index in sorted(answers)]
         return played
@@ -140,14 +140,14 @@ class Probe(contextlib.AbstractContextManager):
 
     def interleaved(self, seed: int, other: int) -> list[pb.InferResponse]:
         """Plays two episodes in turns and returns the first one's answers."""
-        self._reset("mine", seed)
-        self._reset("other's", other)
+        self._reset("first", seed)
+        self._reset("second", other)
         answers = []
         for query_index in range(QUERIES):
-            self._infer("other's", query_index)
-            answers.append(self._infer("mine", query_index))
-        self._end("mine")
-        self._end("other's")
+            self._infer("second", query_index)
+            answers.append(self._infer("first", query_index))
+        self._end("first")
+        self._end("second")
         return answers
 
     def restarted(self, seed: int, other: int) -> list[pb.InferResponse]:
@@ -202,7 +202,7 @@ class Probe(contextlib.AbstractContextManager):
                     raise
                 self.episode("after the end", seed)
                 return verdict.skipped(
-                    "it knows no End, which came later, and forgets sessions on its own"
+                    "it does not implement End, which is newer, and drops sessions by itself"
                 )
         self.episode("after the end", seed)
         return verdict.passed()
@@ -212,7 +212,7 @@ class Probe(contextlib.AbstractContextManager):
         began = time.perf_counter()
         with ThreadPoolExecutor(concurrency) as pool:
             played = pool.map(lambda at: self.episode(f"side by side {at}", at), range(concurrency))
-            latencies = [latency for one in played for latency in one.latencies]
+            latencies = [latency for episode in played for latency in episode.latencies]
         return time.perf_counter() - began, latencies
 
     def _describe(self, version: int) -> pb.DescribeResponse:
@@ -252,13 +252,13 @@ class Probe(contextlib.AbstractContextManager):
 
     def _scene(self, query_index: int) -> pb.Observation:
         known = {reading.value for reading in State}
-        # Inputs that cannot be made up are left out; a server that needs them reports it.
+        # Inputs of unknown kinds are left out; a server that needs them reports an error.
         wanted = Description(
             name="made up",
             cameras=tuple(
-                Camera(one.name, one.width, one.height)
-                for one in self.described.cameras
-                if one.width and one.height
+                Camera(camera.name, camera.width, camera.height)
+                for camera in self.described.cameras
+                if camera.width and camera.height
             ),
             state=tuple(State(number) for number in self.described.state if number in known),
         )

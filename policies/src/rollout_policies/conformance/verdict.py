@@ -14,11 +14,11 @@ from ..actions import ACTION_WIDTH, UnusableActions, read_actions
 from ..description import Description
 from ..proto import policy_pb2 as pb
 
-#: Largest magnitude of a number that is still taken for an action that a worker clips. A policy
-#: that exceeds it answers in other units.
+#: Largest plausible magnitude of a component of an action, which the worker clips. A policy that
+#: exceeds it answers in other units.
 LARGEST_PLAUSIBLE = 2.0
-#: Largest difference that batching may cause in an action. Kernels for other batch sizes add in
-#: another order, which changes low-order bits.
+#: Largest difference that batching may cause in an action. Kernels for different batch sizes add
+#: in different orders, which changes low-order bits.
 BATCH_TOLERANCE = 1e-3
 
 
@@ -57,12 +57,12 @@ def skipped(reason: str) -> Verdict:
 
 
 def refused(error: grpc.RpcError) -> Verdict:
-    """Fails because the server gave no answer to judge."""
+    """Returns a failure: the server gave no answer."""
     return failed(f"the server refused: {words_of(error)}")
 
 
 def words_of(error: grpc.RpcError) -> str:
-    """Describes a failed call for people."""
+    """Describes a failed call."""
     return f"{error.details()} ({error.code().name})"
 
 

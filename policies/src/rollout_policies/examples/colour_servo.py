@@ -32,7 +32,7 @@ BLOB_SHARE = 0.7
 #: Side of the box over which the saturation is averaged, in pixels.
 BOX = 9
 #: Target position of the colour in the frame, in half-frames right of and above the middle: as low
-#: as possible without the hand, which hides the fingertips, covering it.
+#: as possible without being covered by the hand.
 AIM = np.array([0.0, -0.5])
 #: Commands per half-frame of offset, and the constant descent.
 GAIN = 0.8
@@ -60,7 +60,7 @@ class ColourServo(Policy):
     def infer(self, observation: Observation) -> np.ndarray:
         blob = find_blob(observation.upright(WRIST))
         if blob is None:
-            return np.array([0, 0, 0.2, 0, 0, 0, -1])  # rise, to see more
+            return np.array([0, 0, 0.2, 0, 0, 0, -1])  # rise, to widen the view
         centre, width = blob
         offset = centre - AIM
         # In the hand's frame, x is up in the picture, y is right, and z is the direction of the

@@ -13,7 +13,7 @@ def within_bounds(
     values: np.ndarray, low: Sequence[float], high: Sequence[float], mask: Sequence[bool]
 ) -> np.ndarray:
     """Scales world values to -1..1, `low` to -1 and `high` to 1, and clips; values
-    outside `mask` are only clipped. OpenVLA-OFT's `normalize_proprio`."""
+    outside `mask` are only clipped. Equals OpenVLA-OFT's `normalize_proprio`."""
     least, most = np.asarray(low), np.asarray(high)
     scaled = 2 * (values - least) / (most - least + 1e-8) - 1
     return np.clip(np.where(mask, scaled, values), -1.0, 1.0)
@@ -22,8 +22,8 @@ def within_bounds(
 def from_bounds(
     values: np.ndarray, low: Sequence[float], high: Sequence[float], mask: Sequence[bool]
 ) -> np.ndarray:
-    """Scales -1..1 back to world values where `mask` is set: UniVLA's decoder,
-    with the first and the last percentile as bounds."""
+    """Scales -1..1 back to world values where `mask` is set. Equals UniVLA's decoder, with the
+    first and the last percentile as bounds."""
     least, most = np.asarray(low), np.asarray(high)
     return np.where(mask, 0.5 * (values + 1) * (most - least) + least, values)
 
@@ -33,7 +33,7 @@ class Ensemble:
     """Weighted mean of the last chunks' actions for the current step.
 
     The newest chunk weighs 1 and one that is `age` queries older
-    exp(-decay * age). UniVLA's `ActionDecoder`, with a decay of 0.1.
+    exp(-decay * age). Equals UniVLA's `ActionDecoder`, with a decay of 0.1.
     """
 
     decay: float

@@ -32,7 +32,7 @@ BILINEAR: Kernel = (_triangle, 1.0)
 def resize(frame: np.ndarray, height: int, width: int, kernel: Kernel) -> np.ndarray:
     """Resizes with a filter that is widened if it shrinks the frame (antialias).
 
-    `tf.image.resize(method="lanczos3", antialias=True)` and
+    Equals `tf.image.resize(method="lanczos3", antialias=True)` and
     `torch.nn.functional.interpolate(mode="bilinear", antialias=True)`, each
     followed by rounding to the nearest and clipping to 0..255.
     """
@@ -47,7 +47,7 @@ def resize_plainly(frame: np.ndarray, height: int, width: int) -> np.ndarray:
     """Resizes by linear interpolation between the two nearest samples, without
     antialiasing.
 
-    `torch.nn.functional.interpolate(mode="bilinear", align_corners=False)`,
+    Equals `torch.nn.functional.interpolate(mode="bilinear", align_corners=False)`,
     followed by rounding to the nearest.
     """
     values = frame.astype(np.float32)
@@ -65,7 +65,7 @@ def _filter_matrix(size: int, target: int, kernel: Kernel) -> np.ndarray:
     """Weight of every sample [size] in every result [target]; rows sum to 1."""
     weight_at, radius = kernel
     step = size / target
-    # Pixels are squares: the first one's centre is at one half.
+    # Pixels are squares: the centre of the first pixel is at one half.
     centres = (np.arange(target) + 0.5) * step
     samples = np.arange(size) + 0.5
     distance = (samples[None, :] - centres[:, None]) / max(step, 1.0)
@@ -77,7 +77,7 @@ def centre_crop(frame: np.ndarray, area: float, side: int) -> np.ndarray:
     """Crops the middle, `area` of the frame's area, and enlarges it to `side` x
     `side`.
 
-    OpenVLA's evaluation: `tf.image.crop_and_resize`, bilinear with the outer
+    As in OpenVLA's evaluation: `tf.image.crop_and_resize`, bilinear with the outer
     samples on the outer edges of the crop, between two `convert_image_dtype`,
     of which the second multiplies by 255.5 and drops the fraction.
     """

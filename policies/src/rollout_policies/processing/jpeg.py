@@ -6,8 +6,8 @@ and their inverses. Policies trained on RLDS recordings, which are JPEGs, are
 evaluated on frames after such a round trip.
 
 TensorFlow decodes with libjpeg's fast inverse transform, whose eight fractional
-bits change two values in three by a level or more. Networks trained on such
-frames have seen that, so it is reproduced here.
+bits change two values in three by a level or more. Networks were trained on frames with these
+errors, so they are reproduced here.
 """
 
 from __future__ import annotations
@@ -35,8 +35,9 @@ LUMA_STEPS = np.array(
 CHROMA_STEPS = np.full((BLOCK, BLOCK), 99)
 CHROMA_STEPS[:4, :4] = [[17, 18, 24, 47], [18, 21, 26, 66], [24, 26, 56, 99], [47, 66, 99, 99]]
 
-#: ITU-R BT.601, full range (JFIF), with sixteen fractional bits: rows give luma
-#: and the two chromas; then red, green and blue beside luma from the chromas.
+#: ITU-R BT.601, full range (JFIF), with sixteen fractional bits. The rows of the first matrix give
+#: luma and the two chromas; those of the second give red, green and blue from the chromas, to be
+#: added to luma.
 COLOUR_BITS = 16
 TO_LUMA_CHROMA = np.array([[19595, 38470, 7471], [-11059, -21709, 32768], [32768, -27439, -5329]])
 #: Rounding bias of colours: halves round up in luma, down in chroma.

@@ -15,8 +15,8 @@ def axis_angle(quaternion: np.ndarray) -> np.ndarray:
     """Axis times angle, rad (3), of a quaternion x y z w.
 
     robosuite's `quat2axisangle`: the sign of the quaternion is kept, so angles
-    reach up to two pi. Making w positive first would give the same rotation by
-    other numbers, which the policies have never seen.
+    reach up to two pi. Making w positive first would give other numbers for the
+    same rotation, which did not occur in the policies' training.
     """
     w = np.clip(quaternion[3], -1.0, 1.0)
     length = np.sqrt(1.0 - w * w)

@@ -1,4 +1,5 @@
-"""Folders of LIBERO's files. Importing this module prompts for, fetches and writes nothing."""
+"""Folders of LIBERO's files. Importing this module asks for no input and fetches or writes no
+file."""
 
 from libero.libero.paths import (
     config_file,

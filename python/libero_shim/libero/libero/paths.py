@@ -36,7 +36,7 @@ def get_libero_path(query_key: str) -> str:
             f"or name it in {config_file}"
         )
     folder = configured.get(query_key)
-    if folder is not None and (query_key not in _KEYS or _counts(query_key, folder)):
+    if folder is not None and (query_key not in _KEYS or _is_usable(query_key, folder)):
         return folder
     if query_key == "assets":
         return files.assets(None)
@@ -115,7 +115,7 @@ def _configured() -> dict[str, str]:
     return {str(key): str(folder) for key, folder in config.items()}
 
 
-def _counts(key: str, folder: str) -> bool:
+def _is_usable(key: str, folder: str) -> bool:
     """Returns True if a folder contains files. For `benchmark_root`, checks `bddl_files` below it,
     because a package's own folder is never empty."""
     if key == "benchmark_root":

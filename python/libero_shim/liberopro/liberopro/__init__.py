@@ -18,7 +18,7 @@ __all__ = [
     "set_libero_default_path",
 ]
 
-# The environments are LIBERO's: there is one of each module and class.
+# The same modules as LIBERO's environments, so that each class exists once.
 sys.modules[f"{__name__}.envs"] = envs
 
 #: Programs compare it with `benchmark_root`, as in `libero.libero`.
@@ -26,7 +26,7 @@ _PACKAGE = os.path.dirname(os.path.abspath(__file__))
 
 
 def get_libero_path(query_key: str) -> str:
-    """The folder of `benchmark_root`, `bddl_files`, `init_states`, `datasets` or `assets`.
+    """Returns the folder of `benchmark_root`, `bddl_files`, `init_states`, `datasets` or `assets`.
     Task files are fetched at first use.
 
     Raises KeyError for another key, FileNotFoundError if files cannot be fetched.

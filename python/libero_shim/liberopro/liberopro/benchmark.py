@@ -43,8 +43,8 @@ task_maps: dict[str, dict[str, Task]] = {
 
 
 class Benchmark(_libero.Benchmark):
-    """A suite. Instructions are those of the tasks' names, as in LIBERO-PRO's own code: the
-    sentence of a `_lan` or `_task` suite is in its BDDL file."""
+    """A suite. Instructions are derived from the tasks' names, as in LIBERO-PRO's own code. The
+    changed sentence of a `_lan` or `_task` suite is in its BDDL files only."""
 
     _task_maps = task_maps
 

@@ -12,7 +12,8 @@ from rollout_libero import files
 from rollout_libero.tasks import SUITES as LIBEROS
 
 KINDS = ("lan", "object", "swap", "task")
-"""Changes to the sentence, to objects' colours and sizes, to their places, to the goal."""
+"""Kinds of suites, which change the instruction, the objects' colours and sizes, their places, or
+the goal."""
 SUITES = tuple(f"{suite}_{kind}" for suite in LIBEROS for kind in KINDS)
 
 _PACKAGE = "libero/libero"
@@ -30,8 +31,8 @@ _WHEEL = files.Wheel(
 
 
 def folder() -> Path:
-    """The folder with `bddl_files` and `init_files` of LIBERO's and LIBERO-PRO's suites, which
-    are fetched if they are not there.
+    """Returns the folder with `bddl_files` and `init_files` of LIBERO's and LIBERO-PRO's suites,
+    which are fetched if they are missing.
 
     Raises FileNotFoundError if they cannot be fetched.
     """
@@ -44,7 +45,7 @@ def _complete(unpacked: Path) -> None:
     for packed in unpacked.glob("init_files/*/*.pruned_init.npz"):
         with np.load(packed, allow_pickle=False) as archive:
             content = pickle.dumps(np.ascontiguousarray(archive["states"]), protocol=2)
-        # Every release of NumPy knows this name.
+        # Every release of NumPy can load this module name.
         content = content.replace(b"numpy._core.multiarray", b"numpy.core.multiarray", 1)
         with zipfile.ZipFile(packed.with_suffix(""), "w") as archive:
             archive.writestr("archive/data.pkl", content)

@@ -2,8 +2,8 @@
 
 The files are written by `torch.save` from a NumPy array: a zip archive with a pickle. A
 pickle can call any function that it names, and NumPy's own classes do not check shapes
-and types: an array of objects over bytes of the file reads those as pointers. So the
-pickle is only recorded here, and the array is built and checked from that record.
+and types: an array of objects over bytes of the file reads the bytes as pointers. So this
+module only records the pickle's requests, and builds and checks the array from that record.
 """
 
 from __future__ import annotations
@@ -20,10 +20,10 @@ import numpy as np
 
 # LIBERO's largest file has some 50 kB.
 _MOST_BYTES = 64 << 20
-# An array takes some sixty operations. `worker` reads as many.
+# An array takes some sixty operations. `worker` has the same limit.
 _MOST_OPERATIONS = 256
 # Python's unpickler allocates its memo as a list up to the highest index.
-_MOST_NOTES = 256
+_MOST_MEMO_ENTRIES = 256
 
 
 class _Tensors(Exception):
@@ -33,8 +33,8 @@ class _Tensors(Exception):
 class _Dtype:
     """A data type that a pickle requests."""
 
-    def __init__(self, *asked: Any) -> None:
-        self.name = asked[0] if asked else None
+    def __init__(self, *arguments: Any) -> None:
+        self.name = arguments[0] if arguments else None
         self.order: Any = "|"
 
     def __setstate__(self, state: Any) -> None:
@@ -44,7 +44,7 @@ class _Dtype:
 class _Array:
     """An array that a pickle requests."""
 
-    def __init__(self, *_asked: Any) -> None:
+    def __init__(self, *_arguments: Any) -> None:
         self.state: Any = None
 
     def __setstate__(self, state: Any) -> None:
@@ -58,7 +58,7 @@ class _Array:
         if isinstance(content, _Encoded):
             content = content.text.encode("latin1")
         if not isinstance(content, bytes) or not isinstance(shape, tuple):
-            raise ValueError("it is no table of numbers")
+            raise ValueError("it is not a table of numbers")
         # LIBERO-plus has files with a single state as a vector.
         if len(shape) not in (1, 2):
             raise ValueError(f"it has {len(shape)} dimensions")
@@ -71,16 +71,16 @@ class _Subclass:
 
 
 class _Encoded:
-    """Bytes, as pickles of the second protocol request them. Created only when needed: a
-    pickle may request those of one text many times."""
+    """Bytes, as pickles of the second protocol request them: as an encoded text. The text is
+    encoded only when needed, because a pickle may request the bytes of one text many times."""
 
     def __init__(self, text: str, encoding: str) -> None:
         if encoding != "latin1" or not isinstance(text, str):
-            raise pickle.UnpicklingError(f"it asks for the encoding {encoding}")
+            raise pickle.UnpicklingError(f"it requests the encoding {encoding}")
         self.text = text
 
 
-_LETS_IN = {
+_PERMITTED = {
     ("_codecs", "encode"): _Encoded,
     ("numpy", "dtype"): _Dtype,
     ("numpy", "ndarray"): _Subclass,
@@ -93,9 +93,9 @@ class _Unpickler(pickle.Unpickler):
     def find_class(self, module: str, name: str) -> Any:
         if module.startswith("torch"):
             raise _Tensors
-        if (module, name) not in _LETS_IN:
-            raise pickle.UnpicklingError(f"it asks for {module}.{name}")
-        return _LETS_IN[module, name]
+        if (module, name) not in _PERMITTED:
+            raise pickle.UnpicklingError(f"it requests {module}.{name}")
+        return _PERMITTED[module, name]
 
 
 def _check(content: bytes) -> None:
@@ -109,15 +109,16 @@ def _check(content: bytes) -> None:
         if count > _MOST_OPERATIONS:
             raise ValueError(f"its pickle has more than {_MOST_OPERATIONS} operations")
         is_note = operation.name in ("PUT", "BINPUT", "LONG_BINPUT")
-        if is_note and not 0 <= int(argument) < _MOST_NOTES:
-            raise ValueError(f"its pickle takes note {argument} of {_MOST_NOTES}")
+        if is_note and not 0 <= int(argument) < _MOST_MEMO_ENTRIES:
+            raise ValueError(f"its pickle uses memo entry {argument} of {_MOST_MEMO_ENTRIES}")
 
 
 def _pickle_in(path: str | os.PathLike[str]) -> bytes:
-    """The pickle in a file."""
+    """Returns the pickle in a file."""
     with zipfile.ZipFile(path) as archive:
-        member = next(one for one in archive.infolist() if one.filename.endswith("/data.pkl"))
-        # With other methods, a read decompresses whole blocks, regardless of the requested size.
+        members = archive.infolist()
+        member = next(member for member in members if member.filename.endswith("/data.pkl"))
+        # With other methods, a read decompresses whole blocks, whatever size is requested.
         if member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
             raise ValueError("its pickle is neither stored nor deflated")
         with archive.open(member) as packed:

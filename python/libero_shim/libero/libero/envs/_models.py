@@ -53,8 +53,8 @@ class TaskModel:
         }
         self.mujoco_objects = [*self.objects.values(), *self.fixtures.values()]
         parts = [
-            (one.name, _class_of(one.category_name), trees.of_prefix(one.naming_prefix))
-            for one in self.mujoco_objects
+            (each.name, _class_of(each.category_name), trees.of_prefix(each.naming_prefix))
+            for each in self.mujoco_objects
         ] + [
             (f"{arm}0", arm, trees.of_prefix("robot0_")),
             (f"{mount}0", mount, trees.of_prefix("mount0_")),
@@ -78,13 +78,14 @@ class TaskModel:
                 classes.update(dict.fromkeys(ids[kind], of_class))
 
     def numbers(self, kind: str) -> dict[str, NDArray[np.int32]]:
-        """Numbers of geoms and sites, by id: from 1 on for an instance or class,
-        depending on whether `kind` is `instance` or `class`; 0 for the room."""
+        """Returns the numbers of the geoms and sites, by id. With `kind` `instance`, all parts of
+        an instance have its number, with `class` that of its class, counted from 1; parts of the
+        room have 0."""
         groups = self.instances_to_ids if kind == "instance" else self.classes_to_ids
-        numbers = {what: np.zeros(count, dtype=np.int32) for what, count in self._counts.items()}
+        numbers = {part: np.zeros(count, dtype=np.int32) for part, count in self._counts.items()}
         for i, ids in enumerate(groups.values()):
-            for what, of_id in numbers.items():
-                of_id[ids[what]] = i + 1
+            for part, of_id in numbers.items():
+                of_id[ids[part]] = i + 1
         return numbers
 
     def __getattr__(self, name: str) -> Any:

@@ -50,17 +50,17 @@ class Observer:
     ) -> None:
         """Frames of `unused` cameras are zeros and are never rendered."""
         self._held = held
-        self._objects = [(one.name, one.root_body) for one in model.objects.values()]
+        self._objects = [(each.name, each.root_body) for each in model.objects.values()]
         self._pictures: dict[str, Callable[[Look], NDArray[Any]]] = {}
         for camera in cameras:
             self._add(camera, model, is_used=camera.name not in unused)
         proprioception = [f"{_ROBOT}_{name}" for name in _PROPRIOCEPTION]
         poses = [
-            f"{name}_{what}"
+            f"{name}_{key}"
             for name, _ in self._objects
-            for what in ("pos", "quat", f"to_{_ROBOT}_eef_pos", f"to_{_ROBOT}_eef_quat")
+            for key in ("pos", "quat", f"to_{_ROBOT}_eef_pos", f"to_{_ROBOT}_eef_quat")
         ]
-        #: Key → modality; values of one modality, except images, are also joined to a vector.
+        #: Key → modality. The values of a modality, except images, are also joined to one vector.
         self.modalities: dict[str, str] = {
             **dict.fromkeys(proprioception, f"{_ROBOT}_proprio"),
             **dict.fromkeys(self._pictures, "image"),
@@ -78,7 +78,7 @@ class Observer:
         return [name for name in self.modalities if name not in self._left_out]
 
     def show(self, name: str, shown: bool) -> None:
-        """Includes a key in observations or leaves it out. Pictures left out are not drawn.
+        """Includes a key in observations or leaves it out. Omitted pictures are not drawn.
 
         Raises KeyError.
         """
@@ -95,7 +95,7 @@ class Observer:
         self._read = {}
 
     def observe(self) -> Observation:
-        """Readings, frames, and the vectors that join readings of one modality. The first
+        """Returns readings, frames, and the vectors that join readings of one modality. The first
         observation of a scene through these cameras is drawn at once, so that drawing errors
         appear early."""
         if not self._read:
@@ -136,7 +136,8 @@ class Observer:
         return read
 
     def _picture(self, name: str) -> Undrawn:
-        """A picture of this instant, even if drawn later; observations of the instant share it."""
+        """Returns a picture of the current state, even if it is drawn later. All observations of
+        this state share it."""
         if self._look is None:
             self._look = self._held.get().look()
         if name not in self._undrawn:

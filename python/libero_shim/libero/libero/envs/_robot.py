@@ -26,7 +26,7 @@ class Controller:
 
     With `use_delta`, an action's first six numbers are relative, in units of 0.05 m and 0.5 rad;
     otherwise they are a position, m, and a rotation vector, rad, in the world frame. Each reset
-    makes a new controller, relative if the environment was constructed so.
+    makes a new controller, with the `use_delta` of the environment's constructor.
     """
 
     name = "OSC_POSE"
@@ -47,12 +47,12 @@ class Controller:
 
     @property
     def ee_pos(self) -> F64:
-        """The end-effector's position [3], m, as last read for control."""
+        """The end-effector's position [3], m, at the controller's last update."""
         return self._held.get().controller_pose()[0]
 
     @property
     def ee_ori_mat(self) -> F64:
-        """The end-effector's rotation matrix [3, 3], as last read for control."""
+        """The end-effector's rotation matrix [3, 3] at the controller's last update."""
         return self._held.get().controller_pose()[1]
 
     @property
@@ -87,7 +87,7 @@ class Controller:
 
     @property
     def initial_joint(self) -> F64:
-        """The posture [7], rad, towards which redundancy is resolved."""
+        """The posture [7], rad, towards which the controller moves the redundant joint."""
         return np.array(_HOME)
 
     @property

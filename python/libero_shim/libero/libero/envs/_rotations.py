@@ -1,7 +1,7 @@
 """Relative poses with robosuite's rounding.
 
-robosuite computes rotations in single precision. Observations keep its rounding, because
-policies were trained on it. Quaternions are x y z w.
+robosuite computes rotations in single precision. This module reproduces its rounding, because
+policies were trained on such observations. Quaternions are x y z w.
 """
 
 from __future__ import annotations
@@ -16,10 +16,8 @@ F64 = NDArray[np.float64]
 def relative_poses(
     positions: F64, quaternions: F64, base_position: F64, base_quaternion: F64
 ) -> tuple[F64, F32]:
-    """Returns poses [n, 3] and [n, 4], m, relative to a base [3] and [4].
-
-    Returns positions [n, 3] and unit quaternions [n, 4] with w ≥ 0.
-    """
+    """Returns the positions [n, 3], m, and unit quaternions [n, 4], w ≥ 0, of poses relative to a
+    base pose [3] and [4]."""
     base = _matrices(base_quaternion[np.newaxis])[0].astype(np.float64)
     to_base = base.T
     shift = -to_base @ base_position.astype(np.float32)

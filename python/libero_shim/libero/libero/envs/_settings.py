@@ -88,8 +88,9 @@ class Settings:
         reward_scale: float | None = 1.0,
         **others: Any,
     ) -> Settings:
-        """Raises NotImplementedError for features that only the original has, TypeError
-        for an argument that it lacks too, ValueError for an invalid value."""
+        """Returns the checked settings. Raises NotImplementedError for features that only the
+        original has, TypeError for an argument that the original does not have either, and
+        ValueError for an invalid value."""
         if list(_listed(robots, 1)) != ["Panda"]:
             raise _unsupported("robots", robots, 'LIBERO\'s robot is robots=["Panda"]')
         if control_freq != 20:
@@ -192,13 +193,14 @@ def _cameras(
 
 
 def _segmentations(given: Any, count: int) -> list[tuple[str, ...]]:
-    """A flat list holds the kinds that every camera has, as in robosuite."""
+    """Returns the kinds of segmentation of each camera. A flat list applies to every camera, as in
+    robosuite."""
     listed = _listed(given, count)
     if any(isinstance(kinds, (list, tuple)) for kinds in listed):
         each = [() if kinds is None else tuple(_listed(kinds, 1)) for kinds in listed]
     else:
         every = tuple(dict.fromkeys(kind for kind in listed if kind is not None))
-        # A camera whose own entry is None has no segmentation, whatever the others have.
+        # A camera whose own entry is None has no segmentation, even if other entries are set.
         each = [every if i >= len(listed) or listed[i] is not None else () for i in range(count)]
     for kinds in each:
         for kind in kinds:

@@ -31,7 +31,8 @@ _COORDINATES = {0: (7, 6), 1: (4, 3), 2: (1, 1), 3: (1, 1)}
 
 
 class ReadOnlyArray(np.ndarray):
-    """A copy of an array of the simulation. Writing raises: it would not reach the simulation."""
+    """A copy of an array of the simulation. Writing raises, because it would not change the
+    simulation."""
 
     _remedy = ""
 
@@ -95,7 +96,8 @@ class MjModel:
             for kind, names in self._names.items()
         }
         # Read once: every reset needs them, and they never change while the model exists.
-        columns = (simulation.model_array(it) for it in ("jnt_qposadr", "jnt_dofadr", "jnt_type"))
+        arrays = ("jnt_qposadr", "jnt_dofadr", "jnt_type")
+        columns = (simulation.model_array(array) for array in arrays)
         self._joints = list(zip(*(column.tolist() for column in columns)))
 
     def set(self, name: str, values: Any) -> None:
@@ -171,7 +173,7 @@ class MjModel:
 
 class MjData:
     """The state's arrays, by MuJoCo's names, in the world frame, m and rad. They are copies of the
-    present values; observations are a few milliseconds older."""
+    current values; observations are a few milliseconds older."""
 
     def __init__(self, held: Held, model: MjModel) -> None:
         self._held = held
@@ -293,7 +295,7 @@ class MjSim:
         simulation.set_state(state)
 
     def forward(self) -> None:
-        """Computes what is derived from the state, such as poses and contacts."""
+        """Computes the quantities derived from the state, such as poses and contacts."""
         self._held.get().forward()
 
     def render(
@@ -307,15 +309,16 @@ class MjSim:
         device_id: int = -1,
         segmentation: bool = False,
     ) -> Any:
-        """A picture of the present state, row 0 at the bottom: [height, width, 3] bytes; with
-        `depth`, also the depth buffer [height, width], float32 in 0…1; with `segmentation`, instead
-        [height, width, 2] int32: MuJoCo's object type and id, -1 for the background."""
+        """Returns a picture of the current state, row 0 at the bottom: [height, width, 3] bytes.
+        With `depth`, also returns the depth buffer [height, width], float32 in 0…1. With
+        `segmentation`, returns instead [height, width, 2] int32: MuJoCo's object type and id, -1
+        for the background."""
         if mode != "offscreen":
             raise ValueError("there is no window: leave mode at 'offscreen'")
         self.model.camera_name2id(camera_name)
         simulation = self._held.get()
-        # A simulation draws its last observation. Observing now would also shift the instants of
-        # later observations, so the earlier state is restored.
+        # A simulation draws its last observation, so it must observe now. That would shift the
+        # times of later observations, so the earlier state is restored afterwards.
         before = simulation.snapshot()
         simulation.observe_now()
         try:

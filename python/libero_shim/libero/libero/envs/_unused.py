@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Collection
 
-#: Names of cameras, separated by commas. Leaving out cameras that the policy is not shown saves
+#: Names of cameras, separated by commas. Leaving out cameras that the policy does not use saves
 #: drawing time in programs that read or send every frame of every step.
 VARIABLE = "ROLLOUT_UNUSED_CAMERAS"
 
@@ -15,7 +15,7 @@ _said: set[str] = set()
 
 def unused_cameras(known: Collection[str]) -> frozenset[str]:
     """Returns the cameras that the environment variable names. Warns once per camera that its
-    frames are black, because a policy that is shown them fails through no fault of its own.
+    frames are black, because a policy that does use them fails through no fault of its own.
 
     Raises ValueError for a camera that is not among those of the scene.
     """

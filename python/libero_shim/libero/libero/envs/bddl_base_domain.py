@@ -43,7 +43,7 @@ class BDDLBaseDomain:
         robots: Any = ("Panda",),
         **arguments: Any,
     ) -> None:
-        """Takes robosuite's arguments; see `Settings.check` for those that permit a single value.
+        """Takes robosuite's arguments. Some permit a single value; see `Settings.check`.
 
         Draws placements from NumPy's global generator, as the original does.
         The first observation is that of `reset`.
@@ -85,8 +85,8 @@ class BDDLBaseDomain:
         self.objects = list(self.objects_dict.values())
         self.fixtures = list(self.fixtures_dict.values())
         self.obj_body_id = {
-            one.name: self.sim.model.body_name2id(one.root_body)
-            for one in self.model.mujoco_objects
+            each.name: self.sim.model.body_name2id(each.root_body)
+            for each in self.model.mujoco_objects
         }
         self.obj_of_interest: list[str] = self.parsed_problem["obj_of_interest"]
         unused = unused_cameras(self.sim.model.camera_names)
@@ -226,7 +226,7 @@ class BDDLBaseDomain:
     def _update_observables(self, force: bool = False) -> None:
         if not force:
             raise NotImplementedError(
-                "observables are updated by steps: give force=True to observe the present"
+                "observables are updated by steps: give force=True to observe the current state"
             )
         self._held.get().observe_now()
         self._observer.expire()

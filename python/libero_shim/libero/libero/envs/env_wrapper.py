@@ -214,7 +214,7 @@ class SegmentationRenderEnv(OffScreenRenderEnv):
     ) -> None:
         if camera_segmentations is None:
             raise ValueError(
-                "camera_segmentations says by what pixels are told apart: give 'instance', "
+                "camera_segmentations is the kind of the pixels' labels: give 'instance', "
                 "'class' or 'element'"
             )
         super().__init__(

@@ -55,8 +55,8 @@ class ShArray:
         """Copies an array of the same shape into it."""
         if np.shape(ndarray) != self.shape:
             raise ValueError(
-                f"the shared array holds {self.shape}, not {np.shape(ndarray)}: give it what "
-                "its space describes"
+                f"the shared array has shape {self.shape}, not {np.shape(ndarray)}: give an array "
+                "of its space"
             )
         np.copyto(self.get(), ndarray, casting="unsafe")
 
@@ -110,7 +110,7 @@ class EnvWorker(ABC):
 
     def begin(self, method: str, *arguments: Any) -> None:
         """Starts a method call; `recv` returns its result."""
-        raise NotImplementedError(f"{type(self).__name__} calls no method beside others")
+        raise NotImplementedError(f"{type(self).__name__} makes no concurrent method calls")
 
     @abstractmethod
     def get_env_attr(self, key: str) -> Any:
@@ -150,7 +150,7 @@ class EnvWorker(ABC):
 
     @staticmethod
     def wait(conns: Any, wait_num: int, timeout: float | None = None) -> list[Any]:
-        """Returns all of these workers: a step waits for each."""
+        """Returns all of these workers, because a step waits for all of them."""
         return list(conns)
 
     def check_success(self) -> bool:
@@ -257,7 +257,7 @@ _worker = _serve
 class SubprocEnvWorker(EnvWorker):
     """An environment in a separate process, created by `multiprocessing`'s start method."""
 
-    # A subclass may start its process and serve in it by itself.
+    # A subclass may start its own process, with its own loop of commands.
     _is_starting = False
     _is_awaited = False
 
@@ -321,12 +321,12 @@ class SubprocEnvWorker(EnvWorker):
         self.process.terminate()
 
     def _send(self, command: str, data: Any) -> None:
-        # Environments are created concurrently: each is only awaited when it is needed.
+        # Environments are created concurrently: each is awaited only at its first command.
         if self._is_starting:
             self._is_starting = False
             self.recv()
         if self._is_awaited:
-            # Ctrl-C interrupted between a command and its answer.
+            # Drops the answer to a command that Ctrl-C interrupted.
             self.parent_remote.recv()
         self.parent_remote.send([command, data])
         self._is_awaited = True
@@ -366,7 +366,7 @@ class BaseVectorEnv:
         if name in GYM_RESERVED_KEYS:
             return self.get_env_attr(name)
         raise AttributeError(
-            f"{type(self).__name__} has no `{name}`: ask each environment's by get_env_attr"
+            f"{type(self).__name__} has no `{name}`: get each environment's with get_env_attr"
         )
 
     def reset(self, id: _Ids = None, **kwargs: Any) -> Any:
@@ -403,7 +403,7 @@ class BaseVectorEnv:
         self._assert_is_not_closed()
         if seed is None or isinstance(seed, (int, np.integer)):
             seed = [None if seed is None else seed + i for i in range(self.env_num)]
-        return [worker.seed(one) for worker, one in zip(self.workers, seed)]
+        return [worker.seed(number) for worker, number in zip(self.workers, seed)]
 
     def check_success(self) -> list[bool]:
         """Returns for each environment True if its goal holds."""
@@ -453,9 +453,9 @@ class BaseVectorEnv:
         self.is_closed = True
 
     def _exchange(self, chosen: Any, send: Callable[[Any, int], None]) -> list[Any]:
-        """Sends to each chosen worker, given its position among them, and returns their
-        answers. All answers are received before the first error is raised: an answer
-        left in its pipe would be taken for that of the next call."""
+        """Calls `send` with each chosen worker and its position among them, and returns the
+        workers' answers. All answers are received before the first error is raised: an answer
+        left in its pipe would be taken for the answer to the next call."""
         errors: dict[int, Exception] = {}
         answers = []
         for at, i in enumerate(chosen):
@@ -510,7 +510,7 @@ class SubprocVectorEnv(BaseVectorEnv):
 
 
 def _sets_states_beside_others(worker: Any) -> bool:
-    """True unless a subclass sets states in its own way or makes no concurrent calls."""
+    """Returns True unless a subclass overrides `set_init_state` or makes no concurrent calls."""
     kind = type(worker)
     return (
         getattr(kind, "set_init_state", None) is EnvWorker.set_init_state
@@ -519,7 +519,8 @@ def _sets_states_beside_others(worker: Any) -> bool:
 
 
 def _has_info(result: Any) -> bool:
-    """True for an observation with an info. Observations themselves are not pairs."""
+    """Returns True for a pair of an observation and an info. Observations themselves are not
+    pairs."""
     return isinstance(result, (tuple, list)) and len(result) == 2 and isinstance(result[1], dict)
 
 
