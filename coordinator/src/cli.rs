@@ -260,10 +260,10 @@ mod tests {
             "why",
             "launch slurm",
         ] {
-            let of = |command: &clap::Command, word| command.find_subcommand(word).cloned();
+            let subcommand = |command: &clap::Command, word| command.find_subcommand(word).cloned();
             let command = words
                 .split(' ')
-                .try_fold(program.clone(), |it, word| of(&it, word));
+                .try_fold(program.clone(), |command, word| subcommand(&command, word));
             let mut command = command.expect(words);
             let long = command.render_long_help().to_string();
             let (_, examples) = long.split_once("Examples:").expect(words);

@@ -52,8 +52,8 @@ mod tests {
         let nowhere = Path::new("/nowhere/at/all");
         let room = Room::look(nowhere, 1);
         assert_eq!(room.free_bytes, 0);
-        let told = room.shortage(nowhere).expect("a shortage");
-        assert!(told.contains("/nowhere/at/all has 0 MiB"), "{told}");
+        let message = room.shortage(nowhere).expect("a shortage");
+        assert!(message.contains("/nowhere/at/all has 0 MiB"), "{message}");
     }
 
     #[test]

@@ -22,7 +22,7 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(60);
 pub(crate) async fn run(queue: Arc<Queue>, storage: Arc<Storage>) {
     let mut pause = PAUSE;
     loop {
-        match look(&queue, &storage).await {
+        match move_films(&queue, &storage).await {
             Ok(()) if pause > PAUSE => {
                 tracing::info!("films are stored at {} again", storage.location());
                 pause = PAUSE;
@@ -43,9 +43,9 @@ pub(crate) async fn run(queue: Arc<Queue>, storage: Arc<Storage>) {
 }
 
 /// Moves the films that are in the data folder now.
-async fn look(queue: &Queue, storage: &Storage) -> Result<(), String> {
-    let in_words = |error: &(dyn std::error::Error + 'static)| transport::chain(error);
-    let films = queue.films_here().await.map_err(|error| in_words(&error))?;
+async fn move_films(queue: &Queue, storage: &Storage) -> Result<(), String> {
+    let describe = |error: &(dyn std::error::Error + 'static)| transport::chain(error);
+    let films = queue.films_here().await.map_err(|error| describe(&error))?;
     // Started transfers run to their end, so that the storage keeps no partial upload; after a
     // failure of the storage no further transfer starts.
     let is_down = AtomicBool::new(false);
@@ -67,14 +67,14 @@ async fn look(queue: &Queue, storage: &Storage) -> Result<(), String> {
     let mut failed: Vec<MoveError> = moved.into_iter().filter_map(Result::err).collect();
     if let Some(down) = failed
         .iter()
-        .position(|it| matches!(it, MoveError::Storage(_)))
+        .position(|error| matches!(error, MoveError::Storage(_)))
     {
         return Err(failed.swap_remove(down).into_words());
     }
     // Retries the removal of deleted campaigns' folders from the storage.
     let removed = queue.finish_removals().await;
-    removed.map_err(|error| in_words(&error))?;
-    failed.pop().map_or(Ok(()), |it| Err(it.into_words()))
+    removed.map_err(|error| describe(&error))?;
+    failed.pop().map_or(Ok(()), |error| Err(error.into_words()))
 }
 
 enum MoveError {

@@ -14,7 +14,6 @@ mod changes;
 mod compare;
 mod configuration;
 mod films;
-mod kept;
 mod lattice_view;
 mod layout;
 mod log_in;
@@ -22,6 +21,7 @@ mod metrics;
 mod perturbation;
 mod problem;
 mod rollouts;
+mod single_flight;
 mod speed;
 mod standing;
 mod state;
@@ -43,7 +43,7 @@ use state::Asked;
 pub(crate) use state::Page;
 
 /// Merges the page routes into the gRPC router.
-pub(crate) fn beside(page: Arc<Page>, calls: Router) -> Router {
+pub(crate) fn merge_routes(page: Arc<Page>, calls: Router) -> Router {
     let pages = routes().into_iter();
     let pages = pages.fold(Router::new(), |pages, (path, answer)| {
         pages.route(path, answer)

@@ -27,9 +27,12 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
         campaign: campaign.name.clone(),
         source,
     })?;
-    let own = campaign.realisation.as_str();
+    let realisation = campaign.realisation.as_str();
     let rows = view.records(campaign.id).await?;
-    let records: Result<Vec<Record>, _> = rows.iter().map(|row| read_record(row, own)).collect();
+    let records: Result<Vec<Record>, _> = rows
+        .iter()
+        .map(|row| read_record(row, realisation))
+        .collect();
     let records = records?;
     let progress = rows.iter().zip(&records);
     let progress = progress.filter(|(_, record)| record.outcome.success().is_some());
@@ -107,9 +110,12 @@ async fn derived(
     let Some(source) = view.source(campaign.id).await? else {
         return Ok(None);
     };
-    let own = source.realisation.as_str();
+    let realisation = source.realisation.as_str();
     let rows = view.records(source.id).await?;
-    let records: Result<Vec<Record>, _> = rows.iter().map(|row| read_record(row, own)).collect();
+    let records: Result<Vec<Record>, _> = rows
+        .iter()
+        .map(|row| read_record(row, realisation))
+        .collect();
     let early_stop = early_stop(view, &source).await?;
     Ok(Some(Derived {
         purpose,

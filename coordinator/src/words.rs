@@ -58,8 +58,8 @@ pub fn runs_on(pack: &str, mujoco: &str, renderer: &str, program: &str) -> Strin
     };
     let (mujoco, program) = (named("MuJoCo", mujoco), named("program", program));
     let parts = [pack, &mujoco, renderer, &program];
-    let told: Vec<&str> = parts.into_iter().filter(|part| !part.is_empty()).collect();
-    told.join(", ")
+    let present: Vec<&str> = parts.into_iter().filter(|part| !part.is_empty()).collect();
+    present.join(", ")
 }
 
 /// Formats a size in binary units: `812 B`, `3.4 MiB`.
@@ -90,13 +90,13 @@ mod tests {
         assert_eq!(spans, ["42s", "4m28s", "3h05m", "2d01h"]);
         let instants =
             [0, 951_827_696_000, 1_795_275_369_999, -1].map(|ms| utc_text(UnixMillis(ms)));
-        let told = [
+        let texts = [
             "1970-01-01 00:00:00 UTC",
             "2000-02-29 12:34:56 UTC",
             "2026-11-21 15:36:09 UTC",
             "1969-12-31 23:59:59 UTC",
         ];
-        assert_eq!(instants, told);
+        assert_eq!(instants, texts);
         let written = [0, 1_795_275_369_123, i64::MAX].map(|ms| rfc3339(UnixMillis(ms)));
         let expected = [
             "1970-01-01T00:00:00.000Z",

@@ -70,7 +70,7 @@ const LOOPS: [(&str, Walks); 11] = [
     ),
     (
         "statistics of a page",
-        OnPurpose("once, a_computation_that_nobody_waits_for_any_more_is_not_begun_again"),
+        OnPurpose("once, an_abandoned_computation_is_not_started_again"),
     ),
     (
         "a large campaign is created, imported or deleted",

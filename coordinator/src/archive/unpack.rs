@@ -80,7 +80,7 @@ pub async fn unpack(file: &Path, name: &str, into: &Path) -> Result<Unpacked, Ar
     let films = campaign.films().await?.into_iter();
     let films: Vec<(String, u64)> = films.map(|film| (film.path, film.size_bytes)).collect();
     let listed = contents.members[MEMBERS.len()..].iter();
-    let listed: Vec<(String, u64)> = listed.map(|it| (it.name.clone(), it.bytes)).collect();
+    let listed: Vec<(String, u64)> = listed.map(|film| (film.name.clone(), film.bytes)).collect();
     if films != listed {
         return Err(altered(DATABASE_FILE, "it names other films"));
     }
@@ -200,7 +200,7 @@ impl Reading<'_> {
         if let Err(error) = CampaignName::parse(&contents.campaign) {
             return refused(error.to_string());
         }
-        let names = contents.members.iter().map(|it| it.name.as_str());
+        let names = contents.members.iter().map(|member| member.name.as_str());
         let names: Vec<&str> = names.collect();
         if !names.starts_with(&MEMBERS) {
             return refused(format!(
@@ -243,8 +243,8 @@ impl Reading<'_> {
         let databases = contents
             .members
             .iter()
-            .filter(|it| it.name == DATABASE_FILE);
-        let copied = databases.fold(0, |sum: u64, it| sum.saturating_add(it.bytes));
+            .filter(|member| member.name == DATABASE_FILE);
+        let copied = databases.fold(0, |sum: u64, member| sum.saturating_add(member.bytes));
         let needed = total
             .saturating_add(copied)
             .saturating_add(DEFAULT_MIN_FREE_MIB << 20);

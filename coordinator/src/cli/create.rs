@@ -268,13 +268,16 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         return Ok(print_line(&spec)?);
     }
     let tasks = campaign.tasks();
-    let suites: BTreeSet<&str> = tasks.iter().filter_map(|it| it.split('/').next()).collect();
-    let unasked = horizon::check(&spec, suites, &arguments.connection).await?;
+    let suites: BTreeSet<&str> = tasks
+        .iter()
+        .filter_map(|task| task.split('/').next())
+        .collect();
+    let unknown_length = horizon::check(&spec, suites, &arguments.connection).await?;
     if arguments.dry_run {
         let client = arguments.connection.patient_client(Duration::ZERO)?;
         let earlier = arguments.planning_from.as_deref();
         let planning = Planning::of(&campaign, earlier, &arguments.connection).await?;
-        let answer = forecast::ask(&client, &campaign, arguments.policy_rate).await;
+        let answer = forecast::request(&client, &campaign, arguments.policy_rate).await;
         if arguments.json {
             return forecast::print(&campaign, answer, &planning);
         }
@@ -283,9 +286,9 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         tell_left_out(&spec)?;
         tell_placebo(&campaign)?;
         tell_stop(&spec, &campaign)?;
-        tell_execution(&spec, unasked.as_deref())?;
-        print_line(&forecast::in_words(&answer, &campaign.policy))?;
-        if let Some(words) = planning::in_words(&planning) {
+        tell_execution(&spec, unknown_length.as_deref())?;
+        print_line(&forecast::describe(&answer, &campaign.policy))?;
+        if let Some(words) = planning::describe(&planning) {
             print_line(&words)?;
         }
         return tell_size(&campaign);
@@ -304,7 +307,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     print_line(&format!("campaign {name} {happened}: {total}"))?;
     tell_left_out(&spec)?;
     tell_stop(&spec, &campaign)?;
-    tell_execution(&spec, unasked.as_deref())?;
+    tell_execution(&spec, unknown_length.as_deref())?;
     if created.priority != arguments.priority {
         let kept = created.priority;
         print_line(&format!(
@@ -316,9 +319,9 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
 
 /// Prints the execution model of the rollouts unless it is `wait`, and the reason if the policy
 /// could not be asked for the length of its answers.
-fn tell_execution(spec: &CampaignSpec, unasked: Option<&str>) -> Result<(), CommandError> {
-    if let Some(unasked) = unasked {
-        print_line(&wrapped("", 2, unasked))?;
+fn tell_execution(spec: &CampaignSpec, unknown_length: Option<&str>) -> Result<(), CommandError> {
+    if let Some(unknown_length) = unknown_length {
+        print_line(&wrapped("", 2, unknown_length))?;
     }
     let (Some(delays), execution) = (spec.execution.delays(), &spec.execution) else {
         return Ok(());
@@ -366,7 +369,7 @@ fn tell_stop(spec: &CampaignSpec, campaign: &NewCampaign) -> Result<(), CommandE
             "the campaign ends early once {rule} at every level; configurations run in the order \
              of seed {seed}, in rounds of {strata}"
         ))?;
-        for line in stopping::in_words(rule, campaign.stops_among.unwrap_or_default()) {
+        for line in stopping::explain_rule(rule, campaign.stops_among.unwrap_or_default()) {
             print_line(&wrapped("  ", 4, &line))?;
         }
     }
@@ -374,7 +377,7 @@ fn tell_stop(spec: &CampaignSpec, campaign: &NewCampaign) -> Result<(), CommandE
 }
 
 fn tell_size(campaign: &NewCampaign) -> Result<(), CommandError> {
-    if let Some(words) = video_estimate::in_words(campaign) {
+    if let Some(words) = video_estimate::describe(campaign) {
         print_line(&words)?;
     }
     Ok(())

@@ -9,7 +9,7 @@ use libero_ctrl::{Design, DesignVersion, ManifestRow, manifest};
 use terminal::counted;
 
 use super::command::{CommandError, failure, print, print_line, usage};
-use super::files::{name_of, read_manifest, read_spec, write_whole};
+use super::files::{name_of, read_manifest, read_spec, write_atomically};
 
 #[derive(Debug, Subcommand)]
 pub(super) enum ManifestCommand {
@@ -79,7 +79,7 @@ fn expand(arguments: &ExpandArguments) -> Result<(), CommandError> {
     let Some(path) = &arguments.output else {
         return Ok(print(&text)?);
     };
-    write_whole(path, text.as_bytes())?;
+    write_atomically(path, text.as_bytes())?;
     let rows = counted(rows.len() as u64, "row");
     eprintln!("wrote {rows} to {}", path.display());
     Ok(())

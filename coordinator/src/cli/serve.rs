@@ -96,11 +96,11 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
     }
     let data = arguments.data.display();
     let page = page(scheme, address);
-    let told = print_line(&format!(
+    let printed = print_line(&format!(
         "listening on {address}{over}, page at {page}, data in {data}"
     ));
     // A closed standard output is no error: the parent process may have exited.
-    if let Err(error) = told
+    if let Err(error) = printed
         && !reader_is_gone(&*error)
     {
         return Err(error);

@@ -6,7 +6,7 @@ use terminal::counted;
 
 /// Returns one line per clause and a closing line on the scope of the rule. `configurations` is the
 /// campaign's number of configurations at each level.
-pub(super) fn in_words(rule: &StopRule, configurations: usize) -> Vec<String> {
+pub(super) fn explain_rule(rule: &StopRule, configurations: usize) -> Vec<String> {
     let these = counted(configurations as u64, "configuration");
     let mut lines: Vec<String> = rule
         .clauses()
@@ -98,7 +98,7 @@ mod tests {
     #[test]
     fn a_rule_says_what_it_will_have_shown_and_about_which_configurations() {
         let rule = "width(S_sim) < 0.1 and I excludes 0 and R_d excludes 0.05";
-        let lines = in_words(&rule.parse().expect("a rule"), 400);
+        let lines = explain_rule(&rule.parse().expect("a rule"), 400);
         assert_eq!(lines.len(), 5);
         let width = "success rate under simultaneous perturbation over all 400 configurations \
                      lies in an interval narrower than 10 points";
@@ -111,12 +111,12 @@ mod tests {
         assert!(lines[3].starts_with("a run to the end shows as much for certain"));
         assert!(lines[4].contains("these 400 configurations only"));
         let rule = "I excludes 0 for new tasks and R_d excludes 0.05 for new tasks";
-        let lines = in_words(&rule.parse().expect("a rule"), 400);
+        let lines = explain_rule(&rule.parse().expect("a rule"), 400);
         assert_eq!(lines.len(), 3);
         assert!(lines[0].ends_with("are not equally frequent in new tasks"));
         assert!(lines[1].ends_with("share of changed outcomes in new tasks is not 5 points"));
         assert!(lines[2].contains("for new tasks of these suites"));
-        let lines = in_words(&"width(I) < 0.08".parse().expect("a rule"), 1);
+        let lines = explain_rule(&"width(I) < 0.08".parse().expect("a rule"), 1);
         assert!(lines.len() == 2 && lines[0].contains("over all 1 configuration "));
     }
 }

@@ -66,7 +66,7 @@ pub(super) async fn filming(client: &Client) -> Result<u32, CommandError> {
 }
 
 /// Describes the number of rollouts being filmed in one line; `None` if it is zero.
-pub(super) fn filming_in_words(rollouts: u32) -> Option<String> {
+pub(super) fn describe_filming(rollouts: u32) -> Option<String> {
     (rollouts > 0).then(|| {
         let rollouts = counted(rollouts.into(), "rollout");
         format!("slots film {rollouts} that are over, before they run others")

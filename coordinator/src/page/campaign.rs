@@ -24,10 +24,16 @@ pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
     let name = &status.campaign.name;
     let records = document.analyses.iter().flat_map(|a| &a.subject.records);
     // Links of an explaining campaign lead to the campaign that measured the transitions.
-    let explained = document.analyses.iter().find_map(|it| it.findings.as_ref());
+    let explained = document
+        .analyses
+        .iter()
+        .find_map(|analysis| analysis.findings.as_ref());
     let of = explained.map_or(name.as_str(), |findings| findings.campaign.as_str());
     let link = |id: RolloutId, replicate: u32| address(of, id, replicate);
-    let is_paired = document.analyses.iter().all(|it| it.is_paired());
+    let is_paired = document
+        .analyses
+        .iter()
+        .all(|analysis| analysis.is_paired());
     // The table of a campaign of LIBERO's family has its dimensions instead.
     let progress_by_condition = match &document.family {
         Some(_) => Markup::default(),
@@ -79,8 +85,9 @@ fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -
         tally.succeeded += u64::from(record.outcome == Outcome::Success);
     }
     let perturbs = |(condition, _): &&(Condition, Level)| *condition != Condition::Clean;
-    let perturbed: BTreeSet<Level> = tallies.keys().filter(perturbs).map(|it| it.1).collect();
-    let conditions: BTreeSet<Condition> = tallies.keys().filter(perturbs).map(|it| it.0).collect();
+    let perturbed: BTreeSet<Level> = tallies.keys().filter(perturbs).map(|key| key.1).collect();
+    let conditions: BTreeSet<Condition> =
+        tallies.keys().filter(perturbs).map(|key| key.0).collect();
     let perturbing = conditions.into_iter();
     let is_subset = |condition: &Condition| matches!(condition, Condition::Subset(_));
     let (subsets, few): (Vec<Condition>, Vec<Condition>) = perturbing.partition(is_subset);

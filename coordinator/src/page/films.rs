@@ -18,7 +18,7 @@ pub(super) struct Films {
 }
 
 /// Renders the minimal subsets found from one start as list items.
-pub(super) fn in_words(answer: &Answer, transition: Transition) -> Markup {
+pub(super) fn describe_answer(answer: &Answer, transition: Transition) -> Markup {
     let (does, does_not) = verbs(transition);
     html! {
         @for it in &answer.minimal {

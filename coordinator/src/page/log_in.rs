@@ -63,7 +63,7 @@ fn show(code: StatusCode, next: &str, why: &str) -> Response {
             led here by another site's link? " a href=(next) { "Go on" } "."
         }
     };
-    answer::page(code, layout::still("Log in", &main).into_string())
+    answer::page(code, layout::static_page("Log in", &main).into_string())
 }
 
 fn to(address: &str, cookie: Option<String>) -> Response {

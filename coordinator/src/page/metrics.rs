@@ -79,7 +79,7 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
         ("rollout_page_streams", "Browsers that follow the live page.", streams),
     ];
     for (name, help, value) in gauges {
-        text.alone(name, help, value);
+        text.single_gauge(name, help, value);
     }
     let build = "rollout_build_info";
     text.family(build, GAUGE, "The program; its value is 1.");
@@ -88,9 +88,13 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
 }
 
 fn of_campaigns(text: &mut Exposition, campaigns: &[CampaignStatus]) {
-    let all = campaigns.len();
-    text.alone("rollout_campaigns", "Campaigns that there are.", all as f64);
-    let shown = &campaigns[all.saturating_sub(MAX_CAMPAIGNS)..];
+    let total = campaigns.len();
+    text.single_gauge(
+        "rollout_campaigns",
+        "Campaigns that there are.",
+        total as f64,
+    );
+    let shown = &campaigns[total.saturating_sub(MAX_CAMPAIGNS)..];
     let jobs = "rollout_jobs";
     text.family(jobs, GAUGE, "Rollouts of a campaign, by state.");
     for status in shown {
@@ -165,7 +169,7 @@ impl Exposition {
     }
 
     /// Writes a gauge with a single sample.
-    fn alone(&mut self, name: &str, help: &str, value: f64) {
+    fn single_gauge(&mut self, name: &str, help: &str, value: f64) {
         self.family(name, GAUGE, help);
         self.sample(name, &[], value);
     }
@@ -187,7 +191,7 @@ mod tests {
         let mut text = Exposition::default();
         text.family("a_total", COUNTER, "What.");
         text.sample("a_total", &[("b", "x\"} 1\nevil \\"), ("c", "d")], 3.0);
-        text.alone("e_bytes", "Size.", 1e12);
+        text.single_gauge("e_bytes", "Size.", 1e12);
         assert_eq!(
             text.0,
             "# HELP a_total What.\n# TYPE a_total counter\n\

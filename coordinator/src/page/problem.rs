@@ -101,7 +101,7 @@ impl IntoResponse for Problem {
             p { (self.words()) }
             p { a href="/" { "All campaigns" } }
         };
-        answer::page(code, layout::still(title, &main).into_string())
+        answer::page(code, layout::static_page(title, &main).into_string())
     }
 }
 

@@ -52,7 +52,7 @@ pub(super) async fn section(
         return Ok(Section { markup, films: 0 });
     }
     let outcomes = adaptive::subsets::outcomes(&lattice.outcomes);
-    let explanation = found.as_ref().map(|it| &it.explanation);
+    let explanation = found.as_ref().map(|findings| &findings.explanation);
     let link = |set| lattice.link(set);
     let picture = figures::lattice(
         lattice.configuration,
@@ -61,14 +61,14 @@ pub(super) async fn section(
         explanation,
         &link,
     );
-    let films = explanation.map(|it| films::films(&lattice, it));
+    let films = explanation.map(|explanation| films::films(&lattice, explanation));
     let films = films.unwrap_or_default();
     let markup = html! {
         section {
             h2 { @if explanation.is_some() { "Which axes it takes" } @else { "Under every subset of the axes" } }
             (sources(&lattice, campaign))
             @if let Some(explanation) = explanation {
-                ul { @for answer in &explanation.answers { (films::in_words(answer, explanation.transition)) } }
+                ul { @for answer in &explanation.answers { (films::describe_answer(answer, explanation.transition)) } }
             }
             figure {
                 div.scroll.centred tabindex="0" role="region" aria-label="Every subset of the axes" {

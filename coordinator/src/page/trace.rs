@@ -47,16 +47,16 @@ impl Extent {
         let mut extent: Option<Extent> = None;
         for path in paths {
             for position in path {
-                let known = extent.get_or_insert(Extent {
+                let extent = extent.get_or_insert(Extent {
                     low: *position,
                     high: *position,
                     steps: 0,
                 });
                 for (axis, value) in position.iter().enumerate() {
-                    known.low[axis] = known.low[axis].min(*value);
-                    known.high[axis] = known.high[axis].max(*value);
+                    extent.low[axis] = extent.low[axis].min(*value);
+                    extent.high[axis] = extent.high[axis].max(*value);
                 }
-                known.steps = known.steps.max(path.len() - 1);
+                extent.steps = extent.steps.max(path.len() - 1);
             }
         }
         extent
@@ -100,7 +100,7 @@ pub(super) fn plot(path: &Path, nominal: Option<&Path>, extent: &Extent) -> Mark
     let base = TOP + ABOVE + 12.0;
     html! {
         svg.panel.trace role="img" viewBox={ "0 0 " (WIDTH) " " (HEIGHT) } {
-            title { (said(path)) }
+            title { (description(path)) }
             text.tiny.muted x="2" y="9" { "hand from above" }
             text.tiny.muted x=(LEFT) y="9" { "height" }
             line.grid x1=(LEFT) x2=(WIDTH - 4.0) y1=(TOP + ABOVE) y2=(TOP + ABOVE) {}
@@ -134,7 +134,7 @@ fn lines(path: &Path, extent: &Extent) -> (String, String) {
 }
 
 /// Describes the plot for screen readers.
-fn said(path: &Path) -> String {
+fn description(path: &Path) -> String {
     let centimetres = |[x, y, z]: &[f64; 3]| {
         let [x, y, z] = [x, y, z].map(|metres| format!("{:.1}", 100.0 * metres).replace('-', "−"));
         format!("x {x}, y {y}, z {z} cm")
@@ -208,7 +208,7 @@ mod tests {
             }
         }
         assert!(Extent::of([Path::new()].iter()).is_none());
-        let words = said(&paths[0]);
+        let words = description(&paths[0]);
         assert!(
             words.contains("2 control steps") && words.contains("x −30.0"),
             "{words}"

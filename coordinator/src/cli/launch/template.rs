@@ -20,7 +20,7 @@ impl Values {
     }
 
     fn of(&self, name: &str) -> &[String] {
-        let found = self.0.iter().find(|(known, _)| *known == name);
+        let found = self.0.iter().find(|(placeholder, _)| *placeholder == name);
         &found
             .unwrap_or_else(|| panic!("nothing sets {{{{{name}}}}}, which a template names"))
             .1
