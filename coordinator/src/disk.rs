@@ -48,7 +48,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_disk_that_cannot_be_looked_at_is_full() {
+    fn a_disk_that_cannot_be_measured_counts_as_full() {
         let nowhere = Path::new("/nowhere/at/all");
         let room = Room::look(nowhere, 1);
         assert_eq!(room.free_bytes, 0);
@@ -57,7 +57,7 @@ mod tests {
     }
 
     #[test]
-    fn leasing_goes_on_down_to_what_is_needed() {
+    fn leasing_continues_down_to_the_needed_space() {
         let folder = Path::new("data");
         let room = |free_bytes| Room {
             free_bytes,

@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn a_forecast_says_what_it_rests_on_and_fits_the_terminal() {
+    fn a_forecast_states_its_measurements_and_fits_the_terminal() {
         let text = describe(&measured(Bottleneck::Slots), "pi05");
         assert_eq!(
             text,
@@ -203,7 +203,7 @@ mod tests {
     }
 
     #[test]
-    fn where_more_slots_do_not_help_it_says_what_does_and_how_few_would_do() {
+    fn a_bottleneck_other_than_slots_is_named_with_its_remedy() {
         let cores = describe(&measured(Bottleneck::Cores), "pi05").replace("\n    ", " ");
         assert!(cores.ends_with("do not help; more cores do"), "{cores}");
         let mut many = measured(Bottleneck::Policy);
@@ -214,7 +214,7 @@ mod tests {
     }
 
     #[test]
-    fn what_was_not_measured_is_not_told() {
+    fn unmeasured_parts_are_left_out_of_the_forecast() {
         let unmeasured = ForecastResponse {
             workers: 1,
             slots: 2,
@@ -241,7 +241,7 @@ mod tests {
     }
 
     #[test]
-    fn much_waiting_says_for_what() {
+    fn a_large_share_of_waiting_is_explained() {
         let some = parts(&measured(Bottleneck::Slots).speed.expect("one"));
         assert!(some.contains("waiting 10 %; mean"), "{some}");
         let much = Speed {
@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn rollouts_that_took_no_time_have_shares() {
+    fn parts_of_rollouts_without_duration_have_finite_shares() {
         let speed = Speed::default();
         assert!(parts(&speed).contains("physics 0 %"), "{}", parts(&speed));
     }

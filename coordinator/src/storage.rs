@@ -336,7 +336,7 @@ mod tests {
     }
 
     #[test]
-    fn a_storages_error_of_a_megabyte_is_cut_short() {
+    fn a_long_storage_error_is_truncated() {
         let folder = tempfile::tempdir().expect("a folder");
         let storage = Storage::open(&folder.path().display().to_string()).expect("opens");
         let words = io::Error::other("w".repeat(1 << 20));

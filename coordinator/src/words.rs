@@ -82,7 +82,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_come_in_the_unit_that_people_would_choose() {
+    fn numbers_are_formatted_in_suitable_units() {
         assert_eq!(rate_text(2.1), "2.1/s");
         assert_eq!(rate_text(0.42), "25.2/min");
         assert_eq!(rate_text(0.001), "3.6/h");
@@ -110,7 +110,7 @@ mod tests {
 
     /// Workers stored under schema 1 have no renderer.
     #[test]
-    fn what_a_worker_did_not_name_leaves_no_gap() {
+    fn missing_worker_properties_leave_no_gap() {
         assert_eq!(
             runs_on("primitives", "3.3.7", "", "0.1.0"),
             "primitives, MuJoCo 3.3.7, program 0.1.0"

@@ -76,7 +76,7 @@ const LOOPS: [(&str, Walks); 11] = [
         "a large campaign is created, imported or deleted",
         OnPurpose(
             "in pieces, a_large_campaign_comes_and_goes_in_pieces_and_nobody_sees_a_part_of_it and \
-             a_large_import_comes_in_pieces_and_leaves_nothing_if_it_is_cut_off",
+             a_large_import_takes_several_transactions_and_leaves_nothing_if_interrupted",
         ),
     ),
     (
@@ -376,7 +376,7 @@ async fn campaign_walks(connection: &mut SqliteConnection, statement: &str) -> V
 }
 
 #[tokio::test]
-async fn no_statement_that_is_executed_all_the_while_walks_the_jobs() {
+async fn no_frequent_statement_walks_all_jobs() {
     let caught = Caught::default();
     let folder = tempfile::tempdir().expect("a temporary folder");
     let store = Store::open(folder.path()).await.expect("a store");
@@ -477,7 +477,7 @@ async fn no_statement_that_is_executed_all_the_while_walks_the_jobs() {
 }
 
 #[test]
-fn every_loop_over_rows_that_the_map_names_is_caught_or_walks_on_purpose() {
+fn every_documented_loop_is_captured_or_has_a_reason() {
     let known = LOOPS.map(|(name, walks)| match walks {
         OnPurpose("") => panic!("{name} has no reason"),
         Seen(_) | OnPurpose(_) => name,

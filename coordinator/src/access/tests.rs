@@ -42,7 +42,7 @@ fn calls() -> Vec<(String, Vec<Role>)> {
 }
 
 #[tokio::test]
-async fn no_combination_of_headers_opens_more_than_the_table_says() {
+async fn access_follows_the_table_for_every_combination_of_headers() {
     let (_file, guarded) = guarded();
     let cookie = guarded.log_in(OPERATOR, &READERS).expect("an operator");
     let cookie = cookie.split(';').next().expect("a pair").to_owned();

@@ -98,7 +98,7 @@ mod tests {
     use super::difference;
 
     #[test]
-    fn a_difference_is_named_by_its_place_and_an_addition_is_none() {
+    fn a_difference_is_reported_by_path_and_an_added_key_is_ignored() {
         let archived = r#"{"a": [1, {"b": 2.5}], "c": null}"#;
         assert_eq!(difference(archived, archived), None);
         let more = r#"{"a": [1, {"b": 2.5, "new": 1}], "c": null, "d": 3}"#;

@@ -165,7 +165,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_page_is_never_said_to_be_at_an_address_that_no_browser_opens() {
+    fn the_page_url_has_no_unspecified_address() {
         let page = |address: &str| page("https", address.parse().expect("an address"));
         assert_eq!(page("127.0.0.1:7411"), "https://127.0.0.1:7411/");
         assert_eq!(page("[::1]:7411"), "https://[::1]:7411/");

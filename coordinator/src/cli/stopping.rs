@@ -96,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_rule_says_what_it_will_have_shown_and_about_which_configurations() {
+    fn a_stop_rule_is_explained_with_its_conclusion_and_scope() {
         let rule = "width(S_sim) < 0.1 and I excludes 0 and R_d excludes 0.05";
         let lines = explain_rule(&rule.parse().expect("a rule"), 400);
         assert_eq!(lines.len(), 5);

@@ -349,7 +349,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_commands_that_are_shown_name_the_policy_and_addresses_that_are_served() {
+    fn the_startup_message_names_the_served_policy_and_addresses() {
         let arguments = UpArguments {
             data: "data".into(),
             routes: vec!["mine=grpc://gpu:5000".to_owned()],

@@ -168,7 +168,7 @@ mod tests {
     /// Regression: "all of expert 2176/13875 … ETA 0s" while only cancelled campaigns had rollouts
     /// left.
     #[test]
-    fn what_is_cancelled_is_in_no_line_of_a_policy() {
+    fn cancelled_campaigns_are_left_out_of_a_policys_total() {
         let in_state = |name: &str, state: State| CampaignStatus {
             state: state.into(),
             ..campaign(name, "expert")
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn what_waits_its_turn_counts_into_a_policys_eta_and_what_is_paused_does_not() {
+    fn queued_rollouts_count_into_a_policys_eta_unless_paused() {
         let idle = |state: State| CampaignStatus {
             rate_per_sec: None,
             eta_secs: None,

@@ -108,7 +108,7 @@ mod tests {
 
     /// Regression: the page's `.bar{width:100%}` stretched every bar of the report's figures.
     #[test]
-    fn no_rule_of_the_pages_reaches_into_a_figure() {
+    fn page_styles_do_not_apply_to_figures() {
         let of_figures = |class: &str| {
             let within = format!(".panel .{class}");
             selectors(report::figures::STYLE).any(|selector| selector == within)

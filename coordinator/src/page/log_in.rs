@@ -98,7 +98,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_log_in_leads_to_this_server_only() {
+    fn login_redirects_only_within_this_server() {
         assert_eq!(
             next(b"next=%2Fcampaigns%2Fdemo%3Fa%3Db"),
             "/campaigns/demo?a=b"

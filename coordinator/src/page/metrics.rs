@@ -187,7 +187,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_label_cannot_break_out_of_its_line() {
+    fn label_values_are_escaped() {
         let mut text = Exposition::default();
         text.family("a_total", COUNTER, "What.");
         text.sample("a_total", &[("b", "x\"} 1\nevil \\"), ("c", "d")], 3.0);

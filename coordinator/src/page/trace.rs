@@ -166,7 +166,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_path_is_in_metres() {
+    fn stored_paths_are_converted_to_metres() {
         let path = read(&Motion::pack(&[[-1_000, 20, 10_000], [0, 0, 12_345]], &[]));
         let expected = [[-0.1, 0.002, 1.0], [0.0, 0.0, 1.2345]];
         assert_eq!(path.len(), 2);
@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn every_path_stays_in_its_picture() {
+    fn every_path_stays_within_its_plot() {
         let paths = [
             read(&Motion::pack(
                 &[

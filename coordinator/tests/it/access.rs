@@ -120,7 +120,7 @@ async fn list(channel: &Channel, token: Option<&str>) -> Result<(), Status> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_stranger_is_refused_logged_once_and_changes_nothing() {
+async fn unauthenticated_callers_are_refused_logged_once_and_change_nothing() {
     let guarded = Guarded::start(&[]);
     let channel = guarded.channel().await;
     let before = guarded.rows().await;
@@ -143,7 +143,7 @@ async fn a_stranger_is_refused_logged_once_and_changes_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_role_allows_what_it_is_for_and_nothing_else() {
+async fn a_token_allows_only_the_calls_of_its_role() {
     let guarded = Guarded::start(&[]);
     let channel = guarded.channel().await;
     let before = guarded.rows().await;
@@ -176,7 +176,7 @@ async fn a_role_allows_what_it_is_for_and_nothing_else() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_million_characters_are_refused_wherever_they_stand() {
+async fn names_of_a_million_characters_are_refused_in_every_field() {
     let guarded = Guarded::start(&[]);
     let channel = guarded.channel().await;
     let before = guarded.rows().await;
@@ -292,7 +292,7 @@ fn list_over_tls(guarded: &Guarded, ca: &Path) -> Output {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn over_tls_a_token_opens_and_what_cannot_be_trusted_is_refused() {
+async fn over_tls_a_token_is_accepted_and_untrusted_certificates_are_refused() {
     let authority = Authority::new();
     let valid = authority.sign(3_000);
     let guarded = Guarded::start(&valid.each_ref().map(String::as_str));
@@ -317,7 +317,7 @@ async fn an_expired_certificate_is_refused_at_once() {
 }
 
 #[test]
-fn other_machines_are_listened_to_only_with_guards_or_on_demand() {
+fn other_addresses_are_served_only_with_tls_and_tokens_or_insecure() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let data = folder.path().join("data");
     let data = data.to_str().expect("UTF-8");
@@ -334,11 +334,13 @@ fn other_machines_are_listened_to_only_with_guards_or_on_demand() {
 /// Regression (finding A2): on a shared machine, every user could call a coordinator that listened
 /// on loopback, delete its campaigns and set its policies' endpoints.
 #[test]
-fn other_users_of_the_machine_are_let_in_only_on_demand() {
+fn other_users_of_the_machine_are_refused_unless_insecure_loopback() {
     /// User id of `nobody`.
     const OTHER: u32 = 65_534;
     if !rustix::process::geteuid().is_root() {
-        println!("skipped other_users_of_the_machine_are_let_in_only_on_demand: not root");
+        println!(
+            "skipped other_users_of_the_machine_are_refused_unless_insecure_loopback: not root"
+        );
         return;
     }
     for (flags, is_let_in) in [(&[][..], false), (&["--insecure-loopback"][..], true)] {
@@ -360,7 +362,7 @@ fn other_users_of_the_machine_are_let_in_only_on_demand() {
 }
 
 #[test]
-fn secrets_that_others_can_read_are_refused_and_what_is_kept_they_cannot() {
+fn readable_secrets_are_refused_and_stored_files_are_private() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = |name: &str| folder.path().join(name);
     let [tokens, key, certificate, data] = ["tokens", "key.pem", "cert.pem", "deep/data"].map(path);
@@ -421,7 +423,7 @@ fn secrets_that_others_can_read_are_refused_and_what_is_kept_they_cannot() {
 
 /// Anyone who can reach the port can open sockets and send nothing.
 #[tokio::test(flavor = "multi_thread")]
-async fn silent_connections_lock_nobody_out_and_are_closed() {
+async fn silent_connections_are_closed_and_do_not_exhaust_the_limit() {
     const FILES: usize = 128;
     let folder = tempfile::tempdir().expect("a temporary folder");
     let limited = Command::new("sh")

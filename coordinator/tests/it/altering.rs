@@ -56,7 +56,7 @@ async fn film(worker: &mut Worker, lease: &wire::Lease) -> String {
 
 /// Regression: a typo in the endpoint could only be corrected by creating the campaign anew.
 #[tokio::test]
-async fn a_campaign_whose_endpoint_is_mended_goes_on_at_once() {
+async fn a_campaign_continues_at_once_after_its_endpoint_is_corrected() {
     let bench = Bench::start().await;
     bench.create(&small_spec("typo")).await.expect("created");
     let mut worker = bench.worker("a").await;
@@ -95,7 +95,7 @@ async fn a_campaign_whose_endpoint_is_mended_goes_on_at_once() {
 }
 
 #[tokio::test]
-async fn a_mended_campaign_is_created_again_as_it_is_now_only() {
+async fn an_altered_campaign_is_recognised_by_its_new_specification_only() {
     let bench = Bench::start().await;
     let before = small_spec("typo");
     bench.create(&before).await.expect("created");
@@ -113,7 +113,7 @@ async fn a_mended_campaign_is_created_again_as_it_is_now_only() {
 }
 
 #[tokio::test]
-async fn a_change_that_cannot_be_is_refused_and_nothing_changes() {
+async fn an_invalid_alteration_is_refused_and_changes_nothing() {
     let bench = Bench::start().await;
     bench.create(&small_spec("one")).await.expect("created");
     bench.create(&small_spec("two")).await.expect("created");
@@ -162,7 +162,7 @@ async fn a_change_that_cannot_be_is_refused_and_nothing_changes() {
 }
 
 #[tokio::test]
-async fn the_probe_of_a_policy_that_a_campaign_leaves_is_replaced() {
+async fn a_probe_is_replaced_if_its_campaign_changes_endpoint() {
     let bench = Bench::start().await;
     let leaves = bench.create_with_priority(&small_spec("leaves"), 1).await;
     leaves.expect("created");
@@ -214,7 +214,7 @@ async fn a_renamed_campaign_keeps_everything_and_is_found_under_its_new_name() {
 /// A campaign's folder keeps the campaign's first name. A campaign that takes over a former name
 /// must neither mix its files with those of the renamed one nor delete them.
 #[tokio::test]
-async fn a_name_that_is_free_again_shares_no_files_with_who_had_it_before() {
+async fn a_reused_name_shares_no_files_with_its_former_campaign() {
     let bench = Bench::start().await;
     bench.create(&small_spec("name")).await.expect("created");
     let (mut worker, lease) = bench.leasing("a").await;
@@ -294,7 +294,7 @@ async fn an_operator_alters_a_campaign_from_the_command_line() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_bookmark_of_before_leads_to_the_renamed_campaign() {
+async fn an_old_page_address_redirects_to_the_renamed_campaign() {
     let bench = Bench::start().await;
     bench.create(&small_spec("old")).await.expect("created");
     alter(&bench, to_name("old", "new")).await.expect("renamed");

@@ -25,7 +25,7 @@ async fn misbehaves(worker: &mut Worker, lease: &proto::coordinator::Lease) -> R
 }
 
 #[tokio::test]
-async fn a_policy_that_answers_nonsense_pauses_itself_and_never_a_worker() {
+async fn invalid_answers_pause_the_policy_and_stop_no_worker() {
     let bench = Bench::start().await;
     create(&bench, "first", "nonsense").await;
     create(&bench, "second", "sound").await;
@@ -53,7 +53,7 @@ async fn a_policy_that_answers_nonsense_pauses_itself_and_never_a_worker() {
 }
 
 #[tokio::test]
-async fn rollouts_of_a_policy_that_stays_nonsense_end_in_quarantine_with_its_words() {
+async fn rollouts_of_a_misbehaving_policy_are_quarantined_with_its_error() {
     let bench = Bench::start().await;
     create(&bench, "first", "nonsense").await;
     // Another machine would get the same answers, so it need not try.
@@ -79,7 +79,7 @@ async fn rollouts_of_a_policy_that_stays_nonsense_end_in_quarantine_with_its_wor
 }
 
 #[tokio::test]
-async fn only_its_machines_failures_stop_a_worker() {
+async fn only_failures_charged_to_its_machine_stop_a_worker() {
     for (reason, stops) in [
         (Reason::SimulatorError, false),
         (Reason::PolicyMisbehaved, false),
@@ -106,7 +106,7 @@ async fn only_its_machines_failures_stop_a_worker() {
 /// Regression (finding B2): a restarted worker has a new id, so that one machine was counted as
 /// several.
 #[tokio::test]
-async fn a_machine_whose_worker_is_started_again_condemns_no_rollout_that_another_could_run() {
+async fn restarted_workers_of_one_machine_count_as_one_machine() {
     let bench = Bench::start().await;
     create(&bench, "first", "any").await;
     let mut sound = bench.worker_at("sound", "s").await;
@@ -140,7 +140,7 @@ async fn a_machine_whose_worker_is_started_again_condemns_no_rollout_that_anothe
 }
 
 #[tokio::test]
-async fn a_broken_machine_has_one_failure_left_when_its_worker_is_started_again() {
+async fn a_restarted_worker_on_a_broken_machine_stops_at_its_first_failure() {
     let bench = Bench::start().await;
     create(&bench, "first", "any").await;
     let fail = async |worker: &mut Worker| {

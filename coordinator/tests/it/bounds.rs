@@ -6,7 +6,7 @@ use crate::harness::{Bench, registration, small_spec};
 use crate::page::ask;
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_workers_claim_beyond_measure_spoils_no_sum() {
+async fn impossible_numbers_from_workers_spoil_no_sum() {
     let bench = Bench::start().await;
     bench.create(&small_spec("huge")).await.expect("created");
     let mut worker = bench.worker("w").await;

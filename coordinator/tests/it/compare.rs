@@ -84,7 +84,7 @@ async fn two_campaigns_are_compared_over_the_rollouts_that_both_have() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn campaigns_and_folders_are_a_and_b_in_the_order_of_the_command_line() {
+async fn compare_takes_a_and_b_in_command_line_order() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let serve = Serve::start(&folder.path().join("data"));
     create(&serve, "a", "strong", &["--configs", "0"]);
@@ -125,7 +125,7 @@ async fn campaigns_and_folders_are_a_and_b_in_the_order_of_the_command_line() {
 }
 
 #[test]
-fn a_wrong_compare_command_exits_with_2_and_says_what_it_takes() {
+fn an_invalid_compare_command_exits_with_2_and_the_remedy() {
     let check = |arguments: &[&str], words: &str| {
         let error = &fail(coordinator(arguments), 2);
         assert!(error.contains(words), "{words}: {error}");
@@ -165,7 +165,7 @@ async fn compared(bench: &Bench, names: [&str; 2]) -> report::Comparison {
 /// Configuration 10 is drawn from the design's seed: rollouts of two designs with the same ids have
 /// different perturbations and initial states.
 #[tokio::test]
-async fn rollouts_that_only_share_their_names_are_not_paired() {
+async fn rollouts_of_different_designs_with_equal_ids_are_not_paired() {
     let bench = Bench::start().await;
     for (name, seed) in [("a", 0), ("b", 1), ("c", 0)] {
         let changes = json!({"configs": [0, 10], "design_seed": seed, "nominal": "none"});
@@ -192,7 +192,7 @@ async fn rollouts_that_only_share_their_names_are_not_paired() {
 /// The harness's successes take 120 steps and hold both predicates of the goal, its failures
 /// 280 steps and one.
 #[tokio::test]
-async fn progress_and_the_design_come_with_the_outcomes() {
+async fn a_comparison_includes_progress_and_design() {
     let bench = Bench::start().await;
     let policy = json!({"name": "strong", "endpoint": "http://127.0.0.1:50051"});
     let changes = json!({"levels": ["L0", "L1"], "directions": "own"});

@@ -144,7 +144,7 @@ async fn planted_rules_are_found_again() {
 
 /// Regression: looking at an explanation created a campaign that took slots.
 #[tokio::test(flavor = "multi_thread")]
-async fn to_look_at_an_explanation_that_is_not_there_changes_nothing_and_says_what_it_takes() {
+async fn explain_without_create_changes_nothing_and_names_the_flag() {
     let (_folder, serve) = Serve::anew();
     create(&serve);
     let mut worker = serve.worker("w").await;
@@ -187,7 +187,7 @@ async fn to_look_at_an_explanation_that_is_not_there_changes_nothing_and_says_wh
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_an_explanation_rests_on_stays() {
+async fn invalid_explanations_and_deletion_of_their_source_are_refused() {
     let (folder, serve) = Serve::anew();
     create(&serve);
     let refused = |arguments: &[&str], words: &str| {
@@ -238,7 +238,7 @@ async fn what_an_explanation_rests_on_stays() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_budget_is_kept_and_what_is_begun_is_finished() {
+async fn an_explanation_stays_within_its_budget_and_completes_started_transitions() {
     let (_folder, serve) = Serve::anew();
     create(&serve);
     let mut worker = serve.worker("w").await;
@@ -250,7 +250,7 @@ async fn a_budget_is_kept_and_what_is_begun_is_finished() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_death_around_any_transaction_leaves_the_same_explanation() {
+async fn a_kill_around_any_transaction_leaves_the_same_explanation() {
     let undisturbed = tempfile::tempdir().expect("a temporary folder");
     let serve = Serve::start(undisturbed.path());
     create(&serve);

@@ -27,7 +27,7 @@ fn printed(serve: &Serve, arguments: &[&str]) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn report_page_and_table_show_what_was_found() {
+async fn report_page_and_table_show_the_explanation() {
     let (folder, serve) = Serve::anew();
     create_with(&serve, &[]);
     let mut worker = serve.worker("w").await;
@@ -102,7 +102,7 @@ async fn report_page_and_table_show_what_was_found() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_shows_an_explanation_is_filmed_and_stands_side_by_side() {
+async fn explaining_rollouts_are_filmed_and_shown_side_by_side() {
     let (_folder, serve) = Serve::anew();
     create_with(&serve, &["--record", "transitions"]);
     explained(&serve, &[]).await;

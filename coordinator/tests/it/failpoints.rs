@@ -246,7 +246,7 @@ async fn die_at(folder: TempDir, side: Side, step: Step) -> Vec<u8> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_process_that_dies_around_any_transaction_leaves_order_and_the_same_report() {
+async fn a_kill_around_any_transaction_keeps_the_invariants_and_the_report() {
     let folder = sound().await;
     let undisturbed = finish(copy_of(folder.path()).path()).await;
     // Additions to derived campaigns are tested in `explain` and `thresholds`, and early stops in

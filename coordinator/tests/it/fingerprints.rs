@@ -60,7 +60,7 @@ async fn commit(worker: &mut Worker, lease: &wire::Lease) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_campaign_says_which_fingerprints_its_results_have_and_where_they_mix() {
+async fn mixed_fingerprints_are_shown_in_status_report_and_page() {
     let bench = Bench::start().await;
     let tasks: Vec<String> = (0..7).map(|task| format!("libero_object/{task}")).collect();
     let spec = with(small_spec("mixed"), json!({"tasks": tasks}));

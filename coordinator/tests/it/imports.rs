@@ -37,7 +37,7 @@ async fn alter(archive: &Path, into: &Path, sql: &'static str) {
 
 /// Each of these rows would fail every claim, commit or page that reads it.
 #[tokio::test(flavor = "multi_thread")]
-async fn rows_that_no_coordinator_would_have_stored_are_refused_by_name() {
+async fn imported_rows_that_violate_an_invariant_are_refused_by_name() {
     let mut here = Bench::with(&with(small_spec("moved"), json!({"replicates": 2}))).await;
     here.run(2, "").await;
     let file = here.archive("moved");
@@ -197,7 +197,7 @@ async fn counts(folder: &Path) -> (i64, i64) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_large_import_comes_in_pieces_and_leaves_nothing_if_it_is_cut_off() {
+async fn a_large_import_takes_several_transactions_and_leaves_nothing_if_interrupted() {
     let mut here = Bench::with(&large()).await;
     // Some results are in the second piece.
     here.run(520, "").await;

@@ -180,7 +180,7 @@ async fn broken(folder: &Path, statement: &'static str) -> TempDir {
 }
 
 #[tokio::test]
-async fn each_invariant_is_found_by_its_name_when_it_is_broken() {
+async fn each_violated_invariant_is_reported_by_name() {
     let folder = sound().await;
     assert_eq!(check(folder.path()).await.expect("a database"), []);
     for (invariant, statement, word) in BROKEN {

@@ -32,7 +32,7 @@ const CREATE: [&str; 16] = [
 ];
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_late_policy_is_a_condition_of_its_own() {
+async fn latency_is_a_separate_condition() {
     let (_folder, serve) = Serve::anew();
     let refused = serve.command(&[&CREATE[..], &["--execution", "hold:2"]].concat());
     assert_eq!(refused.status.code(), Some(2));
@@ -122,7 +122,7 @@ async fn a_late_policy_is_a_condition_of_its_own() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_delay_that_a_policy_bears_is_found_in_whole_control_steps() {
+async fn the_latency_threshold_is_found_in_whole_control_steps() {
     let (_folder, serve) = Serve::anew();
     assert!(serve.command(&CREATE).status.success());
     let mut worker = serve.worker("w").await;

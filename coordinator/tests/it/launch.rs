@@ -34,7 +34,7 @@ fn launch(programs: &Path, arguments: &[&str]) -> Output {
 const INSECURE: [&str; 3] = ["--connect", "http://login1:7411", "--insecure"];
 
 #[test]
-fn scripts_are_shown_and_nothing_is_written_unless_asked_for() {
+fn scripts_are_shown_and_written_only_with_into() {
     let programs = programs();
     let said = &succeed(launch(programs.path(), &INSECURE));
     for words in [
@@ -60,7 +60,7 @@ fn scripts_are_shown_and_nothing_is_written_unless_asked_for() {
 }
 
 #[test]
-fn what_is_written_is_whole_bash_whatever_the_values_hold() {
+fn written_scripts_are_valid_bash_for_any_values() {
     let (programs, folder) = (programs(), tempfile::tempdir().expect("a folder"));
     let into = folder.path().join("a \"lab's\" $(cluster) #1");
     let into = into.to_str().expect("UTF-8");

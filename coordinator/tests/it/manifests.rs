@@ -80,7 +80,7 @@ fn the_whole_design_is_2_000_clean_and_8_400_perturbed_rows() {
 }
 
 #[test]
-fn a_design_of_ones_own_is_expanded_from_its_specification() {
+fn a_custom_design_is_expanded_from_its_specification() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let mut spec = small_spec("own");
     spec["levels"] = json!(["r2.5"]);
@@ -108,7 +108,7 @@ fn a_design_of_ones_own_is_expanded_from_its_specification() {
 }
 
 #[test]
-fn a_bad_manifest_exits_with_1_and_names_its_lines_and_a_wrong_command_with_2() {
+fn an_invalid_manifest_exits_with_1_and_an_invalid_command_with_2() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = expand(
         folder.path(),
@@ -183,7 +183,7 @@ fn differences_are_named_by_row_and_column() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_imported_manifest_is_run_as_it_stands() {
+async fn an_imported_manifest_is_run_unchanged() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let all = expand(folder.path(), "all.jsonl", &["--version", "v0.1"]);
     let mut rows = rows(&all);

@@ -38,7 +38,7 @@ fn counts(said: &str) -> [u64; 2] {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn two_halves_that_agree_become_the_campaign_that_one_coordinator_would_have_run() {
+async fn consistent_halves_merge_into_the_campaign_of_one_coordinator() {
     let mut first = Bench::with(&spec()).await;
     first.run(4, "L3").await;
     let endpoint = json!({"policy": {"name": "expert", "endpoint": "http://10.0.0.2:50051"}});
@@ -90,7 +90,7 @@ async fn two_halves_that_agree_become_the_campaign_that_one_coordinator_would_ha
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn halves_that_contradict_each_other_are_refused_with_both_outcomes() {
+async fn contradictory_halves_are_refused_with_both_outcomes() {
     let mut first = Bench::with(&spec()).await;
     let mut second = Bench::with(&spec()).await;
     first.run(6, "").await;

@@ -174,7 +174,7 @@ pub(crate) fn write(file: &Path, members: &[(String, Vec<u8>)], list_anew: bool)
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_interrupted_campaign_goes_on_at_another_coordinator_to_the_same_report() {
+async fn a_moved_campaign_continues_at_another_coordinator_to_the_same_report() {
     let mut here = Bench::with(&spec()).await;
     here.run(5, "").await;
     let filmed = here.worker.claim_one().await;
@@ -247,7 +247,7 @@ async fn an_interrupted_campaign_goes_on_at_another_coordinator_to_the_same_repo
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_name_that_is_taken_is_refused_with_the_remedy_and_another_one_is_a_copy() {
+async fn importing_an_existing_name_is_refused_and_another_name_makes_a_copy() {
     let mut here = Bench::with(&spec()).await;
     here.run(4, "").await;
     let filmed = here.worker.claim_one().await;
@@ -281,7 +281,7 @@ async fn a_name_that_is_taken_is_refused_with_the_remedy_and_another_one_is_a_co
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_no_whole_archive_of_this_program_is_refused_by_name_and_changes_nothing() {
+async fn invalid_archives_are_refused_by_name_and_change_nothing() {
     let mut here = Bench::with(&spec()).await;
     here.run(6, "").await;
     let file = here.archive("moved");
@@ -437,7 +437,7 @@ async fn what_is_no_whole_archive_of_this_program_is_refused_by_name_and_changes
 
 /// A small archive that would unpack to a large one costs neither memory nor disk space.
 #[tokio::test(flavor = "multi_thread")]
-async fn an_archive_that_swells_is_refused_before_it_is_unpacked() {
+async fn a_decompression_bomb_is_refused_before_it_is_unpacked() {
     const SWOLLEN: u64 = 192 << 20;
     let mut here = Bench::with(&spec()).await;
     here.run(1, "").await;
@@ -511,7 +511,7 @@ async fn an_archive_that_swells_is_refused_before_it_is_unpacked() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_campaign_that_follows_from_another_comes_after_it() {
+async fn a_derived_campaign_is_imported_after_its_source() {
     let mut here = Bench::with(&with(spec(), json!({"levels": ["L2"]}))).await;
     here.run(64, "").await;
     here.must(&["explain", "moved", "--create", "--budget", "20"]);

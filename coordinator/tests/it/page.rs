@@ -106,7 +106,7 @@ async fn begun() -> Bench {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn every_page_says_what_there_is_and_may_load_nothing_from_elsewhere() {
+async fn every_page_shows_its_content_and_loads_nothing_external() {
     let bench = begun().await;
     let configuration = "/campaigns/begun/configurations/object/t0/combination/L1/c00";
     for (address, words) in [
@@ -178,7 +178,7 @@ async fn every_page_says_what_there_is_and_may_load_nothing_from_elsewhere() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_outage_and_a_quarantine_are_told_in_words() {
+async fn pages_describe_outages_and_quarantine() {
     let bench = begun().await;
     let (mut worker, lease) = bench.leasing("w").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
@@ -192,7 +192,7 @@ async fn an_outage_and_a_quarantine_are_told_in_words() {
 
 /// Regression: the page said "no attempt is charged" where `jobs list` said "1 charged".
 #[tokio::test(flavor = "multi_thread")]
-async fn page_and_command_line_agree_on_what_nonsense_of_a_policy_is_charged_to() {
+async fn page_and_command_line_agree_on_charges_for_invalid_answers() {
     let bench = begun().await;
     let mut worker = bench.worker("w").await;
     for attempt in 1..=5 {
@@ -215,7 +215,7 @@ async fn page_and_command_line_agree_on_what_nonsense_of_a_policy_is_charged_to(
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn hostile_addresses_come_to_pages_that_say_what_to_do() {
+async fn invalid_addresses_give_error_pages_with_a_remedy() {
     let bench = begun().await;
     std::fs::write(bench.folder.path().join("secret"), "hunter2").expect("written");
     let long = "x".repeat(4_000);
@@ -260,7 +260,7 @@ async fn hostile_addresses_come_to_pages_that_say_what_to_do() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_workers_say_cannot_become_markup() {
+async fn text_from_workers_is_escaped_in_pages() {
     let bench = Bench::start().await;
     bench.create(&small_spec("tricked")).await.expect("created");
     let mut worker = bench.worker("<script>alert(1)</script>").await;
@@ -341,7 +341,7 @@ async fn a_video_is_sent_whole_and_in_ranges() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn metrics_are_prometheus_text_and_count_what_there_is() {
+async fn metrics_are_valid_prometheus_text() {
     let bench = begun().await;
     let answer = ask(&bench.url, "GET /metrics").await;
     assert_eq!(
@@ -385,7 +385,7 @@ async fn metrics_are_prometheus_text_and_count_what_there_is() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_stream_tells_of_a_commit_and_ends_with_the_coordinator() {
+async fn the_stream_reports_a_commit_and_ends_with_the_coordinator() {
     let bench = begun().await;
     let address = bench.url.strip_prefix("http://").expect("a URL").to_owned();
     let (said, heard) = std::sync::mpsc::channel();
@@ -418,7 +418,7 @@ async fn the_stream_tells_of_a_commit_and_ends_with_the_coordinator() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn streams_are_bounded_and_a_seat_is_free_when_somebody_leaves() {
+async fn streams_are_bounded_and_closing_one_admits_another() {
     let bench = begun().await;
     let address = bench.url.strip_prefix("http://").expect("a URL");
     let follow = || {
@@ -448,7 +448,7 @@ async fn streams_are_bounded_and_a_seat_is_free_when_somebody_leaves() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_browser_logs_in_once_and_a_worker_or_a_stranger_sees_nothing() {
+async fn pages_need_a_login_and_refuse_worker_tokens() {
     let guarded = Guarded::start(&[]);
     let url = guarded.url();
     let led = ask(url, "GET /campaigns/a?b=c\naccept: text/html").await;
@@ -524,7 +524,7 @@ async fn a_browser_logs_in_once_and_a_worker_or_a_stranger_sees_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_strangers_page_in_the_same_browser_reaches_nothing() {
+async fn pages_of_other_sites_can_neither_read_nor_call() {
     let bench = begun().await;
     // A DNS name of another site that resolves to this machine.
     let rebound = ask(&bench.url, "GET /\nhost: evil.example:7411").await;
@@ -566,7 +566,7 @@ async fn a_strangers_page_in_the_same_browser_reaches_nothing() {
 /// Regression (defect 2): a page held one of four database connections while it requested two more,
 /// so that a few tabs that refreshed together blocked each other.
 #[tokio::test(flavor = "multi_thread")]
-async fn many_pages_that_are_asked_for_at_once_do_not_wait_for_each_other() {
+async fn concurrent_page_requests_do_not_block_each_other() {
     const TABS: usize = 24;
     let bench = begun().await;
     let addresses = [

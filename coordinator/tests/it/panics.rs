@@ -35,7 +35,7 @@ impl Clock for BreakableClock {
 /// Regression (defect 11): panics of spawned tasks were not noticed, and a coordinator whose writer
 /// had panicked answered "shutting down" forever.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_panic_of_the_writer_ends_the_coordinator_with_an_error_that_says_so() {
+async fn a_panic_of_the_writer_stops_the_coordinator_with_an_error() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let clock = Arc::new(BreakableClock::default());
     let mut config = config(folder.path(), clock.clone());
@@ -132,7 +132,7 @@ fn tasks_of(source: &str) -> Vec<&str> {
 }
 
 #[test]
-fn a_panic_of_any_background_task_ends_the_coordinator_with_its_name() {
+fn a_panic_of_a_background_task_stops_the_coordinator_and_names_the_task() {
     let mut names = tasks_of(include_str!("../../../crates/service/queue/src/queue.rs"));
     names.extend(tasks_of(include_str!("../../src/serve.rs")));
     assert!(names.len() >= 8, "{names:?}");

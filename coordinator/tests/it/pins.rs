@@ -84,7 +84,7 @@ async fn a_result_that_is_refused_pins_nothing() {
 /// Replaced weights or another `--execute` make a different policy: its jobs wait until the
 /// measured policy is back, and nobody is charged.
 #[tokio::test]
-async fn a_policy_that_was_replaced_is_an_outage_of_the_one_that_was_measured() {
+async fn a_replaced_policy_counts_as_an_outage_of_the_measured_one() {
     for (what, replace) in [
         ("execute is `1` now and was `8`", execute as Replace),
         (
@@ -201,7 +201,7 @@ fn weights(policy: &mut Provenance) {
 }
 
 #[tokio::test]
-async fn what_a_campaign_asks_for_is_told_at_once_to_a_worker_that_does_not_suit() {
+async fn an_unsuitable_worker_learns_the_requirements_at_registration() {
     let bench = Bench::start().await;
     let wanted = json!({"assets": "libero", "renderer": "software"});
     let spec = with(small_spec("choosy"), wanted);
@@ -228,7 +228,7 @@ async fn what_a_campaign_asks_for_is_told_at_once_to_a_worker_that_does_not_suit
 }
 
 #[tokio::test]
-async fn a_pack_may_be_asked_for_by_the_beginning_of_its_digest() {
+async fn a_pack_can_be_required_by_a_digest_prefix() {
     let bench = Bench::start().await;
     let digest = registration("a", "libero").asset_pack_digest;
     let wanted = json!({"assets": digest[..10], "renderer": "gl"});

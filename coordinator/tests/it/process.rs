@@ -187,7 +187,7 @@ pub(crate) const CREATE: [&str; 14] = [
 ];
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_coordinator_killed_in_the_middle_continues_where_it_was() {
+async fn a_killed_coordinator_continues_after_a_restart() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let first = Serve::start(folder.path());
     assert!(first.command(&CREATE).status.success());
@@ -265,7 +265,7 @@ async fn a_coordinator_told_to_stop_answers_waiting_claims_and_leaves_one_file()
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn commands_that_are_wrong_exit_with_2_and_write_nothing() {
+async fn invalid_commands_exit_with_2_and_write_nothing() {
     let (_folder, serve) = Serve::anew();
     let check = |flag: &str, value: &str, words: &[&str]| {
         let mut arguments = CREATE.to_vec();
@@ -342,7 +342,7 @@ async fn a_specification_is_read_from_a_file_or_standard_input() {
 }
 
 #[test]
-fn a_coordinator_that_cannot_be_reached_is_named_after_a_few_tries() {
+fn an_unreachable_coordinator_is_named_after_retries() {
     let free = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
     let url = format!("http://{}", free.local_addr().expect("an address"));
     drop(free);
@@ -387,7 +387,7 @@ fn an_address_in_use_and_a_folder_that_cannot_be_made_fail_with_the_remedy() {
 
 /// Regression: a policy's error text, relayed by its worker, could set the operator's clipboard.
 #[tokio::test(flavor = "multi_thread")]
-async fn nothing_that_a_worker_or_an_archive_says_is_obeyed_by_a_terminal() {
+async fn control_sequences_from_workers_and_archives_never_reach_the_terminal() {
     const HOSTILE: &str = "\x1b]52;c;cm0gLXJm\x07\x1b[2K\rall is well \u{9b}31m\u{202e}";
     let (folder, serve) = Serve::anew();
     let spec = folder.path().join("spec.json");

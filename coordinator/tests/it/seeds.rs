@@ -88,7 +88,7 @@ async fn a_replicate_changes_the_policys_seed_and_nothing_else() {
 }
 
 #[tokio::test]
-async fn the_seed_that_a_worker_was_told_is_stored_with_the_result() {
+async fn the_seed_of_a_lease_is_stored_with_the_result() {
     let bench = Bench::start().await;
     let told = seeds(&run(&bench, &spec("thrice", "matched")).await);
     let pool = bench.database().await;

@@ -19,7 +19,7 @@ async fn commit_after(worker: &mut Worker, lease: &wire::Lease, wall_secs: f64) 
 
 /// Regression: workers that had shut down cleanly stayed "live" for a minute.
 #[tokio::test]
-async fn a_worker_that_says_good_bye_is_gone_at_once() {
+async fn a_worker_that_announces_its_shutdown_departs_at_once() {
     let bench = Bench::start().await;
     bench.create(&small_spec("watched")).await.expect("created");
     let mut worker = bench.worker("a").await;
@@ -64,7 +64,7 @@ async fn a_worker_counts_as_alive_for_the_length_of_a_lease() {
 /// Regression: `resume` was followed by "100.0/s ETA 16s", since rollouts from before the pause
 /// were divided by the short time after it.
 #[tokio::test]
-async fn what_began_before_a_pause_says_nothing_of_the_pace_after_it() {
+async fn the_rate_excludes_rollouts_begun_before_a_pause() {
     let bench = Bench::start().await;
     let spec = with(small_spec("paced"), json!({"configs": [0, 1]}));
     bench.create(&spec).await.expect("created");
@@ -94,7 +94,7 @@ async fn what_began_before_a_pause_says_nothing_of_the_pace_after_it() {
 /// The rate of a campaign that waited for its first worker follows from its rollouts, not from the
 /// wait.
 #[tokio::test]
-async fn the_wait_for_the_first_worker_is_in_no_pace() {
+async fn the_rate_excludes_the_wait_for_the_first_worker() {
     let bench = Bench::start().await;
     bench.create(&small_spec("late")).await.expect("created");
     bench.pass(200).await;
@@ -105,7 +105,7 @@ async fn the_wait_for_the_first_worker_is_in_no_pace() {
 }
 
 #[tokio::test]
-async fn the_policy_of_a_deleted_campaign_is_listed_no_more() {
+async fn the_policy_of_a_deleted_campaign_is_no_longer_listed() {
     let bench = Bench::start().await;
     bench.create(&small_spec("kept")).await.expect("created");
     let policy = json!({"policy": {"name": "gone", "endpoint": "http://127.0.0.1:1"}});
@@ -185,7 +185,7 @@ async fn a_dry_run_forecasts_from_what_connected_workers_measured() {
 
 /// The departed workers of a cluster would otherwise fill the list forever.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_worker_that_has_gone_is_listed_for_a_week_and_counted_afterwards() {
+async fn a_departed_worker_is_listed_for_a_week_and_then_only_counted() {
     let bench = Bench::start().await;
     bench.worker("old").await;
     let list = |arguments: &[&str]| {

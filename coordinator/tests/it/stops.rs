@@ -124,7 +124,7 @@ async fn stopped(serve: &Serve, name: &str) -> Value {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_campaign_stops_where_its_outcomes_say_and_says_what_that_saved() {
+async fn a_campaign_stops_where_its_rule_is_met_and_reports_the_savings() {
     let (folder, serve) = Serve::anew();
     let planted = planted(&spec("early"));
     create(&serve, folder.path(), &spec("early"));
@@ -217,7 +217,7 @@ async fn a_campaign_stops_where_its_outcomes_say_and_says_what_that_saved() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_stopped_campaign_stays_as_it_is_and_others_follow_from_what_counts() {
+async fn a_stopped_campaign_is_final_and_derived_campaigns_use_counted_results() {
     let (folder, serve) = Serve::anew();
     let planted = planted(&spec("early"));
     create(&serve, folder.path(), &spec("early"));
@@ -297,7 +297,7 @@ async fn derived(serve: &Serve, worker: &mut Worker, arguments: &[&str]) -> Valu
 }
 
 #[test]
-fn a_rule_that_cannot_end_a_campaign_is_refused_before_anything_is_created() {
+fn an_invalid_stop_rule_is_refused_before_creation() {
     let create = |arguments: &[&str], words: &str| {
         #[rustfmt::skip]
         let campaign = [
@@ -329,7 +329,7 @@ fn a_rule_that_cannot_end_a_campaign_is_refused_before_anything_is_created() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_death_around_any_transaction_leaves_the_same_state_and_the_same_report() {
+async fn a_kill_around_any_transaction_leaves_the_same_stop_and_report() {
     let planted = planted(&spec("early"));
     let undisturbed = tempfile::tempdir().expect("a temporary folder");
     let serve = Serve::start(undisturbed.path());
@@ -377,7 +377,7 @@ fn drawn(name: &str, seed: u64) -> Value {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn campaigns_of_one_order_are_compared_at_any_look() {
+async fn campaigns_in_the_same_order_are_compared_sequentially() {
     let (folder, serve) = Serve::anew();
     let mut worker = serve.worker("w").await;
     // A configuration has five rollouts, four of them perturbed.

@@ -213,7 +213,7 @@ async fn lives(place: &str, variables: &[(&str, String)], stored: &dyn Fn() -> u
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn films_are_kept_in_another_folder_where_an_operator_wants_them() {
+async fn films_are_stored_in_another_folder() {
     let folder = tempfile::tempdir().expect("a folder");
     let place = folder.path().join("films");
     let stored = || {
@@ -224,9 +224,9 @@ async fn films_are_kept_in_another_folder_where_an_operator_wants_them() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn films_are_kept_in_a_bucket_and_archives_too() {
+async fn films_and_archives_are_stored_in_a_bucket() {
     let Ok(program) = std::env::var(SERVER) else {
-        println!("skipped films_are_kept_in_a_bucket_and_archives_too: no {SERVER}");
+        println!("skipped films_and_archives_are_stored_in_a_bucket: no {SERVER}");
         return;
     };
     let address = free_address();
@@ -259,9 +259,9 @@ async fn films_are_kept_in_a_bucket_and_archives_too() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn storage_that_is_down_costs_no_rollout_and_no_film() {
+async fn a_storage_outage_loses_no_rollout_and_no_film() {
     let Ok(program) = std::env::var(SERVER) else {
-        println!("skipped storage_that_is_down_costs_no_rollout_and_no_film: no {SERVER}");
+        println!("skipped a_storage_outage_loses_no_rollout_and_no_film: no {SERVER}");
         return;
     };
     let address = free_address();

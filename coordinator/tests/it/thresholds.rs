@@ -221,7 +221,7 @@ async fn language_is_measured_at_its_own_levels_only() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_cannot_be_measured_is_refused_before_anything_is_created() {
+async fn unmeasurable_thresholds_are_refused_before_creation() {
     let (_folder, serve) = Serve::anew();
     create(&serve);
     let refused = |arguments: &[&str], words: &str| {
@@ -289,7 +289,7 @@ async fn a_budget_is_kept() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_death_around_any_transaction_leaves_the_same_thresholds() {
+async fn a_kill_around_any_transaction_leaves_the_same_thresholds() {
     let undisturbed = tempfile::tempdir().expect("a temporary folder");
     let serve = Serve::start(undisturbed.path());
     create(&serve);

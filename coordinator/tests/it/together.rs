@@ -55,7 +55,7 @@ async fn twelve_leases() -> (Bench, Worker, Vec<wire::Lease>) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn reports_that_arrive_together_each_get_their_own_verdict() {
+async fn batched_reports_each_get_their_own_verdict() {
     let (bench, mut worker, leases) = twelve_leases().await;
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
     let good: Vec<_> = [1, 2, 4, 5, 6, 7, 8]
@@ -90,7 +90,7 @@ async fn reports_that_arrive_together_each_get_their_own_verdict() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn of_two_reports_of_one_rollout_that_arrive_together_one_is_stored() {
+async fn one_of_two_batched_reports_of_a_rollout_is_stored() {
     let (bench, worker, leases) = twelve_leases().await;
     let twice = leases[..6].iter().chain(&leases[..6]);
     let asked = twice.map(|lease| {
@@ -107,7 +107,7 @@ async fn of_two_reports_of_one_rollout_that_arrive_together_one_is_stored() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn siblings_that_disagree_and_arrive_together_are_not_both_stored() {
+async fn contradictory_siblings_in_one_batch_are_not_both_stored() {
     let (bench, worker, leases) = twelve_leases().await;
     let of_one_state = [&leases[0], &leases[1]];
     let asked = of_one_state.iter().enumerate().map(|(place, lease)| {
@@ -123,7 +123,7 @@ async fn siblings_that_disagree_and_arrive_together_are_not_both_stored() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn claims_that_arrive_together_share_the_jobs_in_their_order() {
+async fn batched_claims_are_served_in_order_of_arrival() {
     let (bench, mut first, leases) = twelve_leases().await;
     // One result pins the campaign; the other leases are released.
     assert_eq!(first.commit(&leases[0], true).await, Verdict::Accepted);

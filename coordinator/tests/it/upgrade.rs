@@ -139,7 +139,7 @@ async fn begun(pool: &SqlitePool, id: i64, name: &str, renderers: [&str; 2]) {
 }
 
 #[tokio::test]
-async fn a_database_of_schema_1_is_upgraded_keeps_its_rows_and_goes_on() {
+async fn a_database_of_schema_1_is_upgraded_and_its_campaigns_continue() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let pool = first_schema(folder.path()).await;
     begun(&pool, 1, "drawn", ["", "llvmpipe"]).await;
@@ -321,7 +321,7 @@ async fn the_database_of_every_released_schema_is_upgraded_with_its_rows() {
 
 /// Upgrades a database of a development version whose third migration included today's fourth.
 #[tokio::test]
-async fn a_database_whose_third_migration_did_what_the_fourth_does_is_taken_over() {
+async fn a_development_database_with_a_combined_third_migration_is_upgraded() {
     let folder = Bench::start().await.stop().await;
     let made = schema(folder.path()).await;
     let pool = open_database(folder.path()).await;

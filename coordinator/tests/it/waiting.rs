@@ -48,7 +48,7 @@ async fn run_one(worker: &mut Worker) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_explaining_campaign_says_what_it_waits_for_and_is_finished_at_its_end_only() {
+async fn an_explaining_campaign_names_its_source_and_finishes_after_it() {
     let (_folder, serve) = Serve::anew();
     create(&serve, "first");
     explain(&serve, "first");
@@ -92,7 +92,7 @@ async fn an_explaining_campaign_says_what_it_waits_for_and_is_finished_at_its_en
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn nothing_follows_from_a_cancelled_campaign_and_from_one_without_transitions() {
+async fn campaigns_that_are_cancelled_or_without_transitions_derive_no_rollouts() {
     let (_folder, serve) = Serve::anew();
     create(&serve, "cancelled");
     explain(&serve, "cancelled");

@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn values_are_quoted_for_who_reads_the_line() {
+    fn values_are_quoted_for_the_shell_or_for_slurm() {
         let template = "#SBATCH --chdir={{folder}}\ncd {{folder}} && sleep {{number}}\n";
         let expected = "#SBATCH --chdir=\"/home/me/a \\\"b\\\" 'c'\\\\d\"\n\
                         cd '/home/me/a \"b\" '\\''c'\\''\\d' && sleep 7\n";
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_without_its_value_is_left_out_and_several_values_repeat_slurms() {
+    fn a_line_without_a_value_is_left_out_and_several_values_repeat_sbatch_lines() {
         let template = "#SBATCH {{options}}\n#SBATCH --x={{nothing}}\nrun {{options}} # all\n\
                         run {{number}} {{nothing}}\n";
         let expected = "#SBATCH --qos=x\n#SBATCH \"--comment=a b\"\n\
@@ -136,7 +136,7 @@ mod tests {
 
     #[test]
     #[should_panic(expected = "nothing sets {{nmae}}")]
-    fn a_template_that_names_what_nobody_sets_is_a_defect() {
+    fn a_placeholder_that_was_never_set_panics() {
         fill("{{nmae}}\n", &values());
     }
 }

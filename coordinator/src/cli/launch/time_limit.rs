@@ -71,7 +71,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_time_limit_is_read_as_slurm_reads_it() {
+    fn time_limits_are_parsed_in_slurms_formats() {
         let secs = |text: &str| text.parse::<TimeLimit>().map(|limit| limit.secs());
         for (text, expected) in [
             ("90", 5_400),
