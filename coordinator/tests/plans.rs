@@ -312,7 +312,7 @@ async fn is_looked_at(queue: &Queue) {
         let statuses = view.statuses().await.expect("statuses");
         let why = statuses
             .iter()
-            .find(|it| it.campaign.name.as_str() == "why");
+            .find(|status| status.campaign.name.as_str() == "why");
         if !why.expect("it is here").may_grow {
             return;
         }
@@ -422,7 +422,7 @@ async fn no_frequent_statement_walks_all_jobs() {
     assert!(
         statements
             .iter()
-            .any(|it| it.contains("GROUP BY campaign_id")),
+            .any(|statement| statement.contains("GROUP BY campaign_id")),
         "what campaigns hold is compared"
     );
     // A new origin comes once per kind of worker, not once per rollout, and
@@ -453,7 +453,7 @@ async fn no_frequent_statement_walks_all_jobs() {
         "record = 'transitions'",
     ] {
         assert!(
-            asked.iter().any(|it| it.contains(part)),
+            asked.iter().any(|statement| statement.contains(part)),
             "{part} in {asked:#?}"
         );
     }
@@ -470,7 +470,10 @@ async fn no_frequent_statement_walks_all_jobs() {
     connection.close().await.expect("closes");
     for (name, walks) in &LOOPS {
         if let Seen(part) = walks {
-            let is_caught = statements.iter().chain(&asked).any(|it| it.contains(part));
+            let is_caught = statements
+                .iter()
+                .chain(&asked)
+                .any(|statement| statement.contains(part));
             assert!(is_caught, "{name}: {part} in {statements:#?}");
         }
     }

@@ -299,8 +299,8 @@ async fn over_tls_a_token_is_accepted_and_untrusted_certificates_are_refused() {
     succeed(list_over_tls(&guarded, &authority.path("ca.pem")));
     let before = guarded.rows().await;
     let other = Authority::new();
-    let told = &fail(list_over_tls(&guarded, &other.path("ca.pem")), 1);
-    assert!(told.contains("not signed by the authority"), "{told}");
+    let message = &fail(list_over_tls(&guarded, &other.path("ca.pem")), 1);
+    assert!(message.contains("not signed by the authority"), "{message}");
     assert_eq!(guarded.rows().await, before);
 }
 
@@ -310,9 +310,9 @@ async fn an_expired_certificate_is_refused_at_once() {
     let expired = authority.sign(2_020);
     let guarded = Guarded::start(&expired.each_ref().map(String::as_str));
     let before = guarded.rows().await;
-    let told = &fail(list_over_tls(&guarded, &authority.path("ca.pem")), 1);
-    assert!(told.contains("certificate expired"), "{told}");
-    assert!(!told.contains("trying again"), "{told}");
+    let message = &fail(list_over_tls(&guarded, &authority.path("ca.pem")), 1);
+    assert!(message.contains("certificate expired"), "{message}");
+    assert!(!message.contains("trying again"), "{message}");
     assert_eq!(guarded.rows().await, before);
 }
 
@@ -321,12 +321,12 @@ fn other_addresses_are_served_only_with_tls_and_tokens_or_insecure() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let data = folder.path().join("data");
     let data = data.to_str().expect("UTF-8");
-    let told = &fail(
+    let message = &fail(
         coordinator(&["serve", "--listen", "0.0.0.0:0", "--data", data]),
         2,
     );
     for word in ["0.0.0.0:0", "--tls-cert", "--token-file", "--insecure"] {
-        assert!(told.contains(word), "{told}");
+        assert!(message.contains(word), "{message}");
     }
     assert!(!folder.path().join("data").exists());
 }
@@ -354,9 +354,13 @@ fn other_users_of_the_machine_are_refused_unless_insecure_loopback() {
             .gid(OTHER)
             .output()
             .expect("runs");
-        let told = text(&listed.stderr);
-        assert_eq!(listed.status.success(), is_let_in, "{told}");
-        assert_eq!(told.contains("--insecure-loopback"), !is_let_in, "{told}");
+        let message = text(&listed.stderr);
+        assert_eq!(listed.status.success(), is_let_in, "{message}");
+        assert_eq!(
+            message.contains("--insecure-loopback"),
+            !is_let_in,
+            "{message}"
+        );
         assert!(serve.command(&["campaign", "list"]).status.success());
     }
 }
@@ -393,11 +397,14 @@ fn readable_secrets_are_refused_and_stored_files_are_private() {
     ] {
         for mode in [0o644, 0o640, 0o602] {
             std::fs::set_permissions(exposed, Permissions::from_mode(mode)).expect("set");
-            let told = &fail(coordinator(arguments), 1);
+            let message = &fail(coordinator(arguments), 1);
             let remedy = format!("`chmod 600 {}`", exposed.display());
             let shown = format!("{mode:04o}");
-            assert!(told.contains(&remedy) && told.contains(&shown), "{told}");
-            assert!(!told.contains(OPERATOR), "{told}");
+            assert!(
+                message.contains(&remedy) && message.contains(&shown),
+                "{message}"
+            );
+            assert!(!message.contains(OPERATOR), "{message}");
         }
         std::fs::set_permissions(exposed, Permissions::from_mode(0o600)).expect("set");
         assert!(!data.exists());

@@ -261,9 +261,13 @@ async fn an_operator_alters_a_campaign_from_the_command_line() {
     let (_folder, serve) = Serve::anew();
     let run = |arguments: &[&str], code: i32, words: &str| {
         let output = serve.command(arguments);
-        let said = format!("{}{}", text(&output.stdout), text(&output.stderr));
-        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {said}");
-        assert!(said.contains(words), "{arguments:?}: {said}");
+        let output_text = format!("{}{}", text(&output.stdout), text(&output.stderr));
+        assert_eq!(
+            output.status.code(),
+            Some(code),
+            "{arguments:?}: {output_text}"
+        );
+        assert!(output_text.contains(words), "{arguments:?}: {output_text}");
     };
     run(
         &[&CREATE[..], &["--priority", "-3"]].concat(),

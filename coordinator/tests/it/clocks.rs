@@ -244,13 +244,13 @@ fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
         let (path, name) = (entry.path(), entry.file_name());
         let is_left_out = ["target", "tests", "fuzz", "xtask"]
             .iter()
-            .any(|it| name == *it);
+            .any(|folder| name == *folder);
         let is_hidden = name.as_encoded_bytes().starts_with(b".");
         if entry.file_type().expect("a type").is_dir() {
             if !is_left_out && !is_hidden {
                 sources(&path, found);
             }
-        } else if path.extension().is_some_and(|it| it == "rs") {
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
             found.push(path);
         }
     }

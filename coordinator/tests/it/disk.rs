@@ -71,8 +71,8 @@ async fn a_removed_data_folder_refuses_writes_and_can_be_backed_up() {
 
     let mut create = CREATE;
     create[3] = "other";
-    let said = &fail(serve.command(&create), 1);
-    assert!(said.contains("is gone"), "{said}");
+    let error = &fail(serve.command(&create), 1);
+    assert!(error.contains("is gone"), "{error}");
     let refused = worker.try_commit(&leases[1], true).await;
     assert_eq!(refused.expect_err("gone").code(), tonic::Code::Internal);
 

@@ -90,8 +90,11 @@ async fn planted_rules_are_found_again() {
     create(&serve);
     // The explanation can be requested before the campaign is finished.
     let output = serve.command(&["explain", "first", "--create"]);
-    let said = text(&output.stderr);
-    assert!(said.contains("80 rollouts without an outcome"), "{said}");
+    let output = text(&output.stderr);
+    assert!(
+        output.contains("80 rollouts without an outcome"),
+        "{output}"
+    );
     assert_eq!(findings(&serve, &[])["complete"], json!(false));
 
     let found = explained(&serve, &[]).await;
@@ -104,7 +107,7 @@ async fn planted_rules_are_found_again() {
         let answer = &configuration["explanation"]["answers"][0];
         assert_eq!(answer["start"], start, "{name}");
         let sets = answer["minimal"].as_array().expect("a list").iter();
-        let sets: Vec<&Value> = sets.map(|it| &it["set"]).collect();
+        let sets: Vec<&Value> = sets.map(|subset| &subset["set"]).collect();
         assert_eq!(sets, minimal, "{name}");
         let open = answer["minimal"][0]["open"].as_array();
         assert_eq!(open.map(Vec::len), Some(0), "{name} is established");
@@ -151,18 +154,18 @@ async fn explain_without_create_changes_nothing_and_names_the_flag() {
     run_all(&mut worker, outcome).await;
     for command in ["explain", "thresholds"] {
         for flags in [&[][..], &["--dry-run"], &["--dry-run", "--budget", "100"]] {
-            let said = &succeed(serve.command(&[&[command, "first"], flags].concat()));
+            let output = &succeed(serve.command(&[&[command, "first"], flags].concat()));
             assert!(
-                said.contains(&format!(
+                output.contains(&format!(
                     "campaign first-{}",
                     ["explained", "thresholds"][usize::from(command != "explain")]
                 )),
-                "{said}"
+                "{output}"
             );
-            assert!(said.contains("takes at most "), "{said}");
+            assert!(output.contains("takes at most "), "{output}");
             assert!(
-                said.contains(&format!("`coordinator {command} first --create` does that")),
-                "{said}"
+                output.contains(&format!("`coordinator {command} first --create` does that")),
+                "{output}"
             );
         }
         let refused = |flags: &[&str], words: &str| {
@@ -174,9 +177,9 @@ async fn explain_without_create_changes_nothing_and_names_the_flag() {
         refused(&["--watch"], "--create` creates it");
         refused(&["--budget", "100"], "need --create");
     }
-    let said = serve.command(&["explain", "first"]);
+    let output = serve.command(&["explain", "first"]);
     // Six transitions with six axes: 56 subsets each.
-    let words = text(&said.stdout);
+    let words = text(&output.stdout);
     assert!(
         words.contains("at most 336 rollouts for 6 transitions"),
         "{words}"

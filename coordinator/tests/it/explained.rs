@@ -49,7 +49,7 @@ async fn report_page_and_table_show_the_explanation() {
     let csv = folder.path().join("subsets.csv");
     let parquet = folder.path().join("subsets.parquet");
     let html = folder.path().join("report.html");
-    let [csv, parquet, html] = [csv, parquet, html].map(|it| it.to_string_lossy().into_owned());
+    let [csv, parquet, html] = [csv, parquet, html].map(|path| path.to_string_lossy().into_owned());
     #[rustfmt::skip]
     printed(&serve, &[
         "report", "first-explained", "--table", &csv, "--table", &parquet, "--html", &html,
@@ -174,7 +174,7 @@ async fn interactions_add_up_to_simultaneous_success() {
     let sum = |list: &str, value: &str| -> i64 {
         let entries = level[list].as_array().expect("a list").iter();
         entries
-            .filter_map(|it| it[value]["numerator"].as_i64())
+            .filter_map(|row| row[value]["numerator"].as_i64())
             .sum()
     };
     let report = printed(&serve, &["report", "whole", "--json"]);

@@ -60,9 +60,9 @@ async fn a_disconnected_worker_is_not_charged_and_continues_when_it_returns() {
     bench.pass(40).await;
     let status = bench.status("cut").await;
     assert_eq!((status.leased, status.queued), (0, 4));
-    let told = "SELECT count(*) FROM failure WHERE reason = 'worker_silent' AND charged = 0
+    let query = "SELECT count(*) FROM failure WHERE reason = 'worker_silent' AND charged = 0
                 AND error LIKE '%fell silent after control step 12%'";
-    assert_eq!(bench.count(told).await, 4);
+    assert_eq!(bench.count(query).await, 4);
     // One lease has a result to report; the others continue.
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Duplicate);
@@ -96,8 +96,8 @@ async fn a_late_heartbeat_does_not_resume_a_released_attempt() {
         bench.pass(10).await;
         worker.heartbeat(&[], 0).await;
     }
-    let told = "SELECT count(*) FROM failure WHERE reason = 'draining' AND charged = 0";
-    assert_eq!(bench.count(told).await, 1);
+    let query = "SELECT count(*) FROM failure WHERE reason = 'draining' AND charged = 0";
+    assert_eq!(bench.count(query).await, 1);
     assert_eq!(bench.count("SELECT count(*) FROM failure").await, 1);
 }
 
@@ -134,8 +134,8 @@ async fn a_rollout_that_takes_its_workers_down_is_quarantined_without_a_charge()
         bench.pass(40).await;
     }
     assert_eq!(bench.status("one").await.quarantined, 1);
-    let told = "SELECT count(*) FROM failure WHERE reason = 'takes_worker_down' AND charged = 0";
-    assert_eq!(bench.count(told).await, 1);
+    let query = "SELECT count(*) FROM failure WHERE reason = 'takes_worker_down' AND charged = 0";
+    assert_eq!(bench.count(query).await, 1);
     assert_eq!(bench.count("SELECT charged_attempts FROM job").await, 0);
 }
 
@@ -232,9 +232,9 @@ async fn an_attempt_that_heartbeats_leave_out_expires_and_is_charged() {
     let status = bench.status("one").await;
     assert_eq!((status.leased, status.queued), (0, 1));
     assert_eq!(bench.count("SELECT charged_attempts FROM job").await, 1);
-    let told = "SELECT count(*) FROM failure WHERE reason = 'lease_lost' AND charged = 1
+    let query = "SELECT count(*) FROM failure WHERE reason = 'lease_lost' AND charged = 1
                 AND error LIKE '%has left this attempt out since control step 12%'";
-    assert_eq!(bench.count(told).await, 1);
+    assert_eq!(bench.count(query).await, 1);
     let over = worker.heartbeat(&[&lease], 30).await;
     assert_eq!(over, std::slice::from_ref(&lease.attempt_id));
 }
@@ -296,8 +296,8 @@ async fn a_job_is_quarantined_after_three_charged_attempts_on_two_workers() {
     assert!(a.claim(1).await.is_empty());
     let status = bench.status("one").await;
     assert_eq!((status.quarantined, status.queued), (1, 0));
-    let said = "SELECT count(*) FROM job WHERE last_error = 'the bench said so'";
-    assert_eq!(bench.count(said).await, 1);
+    let query = "SELECT count(*) FROM job WHERE last_error = 'the bench said so'";
+    assert_eq!(bench.count(query).await, 1);
 }
 
 #[tokio::test]

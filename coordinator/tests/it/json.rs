@@ -184,7 +184,7 @@ async fn rollouts_are_listed_by_outcome_task_condition_and_level() {
     for (name, id) in [("nominal", "clean"), ("simultaneous", "combination")] {
         let found = ids(&["--condition", name]);
         assert_eq!(found.len(), 2);
-        assert!(found.iter().all(|it| it.contains(id)), "{found:?}");
+        assert!(found.iter().all(|keys| keys.contains(id)), "{found:?}");
         assert_eq!(found, ids(&["--condition", id]));
     }
     for (flag, value) in [

@@ -36,10 +36,10 @@ async fn latency_is_a_separate_condition() {
     let (_folder, serve) = Serve::anew();
     let refused = serve.command(&[&CREATE[..], &["--execution", "hold:2"]].concat());
     assert_eq!(refused.status.code(), Some(2));
-    let told = text(&refused.stderr);
+    let message = text(&refused.stderr);
     assert!(
-        told.contains("axis `latency` with `execution` hold:2"),
-        "{told}"
+        message.contains("axis `latency` with `execution` hold:2"),
+        "{message}"
     );
     succeed(serve.command(&CREATE));
 
@@ -146,8 +146,8 @@ async fn the_latency_threshold_is_found_in_whole_control_steps() {
         let bracket = [&threshold["succeeds_at"], &threshold["fails_at"]];
         assert_eq!(bracket, [&json!(6.0), &json!(8.0)], "three steps and four");
     }
-    let said = serve.command(&["thresholds", "late"]);
-    let words: Vec<&str> = text(&said.stdout).split_whitespace().collect();
+    let output = serve.command(&["thresholds", "late"]);
+    let words: Vec<&str> = text(&output.stdout).split_whitespace().collect();
     let words = words.join(" ");
     let bears = "half of the configurations bear 3 control steps, 150 ms";
     assert!(words.contains(bears), "{words}");

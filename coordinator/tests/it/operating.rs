@@ -369,10 +369,14 @@ async fn an_operator_follows_and_ends_a_campaign_from_the_command_line() {
     let (_folder, serve) = Serve::anew();
     let run = |arguments: &[&str], code: i32, words: &[&str]| {
         let output = serve.command(arguments);
-        let said = format!("{}{}", text(&output.stdout), text(&output.stderr));
-        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {said}");
+        let output_text = format!("{}{}", text(&output.stdout), text(&output.stderr));
+        assert_eq!(
+            output.status.code(),
+            Some(code),
+            "{arguments:?}: {output_text}"
+        );
         for word in words {
-            assert!(said.contains(word), "{arguments:?}: {said}");
+            assert!(output_text.contains(word), "{arguments:?}: {output_text}");
         }
     };
     run(&["campaign", "status"], 0, &["no campaigns yet"]);

@@ -238,12 +238,12 @@ async fn a_rollout_that_takes_its_policy_down_is_quarantined_and_others_complete
         let status = bench.status("first").await;
         assert_eq!((status.committed, status.quarantined), (7, 1));
         assert!(!bench.status("first").await.policy_paused || status.queued == 0);
-        let told = "SELECT count(*) FROM job j JOIN failure f ON f.job_id = j.id
+        let query = "SELECT count(*) FROM job j JOIN failure f ON f.job_id = j.id
                 AND f.attempt = j.attempt
             WHERE j.state = 'quarantined' AND j.rollout_id LIKE '%sensor/L1/c00'
                 AND j.charged_attempts = 0 AND f.reason = 'takes_policy_down'
                 AND f.error LIKE '%takes its policy down%the bench said so'";
-        assert_eq!(bench.count(told).await, 1);
+        assert_eq!(bench.count(query).await, 1);
         assert_eq!(
             bench
                 .count("SELECT count(*) FROM failure WHERE charged")
@@ -324,7 +324,7 @@ async fn queued_and_running_rollouts_can_be_skipped_and_retried() {
             jobs: rollouts.iter().cloned().map(name).collect(),
         };
         let skipped = operator.skip_jobs(request).await;
-        skipped.map(|it| it.into_inner().jobs)
+        skipped.map(|response| response.into_inner().jobs)
     };
     let running = rollout_id(&leases[1]);
     let refused = skip(&[running.clone(), rollout_id(&leases[0])]).await;

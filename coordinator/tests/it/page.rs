@@ -436,7 +436,7 @@ async fn streams_are_bounded_and_closing_one_admits_another() {
         assert!(is_in, "{} are seated", seated.len());
         seated.push(stream);
     }
-    assert!(!follow().1, "the 129th is told to look by itself");
+    assert!(!follow().1, "the 129th has to poll");
     seated.clear();
     // The server notices that streams have closed only when it sends something to them.
     let mut tries = 0;

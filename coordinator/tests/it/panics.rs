@@ -158,8 +158,11 @@ fn a_panic_of_a_background_task_stops_the_coordinator_and_names_the_task() {
             std::thread::sleep(Duration::from_millis(20));
         }
         let output = child.wait_with_output().expect("its end");
-        let said = String::from_utf8_lossy(&output.stderr);
-        assert!(!output.status.success(), "{name}: {said}");
-        assert!(said.contains(&format!("{name} panicked")), "{name}: {said}");
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success(), "{name}: {error}");
+        assert!(
+            error.contains(&format!("{name} panicked")),
+            "{name}: {error}"
+        );
     }
 }

@@ -248,7 +248,7 @@ async fn a_coordinator_told_to_stop_answers_waiting_claims_and_leaves_one_file()
     let mut waiting = JoinSet::new();
     waiting.spawn(async move { worker.try_claim(30.0, "").await });
     tokio::time::sleep(Duration::from_millis(300)).await;
-    let told = Instant::now();
+    let signalled = Instant::now();
     serve.signal("-TERM");
     let answers = waiting.join_all().await;
     let refused = answers[0].as_ref().expect_err("nothing to lease");
@@ -256,9 +256,9 @@ async fn a_coordinator_told_to_stop_answers_waiting_claims_and_leaves_one_file()
     let status = serve.child.wait().expect("it ends");
     assert!(status.success(), "{status}");
     assert!(
-        told.elapsed() < Duration::from_secs(8),
+        signalled.elapsed() < Duration::from_secs(8),
         "{:?}",
-        told.elapsed()
+        signalled.elapsed()
     );
     assert!(!folder.path().join("coordinator.sqlite-wal").exists());
     open_database(folder.path()).await.close().await;
@@ -437,11 +437,11 @@ async fn control_sequences_from_workers_and_archives_never_reach_the_terminal() 
         &["jobs", "list", "told"],
         &["campaign", "status", "told"],
     ] {
-        let said = &succeed(serve.command(command));
-        assert!(!is_obeyed(said), "{command:?}: {said:?}");
+        let output = &succeed(serve.command(command));
+        assert!(!is_obeyed(output), "{command:?}: {output:?}");
     }
-    let said = serve.command(&["jobs", "show", "told", &rollout]);
-    assert!(text(&said.stdout).contains("all is well"));
+    let output = serve.command(&["jobs", "show", "told", &rollout]);
+    assert!(text(&output.stdout).contains("all is well"));
 }
 
 #[test]
@@ -467,10 +467,10 @@ fn a_printed_specification_creates_the_same_campaign_as_its_flags() {
     let spec = spec.to_str().expect("UTF-8");
     succeed(serve.command(&create));
     let again = serve.command(&["campaign", "create", "--spec", spec]);
-    let said = text(&again.stdout);
+    let output = text(&again.stdout);
     assert!(
-        said.contains("was there already, with this specification"),
-        "{said}{}",
+        output.contains("was there already, with this specification"),
+        "{output}{}",
         text(&again.stderr)
     );
     // A specification that is read from this output is printed as the same text.
@@ -480,9 +480,9 @@ fn a_printed_specification_creates_the_same_campaign_as_its_flags() {
 
 #[test]
 fn an_export_as_csv_names_the_command_that_writes_it() {
-    let said = &fail(coordinator(&["export", "demo", "--format", "csv"]), 2);
+    let output = &fail(coordinator(&["export", "demo", "--format", "csv"]), 2);
     let words = "`coordinator report CAMPAIGN --table FILE.csv` writes outcomes in this format";
-    assert!(said.contains(words), "{said}");
+    assert!(output.contains(words), "{output}");
     let output = coordinator(&["export", "demo", "--format", "xlsx"]);
     assert!(text(&output.stderr).contains("write jsonl or parquet"));
 }

@@ -36,13 +36,13 @@ async fn run_all(bench: &Bench, worker: &mut Worker) {
 }
 
 /// A report in both of its formats.
-struct Told {
+struct Report {
     json: Value,
     table: String,
 }
 
 /// Returns the report that `coordinator report` computes from the coordinator's answer.
-async fn report(bench: &Bench) -> Told {
+async fn report(bench: &Bench) -> Report {
     let request = wire::ReportRequest {
         campaign: "told".to_owned(),
     };
@@ -54,7 +54,7 @@ async fn report(bench: &Bench) -> Told {
     }
     let subject = serde_json::from_slice(&json).expect("a subject");
     let document = Document::new(vec![subject]).expect("no duplicates");
-    Told {
+    Report {
         json: serde_json::from_str(&document.json().expect("written")).expect("JSON"),
         table: document.text(),
     }
@@ -334,20 +334,26 @@ fn a_rate_published_for_one_suite_has_its_own_gate() {
             .collect::<Vec<_>>()
             .join(" ")
     };
-    let said = verdict("libero_goal:POLICY=97");
+    let verdict_text = verdict("libero_goal:POLICY=97");
     assert!(
-        said.contains("gate of libero_goal: +1.00 points from the published 97.0 %"),
-        "{said}"
+        verdict_text.contains("gate of libero_goal: +1.00 points from the published 97.0 %"),
+        "{verdict_text}"
     );
-    assert!(said.contains("tolerance 5: passed"), "{said}");
-    let said = verdict("libero_goal:POLICY=80");
-    assert!(said.contains("FAILED"), "{said}");
-    let said = verdict("POLICY=97");
     assert!(
-        said.contains("undecided: 500 of 2000 nominal rollouts"),
-        "{said}"
+        verdict_text.contains("tolerance 5: passed"),
+        "{verdict_text}"
     );
-    assert!(said.contains("SUITE:POLICY=PERCENT"), "{said}");
+    let verdict_text = verdict("libero_goal:POLICY=80");
+    assert!(verdict_text.contains("FAILED"), "{verdict_text}");
+    let verdict_text = verdict("POLICY=97");
+    assert!(
+        verdict_text.contains("undecided: 500 of 2000 nominal rollouts"),
+        "{verdict_text}"
+    );
+    assert!(
+        verdict_text.contains("SUITE:POLICY=PERCENT"),
+        "{verdict_text}"
+    );
 }
 
 #[test]

@@ -113,7 +113,10 @@ async fn the_policy_of_a_deleted_campaign_is_no_longer_listed() {
     bench.create(&deleted).await.expect("created");
     let listed = async || {
         let policies = bench.queue.view().await.expect("a view").policies().await;
-        let names = policies.expect("policies").into_iter().map(|it| it.name);
+        let names = policies
+            .expect("policies")
+            .into_iter()
+            .map(|policy| policy.name);
         names.collect::<Vec<_>>()
     };
     assert_eq!(listed().await, ["expert", "gone"]);
@@ -128,11 +131,11 @@ async fn a_dry_run_forecasts_from_what_connected_workers_measured() {
     let dry = [&CREATE[..], &["--dry-run"]].concat();
     // Without a coordinator, the rest is printed, and the command succeeds.
     let nowhere = [&dry[..], &["--connect", "http://127.0.0.1:9"]].concat();
-    let said = &succeed(coordinator(&nowhere));
-    assert!(said.starts_with("campaign demo would have 14 rollouts\n"));
+    let printed = &succeed(coordinator(&nowhere));
+    assert!(printed.starts_with("campaign demo would have 14 rollouts\n"));
     assert!(
-        said.contains("no forecast of its duration: failed to reach"),
-        "{said}"
+        printed.contains("no forecast of its duration: failed to reach"),
+        "{printed}"
     );
 
     // Workers must count as alive even if this machine is slow.
@@ -156,27 +159,30 @@ async fn a_dry_run_forecasts_from_what_connected_workers_measured() {
     }
     let _second = serve.worker("b").await;
     // 14 rollouts of a minute each on two workers with two slots each.
-    let said = forecast();
+    let printed = forecast();
     assert!(
-        said.contains("about 3m30s on the 2 workers connected now (4 slots, 4 cores)"),
-        "{said}"
+        printed.contains("about 3m30s on the 2 workers connected now (4 slots, 4 cores)"),
+        "{printed}"
     );
-    assert!(said.contains("2 recent rollouts of expert"), "{said}");
+    assert!(printed.contains("2 recent rollouts of expert"), "{printed}");
     // Each waits for nearly all of the minute, although every slot has a core.
     assert!(
-        said.contains("a rollout takes 60.0 s: physics 1 %"),
-        "{said}"
+        printed.contains("a rollout takes 60.0 s: physics 1 %"),
+        "{printed}"
     );
     assert!(
-        said.contains("mean of 2 rollouts bottleneck: slots"),
-        "{said}"
+        printed.contains("mean of 2 rollouts bottleneck: slots"),
+        "{printed}"
     );
     // 30 queries per rollout, at one query per second.
-    let said = forecast_with(&["--policy-rate", "1"]);
-    assert!(said.contains("about 7m00s on the 2 workers"), "{said}");
+    let printed = forecast_with(&["--policy-rate", "1"]);
+    assert!(
+        printed.contains("about 7m00s on the 2 workers"),
+        "{printed}"
+    );
     let bound = "bottleneck: the policy's server, which answers no faster. More slots do not \
                  help; 2 slots would do";
-    assert!(said.contains(bound), "{said}");
+    assert!(printed.contains(bound), "{printed}");
     let wrong = serve.command(&[&dry[..], &["--policy-rate", "0"]].concat());
     assert_eq!(wrong.status.code(), Some(2));
     let no_dry_run = serve.command(&[&CREATE[..], &["--policy-rate", "1"]].concat());
@@ -196,26 +202,26 @@ async fn a_departed_worker_is_listed_for_a_week_and_then_only_counted() {
     };
     bench.clock.advance(Duration::from_secs(6 * 86_400));
     bench.worker("new").await;
-    let said = list(&["--all"]);
+    let printed = list(&["--all"]);
     assert!(
-        said.contains("old on ") && said.contains("new on "),
-        "{said}"
+        printed.contains("old on ") && printed.contains("new on "),
+        "{printed}"
     );
     bench.clock.advance(Duration::from_secs(2 * 86_400));
-    let said = list(&["--all"]);
+    let printed = list(&["--all"]);
     assert!(
-        !said.contains("old on ") && said.contains("new on "),
-        "{said}"
+        !printed.contains("old on ") && printed.contains("new on "),
+        "{printed}"
     );
     assert!(
-        said.contains("1 worker not heard of for a week or more: --all --json lists them too"),
-        "{said}"
+        printed.contains("1 worker not heard of for a week or more: --all --json lists them too"),
+        "{printed}"
     );
     let listed: Value = serde_json::from_str(&list(&["--all", "--json"])).expect("JSON");
     assert_eq!(listed["workers"].as_array().expect("workers").len(), 2);
-    let said = list(&[]);
+    let printed = list(&[]);
     assert!(
-        said.contains("1 that have gone: --all shows them"),
-        "{said}"
+        printed.contains("1 that have gone: --all shows them"),
+        "{printed}"
     );
 }

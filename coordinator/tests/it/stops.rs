@@ -171,21 +171,21 @@ async fn a_campaign_stops_where_its_rule_is_met_and_reports_the_savings() {
         "stopped early after {used} of 40 configurations: {RULE}; saved {saved} rollouts \
          ({percent} %)"
     );
-    let said = serve.command(&["campaign", "status", "early"]);
+    let output = serve.command(&["campaign", "status", "early"]);
     assert!(
-        text(&said.stdout).contains(&words),
+        text(&output.stdout).contains(&words),
         "{}",
-        text(&said.stdout)
+        text(&output.stdout)
     );
     let page = folder.path().join("report.html");
     let page_name = page.to_string_lossy();
-    let said = serve.command(&["report", "early", "--full", "--html", &page_name]);
-    let said = text(&said.stdout).to_owned();
-    let flat = said.split_whitespace().collect::<Vec<_>>().join(" ");
-    assert!(flat.contains(&words), "{said}");
-    assert!(flat.contains("are not valid"), "{said}");
-    assert!(flat.contains("hold together at all looks"), "{said}");
-    fits_a_terminal(&said);
+    let output = serve.command(&["report", "early", "--full", "--html", &page_name]);
+    let output = text(&output.stdout).to_owned();
+    let flat = output.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(flat.contains(&words), "{output}");
+    assert!(flat.contains("are not valid"), "{output}");
+    assert!(flat.contains("hold together at all looks"), "{output}");
+    fits_a_terminal(&output);
     let page = std::fs::read_to_string(page).expect("a page");
     assert!(page.contains("Confidence sequences") && page.contains("Stopped early after"));
 
@@ -255,7 +255,7 @@ async fn a_stopped_campaign_is_final_and_derived_campaigns_use_counted_results()
     let emergent = |level: &str| report["paired"]["p"][level]["b"].as_u64().expect("a count");
     let compensated = |level: &str| report["paired"]["p"][level]["c"].as_u64().expect("a count");
     let changed: u64 = ["L1", "L2"]
-        .map(|it| emergent(it) + compensated(it))
+        .map(|level| emergent(level) + compensated(level))
         .iter()
         .sum();
     assert!(changed > 0);

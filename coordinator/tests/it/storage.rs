@@ -49,7 +49,7 @@ impl Bucket {
         let (_, body) = http(self.address, "GET", "/films?list-type=2", "");
         let body = String::from_utf8(body).expect("XML");
         let keys = body.split("<Key>").skip(1);
-        keys.filter_map(|it| Some(it.split_once("</Key>")?.0.to_owned()))
+        keys.filter_map(|entry| Some(entry.split_once("</Key>")?.0.to_owned()))
             .collect()
     }
 }
@@ -70,7 +70,7 @@ fn http(address: SocketAddr, method: &str, path: &str, headers: &str) -> (String
     stream.write_all(request.as_bytes()).expect("sent");
     let mut answer = Vec::new();
     stream.read_to_end(&mut answer).expect("an answer");
-    let end = answer.windows(4).position(|it| it == b"\r\n\r\n");
+    let end = answer.windows(4).position(|bytes| bytes == b"\r\n\r\n");
     let end = end.expect("a head");
     let head = String::from_utf8_lossy(&answer[..end]).into_owned();
     (head, answer[end + 4..].to_vec())
@@ -199,10 +199,10 @@ async fn lives(place: &str, variables: &[(&str, String)], stored: &dyn Fn() -> u
         &["campaign", "archive", "filmed", "--output", &archive],
     );
     let elsewhere = tempfile::tempdir().expect("a folder");
-    let there = Serve::start(elsewhere.path());
-    let said = must(&there, &["campaign", "import", &archive]);
-    assert!(said.contains("2 films"), "{said}");
-    shows(&there, &one, &first);
+    let other_coordinator = Serve::start(elsewhere.path());
+    let message = must(&other_coordinator, &["campaign", "import", &archive]);
+    assert!(message.contains("2 films"), "{message}");
+    shows(&other_coordinator, &one, &first);
     assert_eq!(here(&elsewhere), 2);
 
     let delete = ["campaign", "delete", "filmed", "--confirm", "filmed"];
@@ -252,10 +252,13 @@ async fn films_and_archives_are_stored_in_a_bucket() {
     assert_eq!(bucket.keys(), ["archives/filmed.tar.gz"]);
     let done = run(&["campaign", "import", address, "--as", "again"]);
     assert!(done.0, "{}", done.1);
-    let (done, said) = run(&["campaign", "import", "s3://films/nowhere.tar.gz"]);
-    assert!(!done && said.contains("there is no such object"), "{said}");
-    let (done, said) = run(&["campaign", "import", "s3://films"]);
-    assert!(!done && said.contains("s3://BUCKET/FOLDER"), "{said}");
+    let (done, message) = run(&["campaign", "import", "s3://films/nowhere.tar.gz"]);
+    assert!(
+        !done && message.contains("there is no such object"),
+        "{message}"
+    );
+    let (done, message) = run(&["campaign", "import", "s3://films"]);
+    assert!(!done && message.contains("s3://BUCKET/FOLDER"), "{message}");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -29,8 +29,8 @@ const CREATE: [&str; 16] = [
 async fn a_pair_that_fails_while_its_axes_alone_succeed_is_reported() {
     let (_folder, serve) = Serve::anew();
     let created = serve.command(&[&CREATE[..], &["--subsets", "pairs"]].concat());
-    let said = text(&created.stdout);
-    assert!(said.contains("80 rollouts"), "{said}");
+    let output = text(&created.stdout);
+    assert!(output.contains("80 rollouts"), "{output}");
 
     let mut worker = serve.worker("w").await;
     loop {

@@ -81,8 +81,8 @@ async fn planted_thresholds_are_found_again() {
     create(&serve);
     // Thresholds can be requested before the campaign is finished.
     let output = serve.command(&["thresholds", "first", "--create"]);
-    let said = text(&output.stderr);
-    assert!(said.contains("rollouts without an outcome"), "{said}");
+    let message = text(&output.stderr);
+    assert!(message.contains("rollouts without an outcome"), "{message}");
     assert_eq!(found(&serve, &[])["complete"], json!(false));
 
     let found = measured(&serve, &[]).await;
@@ -229,8 +229,8 @@ async fn unmeasurable_thresholds_are_refused_before_creation() {
         let error = text(&output.stderr);
         assert!(!output.status.success(), "{arguments:?}");
         assert!(error.contains(words), "{arguments:?}: {error}");
-        let there = serve.command(&["campaign", "status", "first-thresholds"]);
-        assert!(!there.status.success(), "{arguments:?}");
+        let status = serve.command(&["campaign", "status", "first-thresholds"]);
+        assert!(!status.status.success(), "{arguments:?}");
     };
     let first = |flags: &[&'static str]| [&["thresholds", "first", "--create"][..], flags].concat();
     refused(&["thresholds", "second"], "no such campaign");
