@@ -86,7 +86,7 @@ pub fn describe(forecast: &ForecastResponse, policy: &str) -> String {
             lines.extend(bottleneck(speed, forecast.slots));
         }
         None => lines.push(
-            "what their time went into is not known: the workers are of an earlier release"
+            "the time by phase is unknown: the workers are of an earlier release"
                 .to_owned(),
         ),
     }

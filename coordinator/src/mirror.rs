@@ -32,7 +32,7 @@ pub(crate) async fn run(queue: Arc<Queue>, storage: Arc<Storage>) {
                 // Logged once per outage.
                 if pause == PAUSE {
                     tracing::error!(
-                        "failed to {problem}; films stay in the data folder until then"
+                        "failed to {problem}; films stay in the data folder and are retried"
                     );
                 }
                 pause = (pause * 2).min(LONGEST_PAUSE);

@@ -157,10 +157,7 @@ impl Server {
         let data = self.folder.join("data");
         let output = Command::new(program()?).arg("check").arg(data).output()?;
         let printed = String::from_utf8_lossy(&output.stdout).trim().to_owned();
-        ensure!(
-            output.status.success(),
-            "find the database in order: {printed}"
-        );
+        ensure!(output.status.success(), "verify the database: {printed}");
         Ok(printed)
     }
 

@@ -66,7 +66,7 @@ pub(super) fn difference(archived: &str, now: &str) -> Option<String> {
     let read = |text| serde_json::from_str::<Value>(text);
     match (read(archived), read(now)) {
         (Ok(archived), Ok(now)) => differs(&archived, &now, ""),
-        _ => Some("its beginning, which is no JSON".to_owned()),
+        _ => Some("its beginning, which is not JSON".to_owned()),
     }
 }
 
@@ -108,7 +108,7 @@ mod tests {
             (r#"{"a": [1], "c": null}"#, ".a"),
             (r#"{"a": [1, {"b": 2.5}]}"#, ".c"),
             ("[]", "its beginning"),
-            ("nonsense", "its beginning, which is no JSON"),
+            ("nonsense", "its beginning, which is not JSON"),
         ] {
             assert_eq!(difference(archived, now).as_deref(), Some(place), "{now}");
         }

@@ -44,7 +44,7 @@ pub async fn package(
     }
     if !missing.is_empty() {
         let campaign_name = &campaign.campaign.name;
-        tracing::warn!(campaign = %campaign_name, "left out of the archive, for they are gone: {}",
+        tracing::warn!(campaign = %campaign_name, "films left out of the archive because their files are missing: {}",
             missing.join(", "));
         campaign.leave_out(&missing).await?;
     }

@@ -30,7 +30,7 @@ const MAX_PADDING_BYTES: u64 = 1 << 20;
 const FILM_SUFFIX: &str = ".mp4";
 
 /// Problem reported for a file that is not an archive at all.
-const NO_TAR: &str = "it is no compressed tar";
+const NO_TAR: &str = "it is not a compressed tar archive";
 
 /// Members that every archive has, in order.
 const MEMBERS: [&str; 4] = [SPECIFICATION, PROVENANCE, REPORT, DATABASE_FILE];
@@ -164,7 +164,7 @@ impl Reading<'_> {
             return Err(self.foreign(format!("it does not begin with {LIST}")));
         }
         if first.size() > MAX_LIST_BYTES {
-            return Err(self.foreign(format!("its {LIST} is larger than any")));
+            return Err(self.foreign(format!("its {LIST} exceeds the size limit")));
         }
         let mut text = Vec::new();
         let read = first.read_to_end(&mut text);
@@ -176,7 +176,7 @@ impl Reading<'_> {
         let versions: Versions = serde_json::from_slice(&text).map_err(unreadable)?;
         let known = newest_known_schema();
         for (what, found, known) in [
-            ("form", versions.format.into(), FORMAT.into()),
+            ("format", versions.format.into(), FORMAT.into()),
             ("schema version", versions.schema, known),
         ] {
             if found > known {

@@ -127,7 +127,7 @@ pub(super) async fn rename(arguments: RenameArguments) -> Result<(), CommandErro
     };
     alter(&arguments.connection, request).await?;
     Ok(print_line(&format!(
-        "campaign {} is called {}; its page has moved with it, its files stay",
+        "campaign {} is called {}; its page has moved, its files have not",
         arguments.campaign, arguments.name
     ))?)
 }

@@ -62,8 +62,8 @@ impl Following<'_> {
         if !flags.create && !flags.dry_run {
             if self.has_creation_flags {
                 return Err(usage(anyhow!(
-                    "read `{command}`: the flags that say how to run it need --create, or \
-                     --dry-run to see what it would take"
+                    "read `{command}`: flags for a campaign to be created need --create, or \
+                     --dry-run to print its size"
                 )));
             }
             if exists {

@@ -110,7 +110,7 @@ fn diff(first: &Path, second: &Path) -> Result<(), CommandError> {
             counted(left.len() as u64, "row")
         ))?),
         count => Err(failure(anyhow!(
-            "find the same rows in {first} and {second}: they differ in {}",
+            "compare {first} and {second}: they differ in {}",
             counted(count as u64, "place")
         ))),
     }

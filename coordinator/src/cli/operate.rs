@@ -41,7 +41,7 @@ pub(super) async fn change(arguments: ChangeArguments, change: Change) -> Result
     let changed = client.call(request, Service::change_campaign).await?;
     let text = match changed.state() {
         State::Running | State::Unspecified => "running",
-        State::Paused => "paused; what is being run may still be committed",
+        State::Paused => "paused; running attempts may still be committed",
         State::Cancelled => "cancelled; its results stay",
         State::Stopped => "stopped early; its results stay",
     };

@@ -101,7 +101,7 @@ fn details(status: &CampaignStatus) -> String {
     if let Some(secs) = status.policy_retry_secs {
         let when = match secs >= 1.0 {
             true => format!("in {}", duration_text(secs)),
-            false => "by the next rollout that a worker asks for".to_owned(),
+            false => "by the next rollout that a worker claims".to_owned(),
         };
         lines.push(format!(
             "  tried again  {when}; `coordinator campaign resume {}`: at once",

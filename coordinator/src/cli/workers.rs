@@ -69,7 +69,7 @@ pub(super) async fn filming(client: &Client) -> Result<u32, CommandError> {
 pub(super) fn describe_filming(rollouts: u32) -> Option<String> {
     (rollouts > 0).then(|| {
         let rollouts = counted(rollouts.into(), "rollout");
-        format!("slots film {rollouts} that are over, before they run others")
+        format!("slots are filming {rollouts} before they run further ones")
     })
 }
 

@@ -139,7 +139,7 @@ impl Write for Pieces {
         let next = Vec::with_capacity(CHUNK_BYTES);
         let piece = std::mem::replace(&mut self.piece, next);
         let sent = self.to.blocking_send(piece);
-        sent.map_err(|_| io::Error::other("nobody reads it any more"))
+        sent.map_err(|_| io::Error::other("the client has disconnected"))
     }
 }
 

@@ -51,7 +51,7 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
     of_policies(&mut text, &policies);
     let of_all = |count: fn(&CampaignStatus) -> u64| campaigns.iter().map(count).sum::<u64>();
     let ended = "rollout_attempts_ended_total";
-    text.family(ended, COUNTER, "Attempts that ended, by how.");
+    text.family(ended, COUNTER, "Attempts by how they ended.");
     let committed = of_all(|status| status.counts.committed);
     text.sample(ended, &[("ending", "committed")], committed as f64);
     for (ending, count) in &endings {
@@ -68,15 +68,15 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
     // One gauge per line.
     #[rustfmt::skip]
     let gauges = [
-        ("rollout_leases_held", "Rollouts that workers hold.", leased),
+        ("rollout_leases_held", "Leases that workers hold.", leased),
         ("rollout_claims_waiting", "Claims of workers that are not answered yet.", waiting),
         ("rollout_workers_alive", "Workers with a recent call.", alive.count() as f64),
-        ("rollout_worker_slots_alive", "Slots of these workers.", f64::from(slots)),
-        ("rollout_database_bytes", "Size of the database.", sizes.database as f64),
-        ("rollout_database_wal_bytes", "Size of its write-ahead log.", sizes.log as f64),
-        ("rollout_disk_free_bytes", "Free on the data folder's disk.", free as f64),
-        ("rollout_leasing_held", "1 while nothing is leased for want of disk.", is_held),
-        ("rollout_page_streams", "Browsers that follow the live page.", streams),
+        ("rollout_worker_slots_alive", "Slots of workers with a recent call.", f64::from(slots)),
+        ("rollout_database_bytes", "Size of the database, bytes.", sizes.database as f64),
+        ("rollout_database_wal_bytes", "Size of the write-ahead log, bytes.", sizes.log as f64),
+        ("rollout_disk_free_bytes", "Free space on the data folder's disk, bytes.", free as f64),
+        ("rollout_leasing_held", "1 while a lack of disk space suspends leasing.", is_held),
+        ("rollout_page_streams", "Browsers with an open event stream.", streams),
     ];
     for (name, help, value) in gauges {
         text.single_gauge(name, help, value);
@@ -91,7 +91,7 @@ fn of_campaigns(text: &mut Exposition, campaigns: &[CampaignStatus]) {
     let total = campaigns.len();
     text.single_gauge(
         "rollout_campaigns",
-        "Campaigns that there are.",
+        "Number of campaigns.",
         total as f64,
     );
     let shown = &campaigns[total.saturating_sub(MAX_CAMPAIGNS)..];

@@ -171,7 +171,7 @@ function follow() {
     }
     leave();
     const crowded = await isThere();
-    say(crowded ? "Too many pages are open: this one looks again now and then." : CUT_OFF, !crowded);
+    say(crowded ? "Too many pages are open: this one polls for changes." : CUT_OFF, !crowded);
     if (crowded) refresh();
     later = setTimeout(follow, crowded ? CROWDED_MS : RETRY_MS);
   });

@@ -142,7 +142,7 @@ fn description(path: &Path) -> String {
     let length: f64 = path.windows(2).map(|pair| distance(pair[0], pair[1])).sum();
     match (path.first(), path.last()) {
         (Some(first), Some(last)) => format!(
-            "The hand goes from {} to {} in {} control steps, {:.0} cm of way",
+            "The hand moves from {} to {} in {} control steps, on a path of {:.0} cm",
             centimetres(first),
             centimetres(last),
             path.len() - 1,

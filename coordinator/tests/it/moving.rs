@@ -419,7 +419,7 @@ async fn invalid_archives_are_refused_by_name_and_change_nothing() {
         refused(words);
     }
 
-    for (field, what) in [("format", "form 1000"), ("schema", "schema version 1000")] {
+    for (field, what) in [("format", "format 1000"), ("schema", "schema version 1000")] {
         let mut newer = sound.clone();
         let mut list: Value = serde_json::from_slice(&newer[0].1).expect("a list");
         list[field] = json!(1_000);

@@ -352,9 +352,9 @@ impl SlurmArguments {
         let tokens = Tokens::read(file).map_err(failure)?;
         if tokens.has(Role::Operator) || tokens.has(Role::Viewer) || !tokens.has(Role::Worker) {
             return Err(usage(anyhow!(
-                "give {} to the workers' jobs: they are to know a worker's token and no other; \
-                 write its line into a file of its own (`grep ^worker TOKENS > worker-token`) and \
-                 name that with --worker-token-file",
+                "give {} to the workers' jobs: the jobs must not have tokens of other roles; \
+                 write the worker's line into a separate file (`grep ^worker TOKENS > \
+                 worker-token`) and pass it with --worker-token-file",
                 file.display()
             )));
         }

@@ -22,7 +22,7 @@ impl Values {
     fn of(&self, name: &str) -> &[String] {
         let found = self.0.iter().find(|(placeholder, _)| *placeholder == name);
         &found
-            .unwrap_or_else(|| panic!("nothing sets {{{{{name}}}}}, which a template names"))
+            .unwrap_or_else(|| panic!("placeholder {{{{{name}}}}} of a template was never set"))
             .1
     }
 }
@@ -135,7 +135,7 @@ mod tests {
     }
 
     #[test]
-    #[should_panic(expected = "nothing sets {{nmae}}")]
+    #[should_panic(expected = "placeholder {{nmae}} of a template")]
     fn a_placeholder_that_was_never_set_panics() {
         fill("{{nmae}}\n", &values());
     }
