@@ -14,7 +14,7 @@ use crate::storage::{Storage, StorageError};
 /// Interval between two scans for films.
 const PAUSE: Duration = Duration::from_secs(2);
 /// Concurrent uploads: the storage's latency exceeds the transfer time of a film.
-const AT_ONCE: usize = 8;
+const CONCURRENCY: usize = 8;
 /// Longest pause between retries while the storage fails.
 const LONGEST_PAUSE: Duration = Duration::from_secs(60);
 
@@ -63,7 +63,7 @@ async fn move_films(queue: &Queue, storage: &Storage) -> Result<(), String> {
             moved
         }
     });
-    let moved: Vec<Result<(), MoveError>> = moves.buffer_unordered(AT_ONCE).collect().await;
+    let moved: Vec<Result<(), MoveError>> = moves.buffer_unordered(CONCURRENCY).collect().await;
     let mut failed: Vec<MoveError> = moved.into_iter().filter_map(Result::err).collect();
     if let Some(down) = failed
         .iter()

@@ -76,7 +76,7 @@ pub(super) async fn set_endpoint(arguments: EndpointArguments) -> Result<(), Com
         ..AlterCampaignRequest::default()
     };
     let altered = alter(&arguments.connection, request).await?;
-    tell_endpoint(&arguments.campaign, altered)
+    print_endpoint(&arguments.campaign, altered)
 }
 
 /// Moves every unfinished campaign from one policy endpoint to another.
@@ -98,12 +98,12 @@ pub(super) async fn move_endpoint(arguments: MoveArguments) -> Result<(), Comman
             ..AlterCampaignRequest::default()
         };
         let altered = client.call(request, Service::alter_campaign).await?;
-        tell_endpoint(&status.campaign, altered)?;
+        print_endpoint(&status.campaign, altered)?;
     }
     Ok(())
 }
 
-fn tell_endpoint(campaign: &str, altered: AlterCampaignResponse) -> Result<(), CommandError> {
+fn print_endpoint(campaign: &str, altered: AlterCampaignResponse) -> Result<(), CommandError> {
     let status = altered.status.unwrap_or_default();
     let mut lines = vec![format!(
         "campaign {campaign} measures {} at {}",

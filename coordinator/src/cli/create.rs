@@ -283,15 +283,15 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         }
         let total = counted(campaign.jobs.len() as u64, "rollout");
         print_line(&format!("campaign {name} would have {total}"))?;
-        tell_left_out(&spec)?;
-        tell_placebo(&campaign)?;
-        tell_stop(&spec, &campaign)?;
-        tell_execution(&spec, unknown_length.as_deref())?;
+        print_left_out(&spec)?;
+        print_placebo(&campaign)?;
+        print_stop(&spec, &campaign)?;
+        print_execution(&spec, unknown_length.as_deref())?;
         print_line(&forecast::describe(&answer, &campaign.policy))?;
         if let Some(words) = planning::describe(&planning) {
             print_line(&words)?;
         }
-        return tell_size(&campaign);
+        return print_size(&campaign);
     }
     let client = arguments.connection.client()?;
     let request = CreateCampaignRequest {
@@ -305,21 +305,21 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     };
     let total = counted(created.jobs_total, "rollout");
     print_line(&format!("campaign {name} {happened}: {total}"))?;
-    tell_left_out(&spec)?;
-    tell_stop(&spec, &campaign)?;
-    tell_execution(&spec, unknown_length.as_deref())?;
+    print_left_out(&spec)?;
+    print_stop(&spec, &campaign)?;
+    print_execution(&spec, unknown_length.as_deref())?;
     if created.priority != arguments.priority {
         let kept = created.priority;
         print_line(&format!(
             "it keeps priority {kept}: `coordinator campaign set-priority` changes it"
         ))?;
     }
-    tell_size(&campaign)
+    print_size(&campaign)
 }
 
 /// Prints the execution model of the rollouts unless it is `wait`, and the reason if the policy
 /// could not be asked for the length of its answers.
-fn tell_execution(spec: &CampaignSpec, unknown_length: Option<&str>) -> Result<(), CommandError> {
+fn print_execution(spec: &CampaignSpec, unknown_length: Option<&str>) -> Result<(), CommandError> {
     if let Some(unknown_length) = unknown_length {
         print_line(&wrapped("", 2, unknown_length))?;
     }
@@ -338,7 +338,7 @@ fn tell_execution(spec: &CampaignSpec, unknown_length: Option<&str>) -> Result<(
 }
 
 /// Prints the variants that the campaign leaves out.
-fn tell_left_out(spec: &CampaignSpec) -> Result<(), CommandError> {
+fn print_left_out(spec: &CampaignSpec) -> Result<(), CommandError> {
     let Rollouts::Variants(variants) = &spec.rollouts else {
         return Ok(());
     };
@@ -353,7 +353,7 @@ fn tell_left_out(spec: &CampaignSpec) -> Result<(), CommandError> {
 }
 
 /// Prints the number of rollouts at the placebo level, which measure the noise floor.
-fn tell_placebo(campaign: &NewCampaign) -> Result<(), CommandError> {
+fn print_placebo(campaign: &NewCampaign) -> Result<(), CommandError> {
     let placebo = campaign.jobs.iter().filter(|job| job.is_placebo()).count();
     if placebo > 0 {
         let of_them = counted(placebo as u64, "rollout");
@@ -362,7 +362,7 @@ fn tell_placebo(campaign: &NewCampaign) -> Result<(), CommandError> {
     Ok(())
 }
 
-fn tell_stop(spec: &CampaignSpec, campaign: &NewCampaign) -> Result<(), CommandError> {
+fn print_stop(spec: &CampaignSpec, campaign: &NewCampaign) -> Result<(), CommandError> {
     if let Some(Stop { rule, seed, strata }) = &spec.stop {
         let strata = strata.name().replace('_', " ");
         print_line(&format!(
@@ -376,7 +376,7 @@ fn tell_stop(spec: &CampaignSpec, campaign: &NewCampaign) -> Result<(), CommandE
     Ok(())
 }
 
-fn tell_size(campaign: &NewCampaign) -> Result<(), CommandError> {
+fn print_size(campaign: &NewCampaign) -> Result<(), CommandError> {
     if let Some(words) = video_estimate::describe(campaign) {
         print_line(&words)?;
     }

@@ -20,7 +20,7 @@ use super::forecast;
 const POLL_INTERVAL: Duration = Duration::from_secs(2);
 
 /// Campaign whose rollouts follow from those of another, to be shown, proposed or created.
-pub(super) struct Following<'a> {
+pub(super) struct DerivedCampaign<'a> {
     /// Name of the campaign that it follows from.
     pub(super) source: &'a str,
     pub(super) name: &'a str,
@@ -48,7 +48,7 @@ pub(super) struct CreateFlags {
     dry_run: bool,
 }
 
-impl Following<'_> {
+impl DerivedCampaign<'_> {
     /// Creates or proposes the campaign as the flags request; `prospect` computes its size from
     /// its source. Returns false if there are no findings to show, because it was only proposed.
     pub(super) async fn begin(

@@ -226,7 +226,7 @@ fn name(job: &Job) -> String {
 }
 
 /// Describes the state of a job, such as its lease, backoff or outcome.
-fn standing(job: &Job) -> String {
+fn describe_state(job: &Job) -> String {
     match (job.state.as_str(), job.success) {
         ("leased", _) => format!(
             "running on {}, control step {}, lease ends in {}",
@@ -249,7 +249,7 @@ fn standing(job: &Job) -> String {
 }
 
 fn line(job: &Job) -> String {
-    let mut line = format!("{:<36} {}", name(job), standing(job));
+    let mut line = format!("{:<36} {}", name(job), describe_state(job));
     if job.charged_attempts > 0 {
         line.push_str(&format!(", {} charged", job.charged_attempts));
     }
@@ -263,7 +263,7 @@ fn describe_job(details: &GetJobResponse) -> String {
     let job = details.job.clone().unwrap_or_default();
     let mut lines = vec![
         format!("{}  (job {})", name(&job), job.job_id),
-        format!("  now            {}", standing(&job)),
+        format!("  now            {}", describe_state(&job)),
         format!(
             "  attempts       {}, of which {} count against it",
             job.attempt, job.charged_attempts

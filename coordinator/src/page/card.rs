@@ -32,7 +32,7 @@ impl Shown {
 /// Renders the card. `trace` is the plot of the hand's path, if any.
 pub(super) fn card(campaign: &str, shown: &Shown, replicate: u32, trace: Option<Markup>) -> Markup {
     let title = shown.id.condition().label();
-    let (class, word, detail) = standing(shown);
+    let (class, word, detail) = describe_state(shown);
     html! {
         article.rollout id=(shown.id.condition()) aria-label=(title) {
             h2 { (breakable(title)) }
@@ -74,7 +74,7 @@ pub(super) fn video_controls() -> Markup {
 }
 
 /// Returns CSS class, label and detail of a rollout's state.
-fn standing(shown: &Shown) -> (&'static str, &'static str, String) {
+fn describe_state(shown: &Shown) -> (&'static str, &'static str, String) {
     let budget = shown.row.max_steps;
     let line = &shown.line;
     match (&shown.result, line.state.as_str()) {

@@ -21,18 +21,18 @@ pub(super) struct Films {
 pub(super) fn describe_answer(answer: &Answer, transition: Transition) -> Markup {
     let (does, does_not) = verbs(transition);
     html! {
-        @for it in &answer.minimal {
+        @for minimal in &answer.minimal {
             li {
                 @if !answer.start.is_empty() { "Under " (named(answer.start)) " it fails. " }
-                "Under " strong { (named(it.set)) } " it " (does)
+                "Under " strong { (named(minimal.set)) } " it " (does)
                 // The first sentence says already that the rollout fails under the start.
-                @if answer.start.is_empty() || it.below != [answer.start] {
-                    ", and " (does_not) " under " (list(&it.below))
+                @if answer.start.is_empty() || minimal.below != [answer.start] {
+                    ", and " (does_not) " under " (list(&minimal.below))
                 }
-                @if it.is_established() {
+                @if minimal.is_established() {
                     ": all of these axes are needed."
                 } @else {
-                    @let open = it.open.len();
+                    @let open = minimal.open.len();
                     "; " (open) @if open == 1 { " smaller subset was" } @else { " smaller subsets were" }
                     " not run, so that fewer axes might do."
                 }
@@ -52,7 +52,7 @@ pub(super) fn films(lattice: &LatticeView, explanation: &Explanation) -> Films {
     let mut films = Films::default();
     let mut parts = Vec::new();
     for answer in &explanation.answers {
-        let best = |it: &&MinimalSubset| (!it.is_established(), it.set);
+        let best = |minimal: &&MinimalSubset| (!minimal.is_established(), minimal.set);
         if let Some(minimal) = answer.minimal.iter().min_by_key(best) {
             let (count, part) = side_by_side(lattice, minimal, explanation.transition);
             films.count += count;
@@ -146,7 +146,7 @@ fn card(film: &Film) -> Markup {
 fn remedies(lattice: &LatticeView, shown: &[Film]) -> Markup {
     let mut missing: Vec<&Source> = Vec::new();
     for film in shown.iter().filter(|film| !film.is_filmed) {
-        let is_other = |it: &&Source| it.campaign.id != film.source.campaign.id;
+        let is_other = |source: &&Source| source.campaign.id != film.source.campaign.id;
         if missing.iter().all(is_other) {
             missing.push(film.source);
         }

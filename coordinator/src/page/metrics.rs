@@ -89,11 +89,7 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
 
 fn of_campaigns(text: &mut Exposition, campaigns: &[CampaignStatus]) {
     let total = campaigns.len();
-    text.single_gauge(
-        "rollout_campaigns",
-        "Number of campaigns.",
-        total as f64,
-    );
+    text.single_gauge("rollout_campaigns", "Number of campaigns.", total as f64);
     let shown = &campaigns[total.saturating_sub(MAX_CAMPAIGNS)..];
     let jobs = "rollout_jobs";
     text.family(jobs, GAUGE, "Rollouts of a campaign, by state.");

@@ -79,8 +79,8 @@ impl Problem {
                 a href={ "/campaigns/" (campaign) "/rollouts" } { "Its rollouts" } "."
             },
             Problem::Video => html! {
-                "This rollout has no video: a campaign films the rollouts that " code { "--record" } \
-                " selected at its creation."
+                "This rollout has no video: a campaign films the rollouts that "
+                code { "--record" } " selected at its creation."
             },
             Problem::TooManyStreams => html! {
                 "Too many pages are open. This one polls for changes instead."

@@ -143,7 +143,7 @@ fn table(campaign: &str, lines: &[JobLine]) -> Markup {
         @for line in lines {
             tr {
                 th scope="row" { (rollout(campaign, &line.rollout_id, line.replicate)) }
-                td.words { (standing(line)) }
+                td.words { (describe_state(line)) }
                 td { (line.attempt) }
                 td.words { (line.last_error.as_deref().unwrap_or_default()) }
             }
@@ -153,7 +153,7 @@ fn table(campaign: &str, lines: &[JobLine]) -> Markup {
     layout::table("Rollouts", &columns, &rows)
 }
 
-fn standing(line: &JobLine) -> String {
+fn describe_state(line: &JobLine) -> String {
     match (line.state.as_str(), line.success, line.steps) {
         (_, Some(true), Some(steps)) => format!("success after {steps} steps"),
         (_, Some(false), Some(steps)) => format!("failure in {steps} steps"),

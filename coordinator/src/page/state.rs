@@ -42,7 +42,7 @@ pub(super) type Compared = Result<Comparison, Unpairable>;
 type Editions = (Edition, Option<Edition>);
 
 /// Requested address and headers.
-pub(super) type Asked = (Uri, HeaderMap);
+pub(super) type RequestedPage = (Uri, HeaderMap);
 
 /// Shared state of the pages' handlers.
 #[derive(Debug)]
@@ -98,7 +98,7 @@ impl Page {
     /// the browser has the same.
     pub(super) async fn show(
         &self,
-        (uri, headers): Asked,
+        (uri, headers): RequestedPage,
         sheet: impl Future<Output = Result<Sheet, Problem>>,
     ) -> Response {
         let address = uri.path_and_query().map_or("/", |address| address.as_str());

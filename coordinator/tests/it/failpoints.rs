@@ -21,7 +21,7 @@ use crate::invariants::sound;
 use crate::process::Serve;
 
 /// Number of processes that run, and are killed, at the same time.
-const AT_ONCE: usize = 4;
+const CONCURRENCY: usize = 4;
 /// Duration of a lease, seconds, and number of the sweep that finds it expired.
 const LEASE_SECS: u32 = 3;
 const EXPIRING_SWEEP: u32 = 5;
@@ -43,7 +43,7 @@ pub(crate) fn serve(folder: &Path, point: &str) -> Child {
 }
 
 /// Performs every kind of write once, as long as the coordinator answers.
-async fn everything(serve: &Serve) -> Result<(), Status> {
+async fn call_everything(serve: &Serve) -> Result<(), Status> {
     let mut operator = OperatorServiceClient::connect(serve.url.clone())
         .await
         .map_err(|error| Status::unavailable(error.to_string()))?;
@@ -222,7 +222,7 @@ async fn die_at(folder: TempDir, side: Side, step: Step) -> Vec<u8> {
     let mut serve = Serve::of(child);
     if serve.is_ready() {
         // Fails at the call during which the process is killed.
-        let _ = everything(&serve).await;
+        let _ = call_everything(&serve).await;
     }
     let began = Instant::now();
     let status = loop {
@@ -258,13 +258,13 @@ async fn a_kill_around_any_transaction_keeps_the_invariants_and_the_report() {
     let mut points: Vec<(Side, Step)> = steps
         .flat_map(|step| [(Side::Before, step), (Side::After, step)])
         .collect();
-    let mut lives = JoinSet::new();
-    while !points.is_empty() || !lives.is_empty() {
-        while let (true, Some((side, step))) = (lives.len() < AT_ONCE, points.pop()) {
+    let mut processes = JoinSet::new();
+    while !points.is_empty() || !processes.is_empty() {
+        while let (true, Some((side, step))) = (processes.len() < CONCURRENCY, points.pop()) {
             let copy = copy_of(folder.path());
-            lives.spawn(async move { (side, step, die_at(copy, side, step).await) });
+            processes.spawn(async move { (side, step, die_at(copy, side, step).await) });
         }
-        let life = lives.join_next().await.expect("one is alive");
+        let life = processes.join_next().await.expect("one is alive");
         let (side, step, report) = life.expect("it was as it should be");
         assert!(report == undisturbed, "{side:?} {step:?}: another report");
     }

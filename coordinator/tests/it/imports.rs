@@ -143,7 +143,7 @@ async fn check_unchanged(target: &Bench, before: &[String], file: &Path) {
         "a refused row changed something"
     );
     target.import(file);
-    target.in_order().await;
+    target.assert_invariants().await;
 }
 
 /// The source has these rollouts, so that the budgets follow from its rows.

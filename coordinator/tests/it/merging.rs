@@ -66,12 +66,12 @@ async fn consistent_halves_merge_into_the_campaign_of_one_coordinator() {
 
     let mut target = Bench::empty().await;
     target.import(&whole);
-    target.in_order().await;
+    target.assert_invariants().await;
     let films = target.folder.path().join("artifacts/moved");
     assert_eq!(std::fs::read_dir(films).expect("films").count(), 1);
     // Rollouts that neither half has run are still waiting.
     target.run(64, "").await;
-    target.in_order().await;
+    target.assert_invariants().await;
     first.run(64, "").await;
     assert_eq!(target.report("moved"), first.report("moved"));
     // A campaign merged with itself stays the same.
@@ -88,7 +88,7 @@ async fn consistent_halves_merge_into_the_campaign_of_one_coordinator() {
     assert_eq!(counts(&message), [13, repeated + outcomes], "{message}");
     let last = Bench::empty().await;
     last.import(&three);
-    last.in_order().await;
+    last.assert_invariants().await;
     assert_eq!(last.report("moved"), first.report("moved"));
 }
 

@@ -120,7 +120,7 @@ impl Bench {
         rows
     }
 
-    pub(crate) async fn in_order(&self) {
+    pub(crate) async fn assert_invariants(&self) {
         let violations = check(self.folder.path()).await.expect("a database");
         assert_eq!(violations, []);
     }
@@ -214,7 +214,7 @@ async fn a_moved_campaign_continues_at_another_coordinator_to_the_same_report() 
         message.contains("13 rollouts, 6 results and 1 film"),
         "{message}"
     );
-    target.in_order().await;
+    target.assert_invariants().await;
     assert_eq!(target.report("moved"), source.report("moved"));
     assert_eq!(
         target.must(&["export", "moved", "--format", "jsonl"]),
@@ -247,7 +247,7 @@ async fn a_moved_campaign_continues_at_another_coordinator_to_the_same_report() 
     for bench in [&mut source, &mut target] {
         tokio::time::sleep(Duration::from_millis(1_200)).await;
         bench.run(13, "").await;
-        bench.in_order().await;
+        bench.assert_invariants().await;
     }
     assert_eq!(target.report("moved"), source.report("moved"));
 }
@@ -273,15 +273,15 @@ async fn importing_an_existing_name_is_refused_and_another_name_makes_a_copy() {
 
     // A copy beside the original shares no attempt id with it.
     source.must(&["campaign", "import", &path, "--as", "copy"]);
-    source.in_order().await;
+    source.assert_invariants().await;
     let original = source.report("moved").replace("\"moved\"", "\"copy\"");
     assert_eq!(source.report("copy"), original);
     let films = source.folder.path().join("artifacts/copy");
     assert_eq!(std::fs::read_dir(films).expect("films").count(), 1);
     source.run(64, "").await;
-    source.in_order().await;
+    source.assert_invariants().await;
     source.must(&["campaign", "delete", "moved", "--confirm", "moved"]);
-    source.in_order().await;
+    source.assert_invariants().await;
     let films = source.folder.path().join("artifacts/copy");
     assert_eq!(std::fs::read_dir(films).expect("films").count(), 1);
 }
@@ -438,7 +438,7 @@ async fn invalid_archives_are_refused_by_name_and_change_nothing() {
     let missing = target.refused(&["campaign", "import", "nowhere.tar.gz"]);
     assert!(missing.contains("nowhere.tar.gz"), "{missing}");
     target.import(&file);
-    target.in_order().await;
+    target.assert_invariants().await;
 }
 
 /// A small archive that would unpack to a large one costs neither memory nor disk space.
@@ -550,7 +550,7 @@ async fn a_derived_campaign_is_imported_after_its_source() {
     assert!(message.contains("follows from `moved`") && message.contains("import that one first"));
     target.import(&source_archive);
     target.import(&file);
-    target.in_order().await;
+    target.assert_invariants().await;
     assert_eq!(target.report(name), source.report(name));
     let message = target.refused(&["campaign", "delete", "moved", "--confirm", "moved"]);
     assert!(message.contains(name), "{message}");

@@ -37,7 +37,7 @@ async fn together<T: Send + 'static>(
 }
 
 /// Stops the coordinator and checks its database.
-async fn in_order(bench: Bench) {
+async fn assert_invariants(bench: Bench) {
     let folder = bench.stop().await;
     let violations = check(folder.path()).await.expect("checked");
     assert!(violations.is_empty(), "{violations:?}");
@@ -86,7 +86,7 @@ async fn batched_reports_each_get_their_own_verdict() {
     assert_eq!(bench.status("together").await.committed, 8);
     let one = "SELECT count(*) FROM divergence";
     assert_eq!(bench.count(one).await, 1);
-    in_order(bench).await;
+    assert_invariants(bench).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -103,7 +103,7 @@ async fn one_of_two_batched_reports_of_a_rollout_is_stored() {
         let expected = [Verdict::Accepted, Verdict::Duplicate];
         assert_eq!(pair, expected.iter().map(Verdict::as_str_name).collect());
     }
-    in_order(bench).await;
+    assert_invariants(bench).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -119,7 +119,7 @@ async fn contradictory_siblings_in_one_batch_are_not_both_stored() {
     let mut verdicts = together(&bench, requests.collect()).await;
     verdicts.sort_by_key(|verdict| i32::from(*verdict));
     assert_eq!(verdicts, [Verdict::Accepted, Verdict::Unpaired]);
-    in_order(bench).await;
+    assert_invariants(bench).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -146,5 +146,5 @@ async fn batched_claims_are_served_in_order_of_arrival() {
         "each once, and the first in paired-unit order"
     );
     assert!(shares.iter().flatten().all(|lease| lease.attempt == 2));
-    in_order(bench).await;
+    assert_invariants(bench).await;
 }

@@ -19,7 +19,7 @@ impl Values {
         self.0.push((name, values.into_iter().collect()));
     }
 
-    fn of(&self, name: &str) -> &[String] {
+    fn get(&self, name: &str) -> &[String] {
         let found = self.0.iter().find(|(placeholder, _)| *placeholder == name);
         &found
             .unwrap_or_else(|| panic!("placeholder {{{{{name}}}}} of a template was never set"))
@@ -34,20 +34,20 @@ impl Values {
 pub(super) fn fill(template: &str, values: &Values) -> String {
     let lines = template.lines().flat_map(|line| {
         let names = placeholders(line);
-        if names.iter().any(|name| values.of(name).is_empty()) {
+        if names.iter().any(|name| values.get(name).is_empty()) {
             return Vec::new();
         }
         if !line.starts_with("#SBATCH") {
             let words = |name: &str| {
-                let words = values.of(name).iter().map(|value| for_shell(value));
+                let words = values.get(name).iter().map(|value| for_shell(value));
                 words.collect::<Vec<_>>().join(" ")
             };
             return vec![replace(line, &words)];
         }
-        let times = names.iter().map(|name| values.of(name).len()).max();
+        let times = names.iter().map(|name| values.get(name).len()).max();
         let repeat = |time: usize| {
             replace(line, &|name| {
-                let values = values.of(name);
+                let values = values.get(name);
                 for_slurm(&values[time.min(values.len() - 1)])
             })
         };
