@@ -18,12 +18,12 @@ mod lattice_view;
 mod layout;
 mod log_in;
 mod metrics;
+mod overviews;
 mod perturbation;
 mod problem;
 mod rollouts;
 mod single_flight;
 mod speed;
-mod standing;
 mod state;
 mod subsets;
 mod trace;
@@ -127,15 +127,15 @@ async fn one_video(
 }
 
 async fn all_workers(State(page): PageState, request: RequestedPage) -> Response {
-    page.show(request, standing::workers(&page)).await
+    page.show(request, overviews::workers(&page)).await
 }
 
 async fn all_policies(State(page): PageState, request: RequestedPage) -> Response {
-    page.show(request, standing::policies(&page)).await
+    page.show(request, overviews::policies(&page)).await
 }
 
 async fn the_quarantine(State(page): PageState, request: RequestedPage) -> Response {
-    page.show(request, standing::quarantine(&page)).await
+    page.show(request, overviews::quarantine(&page)).await
 }
 
 async fn events(State(page): PageState) -> Response {

@@ -267,7 +267,7 @@ pub(crate) fn judge(samples: &[Sample]) -> Result<()> {
         values.get(values.len() / 2).copied().unwrap_or_default()
     };
     let grown = |of: &[Sample], value: fn(&Sample) -> f64| {
-        let results = |it: &Sample| it.accepted as f64;
+        let results = |sample: &Sample| sample.accepted as f64;
         let of_results = results(&of[of.len() - 1]) - results(&of[0]);
         (value(&of[of.len() - 1]) - value(&of[0])) / of_results.max(1.0)
     };

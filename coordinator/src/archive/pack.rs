@@ -34,17 +34,18 @@ pub async fn package(
 ) -> Result<Package, ArchiveError> {
     let mut members: Vec<(String, PathBuf)> = Vec::new();
     let mut missing = Vec::new();
-    for it in campaign.films().await? {
-        let name = it.path.rsplit('/').next().unwrap_or_default();
+    for film_file in campaign.films().await? {
+        let name = film_file.path.rsplit('/').next().unwrap_or_default();
         let path = film(name);
         match path.is_file() {
-            true => members.push((it.path, path)),
-            false => missing.push(it.path),
+            true => members.push((film_file.path, path)),
+            false => missing.push(film_file.path),
         }
     }
     if !missing.is_empty() {
         let campaign_name = &campaign.campaign.name;
-        tracing::warn!(campaign = %campaign_name, "films left out of the archive because their files are missing: {}",
+        tracing::warn!(campaign = %campaign_name,
+            "films left out of the archive because their files are missing: {}",
             missing.join(", "));
         campaign.leave_out(&missing).await?;
     }

@@ -83,7 +83,8 @@ pub(super) async fn set_endpoint(arguments: EndpointArguments) -> Result<(), Com
 pub(super) async fn move_endpoint(arguments: MoveArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
     let campaigns = client.list_campaigns().await?;
-    let moves = |it: &&CampaignStatus| it.policy_endpoint == arguments.from && !is_finished(it);
+    let moves =
+        |status: &&CampaignStatus| status.policy_endpoint == arguments.from && !is_finished(status);
     let moved: Vec<&CampaignStatus> = campaigns.iter().filter(moves).collect();
     if moved.is_empty() {
         return Ok(print_line(&format!(

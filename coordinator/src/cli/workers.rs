@@ -74,7 +74,7 @@ pub(super) fn describe_filming(rollouts: u32) -> Option<String> {
 }
 
 fn line(worker: &WorkerStatus) -> String {
-    let standing = match (worker.alive, worker.stopped_reason.as_str()) {
+    let state = match (worker.alive, worker.stopped_reason.as_str()) {
         (false, _) if worker.signed_off => "ended".to_owned(),
         (false, _) => "gone".to_owned(),
         (true, "") => format!("{}/{} slots busy", worker.leases, worker.slots),
@@ -90,7 +90,7 @@ fn line(worker: &WorkerStatus) -> String {
         rollouts => format!("\n  filming {rollouts} rollouts"),
     };
     format!(
-        "{} on {}: {standing}{failures}, last call {} ago{filming}\n  {}",
+        "{} on {}: {state}{failures}, last call {} ago{filming}\n  {}",
         worker.worker_id,
         worker.host,
         duration_text(worker.silent_secs),

@@ -218,7 +218,7 @@ async fn next_chunk(
     match tokio::time::timeout(MAX_CHUNK_WAIT, chunks.next()).await {
         Ok(chunk) => chunk.transpose(),
         Err(_) => Err(Status::deadline_exceeded(format!(
-            "nothing arrived for {MAX_CHUNK_WAIT:?} within an archive"
+            "no chunk of the archive arrived within {MAX_CHUNK_WAIT:?}"
         ))),
     }
 }

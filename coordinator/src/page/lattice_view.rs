@@ -56,7 +56,9 @@ pub(super) async fn read(
             continue;
         };
         let one = source(view, by, asked).await?;
-        let most = explaining.as_ref().map_or(0, |(it, _)| it.rows.len());
+        let most = explaining
+            .as_ref()
+            .map_or(0, |(source, _)| source.rows.len());
         if one.rows.len() > most {
             explaining = Some((one, explanation));
         }

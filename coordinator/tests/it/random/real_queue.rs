@@ -84,10 +84,9 @@ async fn run_on_real_queue(events: &[Event]) {
             event => std::slice::from_ref(event),
         };
         let numbered = events.iter().zip(state.claims.len()..);
-        let happening =
-            numbered.map(|(event, number)| apply(&queue, &clock, &state, event, number));
-        for news in join_all(happening).await {
-            match news {
+        let effects = numbered.map(|(event, number)| apply(&queue, &clock, &state, event, number));
+        for effect in join_all(effects).await {
+            match effect {
                 Effect::Claimed(claim, attempt) => {
                     let worker = claim.worker.clone();
                     state

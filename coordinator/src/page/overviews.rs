@@ -86,7 +86,7 @@ fn workers_table(name: &str, workers: &[WorkerLine], now: UnixMillis) -> Markup 
         "machine",
         "busy",
         "last call",
-        ".standing",
+        ".state",
         ".runs on",
     ];
     let rows = html! { @for worker in workers { (worker_row(worker, now)) } };
