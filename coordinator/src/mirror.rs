@@ -90,7 +90,7 @@ impl MoveError {
         words
     }
 
-    fn of(error: &StorageError) -> Self {
+    fn from_storage(error: &StorageError) -> Self {
         let words = transport::chain(error);
         match error {
             StorageError::File { .. } => Self::File(words),
@@ -101,14 +101,14 @@ impl MoveError {
 
 async fn move_film(queue: &Queue, storage: &Storage, film: &FilmHere) -> Result<(), MoveError> {
     let stored = storage.put(&film.path, &film.file).await;
-    stored.map_err(|error| MoveError::of(&error))?;
+    stored.map_err(|error| MoveError::from_storage(&error))?;
     let forgotten = queue
         .forget_film(film)
         .await
         .map_err(|error| MoveError::File(format!("remove {}: {error}", film.file.display())))?;
     if forgotten == Forgotten::Deleted {
         let deleted = storage.delete(&film.path).await;
-        deleted.map_err(|error| MoveError::of(&error))?;
+        deleted.map_err(|error| MoveError::from_storage(&error))?;
     }
     Ok(())
 }

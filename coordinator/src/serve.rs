@@ -196,7 +196,7 @@ async fn sweep(queue: Arc<Queue>, min_free_bytes: u64) {
         due.tick().await;
         let folder = queue.store().folder();
         let shortage = match queue.sweep().await {
-            Ok(()) => Room::look(folder, min_free_bytes).shortage(folder),
+            Ok(()) => Room::measure(folder, min_free_bytes).shortage(folder),
             Err(QueueError::Store(StoreError::Gone { folder })) => Some(format!(
                 "the data folder {} is gone, or another database is in its place: \
                  `coordinator backup --output FILE` saves what was committed",

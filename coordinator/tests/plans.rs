@@ -313,7 +313,7 @@ async fn wait_for_queue_tasks(queue: &Queue) {
         let why = statuses
             .iter()
             .find(|status| status.campaign.name.as_str() == "why");
-        if !why.expect("it is here").may_grow {
+        if !why.expect("the campaign").may_grow {
             return;
         }
         tokio::time::sleep(Duration::from_millis(10)).await;

@@ -115,7 +115,7 @@ impl Crowd {
         for _ in 0..FILMERS {
             tasks.spawn(crowd.clone().film(crowd.client()));
         }
-        *crowd.tasks.try_lock().expect("nobody has it yet") = tasks;
+        *crowd.tasks.try_lock().expect("an unlocked mutex") = tasks;
         crowd
     }
 

@@ -248,7 +248,7 @@ impl Reading<'_> {
         let needed = total
             .saturating_add(copied)
             .saturating_add(DEFAULT_MIN_FREE_MIB << 20);
-        let room = Room::look(into, needed);
+        let room = Room::measure(into, needed);
         match room.free_bytes < needed {
             true => Err(ArchiveError::NoRoom {
                 archive: self.archive.to_owned(),

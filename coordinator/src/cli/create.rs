@@ -276,7 +276,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     if arguments.dry_run {
         let client = arguments.connection.patient_client(Duration::ZERO)?;
         let earlier = arguments.planning_from.as_deref();
-        let planning = Planning::of(&campaign, earlier, &arguments.connection).await?;
+        let planning = Planning::compute(&campaign, earlier, &arguments.connection).await?;
         let answer = forecast::request(&client, &campaign, arguments.policy_rate).await;
         if arguments.json {
             return forecast::print(&campaign, answer, &planning);

@@ -63,7 +63,7 @@ pub(super) fn print(
     answer: Result<ForecastResponse, String>,
     planning: &Planning,
 ) -> Result<(), CommandError> {
-    json::print(&DryRun::of(campaign, answer, planning))
+    json::print(&DryRun::new(campaign, answer, planning))
 }
 
 /// Output of `campaign create --dry-run --json`; docs/JSON.md has the schema.
@@ -111,7 +111,7 @@ json::forms! {
 
 impl<'a> DryRun<'a> {
     /// Describes a campaign for a dry run, with its forecast or the error that prevented it.
-    fn of(
+    fn new(
         campaign: &'a NewCampaign,
         answer: Result<ForecastResponse, String>,
         planning: &'a Planning,

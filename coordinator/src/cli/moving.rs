@@ -75,7 +75,7 @@ pub(super) async fn archive(arguments: ArchiveArguments) -> Result<(), CommandEr
         campaign: arguments.campaign.clone(),
     };
     let mut chunks = client.call(request, Service::archive_campaign).await?;
-    let stored = Stored::of(&arguments.output)?;
+    let stored = Stored::from_argument(&arguments.output)?;
     let output = stored
         .as_ref()
         .map_or(&arguments.output, |object| &object.file);
@@ -99,7 +99,7 @@ pub(super) async fn archive(arguments: ArchiveArguments) -> Result<(), CommandEr
 
 pub(super) async fn import(arguments: ImportArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
-    let stored = Stored::of(&arguments.file)?;
+    let stored = Stored::from_argument(&arguments.file)?;
     if let Some(stored) = &stored {
         let fetched = stored.storage.fetch(&stored.name, None, &stored.file).await;
         if !fetched.map_err(failure)? {
@@ -222,7 +222,7 @@ struct Stored {
 
 impl Stored {
     /// Returns the remote object that an argument names; `None` if it names a local file.
-    fn of(given: &Path) -> Result<Option<Stored>, CommandError> {
+    fn from_argument(given: &Path) -> Result<Option<Stored>, CommandError> {
         let address = given.to_string_lossy();
         if !Storage::is_remote(&address) {
             return Ok(None);

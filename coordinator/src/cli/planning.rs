@@ -64,7 +64,7 @@ impl From<Detectable> for Found {
 impl Planning {
     /// Plans a campaign from the outcomes of `earlier`, a campaign or a folder of result rows, or
     /// from the student's published outcomes if `earlier` is `None`.
-    pub(super) async fn of(
+    pub(super) async fn compute(
         campaign: &NewCampaign,
         earlier: Option<&str>,
         connection: &Connection,

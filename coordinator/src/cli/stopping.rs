@@ -11,28 +11,23 @@ pub(super) fn explain_rule(rule: &StopRule, configurations: usize) -> Vec<String
     let mut lines: Vec<String> = rule
         .clauses()
         .iter()
-        .map(|clause| {
-            format!(
-                "if it does, it will have shown that {}",
-                shown(*clause, &these)
-            )
-        })
+        .map(|clause| format!("an early end shows that {}", shown(*clause, &these)))
         .collect();
     if rule.is_about_new_tasks() {
         lines.push(
             "with 95 % for each level, at all looks together, for new tasks of these suites, each \
-             of which weighs the same, under these directions; tasks are run whole, one of every \
-             suite in turn, and looked at after each such round. Of 40 tasks only a difference of \
-             about 15 points or more ends a campaign early, and it is likely to be larger at that look \
-             than it is"
+             of which weighs the same, under these directions; whole tasks are run in rounds, \
+             one of every suite, and evaluated after each round. With 40 tasks, only a difference \
+             of about 15 points or more ends a campaign early, and its estimate at that look is \
+             likely to be too large"
                 .to_owned(),
         );
         return lines;
     }
     if rule.clauses().iter().any(is_certain_at_the_end) {
         lines.push(
-            "a run to the end shows as much for certain, unless emergent failures and \
-             compensated successes are equally many; an early end saves rollouts and proves \
+            "a run to the end shows as much for certain, unless the numbers of emergent failures \
+             and compensated successes are equal; an early end saves rollouts and proves \
              no more than that"
                 .to_owned(),
         );

@@ -129,7 +129,7 @@ async fn run(
     print_line(&ready(arguments, &coordinator, &gateway))?;
     tokio::select! {
         () = requests.next() => Ok(()),
-        error = programs.one_ends() => Err(error),
+        error = programs.next_exit() => Err(error),
     }
 }
 
@@ -246,13 +246,13 @@ impl Programs {
                     }
                 }
                 // The program closed its standard output: it has exited or is about to.
-                None => return Err(self.one_ends().await),
+                None => return Err(self.next_exit().await),
             }
         }
     }
 
     /// Waits until one of the programs exits and returns an error that names it.
-    async fn one_ends(&mut self) -> anyhow::Error {
+    async fn next_exit(&mut self) -> anyhow::Error {
         loop {
             for program in &mut self.started {
                 let how = match program.child.try_wait() {

@@ -199,7 +199,7 @@ async fn receive(
     file.write_all(first).await.map_err(unwritable)?;
     while let Some(chunk) = next_chunk(chunks).await? {
         // Running campaigns need the remaining space for their results.
-        let room = Room::look(folder, DEFAULT_MIN_FREE_MIB << 20);
+        let room = Room::measure(folder, DEFAULT_MIN_FREE_MIB << 20);
         if room.free_bytes < room.needed_bytes {
             return Err(Status::resource_exhausted(format!(
                 "receive the archive: the disk of the coordinator's data folder has {} MiB left; \

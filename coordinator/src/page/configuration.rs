@@ -45,7 +45,7 @@ pub(super) async fn sheet(
     let of_cards = shown.iter().filter(|shown| shown.video_bytes().is_some());
     let videos = of_cards.count() + subsets.films;
     let campaign = name.as_str();
-    let extent = Extent::of(shown.iter().map(|shown| &shown.path));
+    let extent = Extent::from_paths(shown.iter().map(|shown| &shown.path));
     let is_nominal = |shown: &&Shown| shown.id.condition() == Condition::Clean;
     let nominal = shown.iter().find(is_nominal);
     let trace = |rollout: &Shown| {

@@ -60,7 +60,7 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
     let alive = workers.iter().filter(|worker| worker.is_alive);
     let slots: u32 = alive.clone().map(|worker| worker.slots).sum();
     let sizes = queue.store().sizes();
-    let free = Room::look(queue.store().folder(), 0).free_bytes;
+    let free = Room::measure(queue.store().folder(), 0).free_bytes;
     let leased = of_all(|status| status.counts.leased) as f64;
     let waiting = page.gauges.claims() as f64;
     let is_held = f64::from(queue.held().is_some());

@@ -149,12 +149,12 @@ fn policy_section(policy: &PolicyLine, now: UnixMillis) -> Markup {
                     pre { (reason) }
                 },
                 PolicyState::Probing { reason, .. } => {
-                    p { "One rollout is out to try it; the others wait. The reason: " }
+                    p { "One rollout is trying the policy; the others wait. The reason: " }
                     pre { (reason) }
                 },
             }
             p {
-                @if policy.campaigns.is_empty() { "No campaign measures it any more" }
+                @if policy.campaigns.is_empty() { "No campaign measures this policy" }
                 @else { "Campaigns that measure it: " }
                 @for (index, campaign) in policy.campaigns.iter().enumerate() {
                     @if index > 0 { ", " }

@@ -171,7 +171,7 @@ mod tests {
             assert!(given_up.is_err(), "the computation waits");
         }
         // Enough signals for every computation, had several been started.
-        (0..6).for_each(|_| release.send(()).expect("the gate is there"));
+        (0..6).for_each(|_| release.send(()).expect("a waiting computation"));
         assert_eq!(request().await, Ok(0));
         assert_eq!(begun.load(Ordering::Relaxed), 1);
     }

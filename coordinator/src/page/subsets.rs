@@ -40,7 +40,7 @@ pub(super) async fn section(
         let name = lattice.measured.campaign.name.as_str();
         let hint = html! {
             p {
-                "Which of the axes it takes is not known; to find out: "
+                "The axes that cause this are unknown. This command finds them: "
                 code { "coordinator explain " (name) " --create" }
             }
         };
@@ -77,8 +77,8 @@ pub(super) async fn section(
                 figcaption {
                     "This configuration under every subset of the axes: none on top, all at the \
                     bottom, a line wherever one axis is added. Initial state and every perturbation \
-                    are the same throughout. A node opens its rollout; what has a ring changes the \
-                    outcome, and nothing smaller that was run does."
+                    are the same throughout. A node opens its rollout; a ring marks a subset that \
+                    changes the outcome while no smaller one that was run does."
                 }
             }
             (films.markup)

@@ -43,7 +43,7 @@ pub(super) fn read(motion: &Motion) -> Path {
 
 impl Extent {
     /// Returns the extent of several paths; `None` if all are empty.
-    pub(super) fn of<'a>(paths: impl Iterator<Item = &'a Path>) -> Option<Extent> {
+    pub(super) fn from_paths<'a>(paths: impl Iterator<Item = &'a Path>) -> Option<Extent> {
         let mut extent: Option<Extent> = None;
         for path in paths {
             for position in path {
@@ -70,7 +70,7 @@ impl Extent {
 
     /// Projects a position to the view from above, the robot at the top: world x points down, y to
     /// the right.
-    fn seen_above(&self, [x, y, _]: [f64; 3]) -> [f64; 2] {
+    fn project_from_above(&self, [x, y, _]: [f64; 3]) -> [f64; 2] {
         let scale = self.scale();
         let middle = |axis: usize| f64::midpoint(self.low[axis], self.high[axis]);
         let half = ABOVE / 2.0;
@@ -94,8 +94,8 @@ impl Extent {
 pub(super) fn plot(path: &Path, nominal: Option<&Path>, extent: &Extent) -> Markup {
     let (above, height) = lines(path, extent);
     let under = nominal.map(|nominal| lines(nominal, extent));
-    let begin = path.first().map(|first| extent.seen_above(*first));
-    let end = path.last().map(|last| extent.seen_above(*last));
+    let begin = path.first().map(|first| extent.project_from_above(*first));
+    let end = path.last().map(|last| extent.project_from_above(*last));
     let bar = BAR_M * extent.scale();
     let base = TOP + ABOVE + 12.0;
     html! {
@@ -124,7 +124,7 @@ fn lines(path: &Path, extent: &Extent) -> (String, String) {
     let point = |[x, y]: [f64; 2]| format!("{},{}", px(x), px(y));
     let above = path
         .iter()
-        .map(|position| point(extent.seen_above(*position)));
+        .map(|position| point(extent.project_from_above(*position)));
     let heights = path.iter().enumerate();
     let heights = heights.map(|(step, [_, _, z])| point(extent.height(step, *z)));
     (
@@ -188,7 +188,7 @@ mod tests {
             )),
             read(&Motion::pack(&[[0, 0, 10_000]], &[])),
         ];
-        let extent = Extent::of(paths.iter()).expect("positions");
+        let extent = Extent::from_paths(paths.iter()).expect("positions");
         assert_eq!(extent.steps, 2);
         for path in &paths {
             for (step, position) in path.iter().enumerate() {
@@ -199,7 +199,7 @@ mod tests {
                         "{value}"
                     );
                 };
-                let [x, y] = extent.seen_above(*position);
+                let [x, y] = extent.project_from_above(*position);
                 within([2.0, 2.0 + ABOVE], x);
                 within([TOP, TOP + ABOVE], y);
                 let [x, y] = extent.height(step, position[2]);
@@ -207,7 +207,7 @@ mod tests {
                 within([TOP, TOP + ABOVE], y);
             }
         }
-        assert!(Extent::of([Path::new()].iter()).is_none());
+        assert!(Extent::from_paths([Path::new()].iter()).is_none());
         let words = description(&paths[0]);
         assert!(
             words.contains("2 control steps") && words.contains("x −30.0"),

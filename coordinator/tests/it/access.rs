@@ -414,7 +414,7 @@ fn readable_secrets_are_refused_and_stored_files_are_private() {
         &["--token-file", tokens_text],
         File::create(path("log")).expect("a log").into(),
     );
-    let mode = |path: &Path| path.metadata().expect("it is there").mode() & 0o777;
+    let mode = |path: &Path| path.metadata().expect("an existing file").mode() & 0o777;
     assert_eq!(mode(&data), 0o700);
     let database = data.join("coordinator.sqlite");
     for suffix in ["", "-wal", "-shm"] {
@@ -442,7 +442,7 @@ async fn silent_connections_are_closed_and_do_not_exhaust_the_limit() {
         .stdout(Stdio::piped())
         .stderr(Stdio::null())
         .spawn();
-    let serve = Serve::of(limited.expect("starts"));
+    let serve = Serve::wait_until_listening(limited.expect("starts"));
     assert!(serve.is_ready(), "it listens");
     let address = serve.url.strip_prefix("http://").expect("a URL");
     let connect = || TcpStream::connect(address).expect("a connection");

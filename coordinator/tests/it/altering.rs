@@ -106,7 +106,7 @@ async fn an_altered_campaign_is_recognised_by_its_new_specification_only() {
     alter(&bench, request).await.expect("altered");
     let policy = json!({"policy": {"name": "expart", "endpoint": ELSEWHERE}});
     let now = bench.create(&with(before.clone(), policy)).await;
-    assert_eq!(now.expect("there").jobs_added, 0);
+    assert_eq!(now.expect("an existing campaign").jobs_added, 0);
     let refused = bench.create(&before).await.expect_err("another");
     assert_eq!(refused.code(), Code::AlreadyExists);
     assert!(refused.message().contains("`policy`"), "{refused}");
@@ -199,7 +199,10 @@ async fn a_renamed_campaign_keeps_everything_and_is_found_under_its_new_name() {
     let second = film(&mut worker, &held).await;
     assert!(second.starts_with("artifacts/old/"), "{second}");
     assert_eq!(bench.status("new").await.committed, 2);
-    let again = bench.create(&small_spec("new")).await.expect("there");
+    let again = bench
+        .create(&small_spec("new"))
+        .await
+        .expect("an existing campaign");
     assert_eq!(again.jobs_added, 0);
     let request = wire::GetCampaignRequest {
         campaign: "old".to_owned(),

@@ -208,7 +208,10 @@ async fn higher_priorities_are_leased_first_and_can_be_changed() {
     assert_eq!(worker.claim_one().await.campaign, "urgent");
     assert_eq!(worker.claim_one().await.campaign, "urgent");
     // Creating the same campaign again keeps its priority.
-    let again = bench.create(&small_spec("urgent")).await.expect("there");
+    let again = bench
+        .create(&small_spec("urgent"))
+        .await
+        .expect("an existing campaign");
     assert_eq!((again.jobs_added, again.priority), (0, 7));
 
     let request = wire::AlterCampaignRequest {

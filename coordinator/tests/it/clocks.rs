@@ -157,7 +157,7 @@ async fn a_clock_set_back_hides_neither_an_outage_nor_a_dead_worker() {
     assert_eq!(bench.status("back").await.live_workers, 0);
     let (mut worker, lease) = bench.leasing("b").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
-    assert!(bench.status("back").await.policy_paused, "this is news");
+    assert!(bench.status("back").await.policy_paused, "a new outage");
 }
 
 #[tokio::test]
@@ -280,7 +280,7 @@ fn every_file_that_reads_another_clock_is_listed() {
     };
     let found = files.iter().filter(|path| reads(path));
     let mut found: Vec<&str> = found
-        .map(|path| path.strip_prefix(root).expect("below it"))
+        .map(|path| path.strip_prefix(root).expect("a path below the root"))
         .map(|path| path.to_str().expect("UTF-8"))
         .collect();
     found.sort_unstable();

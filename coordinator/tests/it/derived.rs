@@ -82,7 +82,7 @@ pub(crate) async fn die_at(
         .stderr(Stdio::null())
         .spawn()
         .expect("starts");
-    let mut serve = Serve::of(child);
+    let mut serve = Serve::wait_until_listening(child);
     let began = Instant::now();
     if serve.is_ready() {
         // Calls the service directly, since the command would retry while nobody answers.

@@ -219,7 +219,7 @@ async fn die_at(folder: TempDir, side: Side, step: Step) -> Vec<u8> {
     };
     let point = format!("{side:?}:{step:?}:{times}");
     let child = serve(folder.path(), &point);
-    let mut serve = Serve::of(child);
+    let mut serve = Serve::wait_until_listening(child);
     if serve.is_ready() {
         // Fails at the call during which the process is killed.
         let _ = call_everything(&serve).await;
@@ -264,8 +264,8 @@ async fn a_kill_around_any_transaction_keeps_the_invariants_and_the_report() {
             let copy = copy_of(folder.path());
             processes.spawn(async move { (side, step, die_at(copy, side, step).await) });
         }
-        let life = processes.join_next().await.expect("one is alive");
-        let (side, step, report) = life.expect("it was as it should be");
+        let process = processes.join_next().await.expect("one is alive");
+        let (side, step, report) = process.expect("a process without failures");
         assert!(report == undisturbed, "{side:?} {step:?}: another report");
     }
 }

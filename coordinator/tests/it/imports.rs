@@ -213,7 +213,7 @@ async fn a_large_import_takes_several_transactions_and_leaves_nothing_if_interru
 
     let target = tempfile::tempdir().expect("a folder");
     // The third transaction writes the second piece.
-    let mut dying = Serve::of(serve(target.path(), "After:ImportCampaign:3"));
+    let mut dying = Serve::wait_until_listening(serve(target.path(), "After:ImportCampaign:3"));
     let output = dying.command(&["campaign", "import", &path, "--retry-secs", "0"]);
     assert!(!output.status.success(), "it was cut off");
     let began = Instant::now();

@@ -52,7 +52,9 @@ async fn latency_is_a_separate_condition() {
             tried = true;
             let mut report = worker.report(&lease, true);
             let settings = &mut report.provenance.as_mut().expect("one").policy_settings;
-            settings.remove("execution model").expect("it has a model");
+            settings
+                .remove("execution model")
+                .expect("an execution model");
             let (verdict, detail) = worker.commit_request(report).await;
             assert_eq!(verdict, Verdict::Unpaired, "{detail}");
             assert!(

@@ -470,7 +470,10 @@ async fn attempts_of_a_deleted_campaign_match_no_job_of_a_later_one() {
 
     let over = slot.heartbeat(&[&old, &new], 9).await;
     assert_eq!(over, std::slice::from_ref(&old.attempt_id));
-    let refused = slot.try_commit(&old, true).await.expect_err("it is gone");
+    let refused = slot
+        .try_commit(&old, true)
+        .await
+        .expect_err("a deleted campaign");
     assert_eq!(refused.code(), Code::NotFound);
     let release = wire::ReleaseRequest {
         attempt_id: old.attempt_id.clone(),
@@ -478,7 +481,11 @@ async fn attempts_of_a_deleted_campaign_match_no_job_of_a_later_one() {
         error: "too late".to_owned(),
         ..wire::ReleaseRequest::default()
     };
-    let refused = slot.service.release(release).await.expect_err("it is gone");
+    let refused = slot
+        .service
+        .release(release)
+        .await
+        .expect_err("a deleted campaign");
     assert_eq!(refused.code(), Code::NotFound);
     assert_eq!(bench.count("SELECT count(*) FROM failure").await, 0);
     assert_eq!(slot.commit(&new, false).await, Verdict::Accepted);

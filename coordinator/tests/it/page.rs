@@ -396,7 +396,9 @@ async fn the_stream_reports_a_commit_and_ends_with_the_coordinator() {
         stream.write_all(request.as_bytes()).expect("sent");
         let mut buffer = [0; 4_096];
         loop {
-            let count = stream.read(&mut buffer).expect("news, or the end");
+            let count = stream
+                .read(&mut buffer)
+                .expect("an event or the end of the stream");
             let text = String::from_utf8_lossy(&buffer[..count]).into_owned();
             if count == 0 || said.send(text).is_err() {
                 return;

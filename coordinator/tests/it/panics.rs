@@ -72,7 +72,10 @@ async fn a_panic_of_the_writer_stops_the_coordinator_with_an_error() {
     };
     worker.heartbeat(heartbeat).await.expect_err("no writer");
     let ended = tokio::time::timeout(Duration::from_secs(20), served.join_next());
-    let ended = ended.await.expect("it goes on").expect("a task");
+    let ended = ended
+        .await
+        .expect("an end of the coordinator")
+        .expect("a task");
     let error = ended.expect("no panic of its own").expect_err("an error");
     assert!(matches!(error, ServeError::Panicked { .. }), "{error:?}");
 }
@@ -110,14 +113,14 @@ async fn connections_and_signals_are_served_while_the_database_is_locked() {
     let listed = tokio::time::timeout(Duration::from_secs(5), listed).await;
     listed.expect("in time").expect("an answer");
     drop(operator);
-    stop.send(()).expect("it runs");
+    stop.send(()).expect("a running coordinator");
     let refuses = async {
         while tokio::net::TcpStream::connect(address).await.is_ok() {
             tokio::time::sleep(Duration::from_millis(10)).await;
         }
     };
     let refused = tokio::time::timeout(Duration::from_secs(5), refuses).await;
-    refused.expect("it listens no more");
+    refused.expect("a closed port");
     drop(writer);
     let ended = served.join_next().await.expect("a task");
     ended.expect("no panic").expect("no error");

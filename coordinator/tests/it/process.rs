@@ -50,13 +50,13 @@ impl Serve {
             .stderr(log)
             .spawn()
             .expect("starts");
-        let serve = Serve::of(child);
+        let serve = Serve::wait_until_listening(child);
         assert!(serve.is_ready(), "it listens");
         serve
     }
 
     /// Waits until the process listens or exits.
-    pub(crate) fn of(mut child: Child) -> Serve {
+    pub(crate) fn wait_until_listening(mut child: Child) -> Serve {
         let mut line = String::new();
         let stdout = child.stdout.take().expect("a pipe");
         BufReader::new(stdout).read_line(&mut line).expect("a line");
@@ -89,7 +89,7 @@ impl Serve {
 
     pub(crate) fn peak_memory_bytes(&self) -> u64 {
         let status = format!("/proc/{}/status", self.child.id());
-        let status = std::fs::read_to_string(status).expect("it runs");
+        let status = std::fs::read_to_string(status).expect("a running process");
         let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
         let kib = peak.and_then(|peak| peak.trim().strip_suffix(" kB"));
         kib.and_then(|kib| kib.parse::<u64>().ok()).expect("a size") << 10
@@ -253,7 +253,7 @@ async fn a_coordinator_told_to_stop_answers_waiting_claims_and_leaves_one_file()
     let answers = waiting.join_all().await;
     let refused = answers[0].as_ref().expect_err("nothing to lease");
     assert_eq!(refused.code(), tonic::Code::Unavailable);
-    let status = serve.child.wait().expect("it ends");
+    let status = serve.child.wait().expect("an exit status");
     assert!(status.success(), "{status}");
     assert!(
         signalled.elapsed() < Duration::from_secs(8),

@@ -407,7 +407,7 @@ async fn campaigns_in_the_same_order_are_compared_sequentially() {
         // Each of the twenty seen configurations differs by one; little is known of the others.
         assert!(cell["difference"][0].as_f64() > Some(0.0), "{cell}");
         assert_eq!(cell["difference"][1], 1.0);
-        let after = cell["met_after"].as_u64().expect("it is met");
+        let after = cell["met_after"].as_u64().expect("a met rule");
         assert!((2..20).contains(&after), "{cell}");
     }
     // The result is also printed as text without being requested.

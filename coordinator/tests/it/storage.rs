@@ -63,7 +63,7 @@ impl Drop for Bucket {
 
 /// Sends one request. Returns head and body of the response.
 fn http(address: SocketAddr, method: &str, path: &str, headers: &str) -> (String, Vec<u8>) {
-    let mut stream = TcpStream::connect(address).expect("it listens");
+    let mut stream = TcpStream::connect(address).expect("a listening server");
     let request = format!(
         "{method} {path} HTTP/1.1\r\nHost: {address}\r\n{headers}Connection: close\r\n\r\n"
     );
@@ -105,7 +105,7 @@ fn serve(data: &Path, place: &str, variables: &[(&str, String)]) -> Serve {
         .stderr(Stdio::null())
         .spawn()
         .expect("starts");
-    let serve = Serve::of(child);
+    let serve = Serve::wait_until_listening(child);
     assert!(serve.is_ready(), "it listens");
     serve
 }
