@@ -181,7 +181,7 @@ impl Coordinator {
                 }
             }
         }
-        beside.shutdown().await;
+        background.shutdown().await;
         queue.close().await?;
         Ok(())
     }

@@ -481,9 +481,9 @@ async fn no_frequent_statement_walks_all_jobs() {
 
 #[test]
 fn every_documented_loop_is_captured_or_has_a_reason() {
-    let known = LOOPS.map(|(name, walks)| match walks {
+    let listed = LOOPS.map(|(name, walks)| match walks {
         OnPurpose("") => panic!("{name} has no reason"),
         Seen(_) | OnPurpose(_) => name,
     });
-    assert_eq!(documented_loops(), known, "say how a new loop walks");
+    assert_eq!(documented_loops(), listed, "say how a new loop walks");
 }

@@ -273,10 +273,13 @@ pub(crate) fn judge(samples: &[Sample]) -> Result<()> {
     };
     // Rows of name, value before, value at the end, and tolerance: a factor and an addend.
     let (memory, files) = (
-        |it: &Sample| it.resident_mib,
-        |it: &Sample| it.descriptors as f64,
+        |sample: &Sample| sample.resident_mib,
+        |sample: &Sample| sample.descriptors as f64,
     );
-    let (log, wal) = (|it: &Sample| it.log_kib, |it: &Sample| it.wal_mib);
+    let (log, wal) = (
+        |sample: &Sample| sample.log_kib,
+        |sample: &Sample| sample.wal_mib,
+    );
     let claims = (
         median(before, |sample| sample.claim_p99),
         median(last, |sample| sample.claim_p99),

@@ -60,7 +60,7 @@ pub(super) async fn sheet(
         p.instruction { "“" (first.row.id.task().instruction()) "”" }
         p {
             code { (asked.task()) } ", initial state " (first.row.init_id)
-            @if let Some(said) = transition(&shown, replicate) { ". " strong { (said) } }
+            @if let Some(effect) = transition(&shown, replicate) { ". " strong { (effect) } }
         }
         (navigation_links(campaign, asked, replicate, &replicates, &neighbours))
         @if videos > 1 { (card::video_controls()) }
@@ -190,13 +190,13 @@ fn navigation_links(
 }
 
 /// Renders links, given as name and address; empty if there is only one.
-fn choice(label: &str, links: Vec<(String, String)>, here: &str) -> Markup {
+fn choice(label: &str, links: Vec<(String, String)>, current_address: &str) -> Markup {
     html! {
         @if links.len() > 1 {
             span {
                 (label)
                 @for (name, address) in links {
-                    @let current = (address == here).then_some("true");
+                    @let current = (address == current_address).then_some("true");
                     a href=(address) aria-current=[current] { (name) } " "
                 }
             }

@@ -231,13 +231,13 @@ async fn a_reused_name_shares_no_files_with_its_former_campaign() {
     let lease = worker.claim_one().await;
     assert_eq!(lease.campaign, "name");
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
-    let own = film(&mut worker, &lease).await;
-    assert!(own.starts_with("artifacts/name~2/"), "{own}");
+    let former_path = film(&mut worker, &lease).await;
+    assert!(former_path.starts_with("artifacts/name~2/"), "{own}");
     is_in_order(&bench).await;
 
     bench.delete("name", "name").await.expect("deleted");
     assert!(bench.folder.path().join(&kept).is_file());
-    assert!(!bench.folder.path().join(&own).exists());
+    assert!(!bench.folder.path().join(&former_path).exists());
     // No campaign has the name now, and no redirection from it is left.
     let request = wire::GetCampaignRequest {
         campaign: "name".to_owned(),

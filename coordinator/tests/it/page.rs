@@ -388,7 +388,7 @@ async fn metrics_are_valid_prometheus_text() {
 async fn the_stream_reports_a_commit_and_ends_with_the_coordinator() {
     let bench = begun().await;
     let address = bench.url.strip_prefix("http://").expect("a URL").to_owned();
-    let (said, heard) = std::sync::mpsc::channel();
+    let (sender, receiver) = std::sync::mpsc::channel();
     let reader = std::thread::spawn(move || {
         let mut stream = TcpStream::connect(&address).expect("a connection");
         stream.set_read_timeout(Some(SILENCE)).expect("set");
@@ -400,7 +400,7 @@ async fn the_stream_reports_a_commit_and_ends_with_the_coordinator() {
                 .read(&mut buffer)
                 .expect("an event or the end of the stream");
             let text = String::from_utf8_lossy(&buffer[..count]).into_owned();
-            if count == 0 || said.send(text).is_err() {
+            if count == 0 || sender.send(text).is_err() {
                 return;
             }
         }
@@ -408,7 +408,7 @@ async fn the_stream_reports_a_commit_and_ends_with_the_coordinator() {
     let until = |word: &str| {
         let mut text = String::new();
         while !text.contains(word) {
-            text.push_str(&heard.recv_timeout(SILENCE).expect(word));
+            text.push_str(&receiver.recv_timeout(SILENCE).expect(word));
         }
     };
     until("data: 0");
