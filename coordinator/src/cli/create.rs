@@ -179,13 +179,13 @@ fn execution(text: &str) -> anyhow::Result<Execution> {
     let Some((model, file)) = text.split_once(":@") else {
         return Ok(text.parse()?);
     };
-    let (file, told) = match file.strip_suffix(",rtc") {
+    let (file, rtc_suffix) = match file.strip_suffix(",rtc") {
         Some(file) => (file, ",rtc"),
         None => (file, ""),
     };
     let text = std::fs::read_to_string(file).with_context(|| format!("read `{file}`"))?;
     let delays = Delays::from_json(&text).with_context(|| format!("use `{file}`"))?;
-    Ok(format!("{model}:{delays}{told}").parse()?)
+    Ok(format!("{model}:{delays}{rtc_suffix}").parse()?)
 }
 
 /// The flags of a campaign that may end early.

@@ -50,10 +50,10 @@ pub(super) async fn archive(
     if let Some(storage) = storage {
         fetch(storage, &copy, (data, films.as_str()), &fetched).await?;
     }
-    let destination = data.join(films);
+    let local_films = data.join(films);
     let film = |name: &str| match fetched.join(name) {
         path if path.exists() => path,
-        _ => destination.join(name),
+        _ => local_films.join(name),
     };
     let package = package(copy, film, source, Vec::new()).await;
     let package = package.map_err(archive_failed)?;

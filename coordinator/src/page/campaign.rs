@@ -28,8 +28,8 @@ pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
         .analyses
         .iter()
         .find_map(|analysis| analysis.findings.as_ref());
-    let of = explained.map_or(name.as_str(), |findings| findings.campaign.as_str());
-    let link = |id: RolloutId, replicate: u32| address(of, id, replicate);
+    let measuring = explained.map_or(name.as_str(), |findings| findings.campaign.as_str());
+    let link = |id: RolloutId, replicate: u32| address(measuring, id, replicate);
     let is_paired = document
         .analyses
         .iter()
@@ -90,9 +90,9 @@ fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -
         tallies.keys().filter(perturbs).map(|key| key.0).collect();
     let perturbing = conditions.into_iter();
     let is_subset = |condition: &Condition| matches!(condition, Condition::Subset(_));
-    let (subsets, few): (Vec<Condition>, Vec<Condition>) = perturbing.partition(is_subset);
+    let (subsets, others): (Vec<Condition>, Vec<Condition>) = perturbing.partition(is_subset);
     let nominal = tallies.get(&(Condition::Clean, Level::L0));
-    let of = |conditions: &[Condition]| {
+    let rows_of = |conditions: &[Condition]| {
         html! {
             @for row in conditions {
                 tr {
@@ -116,7 +116,7 @@ fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -
                 td.tally colspan=(perturbed.len().max(1)) { (tally(nominal)) }
             }
         }
-        (of(&few))
+        (rows_of(&others))
     };
     let mut columns = vec!["condition".to_owned()];
     columns.extend(perturbed.iter().map(|level| match *level {
@@ -133,7 +133,7 @@ fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -
             @if !subsets.is_empty() {
                 details {
                     summary { "Under several axes but not all: " (subsets.len()) " subsets" }
-                    (table("Progress by subset", &columns, &of(&subsets)))
+                    (table("Progress by subset", &columns, &rows_of(&subsets)))
                 }
             }
             p { a href={ "/campaigns/" (campaign) "/rollouts" } { "All rollouts, one by one" } }
@@ -146,12 +146,13 @@ fn tally(counts: &Counts) -> Markup {
     let Counts {
         committed: done,
         succeeded,
-        quarantined: aside,
+        quarantined,
         ..
     } = *counts;
     let total = counts.total();
-    let words =
-        format!("{done} of {total} have a result, {succeeded} succeeded, {aside} quarantined");
+    let words = format!(
+        "{done} of {total} have a result, {succeeded} succeeded, {quarantined} quarantined"
+    );
     html! {
         (bar(counts, &words))
         small {

@@ -12,7 +12,7 @@ use proto::coordinator::{CreateCampaignRequest, GetCampaignRequest};
 use queue::invariants;
 use serde_json::{Value, json};
 
-use crate::derived::{PATIENCE, die_everywhere, run_all};
+use crate::derived::{PATIENCE, kill_around_every_transaction, run_all};
 use crate::json::{documented, keys};
 use crate::process::{Serve, fits_a_terminal, succeed, succeed_in_json, text};
 
@@ -269,7 +269,7 @@ async fn a_kill_around_any_transaction_leaves_the_same_explanation() {
         "name": "first-explained", "explains": {"campaign": "first"},
         "policy": {"name": "p", "endpoint": "http://127.0.0.1:50051"},
     });
-    die_everywhere(folder.path(), &spec, outcome).await;
+    kill_around_every_transaction(folder.path(), &spec, outcome).await;
     let serve = Serve::start_with(folder.path(), &["--lease-secs", "3"], Stdio::null());
     let found = explained(&serve, &[]).await;
     assert_eq!(found, expected);

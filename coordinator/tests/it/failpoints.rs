@@ -211,7 +211,7 @@ fn copy_of(folder: &Path) -> TempDir {
 }
 
 /// Runs a process until its failpoint, and then another to the end. Returns the report.
-async fn die_at(folder: TempDir, side: Side, step: Step) -> Vec<u8> {
+async fn kill_at_failpoint(folder: TempDir, side: Side, step: Step) -> Vec<u8> {
     let times = if step == Step::Sweep {
         EXPIRING_SWEEP
     } else {
@@ -262,7 +262,7 @@ async fn a_kill_around_any_transaction_keeps_the_invariants_and_the_report() {
     while !points.is_empty() || !processes.is_empty() {
         while let (true, Some((side, step))) = (processes.len() < CONCURRENCY, points.pop()) {
             let copy = copy_of(folder.path());
-            processes.spawn(async move { (side, step, die_at(copy, side, step).await) });
+            processes.spawn(async move { (side, step, kill_at_failpoint(copy, side, step).await) });
         }
         let process = processes.join_next().await.expect("one is alive");
         let (side, step, report) = process.expect("a process without failures");

@@ -93,8 +93,8 @@ pub(crate) async fn ask(url: &str, request: &str) -> Answer {
     answer.await.expect("an answer")
 }
 
-/// Returns a campaign with two results, one quarantined job and one waiting job.
-async fn begun() -> Bench {
+/// Returns a campaign with two results and two queued jobs.
+async fn half_finished() -> Bench {
     let bench = Bench::start().await;
     bench.create(&small_spec("begun")).await.expect("created");
     let mut worker = bench.worker("w").await;
@@ -107,7 +107,7 @@ async fn begun() -> Bench {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn every_page_shows_its_content_and_loads_nothing_external() {
-    let bench = begun().await;
+    let bench = half_finished().await;
     let configuration = "/campaigns/begun/configurations/object/t0/combination/L1/c00";
     for (address, words) in [
         (
@@ -179,7 +179,7 @@ async fn every_page_shows_its_content_and_loads_nothing_external() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn pages_describe_outages_and_quarantine() {
-    let bench = begun().await;
+    let bench = half_finished().await;
     let (mut worker, lease) = bench.leasing("w").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
     let page = ask(&bench.url, "GET /policies").await.text();
@@ -193,7 +193,7 @@ async fn pages_describe_outages_and_quarantine() {
 /// Regression: the page said "no attempt is charged" where `jobs list` said "1 charged".
 #[tokio::test(flavor = "multi_thread")]
 async fn page_and_command_line_agree_on_charges_for_invalid_answers() {
-    let bench = begun().await;
+    let bench = half_finished().await;
     let mut worker = bench.worker("w").await;
     for attempt in 1..=5 {
         // Longer than the back-off of a failed rollout.
@@ -216,7 +216,7 @@ async fn page_and_command_line_agree_on_charges_for_invalid_answers() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn invalid_addresses_give_error_pages_with_a_remedy() {
-    let bench = begun().await;
+    let bench = half_finished().await;
     std::fs::write(bench.folder.path().join("secret"), "hunter2").expect("written");
     let long = "x".repeat(4_000);
     for (address, code) in [
@@ -342,7 +342,7 @@ async fn a_video_is_sent_whole_and_in_ranges() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn metrics_are_valid_prometheus_text() {
-    let bench = begun().await;
+    let bench = half_finished().await;
     let answer = ask(&bench.url, "GET /metrics").await;
     assert_eq!(
         answer.header("content-type"),
@@ -386,7 +386,7 @@ async fn metrics_are_valid_prometheus_text() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn the_stream_reports_a_commit_and_ends_with_the_coordinator() {
-    let bench = begun().await;
+    let bench = half_finished().await;
     let address = bench.url.strip_prefix("http://").expect("a URL").to_owned();
     let (sender, receiver) = std::sync::mpsc::channel();
     let reader = std::thread::spawn(move || {
@@ -421,7 +421,7 @@ async fn the_stream_reports_a_commit_and_ends_with_the_coordinator() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn streams_are_bounded_and_closing_one_admits_another() {
-    let bench = begun().await;
+    let bench = half_finished().await;
     let address = bench.url.strip_prefix("http://").expect("a URL");
     let follow = || {
         let mut stream = TcpStream::connect(address).expect("a connection");
@@ -527,7 +527,7 @@ async fn pages_need_a_login_and_refuse_worker_tokens() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn pages_of_other_sites_can_neither_read_nor_call() {
-    let bench = begun().await;
+    let bench = half_finished().await;
     // A DNS name of another site that resolves to this machine.
     let rebound = ask(&bench.url, "GET /\nhost: evil.example:7411").await;
     assert_eq!(rebound.code, 403);
@@ -570,7 +570,7 @@ async fn pages_of_other_sites_can_neither_read_nor_call() {
 #[tokio::test(flavor = "multi_thread")]
 async fn concurrent_page_requests_do_not_block_each_other() {
     const TABS: usize = 24;
-    let bench = begun().await;
+    let bench = half_finished().await;
     let addresses = [
         "/",
         "/campaigns/begun",

@@ -13,7 +13,7 @@ use queue::expand::NewCampaign;
 use queue::{Side, Step, invariants};
 use serde_json::{Value, json};
 
-use crate::derived::{PATIENCE, die_at};
+use crate::derived::{PATIENCE, kill_at_failpoint};
 use crate::harness::{Worker, rollout_id};
 use crate::page::ask;
 use crate::process::{Serve, coordinator, fail, fits_a_terminal, succeed, succeed_in_json, text};
@@ -358,7 +358,7 @@ async fn a_kill_around_any_transaction_leaves_the_same_stop_and_report() {
         (Side::After, Step::Stop, 1),
     ] {
         let point = format!("{side:?}:{step:?}:{times}");
-        die_at(folder.path(), &point, &spec("early"), outcome).await;
+        kill_at_failpoint(folder.path(), &point, &spec("early"), outcome).await;
         let violations = invariants::check(folder.path()).await.expect("a database");
         assert_eq!(violations, [], "{point}");
     }
