@@ -265,7 +265,7 @@ fn describe_job(details: &GetJobResponse) -> String {
         format!("{}  (job {})", name(&job), job.job_id),
         format!("  now            {}", describe_state(&job)),
         format!(
-            "  attempts       {}, of which {} count against it",
+            "  attempts       {}, of which {} are charged",
             job.attempt, job.charged_attempts
         ),
     ];

@@ -158,7 +158,7 @@ fn tally(counts: &Counts) -> Markup {
         small {
             (done) "/" (total)
             @if done > 0 { ", " (succeeded) " succeeded" }
-            @if aside > 0 { ", " (aside) " quarantined" }
+            @if quarantined > 0 { ", " (quarantined) " quarantined" }
         }
     }
 }
