@@ -85,8 +85,9 @@ pub fn describe(forecast: &ForecastResponse, policy: &str) -> String {
             lines.push(parts(speed));
             lines.extend(bottleneck(speed, forecast.slots));
         }
-        None => lines
-            .push("the time by phase is unknown: the workers are of an earlier release".to_owned()),
+        None => lines.push(
+            "the time by phase is not known: the workers are of an earlier release".to_owned(),
+        ),
     }
     let first = wrapped("", 2, &lines.remove(0));
     let others = lines.iter().map(|line| wrapped("  ", 4, line));
