@@ -95,7 +95,7 @@ pub(super) async fn report(arguments: ReportArguments) -> Result<(), CommandErro
     ) {
         return Err(usage(anyhow!(
             "use {flag} for a campaign under {protocol}: the flag applies to LIBERO-CTRL's \
-             measures, which LIBERO's family lacks; leave the flag out, or use --json"
+             measures, which LIBERO's family lacks; leave it out, or use --json"
         )));
     }
     // Thousands of bootstrap resamplings block this thread, but no other task of the command runs.

@@ -321,7 +321,7 @@ async fn invalid_archives_are_refused_by_name_and_change_nothing() {
         refused(&["read archive"]);
     }
     write(&bad, &[("notes.txt".to_owned(), vec![1; 10])], false);
-    refused(&["no archive of a campaign", "archive.json"]);
+    refused(&["not an archive of a campaign", "archive.json"]);
 
     // Every member in turn is altered, missing, or renamed.
     for number in 1..sound.len() {
