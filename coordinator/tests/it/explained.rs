@@ -143,7 +143,10 @@ async fn explaining_rollouts_are_filmed_and_shown_side_by_side() {
         let video = format!("/campaigns/first-explained/videos/object/t2/{set}/L2/c00?replicate=0");
         assert!(page.contains(&video), "{set}");
     }
-    assert!(!page.contains("Not all rollouts"), "all are filmed");
+    assert!(
+        !page.contains("Not all of these rollouts"),
+        "all are filmed"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
