@@ -96,7 +96,11 @@ async fn main() -> Result<()> {
     });
 
     if arguments.beside > 0 {
-        beats.spawn(move_beside(queue.clone(), arguments.beside, moved.clone()));
+        beats.spawn(move_other_campaign(
+            queue.clone(),
+            arguments.beside,
+            moved.clone(),
+        ));
     }
 
     let measured = Arc::new(Measured::default());
@@ -113,7 +117,7 @@ async fn main() -> Result<()> {
     }
     let seconds = tokio::select! {
         seconds = watch(&measured, jobs) => seconds,
-        trouble = first_trouble(&mut slots) => return Err(trouble),
+        failure = first_failure(&mut slots) => return Err(failure),
     };
     let elapsed = began.elapsed();
     slots.abort_all();
@@ -153,7 +157,11 @@ async fn create(queue: &Queue, campaign: &NewCampaign) -> Result<(u64, f64)> {
 
 /// Repeatedly creates, copies, deletes and imports another campaign, and records the duration of
 /// each step, seconds.
-async fn move_beside(queue: Arc<Queue>, jobs: u64, moved: Arc<Mutex<Vec<[f64; 4]>>>) -> Result<()> {
+async fn move_other_campaign(
+    queue: Arc<Queue>,
+    jobs: u64,
+    moved: Arc<Mutex<Vec<[f64; 4]>>>,
+) -> Result<()> {
     let mut other = spec("other", jobs)?;
     // Lower priority, so that the slots only run the first campaign.
     other.priority = -1;
@@ -234,7 +242,7 @@ async fn beat(queue: Arc<Queue>, worker: u32) -> Result<()> {
 }
 
 /// Waits for the first failure of a slot; never returns if all succeed.
-async fn first_trouble(slots: &mut JoinSet<Result<()>>) -> anyhow::Error {
+async fn first_failure(slots: &mut JoinSet<Result<()>>) -> anyhow::Error {
     while let Some(ended) = slots.join_next().await {
         if let Err(error) = ended.map_err(Into::into).and_then(|ended| ended) {
             return error;

@@ -80,7 +80,7 @@ pub enum ArchiveError {
     #[error("read archive {archive}: is it there, and may this user read it?")]
     Read { archive: String, source: io::Error },
     #[error(
-        "read archive {archive}: it is no archive of a campaign ({problem}); make one with `coordinator campaign archive`"
+        "read archive {archive}: it is not an archive of a campaign ({problem}); make one with `coordinator campaign archive`"
     )]
     Foreign { archive: String, problem: String },
     #[error(
@@ -89,7 +89,7 @@ pub enum ArchiveError {
     Newer {
         archive: String,
         program: String,
-        /// Kind of version: `form` or `schema version`.
+        /// Kind of version: `format` or `schema version`.
         what: &'static str,
         found: i64,
         known: i64,

@@ -56,7 +56,7 @@ pub(crate) struct Arguments {
 
 impl Arguments {
     /// Returns the clap command, with the environment variables of `serve` in its help.
-    fn of_this_program() -> clap::Command {
+    fn with_environment() -> clap::Command {
         Self::command().mut_subcommand("serve", terminal::with_variables)
     }
 
@@ -65,9 +65,9 @@ impl Arguments {
     /// # Errors
     /// If the arguments are invalid or help or the version was requested.
     pub(crate) fn read(words: Vec<OsString>) -> Result<Self, clap::Error> {
-        let matches = terminal::parse(Self::of_this_program(), words)?;
+        let matches = terminal::parse(Self::with_environment(), words)?;
         let read = Self::from_arg_matches(&matches);
-        read.map_err(|error| error.format(&mut Self::of_this_program()))
+        read.map_err(|error| error.format(&mut Self::with_environment()))
     }
 }
 
@@ -201,7 +201,7 @@ async fn execute(command: Command) -> Result<(), CommandError> {
             completions::completions(arguments, Arguments::command())
         }
         Command::Manual { folder } => {
-            let written = terminal::write_manual(Arguments::of_this_program(), &folder);
+            let written = terminal::write_manual(Arguments::with_environment(), &folder);
             Ok(written.with_context(|| format!("write manual pages into {}", folder.display()))?)
         }
     }
@@ -260,10 +260,10 @@ mod tests {
             "why",
             "launch slurm",
         ] {
-            let of = |command: &clap::Command, word| command.find_subcommand(word).cloned();
+            let subcommand = |command: &clap::Command, word| command.find_subcommand(word).cloned();
             let command = words
                 .split(' ')
-                .try_fold(program.clone(), |it, word| of(&it, word));
+                .try_fold(program.clone(), |command, word| subcommand(&command, word));
             let mut command = command.expect(words);
             let long = command.render_long_help().to_string();
             let (_, examples) = long.split_once("Examples:").expect(words);

@@ -130,7 +130,7 @@ impl Client {
     ) -> Result<T, ClientError> {
         let deadline = Instant::now() + self.retry_for;
         let mut pause = FIRST_PAUSE;
-        let mut was_told = false;
+        let mut is_reported = false;
         loop {
             let status = match send(&mut self.service.clone(), request.clone()).await {
                 Ok(response) => return Ok(response.into_inner()),
@@ -144,8 +144,8 @@ impl Client {
             if !may_pass || Instant::now() + pause > deadline {
                 return Err(self.failed(&status, trouble));
             }
-            if !was_told {
-                was_told = true;
+            if !is_reported {
+                is_reported = true;
                 let reason = match &trouble {
                     Some(trouble) => trouble.finding().to_string(),
                     None => answer(&status),

@@ -19,7 +19,7 @@ pub struct Room {
 impl Room {
     /// Measures the free space of a folder's disk. If that fails, the disk counts as full, since
     /// writing to it would probably fail, too.
-    pub fn look(folder: &Path, needed_bytes: u64) -> Room {
+    pub fn measure(folder: &Path, needed_bytes: u64) -> Room {
         let free_bytes = rustix::fs::statvfs(folder)
             .map(|disk| disk.f_bavail.saturating_mul(disk.f_frsize))
             .unwrap_or(0);
@@ -48,16 +48,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_disk_that_cannot_be_looked_at_is_full() {
+    fn a_disk_that_cannot_be_measured_counts_as_full() {
         let nowhere = Path::new("/nowhere/at/all");
-        let room = Room::look(nowhere, 1);
+        let room = Room::measure(nowhere, 1);
         assert_eq!(room.free_bytes, 0);
-        let told = room.shortage(nowhere).expect("a shortage");
-        assert!(told.contains("/nowhere/at/all has 0 MiB"), "{told}");
+        let message = room.shortage(nowhere).expect("a shortage");
+        assert!(message.contains("/nowhere/at/all has 0 MiB"), "{message}");
     }
 
     #[test]
-    fn leasing_goes_on_down_to_what_is_needed() {
+    fn leasing_continues_down_to_the_needed_space() {
         let folder = Path::new("data");
         let room = |free_bytes| Room {
             free_bytes,

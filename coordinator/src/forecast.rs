@@ -46,7 +46,7 @@ fn speed(speed: read::Speed) -> Speed {
 }
 
 /// Describes the duration of a policy's campaign, wrapped for a terminal.
-pub fn in_words(forecast: &ForecastResponse, policy: &str) -> String {
+pub fn describe(forecast: &ForecastResponse, policy: &str) -> String {
     let workers = counted(forecast.workers.into(), "worker");
     let Some(secs) = forecast.secs else {
         return match forecast.workers {
@@ -86,14 +86,13 @@ pub fn in_words(forecast: &ForecastResponse, policy: &str) -> String {
             lines.extend(bottleneck(speed, forecast.slots));
         }
         None => lines.push(
-            "what their time went into is not known: the workers are of an earlier release"
-                .to_owned(),
+            "the time by phase is not known: the workers are of an earlier release".to_owned(),
         ),
     }
     let first = wrapped("", 2, &lines.remove(0));
     let others = lines.iter().map(|line| wrapped("  ", 4, line));
-    let all: Vec<String> = [first].into_iter().chain(others).collect();
-    all.join("\n")
+    let wrapped_lines: Vec<String> = [first].into_iter().chain(others).collect();
+    wrapped_lines.join("\n")
 }
 
 /// Describes the mean time of a rollout and its share by phase.
@@ -104,12 +103,12 @@ pub fn parts(speed: &Speed) -> String {
         ("policy", speed.policy_secs),
         ("waiting", speed.waiting_secs),
     ];
-    let all: f64 = spans.iter().map(|(_, secs)| secs).sum();
-    let share = |secs: f64| match all > 0.0 {
-        true => 100.0 * secs / all,
+    let total: f64 = spans.iter().map(|(_, secs)| secs).sum();
+    let share = |secs: f64| match total > 0.0 {
+        true => 100.0 * secs / total,
         false => 0.0,
     };
-    let told = spans.map(|(what, secs)| match what {
+    let phases = spans.map(|(phase, secs)| match phase {
         "policy" if speed.policy_queries > 0.0 => format!(
             "policy {:.0} % ({:.0} ms a query)",
             share(secs),
@@ -121,11 +120,11 @@ pub fn parts(speed: &Speed) -> String {
                 share(secs)
             )
         }
-        what => format!("{what} {:.0} %", share(secs)),
+        phase => format!("{phase} {:.0} %", share(secs)),
     });
     format!(
-        "a rollout takes {all:.1} s: {}; mean of {}",
-        told.join(", "),
+        "a rollout takes {total:.1} s: {}; mean of {}",
+        phases.join(", "),
         counted(speed.results, "rollout")
     )
 }
@@ -185,8 +184,8 @@ mod tests {
     }
 
     #[test]
-    fn a_forecast_says_what_it_rests_on_and_fits_the_terminal() {
-        let text = in_words(&measured(Bottleneck::Slots), "pi05");
+    fn a_forecast_states_its_measurements_and_fits_the_terminal() {
+        let text = describe(&measured(Bottleneck::Slots), "pi05");
         assert_eq!(
             text,
             "about 3h20m on the 2 workers connected now (16 slots, 16 cores), if they run\n  \
@@ -203,33 +202,33 @@ mod tests {
     }
 
     #[test]
-    fn where_more_slots_do_not_help_it_says_what_does_and_how_few_would_do() {
-        let cores = in_words(&measured(Bottleneck::Cores), "pi05").replace("\n    ", " ");
+    fn a_bottleneck_other_than_slots_is_named_with_its_remedy() {
+        let cores = describe(&measured(Bottleneck::Cores), "pi05").replace("\n    ", " ");
         assert!(cores.ends_with("do not help; more cores do"), "{cores}");
         let mut many = measured(Bottleneck::Policy);
         many.slots = 64;
-        let policy = in_words(&many, "pi05").replace("\n    ", " ");
+        let policy = describe(&many, "pi05").replace("\n    ", " ");
         let end = "do not help; 22 slots would do; more replicas of the policy do";
         assert!(policy.ends_with(end), "{policy}");
     }
 
     #[test]
-    fn what_was_not_measured_is_not_told() {
+    fn unmeasured_parts_are_left_out_of_the_forecast() {
         let unmeasured = ForecastResponse {
             workers: 1,
             slots: 2,
             ..ForecastResponse::default()
         };
-        let text = in_words(&unmeasured, "pi05");
+        let text = describe(&unmeasured, "pi05");
         assert!(text.contains("no worker has been measured"), "{text}");
         assert!(text.contains("`--configs 0`"), "{text}");
-        let text = in_words(&ForecastResponse::default(), "pi05");
+        let text = describe(&ForecastResponse::default(), "pi05");
         assert!(text.ends_with("no worker is connected"), "{text}");
         let by_earlier_workers = ForecastResponse {
             speed: None,
             ..measured(Bottleneck::Slots)
         };
-        let text = in_words(&by_earlier_workers, "pi05");
+        let text = describe(&by_earlier_workers, "pi05");
         assert!(
             text.contains("is not known") && !text.contains("bottleneck"),
             "{text}"
@@ -237,11 +236,11 @@ mod tests {
         let mut without_cores = measured(Bottleneck::Unspecified);
         let speed = without_cores.speed.as_mut().expect("one");
         (speed.enough_slots, speed.enough_slots_secs) = (None, None);
-        assert!(!in_words(&without_cores, "pi05").contains("bottleneck"));
+        assert!(!describe(&without_cores, "pi05").contains("bottleneck"));
     }
 
     #[test]
-    fn much_waiting_says_for_what() {
+    fn a_large_share_of_waiting_is_explained() {
         let some = parts(&measured(Bottleneck::Slots).speed.expect("one"));
         assert!(some.contains("waiting 10 %; mean"), "{some}");
         let much = Speed {
@@ -257,7 +256,7 @@ mod tests {
     }
 
     #[test]
-    fn rollouts_that_took_no_time_have_shares() {
+    fn parts_of_rollouts_without_duration_have_finite_shares() {
         let speed = Speed::default();
         assert!(parts(&speed).contains("physics 0 %"), "{}", parts(&speed));
     }

@@ -14,7 +14,7 @@ use crate::storage::{Storage, StorageError};
 /// Interval between two scans for films.
 const PAUSE: Duration = Duration::from_secs(2);
 /// Concurrent uploads: the storage's latency exceeds the transfer time of a film.
-const AT_ONCE: usize = 8;
+const CONCURRENCY: usize = 8;
 /// Longest pause between retries while the storage fails.
 const LONGEST_PAUSE: Duration = Duration::from_secs(60);
 
@@ -22,7 +22,7 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(60);
 pub(crate) async fn run(queue: Arc<Queue>, storage: Arc<Storage>) {
     let mut pause = PAUSE;
     loop {
-        match look(&queue, &storage).await {
+        match move_films(&queue, &storage).await {
             Ok(()) if pause > PAUSE => {
                 tracing::info!("films are stored at {} again", storage.location());
                 pause = PAUSE;
@@ -32,7 +32,7 @@ pub(crate) async fn run(queue: Arc<Queue>, storage: Arc<Storage>) {
                 // Logged once per outage.
                 if pause == PAUSE {
                     tracing::error!(
-                        "failed to {problem}; films stay in the data folder until then"
+                        "failed to {problem}; films stay in the data folder and are retried"
                     );
                 }
                 pause = (pause * 2).min(LONGEST_PAUSE);
@@ -43,9 +43,9 @@ pub(crate) async fn run(queue: Arc<Queue>, storage: Arc<Storage>) {
 }
 
 /// Moves the films that are in the data folder now.
-async fn look(queue: &Queue, storage: &Storage) -> Result<(), String> {
-    let in_words = |error: &(dyn std::error::Error + 'static)| transport::chain(error);
-    let films = queue.films_here().await.map_err(|error| in_words(&error))?;
+async fn move_films(queue: &Queue, storage: &Storage) -> Result<(), String> {
+    let describe = |error: &(dyn std::error::Error + 'static)| transport::chain(error);
+    let films = queue.films_here().await.map_err(|error| describe(&error))?;
     // Started transfers run to their end, so that the storage keeps no partial upload; after a
     // failure of the storage no further transfer starts.
     let is_down = AtomicBool::new(false);
@@ -63,18 +63,18 @@ async fn look(queue: &Queue, storage: &Storage) -> Result<(), String> {
             moved
         }
     });
-    let moved: Vec<Result<(), MoveError>> = moves.buffer_unordered(AT_ONCE).collect().await;
+    let moved: Vec<Result<(), MoveError>> = moves.buffer_unordered(CONCURRENCY).collect().await;
     let mut failed: Vec<MoveError> = moved.into_iter().filter_map(Result::err).collect();
     if let Some(down) = failed
         .iter()
-        .position(|it| matches!(it, MoveError::Storage(_)))
+        .position(|error| matches!(error, MoveError::Storage(_)))
     {
         return Err(failed.swap_remove(down).into_words());
     }
     // Retries the removal of deleted campaigns' folders from the storage.
     let removed = queue.finish_removals().await;
-    removed.map_err(|error| in_words(&error))?;
-    failed.pop().map_or(Ok(()), |it| Err(it.into_words()))
+    removed.map_err(|error| describe(&error))?;
+    failed.pop().map_or(Ok(()), |error| Err(error.into_words()))
 }
 
 enum MoveError {
@@ -90,7 +90,7 @@ impl MoveError {
         words
     }
 
-    fn of(error: &StorageError) -> Self {
+    fn from_storage(error: &StorageError) -> Self {
         let words = transport::chain(error);
         match error {
             StorageError::File { .. } => Self::File(words),
@@ -101,14 +101,14 @@ impl MoveError {
 
 async fn move_film(queue: &Queue, storage: &Storage, film: &FilmHere) -> Result<(), MoveError> {
     let stored = storage.put(&film.path, &film.file).await;
-    stored.map_err(|error| MoveError::of(&error))?;
+    stored.map_err(|error| MoveError::from_storage(&error))?;
     let forgotten = queue
         .forget_film(film)
         .await
         .map_err(|error| MoveError::File(format!("remove {}: {error}", film.file.display())))?;
     if forgotten == Forgotten::Deleted {
         let deleted = storage.delete(&film.path).await;
-        deleted.map_err(|error| MoveError::of(&error))?;
+        deleted.map_err(|error| MoveError::from_storage(&error))?;
     }
     Ok(())
 }

@@ -14,16 +14,16 @@ mod changes;
 mod compare;
 mod configuration;
 mod films;
-mod kept;
 mod lattice_view;
 mod layout;
 mod log_in;
 mod metrics;
+mod overviews;
 mod perturbation;
 mod problem;
 mod rollouts;
+mod single_flight;
 mod speed;
-mod standing;
 mod state;
 mod subsets;
 mod trace;
@@ -39,11 +39,11 @@ use tonic::Status;
 
 use crate::access::{self, LOG_IN};
 use problem::Problem;
-use state::Asked;
 pub(crate) use state::Page;
+use state::RequestedPage;
 
 /// Merges the page routes into the gRPC router.
-pub(crate) fn beside(page: Arc<Page>, calls: Router) -> Router {
+pub(crate) fn merge_routes(page: Arc<Page>, calls: Router) -> Router {
     let pages = routes().into_iter();
     let pages = pages.fold(Router::new(), |pages, (path, answer)| {
         pages.route(path, answer)
@@ -76,53 +76,69 @@ pub(crate) fn routes() -> [(&'static str, MethodRouter<Arc<Page>>); 16] {
     ]
 }
 
-type At = State<Arc<Page>>;
+type PageState = State<Arc<Page>>;
 /// Path parameters: campaign name and rollout id.
-type Of = (String, String);
+type CampaignAndRollout = (String, String);
 
-async fn all_campaigns(State(page): At, asked: Asked) -> Response {
-    page.show(asked, campaigns::sheet(&page)).await
+async fn all_campaigns(State(page): PageState, request: RequestedPage) -> Response {
+    page.show(request, campaigns::sheet(&page)).await
 }
 
-async fn two_campaigns(State(page): At, asked: Asked) -> Response {
-    let query = asked.0.query().unwrap_or_default().to_owned();
-    page.show(asked, compare::sheet(&page, &query)).await
+async fn two_campaigns(State(page): PageState, request: RequestedPage) -> Response {
+    let query = request.0.query().unwrap_or_default().to_owned();
+    page.show(request, compare::sheet(&page, &query)).await
 }
 
-async fn one_campaign(State(page): At, Path(name): Path<String>, asked: Asked) -> Response {
-    page.show(asked, campaign::sheet(&page, &name)).await
+async fn one_campaign(
+    State(page): PageState,
+    Path(name): Path<String>,
+    request: RequestedPage,
+) -> Response {
+    page.show(request, campaign::sheet(&page, &name)).await
 }
 
-async fn rollouts_of(State(page): At, Path(name): Path<String>, asked: Asked) -> Response {
-    let query = asked.0.query().unwrap_or_default().to_owned();
+async fn rollouts_of(
+    State(page): PageState,
+    Path(name): Path<String>,
+    request: RequestedPage,
+) -> Response {
+    let query = request.0.query().unwrap_or_default().to_owned();
     let sheet = rollouts::sheet(&page, &name, &query);
-    page.show(asked, sheet).await
+    page.show(request, sheet).await
 }
 
-async fn one_configuration(State(page): At, Path(of): Path<Of>, asked: Asked) -> Response {
-    let query = asked.0.query().unwrap_or_default().to_owned();
+async fn one_configuration(
+    State(page): PageState,
+    Path(of): Path<CampaignAndRollout>,
+    request: RequestedPage,
+) -> Response {
+    let query = request.0.query().unwrap_or_default().to_owned();
     let sheet = configuration::sheet(&page, &of.0, &of.1, &query);
-    page.show(asked, sheet).await
+    page.show(request, sheet).await
 }
 
-async fn one_video(State(page): At, Path(of): Path<Of>, request: Request) -> Response {
+async fn one_video(
+    State(page): PageState,
+    Path(of): Path<CampaignAndRollout>,
+    request: Request,
+) -> Response {
     let video = video::answer(&page, &of.0, &of.1, request).await;
     video.unwrap_or_else(IntoResponse::into_response)
 }
 
-async fn all_workers(State(page): At, asked: Asked) -> Response {
-    page.show(asked, standing::workers(&page)).await
+async fn all_workers(State(page): PageState, request: RequestedPage) -> Response {
+    page.show(request, overviews::workers(&page)).await
 }
 
-async fn all_policies(State(page): At, asked: Asked) -> Response {
-    page.show(asked, standing::policies(&page)).await
+async fn all_policies(State(page): PageState, request: RequestedPage) -> Response {
+    page.show(request, overviews::policies(&page)).await
 }
 
-async fn the_quarantine(State(page): At, asked: Asked) -> Response {
-    page.show(asked, standing::quarantine(&page)).await
+async fn the_quarantine(State(page): PageState, request: RequestedPage) -> Response {
+    page.show(request, overviews::quarantine(&page)).await
 }
 
-async fn events(State(page): At) -> Response {
+async fn events(State(page): PageState) -> Response {
     page.changes
         .stream()
         .unwrap_or_else(IntoResponse::into_response)

@@ -27,9 +27,12 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
         campaign: campaign.name.clone(),
         source,
     })?;
-    let own = campaign.realisation.as_str();
+    let realisation = campaign.realisation.as_str();
     let rows = view.records(campaign.id).await?;
-    let records: Result<Vec<Record>, _> = rows.iter().map(|row| read_record(row, own)).collect();
+    let records: Result<Vec<Record>, _> = rows
+        .iter()
+        .map(|row| read_record(row, realisation))
+        .collect();
     let records = records?;
     let progress = rows.iter().zip(&records);
     let progress = progress.filter(|(_, record)| record.outcome.success().is_some());
@@ -59,7 +62,7 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
             endpoint: campaign.endpoint.clone(),
             design: spec.version().to_string(),
         },
-        realisation: Some(own.parse()?),
+        realisation: Some(realisation.parse()?),
         execution: spec.execution.clone(),
         progress: progress.collect(),
         placebo_radius: placebo.map(|design| design.placebo.radius.radius()),
@@ -75,7 +78,10 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
             .iter()
             .map(|(id, replicate)| rollout_name(id, *replicate))
             .collect(),
-        left_out: rows.iter().filter(|row| is_of_other_mode(row, own)).count() as u64,
+        left_out: rows
+            .iter()
+            .filter(|row| is_of_other_mode(row, realisation))
+            .count() as u64,
         provenances,
         beyond: Some(beyond_range(view, campaign).await?),
         fingerprints: view.fingerprints(campaign.id).await?,
@@ -107,9 +113,12 @@ async fn derived(
     let Some(source) = view.source(campaign.id).await? else {
         return Ok(None);
     };
-    let own = source.realisation.as_str();
+    let realisation = source.realisation.as_str();
     let rows = view.records(source.id).await?;
-    let records: Result<Vec<Record>, _> = rows.iter().map(|row| read_record(row, own)).collect();
+    let records: Result<Vec<Record>, _> = rows
+        .iter()
+        .map(|row| read_record(row, realisation))
+        .collect();
     let early_stop = early_stop(view, &source).await?;
     Ok(Some(Derived {
         purpose,
@@ -185,14 +194,16 @@ fn digest(texts: &[&str]) -> String {
         .collect()
 }
 
-fn read_record(row: &RecordRow, own: &str) -> Result<Record, UnknownName> {
+fn read_record(row: &RecordRow, realisation: &str) -> Result<Record, UnknownName> {
     let mut record = row.job.record()?;
-    if is_of_other_mode(row, own) {
+    if is_of_other_mode(row, realisation) {
         record.outcome = Outcome::Missing;
     }
     Ok(record)
 }
 
-fn is_of_other_mode(row: &RecordRow, own: &str) -> bool {
-    row.realisation.as_ref().is_some_and(|mode| mode != own)
+fn is_of_other_mode(row: &RecordRow, realisation: &str) -> bool {
+    row.realisation
+        .as_ref()
+        .is_some_and(|mode| mode != realisation)
 }

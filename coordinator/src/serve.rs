@@ -86,10 +86,10 @@ impl Coordinator {
             folder: config.data.clone(),
             source,
         })?;
-        let elsewhere = config.storage.clone();
-        let elsewhere = elsewhere.map(|storage| storage as Arc<dyn Elsewhere>);
+        let artifact_store = config.storage.clone();
+        let artifact_store = artifact_store.map(|storage| storage as Arc<dyn Elsewhere>);
         let (clock, rng) = (config.clock, config.rng);
-        let queue = Queue::start_with(store, clock, rng, config.timing, elsewhere).await?;
+        let queue = Queue::start_with(store, clock, rng, config.timing, artifact_store).await?;
         Ok(Coordinator {
             queue,
             security: config.security,
@@ -146,20 +146,19 @@ impl Coordinator {
         let storage = self.storage;
         let page = Page::new(&queue, &self.security, &gauges, storage.clone());
         // Background tasks, aborted when this function returns.
-        let mut beside = Tasks::default();
-        let told = page.clone();
-        beside.spawn(
-            "the page's changes",
-            async move { told.tell_changes().await },
-        );
+        let mut background = Tasks::default();
+        let notifier = page.clone();
+        background.spawn("the page's changes", async move {
+            notifier.poll_changes().await
+        });
         let calls = grpc::services(&queue, &gauges, storage.as_ref());
         if let Some(storage) = storage {
-            beside.spawn("the films' mirror", mirror::run(queue.clone(), storage));
+            background.spawn("the films' mirror", mirror::run(queue.clone(), storage));
         }
         // A task of its own, since a sweep waits for the database writer while connections and
         // signals must not.
-        beside.spawn("the sweep", sweep(queue.clone(), self.min_free_bytes));
-        let routes = Routes::from(page::beside(page.clone(), calls));
+        background.spawn("the sweep", sweep(queue.clone(), self.min_free_bytes));
+        let routes = Routes::from(page::merge_routes(page.clone(), calls));
         let server = server(routes, &self.security, listener, async {
             // A dropped sender stops the server, too.
             let _ = stopped.await;
@@ -171,7 +170,7 @@ impl Coordinator {
                 served?;
             }
             task = queue.broken() => return Err(ServeError::Panicked { what: task }),
-            task = beside.next_ended() => return Err(ServeError::Panicked { what: task }),
+            task = background.next_ended() => return Err(ServeError::Panicked { what: task }),
             () = &mut shutdown => {
                 tracing::info!("stopping: leasing nothing more, finishing what is under way");
                 queue.drain();
@@ -182,7 +181,7 @@ impl Coordinator {
                 }
             }
         }
-        beside.shutdown().await;
+        background.shutdown().await;
         queue.close().await?;
         Ok(())
     }
@@ -197,7 +196,7 @@ async fn sweep(queue: Arc<Queue>, min_free_bytes: u64) {
         due.tick().await;
         let folder = queue.store().folder();
         let shortage = match queue.sweep().await {
-            Ok(()) => Room::look(folder, min_free_bytes).shortage(folder),
+            Ok(()) => Room::measure(folder, min_free_bytes).shortage(folder),
             Err(QueueError::Store(StoreError::Gone { folder })) => Some(format!(
                 "the data folder {} is gone, or another database is in its place: \
                  `coordinator backup --output FILE` saves what was committed",

@@ -254,7 +254,11 @@ impl Storage {
     /// If the storage fails.
     pub async fn remove(&self, folder: &str) -> Result<(), StorageError> {
         let at = self.key(folder);
-        let all = self.store.list(Some(&at)).map_ok(|it| it.location).boxed();
+        let all = self
+            .store
+            .list(Some(&at))
+            .map_ok(|object| object.location)
+            .boxed();
         let removed = self
             .store
             .delete_stream(all)
@@ -332,11 +336,15 @@ mod tests {
     }
 
     #[test]
-    fn a_storages_error_of_a_megabyte_is_cut_short() {
+    fn a_long_storage_error_is_truncated() {
         let folder = tempfile::tempdir().expect("a folder");
         let storage = Storage::open(&folder.path().display().to_string()).expect("opens");
         let words = io::Error::other("w".repeat(1 << 20));
-        let told = storage.failed("store", "a.mp4", &words).to_string();
-        assert!(told.contains("www") && told.len() < 1_000, "{}", told.len());
+        let message = storage.failed("store", "a.mp4", &words).to_string();
+        assert!(
+            message.contains("www") && message.len() < 1_000,
+            "{}",
+            message.len()
+        );
     }
 }

@@ -19,7 +19,7 @@ const CHANGED_IN_THE_PAPER: f64 = 0.17;
 const MOST_CHANGED_IN_THE_PAPER: f64 = 0.34;
 
 /// Describes the disk space and time of a campaign's videos; `None` if it records none.
-pub fn in_words(campaign: &NewCampaign) -> Option<String> {
+pub fn describe(campaign: &NewCampaign) -> Option<String> {
     let steps = campaign.step_budget as f64;
     let videos = |share: f64| {
         let secs = steps * share * FILMING_SECS_PER_STEP;
@@ -72,7 +72,7 @@ mod tests {
             "record": record,
         });
         let campaign = NewCampaign::from_json(&spec.to_string()).expect("a campaign");
-        assert_eq!(in_words(&campaign).as_deref(), expected);
+        assert_eq!(describe(&campaign).as_deref(), expected);
     }
 
     #[test]

@@ -58,8 +58,8 @@ pub fn runs_on(pack: &str, mujoco: &str, renderer: &str, program: &str) -> Strin
     };
     let (mujoco, program) = (named("MuJoCo", mujoco), named("program", program));
     let parts = [pack, &mujoco, renderer, &program];
-    let told: Vec<&str> = parts.into_iter().filter(|part| !part.is_empty()).collect();
-    told.join(", ")
+    let present: Vec<&str> = parts.into_iter().filter(|part| !part.is_empty()).collect();
+    present.join(", ")
 }
 
 /// Formats a size in binary units: `812 B`, `3.4 MiB`.
@@ -82,7 +82,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn numbers_come_in_the_unit_that_people_would_choose() {
+    fn numbers_are_formatted_in_suitable_units() {
         assert_eq!(rate_text(2.1), "2.1/s");
         assert_eq!(rate_text(0.42), "25.2/min");
         assert_eq!(rate_text(0.001), "3.6/h");
@@ -90,13 +90,13 @@ mod tests {
         assert_eq!(spans, ["42s", "4m28s", "3h05m", "2d01h"]);
         let instants =
             [0, 951_827_696_000, 1_795_275_369_999, -1].map(|ms| utc_text(UnixMillis(ms)));
-        let told = [
+        let texts = [
             "1970-01-01 00:00:00 UTC",
             "2000-02-29 12:34:56 UTC",
             "2026-11-21 15:36:09 UTC",
             "1969-12-31 23:59:59 UTC",
         ];
-        assert_eq!(instants, told);
+        assert_eq!(instants, texts);
         let written = [0, 1_795_275_369_123, i64::MAX].map(|ms| rfc3339(UnixMillis(ms)));
         let expected = [
             "1970-01-01T00:00:00.000Z",
@@ -110,7 +110,7 @@ mod tests {
 
     /// Workers stored under schema 1 have no renderer.
     #[test]
-    fn what_a_worker_did_not_name_leaves_no_gap() {
+    fn missing_worker_properties_leave_no_gap() {
         assert_eq!(
             runs_on("primitives", "3.3.7", "", "0.1.0"),
             "primitives, MuJoCo 3.3.7, program 0.1.0"

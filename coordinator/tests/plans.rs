@@ -70,13 +70,13 @@ const LOOPS: [(&str, Walks); 11] = [
     ),
     (
         "statistics of a page",
-        OnPurpose("once, a_computation_that_nobody_waits_for_any_more_is_not_begun_again"),
+        OnPurpose("once, an_abandoned_computation_is_not_started_again"),
     ),
     (
         "a large campaign is created, imported or deleted",
         OnPurpose(
             "in pieces, a_large_campaign_comes_and_goes_in_pieces_and_nobody_sees_a_part_of_it and \
-             a_large_import_comes_in_pieces_and_leaves_nothing_if_it_is_cut_off",
+             a_large_import_takes_several_transactions_and_leaves_nothing_if_interrupted",
         ),
     ),
     (
@@ -86,7 +86,7 @@ const LOOPS: [(&str, Walks); 11] = [
 ];
 
 /// Returns the first column of the table of loops.
-fn loops_of_the_map() -> Vec<&'static str> {
+fn documented_loops() -> Vec<&'static str> {
     let map = include_str!("../../docs/ARCHITECTURE.md");
     let table = map
         .split_once("| loop | when | rows | walks |")
@@ -188,7 +188,7 @@ fn report(attempt: AttemptId) -> CommitReport {
 }
 
 /// Makes every kind of call by workers, successful and failing, and sweeps.
-async fn everything(queue: &Queue, clock: &ManualClock) {
+async fn call_everything(queue: &Queue, clock: &ManualClock) {
     let mut claims = 0;
     let mut lease = async |warm: Option<&str>| -> Option<AttemptId> {
         claims += 1;
@@ -241,7 +241,7 @@ async fn everything(queue: &Queue, clock: &ManualClock) {
 
 /// Returns the statements for campaigns that are done or waiting, among them one that explains, one
 /// that may stop early and one that is filmed, while a rollout of another campaign is settled.
-async fn asked_all_the_while(queue: &Queue, caught: &Caught) -> BTreeSet<String> {
+async fn frequent_statements(queue: &Queue, caught: &Caught) -> BTreeSet<String> {
     let name = |name: &str| CampaignName::parse(name).expect("a name");
     let create = async |name: &str, priority: i32, fields: &serde_json::Value| {
         let mut spec = json!({
@@ -288,13 +288,13 @@ async fn asked_all_the_while(queue: &Queue, caught: &Caught) -> BTreeSet<String>
     assert!(has_result, "it is pinned, so that it is filmed");
     let skip = queue.skip_jobs(&name("done"), &skipped).await;
     assert_eq!(skip.expect("skipped"), skipped.len() as u64);
-    is_looked_at(queue).await;
+    wait_for_queue_tasks(queue).await;
     assert_eq!(queue.next_film(&pin()).await.expect("an answer"), None);
 
     caught.lock().clear();
     let skip = queue.skip_jobs(&other.0, &[other.1]).await;
     assert_eq!(skip.expect("skipped"), 1);
-    is_looked_at(queue).await;
+    wait_for_queue_tasks(queue).await;
     assert_eq!(queue.next_film(&pin()).await.expect("an answer"), None);
     let mut view = queue.view().await.expect("a view");
     view.statuses().await.expect("statuses");
@@ -306,14 +306,14 @@ async fn asked_all_the_while(queue: &Queue, caught: &Caught) -> BTreeSet<String>
 }
 
 /// Waits until the queue's tasks have processed every settled job.
-async fn is_looked_at(queue: &Queue) {
+async fn wait_for_queue_tasks(queue: &Queue) {
     for _ in 0..1_000 {
         let mut view = queue.view().await.expect("a view");
         let statuses = view.statuses().await.expect("statuses");
         let why = statuses
             .iter()
-            .find(|it| it.campaign.name.as_str() == "why");
-        if !why.expect("it is here").may_grow {
+            .find(|status| status.campaign.name.as_str() == "why");
+        if !why.expect("the campaign").may_grow {
             return;
         }
         tokio::time::sleep(Duration::from_millis(10)).await;
@@ -332,7 +332,7 @@ async fn plan(connection: &mut SqliteConnection, statement: &str) -> Vec<String>
 }
 
 /// Returns the faults of SQLite's plan of a statement, and the indices that it walks.
-async fn look_at(
+async fn inspect_plan(
     connection: &mut SqliteConnection,
     statement: &str,
 ) -> (Vec<String>, BTreeSet<String>) {
@@ -376,7 +376,7 @@ async fn campaign_walks(connection: &mut SqliteConnection, statement: &str) -> V
 }
 
 #[tokio::test]
-async fn no_statement_that_is_executed_all_the_while_walks_the_jobs() {
+async fn no_frequent_statement_walks_all_jobs() {
     let caught = Caught::default();
     let folder = tempfile::tempdir().expect("a temporary folder");
     let store = Store::open(folder.path()).await.expect("a store");
@@ -410,9 +410,9 @@ async fn no_statement_that_is_executed_all_the_while_walks_the_jobs() {
     };
     queue.register(&worker).await.expect("registered");
     tracing_subscriber::registry().with(caught.clone()).init();
-    everything(&queue, &clock).await;
+    call_everything(&queue, &clock).await;
     let statements = caught.lock().clone();
-    let asked = asked_all_the_while(&queue, &caught).await;
+    let frequent = frequent_statements(&queue, &caught).await;
     queue.close().await.expect("closes");
 
     let file = folder.path().join(DATABASE_FILE);
@@ -422,7 +422,7 @@ async fn no_statement_that_is_executed_all_the_while_walks_the_jobs() {
     assert!(
         statements
             .iter()
-            .any(|it| it.contains("GROUP BY campaign_id")),
+            .any(|statement| statement.contains("GROUP BY campaign_id")),
         "what campaigns hold is compared"
     );
     // A new origin comes once per kind of worker, not once per rollout, and
@@ -435,7 +435,7 @@ async fn no_statement_that_is_executed_all_the_while_walks_the_jobs() {
     assert!(looked_at.len() >= 20, "{statements:#?}");
     let mut walked = BTreeSet::new();
     for statement in looked_at {
-        let (faults, indices) = look_at(&mut connection, statement).await;
+        let (faults, indices) = inspect_plan(&mut connection, statement).await;
         assert!(faults.is_empty(), "{faults:?} in\n{statement}");
         walked.extend(indices);
     }
@@ -445,7 +445,7 @@ async fn no_statement_that_is_executed_all_the_while_walks_the_jobs() {
 
     // Regression (findings B5, B10, B14): finished campaigns were counted, derived and scanned
     // again.
-    assert!(asked.len() >= 15, "{asked:#?}");
+    assert!(frequent.len() >= 15, "{frequent:#?}");
     for part in [
         "FROM derivation d JOIN",
         "FROM stop s",
@@ -453,34 +453,37 @@ async fn no_statement_that_is_executed_all_the_while_walks_the_jobs() {
         "record = 'transitions'",
     ] {
         assert!(
-            asked.iter().any(|it| it.contains(part)),
-            "{part} in {asked:#?}"
+            frequent.iter().any(|statement| statement.contains(part)),
+            "{part} in {frequent:#?}"
         );
     }
-    for statement in asked.iter().filter(is_hot) {
+    for statement in frequent.iter().filter(is_hot) {
         let is_outcomes = statement.contains("LEFT JOIN result r");
         assert!(
             !is_outcomes,
             "a campaign that is done is read again by\n{statement}"
         );
-        let (mut faults, _) = look_at(&mut connection, statement).await;
+        let (mut faults, _) = inspect_plan(&mut connection, statement).await;
         faults.extend(campaign_walks(&mut connection, statement).await);
         assert!(faults.is_empty(), "{faults:?} in\n{statement}");
     }
     connection.close().await.expect("closes");
     for (name, walks) in &LOOPS {
         if let Seen(part) = walks {
-            let is_caught = statements.iter().chain(&asked).any(|it| it.contains(part));
+            let is_caught = statements
+                .iter()
+                .chain(&frequent)
+                .any(|statement| statement.contains(part));
             assert!(is_caught, "{name}: {part} in {statements:#?}");
         }
     }
 }
 
 #[test]
-fn every_loop_over_rows_that_the_map_names_is_caught_or_walks_on_purpose() {
-    let known = LOOPS.map(|(name, walks)| match walks {
+fn every_documented_loop_is_captured_or_has_a_reason() {
+    let listed = LOOPS.map(|(name, walks)| match walks {
         OnPurpose("") => panic!("{name} has no reason"),
         Seen(_) | OnPurpose(_) => name,
     });
-    assert_eq!(loops_of_the_map(), known, "say how a new loop walks");
+    assert_eq!(documented_loops(), listed, "say how a new loop walks");
 }

@@ -115,7 +115,7 @@ impl Crowd {
         for _ in 0..FILMERS {
             tasks.spawn(crowd.clone().film(crowd.client()));
         }
-        *crowd.tasks.try_lock().expect("nobody has it yet") = tasks;
+        *crowd.tasks.try_lock().expect("an unlocked mutex") = tasks;
         crowd
     }
 
@@ -139,7 +139,7 @@ impl Crowd {
 
     /// Returns the numbers of refused results, failed calls and stored films.
     pub(crate) fn others(&self) -> [u64; 3] {
-        [&self.refused, &self.failed, &self.films].map(|it| it.load(Ordering::Relaxed))
+        [&self.refused, &self.failed, &self.films].map(|count| count.load(Ordering::Relaxed))
     }
 
     /// Returns true if no rollout has been running for [`QUIET`].
@@ -232,7 +232,7 @@ impl Crowd {
                 warm_task: warm.clone(),
                 lacking_tasks: Vec::new(),
             };
-            let asked = Instant::now();
+            let sent_at = Instant::now();
             let lease = match client.claim(request).await {
                 Ok(answer) => answer.into_inner().lease,
                 Err(status) => {
@@ -243,7 +243,7 @@ impl Crowd {
                     continue;
                 }
             };
-            let latency = asked.elapsed().as_secs_f64();
+            let latency = sent_at.elapsed().as_secs_f64();
             self.claims.lock().expect("no panic").push(latency);
             match lease {
                 Some(lease) => {

@@ -19,41 +19,44 @@ const PANELS: [(&str, &[Line]); 6] = [
     (
         "claims, ms",
         &[
-            ("p50", |it| it.claim_p50.map(|secs| secs * 1e3)),
-            ("p99", |it| it.claim_p99.map(|secs| secs * 1e3)),
+            ("p50", |sample| sample.claim_p50.map(|secs| secs * 1e3)),
+            ("p99", |sample| sample.claim_p99.map(|secs| secs * 1e3)),
         ],
     ),
     (
         "longest answer, ms",
         &[
-            ("page", |it| it.page.map(|secs| secs * 1e3)),
-            ("metrics", |it| it.metrics.map(|secs| secs * 1e3)),
-            ("status", |it| it.status.map(|secs| secs * 1e3)),
+            ("page", |sample| sample.page.map(|secs| secs * 1e3)),
+            ("metrics", |sample| sample.metrics.map(|secs| secs * 1e3)),
+            ("status", |sample| sample.status.map(|secs| secs * 1e3)),
         ],
     ),
-    ("memory, MiB", &[("resident", |it| Some(it.resident_mib))]),
+    (
+        "memory, MiB",
+        &[("resident", |sample| Some(sample.resident_mib))],
+    ),
     (
         "open files",
-        &[("descriptors", |it| Some(it.descriptors as f64))],
+        &[("descriptors", |sample| Some(sample.descriptors as f64))],
     ),
     (
         "disk, MiB",
         &[
-            ("database", |it| Some(it.database_mib)),
-            ("write-ahead log", |it| Some(it.wal_mib)),
-            ("log", |it| Some(it.log_kib / 1024.0)),
+            ("database", |sample| Some(sample.database_mib)),
+            ("write-ahead log", |sample| Some(sample.wal_mib)),
+            ("log", |sample| Some(sample.log_kib / 1024.0)),
         ],
     ),
     (
         "results, thousands",
-        &[("accepted", |it| Some(it.accepted as f64 / 1e3))],
+        &[("accepted", |sample| Some(sample.accepted as f64 / 1e3))],
     ),
 ];
 
 /// Returns the figure as SVG.
 pub(crate) fn draw(samples: &[Sample]) -> String {
     let height = PANELS.len() as f64 * (PANEL + GAP) + 2.0 * GAP;
-    let until = samples.last().map_or(1.0, |it| it.at).max(1.0);
+    let until = samples.last().map_or(1.0, |sample| sample.at).max(1.0);
     let x = |at: f64| LEFT + at / until * (WIDTH - LEFT - RIGHT);
     let mut svg = format!(
         "<svg xmlns='http://www.w3.org/2000/svg' viewBox='0 0 {WIDTH} {height}' \
@@ -85,7 +88,9 @@ pub(crate) fn draw(samples: &[Sample]) -> String {
             LEFT - 6.0,
         );
         for (place, ((name, value), colour)) in lines.iter().zip(COLOURS).enumerate() {
-            let points = samples.iter().filter_map(|it| Some((it.at, value(it)?)));
+            let points = samples
+                .iter()
+                .filter_map(|sample| Some((sample.at, value(sample)?)));
             let points: Vec<String> = points
                 .map(|(at, value)| format!("{:.1},{:.1}", x(at), y(value)))
                 .collect();

@@ -179,8 +179,8 @@ fn create(server: &Server, arguments: &Arguments) -> Result<()> {
     });
     for (spec, priority) in [(measured, 0), (stops, -1), (filmed, 1), (explains, 1)] {
         let began = Instant::now();
-        let said = server.create(&spec, priority)?;
-        println!("{said} ({:.1} s)", began.elapsed().as_secs_f64());
+        let printed = server.create(&spec, priority)?;
+        println!("{printed} ({:.1} s)", began.elapsed().as_secs_f64());
     }
     Ok(())
 }

@@ -119,8 +119,8 @@ impl Server {
         let file = self.folder.join("spec.json");
         std::fs::write(&file, spec.to_string())?;
         let (file, priority) = (file.display().to_string(), format!("--priority={priority}"));
-        let said = self.command(&["campaign", "create", "--spec", &file, &priority])?;
-        Ok(said.lines().next().unwrap_or_default().to_owned())
+        let printed = self.command(&["campaign", "create", "--spec", &file, &priority])?;
+        Ok(printed.lines().next().unwrap_or_default().to_owned())
     }
 
     /// Returns the status of the campaigns that are neither finished nor stopped.
@@ -156,12 +156,9 @@ impl Server {
     pub(crate) fn check(&self) -> Result<String> {
         let data = self.folder.join("data");
         let output = Command::new(program()?).arg("check").arg(data).output()?;
-        let said = String::from_utf8_lossy(&output.stdout).trim().to_owned();
-        ensure!(
-            output.status.success(),
-            "find the database in order: {said}"
-        );
-        Ok(said)
+        let printed = String::from_utf8_lossy(&output.stdout).trim().to_owned();
+        ensure!(output.status.success(), "verify the database: {printed}");
+        Ok(printed)
     }
 
     fn url(&self) -> String {
@@ -235,8 +232,8 @@ fn spawn(folder: &Path, address: SocketAddr, number: u32) -> Result<Child> {
 
 /// Returns the path of the coordinator program, one folder above the examples' in `target`.
 fn program() -> Result<PathBuf> {
-    let own = std::env::current_exe()?;
-    let folder = own
+    let executable = std::env::current_exe()?;
+    let folder = executable
         .parent()
         .and_then(Path::parent)
         .context("find this program's folder")?;

@@ -116,7 +116,8 @@ const HEADINGS: &str = " secs  results  claim p50/p99 ms  page/metrics/status ms
 
 impl Sample {
     fn line(&self, [refused, failed, films]: [u64; 3]) -> String {
-        let ms = |secs: Option<f64>| secs.map_or("-".to_owned(), |it| format!("{:.1}", it * 1e3));
+        let ms =
+            |secs: Option<f64>| secs.map_or("-".to_owned(), |secs| format!("{:.1}", secs * 1e3));
         format!(
             "{:5.0} {:8} {:>8}/{:<8} {:>8}/{}/{:<8} {:10.1} {:6} {:8.1} {:13.1} {:8.1} {:8} {:6} \
              {:5} {}",
@@ -159,7 +160,7 @@ fn sample(
     let process = format!("/proc/{}", followed.process);
     let status = std::fs::read_to_string(format!("{process}/status")).unwrap_or_default();
     let resident = status.lines().find_map(|line| line.strip_prefix("VmRSS:"));
-    let resident = resident.and_then(|it| it.trim().strip_suffix(" kB")?.parse::<f64>().ok());
+    let resident = resident.and_then(|text| text.trim().strip_suffix(" kB")?.parse::<f64>().ok());
     let descriptors = std::fs::read_dir(format!("{process}/fd"));
     let mib = |name: &str| size(&data.join(name)) as f64 / f64::from(1 << 20);
     let [page, metrics, status] = std::mem::take(&mut *longest.lock().expect("no panic"));
@@ -181,7 +182,7 @@ fn sample(
 }
 
 fn size(file: &Path) -> u64 {
-    std::fs::metadata(file).map_or(0, |it| it.len())
+    std::fs::metadata(file).map_or(0, |metadata| metadata.len())
 }
 
 fn note(longest: &Longest, kind: usize, took: Duration) {
@@ -197,10 +198,10 @@ async fn ask_pages(reached: Reached, longest: Longest, kind: usize) {
             0 => PAGES[turn % PAGES.len()],
             _ => "/metrics",
         };
-        let asked = Instant::now();
+        let sent_at = Instant::now();
         // Failed requests are not counted, since the coordinator is down at times.
         if get(&reached, path).await.is_ok() {
-            note(&longest, kind, asked.elapsed());
+            note(&longest, kind, sent_at.elapsed());
         }
     }
 }
@@ -213,7 +214,7 @@ async fn get(reached: &Reached, path: &str) -> Result<()> {
     let token = reached.viewer.authorization(&uri, "Bearer");
     let token = token
         .as_ref()
-        .and_then(|it| it.to_str().ok())
+        .and_then(|value| value.to_str().ok())
         .unwrap_or_default();
     let request = format!(
         "GET {path} HTTP/1.1\r\nHost: {authority}\r\nAuthorization: {token}\r\nConnection: close\r\n\r\n"
@@ -237,12 +238,12 @@ async fn ask_status(reached: Reached, longest: Longest) {
     let mut client = OperatorServiceClient::new(connection);
     loop {
         tokio::time::sleep(ASKED_EVERY).await;
-        let asked = Instant::now();
+        let sent_at = Instant::now();
         let listed = client
             .list_campaigns(wire::ListCampaignsRequest::default())
             .await;
         if listed.is_ok() {
-            note(&longest, 2, asked.elapsed());
+            note(&longest, 2, sent_at.elapsed());
         }
     }
 }
@@ -266,19 +267,22 @@ pub(crate) fn judge(samples: &[Sample]) -> Result<()> {
         values.get(values.len() / 2).copied().unwrap_or_default()
     };
     let grown = |of: &[Sample], value: fn(&Sample) -> f64| {
-        let results = |it: &Sample| it.accepted as f64;
+        let results = |sample: &Sample| sample.accepted as f64;
         let of_results = results(&of[of.len() - 1]) - results(&of[0]);
         (value(&of[of.len() - 1]) - value(&of[0])) / of_results.max(1.0)
     };
     // Rows of name, value before, value at the end, and tolerance: a factor and an addend.
     let (memory, files) = (
-        |it: &Sample| it.resident_mib,
-        |it: &Sample| it.descriptors as f64,
+        |sample: &Sample| sample.resident_mib,
+        |sample: &Sample| sample.descriptors as f64,
     );
-    let (log, wal) = (|it: &Sample| it.log_kib, |it: &Sample| it.wal_mib);
+    let (log, wal) = (
+        |sample: &Sample| sample.log_kib,
+        |sample: &Sample| sample.wal_mib,
+    );
     let claims = (
-        median(before, |it| it.claim_p99),
-        median(last, |it| it.claim_p99),
+        median(before, |sample| sample.claim_p99),
+        median(last, |sample| sample.claim_p99),
     );
     let rows = [
         (

@@ -66,7 +66,7 @@ pub(super) fn difference(archived: &str, now: &str) -> Option<String> {
     let read = |text| serde_json::from_str::<Value>(text);
     match (read(archived), read(now)) {
         (Ok(archived), Ok(now)) => differs(&archived, &now, ""),
-        _ => Some("its beginning, which is no JSON".to_owned()),
+        _ => Some("its beginning, which is not JSON".to_owned()),
     }
 }
 
@@ -98,7 +98,7 @@ mod tests {
     use super::difference;
 
     #[test]
-    fn a_difference_is_named_by_its_place_and_an_addition_is_none() {
+    fn a_difference_is_reported_by_path_and_an_added_key_is_ignored() {
         let archived = r#"{"a": [1, {"b": 2.5}], "c": null}"#;
         assert_eq!(difference(archived, archived), None);
         let more = r#"{"a": [1, {"b": 2.5, "new": 1}], "c": null, "d": 3}"#;
@@ -108,7 +108,7 @@ mod tests {
             (r#"{"a": [1], "c": null}"#, ".a"),
             (r#"{"a": [1, {"b": 2.5}]}"#, ".c"),
             ("[]", "its beginning"),
-            ("nonsense", "its beginning, which is no JSON"),
+            ("nonsense", "its beginning, which is not JSON"),
         ] {
             assert_eq!(difference(archived, now).as_deref(), Some(place), "{now}");
         }

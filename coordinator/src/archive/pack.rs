@@ -34,17 +34,18 @@ pub async fn package(
 ) -> Result<Package, ArchiveError> {
     let mut members: Vec<(String, PathBuf)> = Vec::new();
     let mut missing = Vec::new();
-    for it in campaign.films().await? {
-        let name = it.path.rsplit('/').next().unwrap_or_default();
+    for film_file in campaign.films().await? {
+        let name = film_file.path.rsplit('/').next().unwrap_or_default();
         let path = film(name);
         match path.is_file() {
-            true => members.push((it.path, path)),
-            false => missing.push(it.path),
+            true => members.push((film_file.path, path)),
+            false => missing.push(film_file.path),
         }
     }
     if !missing.is_empty() {
         let campaign_name = &campaign.campaign.name;
-        tracing::warn!(campaign = %campaign_name, "left out of the archive, for they are gone: {}",
+        tracing::warn!(campaign = %campaign_name,
+            "films left out of the archive because their files are missing: {}",
             missing.join(", "));
         campaign.leave_out(&missing).await?;
     }
@@ -126,7 +127,7 @@ impl Package {
             .map_err(failed)?;
         for (member, path) in self.contents.members.iter().zip(&self.files) {
             let file = File::open(path).map_err(input(path))?;
-            let mut file = Digesting::of(file.take(member.bytes));
+            let mut file = Digesting::new(file.take(member.bytes));
             let mut head = header(member.bytes);
             tar.append_data(&mut head, &member.name, &mut file)
                 .map_err(failed)?;
@@ -157,15 +158,15 @@ fn input(path: &Path) -> impl FnOnce(io::Error) -> ArchiveError {
 
 /// Reader that counts and hashes the bytes read through it.
 pub(super) struct Digesting<R> {
-    of: R,
+    reader: R,
     bytes: u64,
     digest: Sha256,
 }
 
 impl<R: Read> Digesting<R> {
-    pub(super) fn of(of: R) -> Digesting<R> {
+    pub(super) fn new(reader: R) -> Digesting<R> {
         Digesting {
-            of,
+            reader,
             bytes: 0,
             digest: Sha256::new(),
         }
@@ -181,7 +182,7 @@ impl<R: Read> Digesting<R> {
 
 impl<R: Read> Read for Digesting<R> {
     fn read(&mut self, into: &mut [u8]) -> io::Result<usize> {
-        let count = self.of.read(into)?;
+        let count = self.reader.read(into)?;
         self.bytes += count as u64;
         self.digest.update(&into[..count]);
         Ok(count)
@@ -190,7 +191,7 @@ impl<R: Read> Read for Digesting<R> {
 
 /// Copies all bytes; returns their number and their SHA-256, hex.
 pub(super) fn copy_digesting(from: impl Read, mut to: impl Write) -> io::Result<(u64, String)> {
-    let mut from = Digesting::of(from);
+    let mut from = Digesting::new(from);
     io::copy(&mut from, &mut to)?;
     Ok(from.finish())
 }

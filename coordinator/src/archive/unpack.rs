@@ -30,7 +30,7 @@ const MAX_PADDING_BYTES: u64 = 1 << 20;
 const FILM_SUFFIX: &str = ".mp4";
 
 /// Problem reported for a file that is not an archive at all.
-const NO_TAR: &str = "it is no compressed tar";
+const NO_TAR: &str = "it is not a compressed tar archive";
 
 /// Members that every archive has, in order.
 const MEMBERS: [&str; 4] = [SPECIFICATION, PROVENANCE, REPORT, DATABASE_FILE];
@@ -80,7 +80,7 @@ pub async fn unpack(file: &Path, name: &str, into: &Path) -> Result<Unpacked, Ar
     let films = campaign.films().await?.into_iter();
     let films: Vec<(String, u64)> = films.map(|film| (film.path, film.size_bytes)).collect();
     let listed = contents.members[MEMBERS.len()..].iter();
-    let listed: Vec<(String, u64)> = listed.map(|it| (it.name.clone(), it.bytes)).collect();
+    let listed: Vec<(String, u64)> = listed.map(|film| (film.name.clone(), film.bytes)).collect();
     if films != listed {
         return Err(altered(DATABASE_FILE, "it names other films"));
     }
@@ -164,7 +164,7 @@ impl Reading<'_> {
             return Err(self.foreign(format!("it does not begin with {LIST}")));
         }
         if first.size() > MAX_LIST_BYTES {
-            return Err(self.foreign(format!("its {LIST} is larger than any")));
+            return Err(self.foreign(format!("its {LIST} exceeds the size limit")));
         }
         let mut text = Vec::new();
         let read = first.read_to_end(&mut text);
@@ -176,7 +176,7 @@ impl Reading<'_> {
         let versions: Versions = serde_json::from_slice(&text).map_err(unreadable)?;
         let known = newest_known_schema();
         for (what, found, known) in [
-            ("form", versions.format.into(), FORMAT.into()),
+            ("format", versions.format.into(), FORMAT.into()),
             ("schema version", versions.schema, known),
         ] {
             if found > known {
@@ -200,7 +200,7 @@ impl Reading<'_> {
         if let Err(error) = CampaignName::parse(&contents.campaign) {
             return refused(error.to_string());
         }
-        let names = contents.members.iter().map(|it| it.name.as_str());
+        let names = contents.members.iter().map(|member| member.name.as_str());
         let names: Vec<&str> = names.collect();
         if !names.starts_with(&MEMBERS) {
             return refused(format!(
@@ -243,12 +243,12 @@ impl Reading<'_> {
         let databases = contents
             .members
             .iter()
-            .filter(|it| it.name == DATABASE_FILE);
-        let copied = databases.fold(0, |sum: u64, it| sum.saturating_add(it.bytes));
+            .filter(|member| member.name == DATABASE_FILE);
+        let copied = databases.fold(0, |sum: u64, member| sum.saturating_add(member.bytes));
         let needed = total
             .saturating_add(copied)
             .saturating_add(DEFAULT_MIN_FREE_MIB << 20);
-        let room = Room::look(into, needed);
+        let room = Room::measure(into, needed);
         match room.free_bytes < needed {
             true => Err(ArchiveError::NoRoom {
                 archive: self.archive.to_owned(),

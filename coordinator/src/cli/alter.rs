@@ -76,14 +76,15 @@ pub(super) async fn set_endpoint(arguments: EndpointArguments) -> Result<(), Com
         ..AlterCampaignRequest::default()
     };
     let altered = alter(&arguments.connection, request).await?;
-    tell_endpoint(&arguments.campaign, altered)
+    print_endpoint(&arguments.campaign, altered)
 }
 
 /// Moves every unfinished campaign from one policy endpoint to another.
 pub(super) async fn move_endpoint(arguments: MoveArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
     let campaigns = client.list_campaigns().await?;
-    let moves = |it: &&CampaignStatus| it.policy_endpoint == arguments.from && !is_finished(it);
+    let moves =
+        |status: &&CampaignStatus| status.policy_endpoint == arguments.from && !is_finished(status);
     let moved: Vec<&CampaignStatus> = campaigns.iter().filter(moves).collect();
     if moved.is_empty() {
         return Ok(print_line(&format!(
@@ -98,12 +99,12 @@ pub(super) async fn move_endpoint(arguments: MoveArguments) -> Result<(), Comman
             ..AlterCampaignRequest::default()
         };
         let altered = client.call(request, Service::alter_campaign).await?;
-        tell_endpoint(&status.campaign, altered)?;
+        print_endpoint(&status.campaign, altered)?;
     }
     Ok(())
 }
 
-fn tell_endpoint(campaign: &str, altered: AlterCampaignResponse) -> Result<(), CommandError> {
+fn print_endpoint(campaign: &str, altered: AlterCampaignResponse) -> Result<(), CommandError> {
     let status = altered.status.unwrap_or_default();
     let mut lines = vec![format!(
         "campaign {campaign} measures {} at {}",
@@ -127,7 +128,7 @@ pub(super) async fn rename(arguments: RenameArguments) -> Result<(), CommandErro
     };
     alter(&arguments.connection, request).await?;
     Ok(print_line(&format!(
-        "campaign {} is called {}; its page has moved with it, its files stay",
+        "campaign {} is called {}; its page has moved, its files have not",
         arguments.campaign, arguments.name
     ))?)
 }

@@ -9,7 +9,7 @@ use coordinator::client::Service;
 use proto::coordinator::BackupRequest;
 
 use super::command::{CommandError, Connection, print_line};
-use super::files::WholeFile;
+use super::files::AtomicFile;
 
 /// Copies the current database while the coordinator runs. To restore the copy, put it as
 /// `coordinator.sqlite` into an empty folder and start `coordinator serve --data` there. Videos,
@@ -26,7 +26,7 @@ pub(super) struct BackupArguments {
 pub(super) async fn backup(arguments: BackupArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
     let mut chunks = client.call(BackupRequest {}, Service::backup).await?;
-    let mut file = WholeFile::create(&arguments.output)?;
+    let mut file = AtomicFile::create(&arguments.output)?;
     let mut size_bytes = 0;
     while let Some(chunk) = client.next(&mut chunks).await? {
         let written = file.writer().write_all(&chunk.data);

@@ -30,11 +30,11 @@ pub(super) async fn check(arguments: CheckArguments) -> Result<(), CommandError>
             print_line("  …")?;
         }
     }
-    let all = INVARIANTS.len();
+    let total = INVARIANTS.len();
     if violations.is_empty() {
-        return Ok(print_line(&format!("all {all} invariants hold"))?);
+        return Ok(print_line(&format!("all {total} invariants hold"))?);
     }
-    let error = anyhow!("{} of {all} invariants do not hold", violations.len());
+    let error = anyhow!("{} of {total} invariants are violated", violations.len());
     let database = arguments.path.display();
-    Err(failure(error.context(format!("find {database} in order"))))
+    Err(failure(error.context(format!("verify {database}"))))
 }

@@ -179,13 +179,13 @@ fn execution(text: &str) -> anyhow::Result<Execution> {
     let Some((model, file)) = text.split_once(":@") else {
         return Ok(text.parse()?);
     };
-    let (file, told) = match file.strip_suffix(",rtc") {
+    let (file, rtc_suffix) = match file.strip_suffix(",rtc") {
         Some(file) => (file, ",rtc"),
         None => (file, ""),
     };
     let text = std::fs::read_to_string(file).with_context(|| format!("read `{file}`"))?;
     let delays = Delays::from_json(&text).with_context(|| format!("use `{file}`"))?;
-    Ok(format!("{model}:{delays}{told}").parse()?)
+    Ok(format!("{model}:{delays}{rtc_suffix}").parse()?)
 }
 
 /// The flags of a campaign that may end early.
@@ -268,27 +268,30 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         return Ok(print_line(&spec)?);
     }
     let tasks = campaign.tasks();
-    let suites: BTreeSet<&str> = tasks.iter().filter_map(|it| it.split('/').next()).collect();
-    let unasked = horizon::check(&spec, suites, &arguments.connection).await?;
+    let suites: BTreeSet<&str> = tasks
+        .iter()
+        .filter_map(|task| task.split('/').next())
+        .collect();
+    let unknown_length = horizon::check(&spec, suites, &arguments.connection).await?;
     if arguments.dry_run {
         let client = arguments.connection.patient_client(Duration::ZERO)?;
         let earlier = arguments.planning_from.as_deref();
-        let planning = Planning::of(&campaign, earlier, &arguments.connection).await?;
-        let answer = forecast::ask(&client, &campaign, arguments.policy_rate).await;
+        let planning = Planning::compute(&campaign, earlier, &arguments.connection).await?;
+        let answer = forecast::request(&client, &campaign, arguments.policy_rate).await;
         if arguments.json {
             return forecast::print(&campaign, answer, &planning);
         }
         let total = counted(campaign.jobs.len() as u64, "rollout");
         print_line(&format!("campaign {name} would have {total}"))?;
-        tell_left_out(&spec)?;
-        tell_placebo(&campaign)?;
-        tell_stop(&spec, &campaign)?;
-        tell_execution(&spec, unasked.as_deref())?;
-        print_line(&forecast::in_words(&answer, &campaign.policy))?;
-        if let Some(words) = planning::in_words(&planning) {
+        print_left_out(&spec)?;
+        print_placebo(&campaign)?;
+        print_stop(&spec, &campaign)?;
+        print_execution(&spec, unknown_length.as_deref())?;
+        print_line(&forecast::describe(&answer, &campaign.policy))?;
+        if let Some(words) = planning::describe(&planning) {
             print_line(&words)?;
         }
-        return tell_size(&campaign);
+        return print_size(&campaign);
     }
     let client = arguments.connection.client()?;
     let request = CreateCampaignRequest {
@@ -302,23 +305,23 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     };
     let total = counted(created.jobs_total, "rollout");
     print_line(&format!("campaign {name} {happened}: {total}"))?;
-    tell_left_out(&spec)?;
-    tell_stop(&spec, &campaign)?;
-    tell_execution(&spec, unasked.as_deref())?;
+    print_left_out(&spec)?;
+    print_stop(&spec, &campaign)?;
+    print_execution(&spec, unknown_length.as_deref())?;
     if created.priority != arguments.priority {
         let kept = created.priority;
         print_line(&format!(
             "it keeps priority {kept}: `coordinator campaign set-priority` changes it"
         ))?;
     }
-    tell_size(&campaign)
+    print_size(&campaign)
 }
 
 /// Prints the execution model of the rollouts unless it is `wait`, and the reason if the policy
 /// could not be asked for the length of its answers.
-fn tell_execution(spec: &CampaignSpec, unasked: Option<&str>) -> Result<(), CommandError> {
-    if let Some(unasked) = unasked {
-        print_line(&wrapped("", 2, unasked))?;
+fn print_execution(spec: &CampaignSpec, unknown_length: Option<&str>) -> Result<(), CommandError> {
+    if let Some(unknown_length) = unknown_length {
+        print_line(&wrapped("", 2, unknown_length))?;
     }
     let (Some(delays), execution) = (spec.execution.delays(), &spec.execution) else {
         return Ok(());
@@ -335,7 +338,7 @@ fn tell_execution(spec: &CampaignSpec, unasked: Option<&str>) -> Result<(), Comm
 }
 
 /// Prints the variants that the campaign leaves out.
-fn tell_left_out(spec: &CampaignSpec) -> Result<(), CommandError> {
+fn print_left_out(spec: &CampaignSpec) -> Result<(), CommandError> {
     let Rollouts::Variants(variants) = &spec.rollouts else {
         return Ok(());
     };
@@ -350,7 +353,7 @@ fn tell_left_out(spec: &CampaignSpec) -> Result<(), CommandError> {
 }
 
 /// Prints the number of rollouts at the placebo level, which measure the noise floor.
-fn tell_placebo(campaign: &NewCampaign) -> Result<(), CommandError> {
+fn print_placebo(campaign: &NewCampaign) -> Result<(), CommandError> {
     let placebo = campaign.jobs.iter().filter(|job| job.is_placebo()).count();
     if placebo > 0 {
         let of_them = counted(placebo as u64, "rollout");
@@ -359,22 +362,22 @@ fn tell_placebo(campaign: &NewCampaign) -> Result<(), CommandError> {
     Ok(())
 }
 
-fn tell_stop(spec: &CampaignSpec, campaign: &NewCampaign) -> Result<(), CommandError> {
+fn print_stop(spec: &CampaignSpec, campaign: &NewCampaign) -> Result<(), CommandError> {
     if let Some(Stop { rule, seed, strata }) = &spec.stop {
         let strata = strata.name().replace('_', " ");
         print_line(&format!(
             "the campaign ends early once {rule} at every level; configurations run in the order \
              of seed {seed}, in rounds of {strata}"
         ))?;
-        for line in stopping::in_words(rule, campaign.stops_among.unwrap_or_default()) {
+        for line in stopping::explain_rule(rule, campaign.stops_among.unwrap_or_default()) {
             print_line(&wrapped("  ", 4, &line))?;
         }
     }
     Ok(())
 }
 
-fn tell_size(campaign: &NewCampaign) -> Result<(), CommandError> {
-    if let Some(words) = video_estimate::in_words(campaign) {
+fn print_size(campaign: &NewCampaign) -> Result<(), CommandError> {
+    if let Some(words) = video_estimate::describe(campaign) {
         print_line(&words)?;
     }
     Ok(())

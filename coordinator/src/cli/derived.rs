@@ -17,10 +17,10 @@ use super::command::{CommandError, failure, print_line, usage};
 use super::forecast;
 
 /// Interval between two fetches of the findings.
-const LOOK_AGAIN: Duration = Duration::from_secs(2);
+const POLL_INTERVAL: Duration = Duration::from_secs(2);
 
 /// Campaign whose rollouts follow from those of another, to be shown, proposed or created.
-pub(super) struct Following<'a> {
+pub(super) struct DerivedCampaign<'a> {
     /// Name of the campaign that it follows from.
     pub(super) source: &'a str,
     pub(super) name: &'a str,
@@ -48,7 +48,7 @@ pub(super) struct CreateFlags {
     dry_run: bool,
 }
 
-impl Following<'_> {
+impl DerivedCampaign<'_> {
     /// Creates or proposes the campaign as the flags request; `prospect` computes its size from
     /// its source. Returns false if there are no findings to show, because it was only proposed.
     pub(super) async fn begin(
@@ -57,16 +57,16 @@ impl Following<'_> {
         flags: CreateFlags,
         prospect: impl FnOnce(&Subject) -> Result<Prospect, CommandError>,
     ) -> Result<bool, CommandError> {
-        let is_there = self.is_there(client).await?;
+        let exists = self.exists(client).await?;
         let command = format!("coordinator {} {}", self.command, self.source);
         if !flags.create && !flags.dry_run {
             if self.has_creation_flags {
                 return Err(usage(anyhow!(
-                    "read `{command}`: the flags that say how to run it need --create, or \
-                     --dry-run to see what it would take"
+                    "read `{command}`: flags for a campaign to be created need --create, or \
+                     --dry-run to print its size"
                 )));
             }
-            if is_there {
+            if exists {
                 return Ok(true);
             }
             if self.must_exist {
@@ -85,21 +85,21 @@ impl Following<'_> {
             return Ok(false);
         }
         self.create(client, &source).await?;
-        if !is_there {
+        if !exists {
             eprintln!("{proposal}");
         }
         Ok(true)
     }
 
     /// Returns true if the campaign exists and follows from its source in the same way.
-    async fn is_there(&self, client: &Client) -> Result<bool, CommandError> {
-        let all = client.list_campaigns().await?;
-        if !all.iter().any(|status| status.campaign == self.name) {
+    async fn exists(&self, client: &Client) -> Result<bool, CommandError> {
+        let campaigns = client.list_campaigns().await?;
+        if !campaigns.iter().any(|status| status.campaign == self.name) {
             return Ok(false);
         }
-        let there = spec(client, self.name).await?.rollouts;
-        let is_alike = discriminant(&there) == discriminant(&self.rollouts);
-        Ok(is_alike && there.source() == Some(self.source))
+        let rollouts = spec(client, self.name).await?.rollouts;
+        let is_alike = discriminant(&rollouts) == discriminant(&self.rollouts);
+        Ok(is_alike && rollouts.source() == Some(self.source))
     }
 
     /// Creates the campaign, unless it exists with the same specification.
@@ -146,7 +146,7 @@ impl Following<'_> {
     ) -> String {
         let rollouts = prospect.most_rollouts.iter();
         let rollouts = rollouts.map(|(suite, rollouts)| (suite.name(), *rollouts));
-        let forecast = forecast::ask_of(client, &source.policy, rollouts, None).await;
+        let forecast = forecast::request_for_suites(client, &source.policy, rollouts, None).await;
         let open = match source.queued + source.leased {
             0 => String::new(),
             open => format!(
@@ -162,7 +162,7 @@ impl Following<'_> {
             counted(prospect.subjects, self.subject)
         );
         let first = terminal::wrapped("", 2, &first);
-        format!("{first}\n{}", forecast::in_words(&forecast, &source.policy))
+        format!("{first}\n{}", forecast::describe(&forecast, &source.policy))
     }
 }
 
@@ -183,18 +183,18 @@ pub(super) async fn poll_findings<T>(
     is_complete: impl Fn(&T) -> bool,
     text: impl Fn(&T) -> String,
 ) -> Result<T, CommandError> {
-    let mut told = String::new();
+    let mut printed = String::new();
     loop {
         let found = found().await?;
         if !until_complete || is_complete(&found) {
             return Ok(found);
         }
         let text = text(&found);
-        let standing = text.lines().next().unwrap_or_default();
-        if standing != told {
-            eprintln!("{standing}");
-            standing.clone_into(&mut told);
+        let summary = text.lines().next().unwrap_or_default();
+        if summary != printed {
+            eprintln!("{summary}");
+            summary.clone_into(&mut printed);
         }
-        tokio::time::sleep(LOOK_AGAIN).await;
+        tokio::time::sleep(POLL_INTERVAL).await;
     }
 }

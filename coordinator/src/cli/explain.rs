@@ -8,7 +8,7 @@ use terminal::{number, number_from};
 
 use super::command::{CommandError, Connection, print_line, usage};
 use super::create::{RECORDS, one_of};
-use super::derived::{self, CreateFlags, Following};
+use super::derived::{self, CreateFlags, DerivedCampaign};
 
 /// Most replicates of one subset.
 const MAX_REPEATS: u32 = 1_000;
@@ -70,7 +70,7 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
         exhaustive: arguments.exhaustive,
         repeats: arguments.repeats,
     };
-    let following = Following {
+    let derived_campaign = DerivedCampaign {
         source: &arguments.campaign,
         name: &name,
         command: "explain",
@@ -81,7 +81,10 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
         must_exist: arguments.json || arguments.watch,
     };
     let prospect = |source: &Subject| Findings::prospect(source, &explanation).map_err(usage);
-    if !following.begin(&client, arguments.create, prospect).await? {
+    if !derived_campaign
+        .begin(&client, arguments.create, prospect)
+        .await?
+    {
         return Ok(());
     }
     let found = async || {

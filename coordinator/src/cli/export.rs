@@ -11,7 +11,7 @@ use report::{ResultRow, write_results_parquet};
 use terminal::counted;
 
 use super::command::{CommandError, Connection, usage};
-use super::files::WholeFile;
+use super::files::AtomicFile;
 
 /// Printed below the long help.
 const EXAMPLES: &str = "\
@@ -56,7 +56,7 @@ pub(super) async fn export(arguments: ExportArguments) -> Result<(), CommandErro
             write_lines(&client, &arguments.campaign, &mut stdout).await?;
         }
         Some(path) => {
-            let mut file = WholeFile::create(path)?;
+            let mut file = AtomicFile::create(path)?;
             let rows = match arguments.format {
                 Format::Jsonl => write_lines(&client, &arguments.campaign, file.writer()).await?,
                 Format::Parquet => write_table(&client, &arguments.campaign, file.writer()).await?,

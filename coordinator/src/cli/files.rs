@@ -59,8 +59,8 @@ pub(super) fn name_of(path: &Path) -> String {
 }
 
 /// Writes a file atomically.
-pub(super) fn write_whole(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
-    let mut file = WholeFile::create(path)?;
+pub(super) fn write_atomically(path: &Path, bytes: &[u8]) -> anyhow::Result<()> {
+    let mut file = AtomicFile::create(path)?;
     let written = file.writer().write_all(bytes);
     written.with_context(|| format!("write {}", path.display()))?;
     file.finish()
@@ -71,30 +71,30 @@ pub(super) fn write_figures(figures: &[Figure], folder: &Path) -> anyhow::Result
     std::fs::create_dir_all(folder).with_context(|| format!("make {}", folder.display()))?;
     for figure in figures {
         let path = folder.join(format!("{}.svg", figure.name));
-        write_whole(&path, figure.standalone().as_bytes())?;
+        write_atomically(&path, figure.standalone().as_bytes())?;
     }
     let count = counted(figures.len() as u64, "figure");
     eprintln!("wrote {count} to {}", folder.display());
     Ok(())
 }
 
-/// Atomic writer: the data goes to `<path>.partial`, which [`WholeFile::finish`] renames to the
+/// Atomic writer: the data goes to `<path>.partial`, which [`AtomicFile::finish`] renames to the
 /// path. Dropping an unfinished writer deletes the partial file.
-pub(super) struct WholeFile {
+pub(super) struct AtomicFile {
     path: PathBuf,
     partial: PathBuf,
     file: Option<BufWriter<File>>,
 }
 
-impl WholeFile {
-    pub(super) fn create(path: &Path) -> anyhow::Result<WholeFile> {
+impl AtomicFile {
+    pub(super) fn create(path: &Path) -> anyhow::Result<AtomicFile> {
         let mut partial = path.to_owned();
         partial.as_mut_os_string().push(".partial");
         // Removes the file of a killed command, or a link, which must not be written through.
         let _ = std::fs::remove_file(&partial);
         let file = File::create_new(&partial)
             .with_context(|| format!("write {}: may this user write there?", partial.display()))?;
-        Ok(WholeFile {
+        Ok(AtomicFile {
             path: path.to_owned(),
             partial,
             file: Some(BufWriter::new(file)),
@@ -119,7 +119,7 @@ impl WholeFile {
     }
 }
 
-impl Drop for WholeFile {
+impl Drop for AtomicFile {
     fn drop(&mut self) {
         // After `finish` no partial file exists; before it, the earlier error matters more than a
         // failed deletion.
@@ -147,7 +147,7 @@ mod tests {
         let path = folder.path().join("report.json");
         let partial = folder.path().join("report.json.partial");
         std::os::unix::fs::symlink(&other, &partial).expect("a link");
-        write_whole(&path, b"{}").expect("written");
+        write_atomically(&path, b"{}").expect("written");
         assert_eq!(std::fs::read(&path).expect("read"), b"{}");
         assert!(!path.is_symlink() && !partial.exists());
         assert_eq!(std::fs::read(&other).expect("read"), b"of somebody");

@@ -16,7 +16,7 @@ use super::planning::Planning;
 
 /// Requests the forecast of a campaign. The error is a text that the dry run prints in place of the
 /// forecast, since the rest of a dry run needs no coordinator.
-pub(super) async fn ask(
+pub(super) async fn request(
     client: &Client,
     campaign: &NewCampaign,
     policy_rate: Option<f64>,
@@ -26,11 +26,11 @@ pub(super) async fn ask(
         let suite = job.task.split('/').next().unwrap_or_default();
         *rollouts.entry(suite).or_default() += 1;
     }
-    ask_of(client, &campaign.policy, rollouts, policy_rate).await
+    request_for_suites(client, &campaign.policy, rollouts, policy_rate).await
 }
 
 /// Requests a forecast for the given number of rollouts of each suite.
-pub(super) async fn ask_of(
+pub(super) async fn request_for_suites(
     client: &Client,
     policy: &str,
     rollouts: impl IntoIterator<Item = (&str, u64)>,
@@ -50,9 +50,9 @@ pub(super) async fn ask_of(
 }
 
 /// Describes a forecast, or the error that prevented it, for a terminal.
-pub(super) fn in_words(answer: &Result<ForecastResponse, String>, policy: &str) -> String {
+pub(super) fn describe(answer: &Result<ForecastResponse, String>, policy: &str) -> String {
     match answer {
-        Ok(forecast) => forecast::in_words(forecast, policy),
+        Ok(forecast) => forecast::describe(forecast, policy),
         Err(problem) => format!("no forecast of its duration: {problem}"),
     }
 }
@@ -63,7 +63,7 @@ pub(super) fn print(
     answer: Result<ForecastResponse, String>,
     planning: &Planning,
 ) -> Result<(), CommandError> {
-    json::print(&DryRun::of(campaign, answer, planning))
+    json::print(&DryRun::new(campaign, answer, planning))
 }
 
 /// Output of `campaign create --dry-run --json`; docs/JSON.md has the schema.
@@ -111,7 +111,7 @@ json::forms! {
 
 impl<'a> DryRun<'a> {
     /// Describes a campaign for a dry run, with its forecast or the error that prevented it.
-    fn of(
+    fn new(
         campaign: &'a NewCampaign,
         answer: Result<ForecastResponse, String>,
         planning: &'a Planning,

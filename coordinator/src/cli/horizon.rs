@@ -70,9 +70,9 @@ fn overlaps(spec: &CampaignSpec) -> Vec<Execution> {
         let delays = Delays::fixed(delay_at(level)?)?;
         Some(Execution::Overlap { delays, rtc: false })
     });
-    let own = Some(spec.execution.clone());
-    let own = own.filter(|it| matches!(it, Execution::Overlap { .. }));
-    own.into_iter().chain(late).collect()
+    let model = Some(spec.execution.clone());
+    let model = model.filter(|model| matches!(model, Execution::Overlap { .. }));
+    model.into_iter().chain(late).collect()
 }
 
 /// Asks the endpoint for the most actions of an answer. The error is a clause.

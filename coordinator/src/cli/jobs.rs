@@ -170,7 +170,7 @@ async fn show(arguments: ShowArguments) -> Result<(), CommandError> {
     let details = client.call(request, Service::get_job).await?;
     match arguments.json {
         true => json::print(&json::JobDetails::of(&details)?),
-        false => Ok(print_line(&whole(&details))?),
+        false => Ok(print_line(&describe_job(&details))?),
     }
 }
 
@@ -209,8 +209,8 @@ fn job_name(text: &str) -> Result<JobName, CommandError> {
         Some((id, replicate)) => (id, replicate.parse().ok()),
     };
     // Parsing maps the paper's spellings of an id to the released ones.
-    let known: Result<RolloutId, _> = rollout_id.parse();
-    let rollout_id = known.map_or_else(|_| rollout_id.to_owned(), |id| id.to_string());
+    let parsed: Result<RolloutId, _> = rollout_id.parse();
+    let rollout_id = parsed.map_or_else(|_| rollout_id.to_owned(), |id| id.to_string());
     let replicate = replicate.ok_or_else(|| {
         let error = anyhow!("write a rollout id, and #r1 after it for its second replicate");
         usage(error.context(format!("read rollout `{text}`")))
@@ -226,7 +226,7 @@ fn name(job: &Job) -> String {
 }
 
 /// Describes the state of a job, such as its lease, backoff or outcome.
-fn standing(job: &Job) -> String {
+fn describe_state(job: &Job) -> String {
     match (job.state.as_str(), job.success) {
         ("leased", _) => format!(
             "running on {}, control step {}, lease ends in {}",
@@ -249,7 +249,7 @@ fn standing(job: &Job) -> String {
 }
 
 fn line(job: &Job) -> String {
-    let mut line = format!("{:<36} {}", name(job), standing(job));
+    let mut line = format!("{:<36} {}", name(job), describe_state(job));
     if job.charged_attempts > 0 {
         line.push_str(&format!(", {} charged", job.charged_attempts));
     }
@@ -259,13 +259,13 @@ fn line(job: &Job) -> String {
     line
 }
 
-fn whole(details: &GetJobResponse) -> String {
+fn describe_job(details: &GetJobResponse) -> String {
     let job = details.job.clone().unwrap_or_default();
     let mut lines = vec![
         format!("{}  (job {})", name(&job), job.job_id),
-        format!("  now            {}", standing(&job)),
+        format!("  now            {}", describe_state(&job)),
         format!(
-            "  attempts       {}, of which {} count against it",
+            "  attempts       {}, of which {} are charged",
             job.attempt, job.charged_attempts
         ),
     ];

@@ -162,7 +162,7 @@ mod tests {
 
     /// Regression: such a campaign read "0/0 0%  finished" before its first rollout.
     #[test]
-    fn a_campaign_that_follows_from_another_waits_for_it_and_is_not_finished() {
+    fn a_derived_campaign_without_rollouts_is_not_finished() {
         let mut waiting = CampaignStatus {
             campaign: "first-explained".to_owned(),
             follows_from: "first".to_owned(),

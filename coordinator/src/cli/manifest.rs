@@ -9,7 +9,7 @@ use libero_ctrl::{Design, DesignVersion, ManifestRow, manifest};
 use terminal::counted;
 
 use super::command::{CommandError, failure, print, print_line, usage};
-use super::files::{name_of, read_manifest, read_spec, write_whole};
+use super::files::{name_of, read_manifest, read_spec, write_atomically};
 
 #[derive(Debug, Subcommand)]
 pub(super) enum ManifestCommand {
@@ -79,7 +79,7 @@ fn expand(arguments: &ExpandArguments) -> Result<(), CommandError> {
     let Some(path) = &arguments.output else {
         return Ok(print(&text)?);
     };
-    write_whole(path, text.as_bytes())?;
+    write_atomically(path, text.as_bytes())?;
     let rows = counted(rows.len() as u64, "row");
     eprintln!("wrote {rows} to {}", path.display());
     Ok(())
@@ -110,7 +110,7 @@ fn diff(first: &Path, second: &Path) -> Result<(), CommandError> {
             counted(left.len() as u64, "row")
         ))?),
         count => Err(failure(anyhow!(
-            "find the same rows in {first} and {second}: they differ in {}",
+            "compare {first} and {second}: they differ in {}",
             counted(count as u64, "place")
         ))),
     }

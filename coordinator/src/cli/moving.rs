@@ -19,7 +19,7 @@ use tokio_util::io::ReaderStream;
 use tonic::{Response, Status};
 
 use super::command::{CommandError, Connection, failure, print_line, usage};
-use super::files::WholeFile;
+use super::files::AtomicFile;
 
 /// Chunk size of an uploaded archive, bytes.
 const CHUNK_BYTES: usize = 1 << 20;
@@ -75,9 +75,11 @@ pub(super) async fn archive(arguments: ArchiveArguments) -> Result<(), CommandEr
         campaign: arguments.campaign.clone(),
     };
     let mut chunks = client.call(request, Service::archive_campaign).await?;
-    let stored = Stored::of(&arguments.output)?;
-    let output = stored.as_ref().map_or(&arguments.output, |it| &it.file);
-    let mut file = WholeFile::create(output)?;
+    let stored = Stored::from_argument(&arguments.output)?;
+    let output = stored
+        .as_ref()
+        .map_or(&arguments.output, |object| &object.file);
+    let mut file = AtomicFile::create(output)?;
     let mut size_bytes = 0;
     while let Some(chunk) = client.next(&mut chunks).await? {
         let written = file.writer().write_all(&chunk.data);
@@ -97,7 +99,7 @@ pub(super) async fn archive(arguments: ArchiveArguments) -> Result<(), CommandEr
 
 pub(super) async fn import(arguments: ImportArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
-    let stored = Stored::of(&arguments.file)?;
+    let stored = Stored::from_argument(&arguments.file)?;
     if let Some(stored) = &stored {
         let fetched = stored.storage.fetch(&stored.name, None, &stored.file).await;
         if !fetched.map_err(failure)? {
@@ -108,7 +110,9 @@ pub(super) async fn import(arguments: ImportArguments) -> Result<(), CommandErro
             ));
         }
     }
-    let path = stored.as_ref().map_or(&arguments.file, |it| &it.file);
+    let path = stored
+        .as_ref()
+        .map_or(&arguments.file, |object| &object.file);
     // An unreadable file is a usage error; it is detected before the coordinator is contacted.
     File::open(path).await.map_err(|error| {
         usage(ArchiveError::Read {
@@ -137,14 +141,14 @@ pub(super) async fn import(arguments: ImportArguments) -> Result<(), CommandErro
 pub(super) async fn merge(arguments: MergeArguments) -> Result<(), CommandError> {
     let output = &arguments.output;
     // The halves are unpacked beside the output file, on whose disk there must be room anyway.
-    let beside = match output.parent() {
+    let parent_folder = match output.parent() {
         Some(parent) if parent != Path::new("") => parent,
         _ => Path::new("."),
     };
     let folder = tempfile::Builder::new()
         .prefix(MOVING_PREFIX)
-        .tempdir_in(beside)
-        .with_context(|| format!("make a folder in {}", beside.display()))?;
+        .tempdir_in(parent_folder)
+        .with_context(|| format!("make a folder in {}", parent_folder.display()))?;
     let mut archives = arguments.archives.iter().enumerate();
     let Some((_, first)) = archives.next() else {
         return Ok(());
@@ -174,7 +178,7 @@ pub(super) async fn merge(arguments: MergeArguments) -> Result<(), CommandError>
     let name = whole.campaign.campaign.name.clone();
     let package = package(whole.campaign, |film| films.join(film), None, halves).await;
     let package = package.map_err(failure)?;
-    let mut file = WholeFile::create(output)?;
+    let mut file = AtomicFile::create(output)?;
     package.write(file.writer(), output).map_err(failure)?;
     file.finish()?;
     let Merged {
@@ -218,7 +222,7 @@ struct Stored {
 
 impl Stored {
     /// Returns the remote object that an argument names; `None` if it names a local file.
-    fn of(given: &Path) -> Result<Option<Stored>, CommandError> {
+    fn from_argument(given: &Path) -> Result<Option<Stored>, CommandError> {
         let address = given.to_string_lossy();
         if !Storage::is_remote(&address) {
             return Ok(None);
@@ -244,13 +248,13 @@ async fn read(path: &Path, folder: &TempDir, number: usize) -> Result<Unpacked, 
 }
 
 /// Describes an input archive for the contents of the merged archive.
-fn half(of: &Unpacked) -> Half {
-    let members = &of.contents.members;
-    let database = members.iter().find(|it| it.name == DATABASE_FILE);
+fn half(archive: &Unpacked) -> Half {
+    let members = &archive.contents.members;
+    let database = members.iter().find(|member| member.name == DATABASE_FILE);
     Half {
-        campaign: of.contents.campaign.clone(),
-        program: of.contents.program.clone(),
-        database: database.map_or_else(String::new, |it| it.sha256.clone()),
+        campaign: archive.contents.campaign.clone(),
+        program: archive.contents.program.clone(),
+        database: database.map_or_else(String::new, |member| member.sha256.clone()),
     }
 }
 

@@ -41,7 +41,7 @@ pub(super) async fn change(arguments: ChangeArguments, change: Change) -> Result
     let changed = client.call(request, Service::change_campaign).await?;
     let text = match changed.state() {
         State::Running | State::Unspecified => "running",
-        State::Paused => "paused; what is being run may still be committed",
+        State::Paused => "paused; running attempts may still be committed",
         State::Cancelled => "cancelled; its results stay",
         State::Stopped => "stopped early; its results stay",
     };
@@ -52,7 +52,7 @@ pub(super) async fn delete(arguments: DeleteArguments) -> Result<(), CommandErro
     let name = &arguments.campaign;
     let confirmed = match &arguments.confirm {
         Some(confirmed) => confirmed.clone(),
-        None => ask(name)?,
+        None => prompt(name)?,
     };
     if confirmed != *name {
         let error = anyhow!("it is not `{confirmed}`; nothing was deleted");
@@ -72,7 +72,7 @@ pub(super) async fn delete(arguments: DeleteArguments) -> Result<(), CommandErro
 }
 
 /// Prompts the operator to type the campaign's name as confirmation.
-fn ask(name: &str) -> Result<String, CommandError> {
+fn prompt(name: &str) -> Result<String, CommandError> {
     if !std::io::stdin().is_terminal() {
         let error = anyhow!("pass --confirm {name} to delete its results and files for good");
         return Err(usage(error.context(format!("delete campaign `{name}`"))));

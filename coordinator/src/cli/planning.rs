@@ -64,7 +64,7 @@ impl From<Detectable> for Found {
 impl Planning {
     /// Plans a campaign from the outcomes of `earlier`, a campaign or a folder of result rows, or
     /// from the student's published outcomes if `earlier` is `None`.
-    pub(super) async fn of(
+    pub(super) async fn compute(
         campaign: &NewCampaign,
         earlier: Option<&str>,
         connection: &Connection,
@@ -97,11 +97,11 @@ impl Planning {
 fn levels(campaign: &NewCampaign, assumed: &[Assumed]) -> Vec<PlannedLevel> {
     let planned = configurations(campaign);
     let floor = planned.get(&Level::L0).copied();
-    let known_floor = assumed.iter().find(|it| it.level == Level::L0);
+    let measured_floor = assumed.iter().find(|level| level.level == Level::L0);
     let perturbed = planned.iter().filter(|(level, _)| **level != Level::L0);
     let of_level = |(&level, &planned): (&Level, &Planned)| {
         let like = Assumed::nearest(assumed, level)?;
-        let r_d = known_floor.map_or(ASSUMED_FLOOR, |it| it.r_d);
+        let r_d = measured_floor.map_or(ASSUMED_FLOOR, |level| level.r_d);
         let against = match floor {
             Some(planned) => Against::Floor { r_d, planned },
             None => Against::AnotherPolicy,
@@ -114,7 +114,7 @@ fn levels(campaign: &NewCampaign, assumed: &[Assumed]) -> Vec<PlannedLevel> {
             new_tasks: like.detectable(planned, against).into(),
             these_tasks: like.of_these_tasks().detectable(planned, against).into(),
             floor: floor.map(|_| r_d),
-            floor_configurations: floor.map(|it| it.count()),
+            floor_configurations: floor.map(|planned| planned.count()),
         })
     };
     perturbed.filter_map(of_level).collect()
@@ -146,7 +146,7 @@ fn configurations(campaign: &NewCampaign) -> BTreeMap<Level, Planned> {
 }
 
 /// Formats the planning for a terminal; `None` if the campaign has no simultaneous perturbation.
-pub(super) fn in_words(planning: &Planning) -> Option<String> {
+pub(super) fn describe(planning: &Planning) -> Option<String> {
     if planning.levels.is_empty() {
         return None;
     }
@@ -163,26 +163,29 @@ pub(super) fn in_words(planning: &Planning) -> Option<String> {
         planning
             .levels
             .iter()
-            .map(|it| wrapped("  ", 4, &of_level(it))),
+            .map(|level| wrapped("  ", 4, &describe_level(level))),
     );
     Some(lines.join("\n"))
 }
 
-fn of_level(of: &PlannedLevel) -> String {
-    let level = match of.level == of.assumed_level {
-        true => of.level.to_string(),
-        false => format!("{} (assumed as at {})", of.level, of.assumed_level),
+fn describe_level(planned: &PlannedLevel) -> String {
+    let level = match planned.level == planned.assumed_level {
+        true => planned.level.to_string(),
+        false => format!(
+            "{} (assumed as at {})",
+            planned.level, planned.assumed_level
+        ),
     };
-    let configurations = counted(of.configurations.into(), "configuration");
-    let tasks = counted(of.tasks.into(), "task");
-    let Found { difference, i, r_d } = &of.new_tasks;
+    let configurations = counted(planned.configurations.into(), "configuration");
+    let tasks = counted(planned.tasks.into(), "task");
+    let Found { difference, i, r_d } = &planned.new_tasks;
     if (difference, i, r_d) == (&None, &None, &None) {
         return format!(
             "{level}, {configurations} of {tasks}: none; more tasks detect more, and an interval \
              needs at least 10"
         );
     }
-    let against = match (of.floor, of.floor_configurations) {
+    let against = match (planned.floor, planned.floor_configurations) {
         (Some(floor), Some(count)) => format!(
             "above a floor of {:.1} % over {}",
             100.0 * floor,
@@ -190,7 +193,7 @@ fn of_level(of: &PlannedLevel) -> String {
         ),
         _ => "from another policy's".to_owned(),
     };
-    let these = &of.these_tasks;
+    let these = &planned.these_tasks;
     format!(
         "{level}, {configurations} of {tasks}: for new tasks, a difference of two policies (A - B) \
          of {} points, I {} from 0, R_d {} {against}; for these tasks only {}, {} and {}",
@@ -205,5 +208,7 @@ fn of_level(of: &PlannedLevel) -> String {
 
 /// Formats a fraction in percentage points.
 fn points(fraction: Option<f64>) -> String {
-    fraction.map_or("none".to_owned(), |it| format!("{:.1}", 100.0 * it))
+    fraction.map_or("none".to_owned(), |fraction| {
+        format!("{:.1}", 100.0 * fraction)
+    })
 }

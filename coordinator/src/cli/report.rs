@@ -10,7 +10,7 @@ use libero_ctrl::Suite;
 use report::{Document, Subject, write_csv, write_parquet};
 
 use super::command::{CommandError, Connection, print_line, usage};
-use super::files::{WholeFile, write_figures, write_whole};
+use super::files::{AtomicFile, write_atomically, write_figures};
 
 /// Printed below the long help.
 const EXAMPLES: &str = "\
@@ -87,12 +87,15 @@ pub(super) async fn report(arguments: ReportArguments) -> Result<(), CommandErro
         ("--published", !arguments.published.is_empty()),
     ];
     let unfit = unfit.into_iter().find(|(_, is_given)| *is_given);
-    if let (Some((flag, _)), Some(protocol)) =
-        (unfit, subjects.iter().find_map(|it| it.protocol.as_deref()))
-    {
+    if let (Some((flag, _)), Some(protocol)) = (
+        unfit,
+        subjects
+            .iter()
+            .find_map(|subject| subject.protocol.as_deref()),
+    ) {
         return Err(usage(anyhow!(
-            "use {flag} for a campaign under {protocol}: it is of LIBERO-CTRL's measures, which \
-             LIBERO's family does not have; leave it out, or use --json"
+            "use {flag} for a campaign under {protocol}: the flag applies to LIBERO-CTRL's \
+             measures, which LIBERO's family lacks; leave it out, or use --json"
         )));
     }
     // Thousands of bootstrap resamplings block this thread, but no other task of the command runs.
@@ -104,7 +107,7 @@ pub(super) async fn report(arguments: ReportArguments) -> Result<(), CommandErro
         write_figures(&report::figures::all(&document), folder)?;
     }
     if let Some(path) = &arguments.html {
-        write_whole(path, report::page(&document).as_bytes())?;
+        write_atomically(path, report::page(&document).as_bytes())?;
         eprintln!("wrote the report to {}", path.display());
     }
     let text = match arguments.json {
@@ -153,9 +156,9 @@ fn add_published(subjects: &mut [Subject], published: &[Published]) -> anyhow::R
             any = true;
         }
         if !any {
-            let known: Vec<&str> = subjects.iter().map(|s| s.policy.as_str()).collect();
-            let known = known.join(", ");
-            return Err(anyhow!("valid are {known}"))
+            let policies: Vec<&str> = subjects.iter().map(|s| s.policy.as_str()).collect();
+            let policies = policies.join(", ");
+            return Err(anyhow!("valid are {policies}"))
                 .with_context(|| format!("use --published {policy}: no such policy here"));
         }
     }
@@ -172,7 +175,7 @@ fn table(name: &str) -> Result<(PathBuf, TableForm), &'static str> {
 }
 
 fn write_table(document: &Document, path: &Path, form: TableForm) -> anyhow::Result<()> {
-    let mut file = WholeFile::create(path)?;
+    let mut file = AtomicFile::create(path)?;
     let written = match form {
         TableForm::Csv => write_csv(document, file.writer()),
         TableForm::Parquet => write_parquet(document, file.writer()),

@@ -96,11 +96,11 @@ async fn run(arguments: ServeArguments, security: Security) -> anyhow::Result<()
     }
     let data = arguments.data.display();
     let page = page(scheme, address);
-    let told = print_line(&format!(
+    let printed = print_line(&format!(
         "listening on {address}{over}, page at {page}, data in {data}"
     ));
     // A closed standard output is no error: the parent process may have exited.
-    if let Err(error) = told
+    if let Err(error) = printed
         && !reader_is_gone(&*error)
     {
         return Err(error);
@@ -165,7 +165,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_page_is_never_said_to_be_at_an_address_that_no_browser_opens() {
+    fn the_page_url_has_no_unspecified_address() {
         let page = |address: &str| page("https", address.parse().expect("an address"));
         assert_eq!(page("127.0.0.1:7411"), "https://127.0.0.1:7411/");
         assert_eq!(page("[::1]:7411"), "https://[::1]:7411/");

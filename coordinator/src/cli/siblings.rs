@@ -9,8 +9,8 @@ use anyhow::{Context, anyhow};
 /// # Errors
 /// If the program is not there.
 pub(super) fn sibling(name: &str) -> anyhow::Result<PathBuf> {
-    let own = std::env::current_exe().context("find this program's own file")?;
-    let path = own.with_file_name(name);
+    let executable = std::env::current_exe().context("find this program's own file")?;
+    let path = executable.with_file_name(name);
     match path.is_file() {
         true => Ok(path),
         false => {

@@ -9,7 +9,7 @@ use super::command::{CommandError, Connection, print_line};
 use super::json;
 use super::line::{attention, line};
 use super::watch::watch;
-use super::workers::{filming, filming_in_words};
+use super::workers::{describe_filming, filming};
 
 /// Line that is printed if there are no campaigns.
 const NO_CAMPAIGNS: &str = "no campaigns yet; `coordinator campaign create` makes one";
@@ -69,7 +69,7 @@ pub(super) async fn status(arguments: StatusArguments) -> Result<(), CommandErro
         return Ok(print_line(NO_CAMPAIGNS)?);
     }
     let mut text: Vec<String> = campaigns.iter().map(details).collect();
-    text.extend(filming_in_words(filming(&client).await?));
+    text.extend(describe_filming(filming(&client).await?));
     Ok(print_line(&text.join("\n"))?)
 }
 
@@ -101,7 +101,7 @@ fn details(status: &CampaignStatus) -> String {
     if let Some(secs) = status.policy_retry_secs {
         let when = match secs >= 1.0 {
             true => format!("in {}", duration_text(secs)),
-            false => "by the next rollout that a worker asks for".to_owned(),
+            false => "by the next rollout that a worker claims".to_owned(),
         };
         lines.push(format!(
             "  tried again  {when}; `coordinator campaign resume {}`: at once",

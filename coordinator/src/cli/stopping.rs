@@ -6,33 +6,28 @@ use terminal::counted;
 
 /// Returns one line per clause and a closing line on the scope of the rule. `configurations` is the
 /// campaign's number of configurations at each level.
-pub(super) fn in_words(rule: &StopRule, configurations: usize) -> Vec<String> {
+pub(super) fn explain_rule(rule: &StopRule, configurations: usize) -> Vec<String> {
     let these = counted(configurations as u64, "configuration");
     let mut lines: Vec<String> = rule
         .clauses()
         .iter()
-        .map(|clause| {
-            format!(
-                "if it does, it will have shown that {}",
-                shown(*clause, &these)
-            )
-        })
+        .map(|clause| format!("an early end shows that {}", shown(*clause, &these)))
         .collect();
     if rule.is_about_new_tasks() {
         lines.push(
             "with 95 % for each level, at all looks together, for new tasks of these suites, each \
-             of which weighs the same, under these directions; tasks are run whole, one of every \
-             suite in turn, and looked at after each such round. Of 40 tasks only a difference of \
-             about 15 points or more ends a campaign early, and it is likely to be larger at that look \
-             than it is"
+             of which weighs the same, under these directions; whole tasks are run in rounds, \
+             one of every suite, and evaluated after each round. With 40 tasks, only a difference \
+             of about 15 points or more ends a campaign early, and its estimate at that look is \
+             likely to be too large"
                 .to_owned(),
         );
         return lines;
     }
     if rule.clauses().iter().any(is_certain_at_the_end) {
         lines.push(
-            "a run to the end shows as much for certain, unless emergent failures and \
-             compensated successes are equally many; an early end saves rollouts and proves \
+            "a run to the end shows as much for certain, unless the numbers of emergent failures \
+             and compensated successes are equal; an early end saves rollouts and proves \
              no more than that"
                 .to_owned(),
         );
@@ -96,9 +91,9 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_rule_says_what_it_will_have_shown_and_about_which_configurations() {
+    fn a_stop_rule_is_explained_with_its_conclusion_and_scope() {
         let rule = "width(S_sim) < 0.1 and I excludes 0 and R_d excludes 0.05";
-        let lines = in_words(&rule.parse().expect("a rule"), 400);
+        let lines = explain_rule(&rule.parse().expect("a rule"), 400);
         assert_eq!(lines.len(), 5);
         let width = "success rate under simultaneous perturbation over all 400 configurations \
                      lies in an interval narrower than 10 points";
@@ -111,12 +106,12 @@ mod tests {
         assert!(lines[3].starts_with("a run to the end shows as much for certain"));
         assert!(lines[4].contains("these 400 configurations only"));
         let rule = "I excludes 0 for new tasks and R_d excludes 0.05 for new tasks";
-        let lines = in_words(&rule.parse().expect("a rule"), 400);
+        let lines = explain_rule(&rule.parse().expect("a rule"), 400);
         assert_eq!(lines.len(), 3);
         assert!(lines[0].ends_with("are not equally frequent in new tasks"));
         assert!(lines[1].ends_with("share of changed outcomes in new tasks is not 5 points"));
         assert!(lines[2].contains("for new tasks of these suites"));
-        let lines = in_words(&"width(I) < 0.08".parse().expect("a rule"), 1);
+        let lines = explain_rule(&"width(I) < 0.08".parse().expect("a rule"), 1);
         assert!(lines.len() == 2 && lines[0].contains("over all 1 configuration "));
     }
 }

@@ -9,7 +9,7 @@ use report::{Subject, ThresholdReport, figures};
 use terminal::{number, number_from};
 
 use super::command::{CommandError, Connection, print_line, usage};
-use super::derived::{self, CreateFlags, Following};
+use super::derived::{self, CreateFlags, DerivedCampaign};
 use super::files::write_figures;
 
 /// Printed below the long help.
@@ -64,7 +64,7 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
     let usual = || format!("{}-thresholds", arguments.campaign);
     let name = arguments.name.clone().unwrap_or_else(usual);
     let thresholds = arguments.thresholds();
-    let following = Following {
+    let derived_campaign = DerivedCampaign {
         source: &arguments.campaign,
         name: &name,
         command: "thresholds",
@@ -78,7 +78,10 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
         ThresholdReport::is_affordable(source, &thresholds).map_err(usage)?;
         Ok(ThresholdReport::prospect(source, &thresholds))
     };
-    if !following.begin(&client, arguments.create, prospect).await? {
+    if !derived_campaign
+        .begin(&client, arguments.create, prospect)
+        .await?
+    {
         return Ok(());
     }
     let found = async || {

@@ -27,7 +27,7 @@ use super::command::{CommandError, print_line, usage};
 use super::siblings::sibling;
 
 /// Interval between two polls for an exited child process.
-const LOOK_EVERY: Duration = Duration::from_millis(100);
+const POLL_INTERVAL: Duration = Duration::from_millis(100);
 /// Width of the program name that prefixes each output line, columns.
 const NAME_COLUMNS: usize = 11;
 /// Default routes: the policies built into the gateway.
@@ -81,7 +81,7 @@ pub(super) async fn up(arguments: UpArguments) -> Result<(), CommandError> {
     let mut programs = Programs::default();
     let ended = run(&arguments, &mut programs, &mut requests).await;
     if ended.is_err() {
-        programs.say("stopping the other programs");
+        programs.print("stopping the other programs");
     }
     programs.stop(&mut requests).await;
     Ok(ended?)
@@ -129,7 +129,7 @@ async fn run(
     print_line(&ready(arguments, &coordinator, &gateway))?;
     tokio::select! {
         () = requests.next() => Ok(()),
-        error = programs.one_ends() => Err(error),
+        error = programs.next_exit() => Err(error),
     }
 }
 
@@ -246,18 +246,18 @@ impl Programs {
                     }
                 }
                 // The program closed its standard output: it has exited or is about to.
-                None => return Err(self.one_ends().await),
+                None => return Err(self.next_exit().await),
             }
         }
     }
 
     /// Waits until one of the programs exits and returns an error that names it.
-    async fn one_ends(&mut self) -> anyhow::Error {
+    async fn next_exit(&mut self) -> anyhow::Error {
         loop {
             for program in &mut self.started {
                 let how = match program.child.try_wait() {
                     Ok(None) => continue,
-                    Ok(Some(status)) => in_words(status),
+                    Ok(Some(status)) => describe_exit(status),
                     Err(error) => format!("could not be waited for ({error})"),
                 };
                 return anyhow!(
@@ -265,7 +265,7 @@ impl Programs {
                     program.name
                 );
             }
-            tokio::time::sleep(LOOK_EVERY).await;
+            tokio::time::sleep(POLL_INTERVAL).await;
         }
     }
 
@@ -277,7 +277,7 @@ impl Programs {
                 continue;
             }
             if program.name == "worker" {
-                self.say("stopping once the rollouts in flight are over; Ctrl-C gives them back");
+                self.print("stopping once the rollouts in flight are over; Ctrl-C gives them back");
             }
             terminate(&program.child);
             let status = loop {
@@ -289,16 +289,16 @@ impl Programs {
             if let Ok(status) = status
                 && !status.success()
             {
-                self.say(&format!("`{}` {}", program.name, in_words(status)));
+                self.print(&format!("`{}` {}", program.name, describe_exit(status)));
             }
         }
         // The relays print the programs' last lines before they finish.
         while self.relays.join_next().await.is_some() {}
-        self.say("stopped");
+        self.print("stopped");
     }
 
     /// Prints a message of `up` itself, prefixed like the output of its children.
-    fn say(&self, text: &str) {
+    fn print(&self, text: &str) {
         print_prefixed("up", text);
     }
 }
@@ -312,7 +312,7 @@ fn terminate(child: &Child) {
 }
 
 /// Describes an exit status as a predicate, to follow "it" or a program name.
-fn in_words(status: ExitStatus) -> String {
+fn describe_exit(status: ExitStatus) -> String {
     match status.code() {
         Some(code) => format!("ended with exit code {code}"),
         None => format!("was killed ({status})"),
@@ -349,7 +349,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_commands_that_are_shown_name_the_policy_and_addresses_that_are_served() {
+    fn the_startup_message_names_the_served_policy_and_addresses() {
         let arguments = UpArguments {
             data: "data".into(),
             routes: vec!["mine=grpc://gpu:5000".to_owned()],

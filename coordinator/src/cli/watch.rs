@@ -13,7 +13,7 @@ use queue::read::RATE_WINDOW;
 
 use super::command::{CommandError, print_line};
 use super::line::{attention, is_finished, line};
-use super::workers::{filming, filming_in_words};
+use super::workers::{describe_filming, filming};
 
 /// Refresh intervals: on a terminal, where the table is redrawn in place, and in a log, to which
 /// every refresh adds lines.
@@ -33,7 +33,7 @@ pub(super) async fn watch(
         true => TERMINAL_PERIOD,
         false => LOG_PERIOD,
     };
-    screen.say(&format!(
+    screen.print(&format!(
         "ETA: rollouts left divided by the rate of the last {} minutes, or of the time\n\
          since the first rollout or the last resume, if that is shorter. The ETA of a\n\
          policy covers all its running campaigns.",
@@ -64,7 +64,7 @@ struct Screen {
 
 impl Screen {
     /// Prints permanent lines in place of the table, which is drawn again below them.
-    fn say(&mut self, text: &str) -> anyhow::Result<()> {
+    fn print(&mut self, text: &str) -> anyhow::Result<()> {
         if self.is_terminal && self.lines > 0 {
             terminal::clear_lines(self.lines).context("print to standard output")?;
         }
@@ -75,13 +75,13 @@ impl Screen {
     /// Draws the table, preceded by notes that need the operator's attention and are new.
     fn show(&mut self, campaigns: &[CampaignStatus], filming: u32) -> anyhow::Result<()> {
         let notes: Vec<String> = campaigns.iter().filter_map(attention).collect();
-        let known = std::mem::replace(&mut self.attention, notes.clone());
-        for note in notes.iter().filter(|note| !known.contains(note)) {
-            self.say(note)?;
+        let earlier = std::mem::replace(&mut self.attention, notes.clone());
+        for note in notes.iter().filter(|note| !earlier.contains(note)) {
+            self.print(note)?;
         }
         let mut table = table(campaigns);
-        table.extend(filming_in_words(filming));
-        self.say(&table.join("\n"))?;
+        table.extend(describe_filming(filming));
+        self.print(&table.join("\n"))?;
         self.lines = table.len();
         Ok(())
     }
@@ -91,20 +91,20 @@ impl Screen {
 fn table(campaigns: &[CampaignStatus]) -> Vec<String> {
     let mut policies: BTreeMap<(&str, &str), Vec<&CampaignStatus>> = BTreeMap::new();
     // Cancelled and stopped campaigns never continue, so a policy's total leaves them out.
-    let going_on =
+    let can_continue =
         |status: &&CampaignStatus| !matches!(status.state(), State::Cancelled | State::Stopped);
-    for status in campaigns.iter().filter(going_on) {
+    for status in campaigns.iter().filter(can_continue) {
         let policy = (status.policy_endpoint.as_str(), status.policy.as_str());
         policies.entry(policy).or_default().push(status);
     }
     let shared = policies.values().filter(|campaigns| campaigns.len() > 1);
-    let totals = shared.map(|campaigns| line(&of_policy(campaigns)));
+    let totals = shared.map(|campaigns| line(&sum_policy(campaigns)));
     campaigns.iter().map(line).chain(totals).collect()
 }
 
 /// Sums the campaigns of a policy, none of them cancelled or stopped. The queued rollouts of paused
 /// campaigns are left out of the ETA.
-fn of_policy(campaigns: &[&CampaignStatus]) -> CampaignStatus {
+fn sum_policy(campaigns: &[&CampaignStatus]) -> CampaignStatus {
     let mut sum = CampaignStatus::default();
     for status in campaigns {
         sum.campaign = format!("all of {}", status.policy);
@@ -123,12 +123,12 @@ fn of_policy(campaigns: &[&CampaignStatus]) -> CampaignStatus {
             sum.rate_per_sec = Some(sum.rate_per_sec.unwrap_or(0.0) + rate);
         }
     }
-    let left = sum.queued + sum.leased;
-    if left == 0 {
+    let unfinished = sum.queued + sum.leased;
+    if unfinished == 0 {
         // Any rollouts left belong to paused campaigns.
         sum.set_state(State::Paused);
     } else {
-        sum.eta_secs = sum.rate_per_sec.map(|rate| left as f64 / rate);
+        sum.eta_secs = sum.rate_per_sec.map(|rate| unfinished as f64 / rate);
     }
     sum
 }
@@ -168,7 +168,7 @@ mod tests {
     /// Regression: "all of expert 2176/13875 … ETA 0s" while only cancelled campaigns had rollouts
     /// left.
     #[test]
-    fn what_is_cancelled_is_in_no_line_of_a_policy() {
+    fn cancelled_campaigns_are_left_out_of_a_policys_total() {
         let in_state = |name: &str, state: State| CampaignStatus {
             state: state.into(),
             ..campaign(name, "expert")
@@ -206,7 +206,7 @@ mod tests {
     }
 
     #[test]
-    fn what_waits_its_turn_counts_into_a_policys_eta_and_what_is_paused_does_not() {
+    fn queued_rollouts_count_into_a_policys_eta_unless_paused() {
         let idle = |state: State| CampaignStatus {
             rate_per_sec: None,
             eta_secs: None,
@@ -214,7 +214,7 @@ mod tests {
             state: state.into(),
             ..campaign("idle", "expert")
         };
-        let eta = |other| of_policy(&[&campaign("one", "expert"), &other]).eta_secs;
+        let eta = |other| sum_policy(&[&campaign("one", "expert"), &other]).eta_secs;
         assert_eq!(eta(idle(State::Running)), Some(198.0));
         assert_eq!(eta(idle(State::Paused)), Some(100.0));
     }

@@ -38,7 +38,7 @@ pub(super) async fn why(arguments: WhyArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
     let status = client.campaign_status(&arguments.campaign).await?;
     let subject = client.report(&arguments.campaign).await?;
-    print_line(&standing(&subject))?;
+    print_line(&success_so_far(&subject))?;
     let url = policy_url(&status.policy_endpoint, &status.policy);
     let mut doctor = Command::new(sibling("policy-gateway")?);
     doctor.args(["doctor", &url]).stdin(Stdio::null());
@@ -66,12 +66,17 @@ pub(super) async fn why(arguments: WhyArguments) -> Result<(), CommandError> {
 }
 
 /// Describes the nominal and perturbed success so far in one sentence, with advice.
-fn standing(subject: &Subject) -> String {
+fn success_so_far(subject: &Subject) -> String {
     // Returns the numbers of successes and of rollouts with an outcome.
     let count = |is_nominal: bool| {
-        let of = |condition: Condition| (condition == Condition::Clean) == is_nominal;
-        let records = subject.records.iter().filter(|it| of(it.id.condition()));
-        let outcomes: Vec<bool> = records.filter_map(|it| it.outcome.success()).collect();
+        let has_condition = |condition: Condition| (condition == Condition::Clean) == is_nominal;
+        let records = subject
+            .records
+            .iter()
+            .filter(|record| has_condition(record.id.condition()));
+        let outcomes: Vec<bool> = records
+            .filter_map(|record| record.outcome.success())
+            .collect();
         let successes = outcomes.iter().filter(|success| **success).count();
         (successes, outcomes.len())
     };

@@ -66,15 +66,15 @@ pub(super) async fn filming(client: &Client) -> Result<u32, CommandError> {
 }
 
 /// Describes the number of rollouts being filmed in one line; `None` if it is zero.
-pub(super) fn filming_in_words(rollouts: u32) -> Option<String> {
+pub(super) fn describe_filming(rollouts: u32) -> Option<String> {
     (rollouts > 0).then(|| {
         let rollouts = counted(rollouts.into(), "rollout");
-        format!("slots film {rollouts} that are over, before they run others")
+        format!("slots are filming {rollouts} before they run further ones")
     })
 }
 
 fn line(worker: &WorkerStatus) -> String {
-    let standing = match (worker.alive, worker.stopped_reason.as_str()) {
+    let state = match (worker.alive, worker.stopped_reason.as_str()) {
         (false, _) if worker.signed_off => "ended".to_owned(),
         (false, _) => "gone".to_owned(),
         (true, "") => format!("{}/{} slots busy", worker.leases, worker.slots),
@@ -90,7 +90,7 @@ fn line(worker: &WorkerStatus) -> String {
         rollouts => format!("\n  filming {rollouts} rollouts"),
     };
     format!(
-        "{} on {}: {standing}{failures}, last call {} ago{filming}\n  {}",
+        "{} on {}: {state}{failures}, last call {} ago{filming}\n  {}",
         worker.worker_id,
         worker.host,
         duration_text(worker.silent_secs),

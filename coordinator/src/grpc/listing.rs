@@ -22,7 +22,7 @@ pub(super) fn status(status: CampaignStatus) -> wire::CampaignStatus {
         succeeded: counts.succeeded,
         policy_paused: status.policy_pause_reason.is_some(),
         policy_pause_reason: status.policy_pause_reason.unwrap_or_default(),
-        policy_retry_secs: status.policy_retry.map(|it| it.as_secs_f64()),
+        policy_retry_secs: status.policy_retry.map(|retry| retry.as_secs_f64()),
         rate_per_sec: status.rate_per_sec,
         eta_secs: status.eta_secs,
         live_workers: status.live_workers,

@@ -50,10 +50,10 @@ pub(super) async fn archive(
     if let Some(storage) = storage {
         fetch(storage, &copy, (data, films.as_str()), &fetched).await?;
     }
-    let here = data.join(films);
+    let local_films = data.join(films);
     let film = |name: &str| match fetched.join(name) {
         path if path.exists() => path,
-        _ => here.join(name),
+        _ => local_films.join(name),
     };
     let package = package(copy, film, source, Vec::new()).await;
     let package = package.map_err(archive_failed)?;
@@ -139,7 +139,7 @@ impl Write for Pieces {
         let next = Vec::with_capacity(CHUNK_BYTES);
         let piece = std::mem::replace(&mut self.piece, next);
         let sent = self.to.blocking_send(piece);
-        sent.map_err(|_| io::Error::other("nobody reads it any more"))
+        sent.map_err(|_| io::Error::other("the client has disconnected"))
     }
 }
 
@@ -199,7 +199,7 @@ async fn receive(
     file.write_all(first).await.map_err(unwritable)?;
     while let Some(chunk) = next_chunk(chunks).await? {
         // Running campaigns need the remaining space for their results.
-        let room = Room::look(folder, DEFAULT_MIN_FREE_MIB << 20);
+        let room = Room::measure(folder, DEFAULT_MIN_FREE_MIB << 20);
         if room.free_bytes < room.needed_bytes {
             return Err(Status::resource_exhausted(format!(
                 "receive the archive: the disk of the coordinator's data folder has {} MiB left; \
@@ -218,7 +218,7 @@ async fn next_chunk(
     match tokio::time::timeout(MAX_CHUNK_WAIT, chunks.next()).await {
         Ok(chunk) => chunk.transpose(),
         Err(_) => Err(Status::deadline_exceeded(format!(
-            "nothing arrived for {MAX_CHUNK_WAIT:?} within an archive"
+            "no chunk of the archive arrived within {MAX_CHUNK_WAIT:?}"
         ))),
     }
 }

@@ -68,7 +68,7 @@ pub(super) fn worker_info(request: wire::RegisterRequest) -> Result<WorkerInfo, 
         host: text("host", request.host)?,
         slots: request.slots,
         cores: (request.cores > 0).then_some(request.cores),
-        machine: Some(text("machine", request.machine)?).filter(|it| !it.is_empty()),
+        machine: Some(text("machine", request.machine)?).filter(|machine| !machine.is_empty()),
         pin: Pin {
             asset_pack: required("asset_pack", request.asset_pack)?,
             asset_pack_digest: required("asset_pack_digest", request.asset_pack_digest)?,
@@ -156,9 +156,11 @@ pub(super) fn alteration(request: wire::AlterCampaignRequest) -> Result<Alterati
     Ok(Alteration {
         priority: request.priority.map(priority).transpose()?,
         endpoint: endpoint
-            .map(|it| required("policy_endpoint", it))
+            .map(|endpoint| required("policy_endpoint", endpoint))
             .transpose()?,
-        policy: policy.map(|it| required("policy", it)).transpose()?,
+        policy: policy
+            .map(|policy| required("policy", policy))
+            .transpose()?,
         name: name.transpose().map_err(invalid)?,
     })
 }
@@ -170,8 +172,8 @@ pub(super) fn rollouts_by_suite(
     let mut rollouts = BTreeMap::new();
     for of in asked {
         let suite: Suite = of.suite.parse().map_err(invalid)?;
-        let all: &mut u64 = rollouts.entry(suite.to_string()).or_default();
-        *all = all.saturating_add(of.rollouts);
+        let total: &mut u64 = rollouts.entry(suite.to_string()).or_default();
+        *total = total.saturating_add(of.rollouts);
     }
     Ok(rollouts)
 }
@@ -312,7 +314,7 @@ fn result(result: wire::RolloutResult) -> Result<RolloutResult, Status> {
         drawing_secs: parts.drawing_secs,
         policy_secs: parts.policy_secs,
     });
-    let spans = parts.map(|it| [it.physics_secs, it.drawing_secs, it.policy_secs]);
+    let spans = parts.map(|part| [part.physics_secs, part.drawing_secs, part.policy_secs]);
     let numbers = residuals.iter().flatten().chain(spans.iter().flatten());
     if !fits(&result.wall_secs) || !numbers.into_iter().all(fits) {
         return Err(invalid(format!(

@@ -42,7 +42,7 @@ impl WorkerService for WorkerApi {
         let program_version = env!("CARGO_PKG_VERSION");
         if request.protocol_version != proto::COORDINATOR_PROTOCOL_VERSION {
             return Err(Status::failed_precondition(format!(
-                "the worker (program {}) speaks protocol version {} and this coordinator \
+                "the worker (program {}) uses protocol version {} and this coordinator \
                  (program {program_version}) version {}; run the same release on both",
                 queue::ids::shortened(&request.program_version, 40),
                 request.protocol_version,
@@ -173,7 +173,7 @@ impl WorkerService for WorkerApi {
         let attempt = read::attempt(&first.attempt_id)?;
         if first.name != VIDEO {
             return Err(invalid(format!(
-                "store artifact `{}`: only `{VIDEO}` is kept",
+                "store artifact `{}`: only `{VIDEO}` is accepted",
                 queue::ids::shortened(&first.name, MAX_TASK_BYTES)
             )));
         }
@@ -202,7 +202,7 @@ async fn next_chunk(
     match tokio::time::timeout(MAX_CHUNK_WAIT, chunks.next()).await {
         Ok(chunk) => chunk.transpose(),
         Err(_) => Err(Status::deadline_exceeded(format!(
-            "nothing arrived for {MAX_CHUNK_WAIT:?} within an upload"
+            "no chunk of the upload arrived within {MAX_CHUNK_WAIT:?}"
         ))),
     }
 }

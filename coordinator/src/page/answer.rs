@@ -52,8 +52,8 @@ impl Rendered {
 
     /// Returns the page, or 304 Not Modified if the browser has the same entity tag.
     pub(super) fn answer(&self, headers: &HeaderMap) -> Response {
-        let known = headers.get(header::IF_NONE_MATCH);
-        if known.is_some_and(|known| known.as_bytes() == self.tag.as_bytes()) {
+        let entity_tag = headers.get(header::IF_NONE_MATCH);
+        if entity_tag.is_some_and(|entity_tag| entity_tag.as_bytes() == self.tag.as_bytes()) {
             return (StatusCode::NOT_MODIFIED, HEADERS).into_response();
         }
         let tag = [(header::ETAG, self.tag.clone())];
@@ -108,13 +108,14 @@ mod tests {
 
     /// Regression: the page's `.bar{width:100%}` stretched every bar of the report's figures.
     #[test]
-    fn no_rule_of_the_pages_reaches_into_a_figure() {
+    fn page_styles_do_not_apply_to_figures() {
         let of_figures = |class: &str| {
             let within = format!(".panel .{class}");
-            selectors(report::figures::STYLE).any(|it| it == within)
+            selectors(report::figures::STYLE).any(|selector| selector == within)
         };
-        let classes = selectors(STYLE).filter_map(|it| it.strip_prefix('.'));
-        let alone = classes.filter(|it| it.chars().all(|c| c.is_alphanumeric() || c == '-'));
+        let classes = selectors(STYLE).filter_map(|selector| selector.strip_prefix('.'));
+        let alone =
+            classes.filter(|selector| selector.chars().all(|c| c.is_alphanumeric() || c == '-'));
         let mut reaching = alone.filter(|class| of_figures(class));
         assert_eq!(reaching.next(), None);
         assert!(of_figures("bar"), "the figures' rules are not found");

@@ -24,10 +24,16 @@ pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
     let name = &status.campaign.name;
     let records = document.analyses.iter().flat_map(|a| &a.subject.records);
     // Links of an explaining campaign lead to the campaign that measured the transitions.
-    let explained = document.analyses.iter().find_map(|it| it.findings.as_ref());
-    let of = explained.map_or(name.as_str(), |findings| findings.campaign.as_str());
-    let link = |id: RolloutId, replicate: u32| address(of, id, replicate);
-    let is_paired = document.analyses.iter().all(|it| it.is_paired());
+    let explained = document
+        .analyses
+        .iter()
+        .find_map(|analysis| analysis.findings.as_ref());
+    let measuring = explained.map_or(name.as_str(), |findings| findings.campaign.as_str());
+    let link = |id: RolloutId, replicate: u32| address(measuring, id, replicate);
+    let is_paired = document
+        .analyses
+        .iter()
+        .all(|analysis| analysis.is_paired());
     // The table of a campaign of LIBERO's family has its dimensions instead.
     let progress_by_condition = match &document.family {
         Some(_) => Markup::default(),
@@ -79,13 +85,14 @@ fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -
         tally.succeeded += u64::from(record.outcome == Outcome::Success);
     }
     let perturbs = |(condition, _): &&(Condition, Level)| *condition != Condition::Clean;
-    let perturbed: BTreeSet<Level> = tallies.keys().filter(perturbs).map(|it| it.1).collect();
-    let conditions: BTreeSet<Condition> = tallies.keys().filter(perturbs).map(|it| it.0).collect();
+    let perturbed: BTreeSet<Level> = tallies.keys().filter(perturbs).map(|key| key.1).collect();
+    let conditions: BTreeSet<Condition> =
+        tallies.keys().filter(perturbs).map(|key| key.0).collect();
     let perturbing = conditions.into_iter();
     let is_subset = |condition: &Condition| matches!(condition, Condition::Subset(_));
-    let (subsets, few): (Vec<Condition>, Vec<Condition>) = perturbing.partition(is_subset);
+    let (subsets, others): (Vec<Condition>, Vec<Condition>) = perturbing.partition(is_subset);
     let nominal = tallies.get(&(Condition::Clean, Level::L0));
-    let of = |conditions: &[Condition]| {
+    let rows_of = |conditions: &[Condition]| {
         html! {
             @for row in conditions {
                 tr {
@@ -109,7 +116,7 @@ fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -
                 td.tally colspan=(perturbed.len().max(1)) { (tally(nominal)) }
             }
         }
-        (of(&few))
+        (rows_of(&others))
     };
     let mut columns = vec!["condition".to_owned()];
     columns.extend(perturbed.iter().map(|level| match *level {
@@ -126,7 +133,7 @@ fn by_condition<'a>(records: impl Iterator<Item = &'a Record>, campaign: &str) -
             @if !subsets.is_empty() {
                 details {
                     summary { "Under several axes but not all: " (subsets.len()) " subsets" }
-                    (table("Progress by subset", &columns, &of(&subsets)))
+                    (table("Progress by subset", &columns, &rows_of(&subsets)))
                 }
             }
             p { a href={ "/campaigns/" (campaign) "/rollouts" } { "All rollouts, one by one" } }
@@ -139,18 +146,19 @@ fn tally(counts: &Counts) -> Markup {
     let Counts {
         committed: done,
         succeeded,
-        quarantined: aside,
+        quarantined,
         ..
     } = *counts;
     let total = counts.total();
-    let words =
-        format!("{done} of {total} have a result, {succeeded} succeeded, {aside} quarantined");
+    let words = format!(
+        "{done} of {total} have a result, {succeeded} succeeded, {quarantined} quarantined"
+    );
     html! {
         (bar(counts, &words))
         small {
             (done) "/" (total)
             @if done > 0 { ", " (succeeded) " succeeded" }
-            @if aside > 0 { ", " (aside) " quarantined" }
+            @if quarantined > 0 { ", " (quarantined) " quarantined" }
         }
     }
 }

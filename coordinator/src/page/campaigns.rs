@@ -15,7 +15,9 @@ pub(super) async fn sheet(page: &Page) -> Result<Sheet, Problem> {
     let mut campaigns = page.queue.view().await?.statuses().await?;
     // Newest first, since visitors usually want the campaign that was created last.
     campaigns.reverse();
-    let names = campaigns.iter().map(|it| it.campaign.name.to_string());
+    let names = campaigns
+        .iter()
+        .map(|status| status.campaign.name.to_string());
     let names: Vec<String> = names.collect();
     let main = html! {
         h1 { "Campaigns" }
@@ -51,7 +53,7 @@ pub(super) fn progress(status: &CampaignStatus) -> Markup {
         (legend(counts))
         p.muted {
             "Policy " strong { (status.campaign.policy) } " at " code { (status.campaign.endpoint) }
-            @if left(status) > 0 { " · " (workers(status.live_workers)) }
+            @if unfinished(status) > 0 { " · " (workers(status.live_workers)) }
         }
         // Live region for screen readers; it changes only at every tenth of the progress.
         p.unseen role="status" { (status.campaign.name) ": " (percent / 10 * 10) " % done" }
@@ -98,7 +100,7 @@ fn notes(status: &CampaignStatus) -> Markup {
 
 fn pace(status: &CampaignStatus) -> String {
     if let Some(source) = awaited(status)
-        && left(status) == 0
+        && unfinished(status) == 0
         && !status.campaign.state.is_over()
     {
         return format!("waits for campaign {}", source.name);
@@ -106,13 +108,13 @@ fn pace(status: &CampaignStatus) -> String {
     match status.campaign.state {
         CampaignState::Cancelled { .. } => "cancelled".to_owned(),
         CampaignState::Stopped { .. } => stopped(status),
-        _ if left(status) == 0 && status.counts.quarantined > 0 => {
+        _ if unfinished(status) == 0 && status.counts.quarantined > 0 => {
             format!(
                 "finished but for {} in quarantine",
                 status.counts.quarantined
             )
         }
-        _ if left(status) == 0 => "finished".to_owned(),
+        _ if unfinished(status) == 0 => "finished".to_owned(),
         CampaignState::Paused { .. } => "paused by its operator".to_owned(),
         CampaignState::Running { .. } => match (status.rate_per_sec, status.eta_secs) {
             (Some(rate), Some(eta)) => {
@@ -145,7 +147,7 @@ fn stopped(status: &CampaignStatus) -> String {
 }
 
 /// Returns the number of queued and leased rollouts.
-fn left(status: &CampaignStatus) -> u64 {
+fn unfinished(status: &CampaignStatus) -> u64 {
     status.counts.queued + status.counts.leased
 }
 

@@ -32,7 +32,7 @@ impl Shown {
 /// Renders the card. `trace` is the plot of the hand's path, if any.
 pub(super) fn card(campaign: &str, shown: &Shown, replicate: u32, trace: Option<Markup>) -> Markup {
     let title = shown.id.condition().label();
-    let (class, word, detail) = standing(shown);
+    let (class, word, detail) = describe_state(shown);
     html! {
         article.rollout id=(shown.id.condition()) aria-label=(title) {
             h2 { (breakable(title)) }
@@ -74,7 +74,7 @@ pub(super) fn video_controls() -> Markup {
 }
 
 /// Returns CSS class, label and detail of a rollout's state.
-fn standing(shown: &Shown) -> (&'static str, &'static str, String) {
+fn describe_state(shown: &Shown) -> (&'static str, &'static str, String) {
     let budget = shown.row.max_steps;
     let line = &shown.line;
     match (&shown.result, line.state.as_str()) {
@@ -134,8 +134,8 @@ fn perturbed(shown: &Shown) -> Markup {
     let axes = shown.id.condition().axes(combined.into_iter().collect());
     let axes: Vec<Axis> = axes.axes().collect();
     // Instructions that only a variant's BDDL file has are not known here.
-    let told = &shown.row.instruction;
-    let is_told = !told.is_empty() && *told != shown.id.task().instruction();
+    let instruction = &shown.row.instruction;
+    let is_different = !instruction.is_empty() && *instruction != shown.id.task().instruction();
     let values = |axis| {
         let lines = perturbation::lines(&shown.row, axis);
         html! { ul.values { @for line in lines { li { (line) } } } }
@@ -144,7 +144,7 @@ fn perturbed(shown: &Shown) -> Markup {
         @if !shown.row.execution.is_wait() {
             p.muted { "Execution model " code { (shown.row.execution) } }
         }
-        @if is_told { p.instruction { "Instruction: “" (told) "”" } }
+        @if is_different { p.instruction { "Instruction: “" (instruction) "”" } }
         @match axes.as_slice() {
             [] if shown.id.variant().is_some() => {
                 @if let Some(variant) = shown.id.variant() {

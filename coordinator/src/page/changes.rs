@@ -19,10 +19,10 @@ use super::problem::Problem;
 /// Most streams at a time; further browsers poll instead.
 pub(super) const MAX_STREAMS: usize = 128;
 /// Interval between two polls of the database.
-const LOOK_EVERY: Duration = Duration::from_secs(1);
+const POLL_INTERVAL: Duration = Duration::from_secs(1);
 /// Longest interval between two events. Displayed ages grow even without changes, and a browser's
 /// disconnection is noticed only when something is sent to it.
-const TELL_EVERY: Duration = Duration::from_secs(5);
+const MAX_EVENT_INTERVAL: Duration = Duration::from_secs(5);
 /// Reconnection delay of a browser, milliseconds.
 const RECONNECT_MS: u32 = 1_000;
 
@@ -90,16 +90,16 @@ impl Changes {
     }
 
     /// Polls for changes while streams are open; never returns.
-    pub(super) async fn tell(&self, queue: &Queue) {
+    pub(super) async fn poll(&self, queue: &Queue) {
         loop {
             if self.streams() == 0 {
                 self.arrived.notified().await;
             }
-            if let Err(error) = self.tell_while_watched(queue).await {
+            if let Err(error) = self.poll_while_watched(queue).await {
                 // Logged at debug level only: the pages themselves show database errors.
                 tracing::debug!("failed to {error}");
-                self.rise();
-                sleep(TELL_EVERY).await;
+                self.increment_version();
+                sleep(MAX_EVENT_INTERVAL).await;
             }
         }
     }
@@ -108,23 +108,23 @@ impl Changes {
         self.news.send_replace(News::Closed);
     }
 
-    async fn tell_while_watched(&self, queue: &Queue) -> Result<(), StoreError> {
+    async fn poll_while_watched(&self, queue: &Queue) -> Result<(), StoreError> {
         let mut changes = queue.changes().await?;
-        let mut known = changes.version().await?;
-        let mut told = Instant::now();
+        let mut last_version = changes.version().await?;
+        let mut last_event = Instant::now();
         while self.streams() > 0 {
-            sleep(LOOK_EVERY).await;
-            let found = changes.version().await?;
-            if found != known || told.elapsed() >= TELL_EVERY {
-                self.rise();
-                known = found;
-                told = Instant::now();
+            sleep(POLL_INTERVAL).await;
+            let version = changes.version().await?;
+            if version != last_version || last_event.elapsed() >= MAX_EVENT_INTERVAL {
+                self.increment_version();
+                last_version = version;
+                last_event = Instant::now();
             }
         }
         Ok(())
     }
 
-    fn rise(&self) {
+    fn increment_version(&self) {
         self.news.send_modify(|news| {
             if let News::Version(version) = news {
                 *version += 1;

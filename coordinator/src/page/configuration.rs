@@ -45,7 +45,7 @@ pub(super) async fn sheet(
     let of_cards = shown.iter().filter(|shown| shown.video_bytes().is_some());
     let videos = of_cards.count() + subsets.films;
     let campaign = name.as_str();
-    let extent = Extent::of(shown.iter().map(|shown| &shown.path));
+    let extent = Extent::from_paths(shown.iter().map(|shown| &shown.path));
     let is_nominal = |shown: &&Shown| shown.id.condition() == Condition::Clean;
     let nominal = shown.iter().find(is_nominal);
     let trace = |rollout: &Shown| {
@@ -60,9 +60,9 @@ pub(super) async fn sheet(
         p.instruction { "“" (first.row.id.task().instruction()) "”" }
         p {
             code { (asked.task()) } ", initial state " (first.row.init_id)
-            @if let Some(said) = transition(&shown, replicate) { ". " strong { (said) } }
+            @if let Some(effect) = transition(&shown, replicate) { ". " strong { (effect) } }
         }
-        (ways(campaign, asked, replicate, &replicates, &neighbours))
+        (navigation_links(campaign, asked, replicate, &replicates, &neighbours))
         @if videos > 1 { (card::video_controls()) }
         (subsets.markup)
         @if !subsets.is_empty() { h2 { "Each rollout" } }
@@ -105,7 +105,8 @@ async fn rollouts(
     }
     let jobs: Vec<JobId> = lines.iter().map(|line| line.id).collect();
     let results = view.results(&jobs).await?.into_iter();
-    let mut results: BTreeMap<JobId, ResultLine> = results.map(|it| (it.job_id, it)).collect();
+    let mut results: BTreeMap<JobId, ResultLine> =
+        results.map(|result| (result.job_id, result)).collect();
     let mut failures: BTreeMap<JobId, Vec<FailureLine>> = BTreeMap::new();
     for failure in view.failures(&jobs).await? {
         failures.entry(failure.job_id).or_default().push(failure);
@@ -161,15 +162,15 @@ async fn neighbours(
 }
 
 /// Renders links to other replicates, levels and configurations.
-fn ways(
+fn navigation_links(
     campaign: &str,
     asked: RolloutId,
     replicate: u32,
     replicates: &[u32],
     neighbours: &[RolloutId],
 ) -> Markup {
-    let here = |id: &&RolloutId| id.level() == asked.level();
-    let row: Vec<&RolloutId> = neighbours.iter().filter(here).collect();
+    let is_same_level = |id: &&RolloutId| id.level() == asked.level();
+    let row: Vec<&RolloutId> = neighbours.iter().filter(is_same_level).collect();
     let place = row.iter().position(|id| **id == asked);
     let before = place.and_then(|place| row.get(place.checked_sub(1)?));
     let after = place.and_then(|place| row.get(place + 1));
@@ -177,25 +178,25 @@ fn ways(
     let to = |id: RolloutId, replicate| address(campaign, id, replicate);
     let levels = levels.map(|id| (id.level().to_string(), to(*id, replicate)));
     let replicates = replicates.iter().map(|k| (k.to_string(), to(asked, *k)));
-    let here = to(asked, replicate);
+    let current = to(asked, replicate);
     html! {
         nav.ways aria-label="Other configurations" {
             @if let Some(id) = before { a rel="prev" href=(to(**id, replicate)) { "← " (number(**id)) } }
             @if let Some(id) = after { a rel="next" href=(to(**id, replicate)) { (number(**id)) " →" } }
-            (choice("Level ", levels.collect(), &here))
-            (choice("Replicate ", replicates.collect(), &here))
+            (choice("Level ", levels.collect(), &current))
+            (choice("Replicate ", replicates.collect(), &current))
         }
     }
 }
 
 /// Renders links, given as name and address; empty if there is only one.
-fn choice(label: &str, links: Vec<(String, String)>, here: &str) -> Markup {
+fn choice(label: &str, links: Vec<(String, String)>, current_address: &str) -> Markup {
     html! {
         @if links.len() > 1 {
             span {
                 (label)
                 @for (name, address) in links {
-                    @let current = (address == here).then_some("true");
+                    @let current = (address == current_address).then_some("true");
                     a href=(address) aria-current=[current] { (name) } " "
                 }
             }

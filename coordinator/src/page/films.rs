@@ -18,21 +18,21 @@ pub(super) struct Films {
 }
 
 /// Renders the minimal subsets found from one start as list items.
-pub(super) fn in_words(answer: &Answer, transition: Transition) -> Markup {
+pub(super) fn describe_answer(answer: &Answer, transition: Transition) -> Markup {
     let (does, does_not) = verbs(transition);
     html! {
-        @for it in &answer.minimal {
+        @for minimal in &answer.minimal {
             li {
                 @if !answer.start.is_empty() { "Under " (named(answer.start)) " it fails. " }
-                "Under " strong { (named(it.set)) } " it " (does)
+                "Under " strong { (named(minimal.set)) } " it " (does)
                 // The first sentence says already that the rollout fails under the start.
-                @if answer.start.is_empty() || it.below != [answer.start] {
-                    ", and " (does_not) " under " (list(&it.below))
+                @if answer.start.is_empty() || minimal.below != [answer.start] {
+                    ", and " (does_not) " under " (list(&minimal.below))
                 }
-                @if it.is_established() {
+                @if minimal.is_established() {
                     ": all of these axes are needed."
                 } @else {
-                    @let open = it.open.len();
+                    @let open = minimal.open.len();
                     "; " (open) @if open == 1 { " smaller subset was" } @else { " smaller subsets were" }
                     " not run, so that fewer axes might do."
                 }
@@ -52,7 +52,7 @@ pub(super) fn films(lattice: &LatticeView, explanation: &Explanation) -> Films {
     let mut films = Films::default();
     let mut parts = Vec::new();
     for answer in &explanation.answers {
-        let best = |it: &&MinimalSubset| (!it.is_established(), it.set);
+        let best = |minimal: &&MinimalSubset| (!minimal.is_established(), minimal.set);
         if let Some(minimal) = answer.minimal.iter().min_by_key(best) {
             let (count, part) = side_by_side(lattice, minimal, explanation.transition);
             films.count += count;
@@ -104,15 +104,15 @@ fn side_by_side(
 fn film(lattice: &LatticeView, set: AxisSet) -> Option<Film<'_>> {
     let success = lattice.outcomes.verdict(set).success()?;
     let full = lattice.outcomes.full();
-    let all = lattice.both().flat_map(|source| {
-        let rows = source.of(set, full);
+    let all = lattice.sources().flat_map(|source| {
+        let rows = source.rollouts_under(set, full);
         rows.map(move |(id, row)| (source, id, row))
     });
-    let mut telling: Vec<_> = all
+    let mut matching: Vec<_> = all
         .filter(|(_, _, row)| row.job.success == Some(success))
         .collect();
-    telling.sort_by_key(|(_, _, row)| (!row.is_filmed, row.job.replicate));
-    let (source, id, row) = telling.into_iter().next()?;
+    matching.sort_by_key(|(_, _, row)| (!row.is_filmed, row.job.replicate));
+    let (source, id, row) = matching.into_iter().next()?;
     Some(Film {
         source,
         id,
@@ -146,7 +146,7 @@ fn card(film: &Film) -> Markup {
 fn remedies(lattice: &LatticeView, shown: &[Film]) -> Markup {
     let mut missing: Vec<&Source> = Vec::new();
     for film in shown.iter().filter(|film| !film.is_filmed) {
-        let is_other = |it: &&Source| it.campaign.id != film.source.campaign.id;
+        let is_other = |source: &&Source| source.campaign.id != film.source.campaign.id;
         if missing.iter().all(is_other) {
             missing.push(film.source);
         }
@@ -156,7 +156,7 @@ fn remedies(lattice: &LatticeView, shown: &[Film]) -> Markup {
         by.is_some_and(|by| by.campaign.id == source.campaign.id)
     };
     let measured = &lattice.measured.campaign.name;
-    // A single `worker film` command covers all campaigns that kept their actions.
+    // A single `worker film` command covers all campaigns that stored actions.
     let films = |source: &&&Source| source.campaign.record == "transitions" || explains(source);
     let to_film = missing.iter().find(films);
     let pack = to_film.and_then(|source| source.campaign.pin.as_ref());
@@ -165,13 +165,13 @@ fn remedies(lattice: &LatticeView, shown: &[Film]) -> Markup {
         @for source in &missing {
             @let campaign = &source.campaign;
             p.muted {
-                "Not all rollouts of " (campaign.name) " that show it are filmed. "
+                "Not all of these rollouts of " (campaign.name) " are filmed. "
                 @match campaign.record.as_str() {
-                    "transitions" => "It kept the actions that they are filmed from.",
-                    "all" => "Films come with the rollouts; one can be lost.",
+                    "transitions" => "The campaign stored the actions from which they can be filmed.",
+                    "all" => "The campaign films its rollouts; the missing films were lost.",
                     _ if explains(source) => {
-                        "It keeps no actions to film from. This runs the subsets once more and keeps \
-                        them: "
+                        "The campaign stores no actions to film from. This command runs the subsets \
+                        again and stores them: "
                         code {
                             "coordinator explain " (measured) " --name " (measured)
                             "-filmed --create --record transitions"
@@ -179,7 +179,7 @@ fn remedies(lattice: &LatticeView, shown: &[Film]) -> Markup {
                         "."
                     }
                     _ => {
-                        "It keeps no actions to film from, as a campaign does that is created with "
+                        "The campaign stores no actions to film from: it was created without "
                         code { "--record transitions" } "."
                     }
                 }
@@ -187,7 +187,7 @@ fn remedies(lattice: &LatticeView, shown: &[Film]) -> Markup {
         }
         @if to_film.is_some() {
             p.muted {
-                "This makes the films from the actions that were kept: "
+                "This command makes the films from the stored actions: "
                 // `page.js` replaces the address with the one that the browser uses.
                 code { "worker film --connect " span data-origin { "http://127.0.0.1:7411" } " --assets " (pack) }
             }

@@ -56,7 +56,9 @@ pub(super) async fn read(
             continue;
         };
         let one = source(view, by, asked).await?;
-        let most = explaining.as_ref().map_or(0, |(it, _)| it.rows.len());
+        let most = explaining
+            .as_ref()
+            .map_or(0, |(source, _)| source.rows.len());
         if one.rows.len() > most {
             explaining = Some((one, explanation));
         }
@@ -117,7 +119,7 @@ fn records(rows: &[SubsetRow]) -> Result<Vec<Record>, Problem> {
 
 impl Source {
     /// Returns the rollouts under the subset `set` of the axes `full`.
-    pub(super) fn of(
+    pub(super) fn rollouts_under(
         &self,
         set: AxisSet,
         full: AxisSet,
@@ -131,13 +133,13 @@ impl Source {
 
 impl LatticeView {
     /// Iterates over the campaigns, the explaining one first.
-    pub(super) fn both(&self) -> impl Iterator<Item = &Source> {
+    pub(super) fn sources(&self) -> impl Iterator<Item = &Source> {
         self.explaining.iter().chain([&self.measured])
     }
 
     /// Returns true if a rollout exists under several, but not all, axes.
     pub(super) fn has_subsets(&self) -> bool {
-        let rows = self.both().flat_map(|source| &source.rows);
+        let rows = self.sources().flat_map(|source| &source.rows);
         let mut ids = rows.filter_map(|row| row.job.rollout_id.parse::<RolloutId>().ok());
         ids.any(|id| matches!(id.condition(), Condition::Subset(_)))
     }
@@ -145,8 +147,8 @@ impl LatticeView {
     /// Returns the address of the page that shows the rollout under a subset.
     pub(super) fn link(&self, set: AxisSet) -> Option<String> {
         let full = self.outcomes.full();
-        self.both().find_map(|source| {
-            let (id, row) = source.of(set, full).next()?;
+        self.sources().find_map(|source| {
+            let (id, row) = source.rollouts_under(set, full).next()?;
             // A nominal rollout has its card on the pages of its configurations.
             let page = match id.config() {
                 Some(_) => id,

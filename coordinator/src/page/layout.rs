@@ -42,7 +42,7 @@ const NAVIGATION: [(Place, &str, &str); 4] = [
 ];
 
 /// Renders a live page, which updates itself.
-pub(super) fn whole(sheet: &Sheet, may_log_out: bool) -> Markup {
+pub(super) fn live_page(sheet: &Sheet, may_log_out: bool) -> Markup {
     let top = html! {
         nav aria-label="Pages" {
             @for (place, address, name) in NAVIGATION {
@@ -59,7 +59,7 @@ pub(super) fn whole(sheet: &Sheet, may_log_out: bool) -> Markup {
 }
 
 /// Renders a static page, such as an error.
-pub(super) fn still(title: &str, main: &Markup) -> Markup {
+pub(super) fn static_page(title: &str, main: &Markup) -> Markup {
     let top = html! { nav aria-label="Pages" { a href="/" { "Campaigns" } } };
     frame(title, false, top, main)
 }

@@ -63,7 +63,7 @@ fn show(code: StatusCode, next: &str, why: &str) -> Response {
             led here by another site's link? " a href=(next) { "Go on" } "."
         }
     };
-    answer::page(code, layout::still("Log in", &main).into_string())
+    answer::page(code, layout::static_page("Log in", &main).into_string())
 }
 
 fn to(address: &str, cookie: Option<String>) -> Response {
@@ -98,7 +98,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_log_in_leads_to_this_server_only() {
+    fn login_redirects_only_within_this_server() {
         assert_eq!(
             next(b"next=%2Fcampaigns%2Fdemo%3Fa%3Db"),
             "/campaigns/demo?a=b"

@@ -51,7 +51,7 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
     of_policies(&mut text, &policies);
     let of_all = |count: fn(&CampaignStatus) -> u64| campaigns.iter().map(count).sum::<u64>();
     let ended = "rollout_attempts_ended_total";
-    text.family(ended, COUNTER, "Attempts that ended, by how.");
+    text.family(ended, COUNTER, "Attempts by how they ended.");
     let committed = of_all(|status| status.counts.committed);
     text.sample(ended, &[("ending", "committed")], committed as f64);
     for (ending, count) in &endings {
@@ -60,7 +60,7 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
     let alive = workers.iter().filter(|worker| worker.is_alive);
     let slots: u32 = alive.clone().map(|worker| worker.slots).sum();
     let sizes = queue.store().sizes();
-    let free = Room::look(queue.store().folder(), 0).free_bytes;
+    let free = Room::measure(queue.store().folder(), 0).free_bytes;
     let leased = of_all(|status| status.counts.leased) as f64;
     let waiting = page.gauges.claims() as f64;
     let is_held = f64::from(queue.held().is_some());
@@ -68,18 +68,18 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
     // One gauge per line.
     #[rustfmt::skip]
     let gauges = [
-        ("rollout_leases_held", "Rollouts that workers hold.", leased),
+        ("rollout_leases_held", "Leases that workers hold.", leased),
         ("rollout_claims_waiting", "Claims of workers that are not answered yet.", waiting),
         ("rollout_workers_alive", "Workers with a recent call.", alive.count() as f64),
-        ("rollout_worker_slots_alive", "Slots of these workers.", f64::from(slots)),
-        ("rollout_database_bytes", "Size of the database.", sizes.database as f64),
-        ("rollout_database_wal_bytes", "Size of its write-ahead log.", sizes.log as f64),
-        ("rollout_disk_free_bytes", "Free on the data folder's disk.", free as f64),
-        ("rollout_leasing_held", "1 while nothing is leased for want of disk.", is_held),
-        ("rollout_page_streams", "Browsers that follow the live page.", streams),
+        ("rollout_worker_slots_alive", "Slots of workers with a recent call.", f64::from(slots)),
+        ("rollout_database_bytes", "Size of the database, bytes.", sizes.database as f64),
+        ("rollout_database_wal_bytes", "Size of the write-ahead log, bytes.", sizes.log as f64),
+        ("rollout_disk_free_bytes", "Free space on the data folder's disk, bytes.", free as f64),
+        ("rollout_leasing_held", "1 while a lack of disk space suspends leasing.", is_held),
+        ("rollout_page_streams", "Browsers with an open event stream.", streams),
     ];
     for (name, help, value) in gauges {
-        text.alone(name, help, value);
+        text.single_gauge(name, help, value);
     }
     let build = "rollout_build_info";
     text.family(build, GAUGE, "The program; its value is 1.");
@@ -88,9 +88,9 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
 }
 
 fn of_campaigns(text: &mut Exposition, campaigns: &[CampaignStatus]) {
-    let all = campaigns.len();
-    text.alone("rollout_campaigns", "Campaigns that there are.", all as f64);
-    let shown = &campaigns[all.saturating_sub(MAX_CAMPAIGNS)..];
+    let total = campaigns.len();
+    text.single_gauge("rollout_campaigns", "Number of campaigns.", total as f64);
+    let shown = &campaigns[total.saturating_sub(MAX_CAMPAIGNS)..];
     let jobs = "rollout_jobs";
     text.family(jobs, GAUGE, "Rollouts of a campaign, by state.");
     for status in shown {
@@ -165,7 +165,7 @@ impl Exposition {
     }
 
     /// Writes a gauge with a single sample.
-    fn alone(&mut self, name: &str, help: &str, value: f64) {
+    fn single_gauge(&mut self, name: &str, help: &str, value: f64) {
         self.family(name, GAUGE, help);
         self.sample(name, &[], value);
     }
@@ -183,11 +183,11 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_label_cannot_break_out_of_its_line() {
+    fn label_values_are_escaped() {
         let mut text = Exposition::default();
         text.family("a_total", COUNTER, "What.");
         text.sample("a_total", &[("b", "x\"} 1\nevil \\"), ("c", "d")], 3.0);
-        text.alone("e_bytes", "Size.", 1e12);
+        text.single_gauge("e_bytes", "Size.", 1e12);
         assert_eq!(
             text.0,
             "# HELP a_total What.\n# TYPE a_total counter\n\

@@ -4,24 +4,25 @@
 
 const CUT_OFF = "Cut off from the coordinator; trying again by itself.";
 const LIVE = "Live";
+const CROWDED = "Too many pages are open: this one polls for changes.";
 const CROWDED_MS = 15000;
 const RETRY_MS = 2000;
 
-// Merges a fresh copy into the page. Equal nodes are left alone, and a section
-// that comes or goes moves none of the others, so that focus, scroll positions,
-// opened details and running videos survive.
-function merge(mine, theirs) {
-  const olds = [...mine.childNodes];
-  const news = [...theirs.childNodes];
+// Merges a fetched copy into the page. Equal nodes stay, and inserting or removing a
+// section moves no other, so that focus, scroll positions, opened details and
+// running videos are kept.
+function merge(current, fetched) {
+  const olds = [...current.childNodes];
+  const news = [...fetched.childNodes];
   const partner = partners(olds, news);
   const paired = new Set(partner);
   let at = 0;
   news.forEach((fresh, index) => {
-    const here = olds[at];
-    const isRenamed = here && !paired.has(here) && here.nodeName === fresh.nodeName;
-    const old = partner[index] || (isRenamed ? here : null);
+    const following = olds[at];
+    const isRenamed = following && !paired.has(following) && following.nodeName === fresh.nodeName;
+    const old = partner[index] || (isRenamed ? following : null);
     if (!old) {
-      mine.insertBefore(document.importNode(fresh, true), here || null);
+      current.insertBefore(document.importNode(fresh, true), following || null);
       return;
     }
     while (olds[at] !== old) olds[at++].remove();
@@ -35,30 +36,30 @@ function merge(mine, theirs) {
   olds.slice(at).forEach((old) => old.remove());
 }
 
-// Name by which a node is found again among its siblings.
-function nameOf(node) {
+// Key that identifies a node among its siblings.
+function keyOf(node) {
   if (node.nodeType !== Node.ELEMENT_NODE) return node.nodeName;
   const heading = node.querySelector(":scope > h2, :scope > h3, :scope > figcaption");
   const label = node.id || node.getAttribute("aria-label") || (heading ? heading.textContent : "");
   return `${node.nodeName} ${label}`;
 }
 
-// Old partner of each new node, or nothing: the longest common subsequence of
-// their names.
+// Old node that matches each new node, or undefined: the longest common
+// subsequence of their keys.
 function partners(olds, news) {
-  const [mine, theirs] = [olds.map(nameOf), news.map(nameOf)];
+  const [currentKeys, fetchedKeys] = [olds.map(keyOf), news.map(keyOf)];
   const partner = [];
   let start = 0;
-  let [end, newEnd] = [mine.length, theirs.length];
-  for (; start < Math.min(end, newEnd) && mine[start] === theirs[start]; start++) {
+  let [end, newEnd] = [currentKeys.length, fetchedKeys.length];
+  for (; start < Math.min(end, newEnd) && currentKeys[start] === fetchedKeys[start]; start++) {
     partner[start] = olds[start];
   }
-  while (end > start && newEnd > start && mine[end - 1] === theirs[newEnd - 1]) {
+  while (end > start && newEnd > start && currentKeys[end - 1] === fetchedKeys[newEnd - 1]) {
     partner[--newEnd] = olds[--end];
   }
   if (start === end || start === newEnd) return partner;
   const [rows, columns] = [end - start, newEnd - start];
-  const isSame = (i, j) => mine[start + i] === theirs[start + j];
+  const isSame = (i, j) => currentKeys[start + i] === fetchedKeys[start + j];
   const lengths = Array.from({ length: rows + 1 }, () => new Uint16Array(columns + 1));
   for (let i = rows - 1; i >= 0; i--) {
     for (let j = columns - 1; j >= 0; j--) {
@@ -113,11 +114,11 @@ async function refresh() {
       merge(document.getElementById("main"), page.getElementById("main"));
       showOrigin();
       centre();
-      walkMatrices();
+      updateTabStops();
       watchVideos();
     }
   } catch {
-    say(CUT_OFF, true);
+    showConnection(CUT_OFF, true);
   }
   setTimeout(() => {
     busy = false;
@@ -145,7 +146,7 @@ function centre() {
   }
 }
 
-function say(text, isCut) {
+function showConnection(text, isCut) {
   const line = document.getElementById("connection");
   line.classList.toggle("cut", isCut);
   if (line.textContent !== text) line.textContent = text;
@@ -154,35 +155,35 @@ function say(text, isCut) {
 // Change events from the coordinator. Hidden pages close their stream, because
 // browsers limit the connections to one server.
 let stream = null;
-let later = 0;
+let retryTimer = 0;
 
-function follow() {
-  clearTimeout(later);
+function openStream() {
+  clearTimeout(retryTimer);
   if (stream || document.hidden) return;
   stream = new EventSource("/events");
   stream.addEventListener("change", () => {
-    say(LIVE, false);
+    showConnection(LIVE, false);
     refresh();
   });
   stream.addEventListener("error", async () => {
     if (stream && stream.readyState === EventSource.CONNECTING) {
-      say(CUT_OFF, true);
+      showConnection(CUT_OFF, true);
       return;
     }
-    leave();
-    const crowded = await isThere();
-    say(crowded ? "Too many pages are open: this one looks again now and then." : CUT_OFF, !crowded);
+    closeStream();
+    const crowded = await isReachable();
+    showConnection(crowded ? CROWDED : CUT_OFF, !crowded);
     if (crowded) refresh();
-    later = setTimeout(follow, crowded ? CROWDED_MS : RETRY_MS);
+    retryTimer = setTimeout(openStream, crowded ? CROWDED_MS : RETRY_MS);
   });
 }
 
-function leave() {
+function closeStream() {
   if (stream) stream.close();
   stream = null;
 }
 
-async function isThere() {
+async function isReachable() {
   try {
     return (await fetch("/icon.svg", { cache: "no-store" })).ok;
   } catch {
@@ -192,14 +193,14 @@ async function isThere() {
 
 document.addEventListener("visibilitychange", () => {
   if (document.hidden) {
-    leave();
+    closeStream();
   } else {
-    follow();
+    openStream();
   }
 });
 
 // Matrices: one tab stop each, with arrow keys inside (roving tabindex).
-function walkMatrices() {
+function updateTabStops() {
   for (const panel of document.querySelectorAll("svg.panel[role=group]")) {
     const squares = [...panel.querySelectorAll("a")];
     const current = squares.find((square) => square === document.activeElement) ||
@@ -215,20 +216,20 @@ function nearest(squares, from, [dx, dy]) {
   let least = Infinity;
   for (const square of squares) {
     const along = (at(square).x - x) * dx + (at(square).y - y) * dy;
-    const aside = Math.abs((at(square).x - x) * dy) + Math.abs((at(square).y - y) * dx);
-    const far = along + 4 * aside;
-    if (along > 1 && far < least) [best, least] = [square, far];
+    const across = Math.abs((at(square).x - x) * dy) + Math.abs((at(square).y - y) * dx);
+    const distance = along + 4 * across;
+    if (along > 1 && distance < least) [best, least] = [square, distance];
   }
   return best;
 }
 
 document.addEventListener("keydown", (event) => {
-  const ways = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
-  const way = ways[event.key];
+  const directions = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
+  const direction = directions[event.key];
   const panel = event.target.closest && event.target.closest("svg.panel[role=group]");
-  if (!way || !panel || event.target.tagName.toLowerCase() !== "a") return;
+  if (!direction || !panel || event.target.tagName.toLowerCase() !== "a") return;
   event.preventDefault();
-  const next = nearest(panel.querySelectorAll("a"), event.target, way);
+  const next = nearest(panel.querySelectorAll("a"), event.target, direction);
   if (next) {
     event.target.setAttribute("tabindex", "-1");
     next.setAttribute("tabindex", "0");
@@ -297,9 +298,9 @@ function showTime() {
   requestAnimationFrame(showTime);
 }
 
-say(LIVE, false);
+showConnection(LIVE, false);
 showOrigin();
 centre();
-walkMatrices();
+updateTabStops();
 watchVideos();
-follow();
+openStream();

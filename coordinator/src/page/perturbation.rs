@@ -89,7 +89,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn values_come_with_their_units_and_only_signs_that_count() {
+    fn perturbations_have_units_and_only_meaningful_signs() {
         let perturbation = Perturbation {
             camera: Some(CameraShift::from([-3.4, 1.25, 0.021, 0.0, -0.005])),
             sensor: Some(SensorCorruption::from([-0.02, 0.7, -1.0, 2.5])),

@@ -79,11 +79,11 @@ impl Problem {
                 a href={ "/campaigns/" (campaign) "/rollouts" } { "Its rollouts" } "."
             },
             Problem::Video => html! {
-                "No video is kept of this rollout: what a campaign records is said when it is \
-                created (" code { "--record" } ")."
+                "This rollout has no video: a campaign films the rollouts that "
+                code { "--record" } " selected at its creation."
             },
             Problem::TooManyStreams => html! {
-                "This page looks again by itself now and then, instead of at once."
+                "Too many pages are open. This one polls for changes instead."
             },
             Problem::Failed(text) => html! {
                 "The coordinator failed to " (text) ". Nothing is lost by that; its log says more. \
@@ -101,7 +101,7 @@ impl IntoResponse for Problem {
             p { (self.words()) }
             p { a href="/" { "All campaigns" } }
         };
-        answer::page(code, layout::still(title, &main).into_string())
+        answer::page(code, layout::static_page(title, &main).into_string())
     }
 }
 

@@ -93,9 +93,9 @@ impl Wanted {
             match name.as_ref() {
                 "state" | "outcome" if value.is_empty() => {}
                 "state" | "outcome" => {
-                    let asked = format!("{name}={value}");
-                    let known = CHOICES.iter().find(|(choice, _)| *choice == asked);
-                    let (choice, _) = known.ok_or(Problem::Query(
+                    let requested = format!("{name}={value}");
+                    let filter = CHOICES.iter().find(|(choice, _)| *choice == requested);
+                    let (choice, _) = filter.ok_or(Problem::Query(
                         "A state is one of queued, leased, committed and quarantined, an outcome \
                          success or failure.",
                     ))?;
@@ -115,8 +115,8 @@ impl Wanted {
 
 /// Converts a rollout id in the paper's spelling to the released one.
 fn released(id: &str) -> String {
-    let known: Result<RolloutId, _> = id.parse();
-    known.map_or_else(|_| id.to_owned(), |id| id.to_string())
+    let parsed: Result<RolloutId, _> = id.parse();
+    parsed.map_or_else(|_| id.to_owned(), |id| id.to_string())
 }
 
 fn filters(campaign: &str, wanted: &Wanted) -> Markup {
@@ -143,7 +143,7 @@ fn table(campaign: &str, lines: &[JobLine]) -> Markup {
         @for line in lines {
             tr {
                 th scope="row" { (rollout(campaign, &line.rollout_id, line.replicate)) }
-                td.words { (standing(line)) }
+                td.words { (describe_state(line)) }
                 td { (line.attempt) }
                 td.words { (line.last_error.as_deref().unwrap_or_default()) }
             }
@@ -153,7 +153,7 @@ fn table(campaign: &str, lines: &[JobLine]) -> Markup {
     layout::table("Rollouts", &columns, &rows)
 }
 
-fn standing(line: &JobLine) -> String {
+fn describe_state(line: &JobLine) -> String {
     match (line.state.as_str(), line.success, line.steps) {
         (_, Some(true), Some(steps)) => format!("success after {steps} steps"),
         (_, Some(false), Some(steps)) => format!("failure in {steps} steps"),

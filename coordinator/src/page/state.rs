@@ -15,9 +15,9 @@ use transport::Security;
 
 use super::answer::Rendered;
 use super::changes::Changes;
-use super::kept::{Kept, Made};
 use super::layout::{self, Sheet};
 use super::problem::Problem;
+use super::single_flight::{CachedValue, SingleFlightCache};
 use crate::gauges::Gauges;
 use crate::report;
 use crate::storage::Storage;
@@ -42,7 +42,7 @@ pub(super) type Compared = Result<Comparison, Unpairable>;
 type Editions = (Edition, Option<Edition>);
 
 /// Requested address and headers.
-pub(super) type Asked = (Uri, HeaderMap);
+pub(super) type RequestedPage = (Uri, HeaderMap);
 
 /// Shared state of the pages' handlers.
 #[derive(Debug)]
@@ -52,10 +52,10 @@ pub(crate) struct Page {
     pub(super) gauges: Arc<Gauges>,
     pub(super) changes: Changes,
     pub(super) storage: Option<Arc<Storage>>,
-    pages: Kept<Arc<Rendered>>,
-    documents: Kept<(Editions, Arc<Document>)>,
-    comparisons: Kept<([Edition; 2], Arc<Compared>)>,
-    pub(super) metrics: Kept<Arc<str>>,
+    pages: SingleFlightCache<Arc<Rendered>>,
+    documents: SingleFlightCache<(Editions, Arc<Document>)>,
+    comparisons: SingleFlightCache<([Edition; 2], Arc<Compared>)>,
+    pub(super) metrics: SingleFlightCache<Arc<str>>,
 }
 
 /// Returns the cache time of statistics whose computation took `cost`.
@@ -77,16 +77,16 @@ impl Page {
             gauges: gauges.clone(),
             changes: Changes::new(),
             storage,
-            pages: Kept::new(MAX_PAGES),
-            documents: Kept::new(MAX_DOCUMENTS),
-            comparisons: Kept::new(MAX_DOCUMENTS),
-            metrics: Kept::new(1),
+            pages: SingleFlightCache::new(MAX_PAGES),
+            documents: SingleFlightCache::new(MAX_DOCUMENTS),
+            comparisons: SingleFlightCache::new(MAX_DOCUMENTS),
+            metrics: SingleFlightCache::new(1),
         })
     }
 
     /// Notifies open streams of changes until the future is dropped.
-    pub(crate) async fn tell_changes(&self) {
-        self.changes.tell(&self.queue).await;
+    pub(crate) async fn poll_changes(&self) {
+        self.changes.poll(&self.queue).await;
     }
 
     /// Closes all event streams, so that the server can shut down.
@@ -98,7 +98,7 @@ impl Page {
     /// the browser has the same.
     pub(super) async fn show(
         &self,
-        (uri, headers): Asked,
+        (uri, headers): RequestedPage,
         sheet: impl Future<Output = Result<Sheet, Problem>>,
     ) -> Response {
         let address = uri.path_and_query().map_or("/", |address| address.as_str());
@@ -106,12 +106,12 @@ impl Page {
             return Problem::Address.into_response();
         }
         let version = self.changes.version();
-        let is_fresh = |made: &Made<Arc<Rendered>>| {
+        let is_fresh = |made: &CachedValue<Arc<Rendered>>| {
             made.at.elapsed() < PAGE_AGE && made.value.version == version
         };
         let make = async {
             let sheet = sheet.await?;
-            let html = layout::whole(&sheet, self.security.asks_for_tokens());
+            let html = layout::live_page(&sheet, self.security.asks_for_tokens());
             Ok::<_, Problem>(Arc::new(Rendered::new(html.into_string(), version)))
         };
         match self.pages.get(address, is_fresh, make).await {
@@ -137,7 +137,7 @@ impl Page {
             None => None,
         };
         let editions = (view.edition(campaign.id).await?, source);
-        let is_fresh = |made: &Made<(Editions, Arc<Document>)>| {
+        let is_fresh = |made: &CachedValue<(Editions, Arc<Document>)>| {
             made.value.0 == editions
                 || (made.value.0.0.is_of_same_campaign(&editions.0)
                     && made.at.elapsed() < patience(made.cost))
@@ -168,7 +168,7 @@ impl Page {
         view: &mut View,
     ) -> Result<Arc<Compared>, Problem> {
         let editions = [view.edition(a.id).await?, view.edition(b.id).await?];
-        let is_fresh = |made: &Made<([Edition; 2], Arc<Compared>)>| {
+        let is_fresh = |made: &CachedValue<([Edition; 2], Arc<Compared>)>| {
             let mut both = made.value.0.iter().zip(&editions);
             made.value.0 == editions
                 || (both.all(|(made, now)| made.is_of_same_campaign(now))
@@ -182,7 +182,7 @@ impl Page {
                 report::setups(view, b).await?,
             ];
             Ok::<_, Problem>(move || {
-                let [a, b] = documents.each_ref().map(|it| &it.analyses[0]);
+                let [a, b] = documents.each_ref().map(|document| &document.analyses[0]);
                 let compared = Comparison::of([a, b], setups.each_ref());
                 Ok((wanted, Arc::new(compared)))
             })

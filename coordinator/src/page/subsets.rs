@@ -40,7 +40,7 @@ pub(super) async fn section(
         let name = lattice.measured.campaign.name.as_str();
         let hint = html! {
             p {
-                "Which of the axes it takes is not known; to find out: "
+                "The axes that cause this are unknown. This command finds them: "
                 code { "coordinator explain " (name) " --create" }
             }
         };
@@ -52,7 +52,7 @@ pub(super) async fn section(
         return Ok(Section { markup, films: 0 });
     }
     let outcomes = adaptive::subsets::outcomes(&lattice.outcomes);
-    let explanation = found.as_ref().map(|it| &it.explanation);
+    let explanation = found.as_ref().map(|findings| &findings.explanation);
     let link = |set| lattice.link(set);
     let picture = figures::lattice(
         lattice.configuration,
@@ -61,14 +61,14 @@ pub(super) async fn section(
         explanation,
         &link,
     );
-    let films = explanation.map(|it| films::films(&lattice, it));
+    let films = explanation.map(|explanation| films::films(&lattice, explanation));
     let films = films.unwrap_or_default();
     let markup = html! {
         section {
             h2 { @if explanation.is_some() { "Which axes it takes" } @else { "Under every subset of the axes" } }
             (sources(&lattice, campaign))
             @if let Some(explanation) = explanation {
-                ul { @for answer in &explanation.answers { (films::in_words(answer, explanation.transition)) } }
+                ul { @for answer in &explanation.answers { (films::describe_answer(answer, explanation.transition)) } }
             }
             figure {
                 div.scroll.centred tabindex="0" role="region" aria-label="Every subset of the axes" {
@@ -77,8 +77,8 @@ pub(super) async fn section(
                 figcaption {
                     "This configuration under every subset of the axes: none on top, all at the \
                     bottom, a line wherever one axis is added. Initial state and every perturbation \
-                    are the same throughout. A node opens its rollout; what has a ring changes the \
-                    outcome, and nothing smaller that was run does."
+                    are the same throughout. A node opens its rollout; a ring marks a subset that \
+                    changes the outcome while no smaller one that was run does."
                 }
             }
             (films.markup)

@@ -43,20 +43,20 @@ pub(super) fn read(motion: &Motion) -> Path {
 
 impl Extent {
     /// Returns the extent of several paths; `None` if all are empty.
-    pub(super) fn of<'a>(paths: impl Iterator<Item = &'a Path>) -> Option<Extent> {
+    pub(super) fn from_paths<'a>(paths: impl Iterator<Item = &'a Path>) -> Option<Extent> {
         let mut extent: Option<Extent> = None;
         for path in paths {
             for position in path {
-                let known = extent.get_or_insert(Extent {
+                let extent = extent.get_or_insert(Extent {
                     low: *position,
                     high: *position,
                     steps: 0,
                 });
                 for (axis, value) in position.iter().enumerate() {
-                    known.low[axis] = known.low[axis].min(*value);
-                    known.high[axis] = known.high[axis].max(*value);
+                    extent.low[axis] = extent.low[axis].min(*value);
+                    extent.high[axis] = extent.high[axis].max(*value);
                 }
-                known.steps = known.steps.max(path.len() - 1);
+                extent.steps = extent.steps.max(path.len() - 1);
             }
         }
         extent
@@ -70,7 +70,7 @@ impl Extent {
 
     /// Projects a position to the view from above, the robot at the top: world x points down, y to
     /// the right.
-    fn seen_above(&self, [x, y, _]: [f64; 3]) -> [f64; 2] {
+    fn project_from_above(&self, [x, y, _]: [f64; 3]) -> [f64; 2] {
         let scale = self.scale();
         let middle = |axis: usize| f64::midpoint(self.low[axis], self.high[axis]);
         let half = ABOVE / 2.0;
@@ -94,13 +94,13 @@ impl Extent {
 pub(super) fn plot(path: &Path, nominal: Option<&Path>, extent: &Extent) -> Markup {
     let (above, height) = lines(path, extent);
     let under = nominal.map(|nominal| lines(nominal, extent));
-    let begin = path.first().map(|first| extent.seen_above(*first));
-    let end = path.last().map(|last| extent.seen_above(*last));
+    let begin = path.first().map(|first| extent.project_from_above(*first));
+    let end = path.last().map(|last| extent.project_from_above(*last));
     let bar = BAR_M * extent.scale();
     let base = TOP + ABOVE + 12.0;
     html! {
         svg.panel.trace role="img" viewBox={ "0 0 " (WIDTH) " " (HEIGHT) } {
-            title { (said(path)) }
+            title { (description(path)) }
             text.tiny.muted x="2" y="9" { "hand from above" }
             text.tiny.muted x=(LEFT) y="9" { "height" }
             line.grid x1=(LEFT) x2=(WIDTH - 4.0) y1=(TOP + ABOVE) y2=(TOP + ABOVE) {}
@@ -124,7 +124,7 @@ fn lines(path: &Path, extent: &Extent) -> (String, String) {
     let point = |[x, y]: [f64; 2]| format!("{},{}", px(x), px(y));
     let above = path
         .iter()
-        .map(|position| point(extent.seen_above(*position)));
+        .map(|position| point(extent.project_from_above(*position)));
     let heights = path.iter().enumerate();
     let heights = heights.map(|(step, [_, _, z])| point(extent.height(step, *z)));
     (
@@ -134,7 +134,7 @@ fn lines(path: &Path, extent: &Extent) -> (String, String) {
 }
 
 /// Describes the plot for screen readers.
-fn said(path: &Path) -> String {
+fn description(path: &Path) -> String {
     let centimetres = |[x, y, z]: &[f64; 3]| {
         let [x, y, z] = [x, y, z].map(|metres| format!("{:.1}", 100.0 * metres).replace('-', "−"));
         format!("x {x}, y {y}, z {z} cm")
@@ -142,7 +142,7 @@ fn said(path: &Path) -> String {
     let length: f64 = path.windows(2).map(|pair| distance(pair[0], pair[1])).sum();
     match (path.first(), path.last()) {
         (Some(first), Some(last)) => format!(
-            "The hand goes from {} to {} in {} control steps, {:.0} cm of way",
+            "The hand moves from {} to {} in {} control steps, on a path of {:.0} cm",
             centimetres(first),
             centimetres(last),
             path.len() - 1,
@@ -166,7 +166,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_path_is_in_metres() {
+    fn stored_paths_are_converted_to_metres() {
         let path = read(&Motion::pack(&[[-1_000, 20, 10_000], [0, 0, 12_345]], &[]));
         let expected = [[-0.1, 0.002, 1.0], [0.0, 0.0, 1.2345]];
         assert_eq!(path.len(), 2);
@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn every_path_stays_in_its_picture() {
+    fn every_path_stays_within_its_plot() {
         let paths = [
             read(&Motion::pack(
                 &[
@@ -188,7 +188,7 @@ mod tests {
             )),
             read(&Motion::pack(&[[0, 0, 10_000]], &[])),
         ];
-        let extent = Extent::of(paths.iter()).expect("positions");
+        let extent = Extent::from_paths(paths.iter()).expect("positions");
         assert_eq!(extent.steps, 2);
         for path in &paths {
             for (step, position) in path.iter().enumerate() {
@@ -199,7 +199,7 @@ mod tests {
                         "{value}"
                     );
                 };
-                let [x, y] = extent.seen_above(*position);
+                let [x, y] = extent.project_from_above(*position);
                 within([2.0, 2.0 + ABOVE], x);
                 within([TOP, TOP + ABOVE], y);
                 let [x, y] = extent.height(step, position[2]);
@@ -207,8 +207,8 @@ mod tests {
                 within([TOP, TOP + ABOVE], y);
             }
         }
-        assert!(Extent::of([Path::new()].iter()).is_none());
-        let words = said(&paths[0]);
+        assert!(Extent::from_paths([Path::new()].iter()).is_none());
+        let words = description(&paths[0]);
         assert!(
             words.contains("2 control steps") && words.contains("x −30.0"),
             "{words}"

@@ -120,7 +120,7 @@ async fn list(channel: &Channel, token: Option<&str>) -> Result<(), Status> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_stranger_is_refused_logged_once_and_changes_nothing() {
+async fn unauthenticated_callers_are_refused_logged_once_and_change_nothing() {
     let guarded = Guarded::start(&[]);
     let channel = guarded.channel().await;
     let before = guarded.rows().await;
@@ -143,7 +143,7 @@ async fn a_stranger_is_refused_logged_once_and_changes_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_role_allows_what_it_is_for_and_nothing_else() {
+async fn a_token_allows_only_the_calls_of_its_role() {
     let guarded = Guarded::start(&[]);
     let channel = guarded.channel().await;
     let before = guarded.rows().await;
@@ -176,7 +176,7 @@ async fn a_role_allows_what_it_is_for_and_nothing_else() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_million_characters_are_refused_wherever_they_stand() {
+async fn names_of_a_million_characters_are_refused_in_every_field() {
     let guarded = Guarded::start(&[]);
     let channel = guarded.channel().await;
     let before = guarded.rows().await;
@@ -292,15 +292,15 @@ fn list_over_tls(guarded: &Guarded, ca: &Path) -> Output {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn over_tls_a_token_opens_and_what_cannot_be_trusted_is_refused() {
+async fn over_tls_a_token_is_accepted_and_untrusted_certificates_are_refused() {
     let authority = Authority::new();
     let valid = authority.sign(3_000);
     let guarded = Guarded::start(&valid.each_ref().map(String::as_str));
     succeed(list_over_tls(&guarded, &authority.path("ca.pem")));
     let before = guarded.rows().await;
     let other = Authority::new();
-    let told = &fail(list_over_tls(&guarded, &other.path("ca.pem")), 1);
-    assert!(told.contains("not signed by the authority"), "{told}");
+    let message = &fail(list_over_tls(&guarded, &other.path("ca.pem")), 1);
+    assert!(message.contains("not signed by the authority"), "{message}");
     assert_eq!(guarded.rows().await, before);
 }
 
@@ -310,23 +310,23 @@ async fn an_expired_certificate_is_refused_at_once() {
     let expired = authority.sign(2_020);
     let guarded = Guarded::start(&expired.each_ref().map(String::as_str));
     let before = guarded.rows().await;
-    let told = &fail(list_over_tls(&guarded, &authority.path("ca.pem")), 1);
-    assert!(told.contains("certificate expired"), "{told}");
-    assert!(!told.contains("trying again"), "{told}");
+    let message = &fail(list_over_tls(&guarded, &authority.path("ca.pem")), 1);
+    assert!(message.contains("certificate expired"), "{message}");
+    assert!(!message.contains("trying again"), "{message}");
     assert_eq!(guarded.rows().await, before);
 }
 
 #[test]
-fn other_machines_are_listened_to_only_with_guards_or_on_demand() {
+fn other_addresses_are_served_only_with_tls_and_tokens_or_insecure() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let data = folder.path().join("data");
     let data = data.to_str().expect("UTF-8");
-    let told = &fail(
+    let message = &fail(
         coordinator(&["serve", "--listen", "0.0.0.0:0", "--data", data]),
         2,
     );
     for word in ["0.0.0.0:0", "--tls-cert", "--token-file", "--insecure"] {
-        assert!(told.contains(word), "{told}");
+        assert!(message.contains(word), "{message}");
     }
     assert!(!folder.path().join("data").exists());
 }
@@ -334,11 +334,13 @@ fn other_machines_are_listened_to_only_with_guards_or_on_demand() {
 /// Regression (finding A2): on a shared machine, every user could call a coordinator that listened
 /// on loopback, delete its campaigns and set its policies' endpoints.
 #[test]
-fn other_users_of_the_machine_are_let_in_only_on_demand() {
+fn other_users_of_the_machine_are_refused_unless_insecure_loopback() {
     /// User id of `nobody`.
     const OTHER: u32 = 65_534;
     if !rustix::process::geteuid().is_root() {
-        println!("skipped other_users_of_the_machine_are_let_in_only_on_demand: not root");
+        println!(
+            "skipped other_users_of_the_machine_are_refused_unless_insecure_loopback: not root"
+        );
         return;
     }
     for (flags, is_let_in) in [(&[][..], false), (&["--insecure-loopback"][..], true)] {
@@ -352,15 +354,19 @@ fn other_users_of_the_machine_are_let_in_only_on_demand() {
             .gid(OTHER)
             .output()
             .expect("runs");
-        let told = text(&listed.stderr);
-        assert_eq!(listed.status.success(), is_let_in, "{told}");
-        assert_eq!(told.contains("--insecure-loopback"), !is_let_in, "{told}");
+        let message = text(&listed.stderr);
+        assert_eq!(listed.status.success(), is_let_in, "{message}");
+        assert_eq!(
+            message.contains("--insecure-loopback"),
+            !is_let_in,
+            "{message}"
+        );
         assert!(serve.command(&["campaign", "list"]).status.success());
     }
 }
 
 #[test]
-fn secrets_that_others_can_read_are_refused_and_what_is_kept_they_cannot() {
+fn readable_secrets_are_refused_and_stored_files_are_private() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = |name: &str| folder.path().join(name);
     let [tokens, key, certificate, data] = ["tokens", "key.pem", "cert.pem", "deep/data"].map(path);
@@ -391,11 +397,14 @@ fn secrets_that_others_can_read_are_refused_and_what_is_kept_they_cannot() {
     ] {
         for mode in [0o644, 0o640, 0o602] {
             std::fs::set_permissions(exposed, Permissions::from_mode(mode)).expect("set");
-            let told = &fail(coordinator(arguments), 1);
+            let message = &fail(coordinator(arguments), 1);
             let remedy = format!("`chmod 600 {}`", exposed.display());
             let shown = format!("{mode:04o}");
-            assert!(told.contains(&remedy) && told.contains(&shown), "{told}");
-            assert!(!told.contains(OPERATOR), "{told}");
+            assert!(
+                message.contains(&remedy) && message.contains(&shown),
+                "{message}"
+            );
+            assert!(!message.contains(OPERATOR), "{message}");
         }
         std::fs::set_permissions(exposed, Permissions::from_mode(0o600)).expect("set");
         assert!(!data.exists());
@@ -405,7 +414,7 @@ fn secrets_that_others_can_read_are_refused_and_what_is_kept_they_cannot() {
         &["--token-file", tokens_text],
         File::create(path("log")).expect("a log").into(),
     );
-    let mode = |path: &Path| path.metadata().expect("it is there").mode() & 0o777;
+    let mode = |path: &Path| path.metadata().expect("an existing file").mode() & 0o777;
     assert_eq!(mode(&data), 0o700);
     let database = data.join("coordinator.sqlite");
     for suffix in ["", "-wal", "-shm"] {
@@ -421,7 +430,7 @@ fn secrets_that_others_can_read_are_refused_and_what_is_kept_they_cannot() {
 
 /// Anyone who can reach the port can open sockets and send nothing.
 #[tokio::test(flavor = "multi_thread")]
-async fn silent_connections_lock_nobody_out_and_are_closed() {
+async fn silent_connections_are_closed_and_do_not_exhaust_the_limit() {
     const FILES: usize = 128;
     let folder = tempfile::tempdir().expect("a temporary folder");
     let limited = Command::new("sh")
@@ -433,7 +442,7 @@ async fn silent_connections_lock_nobody_out_and_are_closed() {
         .stdout(Stdio::piped())
         .stderr(Stdio::null())
         .spawn();
-    let serve = Serve::of(limited.expect("starts"));
+    let serve = Serve::wait_until_listening(limited.expect("starts"));
     assert!(serve.is_ready(), "it listens");
     let address = serve.url.strip_prefix("http://").expect("a URL");
     let connect = || TcpStream::connect(address).expect("a connection");

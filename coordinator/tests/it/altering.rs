@@ -56,7 +56,7 @@ async fn film(worker: &mut Worker, lease: &wire::Lease) -> String {
 
 /// Regression: a typo in the endpoint could only be corrected by creating the campaign anew.
 #[tokio::test]
-async fn a_campaign_whose_endpoint_is_mended_goes_on_at_once() {
+async fn a_campaign_continues_at_once_after_its_endpoint_is_corrected() {
     let bench = Bench::start().await;
     bench.create(&small_spec("typo")).await.expect("created");
     let mut worker = bench.worker("a").await;
@@ -95,7 +95,7 @@ async fn a_campaign_whose_endpoint_is_mended_goes_on_at_once() {
 }
 
 #[tokio::test]
-async fn a_mended_campaign_is_created_again_as_it_is_now_only() {
+async fn an_altered_campaign_is_recognised_by_its_new_specification_only() {
     let bench = Bench::start().await;
     let before = small_spec("typo");
     bench.create(&before).await.expect("created");
@@ -106,14 +106,14 @@ async fn a_mended_campaign_is_created_again_as_it_is_now_only() {
     alter(&bench, request).await.expect("altered");
     let policy = json!({"policy": {"name": "expart", "endpoint": ELSEWHERE}});
     let now = bench.create(&with(before.clone(), policy)).await;
-    assert_eq!(now.expect("there").jobs_added, 0);
+    assert_eq!(now.expect("an existing campaign").jobs_added, 0);
     let refused = bench.create(&before).await.expect_err("another");
     assert_eq!(refused.code(), Code::AlreadyExists);
     assert!(refused.message().contains("`policy`"), "{refused}");
 }
 
 #[tokio::test]
-async fn a_change_that_cannot_be_is_refused_and_nothing_changes() {
+async fn an_invalid_alteration_is_refused_and_changes_nothing() {
     let bench = Bench::start().await;
     bench.create(&small_spec("one")).await.expect("created");
     bench.create(&small_spec("two")).await.expect("created");
@@ -162,7 +162,7 @@ async fn a_change_that_cannot_be_is_refused_and_nothing_changes() {
 }
 
 #[tokio::test]
-async fn the_probe_of_a_policy_that_a_campaign_leaves_is_replaced() {
+async fn a_probe_is_replaced_if_its_campaign_changes_endpoint() {
     let bench = Bench::start().await;
     let leaves = bench.create_with_priority(&small_spec("leaves"), 1).await;
     leaves.expect("created");
@@ -199,7 +199,10 @@ async fn a_renamed_campaign_keeps_everything_and_is_found_under_its_new_name() {
     let second = film(&mut worker, &held).await;
     assert!(second.starts_with("artifacts/old/"), "{second}");
     assert_eq!(bench.status("new").await.committed, 2);
-    let again = bench.create(&small_spec("new")).await.expect("there");
+    let again = bench
+        .create(&small_spec("new"))
+        .await
+        .expect("an existing campaign");
     assert_eq!(again.jobs_added, 0);
     let request = wire::GetCampaignRequest {
         campaign: "old".to_owned(),
@@ -214,7 +217,7 @@ async fn a_renamed_campaign_keeps_everything_and_is_found_under_its_new_name() {
 /// A campaign's folder keeps the campaign's first name. A campaign that takes over a former name
 /// must neither mix its files with those of the renamed one nor delete them.
 #[tokio::test]
-async fn a_name_that_is_free_again_shares_no_files_with_who_had_it_before() {
+async fn a_reused_name_shares_no_files_with_its_former_campaign() {
     let bench = Bench::start().await;
     bench.create(&small_spec("name")).await.expect("created");
     let (mut worker, lease) = bench.leasing("a").await;
@@ -228,13 +231,13 @@ async fn a_name_that_is_free_again_shares_no_files_with_who_had_it_before() {
     let lease = worker.claim_one().await;
     assert_eq!(lease.campaign, "name");
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
-    let own = film(&mut worker, &lease).await;
-    assert!(own.starts_with("artifacts/name~2/"), "{own}");
+    let former_path = film(&mut worker, &lease).await;
+    assert!(former_path.starts_with("artifacts/name~2/"), "{own}");
     is_in_order(&bench).await;
 
     bench.delete("name", "name").await.expect("deleted");
     assert!(bench.folder.path().join(&kept).is_file());
-    assert!(!bench.folder.path().join(&own).exists());
+    assert!(!bench.folder.path().join(&former_path).exists());
     // No campaign has the name now, and no redirection from it is left.
     let request = wire::GetCampaignRequest {
         campaign: "name".to_owned(),
@@ -261,9 +264,13 @@ async fn an_operator_alters_a_campaign_from_the_command_line() {
     let (_folder, serve) = Serve::anew();
     let run = |arguments: &[&str], code: i32, words: &str| {
         let output = serve.command(arguments);
-        let said = format!("{}{}", text(&output.stdout), text(&output.stderr));
-        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {said}");
-        assert!(said.contains(words), "{arguments:?}: {said}");
+        let output_text = format!("{}{}", text(&output.stdout), text(&output.stderr));
+        assert_eq!(
+            output.status.code(),
+            Some(code),
+            "{arguments:?}: {output_text}"
+        );
+        assert!(output_text.contains(words), "{arguments:?}: {output_text}");
     };
     run(
         &[&CREATE[..], &["--priority", "-3"]].concat(),
@@ -294,7 +301,7 @@ async fn an_operator_alters_a_campaign_from_the_command_line() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_bookmark_of_before_leads_to_the_renamed_campaign() {
+async fn an_old_page_address_redirects_to_the_renamed_campaign() {
     let bench = Bench::start().await;
     bench.create(&small_spec("old")).await.expect("created");
     alter(&bench, to_name("old", "new")).await.expect("renamed");

@@ -35,7 +35,7 @@ pub(crate) async fn put(
 }
 
 #[tokio::test]
-async fn a_video_is_kept_beside_the_outcome_of_its_attempt() {
+async fn a_video_is_stored_with_the_outcome_of_its_attempt() {
     let bench = Bench::start().await;
     bench.create(&small_spec("filmed")).await.expect("created");
     let (mut worker, lease) = bench.leasing("a").await;
@@ -67,7 +67,7 @@ async fn a_video_is_kept_beside_the_outcome_of_its_attempt() {
 
 /// Regression (defect 9): a failed attempt's film was shown beside the next attempt's outcome.
 #[tokio::test]
-async fn the_film_of_a_failed_attempt_is_never_beside_another_ones_outcome() {
+async fn the_film_of_a_failed_attempt_is_never_shown_with_another_attempts_outcome() {
     let bench = Bench::start().await;
     bench.create(&small_spec("filmed")).await.expect("created");
     let mut worker = bench.worker("a").await;
@@ -85,7 +85,7 @@ async fn the_film_of_a_failed_attempt_is_never_beside_another_ones_outcome() {
 /// Regression (defect 10): two uploads under one lease shared a partial file, so that a published
 /// video was overwritten.
 #[tokio::test]
-async fn two_uploads_of_one_attempt_at_once_leave_one_whole_video() {
+async fn concurrent_uploads_of_one_attempt_leave_one_complete_video() {
     let bench = Bench::start().await;
     bench.create(&small_spec("filmed")).await.expect("created");
     let (mut worker, lease) = bench.leasing("a").await;
@@ -116,7 +116,7 @@ async fn two_uploads_of_one_attempt_at_once_leave_one_whole_video() {
 }
 
 #[tokio::test]
-async fn an_unknown_attempt_an_odd_name_and_too_much_are_refused_and_leave_nothing() {
+async fn uploads_with_unknown_attempt_invalid_name_or_excess_size_are_refused() {
     let bench = Bench::start().await;
     bench.create(&small_spec("filmed")).await.expect("created");
     let (mut worker, lease) = bench.leasing("a").await;

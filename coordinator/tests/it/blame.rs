@@ -25,7 +25,7 @@ async fn misbehaves(worker: &mut Worker, lease: &proto::coordinator::Lease) -> R
 }
 
 #[tokio::test]
-async fn a_policy_that_answers_nonsense_pauses_itself_and_never_a_worker() {
+async fn invalid_answers_pause_the_policy_and_stop_no_worker() {
     let bench = Bench::start().await;
     create(&bench, "first", "nonsense").await;
     create(&bench, "second", "sound").await;
@@ -33,9 +33,9 @@ async fn a_policy_that_answers_nonsense_pauses_itself_and_never_a_worker() {
     for number in 1..=MAX_MISBEHAVED_IN_A_ROW {
         assert!(!bench.status("first").await.policy_paused, "{number}");
         let leases = worker.claim(2).await;
-        let lease = leases.iter().find(|it| it.policy == "nonsense");
+        let lease = leases.iter().find(|lease| lease.policy == "nonsense");
         misbehaves(&mut worker, lease.expect("the older one goes first")).await;
-        for lease in leases.iter().filter(|it| it.policy == "sound") {
+        for lease in leases.iter().filter(|lease| lease.policy == "sound") {
             assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
         }
     }
@@ -53,7 +53,7 @@ async fn a_policy_that_answers_nonsense_pauses_itself_and_never_a_worker() {
 }
 
 #[tokio::test]
-async fn rollouts_of_a_policy_that_stays_nonsense_end_in_quarantine_with_its_words() {
+async fn rollouts_of_a_misbehaving_policy_are_quarantined_with_its_error() {
     let bench = Bench::start().await;
     create(&bench, "first", "nonsense").await;
     // Another machine would get the same answers, so it need not try.
@@ -79,7 +79,7 @@ async fn rollouts_of_a_policy_that_stays_nonsense_end_in_quarantine_with_its_wor
 }
 
 #[tokio::test]
-async fn only_its_machines_failures_stop_a_worker() {
+async fn only_failures_charged_to_its_machine_stop_a_worker() {
     for (reason, stops) in [
         (Reason::SimulatorError, false),
         (Reason::PolicyMisbehaved, false),
@@ -91,13 +91,13 @@ async fn only_its_machines_failures_stop_a_worker() {
         let bench = Bench::start().await;
         create(&bench, "first", "any").await;
         let mut worker = bench.worker("a").await;
-        let mut told = String::new();
+        let mut stop_reason = String::new();
         for _ in 0..5 {
             bench.pass(PAST_BACKOFF_SECS).await;
             let lease = worker.claim_one().await;
-            told = worker.release(&lease, reason).await.stop_leasing;
+            stop_reason = worker.release(&lease, reason).await.stop_leasing;
         }
-        assert_eq!(!told.is_empty(), stops, "{reason:?}: {told}");
+        assert_eq!(!stop_reason.is_empty(), stops, "{reason:?}: {stop_reason}");
         let misbehaved = bench.count("SELECT max(misbehaved) FROM policy").await;
         assert_eq!(misbehaved > 0, reason == Reason::PolicyMisbehaved);
     }
@@ -106,7 +106,7 @@ async fn only_its_machines_failures_stop_a_worker() {
 /// Regression (finding B2): a restarted worker has a new id, so that one machine was counted as
 /// several.
 #[tokio::test]
-async fn a_machine_whose_worker_is_started_again_condemns_no_rollout_that_another_could_run() {
+async fn restarted_workers_of_one_machine_count_as_one_machine() {
     let bench = Bench::start().await;
     create(&bench, "first", "any").await;
     let mut sound = bench.worker_at("sound", "s").await;
@@ -127,20 +127,20 @@ async fn a_machine_whose_worker_is_started_again_condemns_no_rollout_that_anothe
         job = Some(lease.job_id);
         let released = worker.release(lease, Reason::SlotCrashed).await;
         assert_eq!(released.verdict(), Released::Requeued);
-        for other in leases.iter().filter(|it| it.job_id != lease.job_id) {
+        for other in leases.iter().filter(|other| other.job_id != lease.job_id) {
             worker.release(other, Reason::Draining).await;
         }
     }
     bench.pass(PAST_BACKOFF_SECS).await;
     sound.heartbeat(&[], 0).await;
     let leases = sound.claim(12).await;
-    let lease = leases.iter().find(|it| Some(it.job_id) == job);
+    let lease = leases.iter().find(|lease| Some(lease.job_id) == job);
     let committed = sound.commit(lease.expect("the job"), true).await;
     assert_eq!(committed, Verdict::Accepted);
 }
 
 #[tokio::test]
-async fn a_broken_machine_has_one_failure_left_when_its_worker_is_started_again() {
+async fn a_restarted_worker_on_a_broken_machine_stops_at_its_first_failure() {
     let bench = Bench::start().await;
     create(&bench, "first", "any").await;
     let fail = async |worker: &mut Worker| {

@@ -6,7 +6,7 @@ use crate::harness::{Bench, registration, small_spec};
 use crate::page::ask;
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_workers_claim_beyond_measure_spoils_no_sum() {
+async fn impossible_numbers_from_workers_spoil_no_sum() {
     let bench = Bench::start().await;
     bench.create(&small_spec("huge")).await.expect("created");
     let mut worker = bench.worker("w").await;
@@ -24,12 +24,12 @@ async fn what_workers_claim_beyond_measure_spoils_no_sum() {
     let result = report.result.as_mut().expect("a result");
     (result.wall_secs, result.ik_residual_mm) = (1e308, Some(0.0));
     let refused = worker.service.commit(report.clone()).await;
-    let refused = refused.expect_err("longer than anybody waits");
+    let refused = refused.expect_err("an impossible duration");
     assert_eq!(refused.code(), Code::InvalidArgument, "{refused}");
     let result = report.result.as_mut().expect("a result");
     (result.wall_secs, result.ik_residual_mm) = (1.0, Some(1e308));
     let refused = worker.service.commit(report).await;
-    refused.expect_err("farther than any arm reaches");
+    refused.expect_err("an impossible distance");
     worker.films(u32::MAX).await;
     let metrics = ask(&bench.url, "GET /metrics").await;
     assert_eq!(metrics.code, 200);

@@ -9,7 +9,7 @@ use tonic::Code;
 use crate::harness::{Bench, small_spec, with};
 
 #[tokio::test]
-async fn the_same_specification_twice_adds_nothing_and_another_is_refused() {
+async fn creating_a_campaign_twice_adds_nothing_and_another_specification_is_refused() {
     let bench = Bench::start().await;
     let spec = small_spec("same");
     let first = bench.create(&spec).await.expect("created");
@@ -62,7 +62,7 @@ async fn a_specification_that_cannot_run_is_refused_and_nothing_is_written() {
 }
 
 #[tokio::test]
-async fn a_status_counts_and_says_how_fast_it_goes() {
+async fn a_status_has_counts_and_rate() {
     let bench = Bench::start().await;
     bench.create(&small_spec("paced")).await.expect("created");
     let before = bench.status("paced").await;

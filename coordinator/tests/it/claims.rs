@@ -62,7 +62,7 @@ async fn a_waiting_claim_is_woken_by_new_work() {
 }
 
 #[tokio::test]
-async fn a_claim_without_work_is_an_answer_and_waits_as_long_as_asked() {
+async fn a_claim_without_work_waits_for_the_requested_time() {
     let bench = Bench::start().await;
     let mut worker = bench.worker("a").await;
     let began = Instant::now();
@@ -110,7 +110,7 @@ async fn a_worker_keeps_its_warm_task_and_a_cold_one_takes_another() {
 
 /// Checks a campaign that is leased task by task and one that is leased in drawn order.
 #[tokio::test]
-async fn jobs_of_tasks_that_a_worker_cannot_show_are_left_to_others() {
+async fn jobs_of_tasks_without_assets_are_left_to_other_workers() {
     let bench = Bench::start().await;
     let tasks = json!(["libero_object/0", "libero_object/1"]);
     let spec = with(small_spec("partial"), json!({ "tasks": tasks }));
@@ -199,7 +199,7 @@ async fn the_campaign_with_the_fewest_leases_is_next() {
 }
 
 #[tokio::test]
-async fn a_higher_priority_goes_first_and_may_be_changed_at_any_time() {
+async fn higher_priorities_are_leased_first_and_can_be_changed() {
     let bench = Bench::start().await;
     bench.create(&small_spec("usual")).await.expect("created");
     let urgent = bench.create_with_priority(&small_spec("urgent"), 7).await;
@@ -208,7 +208,10 @@ async fn a_higher_priority_goes_first_and_may_be_changed_at_any_time() {
     assert_eq!(worker.claim_one().await.campaign, "urgent");
     assert_eq!(worker.claim_one().await.campaign, "urgent");
     // Creating the same campaign again keeps its priority.
-    let again = bench.create(&small_spec("urgent")).await.expect("there");
+    let again = bench
+        .create(&small_spec("urgent"))
+        .await
+        .expect("an existing campaign");
     assert_eq!((again.jobs_added, again.priority), (0, 7));
 
     let request = wire::AlterCampaignRequest {
@@ -245,7 +248,7 @@ async fn a_higher_priority_goes_first_and_may_be_changed_at_any_time() {
 /// The first campaigns in order may be pinned to other assets, be paused, or wait for their policy;
 /// the campaigns after them are still leased.
 #[tokio::test]
-async fn nothing_starves_behind_a_campaign_that_a_worker_cannot_run() {
+async fn a_campaign_that_a_worker_cannot_run_delays_no_other() {
     let bench = Bench::start().await;
     let policy = |name: &str| json!({"policy": {"name": name, "endpoint": "http://127.0.0.1:1"}});
     let foreign = bench.create_with_priority(&small_spec("foreign"), 9).await;
@@ -292,7 +295,7 @@ async fn replicates_change_the_policys_seed_only() {
 }
 
 #[tokio::test]
-async fn a_stranger_is_told_to_register_and_another_protocol_version_is_refused() {
+async fn an_unregistered_worker_must_register_and_another_protocol_version_is_refused() {
     let bench = Bench::start().await;
     let mut worker = bench.worker("a").await;
     worker.id = "stranger".to_owned();
@@ -312,7 +315,7 @@ async fn a_stranger_is_told_to_register_and_another_protocol_version_is_refused(
 /// Regression (defect 5): a claim whose answer was lost left a lease that its worker did not know
 /// of.
 #[tokio::test]
-async fn a_claim_that_is_asked_again_gets_the_lease_that_it_has_already() {
+async fn a_repeated_claim_returns_its_existing_lease() {
     let bench = Bench::start().await;
     bench.create(&small_spec("again")).await.expect("created");
     let mut worker = bench.worker("a").await;

@@ -91,7 +91,7 @@ async fn latest(bench: &Bench, table: &str, column: &str) -> Option<i64> {
 }
 
 #[tokio::test]
-async fn every_column_with_an_instant_is_named_here() {
+async fn every_column_with_an_instant_is_listed() {
     let bench = Bench::start().await;
     let pool = bench.database().await;
     let columns: Vec<(String, String)> = sqlx::query_as(
@@ -113,7 +113,7 @@ async fn every_column_with_an_instant_is_named_here() {
 
 /// Regression (finding B3): instants stayed ahead of a clock that was set back.
 #[tokio::test]
-async fn a_clock_that_was_set_back_leaves_no_instant_ahead_of_it() {
+async fn a_clock_set_back_leaves_no_instant_in_the_future() {
     let bench = Bench::start().await;
     every_instant(&bench).await;
     let now = bench.clock.now().0 - DAY_MS;
@@ -135,7 +135,7 @@ async fn a_clock_that_was_set_back_leaves_no_instant_ahead_of_it() {
 }
 
 #[tokio::test]
-async fn an_outage_is_noticed_and_a_dead_worker_is_dead_after_the_clock_was_set_back() {
+async fn a_clock_set_back_hides_neither_an_outage_nor_a_dead_worker() {
     let bench = Bench::start().await;
     bench.create(&small_spec("back")).await.expect("created");
     let mut worker = bench.worker("a").await;
@@ -157,11 +157,11 @@ async fn an_outage_is_noticed_and_a_dead_worker_is_dead_after_the_clock_was_set_
     assert_eq!(bench.status("back").await.live_workers, 0);
     let (mut worker, lease) = bench.leasing("b").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
-    assert!(bench.status("back").await.policy_paused, "this is news");
+    assert!(bench.status("back").await.policy_paused, "a new outage");
 }
 
 #[tokio::test]
-async fn a_clock_that_jumped_ahead_takes_no_lease_away() {
+async fn a_clock_jump_ahead_expires_no_lease() {
     let bench = Bench::start().await;
     bench.create(&small_spec("ahead")).await.expect("created");
     let lease = bench.worker("a").await.claim_one().await;
@@ -174,7 +174,7 @@ async fn a_clock_that_jumped_ahead_takes_no_lease_away() {
 }
 
 #[tokio::test]
-async fn a_clock_that_jumped_ahead_leaves_every_instant_in_the_past_and_the_leases_their_time() {
+async fn a_clock_jump_ahead_leaves_all_instants_in_the_past_and_leases_their_full_time() {
     let bench = Bench::start().await;
     every_instant(&bench).await;
     let mut before = Vec::new();
@@ -244,20 +244,20 @@ fn sources(folder: &Path, found: &mut Vec<PathBuf>) {
         let (path, name) = (entry.path(), entry.file_name());
         let is_left_out = ["target", "tests", "fuzz", "xtask"]
             .iter()
-            .any(|it| name == *it);
+            .any(|folder| name == *folder);
         let is_hidden = name.as_encoded_bytes().starts_with(b".");
         if entry.file_type().expect("a type").is_dir() {
             if !is_left_out && !is_hidden {
                 sources(&path, found);
             }
-        } else if path.extension().is_some_and(|it| it == "rs") {
+        } else if path.extension().is_some_and(|extension| extension == "rs") {
             found.push(path);
         }
     }
 }
 
 #[test]
-fn every_file_that_reads_another_clock_is_named_here() {
+fn every_file_that_reads_another_clock_is_listed() {
     let root = Path::new(env!("CARGO_MANIFEST_DIR"))
         .parent()
         .expect("a root");
@@ -280,7 +280,7 @@ fn every_file_that_reads_another_clock_is_named_here() {
     };
     let found = files.iter().filter(|path| reads(path));
     let mut found: Vec<&str> = found
-        .map(|path| path.strip_prefix(root).expect("below it"))
+        .map(|path| path.strip_prefix(root).expect("a path below the root"))
         .map(|path| path.to_str().expect("UTF-8"))
         .collect();
     found.sort_unstable();

@@ -55,7 +55,7 @@ async fn two_campaigns_are_compared_over_the_rollouts_that_both_have() {
 
     let table = &succeed(serve.command(&["compare", "a", "b"]));
     let words = table.split_whitespace().collect::<Vec<_>>().join(" ");
-    for said in [
+    for row in [
         "A strong at http://127.0.0.1:50051, campaign a",
         "B weak at http://127.0.0.1:50051, campaign b",
         // Ten tasks: A succeeds on all, B on none. Two of 1,024 sign-flips, times four conditions.
@@ -64,7 +64,7 @@ async fn two_campaigns_are_compared_over_the_rollouts_that_both_have() {
         "left out: 40 rollouts that only A has, 0 rollouts that only B has",
         "above 0, A succeeds more often",
     ] {
-        assert!(words.contains(said), "no `{said}` in\n{table}");
+        assert!(words.contains(row), "no `{row}` in\n{table}");
     }
     fits_a_terminal(table);
 
@@ -84,7 +84,7 @@ async fn two_campaigns_are_compared_over_the_rollouts_that_both_have() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn campaigns_and_folders_are_a_and_b_in_the_order_of_the_command_line() {
+async fn compare_takes_a_and_b_in_command_line_order() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let serve = Serve::start(&folder.path().join("data"));
     create(&serve, "a", "strong", &["--configs", "0"]);
@@ -125,7 +125,7 @@ async fn campaigns_and_folders_are_a_and_b_in_the_order_of_the_command_line() {
 }
 
 #[test]
-fn a_wrong_compare_command_exits_with_2_and_says_what_it_takes() {
+fn an_invalid_compare_command_exits_with_2_and_the_remedy() {
     let check = |arguments: &[&str], words: &str| {
         let error = &fail(coordinator(arguments), 2);
         assert!(error.contains(words), "{words}: {error}");
@@ -165,15 +165,15 @@ async fn compared(bench: &Bench, names: [&str; 2]) -> report::Comparison {
 /// Configuration 10 is drawn from the design's seed: rollouts of two designs with the same ids have
 /// different perturbations and initial states.
 #[tokio::test]
-async fn rollouts_that_only_share_their_names_are_not_paired() {
+async fn rollouts_of_different_designs_with_equal_ids_are_not_paired() {
     let bench = Bench::start().await;
     for (name, seed) in [("a", 0), ("b", 1), ("c", 0)] {
         let changes = json!({"configs": [0, 10], "design_seed": seed, "nominal": "none"});
         let spec = with(small_spec(name), changes);
         bench.create(&spec).await.expect("created");
     }
-    let it = compared(&bench, ["a", "b"]).await.statistics;
-    let unpaired: Vec<String> = it
+    let statistics = compared(&bench, ["a", "b"]).await.statistics;
+    let unpaired: Vec<String> = statistics
         .unpaired
         .values()
         .flatten()
@@ -184,7 +184,7 @@ async fn rollouts_that_only_share_their_names_are_not_paired() {
         unpaired.iter().all(|id| id.ends_with("c10")),
         "{unpaired:?}"
     );
-    assert_eq!(it.shared(), 3, "the presets are the same");
+    assert_eq!(statistics.shared(), 3, "the presets are the same");
     let same = compared(&bench, ["a", "c"]).await.statistics;
     assert_eq!((same.shared(), same.unpaired.len()), (6, 0));
 }
@@ -192,7 +192,7 @@ async fn rollouts_that_only_share_their_names_are_not_paired() {
 /// The harness's successes take 120 steps and hold both predicates of the goal, its failures
 /// 280 steps and one.
 #[tokio::test]
-async fn progress_and_the_design_come_with_the_outcomes() {
+async fn a_comparison_includes_progress_and_design() {
     let bench = Bench::start().await;
     let policy = json!({"name": "strong", "endpoint": "http://127.0.0.1:50051"});
     let changes = json!({"levels": ["L0", "L1"], "directions": "own"});
@@ -204,19 +204,26 @@ async fn progress_and_the_design_come_with_the_outcomes() {
         bench.create(&spec).await.expect("created");
     }
     run_all(&mut bench.worker("w").await).await;
-    let it = compared(&bench, ["a", "b"]).await;
-    assert_eq!(it.statistics.directions, Directions::Own);
-    let warned = it.warnings.iter().any(|it| it.contains("placebo levels"));
-    assert!(warned, "{:?}", it.warnings);
-    let of = |condition| {
-        let mut cells = it.statistics.cells.iter();
+    let comparison = compared(&bench, ["a", "b"]).await;
+    assert_eq!(comparison.statistics.directions, Directions::Own);
+    let warnings = &comparison.warnings;
+    let has_warning = warnings.iter().any(|text| text.contains("placebo levels"));
+    assert!(has_warning, "{warnings:?}");
+    let differences = |condition| {
+        let mut cells = comparison.statistics.cells.iter();
         let cell = cells.find(|cell| (cell.level, cell.condition) == (Level::L1, condition));
         let progress = cell.expect("a cell").progress.expect("progress");
         let values = [progress.goal, progress.steps];
-        values.map(|it| it.map(|it| it.difference.value))
+        values.map(|value| value.map(|row| row.difference.value))
     };
-    assert_eq!(of(Condition::Combination), [Some(0.5), Some(-160.0)]);
-    assert_eq!(of(Condition::Single(Axis::Camera)), [Some(0.0), Some(0.0)]);
+    assert_eq!(
+        differences(Condition::Combination),
+        [Some(0.5), Some(-160.0)]
+    );
+    assert_eq!(
+        differences(Condition::Single(Axis::Camera)),
+        [Some(0.0), Some(0.0)]
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]

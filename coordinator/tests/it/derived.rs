@@ -40,7 +40,7 @@ pub(crate) async fn run_all(worker: &mut Worker, planted: Planted) {
 /// Kills the coordinator of a folder around every transaction that a campaign of the specification
 /// needs, in consecutive runs, each of which continues where the previous one was killed. Every
 /// invariant holds after each.
-pub(crate) async fn die_everywhere(folder: &Path, spec: &Value, planted: Planted) {
+pub(crate) async fn kill_around_every_transaction(folder: &Path, spec: &Value, planted: Planted) {
     for (side, step, times) in [
         (Side::Before, Step::CreateCampaign, 1),
         (Side::Before, Step::Derive, 1),
@@ -53,7 +53,7 @@ pub(crate) async fn die_everywhere(folder: &Path, spec: &Value, planted: Planted
         (Side::After, Step::Derive, 2),
     ] {
         let point = format!("{side:?}:{step:?}:{times}");
-        die_at(folder, &point, spec, planted).await;
+        kill_at_failpoint(folder, &point, spec, planted).await;
         let violations = invariants::check(folder).await.expect("a database");
         assert_eq!(violations, [], "{point}");
     }
@@ -61,7 +61,7 @@ pub(crate) async fn die_everywhere(folder: &Path, spec: &Value, planted: Planted
 
 /// Serves a folder until the process is killed at a failpoint, while a campaign is created and a
 /// worker runs its jobs, except those without a planted outcome.
-pub(crate) async fn die_at(
+pub(crate) async fn kill_at_failpoint(
     folder: &Path,
     point: &str,
     spec: &Value,
@@ -82,7 +82,7 @@ pub(crate) async fn die_at(
         .stderr(Stdio::null())
         .spawn()
         .expect("starts");
-    let mut serve = Serve::of(child);
+    let mut serve = Serve::wait_until_listening(child);
     let began = Instant::now();
     if serve.is_ready() {
         // Calls the service directly, since the command would retry while nobody answers.

@@ -38,7 +38,7 @@ async fn nothing_is_leased_while_the_disk_is_nearly_full_and_the_status_says_so(
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_coordinator_that_cannot_write_leases_nothing_and_goes_on_when_it_can() {
+async fn a_coordinator_that_cannot_write_suspends_leasing_until_it_can() {
     let (_folder, serve) = Serve::anew();
     assert!(serve.command(&CREATE).status.success());
     let mut worker = serve.worker("a").await;
@@ -59,7 +59,7 @@ async fn a_coordinator_that_cannot_write_leases_nothing_and_goes_on_when_it_can(
 
 /// Regression: SQLite wrote to the removed file, so that `create` said "created" and all was lost.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_data_folder_that_is_gone_takes_nothing_and_can_still_be_saved() {
+async fn a_removed_data_folder_refuses_writes_and_can_be_backed_up() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let data = folder.path().join("data");
     let serve = Serve::start(&data);
@@ -71,8 +71,8 @@ async fn a_data_folder_that_is_gone_takes_nothing_and_can_still_be_saved() {
 
     let mut create = CREATE;
     create[3] = "other";
-    let said = &fail(serve.command(&create), 1);
-    assert!(said.contains("is gone"), "{said}");
+    let error = &fail(serve.command(&create), 1);
+    assert!(error.contains("is gone"), "{error}");
     let refused = worker.try_commit(&leases[1], true).await;
     assert_eq!(refused.expect_err("gone").code(), tonic::Code::Internal);
 
@@ -110,7 +110,7 @@ async fn a_log_on_a_full_disk_does_not_end_the_coordinator() {
 /// full disk held outcomes back forever; and the error of a video's last write was ignored, so that
 /// a truncated video counted as complete.
 #[tokio::test(flavor = "multi_thread")]
-async fn an_artifacts_folder_on_a_full_disk_costs_the_video_and_not_the_outcome() {
+async fn a_full_artifacts_disk_loses_the_video_but_not_the_outcome() {
     const ROOM: usize = 2_000_000;
     let (folder, serve) = Serve::anew();
     assert!(serve.command(&CREATE).status.success());

@@ -65,11 +65,11 @@ fn a_dry_run_and_a_manifest_carry_the_execution_model() {
     // A dry run needs no coordinator.
     let nowhere = ["--connect", "http://127.0.0.1:9"];
     let run = |more: &[&str]| succeed(coordinator(&[&late[..], more, &nowhere].concat()));
-    let told = run(&["--dry-run"]);
+    let message = run(&["--dry-run"]);
     let line = format!("execution model {MODEL}: an answer takes effect after 150 to 200 ms");
-    assert!(told.contains(&line), "{told}");
-    let told = json_of(run(&["--dry-run", "--json"]).as_bytes());
-    assert_eq!(told["execution"], MODEL);
+    assert!(message.contains(&line), "{message}");
+    let message = json_of(run(&["--dry-run", "--json"]).as_bytes());
+    assert_eq!(message["execution"], MODEL);
     let waits = coordinator(&[&CREATE[..], &["--dry-run", "--json"], &nowhere].concat());
     assert_eq!(json_of(&waits.stdout)["execution"], "wait");
 
@@ -89,8 +89,8 @@ fn a_dry_run_and_a_manifest_carry_the_execution_model() {
     };
     let taken = imported(&[]);
     assert_eq!(json_of(&taken.stdout)["execution"], MODEL);
-    let told = &fail(imported(&["--execution", "hold:2"]), 2);
-    assert!(told.contains("`execution` is hold:2"), "{told}");
+    let message = &fail(imported(&["--execution", "hold:2"]), 2);
+    assert!(message.contains("`execution` is hold:2"), "{message}");
 }
 
 /// A policy that only describes itself, with answers of ten actions.
@@ -147,13 +147,13 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
         serve.command(&[&named[..], &policy, &rollouts, more].concat())
     };
     for more in [&[][..], &["--dry-run"]] {
-        let told = &fail(create("late", "overlap:10", more), 2);
+        let message = &fail(create("late", "overlap:10", more), 2);
         for part in [
             "create campaign late of policy `expert` at http://127.0.0.1:",
             "`overlap:10` drops at least 10 actions of each answer",
             "Choose a delay below 10, `hold:10`",
         ] {
-            assert!(told.contains(part), "{told}");
+            assert!(message.contains(part), "{message}");
         }
     }
     // The latency axis is checked too: r20 is ten steps late.
@@ -161,18 +161,21 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
     let named = ["campaign", "create", "--name", "axis", "--policy", "expert"];
     let rest = ["--endpoint", &endpoint, "--tasks", "libero_object/0"];
     let refused = serve.command(&[&named[..], &rest, &axis].concat());
-    let told = text(&refused.stderr);
-    assert!(told.contains("`overlap:10` drops at least 10"), "{told}");
+    let message = text(&refused.stderr);
+    assert!(
+        message.contains("`overlap:10` drops at least 10"),
+        "{message}"
+    );
     // The first model drops only some answers whole; `hold` drops none, since the arm holds still
     // meanwhile.
     for (name, model) in [("some", "overlap:9*1+12*9"), ("all", "hold:10")] {
-        let told = &succeed(create(name, model, &[]));
-        assert!(!told.contains("does not say"), "{told}");
+        let message = &succeed(create(name, model, &[]));
+        assert!(!message.contains("does not say"), "{message}");
     }
     serving.shutdown().await;
     let created = create("unknown", "overlap:10", &[]);
     assert!(created.status.success(), "{}", text(&created.stderr));
-    let told = text(&created.stdout)
+    let message = text(&created.stdout)
         .split_whitespace()
         .collect::<Vec<_>>()
         .join(" ");
@@ -180,7 +183,7 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
         "the length of the answers of policy",
         "if overlap:10 drops every action of an answer",
     ] {
-        assert!(told.contains(part), "{told}");
+        assert!(message.contains(part), "{message}");
     }
     let listed = serve.command(&["campaign", "list"]);
     assert!(

@@ -12,7 +12,7 @@ use proto::coordinator::{CreateCampaignRequest, GetCampaignRequest};
 use queue::invariants;
 use serde_json::{Value, json};
 
-use crate::derived::{PATIENCE, die_everywhere, run_all};
+use crate::derived::{PATIENCE, kill_around_every_transaction, run_all};
 use crate::json::{documented, keys};
 use crate::process::{Serve, fits_a_terminal, succeed, succeed_in_json, text};
 
@@ -90,8 +90,11 @@ async fn planted_rules_are_found_again() {
     create(&serve);
     // The explanation can be requested before the campaign is finished.
     let output = serve.command(&["explain", "first", "--create"]);
-    let said = text(&output.stderr);
-    assert!(said.contains("80 rollouts without an outcome"), "{said}");
+    let output = text(&output.stderr);
+    assert!(
+        output.contains("80 rollouts without an outcome"),
+        "{output}"
+    );
     assert_eq!(findings(&serve, &[])["complete"], json!(false));
 
     let found = explained(&serve, &[]).await;
@@ -104,7 +107,7 @@ async fn planted_rules_are_found_again() {
         let answer = &configuration["explanation"]["answers"][0];
         assert_eq!(answer["start"], start, "{name}");
         let sets = answer["minimal"].as_array().expect("a list").iter();
-        let sets: Vec<&Value> = sets.map(|it| &it["set"]).collect();
+        let sets: Vec<&Value> = sets.map(|subset| &subset["set"]).collect();
         assert_eq!(sets, minimal, "{name}");
         let open = answer["minimal"][0]["open"].as_array();
         assert_eq!(open.map(Vec::len), Some(0), "{name} is established");
@@ -144,25 +147,25 @@ async fn planted_rules_are_found_again() {
 
 /// Regression: looking at an explanation created a campaign that took slots.
 #[tokio::test(flavor = "multi_thread")]
-async fn to_look_at_an_explanation_that_is_not_there_changes_nothing_and_says_what_it_takes() {
+async fn explain_without_create_changes_nothing_and_names_the_flag() {
     let (_folder, serve) = Serve::anew();
     create(&serve);
     let mut worker = serve.worker("w").await;
     run_all(&mut worker, outcome).await;
     for command in ["explain", "thresholds"] {
         for flags in [&[][..], &["--dry-run"], &["--dry-run", "--budget", "100"]] {
-            let said = &succeed(serve.command(&[&[command, "first"], flags].concat()));
+            let output = &succeed(serve.command(&[&[command, "first"], flags].concat()));
             assert!(
-                said.contains(&format!(
+                output.contains(&format!(
                     "campaign first-{}",
                     ["explained", "thresholds"][usize::from(command != "explain")]
                 )),
-                "{said}"
+                "{output}"
             );
-            assert!(said.contains("takes at most "), "{said}");
+            assert!(output.contains("takes at most "), "{output}");
             assert!(
-                said.contains(&format!("`coordinator {command} first --create` does that")),
-                "{said}"
+                output.contains(&format!("`coordinator {command} first --create` does that")),
+                "{output}"
             );
         }
         let refused = |flags: &[&str], words: &str| {
@@ -174,9 +177,9 @@ async fn to_look_at_an_explanation_that_is_not_there_changes_nothing_and_says_wh
         refused(&["--watch"], "--create` creates it");
         refused(&["--budget", "100"], "need --create");
     }
-    let said = serve.command(&["explain", "first"]);
+    let output = serve.command(&["explain", "first"]);
     // Six transitions with six axes: 56 subsets each.
-    let words = text(&said.stdout);
+    let words = text(&output.stdout);
     assert!(
         words.contains("at most 336 rollouts for 6 transitions"),
         "{words}"
@@ -187,7 +190,7 @@ async fn to_look_at_an_explanation_that_is_not_there_changes_nothing_and_says_wh
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_an_explanation_rests_on_stays() {
+async fn invalid_explanations_and_deletion_of_their_source_are_refused() {
     let (folder, serve) = Serve::anew();
     create(&serve);
     let refused = |arguments: &[&str], words: &str| {
@@ -238,7 +241,7 @@ async fn what_an_explanation_rests_on_stays() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_budget_is_kept_and_what_is_begun_is_finished() {
+async fn an_explanation_stays_within_its_budget_and_completes_started_transitions() {
     let (_folder, serve) = Serve::anew();
     create(&serve);
     let mut worker = serve.worker("w").await;
@@ -250,7 +253,7 @@ async fn a_budget_is_kept_and_what_is_begun_is_finished() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_death_around_any_transaction_leaves_the_same_explanation() {
+async fn a_kill_around_any_transaction_leaves_the_same_explanation() {
     let undisturbed = tempfile::tempdir().expect("a temporary folder");
     let serve = Serve::start(undisturbed.path());
     create(&serve);
@@ -266,7 +269,7 @@ async fn a_death_around_any_transaction_leaves_the_same_explanation() {
         "name": "first-explained", "explains": {"campaign": "first"},
         "policy": {"name": "p", "endpoint": "http://127.0.0.1:50051"},
     });
-    die_everywhere(folder.path(), &spec, outcome).await;
+    kill_around_every_transaction(folder.path(), &spec, outcome).await;
     let serve = Serve::start_with(folder.path(), &["--lease-secs", "3"], Stdio::null());
     let found = explained(&serve, &[]).await;
     assert_eq!(found, expected);

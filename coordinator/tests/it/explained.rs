@@ -27,7 +27,7 @@ fn printed(serve: &Serve, arguments: &[&str]) -> String {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn report_page_and_table_show_what_was_found() {
+async fn report_page_and_table_show_the_explanation() {
     let (folder, serve) = Serve::anew();
     create_with(&serve, &[]);
     let mut worker = serve.worker("w").await;
@@ -49,7 +49,7 @@ async fn report_page_and_table_show_what_was_found() {
     let csv = folder.path().join("subsets.csv");
     let parquet = folder.path().join("subsets.parquet");
     let html = folder.path().join("report.html");
-    let [csv, parquet, html] = [csv, parquet, html].map(|it| it.to_string_lossy().into_owned());
+    let [csv, parquet, html] = [csv, parquet, html].map(|path| path.to_string_lossy().into_owned());
     #[rustfmt::skip]
     printed(&serve, &[
         "report", "first-explained", "--table", &csv, "--table", &parquet, "--html", &html,
@@ -102,7 +102,7 @@ async fn report_page_and_table_show_what_was_found() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_shows_an_explanation_is_filmed_and_stands_side_by_side() {
+async fn explaining_rollouts_are_filmed_and_shown_side_by_side() {
     let (_folder, serve) = Serve::anew();
     create_with(&serve, &["--record", "transitions"]);
     explained(&serve, &[]).await;
@@ -143,7 +143,10 @@ async fn what_shows_an_explanation_is_filmed_and_stands_side_by_side() {
         let video = format!("/campaigns/first-explained/videos/object/t2/{set}/L2/c00?replicate=0");
         assert!(page.contains(&video), "{set}");
     }
-    assert!(!page.contains("Not all rollouts"), "all are filmed");
+    assert!(
+        !page.contains("Not all of these rollouts"),
+        "all are filmed"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -174,7 +177,7 @@ async fn interactions_add_up_to_simultaneous_success() {
     let sum = |list: &str, value: &str| -> i64 {
         let entries = level[list].as_array().expect("a list").iter();
         entries
-            .filter_map(|it| it[value]["numerator"].as_i64())
+            .filter_map(|row| row[value]["numerator"].as_i64())
             .sum()
     };
     let report = printed(&serve, &["report", "whole", "--json"]);

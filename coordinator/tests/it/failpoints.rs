@@ -21,7 +21,7 @@ use crate::invariants::sound;
 use crate::process::Serve;
 
 /// Number of processes that run, and are killed, at the same time.
-const AT_ONCE: usize = 4;
+const CONCURRENCY: usize = 4;
 /// Duration of a lease, seconds, and number of the sweep that finds it expired.
 const LEASE_SECS: u32 = 3;
 const EXPIRING_SWEEP: u32 = 5;
@@ -43,7 +43,7 @@ pub(crate) fn serve(folder: &Path, point: &str) -> Child {
 }
 
 /// Performs every kind of write once, as long as the coordinator answers.
-async fn everything(serve: &Serve) -> Result<(), Status> {
+async fn call_everything(serve: &Serve) -> Result<(), Status> {
     let mut operator = OperatorServiceClient::connect(serve.url.clone())
         .await
         .map_err(|error| Status::unavailable(error.to_string()))?;
@@ -211,7 +211,7 @@ fn copy_of(folder: &Path) -> TempDir {
 }
 
 /// Runs a process until its failpoint, and then another to the end. Returns the report.
-async fn die_at(folder: TempDir, side: Side, step: Step) -> Vec<u8> {
+async fn kill_at_failpoint(folder: TempDir, side: Side, step: Step) -> Vec<u8> {
     let times = if step == Step::Sweep {
         EXPIRING_SWEEP
     } else {
@@ -219,10 +219,10 @@ async fn die_at(folder: TempDir, side: Side, step: Step) -> Vec<u8> {
     };
     let point = format!("{side:?}:{step:?}:{times}");
     let child = serve(folder.path(), &point);
-    let mut serve = Serve::of(child);
+    let mut serve = Serve::wait_until_listening(child);
     if serve.is_ready() {
         // Fails at the call during which the process is killed.
-        let _ = everything(&serve).await;
+        let _ = call_everything(&serve).await;
     }
     let began = Instant::now();
     let status = loop {
@@ -246,7 +246,7 @@ async fn die_at(folder: TempDir, side: Side, step: Step) -> Vec<u8> {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_process_that_dies_around_any_transaction_leaves_order_and_the_same_report() {
+async fn a_kill_around_any_transaction_keeps_the_invariants_and_the_report() {
     let folder = sound().await;
     let undisturbed = finish(copy_of(folder.path()).path()).await;
     // Additions to derived campaigns are tested in `explain` and `thresholds`, and early stops in
@@ -258,14 +258,14 @@ async fn a_process_that_dies_around_any_transaction_leaves_order_and_the_same_re
     let mut points: Vec<(Side, Step)> = steps
         .flat_map(|step| [(Side::Before, step), (Side::After, step)])
         .collect();
-    let mut lives = JoinSet::new();
-    while !points.is_empty() || !lives.is_empty() {
-        while let (true, Some((side, step))) = (lives.len() < AT_ONCE, points.pop()) {
+    let mut processes = JoinSet::new();
+    while !points.is_empty() || !processes.is_empty() {
+        while let (true, Some((side, step))) = (processes.len() < CONCURRENCY, points.pop()) {
             let copy = copy_of(folder.path());
-            lives.spawn(async move { (side, step, die_at(copy, side, step).await) });
+            processes.spawn(async move { (side, step, kill_at_failpoint(copy, side, step).await) });
         }
-        let life = lives.join_next().await.expect("one is alive");
-        let (side, step, report) = life.expect("it was as it should be");
+        let process = processes.join_next().await.expect("one is alive");
+        let (side, step, report) = process.expect("a process without failures");
         assert!(report == undisturbed, "{side:?} {step:?}: another report");
     }
 }

@@ -50,7 +50,7 @@ async fn late_result_from_an_old_attempt_is_refused() {
 
 /// Regression (finding B4): a network outage longer than a lease charged every lease.
 #[tokio::test]
-async fn a_worker_that_was_cut_off_is_charged_nothing_and_heard_when_it_comes_back() {
+async fn a_disconnected_worker_is_not_charged_and_continues_when_it_returns() {
     let bench = Bench::start().await;
     bench.create(&small_spec("cut")).await.expect("created");
     let mut worker = bench.worker("a").await;
@@ -60,9 +60,9 @@ async fn a_worker_that_was_cut_off_is_charged_nothing_and_heard_when_it_comes_ba
     bench.pass(40).await;
     let status = bench.status("cut").await;
     assert_eq!((status.leased, status.queued), (0, 4));
-    let told = "SELECT count(*) FROM failure WHERE reason = 'worker_silent' AND charged = 0
+    let query = "SELECT count(*) FROM failure WHERE reason = 'worker_silent' AND charged = 0
                 AND error LIKE '%fell silent after control step 12%'";
-    assert_eq!(bench.count(told).await, 4);
+    assert_eq!(bench.count(query).await, 4);
     // One lease has a result to report; the others continue.
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Duplicate);
@@ -83,7 +83,7 @@ async fn a_worker_that_was_cut_off_is_charged_nothing_and_heard_when_it_comes_ba
 
 /// Regression (chaos schedule 1955): a heartbeat sent before the release resumed the lease.
 #[tokio::test]
-async fn an_attempt_given_back_after_a_silence_is_not_taken_up_by_a_late_heartbeat() {
+async fn a_late_heartbeat_does_not_resume_a_released_attempt() {
     let bench = one_job().await;
     let (mut worker, lease) = bench.leasing("a").await;
     worker.heartbeat(&[&lease], 0).await;
@@ -96,13 +96,13 @@ async fn an_attempt_given_back_after_a_silence_is_not_taken_up_by_a_late_heartbe
         bench.pass(10).await;
         worker.heartbeat(&[], 0).await;
     }
-    let told = "SELECT count(*) FROM failure WHERE reason = 'draining' AND charged = 0";
-    assert_eq!(bench.count(told).await, 1);
+    let query = "SELECT count(*) FROM failure WHERE reason = 'draining' AND charged = 0";
+    assert_eq!(bench.count(query).await, 1);
     assert_eq!(bench.count("SELECT count(*) FROM failure").await, 1);
 }
 
 #[tokio::test]
-async fn cuts_of_the_network_quarantine_nothing_and_stop_no_worker() {
+async fn network_outages_quarantine_nothing_and_stop_no_worker() {
     let bench = Bench::start().await;
     bench.create(&small_spec("cut")).await.expect("created");
     // More outages than would quarantine a rollout or stop a worker if they were charged.
@@ -125,7 +125,7 @@ async fn cuts_of_the_network_quarantine_nothing_and_stop_no_worker() {
 }
 
 #[tokio::test]
-async fn a_rollout_that_takes_its_workers_down_is_quarantined_and_counts_for_nobody() {
+async fn a_rollout_that_takes_its_workers_down_is_quarantined_without_a_charge() {
     let bench = one_job().await;
     for number in 0..MAX_SILENCES {
         let mut worker = bench.worker(&format!("w{number}")).await;
@@ -134,13 +134,13 @@ async fn a_rollout_that_takes_its_workers_down_is_quarantined_and_counts_for_nob
         bench.pass(40).await;
     }
     assert_eq!(bench.status("one").await.quarantined, 1);
-    let told = "SELECT count(*) FROM failure WHERE reason = 'takes_worker_down' AND charged = 0";
-    assert_eq!(bench.count(told).await, 1);
+    let query = "SELECT count(*) FROM failure WHERE reason = 'takes_worker_down' AND charged = 0";
+    assert_eq!(bench.count(query).await, 1);
     assert_eq!(bench.count("SELECT charged_attempts FROM job").await, 0);
 }
 
 #[tokio::test]
-async fn a_worker_that_comes_back_is_not_heard_past_the_ceiling_of_its_attempt() {
+async fn a_returning_worker_is_refused_after_its_attempts_ceiling() {
     let bench = one_job().await;
     let mut slow = bench.worker("slow").await;
     let old = slow.claim_one().await;
@@ -150,7 +150,7 @@ async fn a_worker_that_comes_back_is_not_heard_past_the_ceiling_of_its_attempt()
 }
 
 #[tokio::test]
-async fn a_worker_that_comes_back_is_not_heard_once_its_policy_is_elsewhere() {
+async fn a_returning_worker_is_refused_after_its_endpoint_changed() {
     let bench = one_job().await;
     let (mut worker, lease) = bench.leasing("a").await;
     bench.pass(40).await;
@@ -167,7 +167,7 @@ async fn a_worker_that_comes_back_is_not_heard_once_its_policy_is_elsewhere() {
 }
 
 #[tokio::test]
-async fn the_same_outcome_twice_is_fine() {
+async fn a_repeated_outcome_is_a_duplicate() {
     let bench = one_job().await;
     let (mut worker, lease) = bench.leasing("a").await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
@@ -177,7 +177,7 @@ async fn the_same_outcome_twice_is_fine() {
 }
 
 #[tokio::test]
-async fn another_outcome_of_a_committed_rollout_is_kept_as_a_divergence() {
+async fn another_outcome_of_a_committed_rollout_is_recorded_as_a_divergence() {
     let bench = one_job().await;
     let (mut slow, mut quick) = (bench.worker("slow").await, bench.worker("quick").await);
     let old = slow.claim_one().await;
@@ -196,7 +196,7 @@ async fn another_outcome_of_a_committed_rollout_is_kept_as_a_divergence() {
 }
 
 #[tokio::test]
-async fn who_was_granted_nothing_can_report_nothing() {
+async fn reports_without_a_lease_are_refused() {
     let bench = one_job().await;
     let (mut holder, mut liar) = (bench.worker("holder").await, bench.worker("liar").await);
     let lease = holder.claim_one().await;
@@ -220,7 +220,7 @@ async fn who_was_granted_nothing_can_report_nothing() {
 }
 
 #[tokio::test]
-async fn an_attempt_that_its_worker_leaves_out_expires_and_is_charged() {
+async fn an_attempt_that_heartbeats_leave_out_expires_and_is_charged() {
     let bench = one_job().await;
     let (mut worker, lease) = bench.leasing("a").await;
     assert!(worker.heartbeat(&[&lease], 12).await.is_empty());
@@ -232,15 +232,15 @@ async fn an_attempt_that_its_worker_leaves_out_expires_and_is_charged() {
     let status = bench.status("one").await;
     assert_eq!((status.leased, status.queued), (0, 1));
     assert_eq!(bench.count("SELECT charged_attempts FROM job").await, 1);
-    let told = "SELECT count(*) FROM failure WHERE reason = 'lease_lost' AND charged = 1
+    let query = "SELECT count(*) FROM failure WHERE reason = 'lease_lost' AND charged = 1
                 AND error LIKE '%has left this attempt out since control step 12%'";
-    assert_eq!(bench.count(told).await, 1);
+    assert_eq!(bench.count(query).await, 1);
     let over = worker.heartbeat(&[&lease], 30).await;
     assert_eq!(over, std::slice::from_ref(&lease.attempt_id));
 }
 
 #[tokio::test]
-async fn heartbeats_keep_a_lease_for_as_long_as_they_come() {
+async fn heartbeats_renew_a_lease() {
     let bench = one_job().await;
     let (mut worker, lease) = bench.leasing("a").await;
     for beat in 0..20 {
@@ -296,12 +296,12 @@ async fn a_job_is_quarantined_after_three_charged_attempts_on_two_workers() {
     assert!(a.claim(1).await.is_empty());
     let status = bench.status("one").await;
     assert_eq!((status.quarantined, status.queued), (1, 0));
-    let said = "SELECT count(*) FROM job WHERE last_error = 'the bench said so'";
-    assert_eq!(bench.count(said).await, 1);
+    let query = "SELECT count(*) FROM job WHERE last_error = 'the bench said so'";
+    assert_eq!(bench.count(query).await, 1);
 }
 
 #[tokio::test]
-async fn one_broken_machine_does_not_condemn_a_rollout_while_another_is_there() {
+async fn one_broken_machine_quarantines_no_rollout_while_another_is_alive() {
     let bench = one_job().await;
     let (mut broken, mut sound) = (bench.worker("broken").await, bench.worker("sound").await);
     for _ in 0..3 {
@@ -319,7 +319,7 @@ async fn one_broken_machine_does_not_condemn_a_rollout_while_another_is_there() 
 }
 
 #[tokio::test]
-async fn a_worker_alone_brings_a_job_into_quarantine() {
+async fn three_failures_on_the_only_worker_quarantine_a_job() {
     let bench = one_job().await;
     let mut alone = bench.worker("alone").await;
     assert_eq!(fail_on(&bench, &mut alone).await, Released::Requeued);
@@ -342,7 +342,7 @@ async fn draining_is_never_charged() {
 }
 
 #[tokio::test]
-async fn a_worker_that_fails_five_times_in_a_row_is_told_to_stop() {
+async fn five_consecutive_failures_stop_a_worker() {
     let bench = Bench::start().await;
     let spec = with(small_spec("many"), json!({"configs": [0, 1, 2]}));
     bench.create(&spec).await.expect("created");
@@ -373,7 +373,7 @@ async fn a_worker_that_fails_five_times_in_a_row_is_told_to_stop() {
 }
 
 #[tokio::test]
-async fn a_worker_that_leaves_many_leases_out_is_struck_once() {
+async fn leases_that_one_heartbeat_leaves_out_count_as_one_failure() {
     let bench = Bench::start().await;
     let spec = with(small_spec("many"), json!({"configs": [0, 1, 2]}));
     bench.create(&spec).await.expect("created");
@@ -388,7 +388,7 @@ async fn a_worker_that_leaves_many_leases_out_is_struck_once() {
 }
 
 #[tokio::test]
-async fn leases_get_their_full_time_again_after_a_restart() {
+async fn leases_get_their_full_duration_after_a_restart() {
     let bench = one_job().await;
     let lease = bench.worker("a").await.claim_one().await;
     bench.clock.advance(std::time::Duration::from_secs(3_600));
@@ -400,7 +400,7 @@ async fn leases_get_their_full_time_again_after_a_restart() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_report_that_the_database_refuses_spoils_no_other() {
+async fn a_report_refused_by_the_database_affects_no_other() {
     let bench = Bench::start().await;
     bench.create(&small_spec("shared")).await.expect("created");
     let mut worker = bench.worker("a").await;

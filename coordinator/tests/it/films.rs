@@ -58,7 +58,7 @@ pub(crate) async fn upload(worker: &mut Worker, attempt_id: &str) {
 }
 
 #[tokio::test]
-async fn a_configuration_that_its_combination_changes_is_filmed_whole() {
+async fn all_rollouts_of_a_configuration_with_a_transition_are_filmed() {
     for conjunction in [true, false] {
         let (bench, mut worker, combination) = all_but_the_combination(conjunction).await;
         assert!(films(&mut worker).await.is_empty(), "its outcome is open");
@@ -81,7 +81,7 @@ async fn a_configuration_that_its_combination_changes_is_filmed_whole() {
 }
 
 #[tokio::test]
-async fn a_motion_of_half_a_step_or_of_too_many_is_refused_and_stores_nothing() {
+async fn a_motion_with_invalid_length_is_refused_and_not_stored() {
     let (bench, mut worker, combination) = all_but_the_combination(true).await;
     let steps = proto::MAX_MOTION_STEPS;
     for (path, actions) in [
@@ -103,7 +103,7 @@ async fn a_motion_of_half_a_step_or_of_too_many_is_refused_and_stores_nothing() 
 }
 
 #[tokio::test]
-async fn a_configuration_that_stays_what_it_is_is_not_filmed() {
+async fn a_configuration_without_a_transition_is_not_filmed() {
     for outcome in [true, false] {
         let (_bench, mut worker, combination) = all_but_the_combination(outcome).await;
         worker.commit(&combination, outcome).await;

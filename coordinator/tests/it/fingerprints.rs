@@ -14,7 +14,7 @@ use crate::page::ask;
 const PATIENCE: Duration = Duration::from_secs(60);
 
 /// Returns the texts on fingerprints in the campaign's status and in its report.
-async fn told(bench: &Bench) -> [String; 2] {
+async fn fingerprint_texts(bench: &Bench) -> [String; 2] {
     let request = wire::ReportRequest {
         campaign: "mixed".to_owned(),
     };
@@ -36,10 +36,10 @@ async fn told(bench: &Bench) -> [String; 2] {
 
 /// Waits until the status, the report and the page contain all of these texts.
 async fn check(bench: &Bench, words: &[&str]) {
-    for said in told(bench).await {
-        let said = said.to_lowercase();
+    for text in fingerprint_texts(bench).await {
+        let text = text.to_lowercase();
         for words in words {
-            assert!(said.contains(words), "{words} is not in {said}");
+            assert!(text.contains(words), "{words} is not in {text}");
         }
     }
     let began = Instant::now();
@@ -60,7 +60,7 @@ async fn commit(worker: &mut Worker, lease: &wire::Lease) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_campaign_says_which_fingerprints_its_results_have_and_where_they_mix() {
+async fn mixed_fingerprints_are_shown_in_status_report_and_page() {
     let bench = Bench::start().await;
     let tasks: Vec<String> = (0..7).map(|task| format!("libero_object/{task}")).collect();
     let spec = with(small_spec("mixed"), json!({"tasks": tasks}));
@@ -79,7 +79,7 @@ async fn a_campaign_says_which_fingerprints_its_results_have_and_where_they_mix(
     commit(&mut one, &leases[0][0]).await;
     commit(&mut one, &leases[0][1]).await;
     let page = ask(&bench.url, "GET /campaigns/mixed").await.text();
-    let [status, report] = told(&bench).await;
+    let [status, report] = fingerprint_texts(&bench).await;
     assert_eq!(status, "");
     assert!(!page.contains(warning) && !report.contains(warning));
 

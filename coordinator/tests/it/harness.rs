@@ -104,7 +104,7 @@ impl Bench {
 
     /// Shuts the coordinator down gracefully.
     pub(crate) async fn stop(self) -> TempDir {
-        self.stop.send(()).expect("it runs");
+        self.stop.send(()).expect("a running coordinator");
         self.served.join_all().await;
         self.folder
     }

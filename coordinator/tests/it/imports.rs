@@ -37,13 +37,13 @@ async fn alter(archive: &Path, into: &Path, sql: &'static str) {
 
 /// Each of these rows would fail every claim, commit or page that reads it.
 #[tokio::test(flavor = "multi_thread")]
-async fn rows_that_no_coordinator_would_have_stored_are_refused_by_name() {
-    let mut here = Bench::with(&with(small_spec("moved"), json!({"replicates": 2}))).await;
-    here.run(2, "").await;
-    let file = here.archive("moved");
-    let there = Bench::empty().await;
-    let before = there.rows().await;
-    let bad = there.folder.path().join("bad.tar.gz");
+async fn imported_rows_that_violate_an_invariant_are_refused_by_name() {
+    let mut source = Bench::with(&with(small_spec("moved"), json!({"replicates": 2}))).await;
+    source.run(2, "").await;
+    let file = source.archive("moved");
+    let target = Bench::empty().await;
+    let before = target.rows().await;
+    let bad = target.folder.path().join("bad.tar.gz");
     let path = bad.display().to_string();
     for (sql, words) in [
         (
@@ -127,52 +127,52 @@ async fn rows_that_no_coordinator_would_have_stored_are_refused_by_name() {
         ),
     ] {
         alter(&file, &bad, sql).await;
-        let said = there.refused(&["campaign", "import", &path]);
+        let message = target.refused(&["campaign", "import", &path]);
         for word in words.iter().chain(&["bad.tar.gz"]) {
-            assert!(said.contains(word), "{said} lacks {word} after {sql}");
+            assert!(message.contains(word), "{message} lacks {word} after {sql}");
         }
     }
-    check_unchanged(&there, &before, &file).await;
+    check_unchanged(&target, &before, &file).await;
 }
 
 /// Checks that refusals changed nothing, and that the unaltered archive is imported afterwards.
-async fn check_unchanged(there: &Bench, before: &[String], file: &Path) {
+async fn check_unchanged(target: &Bench, before: &[String], file: &Path) {
     assert_eq!(
-        there.rows().await,
+        target.rows().await,
         before,
         "a refused row changed something"
     );
-    there.import(file);
-    there.in_order().await;
+    target.import(file);
+    target.assert_invariants().await;
 }
 
 /// The source has these rollouts, so that the budgets follow from its rows.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_derived_rollout_with_another_step_budget_than_its_source_is_refused() {
-    let mut here = Bench::with(&with(small_spec("moved"), json!({"levels": ["L2"]}))).await;
-    while let Some(lease) = here.worker.claim(1).await.pop() {
+    let mut source = Bench::with(&with(small_spec("moved"), json!({"levels": ["L2"]}))).await;
+    while let Some(lease) = source.worker.claim(1).await.pop() {
         let success = rollout_id(&lease).contains("clean");
-        let verdict = here.worker.commit(&lease, success).await;
+        let verdict = source.worker.commit(&lease, success).await;
         assert_eq!(verdict, Verdict::Accepted);
     }
     let name = "moved-thresholds";
-    here.must(&["thresholds", "moved", "--create"]);
+    source.must(&["thresholds", "moved", "--create"]);
     let began = Instant::now();
-    while here.worker.claim(1).await.is_empty() {
+    while source.worker.claim(1).await.is_empty() {
         assert!(began.elapsed() < Duration::from_secs(30), "nothing follows");
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
-    let (source, file) = (here.archive("moved"), here.archive(name));
-    let there = Bench::empty().await;
-    there.import(&source);
-    let before = there.rows().await;
-    let bad = there.folder.path().join("bad.tar.gz");
+    let (source_archive, file) = (source.archive("moved"), source.archive(name));
+    let target = Bench::empty().await;
+    target.import(&source_archive);
+    let before = target.rows().await;
+    let bad = target.folder.path().join("bad.tar.gz");
     let longer = "UPDATE job SET manifest_row = json_set(manifest_row, '$.max_steps', 281)
                   WHERE id = (SELECT max(id) FROM job)";
     alter(&file, &bad, longer).await;
-    let said = there.refused(&["campaign", "import", &bad.display().to_string()]);
-    assert!(said.contains("other step budgets"), "{said}");
-    check_unchanged(&there, &before, &file).await;
+    let message = target.refused(&["campaign", "import", &bad.display().to_string()]);
+    assert!(message.contains("other step budgets"), "{message}");
+    check_unchanged(&target, &before, &file).await;
 }
 
 /// More rollouts than two transactions of an import hold.
@@ -197,23 +197,23 @@ async fn counts(folder: &Path) -> (i64, i64) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_large_import_comes_in_pieces_and_leaves_nothing_if_it_is_cut_off() {
-    let mut here = Bench::with(&large()).await;
+async fn a_large_import_takes_several_transactions_and_leaves_nothing_if_interrupted() {
+    let mut source = Bench::with(&large()).await;
     // Some results are in the second piece.
-    here.run(520, "").await;
-    let filmed = here.worker.claim_one().await;
-    assert_eq!(here.worker.commit(&filmed, true).await, Verdict::Accepted);
-    put(&mut here.worker, &filmed, "video.mp4", &[vec![7; 99]])
+    source.run(520, "").await;
+    let filmed = source.worker.claim_one().await;
+    assert_eq!(source.worker.commit(&filmed, true).await, Verdict::Accepted);
+    put(&mut source.worker, &filmed, "video.mp4", &[vec![7; 99]])
         .await
         .expect("kept");
-    let (_, jobs) = counts(here.folder.path()).await;
+    let (_, jobs) = counts(source.folder.path()).await;
     assert!(jobs > 1_000, "{jobs}");
-    let file = here.archive("large");
+    let file = source.archive("large");
     let path = file.display().to_string();
 
-    let there = tempfile::tempdir().expect("a folder");
+    let target = tempfile::tempdir().expect("a folder");
     // The third transaction writes the second piece.
-    let mut dying = Serve::of(serve(there.path(), "After:ImportCampaign:3"));
+    let mut dying = Serve::wait_until_listening(serve(target.path(), "After:ImportCampaign:3"));
     let output = dying.command(&["campaign", "import", &path, "--retry-secs", "0"]);
     assert!(!output.status.success(), "it was cut off");
     let began = Instant::now();
@@ -222,16 +222,16 @@ async fn a_large_import_comes_in_pieces_and_leaves_nothing_if_it_is_cut_off() {
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
     drop(dying);
-    assert_eq!(counts(there.path()).await, (1, 1_000));
-    let films = there.path().join("artifacts/large");
+    assert_eq!(counts(target.path()).await, (1, 1_000));
+    let films = target.path().join("artifacts/large");
     assert!(films.exists(), "films come first");
-    assert_eq!(check(there.path()).await.expect("a database"), []);
+    assert_eq!(check(target.path()).await.expect("a database"), []);
 
-    let again = Serve::start(there.path());
+    let again = Serve::start(target.path());
     let listed = again.command(&["campaign", "list", "--json"]);
     let listed: Value = serde_json::from_slice(&listed.stdout).expect("JSON");
     assert_eq!(listed["campaigns"], json!([]), "nobody sees a part of it");
-    while counts(there.path()).await != (0, 0) {
+    while counts(target.path()).await != (0, 0) {
         assert!(began.elapsed() < Duration::from_secs(60), "a part is left");
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
@@ -245,13 +245,13 @@ async fn a_large_import_comes_in_pieces_and_leaves_nothing_if_it_is_cut_off() {
     ] {
         assert_eq!(
             crate::process::text(&again.command(arguments).stdout),
-            here.must(arguments)
+            source.must(arguments)
         );
     }
     let mut worker = again.worker("another").await;
     let lease = worker.claim_one().await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     drop(again);
-    assert_eq!(counts(there.path()).await, (1, jobs));
-    assert_eq!(check(there.path()).await.expect("a database"), []);
+    assert_eq!(counts(target.path()).await, (1, jobs));
+    assert_eq!(check(target.path()).await.expect("a database"), []);
 }

@@ -180,7 +180,7 @@ async fn broken(folder: &Path, statement: &'static str) -> TempDir {
 }
 
 #[tokio::test]
-async fn each_invariant_is_found_by_its_name_when_it_is_broken() {
+async fn each_violated_invariant_is_reported_by_name() {
     let folder = sound().await;
     assert_eq!(check(folder.path()).await.expect("a database"), []);
     for (invariant, statement, word) in BROKEN {
@@ -203,7 +203,9 @@ async fn each_invariant_is_found_by_its_name_when_it_is_broken() {
     }
     let tried: Vec<&str> = BROKEN.iter().map(|(invariant, ..)| *invariant).collect();
     assert!(
-        tried.into_iter().eq(INVARIANTS.map(|it| it.name)),
+        tried
+            .into_iter()
+            .eq(INVARIANTS.map(|invariant| invariant.name)),
         "each is tried once"
     );
 }
@@ -217,17 +219,20 @@ async fn the_program_names_violations_and_fails() {
     let copy = broken(folder.path(), "DELETE FROM result").await;
     let output = coordinator(&["check", &path(&copy)]);
     assert_eq!(output.status.code(), Some(1));
-    let said = text(&output.stdout);
-    assert!(said.contains("committed_has_one_result: 2\n"), "{said}");
+    let printed = text(&output.stdout);
+    assert!(
+        printed.contains("committed_has_one_result: 2\n"),
+        "{printed}"
+    );
     assert!(text(&output.stderr).contains("3 of 20 invariants"));
     let output = coordinator(&["check", "/nowhere"]);
     assert_eq!(output.status.code(), Some(2));
     let other = folder.path().join("notes.txt");
     std::fs::write(&other, "no database").expect("written");
     let output = coordinator(&["check", other.to_str().expect("UTF-8")]);
-    let said = text(&output.stderr);
-    let once = said.matches("file is not a database").count();
-    assert_eq!((output.status.code(), once), (Some(1), 1), "{said}");
+    let printed = text(&output.stderr);
+    let once = printed.matches("file is not a database").count();
+    assert_eq!((output.status.code(), once), (Some(1), 1), "{printed}");
 }
 
 #[test]

@@ -70,7 +70,7 @@ impl Printed {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_printed_has_the_keys_that_are_documented() {
+async fn json_output_has_the_documented_keys() {
     let (_folder, serve) = Serve::anew();
     assert!(serve.command(&CREATE).status.success());
     let early = [
@@ -184,7 +184,7 @@ async fn rollouts_are_listed_by_outcome_task_condition_and_level() {
     for (name, id) in [("nominal", "clean"), ("simultaneous", "combination")] {
         let found = ids(&["--condition", name]);
         assert_eq!(found.len(), 2);
-        assert!(found.iter().all(|it| it.contains(id)), "{found:?}");
+        assert!(found.iter().all(|keys| keys.contains(id)), "{found:?}");
         assert_eq!(found, ids(&["--condition", id]));
     }
     for (flag, value) in [
@@ -200,7 +200,7 @@ async fn rollouts_are_listed_by_outcome_task_condition_and_level() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_placebo_is_planned_counted_and_listed_by_its_level() {
+async fn placebo_rollouts_are_planned_counted_and_listed_as_l0() {
     let (_folder, serve) = Serve::anew();
     let create: Vec<&str> = "campaign create --name floor --policy expert --tasks libero_object \
          --endpoint http://127.0.0.1:50051 --axes camera,language --levels L0,L1 --configs 0,3 \

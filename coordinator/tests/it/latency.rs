@@ -32,14 +32,14 @@ const CREATE: [&str; 16] = [
 ];
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_late_policy_is_a_condition_of_its_own() {
+async fn latency_is_a_separate_condition() {
     let (_folder, serve) = Serve::anew();
     let refused = serve.command(&[&CREATE[..], &["--execution", "hold:2"]].concat());
     assert_eq!(refused.status.code(), Some(2));
-    let told = text(&refused.stderr);
+    let message = text(&refused.stderr);
     assert!(
-        told.contains("axis `latency` with `execution` hold:2"),
-        "{told}"
+        message.contains("axis `latency` with `execution` hold:2"),
+        "{message}"
     );
     succeed(serve.command(&CREATE));
 
@@ -52,7 +52,9 @@ async fn a_late_policy_is_a_condition_of_its_own() {
             tried = true;
             let mut report = worker.report(&lease, true);
             let settings = &mut report.provenance.as_mut().expect("one").policy_settings;
-            settings.remove("execution model").expect("it has a model");
+            settings
+                .remove("execution model")
+                .expect("an execution model");
             let (verdict, detail) = worker.commit_request(report).await;
             assert_eq!(verdict, Verdict::Unpaired, "{detail}");
             assert!(
@@ -122,7 +124,7 @@ async fn a_late_policy_is_a_condition_of_its_own() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_delay_that_a_policy_bears_is_found_in_whole_control_steps() {
+async fn the_latency_threshold_is_found_in_whole_control_steps() {
     let (_folder, serve) = Serve::anew();
     assert!(serve.command(&CREATE).status.success());
     let mut worker = serve.worker("w").await;
@@ -146,8 +148,8 @@ async fn the_delay_that_a_policy_bears_is_found_in_whole_control_steps() {
         let bracket = [&threshold["succeeds_at"], &threshold["fails_at"]];
         assert_eq!(bracket, [&json!(6.0), &json!(8.0)], "three steps and four");
     }
-    let said = serve.command(&["thresholds", "late"]);
-    let words: Vec<&str> = text(&said.stdout).split_whitespace().collect();
+    let output = serve.command(&["thresholds", "late"]);
+    let words: Vec<&str> = text(&output.stdout).split_whitespace().collect();
     let words = words.join(" ");
     let expected = "half of the configurations succeed with a delay of 3 control steps, 150 ms";
     assert!(words.contains(expected), "{words}");

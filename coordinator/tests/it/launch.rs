@@ -34,9 +34,9 @@ fn launch(programs: &Path, arguments: &[&str]) -> Output {
 const INSECURE: [&str; 3] = ["--connect", "http://login1:7411", "--insecure"];
 
 #[test]
-fn scripts_are_shown_and_nothing_is_written_unless_asked_for() {
+fn scripts_are_shown_and_written_only_with_into() {
     let programs = programs();
-    let said = &succeed(launch(programs.path(), &INSECURE));
+    let scripts = &succeed(launch(programs.path(), &INSECURE));
     for words in [
         "serve --data",
         "--listen 0.0.0.0:7411 --insecure",
@@ -45,7 +45,7 @@ fn scripts_are_shown_and_nothing_is_written_unless_asked_for() {
         "COORDINATOR_URL=http://login1:7411\n",
         "Nothing was written",
     ] {
-        assert!(said.contains(words), "no {words:?} in {said}");
+        assert!(scripts.contains(words), "no {words:?} in {scripts}");
     }
     // A flag that is not given adds no line, and without a policy there is no gateway.
     for words in [
@@ -55,12 +55,12 @@ fn scripts_are_shown_and_nothing_is_written_unless_asked_for() {
         "ROLLOUT_TOKEN_FILE",
         "gateway",
     ] {
-        assert!(!said.contains(words), "{words:?} in {said}");
+        assert!(!scripts.contains(words), "{words:?} in {scripts}");
     }
 }
 
 #[test]
-fn what_is_written_is_whole_bash_whatever_the_values_hold() {
+fn written_scripts_are_valid_bash_for_any_values() {
     let (programs, folder) = (programs(), tempfile::tempdir().expect("a folder"));
     let into = folder.path().join("a \"lab's\" $(cluster) #1");
     let into = into.to_str().expect("UTF-8");
@@ -132,27 +132,30 @@ fn tokens_are_named_by_their_file_and_never_written_out() {
     // Anyone who gains access to a worker's job must not find an operator's token there.
     let wrong: [&[&str]; 2] = [&[], &["--worker-token-file", &tokens]];
     for more in wrong {
-        let told = &fail(launch(programs.path(), &[&guarded[..], more].concat()), 2);
-        assert!(told.contains("--worker-token-file"), "{told}");
+        let message = &fail(launch(programs.path(), &[&guarded[..], more].concat()), 2);
+        assert!(message.contains("--worker-token-file"), "{message}");
     }
     let of_workers = file("worker-token", &format!("worker {secret}\n"));
     let more = ["--worker-token-file", &of_workers];
-    let said = &succeed(launch(programs.path(), &[&guarded[..], &more].concat()));
-    let (servers, workers) = said
+    let scripts = &succeed(launch(programs.path(), &[&guarded[..], &more].concat()));
+    let (servers, workers) = scripts
         .split_once("workers.sbatch")
         .expect("the workers' script");
     let named = |file: &str| format!("ROLLOUT_TOKEN_FILE={file}\n");
-    assert!(servers.contains(&named(&tokens)), "{said}");
-    assert!(workers.contains(&named(&of_workers)), "{said}");
-    assert!(!workers.contains(&named(&tokens)), "{said}");
-    assert!(said.contains(&format!("ROLLOUT_CA={pem}\n")), "{said}");
+    assert!(servers.contains(&named(&tokens)), "{scripts}");
+    assert!(workers.contains(&named(&of_workers)), "{scripts}");
+    assert!(!workers.contains(&named(&tokens)), "{scripts}");
     assert!(
-        said.contains(&format!("--tls-cert {pem} --tls-key {pem}")),
-        "{said}"
+        scripts.contains(&format!("ROLLOUT_CA={pem}\n")),
+        "{scripts}"
     );
     assert!(
-        !said.contains(secret) && !said.contains("--insecure"),
-        "{said}"
+        scripts.contains(&format!("--tls-cert {pem} --tls-key {pem}")),
+        "{scripts}"
+    );
+    assert!(
+        !scripts.contains(secret) && !scripts.contains("--insecure"),
+        "{scripts}"
     );
 }
 

@@ -39,7 +39,7 @@ mod random;
 mod reports;
 mod schema;
 mod seeds;
-mod standing;
+mod status;
 mod stops;
 mod storage;
 mod subsets;

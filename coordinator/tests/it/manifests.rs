@@ -72,15 +72,15 @@ fn the_whole_design_is_2_000_clean_and_8_400_perturbed_rows() {
     assert_eq!(robot["perturb"]["robot"]["eef_rz_deg"], 21.091923);
     assert_eq!(row("long/t5/language/L2/c08")["perturb"], json!({}));
 
-    let said = &succeed(manifest("check", &[&folder.path().join("all.jsonl")]));
+    let printed = &succeed(manifest("check", &[&folder.path().join("all.jsonl")]));
     assert!(
-        said.ends_with("10400 rows, 2000 nominal and 8400 perturbed; design v0.1\n"),
-        "{said}"
+        printed.ends_with("10400 rows, 2000 nominal and 8400 perturbed; design v0.1\n"),
+        "{printed}"
     );
 }
 
 #[test]
-fn a_design_of_ones_own_is_expanded_from_its_specification() {
+fn a_custom_design_is_expanded_from_its_specification() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let mut spec = small_spec("own");
     spec["levels"] = json!(["r2.5"]);
@@ -108,7 +108,7 @@ fn a_design_of_ones_own_is_expanded_from_its_specification() {
 }
 
 #[test]
-fn a_bad_manifest_exits_with_1_and_names_its_lines_and_a_wrong_command_with_2() {
+fn an_invalid_manifest_exits_with_1_and_an_invalid_command_with_2() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = expand(
         folder.path(),
@@ -172,18 +172,18 @@ fn differences_are_named_by_row_and_column() {
     write(&other, &changed);
     let output = manifest("diff", &[&one, &other]);
     assert_eq!(output.status.code(), Some(1));
-    let said = text(&output.stdout);
-    assert!(said.contains("and \"sing\"\n"), "{said}");
+    let printed = text(&output.stdout);
+    assert!(printed.contains("and \"sing\"\n"), "{printed}");
     let removed = removed["rollout_id"].as_str().expect("text");
     assert!(
-        said.contains(&format!("{removed}: only in the first\n")),
-        "{said}"
+        printed.contains(&format!("{removed}: only in the first\n")),
+        "{printed}"
     );
     assert!(text(&output.stderr).contains("differ in 2 places"));
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_imported_manifest_is_run_as_it_stands() {
+async fn an_imported_manifest_is_run_unchanged() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let all = expand(folder.path(), "all.jsonl", &["--version", "v0.1"]);
     let mut rows = rows(&all);
@@ -239,12 +239,12 @@ async fn an_imported_manifest_is_run_as_it_stands() {
             (row, lease.replicate)
         })
         .collect();
-    let told: Vec<(&str, u32)> = leased
+    let instructions: Vec<(&str, u32)> = leased
         .iter()
         .map(|(row, replicate)| (row["language"].as_str().expect("text"), *replicate))
         .collect();
     assert_eq!(
-        told,
+        instructions,
         [
             ("turn on the stove", 0),
             ("kindle the stove", 0),

@@ -12,7 +12,10 @@ use crate::process::text;
 
 /// Runs `coordinator merge` on archives; returns its output or its error message.
 fn merge(archives: &[&Path], output: &Path) -> Result<String, String> {
-    let archives: Vec<String> = archives.iter().map(|it| it.display().to_string()).collect();
+    let archives: Vec<String> = archives
+        .iter()
+        .map(|path| path.display().to_string())
+        .collect();
     let output = output.display().to_string();
     let mut arguments = vec!["merge"];
     arguments.extend(archives.iter().map(String::as_str));
@@ -25,9 +28,9 @@ fn merge(archives: &[&Path], output: &Path) -> Result<String, String> {
 }
 
 /// Reads the rollouts with an outcome, and the repeated outcomes, that `merge` reports.
-fn counts(said: &str) -> [u64; 2] {
+fn counts(message: &str) -> [u64; 2] {
     let number = |before: &str, after: &str| {
-        let (_, rest) = said.split_once(before).expect("the words before");
+        let (_, rest) = message.split_once(before).expect("the words before");
         let (number, _) = rest.split_once(after).expect("the words after");
         number.parse().expect("a number")
     };
@@ -38,7 +41,7 @@ fn counts(said: &str) -> [u64; 2] {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn two_halves_that_agree_become_the_campaign_that_one_coordinator_would_have_run() {
+async fn consistent_halves_merge_into_the_campaign_of_one_coordinator() {
     let mut first = Bench::with(&spec()).await;
     first.run(4, "L3").await;
     let endpoint = json!({"policy": {"name": "expert", "endpoint": "http://10.0.0.2:50051"}});
@@ -56,41 +59,41 @@ async fn two_halves_that_agree_become_the_campaign_that_one_coordinator_would_ha
     let (a, b) = (first.archive("moved"), second.archive("moved"));
     let folder = tempfile::tempdir().expect("a folder");
     let whole = folder.path().join("whole.tar.gz");
-    let said = merge(&[&a, &b], &whole).expect("merged");
-    let [outcomes, repeated] = counts(&said);
+    let message = merge(&[&a, &b], &whole).expect("merged");
+    let [outcomes, repeated] = counts(&message);
     let other_way = folder.path().join("other.tar.gz");
     merge(&[&b, &a], &other_way).expect("merged");
 
-    let mut there = Bench::empty().await;
-    there.import(&whole);
-    there.in_order().await;
-    let films = there.folder.path().join("artifacts/moved");
+    let mut target = Bench::empty().await;
+    target.import(&whole);
+    target.assert_invariants().await;
+    let films = target.folder.path().join("artifacts/moved");
     assert_eq!(std::fs::read_dir(films).expect("films").count(), 1);
     // Rollouts that neither half has run are still waiting.
-    there.run(64, "").await;
-    there.in_order().await;
+    target.run(64, "").await;
+    target.assert_invariants().await;
     first.run(64, "").await;
-    assert_eq!(there.report("moved"), first.report("moved"));
+    assert_eq!(target.report("moved"), first.report("moved"));
     // A campaign merged with itself stays the same.
-    let done = there.archive("moved");
+    let done = target.archive("moved");
     let again = folder.path().join("again.tar.gz");
-    let said = merge(&[&done, &done], &again).expect("merged");
-    assert_eq!(counts(&said), [13, 13], "{said}");
+    let message = merge(&[&done, &done], &again).expect("merged");
+    assert_eq!(counts(&message), [13, 13], "{message}");
     assert!(
-        said.contains("; 0 in quarantine, 0 still to run; "),
-        "{said}"
+        message.contains("; 0 in quarantine, 0 still to run; "),
+        "{message}"
     );
     let three = folder.path().join("three.tar.gz");
-    let said = merge(&[&a, &b, &done], &three).expect("merged");
-    assert_eq!(counts(&said), [13, repeated + outcomes], "{said}");
+    let message = merge(&[&a, &b, &done], &three).expect("merged");
+    assert_eq!(counts(&message), [13, repeated + outcomes], "{message}");
     let last = Bench::empty().await;
     last.import(&three);
-    last.in_order().await;
+    last.assert_invariants().await;
     assert_eq!(last.report("moved"), first.report("moved"));
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn halves_that_contradict_each_other_are_refused_with_both_outcomes() {
+async fn contradictory_halves_are_refused_with_both_outcomes() {
     let mut first = Bench::with(&spec()).await;
     let mut second = Bench::with(&spec()).await;
     first.run(6, "").await;
@@ -103,7 +106,7 @@ async fn halves_that_contradict_each_other_are_refused_with_both_outcomes() {
     let (a, b) = (first.archive("moved"), second.archive("moved"));
     let folder = tempfile::tempdir().expect("a folder");
     let whole = folder.path().join("whole.tar.gz");
-    let said = merge(&[&a, &b], &whole).expect_err("a contradiction");
+    let message = merge(&[&a, &b], &whole).expect_err("a contradiction");
     for word in [
         id.as_str(),
         "success after 120 steps",
@@ -111,7 +114,7 @@ async fn halves_that_contradict_each_other_are_refused_with_both_outcomes() {
         "on bench",
         "1 of their rollouts",
     ] {
-        assert!(said.contains(word), "{said} lacks {word}");
+        assert!(message.contains(word), "{message} lacks {word}");
     }
     assert!(!whole.exists());
 
@@ -124,14 +127,14 @@ async fn halves_that_contradict_each_other_are_refused_with_both_outcomes() {
     let (verdict, _) = third.worker.commit_request(report).await;
     assert_eq!(verdict, Verdict::Accepted);
     let c = third.archive("moved");
-    let said = merge(&[&a, &c], &whole).expect_err("another scene");
-    assert!(said.contains("scene digest"), "{said}");
+    let message = merge(&[&a, &c], &whole).expect_err("another scene");
+    assert!(message.contains("scene digest"), "{message}");
 
     // A campaign of another design is not a half of this one.
     let fourth = Bench::with(&with(spec(), json!({"levels": ["L1"]}))).await;
     let d = fourth.archive("moved");
-    let said = merge(&[&a, &d], &whole).expect_err("another design");
-    assert!(said.contains("`levels`"), "{said}");
+    let message = merge(&[&a, &d], &whole).expect_err("another design");
+    assert!(message.contains("`levels`"), "{message}");
     assert!(!whole.exists());
     let mut left = std::fs::read_dir(folder.path()).expect("a folder");
     assert!(left.next().is_none(), "nothing is left of what was refused");

@@ -120,7 +120,7 @@ impl Bench {
         rows
     }
 
-    pub(crate) async fn in_order(&self) {
+    pub(crate) async fn assert_invariants(&self) {
         let violations = check(self.folder.path()).await.expect("a database");
         assert_eq!(violations, []);
     }
@@ -174,127 +174,133 @@ pub(crate) fn write(file: &Path, members: &[(String, Vec<u8>)], list_anew: bool)
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_interrupted_campaign_goes_on_at_another_coordinator_to_the_same_report() {
-    let mut here = Bench::with(&spec()).await;
-    here.run(5, "").await;
-    let filmed = here.worker.claim_one().await;
+async fn a_moved_campaign_continues_at_another_coordinator_to_the_same_report() {
+    let mut source = Bench::with(&spec()).await;
+    source.run(5, "").await;
+    let filmed = source.worker.claim_one().await;
     let success = succeeds(&rollout_id(&filmed));
     assert_eq!(
-        here.worker.commit(&filmed, success).await,
+        source.worker.commit(&filmed, success).await,
         Verdict::Accepted
     );
     let film = [vec![7; 1_500_000]];
-    put(&mut here.worker, &filmed, "video.mp4", &film)
+    put(&mut source.worker, &filmed, "video.mp4", &film)
         .await
         .expect("kept");
-    let failed = here.worker.claim_one().await;
-    here.worker.release(&failed, Reason::SimulatorError).await;
+    let failed = source.worker.claim_one().await;
+    source.worker.release(&failed, Reason::SimulatorError).await;
     // One rollout is in progress while the campaign is archived.
-    let held = here.worker.claim_one().await;
-    here.must(&["campaign", "set-priority", "moved", "7"]);
-    let before = here.rows().await;
-    let file = here.archive("moved");
-    assert_eq!(here.rows().await, before, "archiving changed something");
+    let held = source.worker.claim_one().await;
+    source.must(&["campaign", "set-priority", "moved", "7"]);
+    let before = source.rows().await;
+    let file = source.archive("moved");
+    assert_eq!(source.rows().await, before, "archiving changed something");
     let first = (members(&file), std::fs::read(&file).expect("an archive"));
-    here.archive("moved");
+    source.archive("moved");
     for (one, other) in first.0.iter().zip(members(&file)) {
         assert!(*one == other, "{} has other bytes", one.0);
     }
     assert!(std::fs::read(&file).expect("an archive") == first.1);
-    let left = std::fs::read_dir(here.folder.path()).expect("a folder");
+    let left = std::fs::read_dir(source.folder.path()).expect("a folder");
     let left: Vec<_> = left
-        .map(|it| it.expect("an entry").file_name())
+        .map(|entry| entry.expect("an entry").file_name())
         .filter(|name| name.to_string_lossy().starts_with("moving-"))
         .collect();
     assert!(left.is_empty(), "{left:?}");
 
-    let mut there = Bench::empty().await;
-    let said = there.import(&file);
-    assert!(said.contains("13 rollouts, 6 results and 1 film"), "{said}");
-    there.in_order().await;
-    assert_eq!(there.report("moved"), here.report("moved"));
-    assert_eq!(
-        there.must(&["export", "moved", "--format", "jsonl"]),
-        here.must(&["export", "moved", "--format", "jsonl"])
+    let mut target = Bench::empty().await;
+    let message = target.import(&file);
+    assert!(
+        message.contains("13 rollouts, 6 results and 1 film"),
+        "{message}"
     );
-    let kept = there.folder.path().join("artifacts/moved");
+    target.assert_invariants().await;
+    assert_eq!(target.report("moved"), source.report("moved"));
+    assert_eq!(
+        target.must(&["export", "moved", "--format", "jsonl"]),
+        source.must(&["export", "moved", "--format", "jsonl"])
+    );
+    let kept = target.folder.path().join("artifacts/moved");
     let kept: Vec<_> = std::fs::read_dir(kept).expect("films").collect();
     assert_eq!(kept.len(), 1);
     let kept = kept[0].as_ref().expect("a film").path();
     assert_eq!(std::fs::read(kept).expect("a film"), film[0]);
     let status: Value =
-        serde_json::from_str(&there.must(&["campaign", "status", "moved", "--json"]))
+        serde_json::from_str(&target.must(&["campaign", "status", "moved", "--json"]))
             .expect("JSON");
     let status = status.to_string();
     assert!(status.contains("\"priority\":7"), "{status}");
     // The workers that made the results are not workers of this coordinator.
-    let workers = there.must(&["workers", "--all", "--json"]);
+    let workers = target.must(&["workers", "--all", "--json"]);
     let workers: Value = serde_json::from_str(&workers).expect("JSON");
     let workers = workers["workers"].as_array().expect("workers");
-    let alive = workers.iter().filter(|it| it["is_alive"] == true);
-    let alive: Vec<&Value> = alive.map(|it| &it["worker_id"]).collect();
-    assert_eq!((workers.len(), alive), (2, vec![&json!(there.worker.id)]));
+    let alive = workers.iter().filter(|worker| worker["is_alive"] == true);
+    let alive: Vec<&Value> = alive.map(|worker| &worker["worker_id"]).collect();
+    assert_eq!((workers.len(), alive), (2, vec![&json!(target.worker.id)]));
 
     // Both campaigns continue and end with the same report.
     let success = succeeds(&rollout_id(&held));
-    assert_eq!(here.worker.commit(&held, success).await, Verdict::Accepted);
-    for bench in [&mut here, &mut there] {
+    assert_eq!(
+        source.worker.commit(&held, success).await,
+        Verdict::Accepted
+    );
+    for bench in [&mut source, &mut target] {
         tokio::time::sleep(Duration::from_millis(1_200)).await;
         bench.run(13, "").await;
-        bench.in_order().await;
+        bench.assert_invariants().await;
     }
-    assert_eq!(there.report("moved"), here.report("moved"));
+    assert_eq!(target.report("moved"), source.report("moved"));
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_name_that_is_taken_is_refused_with_the_remedy_and_another_one_is_a_copy() {
-    let mut here = Bench::with(&spec()).await;
-    here.run(4, "").await;
-    let filmed = here.worker.claim_one().await;
-    assert_eq!(here.worker.commit(&filmed, true).await, Verdict::Accepted);
-    put(&mut here.worker, &filmed, "video.mp4", &[vec![1; 10]])
+async fn importing_an_existing_name_is_refused_and_another_name_makes_a_copy() {
+    let mut source = Bench::with(&spec()).await;
+    source.run(4, "").await;
+    let filmed = source.worker.claim_one().await;
+    assert_eq!(source.worker.commit(&filmed, true).await, Verdict::Accepted);
+    put(&mut source.worker, &filmed, "video.mp4", &[vec![1; 10]])
         .await
         .expect("kept");
-    let file = here.archive("moved");
-    let before = here.rows().await;
+    let file = source.archive("moved");
+    let before = source.rows().await;
     let path = file.display().to_string();
-    let said = here.refused(&["campaign", "import", &path]);
+    let message = source.refused(&["campaign", "import", &path]);
     assert!(
-        said.contains("`moved`") && said.contains("--as NAME"),
-        "{said}"
+        message.contains("`moved`") && message.contains("--as NAME"),
+        "{message}"
     );
-    assert_eq!(here.rows().await, before);
+    assert_eq!(source.rows().await, before);
 
     // A copy beside the original shares no attempt id with it.
-    here.must(&["campaign", "import", &path, "--as", "copy"]);
-    here.in_order().await;
-    let original = here.report("moved").replace("\"moved\"", "\"copy\"");
-    assert_eq!(here.report("copy"), original);
-    let films = here.folder.path().join("artifacts/copy");
+    source.must(&["campaign", "import", &path, "--as", "copy"]);
+    source.assert_invariants().await;
+    let original = source.report("moved").replace("\"moved\"", "\"copy\"");
+    assert_eq!(source.report("copy"), original);
+    let films = source.folder.path().join("artifacts/copy");
     assert_eq!(std::fs::read_dir(films).expect("films").count(), 1);
-    here.run(64, "").await;
-    here.in_order().await;
-    here.must(&["campaign", "delete", "moved", "--confirm", "moved"]);
-    here.in_order().await;
-    let films = here.folder.path().join("artifacts/copy");
+    source.run(64, "").await;
+    source.assert_invariants().await;
+    source.must(&["campaign", "delete", "moved", "--confirm", "moved"]);
+    source.assert_invariants().await;
+    let films = source.folder.path().join("artifacts/copy");
     assert_eq!(std::fs::read_dir(films).expect("films").count(), 1);
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_is_no_whole_archive_of_this_program_is_refused_by_name_and_changes_nothing() {
-    let mut here = Bench::with(&spec()).await;
-    here.run(6, "").await;
-    let file = here.archive("moved");
+async fn invalid_archives_are_refused_by_name_and_change_nothing() {
+    let mut source = Bench::with(&spec()).await;
+    source.run(6, "").await;
+    let file = source.archive("moved");
     let whole = std::fs::read(&file).expect("an archive");
     let sound = members(&file);
-    let there = Bench::with(&small_spec("resident")).await;
-    let before = there.rows().await;
-    let bad = there.folder.path().join("bad.tar.gz");
+    let target = Bench::with(&small_spec("resident")).await;
+    let before = target.rows().await;
+    let bad = target.folder.path().join("bad.tar.gz");
     let path = bad.display().to_string();
     let refused = |words: &[&str]| {
-        let said = there.refused(&["campaign", "import", &path]);
+        let message = target.refused(&["campaign", "import", &path]);
         for word in words.iter().chain([&"bad.tar.gz"]) {
-            assert!(said.contains(word), "{said} lacks {word}");
+            assert!(message.contains(word), "{message} lacks {word}");
         }
     };
 
@@ -315,7 +321,7 @@ async fn what_is_no_whole_archive_of_this_program_is_refused_by_name_and_changes
         refused(&["read archive"]);
     }
     write(&bad, &[("notes.txt".to_owned(), vec![1; 10])], false);
-    refused(&["no archive of a campaign", "archive.json"]);
+    refused(&["not an archive of a campaign", "archive.json"]);
 
     // Every member in turn is altered, missing, or renamed.
     for number in 1..sound.len() {
@@ -413,7 +419,7 @@ async fn what_is_no_whole_archive_of_this_program_is_refused_by_name_and_changes
         refused(words);
     }
 
-    for (field, what) in [("format", "form 1000"), ("schema", "schema version 1000")] {
+    for (field, what) in [("format", "format 1000"), ("schema", "schema version 1000")] {
         let mut newer = sound.clone();
         let mut list: Value = serde_json::from_slice(&newer[0].1).expect("a list");
         list[field] = json!(1_000);
@@ -424,33 +430,33 @@ async fn what_is_no_whole_archive_of_this_program_is_refused_by_name_and_changes
     }
 
     assert_eq!(
-        there.rows().await,
+        target.rows().await,
         before,
         "a refused archive changed something"
     );
-    assert!(!there.folder.path().join("artifacts").exists());
-    let missing = there.refused(&["campaign", "import", "nowhere.tar.gz"]);
+    assert!(!target.folder.path().join("artifacts").exists());
+    let missing = target.refused(&["campaign", "import", "nowhere.tar.gz"]);
     assert!(missing.contains("nowhere.tar.gz"), "{missing}");
-    there.import(&file);
-    there.in_order().await;
+    target.import(&file);
+    target.assert_invariants().await;
 }
 
 /// A small archive that would unpack to a large one costs neither memory nor disk space.
 #[tokio::test(flavor = "multi_thread")]
-async fn an_archive_that_swells_is_refused_before_it_is_unpacked() {
+async fn a_decompression_bomb_is_refused_before_it_is_unpacked() {
     const SWOLLEN: u64 = 192 << 20;
-    let mut here = Bench::with(&spec()).await;
-    here.run(1, "").await;
-    let sound = members(&here.archive("moved"));
-    let bad = here.folder.path().join("bad.tar.gz");
+    let mut source = Bench::with(&spec()).await;
+    source.run(1, "").await;
+    let sound = members(&source.archive("moved"));
+    let bad = source.folder.path().join("bad.tar.gz");
     let path = bad.display().to_string();
     let refused = |words: &[&str]| {
-        let said = here.refused(&["campaign", "import", &path, "--as", "another"]);
+        let message = source.refused(&["campaign", "import", &path, "--as", "another"]);
         for word in words {
-            assert!(said.contains(word), "{said} lacks {word}");
+            assert!(message.contains(word), "{message} lacks {word}");
         }
     };
-    let before = here.serve.peak_memory_bytes();
+    let before = source.serve.peak_memory_bytes();
 
     // A long name of that many characters, before the table of contents and before a member.
     for place in [0, 1] {
@@ -503,54 +509,55 @@ async fn an_archive_that_swells_is_refused_before_it_is_unpacked() {
     out.finish().expect("its end");
     refused(&["its end"]);
 
-    let grown = here.serve.peak_memory_bytes() - before;
+    let grown = source.serve.peak_memory_bytes() - before;
     assert!(grown < SWOLLEN / 2, "{} MiB were taken", grown >> 20);
     // The unaltered archive is accepted.
     write(&bad, &sound, false);
-    here.must(&["campaign", "import", &path, "--as", "another"]);
+    source.must(&["campaign", "import", &path, "--as", "another"]);
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_campaign_that_follows_from_another_comes_after_it() {
-    let mut here = Bench::with(&with(spec(), json!({"levels": ["L2"]}))).await;
-    here.run(64, "").await;
-    here.must(&["explain", "moved", "--create", "--budget", "20"]);
+async fn a_derived_campaign_is_imported_after_its_source() {
+    let mut source = Bench::with(&with(spec(), json!({"levels": ["L2"]}))).await;
+    source.run(64, "").await;
+    source.must(&["explain", "moved", "--create", "--budget", "20"]);
     let name = "moved-explained";
     // Its rollouts are derived from the outcomes after a moment.
     let began = Instant::now();
     let lease = loop {
-        if let Some(lease) = here.worker.claim(1).await.pop() {
+        if let Some(lease) = source.worker.claim(1).await.pop() {
             break lease;
         }
         assert!(began.elapsed() < Duration::from_secs(30), "nothing follows");
         tokio::time::sleep(Duration::from_millis(100)).await;
     };
-    assert_eq!(here.worker.commit(&lease, true).await, Verdict::Accepted);
+    assert_eq!(source.worker.commit(&lease, true).await, Verdict::Accepted);
     // Jobs derived from this outcome are also added after a moment.
     tokio::time::sleep(Duration::from_secs(1)).await;
     assert!(
-        here.must(&["export", name, "--format", "jsonl"])
+        source
+            .must(&["export", name, "--format", "jsonl"])
             .lines()
             .count()
             > 0
     );
-    let source = here.archive("moved");
-    let file = here.archive(name);
+    let source_archive = source.archive("moved");
+    let file = source.archive(name);
 
-    let there = Bench::empty().await;
+    let target = Bench::empty().await;
     let path = file.display().to_string();
-    let said = there.refused(&["campaign", "import", &path]);
-    assert!(said.contains("follows from `moved`") && said.contains("import that one first"));
-    there.import(&source);
-    there.import(&file);
-    there.in_order().await;
-    assert_eq!(there.report(name), here.report(name));
-    let said = there.refused(&["campaign", "delete", "moved", "--confirm", "moved"]);
-    assert!(said.contains(name), "{said}");
+    let message = target.refused(&["campaign", "import", &path]);
+    assert!(message.contains("follows from `moved`") && message.contains("import that one first"));
+    target.import(&source_archive);
+    target.import(&file);
+    target.assert_invariants().await;
+    assert_eq!(target.report(name), source.report(name));
+    let message = target.refused(&["campaign", "delete", "moved", "--confirm", "moved"]);
+    assert!(message.contains(name), "{message}");
 
     // A campaign of that name with other outcomes is not accepted as the source.
     let mut other = Bench::with(&with(spec(), json!({"levels": ["L2"]}))).await;
     other.run(3, "").await;
-    let said = other.refused(&["campaign", "import", &path]);
-    assert!(said.contains("others here"), "{said}");
+    let message = other.refused(&["campaign", "import", &path]);
+    assert!(message.contains("others here"), "{message}");
 }

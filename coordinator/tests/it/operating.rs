@@ -55,7 +55,7 @@ async fn quarantined(bench: &Bench) -> Worker {
 const CAMERA: &str = "object/t0/camera/L1/c00";
 
 #[tokio::test]
-async fn a_paused_campaign_leases_nothing_and_takes_what_was_leased() {
+async fn a_paused_campaign_leases_nothing_and_accepts_running_attempts() {
     let bench = Bench::start().await;
     bench.create(&small_spec("held")).await.expect("created");
     bench.create(&small_spec("other")).await.expect("created");
@@ -97,7 +97,7 @@ async fn resuming_wakes_claims_that_wait() {
 }
 
 #[tokio::test]
-async fn a_cancelled_campaign_takes_its_leases_back_and_keeps_its_results() {
+async fn cancelling_a_campaign_revokes_leases_and_keeps_results() {
     let bench = Bench::start().await;
     bench.create(&small_spec("ended")).await.expect("created");
     let mut worker = bench.worker("a").await;
@@ -131,7 +131,7 @@ async fn a_cancelled_campaign_takes_its_leases_back_and_keeps_its_results() {
 }
 
 #[tokio::test]
-async fn cancelling_frees_a_policy_whose_probe_it_takes_back() {
+async fn cancelling_a_campaign_frees_the_policy_probe() {
     let bench = Bench::start().await;
     let first = small_spec("first");
     let first = bench.create_with_priority(&first, 1).await;
@@ -152,7 +152,7 @@ async fn cancelling_frees_a_policy_whose_probe_it_takes_back() {
 }
 
 #[tokio::test]
-async fn a_campaign_is_deleted_with_its_files_by_who_names_it_twice() {
+async fn deleting_a_campaign_needs_its_name_twice_and_removes_its_files() {
     let bench = Bench::start().await;
     let old = bench.create_with_priority(&small_spec("old"), 1).await;
     old.expect("created");
@@ -193,7 +193,7 @@ async fn a_campaign_is_deleted_with_its_files_by_who_names_it_twice() {
 }
 
 #[tokio::test]
-async fn what_is_in_quarantine_is_requeued_by_hand_with_its_failures_forgiven() {
+async fn retry_requeues_quarantined_jobs_without_their_charges() {
     let bench = Bench::start().await;
     let mut worker = quarantined(&bench).await;
     let unknown = retry(&bench, "one", &[CAMERA, "object/t0/camera/L1/c09"], false).await;
@@ -340,7 +340,7 @@ async fn workers_are_listed_with_their_leases_and_why_they_stopped() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_backup_of_a_running_coordinator_is_in_order_and_can_be_served() {
+async fn a_backup_of_a_running_coordinator_is_valid_and_can_be_served() {
     let (folder, serve) = Serve::anew();
     assert!(serve.command(&CREATE).status.success());
     let mut worker = serve.worker("a").await;
@@ -369,10 +369,14 @@ async fn an_operator_follows_and_ends_a_campaign_from_the_command_line() {
     let (_folder, serve) = Serve::anew();
     let run = |arguments: &[&str], code: i32, words: &[&str]| {
         let output = serve.command(arguments);
-        let said = format!("{}{}", text(&output.stdout), text(&output.stderr));
-        assert_eq!(output.status.code(), Some(code), "{arguments:?}: {said}");
+        let output_text = format!("{}{}", text(&output.stdout), text(&output.stderr));
+        assert_eq!(
+            output.status.code(),
+            Some(code),
+            "{arguments:?}: {output_text}"
+        );
         for word in words {
-            assert!(said.contains(word), "{arguments:?}: {said}");
+            assert!(output_text.contains(word), "{arguments:?}: {output_text}");
         }
     };
     run(&["campaign", "status"], 0, &["no campaigns yet"]);
@@ -452,7 +456,7 @@ async fn an_operator_follows_and_ends_a_campaign_from_the_command_line() {
 /// job and attempt number, so that a slot that still ran an old rollout committed it into the new
 /// campaign. Now a lease has an id of its own, and numbers are never reused (finding B9).
 #[tokio::test]
-async fn an_attempt_of_a_deleted_campaign_fits_no_job_of_the_next_one() {
+async fn attempts_of_a_deleted_campaign_match_no_job_of_a_later_one() {
     let bench = Bench::start().await;
     bench.create(&small_spec("before")).await.expect("created");
     let mut slot = bench.worker("a").await;
@@ -466,7 +470,10 @@ async fn an_attempt_of_a_deleted_campaign_fits_no_job_of_the_next_one() {
 
     let over = slot.heartbeat(&[&old, &new], 9).await;
     assert_eq!(over, std::slice::from_ref(&old.attempt_id));
-    let refused = slot.try_commit(&old, true).await.expect_err("it is gone");
+    let refused = slot
+        .try_commit(&old, true)
+        .await
+        .expect_err("a deleted campaign");
     assert_eq!(refused.code(), Code::NotFound);
     let release = wire::ReleaseRequest {
         attempt_id: old.attempt_id.clone(),
@@ -474,7 +481,11 @@ async fn an_attempt_of_a_deleted_campaign_fits_no_job_of_the_next_one() {
         error: "too late".to_owned(),
         ..wire::ReleaseRequest::default()
     };
-    let refused = slot.service.release(release).await.expect_err("it is gone");
+    let refused = slot
+        .service
+        .release(release)
+        .await
+        .expect_err("a deleted campaign");
     assert_eq!(refused.code(), Code::NotFound);
     assert_eq!(bench.count("SELECT count(*) FROM failure").await, 0);
     assert_eq!(slot.commit(&new, false).await, Verdict::Accepted);

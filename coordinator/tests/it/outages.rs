@@ -73,7 +73,7 @@ async fn an_outage_pauses_the_jobs_of_its_policy_only() {
 
 /// Regression: an operator could not report that the policy is available again.
 #[tokio::test]
-async fn an_operator_who_resumes_a_campaign_has_its_policy_tried_at_once() {
+async fn resuming_a_campaign_retries_its_policy_at_once() {
     let bench = two_campaigns().await;
     let (mut worker, lease) = bench.leasing("a").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
@@ -125,7 +125,7 @@ async fn a_pause_lets_one_probe_through_and_its_first_answer_resumes_the_rest() 
 }
 
 #[tokio::test]
-async fn a_probe_that_fails_waits_longer_and_one_that_crashes_is_replaced() {
+async fn a_failed_probe_doubles_the_pause_and_a_crashed_one_is_replaced() {
     let bench = two_campaigns().await;
     let (mut worker, lease) = bench.leasing("a").await;
     let first = worker.release(&lease, Reason::PolicyUnavailable).await;
@@ -164,7 +164,7 @@ async fn a_probe_that_fails_waits_longer_and_one_that_crashes_is_replaced() {
 }
 
 #[tokio::test]
-async fn what_was_leased_before_the_policy_came_back_is_no_new_outage() {
+async fn leases_from_before_the_recovery_report_no_new_outage() {
     let bench = two_campaigns().await;
     let mut worker = bench.worker("a").await;
     let leases = worker.claim(2).await;
@@ -232,18 +232,18 @@ async fn plays_on(killer_is_answered: u32) -> Bench {
 
 /// Regression (finding B1): the rollout was requeued, became the next probe, and so on forever.
 #[tokio::test]
-async fn a_rollout_that_takes_its_policy_down_is_quarantined_and_the_others_are_done() {
+async fn a_rollout_that_takes_its_policy_down_is_quarantined_and_others_complete() {
     for killer_is_answered in [3, 0] {
         let bench = plays_on(killer_is_answered).await;
         let status = bench.status("first").await;
         assert_eq!((status.committed, status.quarantined), (7, 1));
         assert!(!bench.status("first").await.policy_paused || status.queued == 0);
-        let told = "SELECT count(*) FROM job j JOIN failure f ON f.job_id = j.id
+        let query = "SELECT count(*) FROM job j JOIN failure f ON f.job_id = j.id
                 AND f.attempt = j.attempt
             WHERE j.state = 'quarantined' AND j.rollout_id LIKE '%sensor/L1/c00'
                 AND j.charged_attempts = 0 AND f.reason = 'takes_policy_down'
                 AND f.error LIKE '%takes its policy down%the bench said so'";
-        assert_eq!(bench.count(told).await, 1);
+        assert_eq!(bench.count(query).await, 1);
         assert_eq!(
             bench
                 .count("SELECT count(*) FROM failure WHERE charged")
@@ -256,7 +256,7 @@ async fn a_rollout_that_takes_its_policy_down_is_quarantined_and_the_others_are_
 }
 
 #[tokio::test]
-async fn an_outage_that_lasts_quarantines_nothing_and_is_tried_with_one_rollout_after_another() {
+async fn a_long_outage_quarantines_nothing_and_is_probed_by_one_rollout_at_a_time() {
     let bench = Bench::start().await;
     bench
         .create(&spec_of("first", "fragile"))
@@ -284,7 +284,7 @@ async fn an_outage_that_lasts_quarantines_nothing_and_is_tried_with_one_rollout_
 }
 
 #[tokio::test]
-async fn the_last_rollout_waits_for_a_policy_that_is_down_as_long_as_it_takes() {
+async fn the_last_rollout_outlasts_any_policy_outage() {
     let bench = Bench::start().await;
     let spec = with(
         spec_of("one", "fragile"),
@@ -306,7 +306,7 @@ async fn the_last_rollout_waits_for_a_policy_that_is_down_as_long_as_it_takes() 
 }
 
 #[tokio::test]
-async fn a_rollout_is_skipped_whether_it_waits_or_runs_and_comes_back_when_it_is_retried() {
+async fn queued_and_running_rollouts_can_be_skipped_and_retried() {
     let bench = Bench::start().await;
     bench.create(&small_spec("some")).await.expect("created");
     let mut worker = bench.worker("a").await;
@@ -324,7 +324,7 @@ async fn a_rollout_is_skipped_whether_it_waits_or_runs_and_comes_back_when_it_is
             jobs: rollouts.iter().cloned().map(name).collect(),
         };
         let skipped = operator.skip_jobs(request).await;
-        skipped.map(|it| it.into_inner().jobs)
+        skipped.map(|response| response.into_inner().jobs)
     };
     let running = rollout_id(&leases[1]);
     let refused = skip(&[running.clone(), rollout_id(&leases[0])]).await;

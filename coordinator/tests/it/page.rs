@@ -93,8 +93,8 @@ pub(crate) async fn ask(url: &str, request: &str) -> Answer {
     answer.await.expect("an answer")
 }
 
-/// Returns a campaign with two results, one quarantined job and one waiting job.
-async fn begun() -> Bench {
+/// Returns a campaign with two results and two queued jobs.
+async fn half_finished() -> Bench {
     let bench = Bench::start().await;
     bench.create(&small_spec("begun")).await.expect("created");
     let mut worker = bench.worker("w").await;
@@ -106,8 +106,8 @@ async fn begun() -> Bench {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn every_page_says_what_there_is_and_may_load_nothing_from_elsewhere() {
-    let bench = begun().await;
+async fn every_page_shows_its_content_and_loads_nothing_external() {
+    let bench = half_finished().await;
     let configuration = "/campaigns/begun/configurations/object/t0/combination/L1/c00";
     for (address, words) in [
         (
@@ -178,8 +178,8 @@ async fn every_page_says_what_there_is_and_may_load_nothing_from_elsewhere() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_outage_and_a_quarantine_are_told_in_words() {
-    let bench = begun().await;
+async fn pages_describe_outages_and_quarantine() {
+    let bench = half_finished().await;
     let (mut worker, lease) = bench.leasing("w").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
     let page = ask(&bench.url, "GET /policies").await.text();
@@ -192,8 +192,8 @@ async fn an_outage_and_a_quarantine_are_told_in_words() {
 
 /// Regression: the page said "no attempt is charged" where `jobs list` said "1 charged".
 #[tokio::test(flavor = "multi_thread")]
-async fn page_and_command_line_agree_on_what_nonsense_of_a_policy_is_charged_to() {
-    let bench = begun().await;
+async fn page_and_command_line_agree_on_charges_for_invalid_answers() {
+    let bench = half_finished().await;
     let mut worker = bench.worker("w").await;
     for attempt in 1..=5 {
         // Longer than the back-off of a failed rollout.
@@ -215,8 +215,8 @@ async fn page_and_command_line_agree_on_what_nonsense_of_a_policy_is_charged_to(
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn hostile_addresses_come_to_pages_that_say_what_to_do() {
-    let bench = begun().await;
+async fn invalid_addresses_give_error_pages_with_a_remedy() {
+    let bench = half_finished().await;
     std::fs::write(bench.folder.path().join("secret"), "hunter2").expect("written");
     let long = "x".repeat(4_000);
     for (address, code) in [
@@ -260,7 +260,7 @@ async fn hostile_addresses_come_to_pages_that_say_what_to_do() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_workers_say_cannot_become_markup() {
+async fn text_from_workers_is_escaped_in_pages() {
     let bench = Bench::start().await;
     bench.create(&small_spec("tricked")).await.expect("created");
     let mut worker = bench.worker("<script>alert(1)</script>").await;
@@ -341,8 +341,8 @@ async fn a_video_is_sent_whole_and_in_ranges() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn metrics_are_prometheus_text_and_count_what_there_is() {
-    let bench = begun().await;
+async fn metrics_are_valid_prometheus_text() {
+    let bench = half_finished().await;
     let answer = ask(&bench.url, "GET /metrics").await;
     assert_eq!(
         answer.header("content-type"),
@@ -385,10 +385,10 @@ async fn metrics_are_prometheus_text_and_count_what_there_is() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn the_stream_tells_of_a_commit_and_ends_with_the_coordinator() {
-    let bench = begun().await;
+async fn the_stream_reports_a_commit_and_ends_with_the_coordinator() {
+    let bench = half_finished().await;
     let address = bench.url.strip_prefix("http://").expect("a URL").to_owned();
-    let (said, heard) = std::sync::mpsc::channel();
+    let (sender, receiver) = std::sync::mpsc::channel();
     let reader = std::thread::spawn(move || {
         let mut stream = TcpStream::connect(&address).expect("a connection");
         stream.set_read_timeout(Some(SILENCE)).expect("set");
@@ -396,9 +396,11 @@ async fn the_stream_tells_of_a_commit_and_ends_with_the_coordinator() {
         stream.write_all(request.as_bytes()).expect("sent");
         let mut buffer = [0; 4_096];
         loop {
-            let count = stream.read(&mut buffer).expect("news, or the end");
+            let count = stream
+                .read(&mut buffer)
+                .expect("an event or the end of the stream");
             let text = String::from_utf8_lossy(&buffer[..count]).into_owned();
-            if count == 0 || said.send(text).is_err() {
+            if count == 0 || sender.send(text).is_err() {
                 return;
             }
         }
@@ -406,7 +408,7 @@ async fn the_stream_tells_of_a_commit_and_ends_with_the_coordinator() {
     let until = |word: &str| {
         let mut text = String::new();
         while !text.contains(word) {
-            text.push_str(&heard.recv_timeout(SILENCE).expect(word));
+            text.push_str(&receiver.recv_timeout(SILENCE).expect(word));
         }
     };
     until("data: 0");
@@ -418,8 +420,8 @@ async fn the_stream_tells_of_a_commit_and_ends_with_the_coordinator() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn streams_are_bounded_and_a_seat_is_free_when_somebody_leaves() {
-    let bench = begun().await;
+async fn streams_are_bounded_and_closing_one_admits_another() {
+    let bench = half_finished().await;
     let address = bench.url.strip_prefix("http://").expect("a URL");
     let follow = || {
         let mut stream = TcpStream::connect(address).expect("a connection");
@@ -436,7 +438,7 @@ async fn streams_are_bounded_and_a_seat_is_free_when_somebody_leaves() {
         assert!(is_in, "{} are seated", seated.len());
         seated.push(stream);
     }
-    assert!(!follow().1, "the 129th is told to look by itself");
+    assert!(!follow().1, "the 129th has to poll");
     seated.clear();
     // The server notices that streams have closed only when it sends something to them.
     let mut tries = 0;
@@ -448,7 +450,7 @@ async fn streams_are_bounded_and_a_seat_is_free_when_somebody_leaves() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_browser_logs_in_once_and_a_worker_or_a_stranger_sees_nothing() {
+async fn pages_need_a_login_and_refuse_worker_tokens() {
     let guarded = Guarded::start(&[]);
     let url = guarded.url();
     let led = ask(url, "GET /campaigns/a?b=c\naccept: text/html").await;
@@ -524,8 +526,8 @@ async fn a_browser_logs_in_once_and_a_worker_or_a_stranger_sees_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_strangers_page_in_the_same_browser_reaches_nothing() {
-    let bench = begun().await;
+async fn pages_of_other_sites_can_neither_read_nor_call() {
+    let bench = half_finished().await;
     // A DNS name of another site that resolves to this machine.
     let rebound = ask(&bench.url, "GET /\nhost: evil.example:7411").await;
     assert_eq!(rebound.code, 403);
@@ -566,9 +568,9 @@ async fn a_strangers_page_in_the_same_browser_reaches_nothing() {
 /// Regression (defect 2): a page held one of four database connections while it requested two more,
 /// so that a few tabs that refreshed together blocked each other.
 #[tokio::test(flavor = "multi_thread")]
-async fn many_pages_that_are_asked_for_at_once_do_not_wait_for_each_other() {
+async fn concurrent_page_requests_do_not_block_each_other() {
     const TABS: usize = 24;
-    let bench = begun().await;
+    let bench = half_finished().await;
     let addresses = [
         "/",
         "/campaigns/begun",

@@ -75,7 +75,7 @@ async fn another_pack_simulator_renderer_or_realisation_than_the_campaigns_is_re
 }
 
 #[tokio::test]
-async fn other_initial_states_are_no_siblings_and_replicates_are() {
+async fn siblings_share_the_initial_state_and_include_replicates() {
     let bench = Bench::start().await;
     let spec = with(
         small_spec("twice"),
@@ -146,7 +146,7 @@ async fn an_axis_realised_otherwise_in_the_combination_than_alone_is_refused_by_
 }
 
 #[tokio::test]
-async fn in_reference_mode_the_sensor_may_be_drawn_anew_and_the_camera_may_not() {
+async fn in_reference_mode_the_sensor_may_differ_from_siblings_and_the_camera_may_not() {
     let verdict_of = async |axis: &'static str| {
         let (_bench, mut worker, leases) = leases_of(json!({"realisation": "reference"})).await;
         for lease in &leases[..3] {
@@ -198,7 +198,7 @@ async fn a_replicate_that_saw_another_first_frame_is_refused() {
 }
 
 #[tokio::test]
-async fn conditions_that_leave_the_pictures_alone_must_see_the_nominal_first_frame() {
+async fn conditions_without_visual_perturbation_must_have_the_nominal_first_frame() {
     let (_bench, mut worker, leases) =
         leases_of(json!({"axes": ["camera", "actuation", "language"]})).await;
     let mut saw = async |lease: &wire::Lease, frame: &str| {
@@ -227,7 +227,7 @@ async fn conditions_that_leave_the_pictures_alone_must_see_the_nominal_first_fra
 /// Regression (defect 6): results from two kinds of processor, whose last bits differ, were refused
 /// as inconsistent with each other.
 #[tokio::test]
-async fn last_bits_of_another_processor_are_accepted_and_kept_as_they_are() {
+async fn last_bit_differences_of_processors_are_accepted_and_stored() {
     for (by, expected) in [
         (1e-9, Verdict::Accepted),
         (-1e-9, Verdict::Accepted),
@@ -283,7 +283,7 @@ async fn digests_and_realised_values_are_stored_with_the_result() {
 }
 
 #[tokio::test]
-async fn an_outcome_without_its_origin_or_with_nonsense_is_refused_unread() {
+async fn a_result_with_missing_or_invalid_provenance_is_refused() {
     let (bench, mut worker, lease) = with_siblings().await;
     let good = worker.report(&lease, true);
     let mut check = async |alter: &dyn Fn(&mut wire::CommitRequest), word: &str| {

@@ -35,7 +35,7 @@ impl Clock for BreakableClock {
 /// Regression (defect 11): panics of spawned tasks were not noticed, and a coordinator whose writer
 /// had panicked answered "shutting down" forever.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_panic_of_the_writer_ends_the_coordinator_with_an_error_that_says_so() {
+async fn a_panic_of_the_writer_stops_the_coordinator_with_an_error() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let clock = Arc::new(BreakableClock::default());
     let mut config = config(folder.path(), clock.clone());
@@ -72,7 +72,10 @@ async fn a_panic_of_the_writer_ends_the_coordinator_with_an_error_that_says_so()
     };
     worker.heartbeat(heartbeat).await.expect_err("no writer");
     let ended = tokio::time::timeout(Duration::from_secs(20), served.join_next());
-    let ended = ended.await.expect("it goes on").expect("a task");
+    let ended = ended
+        .await
+        .expect("an end of the coordinator")
+        .expect("a task");
     let error = ended.expect("no panic of its own").expect_err("an error");
     assert!(matches!(error, ServeError::Panicked { .. }), "{error:?}");
 }
@@ -110,14 +113,14 @@ async fn connections_and_signals_are_served_while_the_database_is_locked() {
     let listed = tokio::time::timeout(Duration::from_secs(5), listed).await;
     listed.expect("in time").expect("an answer");
     drop(operator);
-    stop.send(()).expect("it runs");
+    stop.send(()).expect("a running coordinator");
     let refuses = async {
         while tokio::net::TcpStream::connect(address).await.is_ok() {
             tokio::time::sleep(Duration::from_millis(10)).await;
         }
     };
     let refused = tokio::time::timeout(Duration::from_secs(5), refuses).await;
-    refused.expect("it listens no more");
+    refused.expect("a closed port");
     drop(writer);
     let ended = served.join_next().await.expect("a task");
     ended.expect("no panic").expect("no error");
@@ -132,7 +135,7 @@ fn tasks_of(source: &str) -> Vec<&str> {
 }
 
 #[test]
-fn a_panic_of_any_background_task_ends_the_coordinator_with_its_name() {
+fn a_panic_of_a_background_task_stops_the_coordinator_and_names_the_task() {
     let mut names = tasks_of(include_str!("../../../crates/service/queue/src/queue.rs"));
     names.extend(tasks_of(include_str!("../../src/serve.rs")));
     assert!(names.len() >= 8, "{names:?}");
@@ -158,8 +161,11 @@ fn a_panic_of_any_background_task_ends_the_coordinator_with_its_name() {
             std::thread::sleep(Duration::from_millis(20));
         }
         let output = child.wait_with_output().expect("its end");
-        let said = String::from_utf8_lossy(&output.stderr);
-        assert!(!output.status.success(), "{name}: {said}");
-        assert!(said.contains(&format!("{name} panicked")), "{name}: {said}");
+        let error = String::from_utf8_lossy(&output.stderr);
+        assert!(!output.status.success(), "{name}: {error}");
+        assert!(
+            error.contains(&format!("{name} panicked")),
+            "{name}: {error}"
+        );
     }
 }

@@ -12,7 +12,7 @@ const GL: &str = "llvmpipe";
 
 /// Returns the reason why a worker with this pack and renderer gets no jobs, as its registration is
 /// answered; empty if it may have jobs.
-async fn told(bench: &Bench, pack: &str, renderer: &str) -> String {
+async fn refusal_reason(bench: &Bench, pack: &str, renderer: &str) -> String {
     let mut worker = bench.worker_drawing("asks", pack, renderer).await;
     let mut announced = registration("asks", pack);
     renderer.clone_into(&mut announced.renderer);
@@ -78,13 +78,13 @@ async fn a_result_that_is_refused_pins_nothing() {
     assert_eq!(verdict, Verdict::Unpaired);
     let pinned = "SELECT count(*) FROM campaign WHERE pinned_ms IS NOT NULL";
     assert_eq!(bench.count(pinned).await, 0);
-    assert_eq!(told(&bench, "libero", GL).await, "");
+    assert_eq!(refusal_reason(&bench, "libero", GL).await, "");
 }
 
 /// Replaced weights or another `--execute` make a different policy: its jobs wait until the
 /// measured policy is back, and nobody is charged.
 #[tokio::test]
-async fn a_policy_that_was_replaced_is_an_outage_of_the_one_that_was_measured() {
+async fn a_replaced_policy_counts_as_an_outage_of_the_measured_one() {
     for (what, replace) in [
         ("execute is `1` now and was `8`", execute as Replace),
         (
@@ -146,7 +146,7 @@ async fn a_result_under_another_execution_model_than_the_campaigns_is_refused() 
         let mut report = worker.report(&lease, true);
         let settings = &mut report.provenance.as_mut().expect("one").policy_settings;
         settings.retain(|name, _| name != "execution model");
-        settings.extend(of_result.map(|it| ("execution model".to_owned(), it.to_owned())));
+        settings.extend(of_result.map(|model| ("execution model".to_owned(), model.to_owned())));
         let (verdict, detail) = worker.commit_request(report).await;
         assert_eq!(verdict, expected, "{of_campaign:?} {of_result:?}: {detail}");
         if expected == Verdict::Unpaired {
@@ -173,12 +173,13 @@ async fn all_settings_of_a_description_are_stored_with_those_of_the_worker() {
     let mut report = worker.report(&lease, true);
     let settings = &mut report.provenance.as_mut().expect("one").policy_settings;
     settings.clear();
-    let own = ["execute", "horizon", "real-time chunking"].map(str::to_owned);
+    let settings_of_worker = ["execute", "horizon", "real-time chunking"].map(str::to_owned);
     let of_policy = (0..proto::MAX_SETTINGS).map(|number| format!("setting {number}"));
     settings.extend(
-        own.into_iter()
+        settings_of_worker
+            .into_iter()
             .chain(of_policy)
-            .map(|it| (it, "1".to_owned())),
+            .map(|name| (name, "1".to_owned())),
     );
     settings.insert("execution model".to_owned(), execution.to_owned());
     let (verdict, detail) = worker.commit_request(report).await;
@@ -201,19 +202,19 @@ fn weights(policy: &mut Provenance) {
 }
 
 #[tokio::test]
-async fn what_a_campaign_asks_for_is_told_at_once_to_a_worker_that_does_not_suit() {
+async fn an_unsuitable_worker_learns_the_requirements_at_registration() {
     let bench = Bench::start().await;
     let wanted = json!({"assets": "libero", "renderer": "software"});
     let spec = with(small_spec("choosy"), wanted);
     bench.create(&spec).await.expect("created");
     for (pack, renderer) in [("primitives", SOFTWARE), ("libero", GL)] {
-        let told = told(&bench, pack, renderer).await;
+        let reason = refusal_reason(&bench, pack, renderer).await;
         for word in [
             "`choosy` wants assets `libero` and renderer `software`",
             pack,
             renderer,
         ] {
-            assert!(told.contains(word), "{told}");
+            assert!(reason.contains(word), "{reason}");
         }
         // The campaign's status shows the same reason.
         let waits = bench.status("choosy").await.waiting_reason;
@@ -221,20 +222,20 @@ async fn what_a_campaign_asks_for_is_told_at_once_to_a_worker_that_does_not_suit
             assert!(waits.contains(word), "{waits}");
         }
     }
-    assert_eq!(told(&bench, "libero", SOFTWARE).await, "");
+    assert_eq!(refusal_reason(&bench, "libero", SOFTWARE).await, "");
     assert_eq!(bench.status("choosy").await.waiting_reason, "");
     let mut worker = bench.worker_drawing("a", "libero", SOFTWARE).await;
     assert_eq!(worker.claim(4).await.len(), 4);
 }
 
 #[tokio::test]
-async fn a_pack_may_be_asked_for_by_the_beginning_of_its_digest() {
+async fn a_pack_can_be_required_by_a_digest_prefix() {
     let bench = Bench::start().await;
     let digest = registration("a", "libero").asset_pack_digest;
     let wanted = json!({"assets": digest[..10], "renderer": "gl"});
     let spec = with(small_spec("exact"), wanted);
     bench.create(&spec).await.expect("created");
-    assert_eq!(told(&bench, "libero", GL).await, "");
-    let told = told(&bench, "primitives", GL).await;
-    assert!(told.contains(&digest[..10]), "{told}");
+    assert_eq!(refusal_reason(&bench, "libero", GL).await, "");
+    let reason = refusal_reason(&bench, "primitives", GL).await;
+    assert!(reason.contains(&digest[..10]), "{reason}");
 }

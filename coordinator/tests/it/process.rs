@@ -50,13 +50,13 @@ impl Serve {
             .stderr(log)
             .spawn()
             .expect("starts");
-        let serve = Serve::of(child);
+        let serve = Serve::wait_until_listening(child);
         assert!(serve.is_ready(), "it listens");
         serve
     }
 
     /// Waits until the process listens or exits.
-    pub(crate) fn of(mut child: Child) -> Serve {
+    pub(crate) fn wait_until_listening(mut child: Child) -> Serve {
         let mut line = String::new();
         let stdout = child.stdout.take().expect("a pipe");
         BufReader::new(stdout).read_line(&mut line).expect("a line");
@@ -89,7 +89,7 @@ impl Serve {
 
     pub(crate) fn peak_memory_bytes(&self) -> u64 {
         let status = format!("/proc/{}/status", self.child.id());
-        let status = std::fs::read_to_string(status).expect("it runs");
+        let status = std::fs::read_to_string(status).expect("a running process");
         let peak = status.lines().find_map(|line| line.strip_prefix("VmHWM:"));
         let kib = peak.and_then(|peak| peak.trim().strip_suffix(" kB"));
         kib.and_then(|kib| kib.parse::<u64>().ok()).expect("a size") << 10
@@ -187,7 +187,7 @@ pub(crate) const CREATE: [&str; 14] = [
 ];
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_coordinator_killed_in_the_middle_continues_where_it_was() {
+async fn a_killed_coordinator_continues_after_a_restart() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let first = Serve::start(folder.path());
     assert!(first.command(&CREATE).status.success());
@@ -248,24 +248,24 @@ async fn a_coordinator_told_to_stop_answers_waiting_claims_and_leaves_one_file()
     let mut waiting = JoinSet::new();
     waiting.spawn(async move { worker.try_claim(30.0, "").await });
     tokio::time::sleep(Duration::from_millis(300)).await;
-    let told = Instant::now();
+    let signalled = Instant::now();
     serve.signal("-TERM");
     let answers = waiting.join_all().await;
     let refused = answers[0].as_ref().expect_err("nothing to lease");
     assert_eq!(refused.code(), tonic::Code::Unavailable);
-    let status = serve.child.wait().expect("it ends");
+    let status = serve.child.wait().expect("an exit status");
     assert!(status.success(), "{status}");
     assert!(
-        told.elapsed() < Duration::from_secs(8),
+        signalled.elapsed() < Duration::from_secs(8),
         "{:?}",
-        told.elapsed()
+        signalled.elapsed()
     );
     assert!(!folder.path().join("coordinator.sqlite-wal").exists());
     open_database(folder.path()).await.close().await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn commands_that_are_wrong_exit_with_2_and_write_nothing() {
+async fn invalid_commands_exit_with_2_and_write_nothing() {
     let (_folder, serve) = Serve::anew();
     let check = |flag: &str, value: &str, words: &[&str]| {
         let mut arguments = CREATE.to_vec();
@@ -342,7 +342,7 @@ async fn a_specification_is_read_from_a_file_or_standard_input() {
 }
 
 #[test]
-fn a_coordinator_that_cannot_be_reached_is_named_after_a_few_tries() {
+fn an_unreachable_coordinator_is_named_after_retries() {
     let free = std::net::TcpListener::bind("127.0.0.1:0").expect("a port");
     let url = format!("http://{}", free.local_addr().expect("an address"));
     drop(free);
@@ -387,7 +387,7 @@ fn an_address_in_use_and_a_folder_that_cannot_be_made_fail_with_the_remedy() {
 
 /// Regression: a policy's error text, relayed by its worker, could set the operator's clipboard.
 #[tokio::test(flavor = "multi_thread")]
-async fn nothing_that_a_worker_or_an_archive_says_is_obeyed_by_a_terminal() {
+async fn control_sequences_from_workers_and_archives_never_reach_the_terminal() {
     const HOSTILE: &str = "\x1b]52;c;cm0gLXJm\x07\x1b[2K\rall is well \u{9b}31m\u{202e}";
     let (folder, serve) = Serve::anew();
     let spec = folder.path().join("spec.json");
@@ -437,11 +437,11 @@ async fn nothing_that_a_worker_or_an_archive_says_is_obeyed_by_a_terminal() {
         &["jobs", "list", "told"],
         &["campaign", "status", "told"],
     ] {
-        let said = &succeed(serve.command(command));
-        assert!(!is_obeyed(said), "{command:?}: {said:?}");
+        let output = &succeed(serve.command(command));
+        assert!(!is_obeyed(output), "{command:?}: {output:?}");
     }
-    let said = serve.command(&["jobs", "show", "told", &rollout]);
-    assert!(text(&said.stdout).contains("all is well"));
+    let output = serve.command(&["jobs", "show", "told", &rollout]);
+    assert!(text(&output.stdout).contains("all is well"));
 }
 
 #[test]
@@ -467,10 +467,10 @@ fn a_printed_specification_creates_the_same_campaign_as_its_flags() {
     let spec = spec.to_str().expect("UTF-8");
     succeed(serve.command(&create));
     let again = serve.command(&["campaign", "create", "--spec", spec]);
-    let said = text(&again.stdout);
+    let output = text(&again.stdout);
     assert!(
-        said.contains("was there already, with this specification"),
-        "{said}{}",
+        output.contains("was there already, with this specification"),
+        "{output}{}",
         text(&again.stderr)
     );
     // A specification that is read from this output is printed as the same text.
@@ -480,9 +480,9 @@ fn a_printed_specification_creates_the_same_campaign_as_its_flags() {
 
 #[test]
 fn an_export_as_csv_names_the_command_that_writes_it() {
-    let said = &fail(coordinator(&["export", "demo", "--format", "csv"]), 2);
+    let output = &fail(coordinator(&["export", "demo", "--format", "csv"]), 2);
     let words = "`coordinator report CAMPAIGN --table FILE.csv` writes outcomes in this format";
-    assert!(said.contains(words), "{said}");
+    assert!(output.contains(words), "{output}");
     let output = coordinator(&["export", "demo", "--format", "xlsx"]);
     assert!(text(&output.stderr).contains("write jsonl or parquet"));
 }

@@ -36,13 +36,13 @@ async fn run_all(bench: &Bench, worker: &mut Worker) {
 }
 
 /// A report in both of its formats.
-struct Told {
+struct Report {
     json: Value,
     table: String,
 }
 
 /// Returns the report that `coordinator report` computes from the coordinator's answer.
-async fn report(bench: &Bench) -> Told {
+async fn report(bench: &Bench) -> Report {
     let request = wire::ReportRequest {
         campaign: "told".to_owned(),
     };
@@ -54,7 +54,7 @@ async fn report(bench: &Bench) -> Told {
     }
     let subject = serde_json::from_slice(&json).expect("a subject");
     let document = Document::new(vec![subject]).expect("no duplicates");
-    Told {
+    Report {
         json: serde_json::from_str(&document.json().expect("written")).expect("JSON"),
         table: document.text(),
     }
@@ -120,7 +120,7 @@ async fn a_finished_campaign_has_its_paired_measures() {
 }
 
 #[tokio::test]
-async fn a_half_finished_campaign_says_what_is_missing() {
+async fn the_report_of_an_unfinished_campaign_names_missing_rollouts() {
     let bench = Bench::start().await;
     bench.create(&spec()).await.expect("created");
     let empty = report(&bench).await.table;
@@ -141,7 +141,7 @@ async fn a_half_finished_campaign_says_what_is_missing() {
 }
 
 #[tokio::test]
-async fn what_is_in_quarantine_is_named_with_its_error_and_in_no_rate() {
+async fn quarantined_rollouts_are_listed_with_errors_and_in_no_rate() {
     let bench = Bench::start().await;
     bench.create(&spec()).await.expect("created");
     let mut alone = bench.worker("alone").await;
@@ -187,7 +187,7 @@ async fn what_is_in_quarantine_is_named_with_its_error_and_in_no_rate() {
 }
 
 #[tokio::test]
-async fn a_privileged_policy_and_mixed_origins_are_said_at_the_top() {
+async fn the_report_warns_of_a_privileged_policy_and_mixed_origins() {
     let bench = Bench::start().await;
     bench.create(&spec()).await.expect("created");
     let mut worker = bench.worker_on("a", "libero").await;
@@ -217,7 +217,7 @@ async fn a_privileged_policy_and_mixed_origins_are_said_at_the_top() {
 
 /// No commit can lead to this state, so the database is altered directly.
 #[tokio::test]
-async fn a_report_leaves_results_of_another_realisation_out_and_says_so_at_the_top() {
+async fn the_report_leaves_out_other_realisation_modes_with_a_warning() {
     let bench = Bench::start().await;
     bench.create(&spec()).await.expect("created");
     let mut worker = bench.worker("a").await;
@@ -279,7 +279,7 @@ fn result_files_are_reported_without_a_coordinator_in_every_form() {
 
 /// Regression: with four configurations, the terminal was full of symbols.
 #[test]
-fn a_report_is_short_and_in_sentences_unless_all_of_it_is_asked_for() {
+fn the_default_report_is_short_sentences() {
     let output = coordinator(&["report", "--from", EXAMPLE]);
     let brief = text(&output.stdout);
     let flat = brief.split_whitespace().collect::<Vec<_>>().join(" ");
@@ -308,7 +308,7 @@ fn a_report_is_short_and_in_sentences_unless_all_of_it_is_asked_for() {
 
 /// Regression: 500 rollouts of one suite could never decide a gate that needs 2,000.
 #[test]
-fn a_figure_that_was_published_of_one_suite_has_a_gate_of_its_own() {
+fn a_rate_published_for_one_suite_has_its_own_gate() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let row = |task: u32, state: u32| {
         let success = state != 0;
@@ -334,20 +334,26 @@ fn a_figure_that_was_published_of_one_suite_has_a_gate_of_its_own() {
             .collect::<Vec<_>>()
             .join(" ")
     };
-    let said = verdict("libero_goal:POLICY=97");
+    let verdict_text = verdict("libero_goal:POLICY=97");
     assert!(
-        said.contains("gate of libero_goal: +1.00 points from the published 97.0 %"),
-        "{said}"
+        verdict_text.contains("gate of libero_goal: +1.00 points from the published 97.0 %"),
+        "{verdict_text}"
     );
-    assert!(said.contains("tolerance 5: passed"), "{said}");
-    let said = verdict("libero_goal:POLICY=80");
-    assert!(said.contains("FAILED"), "{said}");
-    let said = verdict("POLICY=97");
     assert!(
-        said.contains("undecided: 500 of 2000 nominal rollouts"),
-        "{said}"
+        verdict_text.contains("tolerance 5: passed"),
+        "{verdict_text}"
     );
-    assert!(said.contains("SUITE:POLICY=PERCENT"), "{said}");
+    let verdict_text = verdict("libero_goal:POLICY=80");
+    assert!(verdict_text.contains("FAILED"), "{verdict_text}");
+    let verdict_text = verdict("POLICY=97");
+    assert!(
+        verdict_text.contains("undecided: 500 of 2000 nominal rollouts"),
+        "{verdict_text}"
+    );
+    assert!(
+        verdict_text.contains("SUITE:POLICY=PERCENT"),
+        "{verdict_text}"
+    );
 }
 
 #[test]
@@ -393,7 +399,7 @@ fn a_wrong_report_command_exits_with_2_and_writes_nothing() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_campaign_and_published_results_stand_side_by_side() {
+async fn a_campaign_and_published_results_are_reported_side_by_side() {
     let (_folder, serve) = Serve::anew();
     succeed(serve.command(&[
         "campaign",

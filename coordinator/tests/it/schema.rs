@@ -3,7 +3,7 @@
 use crate::harness::{Bench, small_spec};
 
 /// Invalid statements, each with the constraint that refuses it.
-const FOUL: &[(&str, &str)] = &[
+const INVALID_STATEMENTS: &[(&str, &str)] = &[
     (
         "UPDATE job SET state = 'lost' WHERE state = 'queued'",
         "CHECK",
@@ -111,7 +111,7 @@ async fn rows_that_no_state_describes_cannot_be_stored() {
     worker.commit(&lease, true).await;
     worker.claim_one().await;
     let pool = bench.database().await;
-    for (statement, refusal) in FOUL.iter().copied() {
+    for (statement, refusal) in INVALID_STATEMENTS.iter().copied() {
         let error = sqlx::query(statement)
             .execute(&pool)
             .await

@@ -88,9 +88,9 @@ async fn a_replicate_changes_the_policys_seed_and_nothing_else() {
 }
 
 #[tokio::test]
-async fn the_seed_that_a_worker_was_told_is_stored_with_the_result() {
+async fn the_seed_of_a_lease_is_stored_with_the_result() {
     let bench = Bench::start().await;
-    let told = seeds(&run(&bench, &spec("thrice", "matched")).await);
+    let seeds_of_leases = seeds(&run(&bench, &spec("thrice", "matched")).await);
     let pool = bench.database().await;
     let stored: Vec<(String, u32, i64)> = sqlx::query_as(
         "SELECT j.rollout_id, j.replicate, j.policy_seed FROM result r JOIN job j ON j.id = r.job_id",
@@ -103,5 +103,5 @@ async fn the_seed_that_a_worker_was_told_is_stored_with_the_result() {
         .into_iter()
         .map(|(id, replicate, seed)| ((id, replicate), seed.cast_unsigned()))
         .collect();
-    assert_eq!(stored, told);
+    assert_eq!(stored, seeds_of_leases);
 }

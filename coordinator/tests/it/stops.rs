@@ -13,7 +13,7 @@ use queue::expand::NewCampaign;
 use queue::{Side, Step, invariants};
 use serde_json::{Value, json};
 
-use crate::derived::{PATIENCE, die_at};
+use crate::derived::{PATIENCE, kill_at_failpoint};
 use crate::harness::{Worker, rollout_id};
 use crate::page::ask;
 use crate::process::{Serve, coordinator, fail, fits_a_terminal, succeed, succeed_in_json, text};
@@ -124,7 +124,7 @@ async fn stopped(serve: &Serve, name: &str) -> Value {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_campaign_stops_where_its_outcomes_say_and_says_what_that_saved() {
+async fn a_campaign_stops_where_its_rule_is_met_and_reports_the_savings() {
     let (folder, serve) = Serve::anew();
     let planted = planted(&spec("early"));
     create(&serve, folder.path(), &spec("early"));
@@ -171,21 +171,21 @@ async fn a_campaign_stops_where_its_outcomes_say_and_says_what_that_saved() {
         "stopped early after {used} of 40 configurations: {RULE}; saved {saved} rollouts \
          ({percent} %)"
     );
-    let said = serve.command(&["campaign", "status", "early"]);
+    let output = serve.command(&["campaign", "status", "early"]);
     assert!(
-        text(&said.stdout).contains(&words),
+        text(&output.stdout).contains(&words),
         "{}",
-        text(&said.stdout)
+        text(&output.stdout)
     );
     let page = folder.path().join("report.html");
     let page_name = page.to_string_lossy();
-    let said = serve.command(&["report", "early", "--full", "--html", &page_name]);
-    let said = text(&said.stdout).to_owned();
-    let flat = said.split_whitespace().collect::<Vec<_>>().join(" ");
-    assert!(flat.contains(&words), "{said}");
-    assert!(flat.contains("are not valid"), "{said}");
-    assert!(flat.contains("hold together at all looks"), "{said}");
-    fits_a_terminal(&said);
+    let output = serve.command(&["report", "early", "--full", "--html", &page_name]);
+    let output = text(&output.stdout).to_owned();
+    let flat = output.split_whitespace().collect::<Vec<_>>().join(" ");
+    assert!(flat.contains(&words), "{output}");
+    assert!(flat.contains("are not valid"), "{output}");
+    assert!(flat.contains("hold together at all looks"), "{output}");
+    fits_a_terminal(&output);
     let page = std::fs::read_to_string(page).expect("a page");
     assert!(page.contains("Confidence sequences") && page.contains("Stopped early after"));
 
@@ -217,7 +217,7 @@ async fn a_campaign_stops_where_its_outcomes_say_and_says_what_that_saved() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_stopped_campaign_stays_as_it_is_and_others_follow_from_what_counts() {
+async fn a_stopped_campaign_is_final_and_derived_campaigns_use_counted_results() {
     let (folder, serve) = Serve::anew();
     let planted = planted(&spec("early"));
     create(&serve, folder.path(), &spec("early"));
@@ -255,7 +255,7 @@ async fn a_stopped_campaign_stays_as_it_is_and_others_follow_from_what_counts() 
     let emergent = |level: &str| report["paired"]["p"][level]["b"].as_u64().expect("a count");
     let compensated = |level: &str| report["paired"]["p"][level]["c"].as_u64().expect("a count");
     let changed: u64 = ["L1", "L2"]
-        .map(|it| emergent(it) + compensated(it))
+        .map(|level| emergent(level) + compensated(level))
         .iter()
         .sum();
     assert!(changed > 0);
@@ -297,7 +297,7 @@ async fn derived(serve: &Serve, worker: &mut Worker, arguments: &[&str]) -> Valu
 }
 
 #[test]
-fn a_rule_that_cannot_end_a_campaign_is_refused_before_anything_is_created() {
+fn an_invalid_stop_rule_is_refused_before_creation() {
     let create = |arguments: &[&str], words: &str| {
         #[rustfmt::skip]
         let campaign = [
@@ -329,7 +329,7 @@ fn a_rule_that_cannot_end_a_campaign_is_refused_before_anything_is_created() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_death_around_any_transaction_leaves_the_same_state_and_the_same_report() {
+async fn a_kill_around_any_transaction_leaves_the_same_stop_and_report() {
     let planted = planted(&spec("early"));
     let undisturbed = tempfile::tempdir().expect("a temporary folder");
     let serve = Serve::start(undisturbed.path());
@@ -358,7 +358,7 @@ async fn a_death_around_any_transaction_leaves_the_same_state_and_the_same_repor
         (Side::After, Step::Stop, 1),
     ] {
         let point = format!("{side:?}:{step:?}:{times}");
-        die_at(folder.path(), &point, &spec("early"), outcome).await;
+        kill_at_failpoint(folder.path(), &point, &spec("early"), outcome).await;
         let violations = invariants::check(folder.path()).await.expect("a database");
         assert_eq!(violations, [], "{point}");
     }
@@ -377,7 +377,7 @@ fn drawn(name: &str, seed: u64) -> Value {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn campaigns_of_one_order_are_compared_at_any_look() {
+async fn campaigns_in_the_same_order_are_compared_sequentially() {
     let (folder, serve) = Serve::anew();
     let mut worker = serve.worker("w").await;
     // A configuration has five rollouts, four of them perturbed.
@@ -407,7 +407,7 @@ async fn campaigns_of_one_order_are_compared_at_any_look() {
         // Each of the twenty seen configurations differs by one; little is known of the others.
         assert!(cell["difference"][0].as_f64() > Some(0.0), "{cell}");
         assert_eq!(cell["difference"][1], 1.0);
-        let after = cell["met_after"].as_u64().expect("it is met");
+        let after = cell["met_after"].as_u64().expect("a met rule");
         assert!((2..20).contains(&after), "{cell}");
     }
     // The result is also printed as text without being requested.

@@ -49,7 +49,7 @@ impl Bucket {
         let (_, body) = http(self.address, "GET", "/films?list-type=2", "");
         let body = String::from_utf8(body).expect("XML");
         let keys = body.split("<Key>").skip(1);
-        keys.filter_map(|it| Some(it.split_once("</Key>")?.0.to_owned()))
+        keys.filter_map(|entry| Some(entry.split_once("</Key>")?.0.to_owned()))
             .collect()
     }
 }
@@ -63,14 +63,14 @@ impl Drop for Bucket {
 
 /// Sends one request. Returns head and body of the response.
 fn http(address: SocketAddr, method: &str, path: &str, headers: &str) -> (String, Vec<u8>) {
-    let mut stream = TcpStream::connect(address).expect("it listens");
+    let mut stream = TcpStream::connect(address).expect("a listening server");
     let request = format!(
         "{method} {path} HTTP/1.1\r\nHost: {address}\r\n{headers}Connection: close\r\n\r\n"
     );
     stream.write_all(request.as_bytes()).expect("sent");
     let mut answer = Vec::new();
     stream.read_to_end(&mut answer).expect("an answer");
-    let end = answer.windows(4).position(|it| it == b"\r\n\r\n");
+    let end = answer.windows(4).position(|bytes| bytes == b"\r\n\r\n");
     let end = end.expect("a head");
     let head = String::from_utf8_lossy(&answer[..end]).into_owned();
     (head, answer[end + 4..].to_vec())
@@ -105,7 +105,7 @@ fn serve(data: &Path, place: &str, variables: &[(&str, String)]) -> Serve {
         .stderr(Stdio::null())
         .spawn()
         .expect("starts");
-    let serve = Serve::of(child);
+    let serve = Serve::wait_until_listening(child);
     assert!(serve.is_ready(), "it listens");
     serve
 }
@@ -134,7 +134,7 @@ async fn film(worker: &mut Worker, bytes: &[u8]) -> String {
 }
 
 /// Counts the films in the data folder.
-fn here(folder: &TempDir) -> usize {
+fn local_films(folder: &TempDir) -> usize {
     let films = std::fs::read_dir(folder.path().join("artifacts/filmed"));
     films.map_or(0, Iterator::count)
 }
@@ -148,7 +148,7 @@ async fn until(what: &str, is_so: impl Fn() -> bool) {
 }
 
 /// Asserts that a browser can load a whole film and ranges of it.
-fn shows(serve: &Serve, rollout: &str, bytes: &[u8]) {
+fn assert_served(serve: &Serve, rollout: &str, bytes: &[u8]) {
     let address = serve.url.strip_prefix("http://").expect("a URL");
     let address = address.parse().expect("an address");
     let path = format!("/campaigns/filmed/videos/{rollout}");
@@ -176,34 +176,41 @@ fn some_film(seed: u8) -> Vec<u8> {
 }
 
 /// Stores, serves, archives, imports and deletes films at an available place.
-async fn lives(place: &str, variables: &[(&str, String)], stored: &dyn Fn() -> usize) {
+async fn check_film_lifecycle(
+    place: &str,
+    variables: &[(&str, String)],
+    stored: &dyn Fn() -> usize,
+) {
     let folder = tempfile::tempdir().expect("a folder");
     let coordinator = serve(folder.path(), place, variables);
     create(&coordinator, &folder);
     let mut worker = coordinator.worker("a").await;
     let (first, second) = (some_film(1), some_film(2));
     let one = film(&mut worker, &first).await;
-    shows(&coordinator, &one, &first);
+    assert_served(&coordinator, &one, &first);
     let other = film(&mut worker, &second).await;
-    until("both are stored", || here(&folder) == 0 && stored() == 2).await;
-    shows(&coordinator, &one, &first);
-    shows(&coordinator, &other, &second);
+    until("both are stored", || {
+        local_films(&folder) == 0 && stored() == 2
+    })
+    .await;
+    assert_served(&coordinator, &one, &first);
+    assert_served(&coordinator, &other, &second);
 
     // A restarted coordinator finds the films, and so does another one through an archive.
     drop(coordinator);
     let coordinator = serve(folder.path(), place, variables);
-    shows(&coordinator, &other, &second);
+    assert_served(&coordinator, &other, &second);
     let archive = folder.path().join("filmed.tar.gz").display().to_string();
     must(
         &coordinator,
         &["campaign", "archive", "filmed", "--output", &archive],
     );
     let elsewhere = tempfile::tempdir().expect("a folder");
-    let there = Serve::start(elsewhere.path());
-    let said = must(&there, &["campaign", "import", &archive]);
-    assert!(said.contains("2 films"), "{said}");
-    shows(&there, &one, &first);
-    assert_eq!(here(&elsewhere), 2);
+    let other_coordinator = Serve::start(elsewhere.path());
+    let message = must(&other_coordinator, &["campaign", "import", &archive]);
+    assert!(message.contains("2 films"), "{message}");
+    assert_served(&other_coordinator, &one, &first);
+    assert_eq!(local_films(&elsewhere), 2);
 
     let delete = ["campaign", "delete", "filmed", "--confirm", "filmed"];
     must(&coordinator, &delete);
@@ -213,26 +220,26 @@ async fn lives(place: &str, variables: &[(&str, String)], stored: &dyn Fn() -> u
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn films_are_kept_in_another_folder_where_an_operator_wants_them() {
+async fn films_are_stored_in_another_folder() {
     let folder = tempfile::tempdir().expect("a folder");
     let place = folder.path().join("films");
     let stored = || {
         let campaign = std::fs::read_dir(place.join("artifacts/filmed"));
         campaign.map_or(0, Iterator::count)
     };
-    lives(&place.display().to_string(), &[], &stored).await;
+    check_film_lifecycle(&place.display().to_string(), &[], &stored).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn films_are_kept_in_a_bucket_and_archives_too() {
+async fn films_and_archives_are_stored_in_a_bucket() {
     let Ok(program) = std::env::var(SERVER) else {
-        println!("skipped films_are_kept_in_a_bucket_and_archives_too: no {SERVER}");
+        println!("skipped films_and_archives_are_stored_in_a_bucket: no {SERVER}");
         return;
     };
     let address = free_address();
     let bucket = Bucket::start(&program, address);
     let variables = variables(address);
-    lives("s3://films/lab/one", &variables, &|| bucket.keys().len()).await;
+    check_film_lifecycle("s3://films/lab/one", &variables, &|| bucket.keys().len()).await;
 
     let folder = tempfile::tempdir().expect("a folder");
     let coordinator = serve(folder.path(), "s3://films/lab/two", &variables);
@@ -252,16 +259,19 @@ async fn films_are_kept_in_a_bucket_and_archives_too() {
     assert_eq!(bucket.keys(), ["archives/filmed.tar.gz"]);
     let done = run(&["campaign", "import", address, "--as", "again"]);
     assert!(done.0, "{}", done.1);
-    let (done, said) = run(&["campaign", "import", "s3://films/nowhere.tar.gz"]);
-    assert!(!done && said.contains("there is no such object"), "{said}");
-    let (done, said) = run(&["campaign", "import", "s3://films"]);
-    assert!(!done && said.contains("s3://BUCKET/FOLDER"), "{said}");
+    let (done, message) = run(&["campaign", "import", "s3://films/nowhere.tar.gz"]);
+    assert!(
+        !done && message.contains("there is no such object"),
+        "{message}"
+    );
+    let (done, message) = run(&["campaign", "import", "s3://films"]);
+    assert!(!done && message.contains("s3://BUCKET/FOLDER"), "{message}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn storage_that_is_down_costs_no_rollout_and_no_film() {
+async fn a_storage_outage_loses_no_rollout_and_no_film() {
     let Ok(program) = std::env::var(SERVER) else {
-        println!("skipped storage_that_is_down_costs_no_rollout_and_no_film: no {SERVER}");
+        println!("skipped a_storage_outage_loses_no_rollout_and_no_film: no {SERVER}");
         return;
     };
     let address = free_address();
@@ -274,17 +284,17 @@ async fn storage_that_is_down_costs_no_rollout_and_no_film() {
     let rollout = film(&mut worker, &bytes).await;
     film(&mut worker, &bytes).await;
     tokio::time::sleep(Duration::from_secs(5)).await;
-    assert_eq!(here(&folder), 2);
-    shows(&coordinator, &rollout, &bytes);
+    assert_eq!(local_films(&folder), 2);
+    assert_served(&coordinator, &rollout, &bytes);
     let jobs = must(&coordinator, &["jobs", "list", "filmed", "--json"]);
     let jobs: serde_json::Value = serde_json::from_str(&jobs).expect("JSON");
     let jobs = jobs.to_string();
     assert!(!jobs.contains("\"charged_attempts\":1"), "{jobs}");
 
     let bucket = Bucket::start(&program, address);
-    until("they are stored", || here(&folder) == 0).await;
+    until("they are stored", || local_films(&folder) == 0).await;
     assert_eq!(bucket.keys().len(), 2);
-    shows(&coordinator, &rollout, &bytes);
+    assert_served(&coordinator, &rollout, &bytes);
     drop(bucket);
     // The campaign can be deleted while the storage is unavailable; its films are removed later.
     must(&coordinator, &["campaign", "cancel", "filmed"]);

@@ -26,11 +26,11 @@ const CREATE: [&str; 16] = [
 ];
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_pair_that_fails_where_its_axes_alone_succeed_is_seen() {
+async fn a_pair_that_fails_while_its_axes_alone_succeed_is_reported() {
     let (_folder, serve) = Serve::anew();
     let created = serve.command(&[&CREATE[..], &["--subsets", "pairs"]].concat());
-    let said = text(&created.stdout);
-    assert!(said.contains("80 rollouts"), "{said}");
+    let output = text(&created.stdout);
+    assert!(output.contains("80 rollouts"), "{output}");
 
     let mut worker = serve.worker("w").await;
     loop {
@@ -64,7 +64,7 @@ async fn a_pair_that_fails_where_its_axes_alone_succeed_is_seen() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_set_that_is_no_condition_of_its_own_is_refused() {
+async fn an_invalid_subset_is_refused() {
     let (_folder, serve) = Serve::anew();
     for (sets, words) in [
         (

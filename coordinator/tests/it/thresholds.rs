@@ -9,7 +9,7 @@ use paired::Outcome;
 use queue::invariants;
 use serde_json::{Value, json};
 
-use crate::derived::{PATIENCE, die_everywhere, run_all};
+use crate::derived::{PATIENCE, kill_around_every_transaction, run_all};
 use crate::json::{documented, keys};
 use crate::page::ask;
 use crate::process::{Serve, fits_a_terminal, succeed, succeed_in_json, text};
@@ -81,8 +81,8 @@ async fn planted_thresholds_are_found_again() {
     create(&serve);
     // Thresholds can be requested before the campaign is finished.
     let output = serve.command(&["thresholds", "first", "--create"]);
-    let said = text(&output.stderr);
-    assert!(said.contains("rollouts without an outcome"), "{said}");
+    let message = text(&output.stderr);
+    assert!(message.contains("rollouts without an outcome"), "{message}");
     assert_eq!(found(&serve, &[])["complete"], json!(false));
 
     let found = measured(&serve, &[]).await;
@@ -221,7 +221,7 @@ async fn language_is_measured_at_its_own_levels_only() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn what_cannot_be_measured_is_refused_before_anything_is_created() {
+async fn unmeasurable_thresholds_are_refused_before_creation() {
     let (_folder, serve) = Serve::anew();
     create(&serve);
     let refused = |arguments: &[&str], words: &str| {
@@ -229,8 +229,8 @@ async fn what_cannot_be_measured_is_refused_before_anything_is_created() {
         let error = text(&output.stderr);
         assert!(!output.status.success(), "{arguments:?}");
         assert!(error.contains(words), "{arguments:?}: {error}");
-        let there = serve.command(&["campaign", "status", "first-thresholds"]);
-        assert!(!there.status.success(), "{arguments:?}");
+        let status = serve.command(&["campaign", "status", "first-thresholds"]);
+        assert!(!status.status.success(), "{arguments:?}");
     };
     let first = |flags: &[&'static str]| [&["thresholds", "first", "--create"][..], flags].concat();
     refused(&["thresholds", "second"], "no such campaign");
@@ -289,7 +289,7 @@ async fn a_budget_is_kept() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_death_around_any_transaction_leaves_the_same_thresholds() {
+async fn a_kill_around_any_transaction_leaves_the_same_thresholds() {
     let undisturbed = tempfile::tempdir().expect("a temporary folder");
     let serve = Serve::start(undisturbed.path());
     create(&serve);
@@ -305,7 +305,7 @@ async fn a_death_around_any_transaction_leaves_the_same_thresholds() {
         "name": "first-thresholds", "thresholds": {"campaign": "first"},
         "policy": {"name": "p", "endpoint": "http://127.0.0.1:50051"},
     });
-    die_everywhere(folder.path(), &spec, outcome).await;
+    kill_around_every_transaction(folder.path(), &spec, outcome).await;
     let serve = Serve::start_with(folder.path(), &["--lease-secs", "3"], Stdio::null());
     let found = measured(&serve, &[]).await;
     assert_eq!(found, expected);

@@ -20,13 +20,13 @@ const ARRIVAL: Duration = Duration::from_millis(300);
 /// are in the order of the requests.
 async fn together<T: Send + 'static>(
     bench: &Bench,
-    asked: Vec<impl Future<Output = T> + Send + 'static>,
+    requests: Vec<impl Future<Output = T> + Send + 'static>,
 ) -> Vec<T> {
     let database = bench.database().await;
     let hold = database.begin_with("BEGIN IMMEDIATE").await.expect("held");
     let mut answers = JoinSet::new();
-    for (place, question) in asked.into_iter().enumerate() {
-        answers.spawn(async move { (place, question.await) });
+    for (place, request) in requests.into_iter().enumerate() {
+        answers.spawn(async move { (place, request.await) });
     }
     tokio::time::sleep(ARRIVAL).await;
     hold.rollback().await.expect("let go");
@@ -37,7 +37,7 @@ async fn together<T: Send + 'static>(
 }
 
 /// Stops the coordinator and checks its database.
-async fn in_order(bench: Bench) {
+async fn assert_invariants(bench: Bench) {
     let folder = bench.stop().await;
     let violations = check(folder.path()).await.expect("checked");
     assert!(violations.is_empty(), "{violations:?}");
@@ -55,7 +55,7 @@ async fn twelve_leases() -> (Bench, Worker, Vec<wire::Lease>) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn reports_that_arrive_together_each_get_their_own_verdict() {
+async fn batched_reports_each_get_their_own_verdict() {
     let (bench, mut worker, leases) = twelve_leases().await;
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
     let good: Vec<_> = [1, 2, 4, 5, 6, 7, 8]
@@ -76,68 +76,68 @@ async fn reports_that_arrive_together_each_get_their_own_verdict() {
         (stale, Verdict::Stale),
     ];
     let mixed: Vec<_> = good.into_iter().chain(odd).collect();
-    let asked = mixed.iter().map(|(report, _)| {
+    let requests = mixed.iter().map(|(report, _)| {
         let (mut worker, report) = (worker.clone(), report.clone());
         async move { worker.commit_request(report).await.0 }
     });
-    let verdicts = together(&bench, asked.collect()).await;
+    let verdicts = together(&bench, requests.collect()).await;
     let expected: Vec<Verdict> = mixed.iter().map(|(_, verdict)| *verdict).collect();
     assert_eq!(verdicts, expected);
     assert_eq!(bench.status("together").await.committed, 8);
     let one = "SELECT count(*) FROM divergence";
     assert_eq!(bench.count(one).await, 1);
-    in_order(bench).await;
+    assert_invariants(bench).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn of_two_reports_of_one_rollout_that_arrive_together_one_is_stored() {
+async fn one_of_two_batched_reports_of_a_rollout_is_stored() {
     let (bench, worker, leases) = twelve_leases().await;
     let twice = leases[..6].iter().chain(&leases[..6]);
-    let asked = twice.map(|lease| {
+    let requests = twice.map(|lease| {
         let (mut worker, report) = (worker.clone(), worker.report(lease, true));
         async move { worker.commit_request(report).await.0 }
     });
-    let verdicts = together(&bench, asked.collect()).await;
+    let verdicts = together(&bench, requests.collect()).await;
     for (first, second) in verdicts[..6].iter().zip(&verdicts[6..]) {
         let pair = BTreeSet::from([first.as_str_name(), second.as_str_name()]);
         let expected = [Verdict::Accepted, Verdict::Duplicate];
         assert_eq!(pair, expected.iter().map(Verdict::as_str_name).collect());
     }
-    in_order(bench).await;
+    assert_invariants(bench).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn siblings_that_disagree_and_arrive_together_are_not_both_stored() {
+async fn contradictory_siblings_in_one_batch_are_not_both_stored() {
     let (bench, worker, leases) = twelve_leases().await;
     let of_one_state = [&leases[0], &leases[1]];
-    let asked = of_one_state.iter().enumerate().map(|(place, lease)| {
+    let requests = of_one_state.iter().enumerate().map(|(place, lease)| {
         let (mut worker, mut report) = (worker.clone(), worker.report(lease, true));
         let provenance = report.provenance.as_mut().expect("some");
         provenance.scene_digest = sha(&format!("scene {place}"));
         async move { worker.commit_request(report).await.0 }
     });
-    let mut verdicts = together(&bench, asked.collect()).await;
+    let mut verdicts = together(&bench, requests.collect()).await;
     verdicts.sort_by_key(|verdict| i32::from(*verdict));
     assert_eq!(verdicts, [Verdict::Accepted, Verdict::Unpaired]);
-    in_order(bench).await;
+    assert_invariants(bench).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn claims_that_arrive_together_share_the_jobs_in_their_order() {
+async fn batched_claims_are_served_in_order_of_arrival() {
     let (bench, mut first, leases) = twelve_leases().await;
     // One result pins the campaign; the other leases are released.
     assert_eq!(first.commit(&leases[0], true).await, Verdict::Accepted);
     for lease in &leases[1..] {
         first.release(lease, Reason::Draining).await;
     }
-    let mut asked = Vec::new();
+    let mut requests = Vec::new();
     for number in 0..13_u32 {
         let mut worker = bench.worker(&format!("w{number}")).await;
         // Every fourth worker holds no scene; the last ones find too few jobs.
         let warm = ["libero_object/0", ""][usize::from(number % 4 == 3)];
-        asked.push(async move { worker.claim_response(warm).await.lease });
+        requests.push(async move { worker.claim_response(warm).await.lease });
     }
-    let shares = together(&bench, asked).await;
+    let shares = together(&bench, requests).await;
     let mut jobs: Vec<i64> = shares.iter().flatten().map(|lease| lease.job_id).collect();
     jobs.sort_unstable();
     let expected: Vec<i64> = leases[1..].iter().map(|lease| lease.job_id).collect();
@@ -146,5 +146,5 @@ async fn claims_that_arrive_together_share_the_jobs_in_their_order() {
         "each once, and the first in paired-unit order"
     );
     assert!(shares.iter().flatten().all(|lease| lease.attempt == 2));
-    in_order(bench).await;
+    assert_invariants(bench).await;
 }

@@ -57,7 +57,7 @@ async fn first_schema(folder: &Path) -> SqlitePool {
 
 /// Stores a pinned campaign of four rollouts, two of them committed, each under one of these
 /// renderers. An empty renderer means that no frame was drawn.
-async fn begun(pool: &SqlitePool, id: i64, name: &str, renderers: [&str; 2]) {
+async fn insert_campaign(pool: &SqlitePool, id: i64, name: &str, renderers: [&str; 2]) {
     let spec = small_spec(name).to_string();
     let campaign = NewCampaign::from_json(&spec).expect("a campaign");
     let run = async |statement: String| {
@@ -139,12 +139,12 @@ async fn begun(pool: &SqlitePool, id: i64, name: &str, renderers: [&str; 2]) {
 }
 
 #[tokio::test]
-async fn a_database_of_schema_1_is_upgraded_keeps_its_rows_and_goes_on() {
+async fn a_database_of_schema_1_is_upgraded_and_its_campaigns_continue() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let pool = first_schema(folder.path()).await;
-    begun(&pool, 1, "drawn", ["", "llvmpipe"]).await;
-    begun(&pool, 2, "blind", ["", ""]).await;
-    begun(&pool, 3, "mixed", ["NVIDIA", "llvmpipe"]).await;
+    insert_campaign(&pool, 1, "drawn", ["", "llvmpipe"]).await;
+    insert_campaign(&pool, 2, "blind", ["", ""]).await;
+    insert_campaign(&pool, 3, "mixed", ["NVIDIA", "llvmpipe"]).await;
     pool.close().await;
 
     let clock = Arc::new(ManualClock::at(UnixMillis(NOW_MS)));
@@ -321,7 +321,7 @@ async fn the_database_of_every_released_schema_is_upgraded_with_its_rows() {
 
 /// Upgrades a database of a development version whose third migration included today's fourth.
 #[tokio::test]
-async fn a_database_whose_third_migration_did_what_the_fourth_does_is_taken_over() {
+async fn a_development_database_with_a_combined_third_migration_is_upgraded() {
     let folder = Bench::start().await.stop().await;
     let made = schema(folder.path()).await;
     let pool = open_database(folder.path()).await;

@@ -48,7 +48,7 @@ async fn run_one(worker: &mut Worker) {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn an_explaining_campaign_says_what_it_waits_for_and_is_finished_at_its_end_only() {
+async fn an_explaining_campaign_names_its_source_and_finishes_after_it() {
     let (_folder, serve) = Serve::anew();
     create(&serve, "first");
     explain(&serve, "first");
@@ -62,12 +62,12 @@ async fn an_explaining_campaign_says_what_it_waits_for_and_is_finished_at_its_en
     assert_eq!(waiting["rollouts"]["total"], 0);
     assert_eq!(waiting["is_finished"], false);
     let why = "campaign `first` is finished, 5 rollouts from now";
-    let said = waiting["waiting_reason"].as_str().expect("a reason");
-    assert!(said.contains(why), "{said}");
-    let said = serve.command(&["campaign", "status", "first-explained"]);
-    let said = text(&said.stdout);
-    assert!(said.contains("waits for first"), "{said}");
-    assert!(said.contains(why), "{said}");
+    let reason = waiting["waiting_reason"].as_str().expect("a reason");
+    assert!(reason.contains(why), "{reason}");
+    let output = serve.command(&["campaign", "status", "first-explained"]);
+    let status_text = text(&output.stdout);
+    assert!(status_text.contains("waits for first"), "{status_text}");
+    assert!(status_text.contains(why), "{status_text}");
     for address in ["/", "/campaigns/first-explained"] {
         let page = ask(&serve.url, &format!("GET {address}")).await.text();
         assert!(page.contains("waits for campaign first"), "{address}");
@@ -92,7 +92,7 @@ async fn an_explaining_campaign_says_what_it_waits_for_and_is_finished_at_its_en
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn nothing_follows_from_a_cancelled_campaign_and_from_one_without_transitions() {
+async fn campaigns_that_are_cancelled_or_without_transitions_derive_no_rollouts() {
     let (_folder, serve) = Serve::anew();
     create(&serve, "cancelled");
     explain(&serve, "cancelled");

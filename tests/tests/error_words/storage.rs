@@ -231,10 +231,10 @@ fn moving(messages: &mut Messages) {
     variants!(messages, ArchiveError,
         ArchiveError::Read { .. } => ArchiveError::Read { archive: archive(), source: io_error() },
         ArchiveError::Foreign { .. } => ArchiveError::Foreign {
-            archive: archive(), problem: "it is no compressed tar".to_owned(),
+            archive: archive(), problem: "it is not a compressed tar archive".to_owned(),
         },
         ArchiveError::Newer { .. } => ArchiveError::Newer {
-            archive: archive(), program: text(), what: "form", found: 2, known: 1,
+            archive: archive(), program: text(), what: "format", found: 2, known: 1,
         },
         ArchiveError::Damaged { .. } => ArchiveError::Damaged {
             archive: archive(), member: member(),

@@ -6,7 +6,7 @@ use std::process::Command;
 use anyhow::{Context, ensure};
 
 use super::super::command::print_line;
-use super::super::files::write_whole;
+use super::super::files::write_atomically;
 
 /// Script with all placeholders filled in.
 pub(super) struct Script {
@@ -21,9 +21,9 @@ pub(super) struct Script {
 /// fails.
 pub(super) fn write(scripts: &[Script]) -> anyhow::Result<()> {
     for Script { path, text } in scripts {
-        let there = std::fs::read(path);
+        let existing = std::fs::read(path);
         ensure!(
-            !path.exists() || there.is_ok_and(|there| there == text.as_bytes()),
+            !path.exists() || existing.is_ok_and(|existing| existing == text.as_bytes()),
             "write {}: the file exists with other content, perhaps edited; remove it, or name \
              another folder",
             path.display()
@@ -32,7 +32,7 @@ pub(super) fn write(scripts: &[Script]) -> anyhow::Result<()> {
     for Script { path, text } in scripts {
         let folder = path.parent().unwrap_or(path);
         std::fs::create_dir_all(folder).with_context(|| format!("make {}", folder.display()))?;
-        write_whole(path, text.as_bytes())?;
+        write_atomically(path, text.as_bytes())?;
     }
     Ok(())
 }
@@ -54,9 +54,14 @@ pub(super) fn submit(scripts: &[Script]) -> anyhow::Result<()> {
             path.display(),
             complaint.trim()
         );
-        let told = String::from_utf8_lossy(&output.stdout);
+        let printed = String::from_utf8_lossy(&output.stdout);
         // With several clusters, `sbatch --parsable` prints `JOB;CLUSTER`.
-        let job = told.trim().split(';').next().unwrap_or_default().to_owned();
+        let job = printed
+            .trim()
+            .split(';')
+            .next()
+            .unwrap_or_default()
+            .to_owned();
         print_line(&format!("submitted {} as job {job}", path.display()))?;
         before = Some(job);
     }

@@ -222,8 +222,11 @@ impl SlurmArguments {
         values.set("folder", line("--into", text(&folder)?)?);
         values.set("data", line("--data", text(&absolute_path(&self.data)?)?)?);
         let partition = word("--partition", self.partition.as_ref())?;
-        let own = word("--gateway-partition", gateway.gateway_partition.as_ref())?;
-        values.set_all("gateway_partition", own.or_else(|| partition.clone()));
+        let partition_of_gateway = word("--gateway-partition", gateway.gateway_partition.as_ref())?;
+        values.set_all(
+            "gateway_partition",
+            partition_of_gateway.or_else(|| partition.clone()),
+        );
         values.set_all("partition", partition);
         values.set_all("account", word("--account", self.account.as_ref())?);
         values.set_all("time", self.time.as_ref().map(TimeLimit::to_string));
@@ -245,7 +248,9 @@ impl SlurmArguments {
 
         values.set_all("route", gateway.route()?);
         let server = gateway.policy_server.clone();
-        let server = server.map(|it| line("--policy-server", it)).transpose()?;
+        let server = server
+            .map(|command| line("--policy-server", command))
+            .transpose()?;
         values.set_all("policy_server", server);
         values.set_all("gpus", word("--gpus", gateway.gpus.as_ref())?);
         let more = options("--gateway-sbatch", &gateway.gateway_sbatch)?;
@@ -340,16 +345,16 @@ impl SlurmArguments {
     /// Returns the token file of the worker jobs. Anyone with access to a job can read the file, so
     /// it must hold a worker token only; an operator token could delete campaigns.
     fn worker_token_file(&self) -> Result<Option<PathBuf>, CommandError> {
-        let own = self.worker_token_file.as_deref();
-        let Some(file) = own.or(self.security.token_file.as_deref()) else {
+        let worker_file = self.worker_token_file.as_deref();
+        let Some(file) = worker_file.or(self.security.token_file.as_deref()) else {
             return Ok(None);
         };
         let tokens = Tokens::read(file).map_err(failure)?;
         if tokens.has(Role::Operator) || tokens.has(Role::Viewer) || !tokens.has(Role::Worker) {
             return Err(usage(anyhow!(
-                "give {} to the workers' jobs: they are to know a worker's token and no other; \
-                 write its line into a file of its own (`grep ^worker TOKENS > worker-token`) and \
-                 name that with --worker-token-file",
+                "give {} to the workers' jobs: the jobs must not have tokens of other roles; \
+                 write the worker's line into a separate file (`grep ^worker TOKENS > \
+                 worker-token`) and pass it with --worker-token-file",
                 file.display()
             )));
         }
@@ -372,8 +377,8 @@ impl SlurmArguments {
         if let Some(folder) = &self.programs {
             return absolute_path(folder);
         }
-        let own = std::env::current_exe().context("find this program's own file")?;
-        Ok(own.parent().unwrap_or(Path::new("/")).to_owned())
+        let executable = std::env::current_exe().context("find this program's own file")?;
+        Ok(executable.parent().unwrap_or(Path::new("/")).to_owned())
     }
 }
 

@@ -19,10 +19,10 @@ impl Values {
         self.0.push((name, values.into_iter().collect()));
     }
 
-    fn of(&self, name: &str) -> &[String] {
-        let found = self.0.iter().find(|(known, _)| *known == name);
+    fn get(&self, name: &str) -> &[String] {
+        let found = self.0.iter().find(|(placeholder, _)| *placeholder == name);
         &found
-            .unwrap_or_else(|| panic!("nothing sets {{{{{name}}}}}, which a template names"))
+            .unwrap_or_else(|| panic!("placeholder {{{{{name}}}}} of a template was never set"))
             .1
     }
 }
@@ -34,20 +34,20 @@ impl Values {
 pub(super) fn fill(template: &str, values: &Values) -> String {
     let lines = template.lines().flat_map(|line| {
         let names = placeholders(line);
-        if names.iter().any(|name| values.of(name).is_empty()) {
+        if names.iter().any(|name| values.get(name).is_empty()) {
             return Vec::new();
         }
         if !line.starts_with("#SBATCH") {
             let words = |name: &str| {
-                let words = values.of(name).iter().map(|value| for_shell(value));
+                let words = values.get(name).iter().map(|value| for_shell(value));
                 words.collect::<Vec<_>>().join(" ")
             };
             return vec![replace(line, &words)];
         }
-        let times = names.iter().map(|name| values.of(name).len()).max();
+        let times = names.iter().map(|name| values.get(name).len()).max();
         let repeat = |time: usize| {
             replace(line, &|name| {
-                let values = values.of(name);
+                let values = values.get(name);
                 for_slurm(&values[time.min(values.len() - 1)])
             })
         };
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn values_are_quoted_for_who_reads_the_line() {
+    fn values_are_quoted_for_the_shell_or_for_slurm() {
         let template = "#SBATCH --chdir={{folder}}\ncd {{folder}} && sleep {{number}}\n";
         let expected = "#SBATCH --chdir=\"/home/me/a \\\"b\\\" 'c'\\\\d\"\n\
                         cd '/home/me/a \"b\" '\\''c'\\''\\d' && sleep 7\n";
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn a_line_without_its_value_is_left_out_and_several_values_repeat_slurms() {
+    fn a_line_without_a_value_is_left_out_and_several_values_repeat_sbatch_lines() {
         let template = "#SBATCH {{options}}\n#SBATCH --x={{nothing}}\nrun {{options}} # all\n\
                         run {{number}} {{nothing}}\n";
         let expected = "#SBATCH --qos=x\n#SBATCH \"--comment=a b\"\n\
@@ -135,8 +135,8 @@ mod tests {
     }
 
     #[test]
-    #[should_panic(expected = "nothing sets {{nmae}}")]
-    fn a_template_that_names_what_nobody_sets_is_a_defect() {
+    #[should_panic(expected = "placeholder {{nmae}} of a template")]
+    fn a_placeholder_that_was_never_set_panics() {
         fill("{{nmae}}\n", &values());
     }
 }

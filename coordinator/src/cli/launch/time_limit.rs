@@ -62,7 +62,7 @@ fn seconds(text: &str) -> Option<u64> {
 
 /// Parses at most six digits, so that the sum of seconds cannot overflow.
 fn number(text: &str) -> Option<u64> {
-    let digits = (1..=6).contains(&text.len()) && text.bytes().all(|it| it.is_ascii_digit());
+    let digits = (1..=6).contains(&text.len()) && text.bytes().all(|byte| byte.is_ascii_digit());
     digits.then(|| text.parse().ok()).flatten()
 }
 
@@ -71,7 +71,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_time_limit_is_read_as_slurm_reads_it() {
+    fn time_limits_are_parsed_in_slurms_formats() {
         let secs = |text: &str| text.parse::<TimeLimit>().map(|limit| limit.secs());
         for (text, expected) in [
             ("90", 5_400),

@@ -68,14 +68,14 @@ impl World {
         }
     }
 
-    fn happen(&mut self, event: &Event) {
+    fn apply(&mut self, event: &Event) {
         match event {
             Event::Claim { worker, job, .. } => self.claim(&format!("w{worker}"), *job),
             Event::Pass { secs } => self.pass(*secs),
             Event::Operate { change } => self.operate(*change),
             Event::Retry { job } => self.retry(*job),
             Event::Restart => self.restart(),
-            Event::Together(events) => events.iter().for_each(|event| self.happen(event)),
+            Event::Together(events) => events.iter().for_each(|event| self.apply(event)),
             // A claim that is repeated grants nothing.
             Event::ClaimAgain { .. } => {}
             Event::Heartbeat { lease, steps } => {
@@ -376,7 +376,7 @@ proptest! {
         let mut world = World::new();
         for event in &events {
             let before = world.jobs.clone();
-            world.happen(event);
+            world.apply(event);
             world.check(&before);
         }
         world.finish();

@@ -25,13 +25,13 @@ use crate::harness::{open_database, sha, small_spec, with};
 
 /// Claims and granted leases known to the workers, newest last.
 #[derive(Clone, Default)]
-struct Known {
+struct WorkerState {
     claims: Vec<(ClaimRequest, Option<AttemptId>)>,
     granted: Vec<(WorkerId, AttemptId)>,
 }
 
-/// Effect of an event on [`Known`].
-enum News {
+/// Effect of an event on [`WorkerState`].
+enum Effect {
     Claimed(ClaimRequest, Option<AttemptId>),
     Accepted,
     Nothing,
@@ -46,11 +46,11 @@ proptest! {
         events in prop::collection::vec(event(), 20..50)
     ) {
         let runtime = tokio::runtime::Runtime::new().expect("a runtime");
-        runtime.block_on(on_the_real_queue(&events));
+        runtime.block_on(run_on_real_queue(&events));
     }
 }
 
-async fn on_the_real_queue(events: &[Event]) {
+async fn run_on_real_queue(events: &[Event]) {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let clock = Arc::new(ManualClock::at(UnixMillis(1_700_000_000_000)));
     let mut queue = start(folder.path(), &clock).await;
@@ -70,7 +70,7 @@ async fn on_the_real_queue(events: &[Event]) {
             .await
             .expect("registered");
     }
-    let mut known = Known::default();
+    let mut state = WorkerState::default();
     let mut accepted = 0;
     for event in events {
         if let Event::Restart = event {
@@ -83,20 +83,19 @@ async fn on_the_real_queue(events: &[Event]) {
             Event::Together(events) => events.as_slice(),
             event => std::slice::from_ref(event),
         };
-        let numbered = events.iter().zip(known.claims.len()..);
-        let happening =
-            numbered.map(|(event, number)| happen(&queue, &clock, &known, event, number));
-        for news in join_all(happening).await {
-            match news {
-                News::Claimed(claim, attempt) => {
+        let numbered = events.iter().zip(state.claims.len()..);
+        let effects = numbered.map(|(event, number)| apply(&queue, &clock, &state, event, number));
+        for effect in join_all(effects).await {
+            match effect {
+                Effect::Claimed(claim, attempt) => {
                     let worker = claim.worker.clone();
-                    known
+                    state
                         .granted
                         .extend(attempt.map(|attempt| (worker, attempt)));
-                    known.claims.push((claim, attempt));
+                    state.claims.push((claim, attempt));
                 }
-                News::Accepted => accepted += 1,
-                News::Nothing => {}
+                Effect::Accepted => accepted += 1,
+                Effect::Nothing => {}
             }
         }
         assert_eq!(check(folder.path()).await.expect("a database"), []);
@@ -120,33 +119,33 @@ fn campaign() -> CampaignName {
 }
 
 /// Executes one event.
-async fn happen(
+async fn apply(
     queue: &Queue,
     clock: &ManualClock,
-    known: &Known,
+    state: &WorkerState,
     event: &Event,
     number: usize,
-) -> News {
+) -> Effect {
     let granted = |number: usize| {
-        let mut newest_first = known.granted.iter().rev().cycle();
-        let skipped = number % known.granted.len().max(1);
+        let mut newest_first = state.granted.iter().rev().cycle();
+        let skipped = number % state.granted.len().max(1);
         newest_first.nth(skipped).cloned()
     };
     match event {
         Event::Claim { worker, warm, .. } => {
             let request = claim_of(*worker, number, *warm);
             let attempt = claim(queue, &request).await;
-            return News::Claimed(request, attempt);
+            return Effect::Claimed(request, attempt);
         }
         Event::ClaimAgain { claim: number } => {
-            let mut newest_first = known.claims.iter().rev().cycle();
-            let before = newest_first.nth(number % known.claims.len().max(1));
+            let mut newest_first = state.claims.iter().rev().cycle();
+            let before = newest_first.nth(number % state.claims.len().max(1));
             if let Some((request, before)) = before.cloned() {
                 let attempt = claim(queue, &request).await;
                 if attempt.is_none() || attempt == before {
-                    return News::Nothing;
+                    return Effect::Nothing;
                 }
-                return News::Claimed(request, attempt);
+                return Effect::Claimed(request, attempt);
             }
         }
         Event::Heartbeat { lease, steps } => {
@@ -159,7 +158,7 @@ async fn happen(
             if let Some((_, attempt)) = granted(*lease) {
                 let reply = queue.commit(&report(attempt, *success)).await;
                 if reply.expect("a verdict").verdict == CommitVerdict::Accepted {
-                    return News::Accepted;
+                    return Effect::Accepted;
                 }
             }
         }
@@ -184,7 +183,7 @@ async fn happen(
         }
         Event::Restart | Event::Together(_) => {}
     }
-    News::Nothing
+    Effect::Nothing
 }
 
 async fn finish(queue: &Queue, clock: &ManualClock) -> usize {

@@ -86,7 +86,7 @@ fn workers_table(name: &str, workers: &[WorkerLine], now: UnixMillis) -> Markup 
         "machine",
         "busy",
         "last call",
-        ".standing",
+        ".state",
         ".runs on",
     ];
     let rows = html! { @for worker in workers { (worker_row(worker, now)) } };
@@ -143,18 +143,18 @@ fn policy_section(policy: &PolicyLine, now: UnixMillis) -> Markup {
                     p {
                         "Its rollouts wait. " (charges(policy.health.misbehaved)) " It is tried again "
                         @if *resume > now { "in " (duration_text(resume.since(now).as_secs_f64())) }
-                        @else { "with the next rollout that a worker asks for" }
+                        @else { "by the next rollout that a worker claims" }
                         ", after " (policy.health.outages) " outages. It said: "
                     }
                     pre { (reason) }
                 },
                 PolicyState::Probing { reason, .. } => {
-                    p { "One rollout is out to try it; the others wait. The reason: " }
+                    p { "One rollout is trying the policy; the others wait. The reason: " }
                     pre { (reason) }
                 },
             }
             p {
-                @if policy.campaigns.is_empty() { "No campaign measures it any more" }
+                @if policy.campaigns.is_empty() { "No campaign measures this policy" }
                 @else { "Campaigns that measure it: " }
                 @for (index, campaign) in policy.campaigns.iter().enumerate() {
                     @if index > 0 { ", " }

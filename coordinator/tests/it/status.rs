@@ -19,7 +19,7 @@ async fn commit_after(worker: &mut Worker, lease: &wire::Lease, wall_secs: f64) 
 
 /// Regression: workers that had shut down cleanly stayed "live" for a minute.
 #[tokio::test]
-async fn a_worker_that_says_good_bye_is_gone_at_once() {
+async fn a_worker_that_announces_its_shutdown_departs_at_once() {
     let bench = Bench::start().await;
     bench.create(&small_spec("watched")).await.expect("created");
     let mut worker = bench.worker("a").await;
@@ -64,7 +64,7 @@ async fn a_worker_counts_as_alive_for_the_length_of_a_lease() {
 /// Regression: `resume` was followed by "100.0/s ETA 16s", since rollouts from before the pause
 /// were divided by the short time after it.
 #[tokio::test]
-async fn what_began_before_a_pause_says_nothing_of_the_pace_after_it() {
+async fn the_rate_excludes_rollouts_begun_before_a_pause() {
     let bench = Bench::start().await;
     let spec = with(small_spec("paced"), json!({"configs": [0, 1]}));
     bench.create(&spec).await.expect("created");
@@ -94,7 +94,7 @@ async fn what_began_before_a_pause_says_nothing_of_the_pace_after_it() {
 /// The rate of a campaign that waited for its first worker follows from its rollouts, not from the
 /// wait.
 #[tokio::test]
-async fn the_wait_for_the_first_worker_is_in_no_pace() {
+async fn the_rate_excludes_the_wait_for_the_first_worker() {
     let bench = Bench::start().await;
     bench.create(&small_spec("late")).await.expect("created");
     bench.pass(200).await;
@@ -105,7 +105,7 @@ async fn the_wait_for_the_first_worker_is_in_no_pace() {
 }
 
 #[tokio::test]
-async fn the_policy_of_a_deleted_campaign_is_listed_no_more() {
+async fn the_policy_of_a_deleted_campaign_is_no_longer_listed() {
     let bench = Bench::start().await;
     bench.create(&small_spec("kept")).await.expect("created");
     let policy = json!({"policy": {"name": "gone", "endpoint": "http://127.0.0.1:1"}});
@@ -113,7 +113,10 @@ async fn the_policy_of_a_deleted_campaign_is_listed_no_more() {
     bench.create(&deleted).await.expect("created");
     let listed = async || {
         let policies = bench.queue.view().await.expect("a view").policies().await;
-        let names = policies.expect("policies").into_iter().map(|it| it.name);
+        let names = policies
+            .expect("policies")
+            .into_iter()
+            .map(|policy| policy.name);
         names.collect::<Vec<_>>()
     };
     assert_eq!(listed().await, ["expert", "gone"]);
@@ -128,11 +131,11 @@ async fn a_dry_run_forecasts_from_what_connected_workers_measured() {
     let dry = [&CREATE[..], &["--dry-run"]].concat();
     // Without a coordinator, the rest is printed, and the command succeeds.
     let nowhere = [&dry[..], &["--connect", "http://127.0.0.1:9"]].concat();
-    let said = &succeed(coordinator(&nowhere));
-    assert!(said.starts_with("campaign demo would have 14 rollouts\n"));
+    let printed = &succeed(coordinator(&nowhere));
+    assert!(printed.starts_with("campaign demo would have 14 rollouts\n"));
     assert!(
-        said.contains("no forecast of its duration: failed to reach"),
-        "{said}"
+        printed.contains("no forecast of its duration: failed to reach"),
+        "{printed}"
     );
 
     // Workers must count as alive even if this machine is slow.
@@ -156,27 +159,30 @@ async fn a_dry_run_forecasts_from_what_connected_workers_measured() {
     }
     let _second = serve.worker("b").await;
     // 14 rollouts of a minute each on two workers with two slots each.
-    let said = forecast();
+    let printed = forecast();
     assert!(
-        said.contains("about 3m30s on the 2 workers connected now (4 slots, 4 cores)"),
-        "{said}"
+        printed.contains("about 3m30s on the 2 workers connected now (4 slots, 4 cores)"),
+        "{printed}"
     );
-    assert!(said.contains("2 recent rollouts of expert"), "{said}");
+    assert!(printed.contains("2 recent rollouts of expert"), "{printed}");
     // Each waits for nearly all of the minute, although every slot has a core.
     assert!(
-        said.contains("a rollout takes 60.0 s: physics 1 %"),
-        "{said}"
+        printed.contains("a rollout takes 60.0 s: physics 1 %"),
+        "{printed}"
     );
     assert!(
-        said.contains("mean of 2 rollouts bottleneck: slots"),
-        "{said}"
+        printed.contains("mean of 2 rollouts bottleneck: slots"),
+        "{printed}"
     );
     // 30 queries per rollout, at one query per second.
-    let said = forecast_with(&["--policy-rate", "1"]);
-    assert!(said.contains("about 7m00s on the 2 workers"), "{said}");
+    let printed = forecast_with(&["--policy-rate", "1"]);
+    assert!(
+        printed.contains("about 7m00s on the 2 workers"),
+        "{printed}"
+    );
     let bound = "bottleneck: the policy's server, which answers no faster. More slots do not \
                  help; 2 slots would do";
-    assert!(said.contains(bound), "{said}");
+    assert!(printed.contains(bound), "{printed}");
     let wrong = serve.command(&[&dry[..], &["--policy-rate", "0"]].concat());
     assert_eq!(wrong.status.code(), Some(2));
     let no_dry_run = serve.command(&[&CREATE[..], &["--policy-rate", "1"]].concat());
@@ -185,7 +191,7 @@ async fn a_dry_run_forecasts_from_what_connected_workers_measured() {
 
 /// The departed workers of a cluster would otherwise fill the list forever.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_worker_that_has_gone_is_listed_for_a_week_and_counted_afterwards() {
+async fn a_departed_worker_is_listed_for_a_week_and_then_only_counted() {
     let bench = Bench::start().await;
     bench.worker("old").await;
     let list = |arguments: &[&str]| {
@@ -196,26 +202,26 @@ async fn a_worker_that_has_gone_is_listed_for_a_week_and_counted_afterwards() {
     };
     bench.clock.advance(Duration::from_secs(6 * 86_400));
     bench.worker("new").await;
-    let said = list(&["--all"]);
+    let printed = list(&["--all"]);
     assert!(
-        said.contains("old on ") && said.contains("new on "),
-        "{said}"
+        printed.contains("old on ") && printed.contains("new on "),
+        "{printed}"
     );
     bench.clock.advance(Duration::from_secs(2 * 86_400));
-    let said = list(&["--all"]);
+    let printed = list(&["--all"]);
     assert!(
-        !said.contains("old on ") && said.contains("new on "),
-        "{said}"
+        !printed.contains("old on ") && printed.contains("new on "),
+        "{printed}"
     );
     assert!(
-        said.contains("1 worker not heard of for a week or more: --all --json lists them too"),
-        "{said}"
+        printed.contains("1 worker not heard of for a week or more: --all --json lists them too"),
+        "{printed}"
     );
     let listed: Value = serde_json::from_str(&list(&["--all", "--json"])).expect("JSON");
     assert_eq!(listed["workers"].as_array().expect("workers").len(), 2);
-    let said = list(&[]);
+    let printed = list(&[]);
     assert!(
-        said.contains("1 that have gone: --all shows them"),
-        "{said}"
+        printed.contains("1 that have gone: --all shows them"),
+        "{printed}"
     );
 }

@@ -19,28 +19,28 @@ const COMPUTATIONS: usize = 2;
 
 /// Cache of the newest value of each key, for at most `most` keys.
 #[derive(Debug)]
-pub(super) struct Kept<V> {
-    places: Mutex<HashMap<String, Place<V>>>,
+pub(super) struct SingleFlightCache<V> {
+    entries: Mutex<HashMap<String, Entry<V>>>,
     most: usize,
     computing: Arc<Semaphore>,
 }
 
 /// Entry of a key; its lock is held while the value is being computed.
-type Place<V> = Arc<tokio::sync::Mutex<Option<Made<V>>>>;
+type Entry<V> = Arc<tokio::sync::Mutex<Option<CachedValue<V>>>>;
 
 /// Cached value with the start and duration of its computation.
 #[derive(Clone, Debug)]
-pub(super) struct Made<V> {
+pub(super) struct CachedValue<V> {
     pub(super) value: V,
     pub(super) at: Instant,
     pub(super) cost: Duration,
 }
 
-impl<V: Clone + Send + 'static> Kept<V> {
+impl<V: Clone + Send + 'static> SingleFlightCache<V> {
     /// Creates an empty cache for at most `most` keys.
-    pub(super) fn new(most: usize) -> Kept<V> {
-        Kept {
-            places: Mutex::default(),
+    pub(super) fn new(most: usize) -> SingleFlightCache<V> {
+        SingleFlightCache {
+            entries: Mutex::default(),
             most,
             computing: Arc::new(Semaphore::new(COMPUTATIONS)),
         }
@@ -53,18 +53,18 @@ impl<V: Clone + Send + 'static> Kept<V> {
     pub(super) async fn get<E>(
         &self,
         key: &str,
-        is_fresh: impl FnOnce(&Made<V>) -> bool,
+        is_fresh: impl FnOnce(&CachedValue<V>) -> bool,
         make: impl Future<Output = Result<V, E>>,
     ) -> Result<V, E> {
-        let place = self.place(key);
-        let mut made = place.lock().await;
+        let entry = self.entry(key);
+        let mut made = entry.lock().await;
         if let Some(made) = made.as_ref().filter(|made| is_fresh(made)) {
             return Ok(made.value.clone());
         }
         let at = Instant::now();
         let value = make.await?;
         let cost = at.elapsed();
-        *made = Some(Made {
+        *made = Some(CachedValue {
             value: value.clone(),
             at,
             cost,
@@ -82,7 +82,7 @@ impl<V: Clone + Send + 'static> Kept<V> {
     pub(super) async fn compute<E, C>(
         &self,
         key: &str,
-        is_fresh: impl FnOnce(&Made<V>) -> bool,
+        is_fresh: impl FnOnce(&CachedValue<V>) -> bool,
         read: impl Future<Output = Result<C, E>>,
         panicked: impl FnOnce(&JoinError) -> E,
     ) -> Result<V, E>
@@ -90,7 +90,7 @@ impl<V: Clone + Send + 'static> Kept<V> {
         E: Send + 'static,
         C: FnOnce() -> Result<V, E> + Send + 'static,
     {
-        let mut made = self.place(key).lock_owned().await;
+        let mut made = self.entry(key).lock_owned().await;
         if let Some(made) = made.as_ref().filter(|made| is_fresh(made)) {
             return Ok(made.value.clone());
         }
@@ -100,7 +100,7 @@ impl<V: Clone + Send + 'static> Kept<V> {
         let computed = tokio::task::spawn_blocking(move || {
             let _turn = turn;
             let value = computation()?;
-            *made = Some(Made {
+            *made = Some(CachedValue {
                 value: value.clone(),
                 at,
                 cost: at.elapsed(),
@@ -110,17 +110,17 @@ impl<V: Clone + Send + 'static> Kept<V> {
         computed.await.unwrap_or_else(|error| Err(panicked(&error)))
     }
 
-    fn place(&self, key: &str) -> Place<V> {
+    fn entry(&self, key: &str) -> Entry<V> {
         // No code panics while holding this lock, so the map is never left inconsistent.
-        let mut places = self.places.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(place) = places.get(key) {
-            return place.clone();
+        let mut entries = self.entries.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(entry) = entries.get(key) {
+            return entry.clone();
         }
-        if places.len() >= self.most {
+        if entries.len() >= self.most {
             // Evicts every entry that no caller holds; values being computed stay.
-            places.retain(|_, place| Arc::strong_count(place) > 1);
+            entries.retain(|_, entry| Arc::strong_count(entry) > 1);
         }
-        places.entry(key.to_owned()).or_default().clone()
+        entries.entry(key.to_owned()).or_default().clone()
     }
 }
 
@@ -132,59 +132,59 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn many_who_ask_at_once_share_what_one_makes() {
-        let kept = Kept::new(2);
-        let made = AtomicU32::new(0);
-        let ask = || {
-            kept.get("page", |_| true, async {
+    async fn concurrent_requests_share_one_computation() {
+        let cache = SingleFlightCache::new(2);
+        let computed = AtomicU32::new(0);
+        let request = || {
+            cache.get("page", |_| true, async {
                 tokio::task::yield_now().await;
-                Ok::<_, Infallible>(made.fetch_add(1, Ordering::Relaxed))
+                Ok::<_, Infallible>(computed.fetch_add(1, Ordering::Relaxed))
             })
         };
-        let (a, b, c) = tokio::join!(ask(), ask(), ask());
+        let (a, b, c) = tokio::join!(request(), request(), request());
         assert_eq!((a, b, c), (Ok(0), Ok(0), Ok(0)));
-        let again = kept.get("page", |_| false, async { Ok::<_, Infallible>(7) });
+        let again = cache.get("page", |_| false, async { Ok::<_, Infallible>(7) });
         assert_eq!(again.await, Ok(7));
     }
 
     /// Regression B12: reloading a page while its statistics were computed started another
     /// computation.
     #[tokio::test]
-    async fn a_computation_that_nobody_waits_for_any_more_is_not_begun_again() {
-        let kept = Kept::new(2);
+    async fn an_abandoned_computation_is_not_started_again() {
+        let cache = SingleFlightCache::new(2);
         let begun = Arc::new(AtomicU32::new(0));
-        let (go_on, gate) = std::sync::mpsc::channel::<()>();
+        let (release, gate) = std::sync::mpsc::channel::<()>();
         let gate = Arc::new(Mutex::new(gate));
-        let ask = || {
+        let request = || {
             let (begun, gate) = (begun.clone(), gate.clone());
             let computation = move || {
                 let number = begun.fetch_add(1, Ordering::Relaxed);
                 let gate = gate.lock().expect("unpoisoned");
-                gate.recv().expect("it goes on");
+                gate.recv().expect("a release");
                 Ok(number)
             };
             let read = async { Ok::<_, String>(computation) };
-            kept.compute("page", |_| true, read, JoinError::to_string)
+            cache.compute("page", |_| true, read, JoinError::to_string)
         };
         for _ in 0..5 {
-            let given_up = tokio::time::timeout(Duration::from_millis(20), ask()).await;
+            let given_up = tokio::time::timeout(Duration::from_millis(20), request()).await;
             assert!(given_up.is_err(), "the computation waits");
         }
         // Enough signals for every computation, had several been started.
-        (0..6).for_each(|_| go_on.send(()).expect("the gate is there"));
-        assert_eq!(ask().await, Ok(0));
+        (0..6).for_each(|_| release.send(()).expect("a waiting computation"));
+        assert_eq!(request().await, Ok(0));
         assert_eq!(begun.load(Ordering::Relaxed), 1);
     }
 
     #[tokio::test]
-    async fn a_failure_is_not_kept_and_keys_are_bounded() {
-        let kept = Kept::new(2);
-        let failed = kept.get("a", |_| true, async { Err("no") }).await;
+    async fn failures_are_not_cached_and_entries_are_bounded() {
+        let cache = SingleFlightCache::new(2);
+        let failed = cache.get("a", |_| true, async { Err("no") }).await;
         assert_eq!(failed, Err("no"));
         for key in ["a", "b", "c"] {
-            let made = kept.get(key, |_| true, async { Ok::<_, &str>(key.len()) });
+            let made = cache.get(key, |_| true, async { Ok::<_, &str>(key.len()) });
             assert_eq!(made.await, Ok(1));
         }
-        assert!(kept.places.lock().expect("unpoisoned").len() <= 2);
+        assert!(cache.entries.lock().expect("unpoisoned").len() <= 2);
     }
 }
