@@ -398,7 +398,7 @@ mod tests {
     }
 
     #[test]
-    fn a_probe_that_goes_away_makes_way_for_the_next_and_another_does_not() {
+    fn an_abandoned_probe_admits_the_next_and_another_call_does_not() {
         let mut health = Health::default();
         let mut now = Instant::now();
         health.failed(Cause::Silent, now);

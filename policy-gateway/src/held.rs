@@ -53,7 +53,7 @@ mod tests {
     }
 
     #[test]
-    fn queries_are_held_up_to_the_bound_and_again_when_others_are_answered() {
+    fn memory_is_reserved_up_to_the_limit_and_released_after_answers() {
         let held = Held::default();
         let large = query(MAX_HELD_BYTES - MIN_QUERY_BYTES);
         let first = held.hold(&large).expect("room");

@@ -219,7 +219,7 @@ impl Route {
         {
             return Ok(answer.response.clone());
         }
-        let response = self.ask(&session, &mut state, request).await?;
+        let response = self.query_replicas(&session, &mut state, request).await?;
         state.last = Some(Answer {
             query_index,
             response: response.clone(),
@@ -240,7 +240,7 @@ impl Route {
     }
 
     /// Queries one replica after another, as far as the policy allows sessions to move.
-    async fn ask(
+    async fn query_replicas(
         &self,
         session: &Session,
         state: &mut SessionState,

@@ -89,8 +89,8 @@ impl Pool {
         self.replicas.iter().filter_map(|it| it.per_query()).max()
     }
 
-    /// Returns true if another pool shares its replicas' sessions: the pools of a suite before and
-    /// after a reload do.
+    /// Returns true if another pool counts towards the same capacity: the pools of a suite before
+    /// and after a reload do.
     pub fn shares_with(&self, other: &Self) -> bool {
         self.suite == other.suite
     }

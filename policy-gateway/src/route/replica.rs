@@ -55,7 +55,7 @@ pub struct Replica {
     health: Mutex<Health>,
     /// Number of queries in flight.
     load: AtomicUsize,
-    /// Number of the last session assigned to it, in the pool's order.
+    /// Sequence number, in the pool, of the last session assigned to this replica.
     last_given: AtomicU64,
 }
 
@@ -141,7 +141,7 @@ impl Replica {
         self.load.load(Ordering::Relaxed)
     }
 
-    /// Returns the number of the last session assigned to it.
+    /// Returns the sequence number of the last session assigned to this replica.
     pub fn last_given(&self) -> u64 {
         self.last_given.load(Ordering::Relaxed)
     }

@@ -97,7 +97,7 @@ async fn a_judgement_is_0_or_1_and_fits_80_columns() {
 }
 
 #[tokio::test]
-async fn what_cannot_be_asked_is_1_and_what_cannot_be_meant_2() {
+async fn unreachable_servers_exit_with_1_and_usage_errors_with_2() {
     let nobody = url_of_nobody().await;
     let ask = ["compare", "builtin:noop", &nobody];
     let unreachable = ended(&ask).await;
@@ -225,7 +225,7 @@ async fn record(folder: &std::path::Path) {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn recorded_observations_are_shown_in_place_of_made_up_ones() {
+async fn recorded_observations_replace_synthetic_ones() {
     let folder = tempfile::tempdir().expect("a folder");
     record(folder.path()).await;
     let recorded = folder.path().to_str().expect("UTF-8");
@@ -267,7 +267,7 @@ fn hostile() -> Scripted {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn no_command_prints_what_a_terminal_obeys() {
+async fn no_command_prints_control_sequences() {
     let (one, sound) = (serve(hostile()).await, serve(Planted::sound()).await);
     let (one, sound) = (url(&one), url(&sound));
     let cases: [&[&str]; 3] = [

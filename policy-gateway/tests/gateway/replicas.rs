@@ -1,4 +1,4 @@
-//! Several servers behind one name: the choice of the one that answers.
+//! Several servers behind one name: selection of the server for each query.
 
 use std::{
     collections::BTreeSet,
@@ -74,7 +74,7 @@ async fn sessions_of_a_stateful_policy_are_shared_out_and_stay_where_they_are() 
 }
 
 #[tokio::test]
-async fn a_query_of_a_stateless_policy_goes_on_at_another_replica_which_gets_its_reset() {
+async fn a_stateless_policys_query_moves_to_another_replica_after_a_reset_there() {
     let by_seed = |query: crate::support::Query| {
         let seed = query
             .seed
@@ -97,7 +97,7 @@ async fn a_query_of_a_stateless_policy_goes_on_at_another_replica_which_gets_its
 }
 
 #[tokio::test]
-async fn a_replica_with_other_weights_is_refused_by_name_and_the_others_go_on() {
+async fn a_replica_with_other_weights_is_refused_by_name_and_the_others_serve() {
     let digest = |digest: &str| DescribeResponse {
         checkpoint_digest: digest.to_owned(),
         ..description("p", 1)
@@ -226,7 +226,7 @@ async fn a_reload_moves_new_sessions_and_leaves_open_ones_where_they_are() {
 }
 
 #[tokio::test]
-async fn a_deterministic_policy_answers_one_seed_at_one_replica_whatever_else_goes_on() {
+async fn a_deterministic_policy_sends_each_seed_to_one_replica() {
     let servers = [
         numbered(description("p", 1), 0.0).await,
         numbered(description("p", 1), 1.0).await,

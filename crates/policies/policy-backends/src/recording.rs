@@ -325,7 +325,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read_again_and_has_its_name_when_it_is_whole() {
+    fn a_finished_recording_reads_back_under_its_final_name() {
         let folder = tempfile::tempdir().expect("a folder");
         let writer = write(folder.path(), 2);
         assert!(matches!(
@@ -347,7 +347,7 @@ mod tests {
     }
 
     #[test]
-    fn wherever_a_file_is_cut_it_is_a_shorter_one_or_named_as_damaged() {
+    fn a_truncated_file_is_shorter_or_named_as_damaged() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = write(folder.path(), 2).finish().expect("finished");
         let whole = std::fs::read(&path).expect("read");

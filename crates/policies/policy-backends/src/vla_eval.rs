@@ -171,7 +171,7 @@ impl Link {
     ///
     /// # Errors
     /// If the connection is lost.
-    async fn ask(
+    async fn send_query(
         &mut self,
         observation: Value,
         execute: u32,
@@ -264,7 +264,7 @@ impl Backend for VlaEvalBackend {
         let shown = shown.await.unwrap_or_else(|error| Err(error.to_string()));
         let wrong = |message| BackendError::Policy { message };
         let answer = match shown {
-            Ok(shown) => link.ask(shown, execute).await?,
+            Ok(shown) => link.send_query(shown, execute).await?,
             Err(message) => {
                 *place = Some(link);
                 return Err(wrong(message));

@@ -46,14 +46,14 @@ struct Both {
 }
 
 impl Both {
-    async fn ask(
+    async fn query(
         panel: &Panel,
         seeds: &(dyn Fn(usize) -> Vec<u64> + Sync),
     ) -> Result<Self, ExaminationError> {
         let all = panel.situations();
         Ok(Self {
-            a: panel.ask(Side::A, &[], all, seeds).await?,
-            b: panel.ask(Side::B, &[], all, seeds).await?,
+            a: panel.query(Side::A, &[], all, seeds).await?,
+            b: panel.query(Side::B, &[], all, seeds).await?,
         })
     }
 
@@ -81,7 +81,7 @@ pub async fn compare(
 ) -> Result<Comparison, ExaminationError> {
     let descriptions = descriptions::differences(&a.described, &b.described);
     let panel = Panel::new(a, b, situations)?;
-    let both = Both::ask(&panel, &|_| vec![SEED]).await?;
+    let both = Both::query(&panel, &|_| vec![SEED]).await?;
     let chances = [
         Chance::of(&panel, Side::A, &both.a).await?,
         Chance::of(&panel, Side::B, &both.b).await?,
@@ -192,7 +192,7 @@ async fn other_seed(panel: &Panel, both: &Both) -> Result<Option<Difference>, Ex
     let usual = USUAL_SEEDS.map(|seed| ("", seed));
     for (relation, seed) in near.into_iter().chain(usual) {
         for (side, letter, other) in [(Side::A, "A", "B"), (Side::B, "B", "A")] {
-            let changed = panel.ask(side, &[], 1, |_| vec![seed]).await?;
+            let changed = panel.query(side, &[], 1, |_| vec![seed]).await?;
             let (unchanged, first) = match side {
                 Side::A => (&both.b, &changed),
                 Side::B => (&both.a, &changed),
@@ -200,7 +200,7 @@ async fn other_seed(panel: &Panel, both: &Both) -> Result<Option<Difference>, Ex
             if unchanged.largest_difference(first).0 > REPEATABLE {
                 continue;
             }
-            let changed = panel.ask(side, &[], all, |_| vec![seed]).await?;
+            let changed = panel.query(side, &[], all, |_| vec![seed]).await?;
             let left = unchanged.largest_difference(&changed).0;
             if left > REPEATABLE {
                 continue;
@@ -231,7 +231,7 @@ async fn averaged(
         let first = SEED + 100 + (situation * AVERAGED) as u64;
         (first..first + AVERAGED as u64).collect()
     };
-    let both = Both::ask(panel, &seeds).await?;
+    let both = Both::query(panel, &seeds).await?;
     let course = Course {
         panel,
         seeds: &seeds,

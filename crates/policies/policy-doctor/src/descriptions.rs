@@ -91,7 +91,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_fact_that_differs_is_said_with_both_sides() {
+    fn every_difference_is_reported_with_both_values() {
         let a = DescribeResponse {
             horizon: 8,
             execute: 8,

@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gripper_is_told_in_another_convention_before_it_is_scaled() {
+    fn a_gripper_convention_is_preferred_to_a_scale() {
         for convention in Convention::ALL {
             let other = changed(|it| it[GRIPPER] = convention.of(it[GRIPPER]));
             let found = fit(&answers(), &other, &LIMIT);

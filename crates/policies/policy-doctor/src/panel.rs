@@ -109,7 +109,7 @@ impl Panel {
     ///
     /// # Errors
     /// If the server does not answer with actions.
-    pub(crate) async fn ask(
+    pub(crate) async fn query(
         &self,
         side: Side,
         variants: &[Variant],

@@ -83,7 +83,7 @@ mod tests {
     }
 
     #[test]
-    fn every_form_leads_back_to_the_quaternion() {
+    fn every_representation_converts_back_to_the_quaternion() {
         for quaternion in [
             [0.96, -0.2, 0.1, 0.0],
             [0.5, 0.5, -0.5, 0.5],

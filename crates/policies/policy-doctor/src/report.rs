@@ -77,14 +77,14 @@ fn difference(difference: &Difference) -> String {
 
 /// Formats a finding as lines.
 pub(crate) fn finding(finding: &Finding) -> String {
-    let (word, text) = said(&finding.verdict);
+    let (word, text) = name_and_text(&finding.verdict);
     let word = if word == "fail" { "FAIL" } else { word };
     let separator = if text.is_empty() { "" } else { ": " };
     let words = format!("{}{separator}{text}", finding.point);
     wrapped(&format!("{word}  "), INDENT, &words)
 }
 
-fn said(verdict: &Verdict) -> (&'static str, &str) {
+fn name_and_text(verdict: &Verdict) -> (&'static str, &str) {
     match verdict {
         Verdict::Pass { note } => ("pass", note),
         Verdict::Fail { reason } => ("fail", reason),
@@ -150,7 +150,7 @@ impl<'a> ExaminationJson<'a> {
     /// Builds the report of all findings at a server.
     pub(crate) fn of(server: Asked, findings: &'a [Finding]) -> Self {
         let finding = |finding: &'a Finding| {
-            let (verdict, text) = said(&finding.verdict);
+            let (verdict, text) = name_and_text(&finding.verdict);
             FindingJson {
                 point: finding.point.name(),
                 verdict,

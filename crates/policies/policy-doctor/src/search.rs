@@ -192,7 +192,7 @@ impl Course<'_> {
             return Ok(None);
         }
         let all = self.panel.situations();
-        let answers = self.panel.ask(side, &variants, all, self.seeds).await?;
+        let answers = self.panel.query(side, &variants, all, self.seeds).await?;
         Ok(Some(answers))
     }
 }

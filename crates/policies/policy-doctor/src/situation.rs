@@ -129,7 +129,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_a_description_asks_for_is_made_from_what_there_is() {
+    fn an_observation_holds_the_inputs_that_a_description_requests() {
         let situation = Situation {
             frames: vec![Image {
                 camera: "agentview".to_owned(),

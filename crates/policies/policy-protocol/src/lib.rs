@@ -292,7 +292,7 @@ mod tests {
     }
 
     #[test]
-    fn every_nonsense_is_named() {
+    fn every_invalid_answer_is_named() {
         let mut infinite = [0.0; 14];
         infinite[9] = f32::INFINITY;
         let cases = [

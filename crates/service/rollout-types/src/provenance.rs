@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn a_policy_that_was_taught_on_other_assets_is_known_if_it_says_so() {
+    fn training_on_other_assets_is_detected_if_declared() {
         let elsewhere = |pack, taught_on| {
             let provenance = measured_on(pack, taught_on);
             provenance.taught_elsewhere().map(str::to_owned)
@@ -215,7 +215,7 @@ mod tests {
     }
 
     #[test]
-    fn a_server_that_begins_to_say_what_it_was_taught_on_is_the_same_policy() {
+    fn newly_declared_training_assets_do_not_change_the_policy() {
         let [silent, telling] = [None, Some("libero")].map(|it| measured_on("libero", it));
         assert_eq!(telling.other_policy(&silent), None);
         assert_eq!(silent.other_policy(&telling), None);

@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn another_number_of_values_differs_and_so_does_what_is_no_number() {
+    fn other_lengths_and_nan_differ() {
         let difference = values(&[1.0]).difference(&values(&[1.0, 2.0]));
         assert_eq!(
             difference.as_deref(),

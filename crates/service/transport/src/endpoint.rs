@@ -58,7 +58,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_url_of_a_server_is_refused_with_an_example() {
+    fn an_invalid_server_url_is_refused_with_an_example() {
         for url in [
             "",
             "localhost:7000",

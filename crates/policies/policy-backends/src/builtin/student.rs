@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn the_shipped_weights_say_what_they_were_taught_on() {
+    fn the_built_in_weights_declare_their_training_assets() {
         for (weights, pack) in [
             (Weights::Boxes, "primitives"),
             (Weights::BoxesRandomised, "primitives"),

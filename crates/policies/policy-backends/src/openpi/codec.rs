@@ -132,7 +132,7 @@ mod tests {
     }
 
     #[test]
-    fn what_holds_no_actions_is_named() {
+    fn an_answer_without_actions_is_named() {
         let actions = |array: Value| numpy::written(&map([("actions", array)]));
         let array = |dtype, shape: &[usize], data| array(Keys::Bytes, dtype, shape, data);
         let cases = [

@@ -233,7 +233,7 @@ fn digest(hello: &ValueRef<'_>) -> String {
 mod tests {
     use super::*;
 
-    fn told(parameters: Value) -> Result<Terms, String> {
+    fn terms_for(parameters: Value) -> Result<Terms, String> {
         let hello = crate::numpy::map([
             ("protocol_version", VERSION.into()),
             ("observation_params", parameters),
@@ -246,15 +246,15 @@ mod tests {
     fn what_a_server_declares_fits_a_result_however_long_it_is() {
         let long = "é".repeat(10 * RECORDED_BYTES);
         let parameters = Value::Map(vec![(long.as_str().into(), true.into())]);
-        let described = told(parameters).expect("nothing to refuse").described;
+        let described = terms_for(parameters).expect("nothing to refuse").described;
         let lengths = described.settings.iter().map(|it| it.value.len());
         assert_eq!(lengths.max(), Some(RECORDED_BYTES));
     }
 
     #[test]
-    fn parameters_that_are_nothing_are_as_if_they_were_not_there() {
+    fn null_parameters_count_as_absent() {
         for nothing in [Value::Nil, Value::Map(vec![]), "".into()] {
-            let terms = told(nothing).expect("nothing to refuse");
+            let terms = terms_for(nothing).expect("nothing to refuse");
             assert!(!terms.wrist && !terms.state && terms.flips);
         }
     }

@@ -105,8 +105,8 @@ pub fn answer(bytes: &[u8], asked: u64, execute: u32) -> Result<InferResponse, A
     match kind {
         "action" if number == asked => actions(payload, execute),
         "action" => Err(AnswerError::OutOfStep { number, asked }),
-        "error" if number == asked => Err(AnswerError::Policy(told(payload))),
-        "error" => Err(AnswerError::Start(told(payload))),
+        "error" if number == asked => Err(AnswerError::Policy(error_text(payload))),
+        "error" => Err(AnswerError::Start(error_text(payload))),
         other => Err(AnswerError::Kind {
             kind: other.chars().take(16).collect(),
         }),
@@ -114,7 +114,7 @@ pub fn answer(bytes: &[u8], asked: u64, execute: u32) -> Result<InferResponse, A
 }
 
 /// Returns the end of a server's error message.
-fn told(payload: &ValueRef<'_>) -> String {
+fn error_text(payload: &ValueRef<'_>) -> String {
     let text = match lookup(payload, "error").and_then(as_text) {
         Some(text) => text.trim().to_owned(),
         None => payload.to_string(),
@@ -320,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn one_action_and_the_first_of_a_chunk_are_read_and_their_gripper_is_shut_or_open() {
+    fn a_single_action_and_a_chunk_are_decoded_with_a_binary_gripper() {
         let action = [0.0, 0.5, -1.0, 0.25, 0.0, 0.0, 1.0];
         let one = answered(ONE_ACTION, 1).expect("an action");
         assert_eq!((one.actions.as_slice(), one.action_width), (&action[..], 7));

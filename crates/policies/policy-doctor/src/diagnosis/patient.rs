@@ -80,7 +80,7 @@ impl<'a> Patient<'a> {
         let (suite, instruction) = (&situation.suite, &situation.instruction);
         for at in 0..self.situations.len() {
             let shown = self.shown[at].clone();
-            let response = self.ask(at, shown, Some(instruction)).await?;
+            let response = self.query(at, shown, Some(instruction)).await?;
             let actions = answered.take(self.server, &response);
             for earlier in &first {
                 let apart = largest_difference(earlier, &actions);
@@ -90,7 +90,7 @@ impl<'a> Patient<'a> {
         }
         for (at, earlier) in first.iter().enumerate().take(self.tried()) {
             let shown = self.shown[at].clone();
-            let response = self.ask(at, shown, Some(instruction)).await?;
+            let response = self.query(at, shown, Some(instruction)).await?;
             let again = answered.take(self.server, &response);
             let apart = largest_difference(earlier, &again);
             answered.noise = answered.noise.max(apart);
@@ -179,7 +179,7 @@ impl<'a> Patient<'a> {
         observation: Observation,
         instruction: Option<&str>,
     ) -> Result<Vec<Action>, ExaminationError> {
-        let response = self.ask(at, observation, instruction).await?;
+        let response = self.query(at, observation, instruction).await?;
         let actions = self.server.actions(&response);
         actions.map_err(|fault| ExaminationError::Nonsense {
             url: self.server.url.clone(),
@@ -188,7 +188,7 @@ impl<'a> Patient<'a> {
     }
 
     /// Sends one query in its own episode.
-    async fn ask(
+    async fn query(
         &mut self,
         at: usize,
         observation: Observation,

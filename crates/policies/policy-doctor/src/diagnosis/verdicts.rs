@@ -314,7 +314,7 @@ mod tests {
     }
 
     #[test]
-    fn a_change_is_told_from_noise_or_not_at_all() {
+    fn a_change_within_noise_is_not_judged() {
         let change = |most, noise| Change { most, noise }.is_seen();
         assert_eq!(change(0.1, 0.0), Some(true));
         assert_eq!(change(0.0, 0.0), Some(false));
@@ -324,7 +324,7 @@ mod tests {
     }
 
     #[test]
-    fn memory_that_grows_to_the_end_is_a_leak_and_a_start_is_none() {
+    fn steady_growth_is_a_leak_and_growth_at_the_start_is_not() {
         let mib = |it: f64| (it * f64::from(1 << 20)) as u64;
         let leaking: Vec<u64> = (0..30).map(|at| mib(100.0 + f64::from(at))).collect();
         assert!(fails(&memory("process 7", &leaking), "1.00 MiB each"));

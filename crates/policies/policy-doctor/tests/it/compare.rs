@@ -219,7 +219,7 @@ async fn a_chunk_that_begins_later_is_named() {
 }
 
 #[tokio::test]
-async fn what_a_seed_does_otherwise_is_named() {
+async fn differences_in_seed_use_are_named() {
     type Change = fn(&mut Seen);
     let seeding = |change: Change| Planted::drawing(0.2).preparing(change);
     let cases: [(Change, &str); 4] = [
@@ -261,13 +261,13 @@ async fn mistakes_that_come_together_are_named_together() {
 }
 
 #[tokio::test]
-async fn other_weights_are_explained_by_nothing() {
+async fn other_weights_have_no_explanation() {
     let other = Planted::sound().preparing(|seen| seen.instruction.push('!'));
     names(other, Kind::Unexplained, "no difference that is looked for").await;
 }
 
 #[tokio::test]
-async fn what_descriptions_say_otherwise_is_said_and_no_mistake_by_itself() {
+async fn description_differences_are_reported_and_are_no_mistakes() {
     let pose = [
         StateField::EefPos,
         StateField::EefQuatXyzw,

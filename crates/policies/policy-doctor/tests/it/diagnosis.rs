@@ -55,7 +55,7 @@ async fn finds(policy: Planted, expected: &[Point], words: &str) {
 }
 
 #[tokio::test]
-async fn frames_that_are_not_looked_at_are_found_by_camera() {
+async fn unused_frames_are_found_by_camera() {
     let blind = Planted::sound().preparing(|seen| seen.frames.clear());
     let words = "frames of agentview and robot0_eye_in_hand";
     finds(blind, &[Point::Frames], words).await;
@@ -111,7 +111,7 @@ async fn an_answer_that_follows_no_observation_is_found() {
 }
 
 #[tokio::test]
-async fn numbers_that_are_none_are_found() {
+async fn nan_actions_are_found() {
     let nan = Planted::sound().finishing(|actions| actions[1][3] = f64::NAN);
     finds(nan, &[Point::Actions], "component 3 of action 1 is NaN").await;
 }

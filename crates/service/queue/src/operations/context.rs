@@ -234,7 +234,7 @@ mod tests {
 
     /// Regression (finding F14): "policy `bad` is paused: policy `bad` at … refused …".
     #[test]
-    fn a_reason_that_follows_the_policys_name_does_not_say_it_again() {
+    fn a_reason_after_the_policys_name_does_not_repeat_the_name() {
         for (error, expected) in [
             (
                 "policy `bad` at http://h:1 refused query 0: no",

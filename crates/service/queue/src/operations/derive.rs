@@ -320,7 +320,7 @@ mod tests {
     /// Regression (finding B9): between a pass and the addition of its jobs, a campaign was deleted
     /// and created again under the same number.
     #[tokio::test(flavor = "multi_thread")]
-    async fn jobs_that_follow_for_a_deleted_campaign_land_in_no_other() {
+    async fn derived_jobs_of_a_deleted_campaign_are_added_to_no_other() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let store = Store::open(folder.path()).await.expect("a store");
         let (clock, rng) = (Arc::new(SystemClock::start()), ChaCha8Rng::seed_from_u64(1));

@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn a_campaign_is_looked_through_when_outcomes_came_and_seldom_if_that_takes_long() {
+    fn a_campaign_is_scanned_after_new_outcomes_and_rarely_if_scans_are_slow() {
         let films = Films::default();
         let now = UnixMillis(0);
         let (began, second) = (Instant::now(), Duration::from_secs(1));

@@ -159,7 +159,7 @@ pub(super) mod tests {
     /// Regression (finding B7): creating or deleting a campaign was one transaction of the only
     /// writer, which made every worker wait.
     #[tokio::test(flavor = "multi_thread")]
-    async fn a_large_campaign_comes_and_goes_in_pieces_and_nobody_sees_a_part_of_it() {
+    async fn a_large_campaign_is_inserted_and_deleted_in_hidden_batches() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let new = large();
         let jobs = i64::try_from(new.jobs.len()).expect("few");

@@ -278,7 +278,7 @@ mod tests {
     }
 
     /// A rollout of ten seconds: four on a core, five for the policy, one waiting.
-    fn known(suite: &str, is_roomy: bool) -> Measured {
+    fn with_times(suite: &str, is_roomy: bool) -> Measured {
         Measured {
             known: 10,
             is_roomy,
@@ -326,8 +326,8 @@ mod tests {
     }
 
     #[test]
-    fn where_the_time_went_says_what_bounds_the_rollouts() {
-        let took = [known("goal", true)];
+    fn the_time_of_each_part_determines_the_bottleneck() {
+        let took = [with_times("goal", true)];
         let workers = [("software", 4)];
         let forecast = of_cores(Some(4), &workers, &took, &[("goal", 100)]);
         assert_eq!(forecast.cores, Some(4));
@@ -345,7 +345,7 @@ mod tests {
 
     #[test]
     fn slots_that_shared_cores_waited_for_one_another() {
-        let took = [known("goal", false)];
+        let took = [with_times("goal", false)];
         let forecast = of_cores(Some(4), &[("software", 9)], &took, &[("goal", 100)]);
         let speed = forecast.speed.expect("known");
         assert_eq!(
@@ -358,12 +358,12 @@ mod tests {
     }
 
     #[test]
-    fn a_suite_weighs_as_much_as_there_is_of_it() {
+    fn suites_are_weighted_by_their_number_of_rollouts() {
         let slow = Measured {
             physics_secs: 9.0,
-            ..known("long", true)
+            ..with_times("long", true)
         };
-        let took = [known("goal", true), slow];
+        let took = [with_times("goal", true), slow];
         let rollouts = [("goal", 30), ("long", 10), ("object", 0)];
         let forecast = of_cores(Some(1), &[("software", 1)], &took, &rollouts);
         let speed = forecast.speed.expect("known");
@@ -374,7 +374,7 @@ mod tests {
 
     #[test]
     fn numbers_of_any_size_are_forecast() {
-        let took = [known("goal", true), known("long", true)];
+        let took = [with_times("goal", true), with_times("long", true)];
         let workers = [("software", u32::MAX), ("software", u32::MAX)];
         let rollouts = [("goal", u64::MAX), ("long", u64::MAX)];
         let forecast = of_cores(Some(u32::MAX), &workers, &took, &rollouts);
@@ -383,8 +383,8 @@ mod tests {
     }
 
     #[test]
-    fn workers_that_say_no_cores_are_forecast_by_their_slots() {
-        let took = [known("goal", true)];
+    fn workers_without_a_core_count_are_forecast_by_their_slots() {
+        let took = [with_times("goal", true)];
         let forecast = of(&[("software", 4)], &took, &[("goal", 100)]);
         let speed = forecast.speed.expect("known");
         assert_eq!((speed.rate, speed.enough_slots_secs), (None, None));

@@ -124,26 +124,26 @@ mod tests {
         Machine { slots, cores }
     }
 
-    fn known(machines: &[Machine], policy_rate: Option<f64>) -> Rate {
+    fn rate_of_example(machines: &[Machine], policy_rate: Option<f64>) -> Rate {
         rate(machines, &ROLLOUT, policy_rate).expect("a rate")
     }
 
     #[test]
     fn few_slots_wait_for_the_policy_while_cores_are_idle() {
-        let few = known(&[on(4, 4)], None);
+        let few = rate_of_example(&[on(4, 4)], None);
         assert_eq!((few.per_sec, few.bottleneck), (0.4, Bottleneck::Slots));
         assert_eq!((few.enough_slots, few.most_per_sec), (10, 1.0));
-        let enough = known(&[on(10, 4)], None);
+        let enough = rate_of_example(&[on(10, 4)], None);
         assert_eq!(
             (enough.per_sec, enough.bottleneck),
             (1.0, Bottleneck::Cores)
         );
-        assert_eq!(known(&[on(64, 4)], None).per_sec, 1.0);
+        assert_eq!(rate_of_example(&[on(64, 4)], None).per_sec, 1.0);
     }
 
     #[test]
     fn slots_of_one_machine_do_not_use_the_cores_of_another() {
-        let one_sided = known(&[on(40, 4), on(2, 4)], None);
+        let one_sided = rate_of_example(&[on(40, 4), on(2, 4)], None);
         assert_eq!(one_sided.per_sec, 1.0 + 0.2);
         assert_eq!(one_sided.bottleneck, Bottleneck::Slots);
         assert_eq!((one_sided.enough_slots, one_sided.most_per_sec), (20, 2.0));
@@ -151,10 +151,10 @@ mod tests {
 
     #[test]
     fn a_policy_that_answers_slowly_bounds_all_of_them() {
-        let bound = known(&[on(10, 4)], Some(15.0));
+        let bound = rate_of_example(&[on(10, 4)], Some(15.0));
         assert_eq!((bound.per_sec, bound.bottleneck), (0.5, Bottleneck::Policy));
         assert_eq!((bound.enough_slots, bound.most_per_sec), (5, 0.5));
-        let fast = known(&[on(4, 4)], Some(15.0));
+        let fast = rate_of_example(&[on(4, 4)], Some(15.0));
         assert_eq!((fast.bottleneck, fast.enough_slots), (Bottleneck::Slots, 5));
     }
 

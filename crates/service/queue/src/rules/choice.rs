@@ -77,7 +77,7 @@ mod tests {
     }
 
     #[test]
-    fn the_highest_priority_goes_first_whatever_it_holds() {
+    fn the_highest_priority_is_served_first_regardless_of_its_leases() {
         let waiting = [
             campaign(1, 0, 0, 0),
             campaign(2, 5, 90, 7),
@@ -88,7 +88,7 @@ mod tests {
     }
 
     #[test]
-    fn among_equals_the_fewest_leases_then_the_longest_wait_then_age_decide() {
+    fn equal_priorities_are_ordered_by_leases_then_wait_then_age() {
         let first = |waiting: &[WaitingCampaign]| choose_campaign(waiting, 1).map(|it| it.0.0);
         assert_eq!(
             first(&[campaign(1, 0, 2, 1), campaign(2, 0, 1, 2)]),
@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn claims_that_arrive_together_are_shared_out_as_if_each_had_come_alone() {
+    fn simultaneous_claims_are_assigned_as_if_sequential() {
         check(&[0, 0], 10);
         check(&[0, 0, 0], 10);
         check(&[7, 0], 4);

@@ -122,7 +122,7 @@ mod tests {
 
     type Half = BTreeMap<u8, Known>;
 
-    fn known() -> impl Strategy<Value = Known> {
+    fn any_record() -> impl Strategy<Value = Known> {
         let standing = prop_oneof![
             Just(Standing::Open),
             Just(Standing::Quarantined),
@@ -142,7 +142,7 @@ mod tests {
     }
 
     fn half() -> impl Strategy<Value = Half> {
-        proptest::collection::btree_map(0..6_u8, known(), 0..6)
+        proptest::collection::btree_map(0..6_u8, any_record(), 0..6)
     }
 
     fn merged(first: &Half, second: &Half) -> Option<Half> {

@@ -560,7 +560,7 @@ mod tests {
     use crate::store::Store;
 
     #[tokio::test]
-    async fn every_table_is_copied_or_stays_behind_on_purpose() {
+    async fn every_table_is_copied_or_explicitly_excluded() {
         let folder = tempfile::tempdir().expect("a folder");
         let store = Store::open(folder.path()).await.expect("a database");
         let mut view = store.read().await.expect("a view");
