@@ -324,7 +324,7 @@ mod tests {
                 apply(&mut health, event, &mut now);
                 let Health::Out(_) = &health else { continue };
                 let mut asked = health.clone();
-                let through = SESSIONS.iter().filter(|it| asked.admit(Call::Of(it), now).is_ok());
+                let through = SESSIONS.iter().filter(|id| asked.admit(Call::Of(id), now).is_ok());
                 prop_assert!(through.count() <= 1);
             }
         }

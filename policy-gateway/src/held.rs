@@ -24,7 +24,10 @@ impl Held {
     /// Reserves memory for a query's observation until the permit is dropped; `None` if the budget
     /// is exhausted.
     pub fn hold(&self, query: &InferRequest) -> Option<SemaphorePermit<'_>> {
-        let frames = query.observation.iter().flat_map(|it| &it.images);
+        let frames = query
+            .observation
+            .iter()
+            .flat_map(|observation| &observation.images);
         let bytes = frames.map(|frame| frame.rgb.len()).sum::<usize>();
         // Messages are far smaller than 4 GiB.
         let bytes = u32::try_from(bytes.max(MIN_QUERY_BYTES)).ok()?;

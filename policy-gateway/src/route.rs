@@ -275,7 +275,7 @@ impl Route {
                 return Err(error);
             }
             if moves {
-                state.open_on.retain(|it| !Arc::ptr_eq(it, &replica));
+                state.open_on.retain(|open| !Arc::ptr_eq(open, &replica));
             }
             failure = Some(first_worth_telling(failure, error));
             tried.push(replica);
@@ -413,7 +413,7 @@ async fn ask_one(
     request: &InferRequest,
     task: &str,
 ) -> Result<InferResponse, BackendError> {
-    if !state.open_on.iter().any(|it| Arc::ptr_eq(it, replica))
+    if !state.open_on.iter().any(|open| Arc::ptr_eq(open, replica))
         && let Some(reset) = &session.reset
     {
         open(&session.pool, replica, reset).await?;

@@ -374,7 +374,7 @@ impl Replica {
             Err(error @ BackendError::Barred { .. }) => {
                 self.lost(Cause::Distrust(error.to_string()));
             }
-            // An answer of "not now" also shows that the server is up.
+            // A temporary refusal also shows that the server is up.
             Err(error) if error.is_outage() => self.answered(Answered::Something),
             _ => {}
         }

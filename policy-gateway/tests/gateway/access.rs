@@ -58,7 +58,8 @@ impl Papers {
         let certificate = params.signed_by(&key, &self.issuer).expect("signed");
         self.write("cert.pem", &certificate.pem());
         self.write("key.pem", &key.serialize_pem());
-        let paths = ["cert.pem", "key.pem", "token"].map(|it| self.path(it).display().to_string());
+        let paths =
+            ["cert.pem", "key.pem", "token"].map(|name| self.path(name).display().to_string());
         let [certificate, key, tokens] = &paths;
         let mut child = program(&["--listen", "127.0.0.1:0", "--route", "noop=builtin:noop"])
             .args(["--tls-cert", certificate, "--tls-key", key])

@@ -46,7 +46,7 @@ fn unopened() -> Planted {
     Planted::sound().finishing(|actions| {
         actions
             .iter_mut()
-            .for_each(|it| it[6] = (it[6] + 1.0) / 2.0);
+            .for_each(|action| action[6] = (action[6] + 1.0) / 2.0);
     })
 }
 
@@ -89,9 +89,12 @@ async fn a_judgement_is_0_or_1_and_fits_80_columns() {
         } = &ended;
         assert_eq!(ended.status, Some(status), "{printed}{complained}");
         let lines: Vec<&str> = printed.lines().collect();
-        assert!(lines.iter().any(|it| it.starts_with(holds)), "{printed}");
+        assert!(
+            lines.iter().any(|line| line.starts_with(holds)),
+            "{printed}"
+        );
         assert_eq!(lines.last(), Some(&last), "{printed}");
-        let widest = lines.iter().map(|it| it.chars().count()).max();
+        let widest = lines.iter().map(|line| line.chars().count()).max();
         assert!(widest <= Some(80), "{printed}");
     }
 }
@@ -130,7 +133,7 @@ fn documented(command: &str) -> BTreeSet<String> {
     let title = format!("`{command}`");
     let mut sections = page.split("\n## ");
     let section = sections
-        .find(|it| it.starts_with(&title))
+        .find(|section| section.starts_with(&title))
         .expect("a section");
     let key = |line: &str| Some(line.strip_prefix("| `")?.split('`').next()?.to_owned());
     section.lines().filter_map(key).collect()

@@ -75,7 +75,7 @@ async fn sighup_reloads_the_configuration_unless_it_is_invalid() {
     let mut hang_up = |expected: &str| {
         let sent = Command::new("kill").args(["-HUP", &pid]).status();
         assert!(sent.expect("kill runs").success());
-        let line = lines.find(|line| line.as_ref().is_ok_and(|it| it.contains(expected)));
+        let line = lines.find(|line| line.as_ref().is_ok_and(|text| text.contains(expected)));
         let line = line.expect(expected).expect("UTF-8");
         assert!(!line.contains('\x1b'), "colours in a file: {line:?}");
     };

@@ -40,7 +40,7 @@ fn stateful() -> DescribeResponse {
 fn replicas(servers: &[&Running]) -> String {
     let addresses: Vec<_> = servers
         .iter()
-        .map(|it| format!("grpc://{}", it.address))
+        .map(|server| format!("grpc://{}", server.address))
         .collect();
     format!("x={}", addresses.join(","))
 }
@@ -56,14 +56,14 @@ async fn sessions_of_a_stateful_policy_are_shared_out_and_stay_where_they_are() 
         client.reset(reset("x", session)).await.expect("an episode");
         places.push(number(&mut client, session, 0).await);
     }
-    assert_eq!(places.iter().filter(|it| **it == 0.1).count(), 2);
+    assert_eq!(places.iter().filter(|number| **number == 0.1).count(), 2);
     for query_index in 1..4 {
         for (session, place) in ["a", "b", "c", "d"].iter().zip(&places) {
             assert_eq!(number(&mut client, session, query_index).await, *place);
         }
     }
     // A session of a stateful policy may not move to another replica.
-    let (fallen, victim) = (one, places.iter().position(|it| *it == 0.1));
+    let (fallen, victim) = (one, places.iter().position(|number| *number == 0.1));
     fallen.stop().await;
     let victim = ["a", "b", "c", "d"][victim.expect("one of them")];
     let lost = client

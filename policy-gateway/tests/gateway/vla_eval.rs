@@ -67,7 +67,7 @@ impl Server {
                     #[allow(clippy::result_large_err)]
                     let see = |request: &Request, response: Response| {
                         let shown = request.headers().get("authorization");
-                        let shown = shown.map(|it| it.to_str().expect("ASCII").to_owned());
+                        let shown = shown.map(|header| header.to_str().expect("ASCII").to_owned());
                         drop(note.send(Noticed::Connected(shown)));
                         Ok(response)
                     };

@@ -195,7 +195,10 @@ fn last_chars(text: &str) -> String {
 /// same for all replicas.
 fn describe(address: &OpenpiAddress, metadata: &[u8]) -> DescribeResponse {
     let digest = Sha256::digest(metadata);
-    let digest: String = digest[..8].iter().map(|it| format!("{it:02x}")).collect();
+    let digest: String = digest[..8]
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect();
     DescribeResponse {
         protocol_version: proto::PROTOCOL_VERSION,
         name: "openpi".to_owned(),

@@ -120,10 +120,10 @@ impl<'a> ComparisonJson<'a> {
             is_same: comparison.differences.is_empty(),
             descriptions: &comparison.descriptions,
             differences: differences
-                .map(|it| DifferenceJson {
-                    kind: it.kind,
-                    text: &it.text,
-                    meaning: it.kind.meaning(),
+                .map(|difference| DifferenceJson {
+                    kind: difference.kind,
+                    text: &difference.text,
+                    meaning: difference.kind.meaning(),
                 })
                 .collect(),
             note: &comparison.note,
@@ -160,7 +160,7 @@ impl<'a> ExaminationJson<'a> {
         let findings: Vec<FindingJson<'a>> = findings.iter().map(finding).collect();
         Self {
             server,
-            is_sound: findings.iter().all(|it| it.verdict != "fail"),
+            is_sound: findings.iter().all(|finding| finding.verdict != "fail"),
             findings,
         }
     }

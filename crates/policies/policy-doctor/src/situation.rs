@@ -52,7 +52,7 @@ impl Situation {
     pub fn observation(&self, described: &DescribeResponse) -> Result<Observation, MissingInput> {
         let mut observation = Observation::default();
         for camera in &described.cameras {
-            let frame = self.frames.iter().find(|it| it.camera == camera.name);
+            let frame = self.frames.iter().find(|frame| frame.camera == camera.name);
             let frame = frame.ok_or_else(|| MissingInput::Frames {
                 camera: camera.name.clone(),
             })?;

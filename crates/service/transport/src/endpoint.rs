@@ -51,7 +51,10 @@ mod tests {
         ] {
             let endpoint = parse_endpoint(url).expect(url);
             assert_eq!(
-                endpoint.uri().authority().map(|it| it.as_str()),
+                endpoint
+                    .uri()
+                    .authority()
+                    .map(|authority| authority.as_str()),
                 Some("gpu-3:7100")
             );
         }

@@ -152,7 +152,7 @@ impl Peer {
         is_ready.map_err(|_| Found::Broken)?;
         let answer = channel.call(request).await.map_err(|_| Found::Broken)?;
         let content = answer.headers().get(header::CONTENT_TYPE);
-        if !content.is_some_and(|it| it.as_bytes().starts_with(b"application/grpc")) {
+        if !content.is_some_and(|header| header.as_bytes().starts_with(b"application/grpc")) {
             return Err(Found::web(answer.status().as_u16()));
         }
         let status = Status::from_header_map(answer.headers());

@@ -305,7 +305,10 @@ mod tests {
             let described = shipped_policy(weights, "builtin".to_owned()).described;
             assert_eq!(described.name, weights.name());
         }
-        let digests: BTreeSet<&str> = all.iter().map(|it| it.network().digest()).collect();
+        let digests: BTreeSet<&str> = all
+            .iter()
+            .map(|student| student.network().digest())
+            .collect();
         assert_eq!(digests.len(), all.len());
     }
 }

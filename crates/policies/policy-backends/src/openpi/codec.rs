@@ -39,7 +39,11 @@ pub fn observation(shown: &Shown<'_>) -> Vec<u8> {
             rgb.to_vec(),
         )
     };
-    let state = shown.state.iter().flat_map(|it| it.to_le_bytes()).collect();
+    let state = shown
+        .state
+        .iter()
+        .flat_map(|number| number.to_le_bytes())
+        .collect();
     numpy::written(&map([
         ("observation/image", frame(shown.image)),
         ("observation/wrist_image", frame(shown.wrist_image)),

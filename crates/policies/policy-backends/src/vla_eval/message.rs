@@ -82,7 +82,7 @@ fn reply<'a, 'b>(message: &'b ValueRef<'a>) -> Option<Reply<'a, 'b>> {
 /// Returns the payload of a server's HELLO; `None` for any other message.
 pub(super) fn greeting(bytes: &[u8]) -> Option<Value> {
     let message = numpy::read(bytes)?;
-    let reply = reply(&message).filter(|it| it.kind == "hello")?;
+    let reply = reply(&message).filter(|reply| reply.kind == "hello")?;
     Some(reply.payload.to_owned())
 }
 
@@ -144,7 +144,7 @@ fn actions(payload: &ValueRef<'_>, execute: u32) -> Result<InferResponse, Answer
     if width == ACTION_WIDTH {
         let grippers = actions.iter_mut().skip(width - 1).step_by(width);
         // Values that are not finite stay as they are: the checks report them.
-        for gripper in grippers.filter(|it| it.is_finite()) {
+        for gripper in grippers.filter(|gripper| gripper.is_finite()) {
             *gripper = if *gripper < 0.0 { -1.0 } else { 1.0 };
         }
     }
@@ -160,7 +160,7 @@ fn listed(items: &[ValueRef<'_>]) -> Option<Array> {
     let number = |item: &ValueRef<'_>| match item {
         ValueRef::F32(number) => Some(*number),
         ValueRef::F64(number) => Some(*number as f32),
-        ValueRef::Integer(number) => number.as_f64().map(|it| it as f32),
+        ValueRef::Integer(number) => number.as_f64().map(|number| number as f32),
         _ => None,
     };
     Some(Array {
@@ -294,7 +294,9 @@ mod tests {
         let frame = image::encode(ImageFormat::Raw, 2, &frame).expect("nothing to fail");
         let numbers = [0.5, -1.0, 0.0, 0.0, 0.0, 0.0, 0.04, -0.04];
         let states = numbers.iter().flat_map(|it: &f64| it.to_le_bytes());
-        let of_controller = numbers.iter().flat_map(|it| (*it as f32).to_le_bytes());
+        let of_controller = numbers
+            .iter()
+            .flat_map(|number| (*number as f32).to_le_bytes());
         let observation = map([
             ("images", map([("agentview", frame)])),
             ("task_description", "pick up".into()),

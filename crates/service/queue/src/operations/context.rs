@@ -185,7 +185,11 @@ impl<'a> Context<'a> {
         last_error: &str,
     ) -> Result<Option<String>, StoreError> {
         let standings = workers::standings(&mut self.tx, &[worker]).await?;
-        let strike = strike(standings.get(worker).map_or(0, |it| it.charged_in_a_row));
+        let strike = strike(
+            standings
+                .get(worker)
+                .map_or(0, |worker_standing| worker_standing.charged_in_a_row),
+        );
         let stop = strike.stop.then(|| {
             format!(
                 "its machine has failed {} times in a row (the limit is \

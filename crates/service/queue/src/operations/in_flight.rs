@@ -47,7 +47,7 @@ impl Films {
     /// Drops cached campaigns that are not in `campaigns`. Returns those that must be scanned.
     pub(super) fn outdated(&self, campaigns: &[Filmed], now: Instant) -> Vec<Filmed> {
         let mut known = self.lock();
-        let is_filmed = |id: &CampaignId| campaigns.iter().any(|it| it.campaign == *id);
+        let is_filmed = |id: &CampaignId| campaigns.iter().any(|campaign| campaign.campaign == *id);
         known.wanting.retain(|id, _| is_filmed(id));
         let is_outdated = |of: &&Filmed| match known.wanting.get(&of.campaign) {
             Some(known) => {

@@ -213,7 +213,7 @@ pub(super) mod tests {
             let mut view = queue.view().await.expect("a view");
             assert!(view.statuses().await.expect("statuses").is_empty());
             let policies = view.policies().await.expect("policies");
-            assert!(policies.iter().all(|it| it.campaigns.is_empty()));
+            assert!(policies.iter().all(|policy| policy.campaigns.is_empty()));
             drop(view);
             queue.close().await.expect("closed");
 

@@ -57,7 +57,7 @@ async fn evaluate_rules(shared: &Shared, fronts: &mut Fronts) -> Result<(), Stor
     let mut view = shared.store.read().await?;
     let mut met = Vec::new();
     let stoppable = stops::stoppable(&mut view).await?;
-    fronts.retain(|id, _| stoppable.iter().any(|it| it.campaign == *id));
+    fronts.retain(|id, _| stoppable.iter().any(|campaign| campaign.campaign == *id));
     for campaign in stoppable {
         let first = stops::first_unsettled(&mut view, campaign.campaign).await?;
         // A complete campaign has no rollouts left to save.

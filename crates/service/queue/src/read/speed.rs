@@ -60,7 +60,7 @@ impl Spent {
         self.physics_secs + self.drawing_secs + self.taken_secs
     }
 
-    /// Returns the duration of a rollout whose core is used by no other slot.
+    /// Returns the duration of a rollout whose slot has a core of its own.
     fn alone(&self) -> f64 {
         self.busy() + self.policy_secs
     }
@@ -78,7 +78,7 @@ pub(super) fn rate(machines: &[Machine], spent: &Spent, policy_rate: Option<f64>
     let by_slots = |it: &Machine| f64::from(it.slots) / alone;
     let simulated: f64 = machines
         .iter()
-        .map(|it| by_slots(it).min(by_cores(it)))
+        .map(|machine| by_slots(machine).min(by_cores(machine)))
         .sum();
     let full: f64 = machines.iter().map(by_cores).sum();
     let answered = policy_rate.filter(|_| spent.queries > 0.0);
@@ -195,8 +195,8 @@ mod tests {
         ) {
             let found = rate(&machines, &spent, policy).expect("a rate");
             let close = |a: f64, b: f64| (a - b).abs() <= 1e-9 * b.max(1e-9);
-            let slots: u32 = machines.iter().map(|it| it.slots).sum();
-            let cores: u32 = machines.iter().map(|it| it.cores).sum();
+            let slots: u32 = machines.iter().map(|machine| machine.slots).sum();
+            let cores: u32 = machines.iter().map(|machine| machine.cores).sum();
             let by_slots = f64::from(slots) / spent.alone();
             let by_cores = f64::from(cores) / spent.busy();
             let asked = found.per_sec * spent.queries;

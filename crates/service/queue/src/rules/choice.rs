@@ -21,9 +21,11 @@ pub struct WaitingCampaign {
 /// campaign. Claims that arrive together are assigned as if they had arrived one by one.
 pub fn choose_campaign(waiting: &[WaitingCampaign], claims: usize) -> Option<(CampaignId, usize)> {
     let priority = waiting.iter().map(|campaign| campaign.priority).max()?;
-    let peers = waiting.iter().filter(|it| it.priority == priority);
+    let peers = waiting
+        .iter()
+        .filter(|campaign| campaign.priority == priority);
     let mut peers: Vec<&WaitingCampaign> = peers.collect();
-    peers.sort_by_key(|it| (it.leased, it.last_turn, it.id));
+    peers.sort_by_key(|campaign| (campaign.leased, campaign.last_turn, campaign.id));
     let first = peers.first()?;
     // Find the number of leases that the campaign and its peers reach together once all claims are
     // served; peers that already have more get none.
@@ -89,7 +91,8 @@ mod tests {
 
     #[test]
     fn equal_priorities_are_ordered_by_leases_then_wait_then_age() {
-        let first = |waiting: &[WaitingCampaign]| choose_campaign(waiting, 1).map(|it| it.0.0);
+        let first =
+            |waiting: &[WaitingCampaign]| choose_campaign(waiting, 1).map(|choice| choice.0.0);
         assert_eq!(
             first(&[campaign(1, 0, 2, 1), campaign(2, 0, 1, 2)]),
             Some(2)
@@ -124,7 +127,10 @@ mod tests {
                 chosen.last_turn = turn;
                 left -= share;
             }
-            waiting.iter().map(|it| it.leased).collect::<Vec<_>>()
+            waiting
+                .iter()
+                .map(|campaign| campaign.leased)
+                .collect::<Vec<_>>()
         };
         let (mut together, mut alone) = (given(usize::MAX), given(1));
         together.sort_unstable();

@@ -93,7 +93,7 @@ pub fn merge<N: Clone + Ord>(
     for (of, known) in first {
         match second
             .get(of)
-            .map_or(Ok(Kept::First), |it| known.beside(it))
+            .map_or(Ok(Kept::First), |second| known.beside(second))
         {
             Ok(half) => {
                 kept.insert(of.clone(), half);
@@ -197,7 +197,7 @@ mod tests {
                 .copied()
                 .collect();
             let found = merge(&a, &b).err().unwrap_or_default();
-            prop_assert_eq!(found.iter().map(|it| it.of).collect::<Vec<_>>(), expected);
+            prop_assert_eq!(found.iter().map(|conflict| conflict.of).collect::<Vec<_>>(), expected);
             for it in found {
                 prop_assert_eq!(Some(it.first), outcome(a.get(&it.of)));
                 prop_assert_eq!(Some(it.second), outcome(b.get(&it.of)));

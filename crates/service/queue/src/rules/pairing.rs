@@ -363,9 +363,18 @@ mod tests {
             change(Arc::make_mut(&mut other.origin));
             kept_out(language, &[], &hex('f'), &other)
         };
-        assert_eq!(foreign(|it| it.pin.renderer = "NVIDIA".to_owned()), None);
-        assert_eq!(foreign(|it| it.policy_checkpoint_digest = hex('9')), None);
-        assert_eq!(foreign(|it| it.fingerprint = hex('e')), None);
+        assert_eq!(
+            foreign(|provenance| provenance.pin.renderer = "NVIDIA".to_owned()),
+            None
+        );
+        assert_eq!(
+            foreign(|provenance| provenance.policy_checkpoint_digest = hex('9')),
+            None
+        );
+        assert_eq!(
+            foreign(|provenance| provenance.fingerprint = hex('e')),
+            None
+        );
         assert!(foreign(|_| ()).is_some());
     }
 }

@@ -408,7 +408,7 @@ async fn rows(
     is_wanted: impl Fn(&str) -> bool,
 ) -> Result<(), StoreError> {
     name_attempts(tx).await?;
-    for copied in COPIED.iter().filter(|it| is_wanted(it.table)) {
+    for copied in COPIED.iter().filter(|table| is_wanted(table.table)) {
         let statement = copied.statement(tx).await?;
         run(tx, &statement).await?;
         match copied.table {
