@@ -75,7 +75,7 @@ const LOOPS: [(&str, Walks); 11] = [
     (
         "a large campaign is created, imported or deleted",
         OnPurpose(
-            "in pieces, a_large_campaign_comes_and_goes_in_pieces_and_nobody_sees_a_part_of_it and \
+            "in pieces, a_large_campaign_is_inserted_and_deleted_in_hidden_batches and \
              a_large_import_takes_several_transactions_and_leaves_nothing_if_interrupted",
         ),
     ),

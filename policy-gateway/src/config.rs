@@ -198,7 +198,7 @@ mod tests {
     }
 
     #[test]
-    fn a_route_that_cannot_be_meant_is_refused_with_what_to_write() {
+    fn an_invalid_route_is_refused_with_the_valid_form() {
         check("expert", "NAME=BACKEND");
         check("=builtin:noop", "letters, digits");
         check("a b=builtin:noop", "letters, digits");

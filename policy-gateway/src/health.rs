@@ -324,7 +324,7 @@ mod tests {
                 apply(&mut health, event, &mut now);
                 let Health::Out(_) = &health else { continue };
                 let mut asked = health.clone();
-                let through = SESSIONS.iter().filter(|it| asked.admit(Call::Of(it), now).is_ok());
+                let through = SESSIONS.iter().filter(|id| asked.admit(Call::Of(id), now).is_ok());
                 prop_assert!(through.count() <= 1);
             }
         }
@@ -398,7 +398,7 @@ mod tests {
     }
 
     #[test]
-    fn a_probe_that_goes_away_makes_way_for_the_next_and_another_does_not() {
+    fn an_abandoned_probe_admits_the_next_and_another_call_does_not() {
         let mut health = Health::default();
         let mut now = Instant::now();
         health.failed(Cause::Silent, now);

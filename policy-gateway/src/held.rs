@@ -24,7 +24,10 @@ impl Held {
     /// Reserves memory for a query's observation until the permit is dropped; `None` if the budget
     /// is exhausted.
     pub fn hold(&self, query: &InferRequest) -> Option<SemaphorePermit<'_>> {
-        let frames = query.observation.iter().flat_map(|it| &it.images);
+        let frames = query
+            .observation
+            .iter()
+            .flat_map(|observation| &observation.images);
         let bytes = frames.map(|frame| frame.rgb.len()).sum::<usize>();
         // Messages are far smaller than 4 GiB.
         let bytes = u32::try_from(bytes.max(MIN_QUERY_BYTES)).ok()?;
@@ -53,7 +56,7 @@ mod tests {
     }
 
     #[test]
-    fn queries_are_held_up_to_the_bound_and_again_when_others_are_answered() {
+    fn memory_is_reserved_up_to_the_limit_and_released_after_answers() {
         let held = Held::default();
         let large = query(MAX_HELD_BYTES - MIN_QUERY_BYTES);
         let first = held.hold(&large).expect("room");

@@ -219,7 +219,7 @@ impl Route {
         {
             return Ok(answer.response.clone());
         }
-        let response = self.ask(&session, &mut state, request).await?;
+        let response = self.query_replicas(&session, &mut state, request).await?;
         state.last = Some(Answer {
             query_index,
             response: response.clone(),
@@ -240,7 +240,7 @@ impl Route {
     }
 
     /// Queries one replica after another, as far as the policy allows sessions to move.
-    async fn ask(
+    async fn query_replicas(
         &self,
         session: &Session,
         state: &mut SessionState,
@@ -275,7 +275,7 @@ impl Route {
                 return Err(error);
             }
             if moves {
-                state.open_on.retain(|it| !Arc::ptr_eq(it, &replica));
+                state.open_on.retain(|open| !Arc::ptr_eq(open, &replica));
             }
             failure = Some(first_worth_telling(failure, error));
             tried.push(replica);
@@ -413,7 +413,7 @@ async fn ask_one(
     request: &InferRequest,
     task: &str,
 ) -> Result<InferResponse, BackendError> {
-    if !state.open_on.iter().any(|it| Arc::ptr_eq(it, replica))
+    if !state.open_on.iter().any(|open| Arc::ptr_eq(open, replica))
         && let Some(reset) = &session.reset
     {
         open(&session.pool, replica, reset).await?;

@@ -68,7 +68,7 @@ impl Gateway {
                 route.retire();
             }
         }
-        let mut surplus = routes.iter().filter(|it| it.is_retired()).count();
+        let mut surplus = routes.iter().filter(|route| route.is_retired()).count();
         routes.retain(|route| {
             let drop = route.is_retired() && surplus > MAX_RETIRED_ROUTES;
             surplus -= usize::from(drop);
@@ -81,7 +81,7 @@ impl Gateway {
     fn route(&self, policy: &str) -> Result<Arc<Route>, Status> {
         let routes = self.routes.read().unwrap_or_else(PoisonError::into_inner);
         if !policy.is_empty() {
-            let named = routes.iter().find(|it| it.name().as_str() == policy);
+            let named = routes.iter().find(|route| route.name().as_str() == policy);
             return named.cloned().ok_or_else(|| {
                 Status::not_found(format!(
                     "this gateway serves no policy {policy:?}; it serves {}",
@@ -89,7 +89,7 @@ impl Gateway {
                 ))
             });
         }
-        let mut serving = routes.iter().filter(|it| !it.is_retired());
+        let mut serving = routes.iter().filter(|route| !route.is_retired());
         match (serving.next(), serving.next()) {
             (Some(only), None) => Ok(Arc::clone(only)),
             _ => Err(Status::invalid_argument(format!(
@@ -107,7 +107,7 @@ struct Names<'a>(&'a [Arc<Route>]);
 
 impl fmt::Display for Names<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let serving = self.0.iter().filter(|it| !it.is_retired());
+        let serving = self.0.iter().filter(|route| !route.is_retired());
         for (at, route) in serving.enumerate() {
             let separator = if at == 0 { "" } else { ", " };
             write!(f, "{separator}{}", route.name())?;

@@ -43,7 +43,7 @@ pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
     };
     let server = Running::simulated(&options).await?;
     let gateway = Running::gateway(&server).await?;
-    let mut report = ask(&Slots {
+    let mut report = run_slots(&Slots {
         address: gateway.address.clone(),
         policy: String::new(),
         slots: measure.slots,
@@ -60,7 +60,7 @@ pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
 }
 
 /// Runs the slots against a server; fails if one of their queries fails.
-pub(crate) async fn ask(slots: &Slots) -> Result<Value> {
+pub(crate) async fn run_slots(slots: &Slots) -> Result<Value> {
     let began = Instant::now() + WARM_UP;
     let ends = began + Duration::from_secs(slots.secs);
     let mut asking = JoinSet::new();
@@ -75,7 +75,7 @@ pub(crate) async fn ask(slots: &Slots) -> Result<Value> {
     let mut seconds = vec![0.0; slots.secs as usize];
     for (at, _) in &answers {
         let second = (*at - began).as_secs() as usize;
-        // Queries in progress at the end are answered after it.
+        // Answers to queries still in flight at the end arrive later and are not counted.
         if let Some(second) = seconds.get_mut(second) {
             *second += 1.0;
         }
@@ -99,7 +99,7 @@ async fn until(slot: Slot, ends: Instant) -> Result<Vec<(Instant, Duration)>> {
         if asked >= ends {
             break;
         }
-        slot.ask(query_index).await?;
+        slot.query(query_index).await?;
         let at = Instant::now();
         answered.push((at, at - asked));
     }

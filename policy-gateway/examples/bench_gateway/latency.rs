@@ -89,7 +89,7 @@ async fn open_loop(
     while let Some((number, then)) = dues.recv().await {
         let slot = slots[number as usize % slots.len()].clone();
         under_way.spawn(async move {
-            slot.ask(first_query + number).await?;
+            slot.query(first_query + number).await?;
             anyhow::Ok(then.elapsed())
         });
     }

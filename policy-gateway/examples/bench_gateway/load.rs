@@ -86,7 +86,7 @@ impl Slot {
     }
 
     /// Sends one query.
-    pub(crate) async fn ask(&self, query_index: u32) -> Result<(), Status> {
+    pub(crate) async fn query(&self, query_index: u32) -> Result<(), Status> {
         let query = InferRequest {
             query_index,
             ..self.query.clone()

@@ -62,7 +62,7 @@ async fn main() -> Result<()> {
     let arguments = Arguments::parse();
     let report = match arguments.command {
         Some(Command::ServeSimulated(options)) => return simulated::serve(options).await,
-        Some(Command::Slots(slots)) => capacity::ask(&slots).await?,
+        Some(Command::Slots(slots)) => capacity::run_slots(&slots).await?,
         None => {
             let measure = arguments.measure;
             json!({

@@ -35,7 +35,7 @@ pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
     let before = gateway.memory_mib("VmRSS")?;
     let mut asking = JoinSet::new();
     for slot in waiting {
-        asking.spawn(async move { slot.ask(0).await });
+        asking.spawn(async move { slot.query(0).await });
     }
     let mut refused = 0;
     let mut most = before;

@@ -186,7 +186,7 @@ async fn send(shared: Arc<Shared>, batch: Vec<Query>) {
                 limit,
             };
             let waiting = shared.queue().0.drain();
-            fail(waiting.into_iter().map(|it| it.answer), &error);
+            fail(waiting.into_iter().map(|query| query.answer), &error);
             fail(askers, &error);
         }
     }

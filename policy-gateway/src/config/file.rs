@@ -168,7 +168,7 @@ mod tests {
     }
 
     #[test]
-    fn what_cannot_be_meant_is_refused_with_its_place() {
+    fn an_invalid_file_is_refused_with_the_faulty_line() {
         check("", "find a route");
         check("[policy.x]", "find a server for policy x");
         check("[policy.x]\nreplicas = [\"ftp://a:1\"]", "ftp://a:1");

@@ -20,7 +20,7 @@ impl Checkpoints {
     pub(super) fn new(spec: &RouteSpec, known: &[Arc<Replica>]) -> Result<Self, UnusableBackend> {
         let access = spec.access.read()?;
         let replica = |backend: &BackendSpec| {
-            let stays = known.iter().find(|it| it.is(backend, spec));
+            let stays = known.iter().find(|replica| replica.is(backend, spec));
             match stays {
                 Some(replica) => Ok(Arc::clone(replica)),
                 None => Replica::new(backend, &access, spec).map(Arc::new),

@@ -130,7 +130,7 @@ impl RouteError {
 }
 
 impl RouteError {
-    /// Returns the error and its causes in one line, shortened as [`told`].
+    /// Returns the error and its causes in one line, shortened by [`told`].
     pub fn words(&self) -> String {
         told(&chain(self))
     }

@@ -71,7 +71,7 @@ impl Pool {
     /// Returns the number of sessions that the replicas can answer in time together; `None` if the
     /// pace of one is unknown, or all are out.
     pub fn capacity(&self) -> Option<usize> {
-        let up = self.replicas.iter().filter(|it| !it.is_out());
+        let up = self.replicas.iter().filter(|replica| !replica.is_out());
         let capacities = up.map(|replica| replica.capacity());
         let capacity: Option<usize> = capacities.sum();
         capacity.filter(|&sessions| sessions > 0)
@@ -80,17 +80,24 @@ impl Pool {
     /// Returns the longest wait of a Reset for another session to end: 20 s if answers may take 50
     /// s, so that the Reset completes within a worker's 60 s.
     pub fn reset_patience(&self) -> Duration {
-        let longest = self.replicas.iter().map(|it| it.answer_within()).max();
+        let longest = self
+            .replicas
+            .iter()
+            .map(|replica| replica.answer_within())
+            .max();
         longest.unwrap_or_default() * 2 / 5
     }
 
     /// Returns the time per query of the slowest replica.
     pub fn per_query(&self) -> Option<Duration> {
-        self.replicas.iter().filter_map(|it| it.per_query()).max()
+        self.replicas
+            .iter()
+            .filter_map(|replica| replica.per_query())
+            .max()
     }
 
-    /// Returns true if another pool shares its replicas' sessions: the pools of a suite before and
-    /// after a reload do.
+    /// Returns true if another pool counts towards the same capacity: the pools of a suite before
+    /// and after a reload do.
     pub fn shares_with(&self, other: &Self) -> bool {
         self.suite == other.suite
     }
@@ -113,7 +120,7 @@ impl Pool {
         tried: &[Arc<Replica>],
     ) -> Option<Arc<Replica>> {
         let chosen = match self.batching {
-            Batching::Deterministic => self.fixed(seed).filter(|it| !contains(tried, it)),
+            Batching::Deterministic => self.fixed(seed).filter(|replica| !contains(tried, replica)),
             Batching::Dynamic | Batching::Single => self.idlest(session, tried, &[]),
         };
         if let Some(replica) = chosen {
@@ -149,7 +156,10 @@ impl Pool {
         tried: &[Arc<Replica>],
         open_on: &[Arc<Replica>],
     ) -> Option<&Arc<Replica>> {
-        let left = self.replicas.iter().filter(|it| !contains(tried, it));
+        let left = self
+            .replicas
+            .iter()
+            .filter(|replica| !contains(tried, replica));
         left.min_by_key(|replica| {
             let is_out = !replica.would_admit(Call::Of(session));
             let is_new = !contains(open_on, replica);
@@ -200,7 +210,7 @@ impl Pool {
 }
 
 fn contains(replicas: &[Arc<Replica>], replica: &Arc<Replica>) -> bool {
-    replicas.iter().any(|it| Arc::ptr_eq(it, replica))
+    replicas.iter().any(|member| Arc::ptr_eq(member, replica))
 }
 
 impl fmt::Display for Pool {

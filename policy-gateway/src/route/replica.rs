@@ -55,7 +55,7 @@ pub struct Replica {
     health: Mutex<Health>,
     /// Number of queries in flight.
     load: AtomicUsize,
-    /// Number of the last session assigned to it, in the pool's order.
+    /// Sequence number, in the pool, of the last session assigned to this replica.
     last_given: AtomicU64,
 }
 
@@ -141,7 +141,7 @@ impl Replica {
         self.load.load(Ordering::Relaxed)
     }
 
-    /// Returns the number of the last session assigned to it.
+    /// Returns the sequence number of the last session assigned to this replica.
     pub fn last_given(&self) -> u64 {
         self.last_given.load(Ordering::Relaxed)
     }
@@ -374,7 +374,7 @@ impl Replica {
             Err(error @ BackendError::Barred { .. }) => {
                 self.lost(Cause::Distrust(error.to_string()));
             }
-            // An answer of "not now" also shows that the server is up.
+            // A temporary refusal also shows that the server is up.
             Err(error) if error.is_outage() => self.answered(Answered::Something),
             _ => {}
         }

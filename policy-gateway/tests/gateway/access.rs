@@ -58,7 +58,8 @@ impl Papers {
         let certificate = params.signed_by(&key, &self.issuer).expect("signed");
         self.write("cert.pem", &certificate.pem());
         self.write("key.pem", &key.serialize_pem());
-        let paths = ["cert.pem", "key.pem", "token"].map(|it| self.path(it).display().to_string());
+        let paths =
+            ["cert.pem", "key.pem", "token"].map(|name| self.path(name).display().to_string());
         let [certificate, key, tokens] = &paths;
         let mut child = program(&["--listen", "127.0.0.1:0", "--route", "noop=builtin:noop"])
             .args(["--tls-cert", certificate, "--tls-key", key])
@@ -91,11 +92,11 @@ impl Server {
 }
 
 /// Sends one query through a gateway that has these credentials for the server.
-async fn ask(server: &Server, ca: &Path, token_file: &Path) -> Result<(), Status> {
-    ask_over("https", server, ca, token_file).await
+async fn send_query(server: &Server, ca: &Path, token_file: &Path) -> Result<(), Status> {
+    send_query_over("https", server, ca, token_file).await
 }
 
-async fn ask_over(
+async fn send_query_over(
     scheme: &str,
     server: &Server,
     ca: &Path,
@@ -115,21 +116,23 @@ async fn ask_over(
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_server_over_tls_is_asked_with_the_right_papers_and_wrong_ones_are_named() {
+async fn a_tls_server_accepts_valid_credentials_and_invalid_ones_are_named() {
     let papers = Papers::new();
     let server = papers.serve(2099);
     let (ca, token) = (papers.path("ca.pem"), papers.path("token"));
-    ask(&server, &ca, &token).await.expect("the right papers");
+    send_query(&server, &ca, &token)
+        .await
+        .expect("the right papers");
 
     papers.write("other-token", &format!("worker {WRONG}\n"));
-    let stranger = ask(&server, &ca, &papers.path("other-token")).await;
+    let stranger = send_query(&server, &ca, &papers.path("other-token")).await;
     let stranger = stranger.expect_err("a token that it does not know");
     assert_eq!(stranger.code(), Code::Unavailable);
     assert!(stranger.message().contains("`token_file`"), "{stranger}");
     assert!(!stranger.message().contains(WRONG), "{stranger}");
 
     let others = Papers::new();
-    let untrusted = ask(&server, &others.path("ca.pem"), &token).await;
+    let untrusted = send_query(&server, &others.path("ca.pem"), &token).await;
     let untrusted = untrusted.expect_err("another authority");
     assert_eq!(untrusted.code(), Code::Unavailable);
     for part in ["not signed by the authority", "`ca` of the policy"] {
@@ -143,7 +146,7 @@ async fn a_server_over_tls_is_asked_with_the_right_papers_and_wrong_ones_are_nam
 async fn an_expired_certificate_is_named() {
     let papers = Papers::new();
     let server = papers.serve(2020);
-    let expired = ask(&server, &papers.path("ca.pem"), &papers.path("token")).await;
+    let expired = send_query(&server, &papers.path("ca.pem"), &papers.path("token")).await;
     let expired = expired.expect_err("expired");
     assert_eq!(expired.code(), Code::Unavailable);
     let text = expired.message();
@@ -154,8 +157,8 @@ async fn an_expired_certificate_is_named() {
     drop(server.log());
 }
 
-/// The server speaks neither openpi's nor vla-eval's protocol; the test checks how far a connection
-/// gets.
+/// The server has no WebSocket, so a trusted connection fails after the TLS handshake, and an
+/// untrusted one during it.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn over_websocket_too_only_a_server_of_the_given_authority_is_trusted() {
     let papers = Papers::new();
@@ -163,10 +166,10 @@ async fn over_websocket_too_only_a_server_of_the_given_authority_is_trusted() {
     let (ca, token) = (papers.path("ca.pem"), papers.path("token"));
     let others = Papers::new();
     for scheme in ["wss", "vla-evals"] {
-        let untrusted = ask_over(scheme, &server, &others.path("ca.pem"), &token).await;
+        let untrusted = send_query_over(scheme, &server, &others.path("ca.pem"), &token).await;
         let untrusted = untrusted.expect_err("another authority");
         assert!(untrusted.message().contains("not signed by"), "{untrusted}");
-        let trusted = ask_over(scheme, &server, &ca, &token).await;
+        let trusted = send_query_over(scheme, &server, &ca, &token).await;
         let trusted = trusted.expect_err("no WebSocket there");
         assert_eq!(trusted.code(), Code::Unavailable);
         assert!(trusted.message().contains("cannot reach"), "{trusted}");
@@ -175,7 +178,7 @@ async fn over_websocket_too_only_a_server_of_the_given_authority_is_trusted() {
 }
 
 /// A program of another user that listens on a free port of the loopback and counts the bytes
-/// that it is sent.
+/// that it receives.
 const STRANGER: &str = "
 import os, socket
 os.setuid(4242)
@@ -211,7 +214,7 @@ async fn no_token_is_sent_in_the_clear_to_a_server_of_another_user() {
     let server = Server { child, port };
     for scheme in ["grpc", "ws", "vla-eval"] {
         let (ca, token) = (papers.path("ca.pem"), papers.path("token"));
-        let refused = ask_over(scheme, &server, &ca, &token).await;
+        let refused = send_query_over(scheme, &server, &ca, &token).await;
         let refused = refused.expect_err("another user's server");
         assert_eq!(refused.code(), Code::Unavailable, "{refused}");
         for part in ["another user of this machine listens there", "speak TLS"] {

@@ -31,7 +31,7 @@ async fn refusal(answer: Result<InferResponse, Status>) -> Status {
 }
 
 #[tokio::test]
-async fn nonsense_is_refused_naming_route_query_and_what_to_do() {
+async fn invalid_actions_are_refused_with_route_query_and_remedy() {
     let mut nan = [0.0; 7];
     nan[4] = f32::NAN;
     let cases = [
@@ -70,7 +70,7 @@ async fn a_retry_gets_the_same_actions_and_does_not_ask_the_policy_again() {
     let server = serve(Scripted::new(description("counter", 1), answer)).await;
     let gateway = gateway(&[&format!("x=grpc://{}", server.address)]).await;
     let mut client = gateway.client().await;
-    let mut ask = async |session: &str, query_index| {
+    let mut send_query = async |session: &str, query_index| {
         let answer = client
             .infer(infer("x", session, query_index))
             .await
@@ -78,11 +78,19 @@ async fn a_retry_gets_the_same_actions_and_does_not_ask_the_policy_again() {
         answer.into_inner().actions[0]
     };
     assert_eq!(
-        [ask("s", 0).await, ask("s", 0).await, ask("s", 1).await],
+        [
+            send_query("s", 0).await,
+            send_query("s", 0).await,
+            send_query("s", 1).await
+        ],
         [0.0, 0.0, 1.0]
     );
     assert_eq!(
-        [ask("t", 1).await, ask("s", 1).await, ask("t", 1).await],
+        [
+            send_query("t", 1).await,
+            send_query("s", 1).await,
+            send_query("t", 1).await
+        ],
         [2.0, 1.0, 2.0]
     );
     assert_eq!(asked.load(Ordering::SeqCst), 3);
@@ -94,11 +102,11 @@ async fn a_retry_gets_the_same_actions_and_does_not_ask_the_policy_again() {
         .reset(reset("x", "s"))
         .await
         .expect("an episode");
-    assert_eq!(ask("s", 1).await, 3.0);
+    assert_eq!(send_query("s", 1).await, 3.0);
 }
 
 #[tokio::test]
-async fn nonsense_is_not_kept_for_a_retry() {
+async fn invalid_answers_are_not_cached_for_retries() {
     let asked = AtomicU32::new(0);
     let answer = move |_| match asked.fetch_add(1, Ordering::SeqCst) {
         0 => Ok(chunk(&[f32::INFINITY; 7], 7)),
@@ -119,7 +127,7 @@ async fn nonsense_is_not_kept_for_a_retry() {
 }
 
 #[tokio::test]
-async fn retries_at_once_ask_the_policy_once() {
+async fn concurrent_retries_query_the_policy_once() {
     let asked = Arc::new(AtomicU32::new(0));
     let count = Arc::clone(&asked);
     let answer = move |_| {
@@ -154,7 +162,7 @@ async fn a_stateful_builtin_is_asked_in_order_and_a_retry_does_not_advance_it() 
 }
 
 #[tokio::test]
-async fn a_builtin_that_lacks_what_it_asked_for_says_so() {
+async fn a_builtin_names_the_missing_input() {
     let gateway = gateway(&["expert=builtin:expert"]).await;
     let mut client = gateway.client().await;
     client.reset(reset("", "s")).await.expect("an episode");
@@ -169,7 +177,7 @@ async fn a_builtin_that_lacks_what_it_asked_for_says_so() {
 }
 
 #[tokio::test]
-async fn a_policy_that_cannot_describe_itself_is_refused_with_what_is_wrong() {
+async fn an_invalid_description_is_refused_with_its_fault() {
     let mut newer = description("p", 1);
     newer.protocol_version = proto::PROTOCOL_VERSION + 1;
     let cases = [

@@ -136,7 +136,7 @@ async fn queries_go_together_and_each_gets_its_own_answer() {
 }
 
 #[tokio::test]
-async fn a_policy_that_is_to_be_asked_one_by_one_is() {
+async fn with_batching_off_queries_are_sent_one_by_one() {
     let (single, deterministic) = ("single".to_owned(), "deterministic".to_owned());
     assert_eq!(play(Batching::Single).await, (1, single));
     assert_eq!(play(Batching::Deterministic).await, (1, deterministic));
@@ -144,7 +144,7 @@ async fn a_policy_that_is_to_be_asked_one_by_one_is() {
 
 /// An error text that does not fit the response's HTTP/2 header would count as an outage.
 #[tokio::test]
-async fn an_error_of_a_mebibyte_is_the_policys_and_told_in_part() {
+async fn an_error_of_a_mebibyte_is_the_policys_and_truncated() {
     let server = serve(FixedSpeed {
         computing: Mutex::default(),
         largest: Arc::default(),

@@ -124,7 +124,7 @@ async fn before(server: &Running, answer_within: Duration) -> Running {
 }
 
 /// Sends this number of queries in an open session.
-async fn ask(
+async fn send_queries(
     client: &mut PolicyClient<Channel>,
     session: &str,
     queries: u32,
@@ -146,7 +146,7 @@ fn end(session: &str) -> EndRequest {
 /// answer, one time-out was taken for a silent server, and all sessions were given up. The times
 /// are a 25th of those of 128 slots with 0.4 s per query.
 #[tokio::test(flavor = "multi_thread")]
-async fn a_crowd_of_slots_at_a_slow_server_runs_to_its_end() {
+async fn many_slots_at_a_slow_server_finish_their_episodes() {
     let server = serve(SlowServer::new(Duration::from_millis(16))).await;
     let gateway = before(&server, Duration::from_secs(2)).await;
     let mut slots = vec![];
@@ -160,7 +160,7 @@ async fn a_crowd_of_slots_at_a_slow_server_runs_to_its_end() {
     }
     let mut playing = JoinSet::new();
     for (mut client, session) in slots {
-        playing.spawn(async move { ask(&mut client, &session, 3).await });
+        playing.spawn(async move { send_queries(&mut client, &session, 3).await });
     }
     while let Some(played) = playing.join_next().await {
         let played = played.expect("no slot panicked");
@@ -238,7 +238,9 @@ async fn sessions_beyond_what_is_answered_in_time_wait_for_another_to_end() {
         .reset(reset("slow", "first"))
         .await
         .expect("an episode");
-    ask(&mut client, "first", 8).await.expect("answers");
+    send_queries(&mut client, "first", 8)
+        .await
+        .expect("answers");
     client.end(end("first")).await.expect("an end");
     for slot in 0..4 {
         let session = format!("slot {slot}");

@@ -46,7 +46,7 @@ fn unopened() -> Planted {
     Planted::sound().finishing(|actions| {
         actions
             .iter_mut()
-            .for_each(|it| it[6] = (it[6] + 1.0) / 2.0);
+            .for_each(|action| action[6] = (action[6] + 1.0) / 2.0);
     })
 }
 
@@ -89,15 +89,18 @@ async fn a_judgement_is_0_or_1_and_fits_80_columns() {
         } = &ended;
         assert_eq!(ended.status, Some(status), "{printed}{complained}");
         let lines: Vec<&str> = printed.lines().collect();
-        assert!(lines.iter().any(|it| it.starts_with(holds)), "{printed}");
+        assert!(
+            lines.iter().any(|line| line.starts_with(holds)),
+            "{printed}"
+        );
         assert_eq!(lines.last(), Some(&last), "{printed}");
-        let widest = lines.iter().map(|it| it.chars().count()).max();
+        let widest = lines.iter().map(|line| line.chars().count()).max();
         assert!(widest <= Some(80), "{printed}");
     }
 }
 
 #[tokio::test]
-async fn what_cannot_be_asked_is_1_and_what_cannot_be_meant_2() {
+async fn unreachable_servers_exit_with_1_and_usage_errors_with_2() {
     let nobody = url_of_nobody().await;
     let ask = ["compare", "builtin:noop", &nobody];
     let unreachable = ended(&ask).await;
@@ -130,7 +133,7 @@ fn documented(command: &str) -> BTreeSet<String> {
     let title = format!("`{command}`");
     let mut sections = page.split("\n## ");
     let section = sections
-        .find(|it| it.starts_with(&title))
+        .find(|section| section.starts_with(&title))
         .expect("a section");
     let key = |line: &str| Some(line.strip_prefix("| `")?.split('`').next()?.to_owned());
     section.lines().filter_map(key).collect()
@@ -225,7 +228,7 @@ async fn record(folder: &std::path::Path) {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn recorded_observations_are_shown_in_place_of_made_up_ones() {
+async fn recorded_observations_replace_synthetic_ones() {
     let folder = tempfile::tempdir().expect("a folder");
     record(folder.path()).await;
     let recorded = folder.path().to_str().expect("UTF-8");
@@ -267,7 +270,7 @@ fn hostile() -> Scripted {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn no_command_prints_what_a_terminal_obeys() {
+async fn no_command_prints_control_sequences() {
     let (one, sound) = (serve(hostile()).await, serve(Planted::sound()).await);
     let (one, sound) = (url(&one), url(&sound));
     let cases: [&[&str]; 3] = [

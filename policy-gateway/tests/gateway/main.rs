@@ -1,4 +1,4 @@
-//! The gateway on real sockets keeps its promises to workers, even if a policy server misbehaves.
+//! Integration tests of the gateway over real sockets, with working and faulty policy servers.
 
 mod access;
 mod answers;

@@ -87,7 +87,7 @@ async fn a_policy_that_restarts_is_found_again() {
 }
 
 #[tokio::test]
-async fn a_caller_that_goes_away_while_it_tries_a_policy_keeps_nobody_from_trying_it_next() {
+async fn a_caller_that_disconnects_during_a_probe_lets_the_next_caller_probe() {
     let inner = gateway(&["noop=builtin:noop"]).await;
     let address = inner.address;
     let outer = gateway(&[&format!("noop=grpc://{address}")]).await;
@@ -117,7 +117,7 @@ async fn a_caller_that_goes_away_while_it_tries_a_policy_keeps_nobody_from_tryin
 }
 
 #[tokio::test]
-async fn a_gateway_that_restarts_passes_on_sessions_that_its_back_end_still_holds() {
+async fn a_restarted_gateway_adopts_sessions_of_its_back_end() {
     let inner = gateway(&["noop=builtin:noop"]).await;
     let route = format!("noop=grpc://{}", inner.address);
     let outer = gateway(&[&route]).await;

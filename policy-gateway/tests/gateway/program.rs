@@ -61,7 +61,7 @@ async fn the_program_names_its_port_serves_and_stops_on_sigterm() {
 
 // Two threads, as above.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_hangup_reads_the_configuration_again_unless_it_is_wrong() {
+async fn sighup_reloads_the_configuration_unless_it_is_invalid() {
     let file = tempfile::NamedTempFile::new().expect("a file");
     let write = |text: &str| std::fs::write(file.path(), text).expect("written");
     write("[policy.stand]\nreplicas = [\"builtin:noop\"]");
@@ -75,7 +75,7 @@ async fn a_hangup_reads_the_configuration_again_unless_it_is_wrong() {
     let mut hang_up = |expected: &str| {
         let sent = Command::new("kill").args(["-HUP", &pid]).status();
         assert!(sent.expect("kill runs").success());
-        let line = lines.find(|line| line.as_ref().is_ok_and(|it| it.contains(expected)));
+        let line = lines.find(|line| line.as_ref().is_ok_and(|text| text.contains(expected)));
         let line = line.expect(expected).expect("UTF-8");
         assert!(!line.contains('\x1b'), "colours in a file: {line:?}");
     };
@@ -131,7 +131,7 @@ async fn a_port_that_is_taken_exits_with_1_and_names_it() {
 }
 
 #[test]
-fn a_configuration_that_is_not_there_is_named_with_what_to_give() {
+fn a_missing_configuration_is_named_with_the_remedy() {
     let output = program(&["--config", "no/such.toml"])
         .output()
         .expect("the program runs");
@@ -143,7 +143,7 @@ fn a_configuration_that_is_not_there_is_named_with_what_to_give() {
 }
 
 #[test]
-fn a_check_whose_reader_leaves_ends_with_its_verdict() {
+fn a_check_with_a_closed_pipe_exits_with_its_verdict() {
     let mut server = program(&["--listen", "127.0.0.1:0", "--route", "noop=builtin:noop"])
         .spawn()
         .expect("the program starts");
@@ -167,7 +167,7 @@ fn token_file() -> tempfile::NamedTempFile {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_gateway_with_tokens_answers_workers_and_tells_everybody_that_it_is_up() {
+async fn a_gateway_with_tokens_answers_workers_and_all_health_checks() {
     let tokens = token_file();
     let path = tokens.path().to_str().expect("UTF-8");
     let guarded = ["--listen", "127.0.0.1:0", "--route", "noop=builtin:noop"];

@@ -25,7 +25,7 @@ fn observation(query_index: u32) -> Observation {
     }
 }
 
-async fn ask(
+async fn send_query(
     client: &mut PolicyClient<Channel>,
     query_index: u32,
     observation: Observation,
@@ -52,7 +52,7 @@ async fn record(folder: &Path, max_bytes: u64) -> Vec<InferResponse> {
     let mut answers = vec![];
     for query in 0..2 {
         answers.push(
-            ask(&mut client, query, observation(query))
+            send_query(&mut client, query, observation(query))
                 .await
                 .expect("an answer"),
         );
@@ -77,20 +77,22 @@ async fn a_recorded_session_is_answered_again_and_the_first_difference_is_named(
     let mut client = gateway.client().await;
     client.reset(reset("x", "s")).await.expect("recorded");
     for (query, answer) in (0..).zip(&recorded) {
-        let again = ask(&mut client, query, observation(query)).await;
+        let again = send_query(&mut client, query, observation(query)).await;
         assert_eq!(&again.expect("recorded"), answer);
     }
 
     client.reset(reset("x", "s")).await.expect("recorded");
     let mut other = observation(0);
     other.images[0].rgb = [[0; 3], [0; 3], [0, 9, 9], [0; 3]].concat().into();
-    let refused = ask(&mut client, 0, other).await.expect_err("it differs");
+    let refused = send_query(&mut client, 0, other)
+        .await
+        .expect_err("it differs");
     assert_eq!(refused.code(), Code::Internal);
     let named = "2 of 12 numbers of \"agentview\" differ, first at column 0 of row 1 (0 was \
                  recorded, 9 came)";
     assert!(refused.message().contains(named), "{refused}");
 
-    let longer = ask(&mut client, 2, observation(2)).await;
+    let longer = send_query(&mut client, 2, observation(2)).await;
     let longer = longer.expect_err("it was not asked a third time");
     assert!(
         longer.message().contains("ends after 2 queries"),
@@ -105,7 +107,7 @@ async fn a_recorded_session_is_answered_again_and_the_first_difference_is_named(
 }
 
 #[tokio::test]
-async fn what_would_be_too_much_is_served_and_not_recorded() {
+async fn sessions_beyond_the_size_limit_are_served_unrecorded() {
     let folder = tempfile::tempdir().expect("a folder");
     assert_eq!(record(folder.path(), 60).await.len(), 2);
     assert!(recording::files(folder.path()).is_err());

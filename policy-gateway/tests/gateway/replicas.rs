@@ -1,4 +1,4 @@
-//! Several servers behind one name: the choice of the one that answers.
+//! Several servers behind one name: selection of the server for each query.
 
 use std::{
     collections::BTreeSet,
@@ -40,7 +40,7 @@ fn stateful() -> DescribeResponse {
 fn replicas(servers: &[&Running]) -> String {
     let addresses: Vec<_> = servers
         .iter()
-        .map(|it| format!("grpc://{}", it.address))
+        .map(|server| format!("grpc://{}", server.address))
         .collect();
     format!("x={}", addresses.join(","))
 }
@@ -56,14 +56,14 @@ async fn sessions_of_a_stateful_policy_are_shared_out_and_stay_where_they_are() 
         client.reset(reset("x", session)).await.expect("an episode");
         places.push(number(&mut client, session, 0).await);
     }
-    assert_eq!(places.iter().filter(|it| **it == 0.1).count(), 2);
+    assert_eq!(places.iter().filter(|number| **number == 0.1).count(), 2);
     for query_index in 1..4 {
         for (session, place) in ["a", "b", "c", "d"].iter().zip(&places) {
             assert_eq!(number(&mut client, session, query_index).await, *place);
         }
     }
     // A session of a stateful policy may not move to another replica.
-    let (fallen, victim) = (one, places.iter().position(|it| *it == 0.1));
+    let (fallen, victim) = (one, places.iter().position(|number| *number == 0.1));
     fallen.stop().await;
     let victim = ["a", "b", "c", "d"][victim.expect("one of them")];
     let lost = client
@@ -74,7 +74,7 @@ async fn sessions_of_a_stateful_policy_are_shared_out_and_stay_where_they_are() 
 }
 
 #[tokio::test]
-async fn a_query_of_a_stateless_policy_goes_on_at_another_replica_which_gets_its_reset() {
+async fn a_stateless_policys_query_moves_to_another_replica_after_a_reset_there() {
     let by_seed = |query: crate::support::Query| {
         let seed = query
             .seed
@@ -97,7 +97,7 @@ async fn a_query_of_a_stateless_policy_goes_on_at_another_replica_which_gets_its
 }
 
 #[tokio::test]
-async fn a_replica_with_other_weights_is_refused_by_name_and_the_others_go_on() {
+async fn a_replica_with_other_weights_is_refused_by_name_and_the_others_serve() {
     let digest = |digest: &str| DescribeResponse {
         checkpoint_digest: digest.to_owned(),
         ..description("p", 1)
@@ -226,7 +226,7 @@ async fn a_reload_moves_new_sessions_and_leaves_open_ones_where_they_are() {
 }
 
 #[tokio::test]
-async fn a_deterministic_policy_answers_one_seed_at_one_replica_whatever_else_goes_on() {
+async fn a_deterministic_policy_sends_each_seed_to_one_replica() {
     let servers = [
         numbered(description("p", 1), 0.0).await,
         numbered(description("p", 1), 1.0).await,

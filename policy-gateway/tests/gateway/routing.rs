@@ -149,7 +149,7 @@ async fn one_query_of_a_batch_fails_alone_and_results_keep_their_order() {
         .into_inner()
         .results
         .into_iter()
-        .map(|it| it.result)
+        .map(|result| result.result)
         .collect();
     let answered = |result: &_| matches!(result, Some(infer_result::Result::Response(it)) if it.actions == NOOP_ACTION);
     assert!(

@@ -67,7 +67,7 @@ impl Server {
                     #[allow(clippy::result_large_err)]
                     let see = |request: &Request, response: Response| {
                         let shown = request.headers().get("authorization");
-                        let shown = shown.map(|it| it.to_str().expect("ASCII").to_owned());
+                        let shown = shown.map(|header| header.to_str().expect("ASCII").to_owned());
                         drop(note.send(Noticed::Connected(shown)));
                         Ok(response)
                     };
@@ -177,7 +177,7 @@ async fn query(
 }
 
 #[tokio::test]
-async fn an_answer_that_is_none_is_named_and_the_episode_is_given_up_where_it_must_be() {
+async fn an_invalid_answer_is_named_and_ends_the_episode_if_necessary() {
     let short_of_numbers = |number| {
         let array = map(vec![
             ("__ndarray__", true.into()),
@@ -248,7 +248,7 @@ async fn a_connection_that_breaks_in_a_query_is_an_outage() {
 }
 
 #[tokio::test]
-async fn what_is_no_vla_eval_server_or_one_of_another_version_is_told_apart() {
+async fn other_servers_and_other_versions_are_recognised() {
     type Greeting = fn(&str, u64) -> Answer;
     let cases: [(Greeting, &str); 4] = [
         // The first message of openpi's servers.
@@ -285,7 +285,7 @@ async fn what_is_no_vla_eval_server_or_one_of_another_version_is_told_apart() {
 }
 
 #[tokio::test]
-async fn an_answer_that_came_too_late_is_given_to_no_other_query() {
+async fn a_late_answer_is_given_to_no_other_query() {
     let mut server = Server::start(answering(|_| Answer::Nothing)).await;
     let spec = RouteSpec {
         answer_within: Duration::from_millis(300),
@@ -320,7 +320,7 @@ async fn queries_of_an_episode_are_asked_in_order() {
 }
 
 #[tokio::test]
-async fn a_token_is_shown_to_what_stands_before_the_server() {
+async fn a_token_is_sent_to_a_proxy_in_front_of_the_server() {
     let mut server = Server::start(answering(|_| Answer::Nothing)).await;
     let folder = tempfile::tempdir().expect("a folder");
     let token = folder.path().join("token");

@@ -24,7 +24,7 @@ pub enum Cause {
 }
 
 impl Cause {
-    /// Returns the cause with its text as [`told`], so that what is kept of it and logged is small.
+    /// Returns the cause with its text shortened by [`told`], which bounds memory and log entries.
     pub fn told(self) -> Self {
         match self {
             Self::Unreachable(why) => Self::Unreachable(told(&why)),

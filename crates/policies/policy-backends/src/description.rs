@@ -9,7 +9,7 @@ pub const MAX_BATCH_QUERIES: usize = 64;
 /// Returns the batch size for a policy, limited by its description and by the largest message.
 pub fn batch_size(described: &DescribeResponse) -> usize {
     let cameras = described.cameras.iter();
-    let pixels = cameras.map(|it| u64::from(it.width) * u64::from(it.height));
+    let pixels = cameras.map(|camera| u64::from(camera.width) * u64::from(camera.height));
     // Half of a message is left for readings, which are small.
     let query_bytes = 3 * pixels.sum::<u64>().max(1);
     let fitting = proto::MAX_MESSAGE_BYTES as u64 / 2 / query_bytes;

@@ -81,9 +81,13 @@ pub(super) fn numbers(value: &ValueRef<'_>) -> Result<Array, ArrayError> {
         return Err(ArrayError::None);
     };
     let numbers: Option<Vec<f32>> = match dtype {
-        "<f4" => whole(data).map(|them| them.iter().map(|it| f32::from_le_bytes(*it)).collect()),
+        "<f4" => whole(data).map(|them| {
+            them.iter()
+                .map(|bytes| f32::from_le_bytes(*bytes))
+                .collect()
+        }),
         "<f8" => whole(data).map(|them| {
-            let them = them.iter().map(|it| f64::from_le_bytes(*it) as f32);
+            let them = them.iter().map(|bytes| f64::from_le_bytes(*bytes) as f32);
             them.collect()
         }),
         other => {

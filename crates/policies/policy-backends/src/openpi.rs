@@ -101,18 +101,18 @@ impl OpenpiBackend {
 
     /// Sends one query. If the caller stops waiting, the connection is dropped, so that no other
     /// caller gets its answer.
-    async fn ask(&self, message: Vec<u8>) -> Result<Vec<u8>, BackendError> {
+    async fn send_query(&self, message: Vec<u8>) -> Result<Vec<u8>, BackendError> {
         let _turn = self.turn().await;
         let idle = self.idle().pop();
         if let Some(mut connection) = idle {
-            match ask(&mut connection, message.clone()).await {
+            match exchange(&mut connection, message.clone()).await {
                 // The server restarted meanwhile; it keeps no state that could be lost.
                 Err(BackendError::Unreachable { .. }) => self.idle().clear(),
                 answer => return self.keep(connection, answer),
             }
         }
         let (mut connection, _) = self.connect().await?;
-        let answer = ask(&mut connection, message).await;
+        let answer = exchange(&mut connection, message).await;
         self.keep(connection, answer)
     }
 
@@ -157,7 +157,7 @@ impl Backend for OpenpiBackend {
         let prompt = prompt.ok_or(BackendError::SessionLost)?;
         let wrong = |message| BackendError::Policy { message };
         let message = question(&request, &prompt).map_err(wrong)?;
-        let answer = self.ask(message).await?;
+        let answer = self.send_query(message).await?;
         let chunk = codec::answer(&answer).map_err(|error| wrong(error.to_string()))?;
         first_actions(&chunk, self.address.execute).map_err(wrong)
     }
@@ -169,7 +169,7 @@ impl fmt::Display for OpenpiBackend {
     }
 }
 
-async fn ask(connection: &mut Connection, message: Vec<u8>) -> Result<Vec<u8>, BackendError> {
+async fn exchange(connection: &mut Connection, message: Vec<u8>) -> Result<Vec<u8>, BackendError> {
     connection.send(message).await?;
     answered(connection.receive().await?)
 }
@@ -195,7 +195,10 @@ fn last_chars(text: &str) -> String {
 /// same for all replicas.
 fn describe(address: &OpenpiAddress, metadata: &[u8]) -> DescribeResponse {
     let digest = Sha256::digest(metadata);
-    let digest: String = digest[..8].iter().map(|it| format!("{it:02x}")).collect();
+    let digest: String = digest[..8]
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect();
     DescribeResponse {
         protocol_version: proto::PROTOCOL_VERSION,
         name: "openpi".to_owned(),
@@ -280,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn only_the_first_actions_of_a_chunk_are_handed_on() {
+    fn only_the_executed_actions_of_a_chunk_are_returned() {
         let chunk = codec::Chunk {
             shape: [10, 7],
             numbers: (0..70_u8).map(f32::from).collect(),

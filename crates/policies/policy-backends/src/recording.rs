@@ -6,7 +6,7 @@
 //! behind its length in bytes as a varint (protobuf's delimited form):
 //!   DescribeResponse   the policy's description
 //!   ResetRequest       the episode
-//!   InferRequest, InferResponse   … one pair per query, as asked
+//!   InferRequest, InferResponse   … one pair per query, in the order of sending
 //! ```
 //!
 //! A file in progress has the suffix `.partial`, and is renamed when its session ends, so that a
@@ -59,7 +59,10 @@ impl Writer {
         reset: &ResetRequest,
     ) -> io::Result<Self> {
         let digest = Sha256::digest(&reset.session);
-        let name: String = digest[..8].iter().map(|it| format!("{it:02x}")).collect();
+        let name: String = digest[..8]
+            .iter()
+            .map(|byte| format!("{byte:02x}"))
+            .collect();
         let partial = folder.join(format!("{name}.partial"));
         // Removes the file of a killed gateway, or a link, which must not be written through.
         let _ = std::fs::remove_file(&partial);
@@ -205,7 +208,10 @@ pub fn files(folder: &Path) -> Result<Vec<PathBuf>, RecordingError> {
     let mut files = vec![];
     for entry in entries {
         let path = entry.map_err(|source| io_error(folder, source))?.path();
-        if path.extension().is_some_and(|it| it == SUFFIX) {
+        if path
+            .extension()
+            .is_some_and(|extension| extension == SUFFIX)
+        {
             files.push(path);
         }
         if files.len() > MAX_FILES {
@@ -325,7 +331,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_written_is_read_again_and_has_its_name_when_it_is_whole() {
+    fn a_finished_recording_reads_back_under_its_final_name() {
         let folder = tempfile::tempdir().expect("a folder");
         let writer = write(folder.path(), 2);
         assert!(matches!(
@@ -347,7 +353,7 @@ mod tests {
     }
 
     #[test]
-    fn wherever_a_file_is_cut_it_is_a_shorter_one_or_named_as_damaged() {
+    fn a_truncated_file_is_shorter_or_named_as_damaged() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = write(folder.path(), 2).finish().expect("finished");
         let whole = std::fs::read(&path).expect("read");

@@ -125,7 +125,7 @@ impl Backend for Replay {
         match answer {
             Some(answer) => Ok(answer.clone()),
             None => {
-                let path = episodes.first().map(|it| it.path.clone());
+                let path = episodes.first().map(|episode| episode.path.clone());
                 let path = path.unwrap_or_default();
                 let compare = move || difference(&path, query.query_index, &observation);
                 let compared = tokio::task::spawn_blocking(compare).await;
@@ -154,7 +154,10 @@ impl RecordedEpisode {
 
     /// Returns the recorded answer if the recorded observation has this digest.
     fn answer(&self, query_index: u32, shown: [u8; 32]) -> Option<&InferResponse> {
-        let step = self.steps.iter().find(|it| it.query_index == query_index)?;
+        let step = self
+            .steps
+            .iter()
+            .find(|step| step.query_index == query_index)?;
         (step.digest == shown).then_some(&step.answer)
     }
 }

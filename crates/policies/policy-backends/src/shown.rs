@@ -22,11 +22,13 @@ pub(super) fn camera(name: &str) -> CameraRequest {
 /// # Errors
 /// If the observation has no such frame of that size.
 pub(super) fn frame(observation: Option<&Observation>, camera: &str) -> Result<Vec<u8>, String> {
-    let mut frames = observation.iter().flat_map(|it| &it.images);
+    let mut frames = observation
+        .iter()
+        .flat_map(|observation| &observation.images);
     let frame = frames
-        .find(|it| it.camera == camera)
-        .filter(|it| (it.width, it.height) == (FRAME_SIDE, FRAME_SIDE))
-        .filter(|it| it.rgb.len() == 3 * (FRAME_SIDE * FRAME_SIDE) as usize);
+        .find(|frame| frame.camera == camera)
+        .filter(|frame| (frame.width, frame.height) == (FRAME_SIDE, FRAME_SIDE))
+        .filter(|frame| frame.rgb.len() == 3 * (FRAME_SIDE * FRAME_SIDE) as usize);
     let frame = frame.ok_or_else(|| format!("the observation has no frame of {camera}"))?;
     Ok(turned(&frame.rgb))
 }
@@ -44,9 +46,11 @@ pub(super) fn reading<const N: usize>(
     observation: Option<&Observation>,
     field: StateField,
 ) -> Result<[f64; N], String> {
-    let mut readings = observation.iter().flat_map(|it| &it.state);
-    let reading = readings.find(|it| it.field() == field);
+    let mut readings = observation
+        .iter()
+        .flat_map(|observation| &observation.state);
+    let reading = readings.find(|reading| reading.field() == field);
     reading
-        .and_then(|it| it.values.as_slice().try_into().ok())
+        .and_then(|reading| reading.values.as_slice().try_into().ok())
         .ok_or_else(|| format!("the observation lacks {}", field.as_str_name()))
 }

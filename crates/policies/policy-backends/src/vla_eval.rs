@@ -171,7 +171,7 @@ impl Link {
     ///
     /// # Errors
     /// If the connection is lost.
-    async fn ask(
+    async fn send_query(
         &mut self,
         observation: Value,
         execute: u32,
@@ -250,7 +250,7 @@ impl Backend for VlaEvalBackend {
         };
         let mut place = episode.link.lock().await;
         let expected = place.as_ref().map(|link| link.next_query);
-        if let Some(expected) = expected.filter(|it| *it != request.query_index) {
+        if let Some(expected) = expected.filter(|index| *index != request.query_index) {
             return Err(BackendError::OutOfOrder { expected });
         }
         let mut link = place.take().ok_or(BackendError::SessionLost)?;
@@ -264,7 +264,7 @@ impl Backend for VlaEvalBackend {
         let shown = shown.await.unwrap_or_else(|error| Err(error.to_string()));
         let wrong = |message| BackendError::Policy { message };
         let answer = match shown {
-            Ok(shown) => link.ask(shown, execute).await?,
+            Ok(shown) => link.send_query(shown, execute).await?,
             Err(message) => {
                 *place = Some(link);
                 return Err(wrong(message));
@@ -295,7 +295,10 @@ fn observation(
     let images = images.map(|(camera, slot)| {
         let frame = shown::frame(observation, camera)?;
         let frame = image::encode(format, FRAME_SIDE, &frame);
-        Ok((Value::from(*slot), frame.map_err(|it| it.to_string())?))
+        Ok((
+            Value::from(*slot),
+            frame.map_err(|error| error.to_string())?,
+        ))
     });
     let images = Value::Map(images.collect::<Result<_, String>>()?);
     let entry = |key: &str, value| (Value::from(key), value);
@@ -309,9 +312,12 @@ fn observation(
         let hand = shown::reading(observation, StateField::EefRotation)?;
         let fingers = shown::reading(observation, StateField::GripperPos)?;
         let states = state::states(position, quaternion, fingers, terms.flips);
-        let states = states.iter().flat_map(|it| it.to_le_bytes()).collect();
+        let states = states
+            .iter()
+            .flat_map(|number| number.to_le_bytes())
+            .collect();
         let of_controller = state::controller_states(position, hand, fingers);
-        let of_controller = of_controller.iter().flat_map(|it| it.to_le_bytes());
+        let of_controller = of_controller.iter().flat_map(|number| number.to_le_bytes());
         entries.extend([
             entry("states", array(Keys::Text, "<f8", &[8], states)),
             entry(

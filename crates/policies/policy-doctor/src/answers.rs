@@ -40,7 +40,7 @@ impl Answers {
         }
         Self {
             chunks,
-            spread: squares.map(|it| (it / freedom.max(1) as f64).sqrt()),
+            spread: squares.map(|square| (square / freedom.max(1) as f64).sqrt()),
         }
     }
 

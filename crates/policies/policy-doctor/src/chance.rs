@@ -32,8 +32,10 @@ impl Chance {
         side: Side,
         answers: &Answers,
     ) -> Result<Self, ExaminationError> {
-        let again = panel.ask(side, &[], SITUATIONS, |_| vec![SEED]).await?;
-        let other = panel.ask(side, &[], SITUATIONS, |_| vec![SEED + 1]).await?;
+        let again = panel.query(side, &[], SITUATIONS, |_| vec![SEED]).await?;
+        let other = panel
+            .query(side, &[], SITUATIONS, |_| vec![SEED + 1])
+            .await?;
         Ok(Self {
             repeats: again.largest_difference(answers).0,
             moves: other.largest_difference(answers).0,

@@ -106,7 +106,7 @@ impl Compare {
             let cameras = synthetic::cameras(&[&a.described, &b.described]);
             synthetic::situations(self.shown.suite, &cameras)
         });
-        let asked = [&a, &b].map(|it| Asked::new(&it.url, &it.described));
+        let asked = [&a, &b].map(|server| Asked::new(&server.url, &server.described));
         if !self.shown.json {
             for (letter, asked) in ["A", "B"].iter().zip(&asked) {
                 say(&asked.line(letter));
@@ -178,8 +178,11 @@ impl Shown {
 
     /// Returns the suite of the first queries: the recording's, if there is one.
     fn suite_of(&self, recorded: Option<&[Situation]>) -> String {
-        let first = recorded.and_then(|it| it.first());
-        first.map_or_else(|| self.suite.name().to_owned(), |it| it.suite.clone())
+        let first = recorded.and_then(|situations| situations.first());
+        first.map_or_else(
+            || self.suite.name().to_owned(),
+            |situation| situation.suite.clone(),
+        )
     }
 }
 

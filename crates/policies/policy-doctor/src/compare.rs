@@ -46,14 +46,14 @@ struct Both {
 }
 
 impl Both {
-    async fn ask(
+    async fn query(
         panel: &Panel,
         seeds: &(dyn Fn(usize) -> Vec<u64> + Sync),
     ) -> Result<Self, ExaminationError> {
         let all = panel.situations();
         Ok(Self {
-            a: panel.ask(Side::A, &[], all, seeds).await?,
-            b: panel.ask(Side::B, &[], all, seeds).await?,
+            a: panel.query(Side::A, &[], all, seeds).await?,
+            b: panel.query(Side::B, &[], all, seeds).await?,
         })
     }
 
@@ -81,7 +81,7 @@ pub async fn compare(
 ) -> Result<Comparison, ExaminationError> {
     let descriptions = descriptions::differences(&a.described, &b.described);
     let panel = Panel::new(a, b, situations)?;
-    let both = Both::ask(&panel, &|_| vec![SEED]).await?;
+    let both = Both::query(&panel, &|_| vec![SEED]).await?;
     let chances = [
         Chance::of(&panel, Side::A, &both.a).await?,
         Chance::of(&panel, Side::B, &both.b).await?,
@@ -92,7 +92,10 @@ pub async fn compare(
         false => averaged(&panel, chances).await?,
     };
     for further in further {
-        match differences.iter_mut().find(|it| it.kind == further.kind) {
+        match differences
+            .iter_mut()
+            .find(|difference| difference.kind == further.kind)
+        {
             Some(known) => known.text = format!("{} {}", known.text, further.text),
             None => differences.push(further),
         }
@@ -139,7 +142,7 @@ async fn paired(
     both: &Both,
     chances: [Chance; 2],
 ) -> Result<(Vec<Difference>, String), ExaminationError> {
-    let random = chances.iter().any(|it| it.moves > REPEATABLE);
+    let random = chances.iter().any(|chance| chance.moves > REPEATABLE);
     let apart = both.apart();
     let seeds = |_: usize| vec![SEED];
     let course = Course {
@@ -192,7 +195,7 @@ async fn other_seed(panel: &Panel, both: &Both) -> Result<Option<Difference>, Ex
     let usual = USUAL_SEEDS.map(|seed| ("", seed));
     for (relation, seed) in near.into_iter().chain(usual) {
         for (side, letter, other) in [(Side::A, "A", "B"), (Side::B, "B", "A")] {
-            let changed = panel.ask(side, &[], 1, |_| vec![seed]).await?;
+            let changed = panel.query(side, &[], 1, |_| vec![seed]).await?;
             let (unchanged, first) = match side {
                 Side::A => (&both.b, &changed),
                 Side::B => (&both.a, &changed),
@@ -200,7 +203,7 @@ async fn other_seed(panel: &Panel, both: &Both) -> Result<Option<Difference>, Ex
             if unchanged.largest_difference(first).0 > REPEATABLE {
                 continue;
             }
-            let changed = panel.ask(side, &[], all, |_| vec![seed]).await?;
+            let changed = panel.query(side, &[], all, |_| vec![seed]).await?;
             let left = unchanged.largest_difference(&changed).0;
             if left > REPEATABLE {
                 continue;
@@ -231,7 +234,7 @@ async fn averaged(
         let first = SEED + 100 + (situation * AVERAGED) as u64;
         (first..first + AVERAGED as u64).collect()
     };
-    let both = Both::ask(panel, &seeds).await?;
+    let both = Both::query(panel, &seeds).await?;
     let course = Course {
         panel,
         seeds: &seeds,
@@ -239,7 +242,7 @@ async fn averaged(
         together: true,
     };
     let apart = both.apart();
-    let noise = chances.map(|it| it.moves.max(it.repeats));
+    let noise = chances.map(|chance| chance.moves.max(chance.repeats));
     let note = format!(
         "{}; the means differ by up to {}, and single answers to the same by {}",
         compared(
@@ -268,7 +271,7 @@ async fn averaged(
 
 /// Returns the distance between means that randomness explains, by component.
 fn floor(both: &Both, chances: [Chance; 2]) -> Limit {
-    let [a, b] = chances.map(|it| it.moves > REPEATABLE || !it.is_repeatable());
+    let [a, b] = chances.map(|chance| chance.moves > REPEATABLE || !chance.is_repeatable());
     std::array::from_fn(|at| {
         let (of_a, of_b) = (both.a.spread[at].powi(2), both.b.spread[at].powi(2));
         // Noise that is the same for every seed does not average out, and shifts all means alike.
@@ -286,7 +289,13 @@ fn floor(both: &Both, chances: [Chance; 2]) -> Limit {
 /// frame size is accepted with a larger remainder, because no two libraries resize frames to the
 /// same bits.
 fn not_explained(both: &Both, apart: Apart, closest: &Explanation) -> Vec<Difference> {
-    let norm = |it: &Limit| it.iter().map(|it| it * it).sum::<f64>().sqrt();
+    let norm = |limit: &Limit| {
+        limit
+            .iter()
+            .map(|number| number * number)
+            .sum::<f64>()
+            .sqrt()
+    };
     let as_they_come = fit(&both.a, &both.b, &[f64::INFINITY; 7]).left;
     let mut shown = closest.shown.iter();
     let scaled = shown.any(|(_, variant)| variant.topic() == Topic::Size);
@@ -306,7 +315,7 @@ fn unexplained(both: &Both, apart: Apart, closest: &Explanation) -> Difference {
         NUMBERS[apart.at],
     );
     for (letter, answers) in [("A", &both.a), ("B", &both.b)] {
-        if varied(answers).iter().all(|it| *it <= REPEATABLE) {
+        if varied(answers).iter().all(|number| *number <= REPEATABLE) {
             text.push_str(&format!(
                 " {letter} answers all observations alike: `policy-gateway doctor` looks into that."
             ));

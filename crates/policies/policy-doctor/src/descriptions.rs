@@ -29,12 +29,17 @@ pub(crate) fn differences(
         })
         .collect();
     let setting = |of: &DescribeResponse, name: &str| {
-        let setting = of.settings.iter().find(|it| it.name == name);
-        setting.map_or_else(|| "not said".to_owned(), |it| it.value.clone())
+        let setting = of.settings.iter().find(|setting| setting.name == name);
+        setting.map_or_else(|| "not said".to_owned(), |setting| setting.value.clone())
     };
     let mut names: Vec<&str> = [a, b]
         .iter()
-        .flat_map(|it| it.settings.iter().map(|it| it.name.as_str()))
+        .flat_map(|description| {
+            description
+                .settings
+                .iter()
+                .map(|setting| setting.name.as_str())
+        })
         .collect();
     names.sort_unstable();
     names.dedup();
@@ -52,11 +57,11 @@ fn facts(of: &DescribeResponse) -> [(&'static str, String); 9] {
     let yes = |it: bool| if it { "yes" } else { "no" }.to_owned();
     let cameras = of.cameras.iter();
     let cameras: Vec<String> = cameras
-        .map(|it| format!("{} {} × {}", it.name, it.width, it.height))
+        .map(|camera| format!("{} {} × {}", camera.name, camera.width, camera.height))
         .collect();
     let state: Vec<&str> = of
         .state()
-        .map(|it| it.as_str_name().trim_start_matches("STATE_FIELD_"))
+        .map(|field| field.as_str_name().trim_start_matches("STATE_FIELD_"))
         .collect();
     let language = match of.language() {
         Language::FreeForm => "any instruction",
@@ -91,7 +96,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn every_fact_that_differs_is_said_with_both_sides() {
+    fn every_difference_is_reported_with_both_values() {
         let a = DescribeResponse {
             horizon: 8,
             execute: 8,
@@ -117,7 +122,7 @@ mod tests {
         let found = differences(&a, &b);
         let said: Vec<String> = found
             .iter()
-            .map(|it| format!("{}: {} / {}", it.what, it.a, it.b))
+            .map(|difference| format!("{}: {} / {}", difference.what, difference.a, difference.b))
             .collect();
         let expected = [
             "cameras: none / agentview 224 × 224",

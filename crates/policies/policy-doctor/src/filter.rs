@@ -30,7 +30,10 @@ impl Filter {
             return;
         }
         let (large, small) = ([image.width, image.height], [width, height]);
-        let (large, small) = (large.map(|it| it as usize), small.map(|it| it as usize));
+        let (large, small) = (
+            large.map(|number| number as usize),
+            small.map(|number| number as usize),
+        );
         if image.rgb.len() != 3 * large[0] * large[1] {
             return;
         }
@@ -96,7 +99,7 @@ pub(crate) mod tests {
             height: 2,
             rgb: rgb
                 .iter()
-                .flat_map(|it| [*it; 3])
+                .flat_map(|value| [*value; 3])
                 .collect::<Vec<u8>>()
                 .into(),
         }

@@ -202,7 +202,7 @@ fn affine(numbers: &[(f64, f64)]) -> Option<Map> {
         return None;
     }
     let mean = |of: fn(&(f64, f64)) -> f64| numbers.iter().map(of).sum::<f64>() / count;
-    let (mean_a, mean_b) = (mean(|it| it.0), mean(|it| it.1));
+    let (mean_a, mean_b) = (mean(|pair| pair.0), mean(|pair| pair.1));
     let varied: f64 = numbers.iter().map(|(a, _)| (a - mean_a).powi(2)).sum();
     let together: f64 = numbers
         .iter()
@@ -247,24 +247,28 @@ mod tests {
 
     #[test]
     fn the_same_actions_need_no_map_and_others_have_none() {
-        let same = fit(&answers(), &changed(|it| it[2] += 1e-4), &LIMIT);
+        let same = fit(&answers(), &changed(|action| action[2] += 1e-4), &LIMIT);
         assert!(same.explains && same.is_identity());
-        let squared = changed(|it| it[2] = it[2] * it[2]);
+        let squared = changed(|action| action[2] = action[2] * action[2]);
         let other = fit(&answers(), &squared, &LIMIT);
         assert!(!other.explains);
-        let constant = changed(|it| *it = [0.3; 7]);
+        let constant = changed(|action| *action = [0.3; 7]);
         assert!(!fit(&answers(), &constant, &LIMIT).explains);
     }
 
     #[test]
-    fn a_gripper_is_told_in_another_convention_before_it_is_scaled() {
+    fn a_gripper_convention_is_preferred_to_a_scale() {
         for convention in Convention::ALL {
-            let other = changed(|it| it[GRIPPER] = convention.of(it[GRIPPER]));
+            let other = changed(|action| action[GRIPPER] = convention.of(action[GRIPPER]));
             let found = fit(&answers(), &other, &LIMIT);
             assert_eq!(found.maps[GRIPPER], Map::Gripper(convention));
             assert!(found.explains && found.cost() == 1);
         }
-        let scaled = fit(&answers(), &changed(|it| it[GRIPPER] *= 0.04), &LIMIT);
+        let scaled = fit(
+            &answers(),
+            &changed(|action| action[GRIPPER] *= 0.04),
+            &LIMIT,
+        );
         let Map::Affine { scale, offset } = scaled.maps[GRIPPER] else {
             panic!("{scaled:?}");
         };
@@ -273,7 +277,11 @@ mod tests {
 
     #[test]
     fn scale_and_offset_of_a_number_are_found() {
-        let found = fit(&answers(), &changed(|it| it[1] = 0.5 * it[1] - 0.2), &LIMIT);
+        let found = fit(
+            &answers(),
+            &changed(|action| action[1] = 0.5 * action[1] - 0.2),
+            &LIMIT,
+        );
         let Map::Affine { scale, offset } = found.maps[1] else {
             panic!("{found:?}");
         };

@@ -170,8 +170,10 @@ impl Part {
             }
             Self::FingersUnsigned => fingers()?.map(f64::abs).to_vec(),
             Self::FingersSwapped => fingers()?.into_iter().rev().collect(),
-            Self::FingersShare => fingers()?.map(|it| it.abs() / FINGER_TRAVEL).to_vec(),
-            Self::Opening => vec![fingers()?.iter().map(|it| it.abs()).sum()],
+            Self::FingersShare => fingers()?
+                .map(|number| number.abs() / FINGER_TRAVEL)
+                .to_vec(),
+            Self::Opening => vec![fingers()?.iter().map(|number| number.abs()).sum()],
             Self::Zeros(count) => vec![0.0; count],
         })
     }

@@ -49,7 +49,7 @@ impl Panel {
         let shown = |server: &Server| -> Result<Vec<Observation>, ExaminationError> {
             let shown = situations
                 .iter()
-                .map(|it| it.observation(&server.described));
+                .map(|situation| situation.observation(&server.described));
             shown
                 .collect::<Result<_, _>>()
                 .map_err(|missing| ExaminationError::Lacking {
@@ -59,8 +59,8 @@ impl Panel {
         };
         let (shown_to_a, shown_to_b) = (shown(&a)?, shown(&b)?);
         let described = [&a.described, &b.described];
-        let one_by_one = described.iter().all(|it| it.horizon == 1);
-        let held = one_by_one && described.iter().any(|it| it.stateful);
+        let one_by_one = described.iter().all(|description| description.horizon == 1);
+        let held = one_by_one && described.iter().any(|description| description.stateful);
         Ok(Self {
             shown_to_a,
             shown_to_b,
@@ -96,10 +96,10 @@ impl Panel {
             Side::B => Side::A,
         };
         let mut variants = Variant::all(self.described(side), self.described(other));
-        variants.retain(|it| {
+        variants.retain(|variant| {
             self.situations
                 .iter()
-                .all(|situation| it.applies(situation))
+                .all(|situation| variant.applies(situation))
         });
         variants
     }
@@ -109,7 +109,7 @@ impl Panel {
     ///
     /// # Errors
     /// If the server does not answer with actions.
-    pub(crate) async fn ask(
+    pub(crate) async fn query(
         &self,
         side: Side,
         variants: &[Variant],

@@ -11,7 +11,7 @@ pub fn axis_angle([x, y, z, w]: Quaternion) -> [f64; 3] {
         return [0.0; 3];
     }
     let angle = 2.0 * sine.atan2(w);
-    [x, y, z].map(|it| it / sine * angle)
+    [x, y, z].map(|number| number / sine * angle)
 }
 
 /// Returns the quaternion of an axis-angle; its w is negative for angles above π.
@@ -22,7 +22,7 @@ pub fn from_axis_angle(rotation: [f64; 3]) -> Quaternion {
         return [0.0, 0.0, 0.0, 1.0];
     }
     let (sine, cosine) = (angle / 2.0).sin_cos();
-    let [x, y, z] = rotation.map(|it| it / angle * sine);
+    let [x, y, z] = rotation.map(|number| number / angle * sine);
     [x, y, z, cosine]
 }
 
@@ -59,9 +59,13 @@ pub(crate) fn from_matrix(m: [f64; 9]) -> Quaternion {
         Some(2) => [xz, yz, squares[2], zw],
         _ => [xw, yw, zw, squares[3]],
     };
-    let norm = scaled.iter().map(|it| it * it).sum::<f64>().sqrt();
+    let norm = scaled
+        .iter()
+        .map(|number| number * number)
+        .sum::<f64>()
+        .sqrt();
     let sign = if scaled[3] < 0.0 { -1.0 } else { 1.0 };
-    scaled.map(|it| sign * it / norm)
+    scaled.map(|number| sign * number / norm)
 }
 
 /// Returns roll, pitch and yaw, rad: rotations about the fixed axes x, y, z, in this order.
@@ -83,18 +87,18 @@ mod tests {
     }
 
     #[test]
-    fn every_form_leads_back_to_the_quaternion() {
+    fn every_representation_converts_back_to_the_quaternion() {
         for quaternion in [
             [0.96, -0.2, 0.1, 0.0],
             [0.5, 0.5, -0.5, 0.5],
             [0.1, 0.9, 0.3, -0.2],
             [0.0, 0.1, 0.9, 0.2],
         ] {
-            let norm: f64 = quaternion.iter().map(|it| it * it).sum();
+            let norm: f64 = quaternion.iter().map(|number| number * number).sum();
             let quaternion = quaternion.map(|it: f64| it / norm.sqrt());
             assert!(close(&from_axis_angle(axis_angle(quaternion)), &quaternion));
             let sign = if quaternion[3] < 0.0 { -1.0 } else { 1.0 };
-            let positive = quaternion.map(|it| sign * it);
+            let positive = quaternion.map(|number| sign * number);
             assert!(close(&from_matrix(matrix(quaternion)), &positive));
         }
     }
@@ -102,9 +106,12 @@ mod tests {
     #[test]
     fn the_antipode_has_another_axis_angle_and_the_same_matrix() {
         let quaternion = from_axis_angle([3.0, 0.2, -0.1]);
-        let antipode = quaternion.map(|it| -it);
+        let antipode = quaternion.map(|number| -number);
         assert!(close(&matrix(quaternion), &matrix(antipode)));
-        let angle = axis_angle(antipode).iter().map(|it| it * it).sum::<f64>();
+        let angle = axis_angle(antipode)
+            .iter()
+            .map(|number| number * number)
+            .sum::<f64>();
         let whole = 2.0 * std::f64::consts::PI;
         assert!((angle.sqrt() + (9.05_f64).sqrt() - whole).abs() < 1e-9);
     }

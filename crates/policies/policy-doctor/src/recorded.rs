@@ -55,7 +55,9 @@ fn situation(reader: &Reader, pair: Pair) -> Situation {
     Situation {
         suite: reader.reset.suite.clone(),
         instruction: reader.reset.instruction.clone(),
-        readings: readings.map(|it| (it.field(), it.values.clone())).collect(),
+        readings: readings
+            .map(|reading| (reading.field(), reading.values.clone()))
+            .collect(),
         frames: shown.images,
         privileged: shown.privileged,
     }
@@ -106,8 +108,10 @@ mod tests {
         record(folder.path(), "long", 10);
         let taken = situations(folder.path(), 4).expect("recordings");
         let of = |session: &str| -> Vec<f64> {
-            let taken = taken.iter().filter(|it| it.instruction == session);
-            taken.map(|it| it.readings[0].1[0]).collect()
+            let taken = taken
+                .iter()
+                .filter(|situation| situation.instruction == session);
+            taken.map(|situation| situation.readings[0].1[0]).collect()
         };
         assert_eq!(of("short"), [0.0]);
         assert_eq!(of("long"), [0.0, 5.0]);

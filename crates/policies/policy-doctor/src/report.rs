@@ -77,14 +77,14 @@ fn difference(difference: &Difference) -> String {
 
 /// Formats a finding as lines.
 pub(crate) fn finding(finding: &Finding) -> String {
-    let (word, text) = said(&finding.verdict);
+    let (word, text) = name_and_text(&finding.verdict);
     let word = if word == "fail" { "FAIL" } else { word };
     let separator = if text.is_empty() { "" } else { ": " };
     let words = format!("{}{separator}{text}", finding.point);
     wrapped(&format!("{word}  "), INDENT, &words)
 }
 
-fn said(verdict: &Verdict) -> (&'static str, &str) {
+fn name_and_text(verdict: &Verdict) -> (&'static str, &str) {
     match verdict {
         Verdict::Pass { note } => ("pass", note),
         Verdict::Fail { reason } => ("fail", reason),
@@ -120,10 +120,10 @@ impl<'a> ComparisonJson<'a> {
             is_same: comparison.differences.is_empty(),
             descriptions: &comparison.descriptions,
             differences: differences
-                .map(|it| DifferenceJson {
-                    kind: it.kind,
-                    text: &it.text,
-                    meaning: it.kind.meaning(),
+                .map(|difference| DifferenceJson {
+                    kind: difference.kind,
+                    text: &difference.text,
+                    meaning: difference.kind.meaning(),
                 })
                 .collect(),
             note: &comparison.note,
@@ -150,7 +150,7 @@ impl<'a> ExaminationJson<'a> {
     /// Builds the report of all findings at a server.
     pub(crate) fn of(server: Asked, findings: &'a [Finding]) -> Self {
         let finding = |finding: &'a Finding| {
-            let (verdict, text) = said(&finding.verdict);
+            let (verdict, text) = name_and_text(&finding.verdict);
             FindingJson {
                 point: finding.point.name(),
                 verdict,
@@ -160,7 +160,7 @@ impl<'a> ExaminationJson<'a> {
         let findings: Vec<FindingJson<'a>> = findings.iter().map(finding).collect();
         Self {
             server,
-            is_sound: findings.iter().all(|it| it.verdict != "fail"),
+            is_sound: findings.iter().all(|finding| finding.verdict != "fail"),
             findings,
         }
     }

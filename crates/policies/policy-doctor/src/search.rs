@@ -129,7 +129,12 @@ impl Course<'_> {
                 let fit = fit(&one, &other, limit);
                 candidates.push(Explanation { shown, fit });
             }
-            explanations.extend(candidates.iter().filter(|it| it.fit.explains).cloned());
+            explanations.extend(
+                candidates
+                    .iter()
+                    .filter(|candidate| candidate.fit.explains)
+                    .cloned(),
+            );
             let simplest = explanations.iter().min_by(|one, other| {
                 let by_rest = || rest(one).total_cmp(&rest(other));
                 one.cost().cmp(&other.cost()).then_with(by_rest)
@@ -192,7 +197,7 @@ impl Course<'_> {
             return Ok(None);
         }
         let all = self.panel.situations();
-        let answers = self.panel.ask(side, &variants, all, self.seeds).await?;
+        let answers = self.panel.query(side, &variants, all, self.seeds).await?;
         Ok(Some(answers))
     }
 }

@@ -111,7 +111,7 @@ impl Server {
     /// If the answer is not a valid chunk of actions.
     pub(crate) fn actions(&self, response: &InferResponse) -> Result<Vec<Action>, ActionFault> {
         let actions = policy_protocol::actions(response, self.described.horizon)?;
-        Ok(actions.iter().map(|it| it.map(f64::from)).collect())
+        Ok(actions.iter().map(|action| action.map(f64::from)).collect())
     }
 }
 

@@ -52,7 +52,7 @@ impl Situation {
     pub fn observation(&self, described: &DescribeResponse) -> Result<Observation, MissingInput> {
         let mut observation = Observation::default();
         for camera in &described.cameras {
-            let frame = self.frames.iter().find(|it| it.camera == camera.name);
+            let frame = self.frames.iter().find(|frame| frame.camera == camera.name);
             let frame = frame.ok_or_else(|| MissingInput::Frames {
                 camera: camera.name.clone(),
             })?;
@@ -129,7 +129,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_a_description_asks_for_is_made_from_what_there_is() {
+    fn an_observation_holds_the_inputs_that_a_description_requests() {
         let situation = Situation {
             frames: vec![Image {
                 camera: "agentview".to_owned(),

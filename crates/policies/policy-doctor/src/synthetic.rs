@@ -36,8 +36,10 @@ pub fn situations(suite: Suite, cameras: &[&str]) -> Vec<Situation> {
 
 /// Returns the cameras of all descriptions, without duplicates.
 pub fn cameras<'a>(described: &[&'a DescribeResponse]) -> Vec<&'a str> {
-    let cameras = described.iter().flat_map(|it| &it.cameras);
-    let mut names: Vec<&str> = cameras.map(|it| it.name.as_str()).collect();
+    let cameras = described
+        .iter()
+        .flat_map(|description| &description.cameras);
+    let mut names: Vec<&str> = cameras.map(|camera| camera.name.as_str()).collect();
     names.sort_unstable();
     names.dedup();
     names
@@ -80,14 +82,18 @@ impl Hand {
         let sign = if at.is_multiple_of(2) { 1.0 } else { -1.0 };
         let [y, z, w] = [0.15, 0.3, 0.12].map(|size| size * chance.number());
         let quaternion = [1.0, y, z, sign * (0.08 + w.abs())];
-        let norm = quaternion.iter().map(|it| it * it).sum::<f64>().sqrt();
+        let norm = quaternion
+            .iter()
+            .map(|number| number * number)
+            .sum::<f64>()
+            .sqrt();
         Self {
             position: [
                 -0.1 + 0.12 * chance.number(),
                 0.18 * chance.number(),
                 0.2 + 0.12 * chance.number(),
             ],
-            quaternion: quaternion.map(|it| it / norm),
+            quaternion: quaternion.map(|number| number / norm),
             opening: 0.022 + 0.018 * chance.number(),
         }
     }
@@ -100,7 +106,7 @@ impl Hand {
             (StateField::EefQuatXyzw, self.quaternion.to_vec()),
             (
                 StateField::JointPos,
-                rest.map(|it| around(it, 0.35)).to_vec(),
+                rest.map(|angle| around(angle, 0.35)).to_vec(),
             ),
             (
                 StateField::JointVel,
@@ -184,8 +190,8 @@ fn frame(camera: &str, at: usize) -> Image {
                 + light[1] * place[0] * place[1]
                 + spots(column, row)
                 + 24.0 * (unit(grain) - 0.5);
-            let inside = things.iter().rev().find(|it| it.covers(place));
-            let colour = inside.map_or([132.0, 122.0, 108.0], |it| it.colour);
+            let inside = things.iter().rev().find(|thing| thing.covers(place));
+            let colour = inside.map_or([132.0, 122.0, 108.0], |thing| thing.colour);
             rgb.extend(colour.map(|level| (level + lit).clamp(0.0, 255.0) as u8));
         }
     }
@@ -248,7 +254,7 @@ mod tests {
     fn quaternions_have_either_sign_of_w() {
         let signs = situations(Suite::Object, &[]);
         let signs = signs.iter().filter_map(Situation::quaternion);
-        let negative = signs.filter(|it| it[3] < 0.0).count();
+        let negative = signs.filter(|sign| sign[3] < 0.0).count();
         assert_eq!(negative, COUNT / 2);
     }
 }

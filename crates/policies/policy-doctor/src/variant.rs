@@ -79,13 +79,13 @@ impl Variant {
     pub(crate) fn all(described: &DescribeResponse, other: &DescribeResponse) -> Vec<Self> {
         let mut variants = vec![];
         let cameras = &described.cameras;
-        let each = || cameras.iter().map(|it| Some(it.name.clone()));
+        let each = || cameras.iter().map(|camera| Some(camera.name.clone()));
         let groups: Vec<Option<String>> = match cameras.len() {
             0 => vec![],
             1 => vec![None],
             _ => [None].into_iter().chain(each()).collect(),
         };
-        let is_square = cameras.iter().all(|it| it.width == it.height);
+        let is_square = cameras.iter().all(|camera| camera.width == camera.height);
         for turn in Turn::ALL {
             if is_square || !matches!(turn, Turn::Left | Turn::Right) {
                 variants.extend(groups.iter().map(|group| Self::Turned(turn, group.clone())));
@@ -147,7 +147,7 @@ impl Variant {
         match self {
             Self::Turned(turn, only) => {
                 for image in &mut observation.images {
-                    if only.as_ref().is_none_or(|it| *it == image.camera) {
+                    if only.as_ref().is_none_or(|camera| *camera == image.camera) {
                         turn.apply(image);
                     }
                 }
@@ -179,7 +179,11 @@ impl Variant {
                     return;
                 };
                 let mut numbers = numbers.into_iter();
-                for value in observation.state.iter_mut().flat_map(|it| &mut it.values) {
+                for value in observation
+                    .state
+                    .iter_mut()
+                    .flat_map(|reading| &mut reading.values)
+                {
                     *value = numbers.next().unwrap_or_default();
                 }
             }
@@ -250,7 +254,7 @@ impl SignRule {
         if self == Self::PositiveW && quaternion[3] >= 0.0 {
             return;
         }
-        let other = quaternion.map(|it| -it);
+        let other = quaternion.map(|number| -number);
         match field {
             StateField::EefQuatXyzw => values.copy_from_slice(&other),
             _ => values.copy_from_slice(&pose::axis_angle(other)),

@@ -64,7 +64,11 @@ pub fn actions(response: &InferResponse, horizon: u32) -> Result<&[WireAction], 
         });
     }
     let is_number = |number: &f32| number.is_finite() && number.abs() <= LARGEST_NUMBER;
-    let Some(at) = response.actions.iter().position(|it| !is_number(it)) else {
+    let Some(at) = response
+        .actions
+        .iter()
+        .position(|number| !is_number(number))
+    else {
         return Ok(actions);
     };
     let (action, component) = (at / ACTION_WIDTH, at % ACTION_WIDTH);
@@ -292,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn every_nonsense_is_named() {
+    fn every_invalid_answer_is_named() {
         let mut infinite = [0.0; 14];
         infinite[9] = f32::INFINITY;
         let cases = [
@@ -353,37 +357,40 @@ mod tests {
             assert_eq!(description(&described), Err(fault));
         };
         check(
-            &|it| it.protocol_version = 9,
+            &|description| description.protocol_version = 9,
             DescriptionFault::Version { theirs: 9 },
         );
-        check(&|it| it.name.clear(), DescriptionFault::Nameless);
+        check(
+            &|description| description.name.clear(),
+            DescriptionFault::Nameless,
+        );
         for horizon in [0, MAX_HORIZON + 1] {
             check(
-                &|it| it.horizon = horizon,
+                &|description| description.horizon = horizon,
                 DescriptionFault::Horizon { horizon },
             );
         }
         for execute in [0, 9] {
             let horizon = 8;
             check(
-                &|it| it.execute = execute,
+                &|description| description.execute = execute,
                 DescriptionFault::Execute { execute, horizon },
             );
         }
         for field in [0, 99] {
             check(
-                &|it| it.state = vec![field],
+                &|description| description.state = vec![field],
                 DescriptionFault::StateField { field },
             );
         }
         let name = "frontview".to_owned();
         check(
-            &|it| it.cameras[0].name = "frontview".to_owned(),
+            &|description| description.cameras[0].name = "frontview".to_owned(),
             DescriptionFault::Camera { name },
         );
         for width in [0, MAX_FRAME_SIDE + 1] {
             check(
-                &|it| it.cameras[1].width = width,
+                &|description| description.cameras[1].width = width,
                 DescriptionFault::FrameSide {
                     camera: CAMERAS[1].to_owned(),
                     width,
@@ -392,11 +399,13 @@ mod tests {
             );
         }
         check(
-            &|it| it.cameras = (1..=9).map(|side| camera(CAMERAS[0], side, side)).collect(),
+            &|description| {
+                description.cameras = (1..=9).map(|side| camera(CAMERAS[0], side, side)).collect()
+            },
             DescriptionFault::Cameras { count: 9 },
         );
         check(
-            &|it| it.cameras[1] = it.cameras[0].clone(),
+            &|description| description.cameras[1] = description.cameras[0].clone(),
             DescriptionFault::RepeatedCamera {
                 camera: CAMERAS[0].to_owned(),
                 width: MAX_FRAME_SIDE,
@@ -405,26 +414,26 @@ mod tests {
         );
         let field = StateField::EefPos.into();
         check(
-            &|it| it.state = vec![field, StateField::GripperPos.into(), field],
+            &|description| description.state = vec![field, StateField::GripperPos.into(), field],
             DescriptionFault::RepeatedStateField { field },
         );
         let (long, bytes) = (|| "x".repeat(513), 513);
         check(
-            &|it| it.checkpoint = long(),
+            &|description| description.checkpoint = long(),
             DescriptionFault::Text {
                 field: "checkpoint",
                 bytes,
             },
         );
         check(
-            &|it| it.batch_mode = long(),
+            &|description| description.batch_mode = long(),
             DescriptionFault::Text {
                 field: "batch mode",
                 bytes,
             },
         );
         check(
-            &|it| it.settings = vec![proto::policy::Setting::default()],
+            &|description| description.settings = vec![proto::policy::Setting::default()],
             DescriptionFault::Settings {
                 problem: "gives setting 0 a name of 0 bytes: 1 to 64 fit".to_owned(),
             },

@@ -169,7 +169,7 @@ impl Queue {
             let mut work = std::pin::pin!(self.shared.work.notified());
             work.as_mut().enable();
             let (pending, answer) = Pending::new((request.clone(), is_new));
-            let claimed = self.ask(Operation::Claim(pending), answer).await?;
+            let claimed = self.submit(Operation::Claim(pending), answer).await?;
             is_new = false;
             if claimed.job.is_some() {
                 return Ok(claimed);
@@ -196,7 +196,7 @@ impl Queue {
             worker: worker.clone(),
             progress: progress.to_vec(),
         });
-        self.ask(Operation::Heartbeat(pending), answer).await
+        self.submit(Operation::Heartbeat(pending), answer).await
     }
 
     /// Records the number of videos that a worker renders or uploads, as reported by its accepted
@@ -213,7 +213,7 @@ impl Queue {
     /// If the attempt is unknown or the database fails.
     pub async fn commit(&self, report: &CommitReport) -> Result<CommitReply, QueueError> {
         let (pending, answer) = Pending::new(Box::new(report.clone()));
-        let reply = self.ask(Operation::Commit(pending), answer).await?;
+        let reply = self.submit(Operation::Commit(pending), answer).await?;
         if reply.verdict != CommitVerdict::Accepted {
             tracing::warn!(attempt = %report.attempt, verdict = ?reply.verdict, "{}", reply.detail);
         }
@@ -251,7 +251,7 @@ impl Queue {
             error: error.to_owned(),
             answered,
         });
-        let reply = self.ask(Operation::Release(pending), answer).await?;
+        let reply = self.submit(Operation::Release(pending), answer).await?;
         if reply.verdict != ReleaseVerdict::Stale {
             let reason = reason.as_str();
             tracing::info!(%attempt, verdict = ?reply.verdict, "released ({reason}): {error}");
@@ -304,7 +304,7 @@ impl Queue {
     }
 
     /// Submits an operation and waits until it is committed to disk.
-    async fn ask<T>(
+    async fn submit<T>(
         &self,
         operation: Operation,
         answer: oneshot::Receiver<Result<T, QueueError>>,

@@ -90,13 +90,13 @@ mod tests {
     }
 
     #[test]
-    fn two_that_failed_together_do_not_wait_in_step() {
+    fn clients_that_failed_together_retry_at_different_times() {
         let waits = [1, 2].map(|seed| Backoff::new(Waits::USUAL, seed).next_wait());
         assert_ne!(waits[0], waits[1]);
     }
 
     #[test]
-    fn without_chance_the_waits_are_whole() {
+    fn without_jitter_the_waits_have_full_length() {
         assert_eq!(Waits::USUAL.after(3, 0), Duration::from_secs(4));
         assert_eq!(Waits::USUAL.after(u32::MAX, 0), Duration::from_secs(60));
     }

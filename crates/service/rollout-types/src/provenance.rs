@@ -146,7 +146,7 @@ impl Provenance {
         let differs = |what: &str, here: &str, there: &str| {
             (here != there).then(|| format!("{what} is `{here}` now and was `{there}`"))
         };
-        let digests = [self, pinned].map(|it| it.policy_checkpoint_digest.as_str());
+        let digests = [self, pinned].map(|provenance| provenance.policy_checkpoint_digest.as_str());
         let settings = &pinned.policy_settings;
         differs("name", &self.policy_name, &pinned.policy_name)
             .or_else(|| {
@@ -189,7 +189,7 @@ mod tests {
     use super::*;
 
     fn measured_on(pack: &str, taught_on: Option<&str>) -> Provenance {
-        let taught_on = taught_on.map(|it| (TAUGHT_ON.to_owned(), it.to_owned()));
+        let taught_on = taught_on.map(|assets| (TAUGHT_ON.to_owned(), assets.to_owned()));
         Provenance {
             pin: Pin {
                 asset_pack: pack.to_owned(),
@@ -202,7 +202,7 @@ mod tests {
     }
 
     #[test]
-    fn a_policy_that_was_taught_on_other_assets_is_known_if_it_says_so() {
+    fn training_on_other_assets_is_detected_if_declared() {
         let elsewhere = |pack, taught_on| {
             let provenance = measured_on(pack, taught_on);
             provenance.taught_elsewhere().map(str::to_owned)
@@ -215,8 +215,8 @@ mod tests {
     }
 
     #[test]
-    fn a_server_that_begins_to_say_what_it_was_taught_on_is_the_same_policy() {
-        let [silent, telling] = [None, Some("libero")].map(|it| measured_on("libero", it));
+    fn newly_declared_training_assets_do_not_change_the_policy() {
+        let [silent, telling] = [None, Some("libero")].map(|assets| measured_on("libero", assets));
         assert_eq!(telling.other_policy(&silent), None);
         assert_eq!(silent.other_policy(&telling), None);
     }

@@ -10,8 +10,7 @@ use serde::{Deserialize, Serialize};
 /// between processors; different perturbations differ by far more.
 ///
 /// Values within 1e-9 must be equal and values 1e-6 apart must differ. The tolerance lies ten times
-/// above the one and a hundred times below the other, so that rounding at the edges does not
-/// matter.
+/// above 1e-9 and a hundred times below 1e-6, so that rounding at either bound does not matter.
 pub const TOLERANCE: f64 = 1e-8;
 
 /// The perturbed axes of a rollout with their realised values. Empty for a nominal rollout. Never
@@ -119,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn another_number_of_values_differs_and_so_does_what_is_no_number() {
+    fn other_lengths_and_nan_differ() {
         let difference = values(&[1.0]).difference(&values(&[1.0, 2.0]));
         assert_eq!(
             difference.as_deref(),

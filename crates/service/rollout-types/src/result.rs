@@ -99,21 +99,27 @@ impl Motion {
     pub fn pack(path: &[[i16; 3]], actions: &[[f32; 7]]) -> Motion {
         let (path, actions) = (path.as_flattened(), actions.as_flattened());
         Motion {
-            path: path.iter().flat_map(|it| it.to_le_bytes()).collect(),
-            actions: actions.iter().flat_map(|it| it.to_le_bytes()).collect(),
+            path: path
+                .iter()
+                .flat_map(|number| number.to_le_bytes())
+                .collect(),
+            actions: actions
+                .iter()
+                .flat_map(|number| number.to_le_bytes())
+                .collect(),
         }
     }
 
     /// Unpacks the positions.
     pub fn path(&self) -> Vec<[i16; 3]> {
         let numbers = self.path.as_chunks().0.iter();
-        let numbers: Vec<i16> = numbers.map(|it| i16::from_le_bytes(*it)).collect();
+        let numbers: Vec<i16> = numbers.map(|number| i16::from_le_bytes(*number)).collect();
         numbers.as_chunks().0.to_vec()
     }
 
     pub fn actions(&self) -> Vec<[f32; 7]> {
         let numbers = self.actions.as_chunks().0.iter();
-        let numbers: Vec<f32> = numbers.map(|it| f32::from_le_bytes(*it)).collect();
+        let numbers: Vec<f32> = numbers.map(|number| f32::from_le_bytes(*number)).collect();
         numbers.as_chunks().0.to_vec()
     }
 

@@ -250,7 +250,7 @@ mod tests {
     }
 
     #[test]
-    fn a_session_comes_back_from_its_cookie_and_from_no_other_servers() {
+    fn a_session_id_is_read_only_from_this_servers_cookie() {
         let cookie = SessionCookie::new("aa", true);
         let set = cookie.set("0123", 60);
         assert_eq!(
@@ -271,7 +271,7 @@ mod tests {
     }
 
     #[test]
-    fn a_name_that_anybody_can_own_is_refused_where_nobody_is_asked_for_a_token() {
+    fn without_tokens_a_public_host_name_is_refused() {
         let refused = |host: &str| {
             let request = request(Version::HTTP_11, &[(header::HOST, host)]);
             assert!(check_page(&request, true).is_ok(), "{host}");
@@ -315,7 +315,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn people_are_led_to_the_log_in_and_programs_are_told() {
+    async fn browsers_are_redirected_to_the_log_in_and_programs_get_text() {
         let status = Status::unauthenticated(NO_TOKEN);
         let person = request(Version::HTTP_11, &[(header::ACCEPT, "text/html,*/*")]);
         let answer = refusal(&status, &person, Some("/login"));

@@ -253,7 +253,7 @@ impl Access {
 
     fn bearer(&self, uri: &Uri) -> Bearer {
         let value = self.authorization(uri, "Bearer");
-        let mut value = value.and_then(|it| MetadataValue::try_from(it.as_bytes()).ok());
+        let mut value = value.and_then(|text| MetadataValue::try_from(text.as_bytes()).ok());
         if let Some(value) = &mut value {
             value.set_sensitive(true);
         }

@@ -51,14 +51,17 @@ mod tests {
         ] {
             let endpoint = parse_endpoint(url).expect(url);
             assert_eq!(
-                endpoint.uri().authority().map(|it| it.as_str()),
+                endpoint
+                    .uri()
+                    .authority()
+                    .map(|authority| authority.as_str()),
                 Some("gpu-3:7100")
             );
         }
     }
 
     #[test]
-    fn what_is_no_url_of_a_server_is_refused_with_an_example() {
+    fn an_invalid_server_url_is_refused_with_an_example() {
         for url in [
             "",
             "localhost:7000",

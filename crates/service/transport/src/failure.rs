@@ -102,7 +102,7 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_without_words_is_named_by_its_code() {
+    fn a_status_without_a_message_is_named_by_its_code() {
         let silent = Status::unimplemented("");
         assert_eq!(
             chain(&silent),
@@ -111,7 +111,7 @@ mod tests {
     }
 
     #[test]
-    fn what_the_server_says_is_told_apart_from_what_the_network_does() {
+    fn server_errors_are_distinguished_from_network_errors() {
         assert!(is_outage(&Status::unavailable("warming up")));
         assert!(is_outage(&Status::resource_exhausted("queue full")));
         assert!(!is_outage(&Status::internal("shape mismatch")));
@@ -121,7 +121,7 @@ mod tests {
     }
 
     #[test]
-    fn a_refusal_is_not_asked_again() {
+    fn a_refusal_is_not_retried() {
         assert!(!may_succeed_later(&Status::failed_precondition(
             "another version"
         )));

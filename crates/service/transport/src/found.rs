@@ -174,7 +174,7 @@ impl Found {
             .nth(1)
             .and_then(|word| word.parse().ok());
         Found::Web {
-            is_proxy_waiting: status.is_some_and(|it| PROXY_WAITING.contains(&it)),
+            is_proxy_waiting: status.is_some_and(|code| PROXY_WAITING.contains(&code)),
             said,
         }
     }

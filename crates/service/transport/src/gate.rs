@@ -129,7 +129,7 @@ where
         let shared = Arc::clone(&self.shared);
         let path = request.uri().path().to_owned();
         if let Err(status) = shared.admit(caller, &request) {
-            shared.tell(caller, &path, status.code(), status.message());
+            shared.log_refusal(caller, &path, status.code(), status.message());
             let answer = match (shared.resource)(&path) {
                 Resource::Page(_) => browser::refusal(&status, &request, shared.log_in),
                 Resource::Call(_) if browser::is_grpc(request.headers()) => status.into_http(),
@@ -142,13 +142,13 @@ where
             let answer = answer.await?;
             if answer.status() == StatusCode::UNAUTHORIZED {
                 let why = "log in: the token is none that this server knows";
-                shared.tell(caller, &path, Code::Unauthenticated, why);
+                shared.log_refusal(caller, &path, Code::Unauthenticated, why);
             }
             let Some(status) = Status::from_header_map(answer.headers()) else {
                 return Ok(answer);
             };
             if is_refusal(status.code()) {
-                shared.tell(caller, &path, status.code(), status.message());
+                shared.log_refusal(caller, &path, status.code(), status.message());
             }
             if status.message().len() <= MAX_STATUS_CHARS {
                 return Ok(answer);
@@ -203,7 +203,7 @@ impl Shared {
         }
     }
 
-    fn tell(&self, caller: SocketAddr, path: &str, code: Code, why: &str) {
+    fn log_refusal(&self, caller: SocketAddr, path: &str, code: Code, why: &str) {
         if lock(&self.refusals).is_news(caller.ip(), code, Instant::now()) {
             let path = path.escape_debug().take(MAX_LOGGED_CHARS);
             let why = why.escape_debug().take(MAX_LOGGED_CHARS);

@@ -410,7 +410,7 @@ mod tests {
     }
 
     #[test]
-    fn the_oldest_silent_connection_makes_room() {
+    fn the_oldest_silent_connection_is_evicted() {
         let open = open(3, 3);
         let silent = [1, 2].map(|number| open.seat(number, address(1)).expect("a place"));
         let speaking = speaking(&open, 3, address(1)).expect("a place");
@@ -423,7 +423,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_that_fills_its_share_with_talk_leaves_the_others_theirs() {
+    fn active_connections_of_one_address_leave_the_others_their_share() {
         let open = open(4, 3);
         let others = open.seat(1, address(2)).expect("a place");
         let taken: Vec<Seat> = (2..=4)
@@ -496,7 +496,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_connection_that_says_too_little_is_closed_after_seconds() {
+    async fn a_connection_without_a_complete_greeting_is_closed() {
         let mut incoming = incoming().await;
         let (mut caller, mut connection) = connected(&mut incoming).await;
         let mut bytes = [0; GREETING_BYTES - 1];

@@ -51,10 +51,10 @@ impl Peer {
         let found = match status.source() {
             Some(_) => match refused(status) {
                 Some(found) => found,
-                None => self.look().await,
+                None => self.probe_address().await,
             },
-            None if status.code() == Code::Unimplemented => self.look().await,
-            None if status.message().starts_with(NO_GRPC_STATUS) => self.look().await,
+            None if status.code() == Code::Unimplemented => self.probe_address().await,
+            None if status.message().starts_with(NO_GRPC_STATUS) => self.probe_address().await,
             None => return None,
         };
         // The probe found the right server, which lacks only the requested call.
@@ -67,7 +67,7 @@ impl Peer {
 
     /// Probes the server's address, for clients that do not use gRPC.
     pub async fn look_around(&self) -> Trouble {
-        self.found(self.look().await)
+        self.found(self.probe_address().await)
     }
 
     /// Returns the diagnosis for a finding at this server.
@@ -81,7 +81,7 @@ impl Peer {
         }
     }
 
-    async fn look(&self) -> Found {
+    async fn probe_address(&self) -> Found {
         let uri = self.endpoint.uri();
         let is_encrypted = Access::is_encrypted(uri);
         let place = Place {
@@ -99,7 +99,7 @@ impl Peer {
             Ok(tls) => tls,
             Err(error) => return Found::OtherTls(error.to_string()),
         };
-        match (probe::look(place, &tls).await, self.kind) {
+        match (probe::identify(place, &tls).await, self.kind) {
             (Err(found), _) => found,
             (Ok(Speech::Http1(_)), ServerKind::Openpi | ServerKind::VlaEval) => Found::Broken,
             (Ok(Speech::Http1(line)), _) => Found::web_line(line),
@@ -152,7 +152,7 @@ impl Peer {
         is_ready.map_err(|_| Found::Broken)?;
         let answer = channel.call(request).await.map_err(|_| Found::Broken)?;
         let content = answer.headers().get(header::CONTENT_TYPE);
-        if !content.is_some_and(|it| it.as_bytes().starts_with(b"application/grpc")) {
+        if !content.is_some_and(|header| header.as_bytes().starts_with(b"application/grpc")) {
             return Err(Found::web(answer.status().as_u16()));
         }
         let status = Status::from_header_map(answer.headers());

@@ -59,7 +59,7 @@ enum Heard {
 ///
 /// # Errors
 /// If the server does not use HTTP over the client's kind of connection; the error is the finding.
-pub(crate) async fn look(place: Place<'_>, tls: &TlsConnector) -> Result<Speech, Found> {
+pub(crate) async fn identify(place: Place<'_>, tls: &TlsConnector) -> Result<Speech, Found> {
     let stream = connect(place).await?;
     if !place.is_encrypted {
         return match greet(stream).await {
@@ -285,7 +285,7 @@ mod tests {
             is_encrypted: false,
         };
         let tls = TlsConnector::from(Arc::new(tls));
-        tokio::join!(look(place, &tls), server).0
+        tokio::join!(identify(place, &tls), server).0
     }
 
     #[tokio::test]
@@ -299,7 +299,7 @@ mod tests {
     }
 
     #[test]
-    fn servers_are_told_apart_by_how_they_begin() {
+    fn servers_are_identified_by_their_first_bytes() {
         let check = |bytes: &[u8], expected| assert_eq!(heard(bytes), expected);
         check(b"", Heard::Silence);
         check(b"\0\0\x18\x04\0\0\0\0\0\0\x03", Heard::Http2);

@@ -69,7 +69,7 @@ mod tests {
     }
 
     #[test]
-    fn a_burst_is_admitted_and_what_follows_it_waits_for_time() {
+    fn after_a_burst_requests_are_limited_to_the_rate() {
         let mut rates = Rates::default();
         let start = Instant::now();
         let burst = BURST_REQUESTS as usize;

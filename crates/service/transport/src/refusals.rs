@@ -40,7 +40,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_refusal_is_news_once_and_again_when_it_is_old() {
+    fn a_refusal_is_logged_once_per_interval() {
         let mut refusals = Refusals::default();
         let start = Instant::now();
         let one = IpAddr::from(Ipv4Addr::LOCALHOST);

@@ -84,7 +84,6 @@ pub(crate) async fn check_server(connection: &TcpStream) -> Result<(), Untrusted
 /// no owner yet, and is attributed to all users that listen on the port. If no user listens, either
 /// root has configured the kernel to forward the port (to a container, for example), or the
 /// connection is about to break; in neither case can another user receive the token.
-/// break; no other user gets the token then.
 fn check_rows(
     rows: &[Row],
     there: SocketAddr,
@@ -210,7 +209,7 @@ mod tests {
     }
 
     #[test]
-    fn a_connection_is_its_acceptors_and_until_then_of_whoever_listens() {
+    fn a_connection_belongs_to_its_acceptor_or_else_to_all_listeners() {
         const OWN: u32 = 1_000;
         const OTHER: u32 = 1_001;
         let (here, there) = ("127.0.0.1:40000", "127.0.0.1:7411");
@@ -239,7 +238,7 @@ mod tests {
     }
 
     #[test]
-    fn services_are_told_from_people() {
+    fn system_users_are_distinguished_from_people() {
         for (user, expected) in [
             (0, true),
             (999, true),

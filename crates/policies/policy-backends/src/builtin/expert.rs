@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn it_says_that_it_is_privileged_and_needs_no_camera() {
+    fn the_expert_declares_privileged_state_and_no_camera() {
         let described = describe();
         assert!(described.privileged && described.cameras.is_empty());
         assert_eq!((described.horizon, described.execute), (1, 1));

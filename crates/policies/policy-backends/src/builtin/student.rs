@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn the_shipped_weights_say_what_they_were_taught_on() {
+    fn the_built_in_weights_declare_their_training_assets() {
         for (weights, pack) in [
             (Weights::Boxes, "primitives"),
             (Weights::BoxesRandomised, "primitives"),
@@ -305,7 +305,10 @@ mod tests {
             let described = shipped_policy(weights, "builtin".to_owned()).described;
             assert_eq!(described.name, weights.name());
         }
-        let digests: BTreeSet<&str> = all.iter().map(|it| it.network().digest()).collect();
+        let digests: BTreeSet<&str> = all
+            .iter()
+            .map(|student| student.network().digest())
+            .collect();
         assert_eq!(digests.len(), all.len());
     }
 }

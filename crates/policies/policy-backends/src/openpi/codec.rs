@@ -39,7 +39,11 @@ pub fn observation(shown: &Shown<'_>) -> Vec<u8> {
             rgb.to_vec(),
         )
     };
-    let state = shown.state.iter().flat_map(|it| it.to_le_bytes()).collect();
+    let state = shown
+        .state
+        .iter()
+        .flat_map(|number| number.to_le_bytes())
+        .collect();
     numpy::written(&map([
         ("observation/image", frame(shown.image)),
         ("observation/wrist_image", frame(shown.wrist_image)),
@@ -132,7 +136,7 @@ mod tests {
     }
 
     #[test]
-    fn what_holds_no_actions_is_named() {
+    fn an_answer_without_actions_is_named() {
         let actions = |array: Value| numpy::written(&map([("actions", array)]));
         let array = |dtype, shape: &[usize], data| array(Keys::Bytes, dtype, shape, data);
         let cases = [

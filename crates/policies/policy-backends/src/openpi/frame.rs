@@ -105,7 +105,7 @@ mod tests {
     }
 
     #[test]
-    fn edges_count_only_the_pixels_that_there_are() {
+    fn edge_windows_use_only_existing_pixels() {
         let resized = [
             6, 56, 106, 15, 65, 115, 23, 73, 123, 22, 72, 122, 31, 81, 131, 39, 89, 139, 37, 87,
             137, 46, 96, 146, 55, 105, 155,

@@ -73,7 +73,7 @@ impl FromStr for VlaEvalAddress {
                 image_format: ImageFormat::default(),
                 parameters: Parameters::default(),
             };
-            for option in uri.query().iter().flat_map(|it| it.split('&')) {
+            for option in uri.query().iter().flat_map(|query| query.split('&')) {
                 let (name, value) = option.split_once('=')?;
                 address.set(name, value)?;
             }

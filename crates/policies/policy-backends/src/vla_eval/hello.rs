@@ -90,7 +90,9 @@ pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Te
         (true, false) => "eef_pos3_axisangle3_gripper2, quaternion as it is",
     };
     let campaign = OF_THE_CAMPAIGN.into_iter();
-    let campaign: Vec<_> = campaign.filter(|it| lookup(asked, it).is_some()).collect();
+    let campaign: Vec<_> = campaign
+        .filter(|name| lookup(asked, name).is_some())
+        .collect();
     let recorded = |key| lookup(hello, key).map_or_else(|| "none".to_owned(), declaration);
     let settings = [
         (
@@ -226,14 +228,17 @@ fn or_none(text: &str) -> String {
 fn digest(hello: &ValueRef<'_>) -> String {
     let hello: Value = hello.to_owned();
     let digest = Sha256::digest(written(&hello));
-    digest[..8].iter().map(|it| format!("{it:02x}")).collect()
+    digest[..8]
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn told(parameters: Value) -> Result<Terms, String> {
+    fn terms_for(parameters: Value) -> Result<Terms, String> {
         let hello = crate::numpy::map([
             ("protocol_version", VERSION.into()),
             ("observation_params", parameters),
@@ -246,15 +251,15 @@ mod tests {
     fn what_a_server_declares_fits_a_result_however_long_it_is() {
         let long = "é".repeat(10 * RECORDED_BYTES);
         let parameters = Value::Map(vec![(long.as_str().into(), true.into())]);
-        let described = told(parameters).expect("nothing to refuse").described;
-        let lengths = described.settings.iter().map(|it| it.value.len());
+        let described = terms_for(parameters).expect("nothing to refuse").described;
+        let lengths = described.settings.iter().map(|setting| setting.value.len());
         assert_eq!(lengths.max(), Some(RECORDED_BYTES));
     }
 
     #[test]
-    fn parameters_that_are_nothing_are_as_if_they_were_not_there() {
+    fn null_parameters_count_as_absent() {
         for nothing in [Value::Nil, Value::Map(vec![]), "".into()] {
-            let terms = told(nothing).expect("nothing to refuse");
+            let terms = terms_for(nothing).expect("nothing to refuse");
             assert!(!terms.wrist && !terms.state && terms.flips);
         }
     }

@@ -30,7 +30,7 @@ impl ImageFormat {
     pub(super) fn named(name: &str) -> Option<Self> {
         [Self::Png, Self::Raw, Self::Jpeg]
             .into_iter()
-            .find(|it| it.to_string() == name)
+            .find(|format| format.to_string() == name)
     }
 }
 

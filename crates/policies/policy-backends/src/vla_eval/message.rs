@@ -82,7 +82,7 @@ fn reply<'a, 'b>(message: &'b ValueRef<'a>) -> Option<Reply<'a, 'b>> {
 /// Returns the payload of a server's HELLO; `None` for any other message.
 pub(super) fn greeting(bytes: &[u8]) -> Option<Value> {
     let message = numpy::read(bytes)?;
-    let reply = reply(&message).filter(|it| it.kind == "hello")?;
+    let reply = reply(&message).filter(|reply| reply.kind == "hello")?;
     Some(reply.payload.to_owned())
 }
 
@@ -105,8 +105,8 @@ pub fn answer(bytes: &[u8], asked: u64, execute: u32) -> Result<InferResponse, A
     match kind {
         "action" if number == asked => actions(payload, execute),
         "action" => Err(AnswerError::OutOfStep { number, asked }),
-        "error" if number == asked => Err(AnswerError::Policy(told(payload))),
-        "error" => Err(AnswerError::Start(told(payload))),
+        "error" if number == asked => Err(AnswerError::Policy(error_text(payload))),
+        "error" => Err(AnswerError::Start(error_text(payload))),
         other => Err(AnswerError::Kind {
             kind: other.chars().take(16).collect(),
         }),
@@ -114,7 +114,7 @@ pub fn answer(bytes: &[u8], asked: u64, execute: u32) -> Result<InferResponse, A
 }
 
 /// Returns the end of a server's error message.
-fn told(payload: &ValueRef<'_>) -> String {
+fn error_text(payload: &ValueRef<'_>) -> String {
     let text = match lookup(payload, "error").and_then(as_text) {
         Some(text) => text.trim().to_owned(),
         None => payload.to_string(),
@@ -144,7 +144,7 @@ fn actions(payload: &ValueRef<'_>, execute: u32) -> Result<InferResponse, Answer
     if width == ACTION_WIDTH {
         let grippers = actions.iter_mut().skip(width - 1).step_by(width);
         // Values that are not finite stay as they are: the checks report them.
-        for gripper in grippers.filter(|it| it.is_finite()) {
+        for gripper in grippers.filter(|gripper| gripper.is_finite()) {
             *gripper = if *gripper < 0.0 { -1.0 } else { 1.0 };
         }
     }
@@ -160,7 +160,7 @@ fn listed(items: &[ValueRef<'_>]) -> Option<Array> {
     let number = |item: &ValueRef<'_>| match item {
         ValueRef::F32(number) => Some(*number),
         ValueRef::F64(number) => Some(*number as f32),
-        ValueRef::Integer(number) => number.as_f64().map(|it| it as f32),
+        ValueRef::Integer(number) => number.as_f64().map(|number| number as f32),
         _ => None,
     };
     Some(Array {
@@ -294,7 +294,9 @@ mod tests {
         let frame = image::encode(ImageFormat::Raw, 2, &frame).expect("nothing to fail");
         let numbers = [0.5, -1.0, 0.0, 0.0, 0.0, 0.0, 0.04, -0.04];
         let states = numbers.iter().flat_map(|it: &f64| it.to_le_bytes());
-        let of_controller = numbers.iter().flat_map(|it| (*it as f32).to_le_bytes());
+        let of_controller = numbers
+            .iter()
+            .flat_map(|number| (*number as f32).to_le_bytes());
         let observation = map([
             ("images", map([("agentview", frame)])),
             ("task_description", "pick up".into()),
@@ -320,7 +322,7 @@ mod tests {
     }
 
     #[test]
-    fn one_action_and_the_first_of_a_chunk_are_read_and_their_gripper_is_shut_or_open() {
+    fn a_single_action_and_a_chunk_are_decoded_with_a_binary_gripper() {
         let action = [0.0, 0.5, -1.0, 0.25, 0.0, 0.0, 1.0];
         let one = answered(ONE_ACTION, 1).expect("an action");
         assert_eq!((one.actions.as_slice(), one.action_width), (&action[..], 7));

@@ -35,16 +35,16 @@ pub(super) fn states(
 pub(super) fn controller_states(position: [f64; 3], hand: [f64; 9], fingers: [f64; 2]) -> [f32; 8] {
     let [xx, xy, xz, yx, yy, yz, zx, zy, zz] = hand;
     let site = [[-xy, xx, xz], [-yy, yx, yz], [-zy, zx, zz]];
-    let site = site.map(|row| row.map(|it| f64::from(it as f32)));
+    let site = site.map(|row| row.map(|number| f64::from(number as f32)));
     let [a, b, c] = axis_angle(quaternion_of(site));
-    let [x, y, z] = position.map(|it| it as f32);
-    let [left, right] = fingers.map(|it| it as f32);
+    let [x, y, z] = position.map(|number| number as f32);
+    let [left, right] = fingers.map(|finger| finger as f32);
     [x, y, z, a, b, c, left, right]
 }
 
 fn axis_angle(quaternion_xyzw: [f64; 4]) -> [f32; 3] {
     let flipped = match quaternion_xyzw[3] < 0.0 {
-        true => quaternion_xyzw.map(|it| -it),
+        true => quaternion_xyzw.map(|number| -number),
         false => quaternion_xyzw,
     };
     let [x, y, z, w] = flipped;
@@ -54,7 +54,7 @@ fn axis_angle(quaternion_xyzw: [f64; 4]) -> [f32; 3] {
         return [0.0; 3];
     }
     let angle = 2.0 * w.acos();
-    [x, y, z].map(|it| (it / sine * angle) as f32)
+    [x, y, z].map(|number| (number / sine * angle) as f32)
 }
 
 fn unflipped_axis_angle(quaternion_xyzw: [f64; 4]) -> [f32; 3] {
@@ -64,7 +64,7 @@ fn unflipped_axis_angle(quaternion_xyzw: [f64; 4]) -> [f32; 3] {
     if sine == 0.0 {
         return [0.0; 3];
     }
-    [x, y, z].map(|it| (it * 2.0 * w.acos() / sine) as f32)
+    [x, y, z].map(|number| (number * 2.0 * w.acos() / sine) as f32)
 }
 
 /// Returns the quaternion x y z w of a rotation matrix, starting from its largest component

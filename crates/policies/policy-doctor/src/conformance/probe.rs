@@ -48,7 +48,7 @@ pub(super) enum QueryOrder {
 pub(super) struct EpisodeAnswers {
     /// Answers by query index.
     pub answers: Vec<InferResponse>,
-    /// Latency of each query, in the order asked.
+    /// Latency of each query, in the order of sending.
     pub latencies: Vec<Duration>,
 }
 

@@ -183,7 +183,7 @@ fn percentiles(latencies: &[Duration]) -> String {
         let index = (share * sorted.len() as f64).ceil() as usize;
         sorted
             .get(index.max(1) - 1)
-            .map_or(f64::NAN, |it| it.as_secs_f64() * 1e3)
+            .map_or(f64::NAN, |latency| latency.as_secs_f64() * 1e3)
     };
     format!("p50 {:.2} ms, p99 {:.2} ms", at(0.5), at(0.99))
 }

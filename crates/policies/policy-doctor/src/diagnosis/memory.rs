@@ -21,7 +21,10 @@ impl Process {
         let sockets = sockets(port_of_this_machine(url)?);
         let mut ids = vec![];
         for entry in fs::read_dir("/proc").ok()?.flatten() {
-            let id = entry.file_name().to_str().and_then(|it| it.parse().ok());
+            let id = entry
+                .file_name()
+                .to_str()
+                .and_then(|name| name.parse().ok());
             if let Some(id) = id
                 && id != std::process::id()
                 && holds(&entry.path().join("fd"), &sockets)

@@ -1,4 +1,4 @@
-//! The diagnosed server and the queries that it is sent.
+//! The diagnosed server, and the queries sent to it.
 
 use std::time::Duration;
 
@@ -49,7 +49,7 @@ impl<'a> Patient<'a> {
     ) -> Result<Self, ExaminationError> {
         let shown = situations
             .iter()
-            .map(|it| it.observation(&server.described));
+            .map(|situation| situation.observation(&server.described));
         let shown: Result<Vec<Observation>, _> = shown.collect();
         Ok(Self {
             server,
@@ -80,7 +80,7 @@ impl<'a> Patient<'a> {
         let (suite, instruction) = (&situation.suite, &situation.instruction);
         for at in 0..self.situations.len() {
             let shown = self.shown[at].clone();
-            let response = self.ask(at, shown, Some(instruction)).await?;
+            let response = self.query(at, shown, Some(instruction)).await?;
             let actions = answered.take(self.server, &response);
             for earlier in &first {
                 let apart = largest_difference(earlier, &actions);
@@ -90,7 +90,7 @@ impl<'a> Patient<'a> {
         }
         for (at, earlier) in first.iter().enumerate().take(self.tried()) {
             let shown = self.shown[at].clone();
-            let response = self.ask(at, shown, Some(instruction)).await?;
+            let response = self.query(at, shown, Some(instruction)).await?;
             let again = answered.take(self.server, &response);
             let apart = largest_difference(earlier, &again);
             answered.noise = answered.noise.max(apart);
@@ -117,7 +117,11 @@ impl<'a> Patient<'a> {
             let mut changed = self.shown[at].clone();
             flipped.apply(&self.situations[at], &mut changed);
             let to_flipped = self.actions(at, changed.clone(), None).await?;
-            for image in changed.images.iter_mut().filter(|it| it.camera == camera) {
+            for image in changed
+                .images
+                .iter_mut()
+                .filter(|image| image.camera == camera)
+            {
                 image.rgb = vec![0; image.rgb.len()].into();
             }
             let to_black = self.actions(at, changed, None).await?;
@@ -138,8 +142,8 @@ impl<'a> Patient<'a> {
         for at in 0..self.tried() {
             let situation = &self.situations[at];
             let suite: Suite = situation.suite.parse().unwrap_or(Suite::Object);
-            let tasks = suite.tasks().map(|it| it.instruction());
-            let others = tasks.filter(|it| *it != situation.instruction);
+            let tasks = suite.tasks().map(|task| task.instruction());
+            let others = tasks.filter(|task| *task != situation.instruction);
             let other = others.skip(at).step_by(4).take(2);
             let own = self.actions(at, self.shown[at].clone(), None).await?;
             for instruction in other {
@@ -179,7 +183,7 @@ impl<'a> Patient<'a> {
         observation: Observation,
         instruction: Option<&str>,
     ) -> Result<Vec<Action>, ExaminationError> {
-        let response = self.ask(at, observation, instruction).await?;
+        let response = self.query(at, observation, instruction).await?;
         let actions = self.server.actions(&response);
         actions.map_err(|fault| ExaminationError::Nonsense {
             url: self.server.url.clone(),
@@ -188,7 +192,7 @@ impl<'a> Patient<'a> {
     }
 
     /// Sends one query in its own episode.
-    async fn ask(
+    async fn query(
         &mut self,
         at: usize,
         observation: Observation,

@@ -61,9 +61,12 @@ pub(super) fn actions(faults: &[ActionFault], asked: usize) -> Verdict {
 
 /// Checks that actions are in the simulator's units.
 pub(super) fn range(actions: &[Action]) -> Verdict {
-    let numbers = || actions.iter().flatten().map(|it| it.abs());
+    let numbers = || actions.iter().flatten().map(|number| number.abs());
     let largest = numbers().fold(0.0, f64::max);
-    let (beyond, count) = (numbers().filter(|it| *it > 1.0).count(), numbers().count());
+    let (beyond, count) = (
+        numbers().filter(|number| *number > 1.0).count(),
+        numbers().count(),
+    );
     if largest <= 1.0 {
         pass("")
     } else if largest <= f64::from(LARGEST_PLAUSIBLE) {
@@ -93,7 +96,7 @@ pub(super) fn is_constant(actions: &[Action]) -> bool {
 
 /// Checks that the actions move the arm.
 pub(super) fn motion(actions: &[Action]) -> Verdict {
-    let still = |action: &Action| action[..GRIPPER].iter().all(|it| it.abs() <= SAME);
+    let still = |action: &Action| action[..GRIPPER].iter().all(|number| number.abs() <= SAME);
     let count = actions.len();
     let advice = "Usually weights are missing or random, or statistics are of no variation: look \
                   at what the server loads.";
@@ -102,7 +105,10 @@ pub(super) fn motion(actions: &[Action]) -> Verdict {
             "translation and rotation of all {count} actions are 0. {advice}"
         ))
     } else if is_constant(actions) {
-        let first: Vec<String> = actions[0].iter().map(|it| format!("{it:.3}")).collect();
+        let first: Vec<String> = actions[0]
+            .iter()
+            .map(|number| format!("{number:.3}"))
+            .collect();
         fail(format!(
             "all {count} actions are [{}]. {advice}",
             first.join(", ")
@@ -314,7 +320,7 @@ mod tests {
     }
 
     #[test]
-    fn a_change_is_told_from_noise_or_not_at_all() {
+    fn a_change_within_noise_is_not_judged() {
         let change = |most, noise| Change { most, noise }.is_seen();
         assert_eq!(change(0.1, 0.0), Some(true));
         assert_eq!(change(0.0, 0.0), Some(false));
@@ -324,7 +330,7 @@ mod tests {
     }
 
     #[test]
-    fn memory_that_grows_to_the_end_is_a_leak_and_a_start_is_none() {
+    fn steady_growth_is_a_leak_and_growth_at_the_start_is_not() {
         let mib = |it: f64| (it * f64::from(1 << 20)) as u64;
         let leaking: Vec<u64> = (0..30).map(|at| mib(100.0 + f64::from(at))).collect();
         assert!(fails(&memory("process 7", &leaking), "1.00 MiB each"));

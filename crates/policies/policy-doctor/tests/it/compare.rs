@@ -39,7 +39,11 @@ async fn both_ways(one: Planted, other: Planted, expected: &[Kind]) -> Compariso
     let found = compared(&url(&one), &url(&other)).await;
     let back = compared(&url(&other), &url(&one)).await;
     for comparison in [&found, &back] {
-        let kinds: Vec<Kind> = comparison.differences.iter().map(|it| it.kind).collect();
+        let kinds: Vec<Kind> = comparison
+            .differences
+            .iter()
+            .map(|difference| difference.kind)
+            .collect();
         assert_eq!(kinds, expected, "{comparison:#?}");
     }
     found
@@ -78,7 +82,7 @@ pub(crate) const SOUND: [fn() -> Planted; 4] = [
     || {
         Planted::sound().preparing(|seen| {
             let moved = 1e-5 * hash(&[9, seen.asked_before]);
-            seen.state.iter_mut().for_each(|it| *it += moved);
+            seen.state.iter_mut().for_each(|number| *number += moved);
         })
     },
 ];
@@ -127,7 +131,9 @@ async fn cameras_and_colours_in_each_others_places_are_named() {
     let bgr = Planted::sound().preparing(|seen| {
         for frame in &mut seen.frames {
             let pixels = frame.rgb.chunks_exact(3);
-            let reversed: Vec<u8> = pixels.flat_map(|it| [it[2], it[1], it[0]]).collect();
+            let reversed: Vec<u8> = pixels
+                .flat_map(|pixel| [pixel[2], pixel[1], pixel[0]])
+                .collect();
             frame.rgb = reversed.into();
         }
     });
@@ -169,10 +175,10 @@ async fn a_quaternion_of_the_other_sign_is_named() {
     let positive = rotation(|own| {
         let quaternion = pose::from_axis_angle(own);
         let sign = if quaternion[3] < 0.0 { -1.0 } else { 1.0 };
-        pose::axis_angle(quaternion.map(|it| sign * it))
+        pose::axis_angle(quaternion.map(|number| sign * number))
     });
     names(positive, Kind::QuaternionSign, "so that w is not negative").await;
-    let other = rotation(|own| pose::axis_angle(pose::from_axis_angle(own).map(|it| -it)));
+    let other = rotation(|own| pose::axis_angle(pose::from_axis_angle(own).map(|number| -number)));
     names(other, Kind::QuaternionSign, "quaternion's sign flipped").await;
 }
 
@@ -219,7 +225,7 @@ async fn a_chunk_that_begins_later_is_named() {
 }
 
 #[tokio::test]
-async fn what_a_seed_does_otherwise_is_named() {
+async fn differences_in_seed_use_are_named() {
     type Change = fn(&mut Seen);
     let seeding = |change: Change| Planted::drawing(0.2).preparing(change);
     let cases: [(Change, &str); 4] = [
@@ -249,25 +255,27 @@ async fn a_mistake_is_named_through_noise_of_other_seeds() {
 async fn mistakes_that_come_together_are_named_together() {
     let both = Planted::sound()
         .preparing(|seen| seen.frames.iter_mut().for_each(upside_down))
-        .finishing(|actions| actions.iter_mut().for_each(|it| it[6] = -it[6]));
+        .finishing(|actions| actions.iter_mut().for_each(|action| action[6] = -action[6]));
     let expected = [Kind::FrameOrientation, Kind::GripperConvention];
     both_ways(Planted::sound(), both, &expected).await;
     let both = Planted::sound().preparing(|seen| {
         seen.frames.iter_mut().for_each(upside_down);
-        seen.state[6..].iter_mut().for_each(|it| *it = it.abs());
+        seen.state[6..]
+            .iter_mut()
+            .for_each(|number| *number = number.abs());
     });
     let expected = [Kind::FrameOrientation, Kind::StateDefinition];
     both_ways(Planted::sound(), both, &expected).await;
 }
 
 #[tokio::test]
-async fn other_weights_are_explained_by_nothing() {
+async fn other_weights_have_no_explanation() {
     let other = Planted::sound().preparing(|seen| seen.instruction.push('!'));
     names(other, Kind::Unexplained, "no difference that is looked for").await;
 }
 
 #[tokio::test]
-async fn what_descriptions_say_otherwise_is_said_and_no_mistake_by_itself() {
+async fn description_differences_are_reported_and_are_no_mistakes() {
     let pose = [
         StateField::EefPos,
         StateField::EefQuatXyzw,

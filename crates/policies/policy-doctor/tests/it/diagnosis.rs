@@ -30,7 +30,7 @@ async fn examined(url: &str, measures: Measures) -> Vec<Finding> {
     let sound = sound.expect("it answers");
     let failed = |it: &Finding| matches!(it.verdict, Verdict::Fail { .. });
     assert_eq!(sound, !findings.iter().any(failed));
-    let points: Vec<Point> = findings.iter().map(|it| it.point).collect();
+    let points: Vec<Point> = findings.iter().map(|finding| finding.point).collect();
     assert_eq!(points, Point::ALL);
     findings
 }
@@ -39,10 +39,12 @@ async fn examined(url: &str, measures: Measures) -> Vec<Finding> {
 async fn failures(policy: Planted, measures: Measures) -> Vec<(Point, String)> {
     let server = serve(policy).await;
     let findings = examined(&format!("grpc://{}", server.address), measures).await;
-    let failed = findings.into_iter().filter_map(|it| match it.verdict {
-        Verdict::Fail { reason } => Some((it.point, reason)),
-        _ => None,
-    });
+    let failed = findings
+        .into_iter()
+        .filter_map(|finding| match finding.verdict {
+            Verdict::Fail { reason } => Some((finding.point, reason)),
+            _ => None,
+        });
     failed.collect()
 }
 
@@ -55,7 +57,7 @@ async fn finds(policy: Planted, expected: &[Point], words: &str) {
 }
 
 #[tokio::test]
-async fn frames_that_are_not_looked_at_are_found_by_camera() {
+async fn unused_frames_are_found_by_camera() {
     let blind = Planted::sound().preparing(|seen| seen.frames.clear());
     let words = "frames of agentview and robot0_eye_in_hand";
     finds(blind, &[Point::Frames], words).await;
@@ -68,7 +70,7 @@ async fn a_gripper_that_never_opens_is_found() {
     let share = Planted::sound().finishing(|actions| {
         actions
             .iter_mut()
-            .for_each(|it| it[6] = (it[6] + 1.0) / 2.0);
+            .for_each(|action| action[6] = (action[6] + 1.0) / 2.0);
     });
     finds(share, &[Point::Gripper], "answer 1 - 2 g").await;
 }
@@ -76,7 +78,10 @@ async fn a_gripper_that_never_opens_is_found() {
 #[tokio::test]
 async fn actions_out_of_range_are_found() {
     let large = Planted::sound().finishing(|actions| {
-        actions.iter_mut().flatten().for_each(|it| *it *= 40.0);
+        actions
+            .iter_mut()
+            .flatten()
+            .for_each(|number| *number *= 40.0);
     });
     finds(large, &[Point::Range], "not un-normalised").await;
 }
@@ -84,7 +89,7 @@ async fn actions_out_of_range_are_found() {
 #[tokio::test]
 async fn an_arm_that_does_not_move_is_found() {
     let still = Planted::sound().finishing(|actions| {
-        actions.iter_mut().for_each(|it| it[..6].fill(0.0));
+        actions.iter_mut().for_each(|action| action[..6].fill(0.0));
     });
     finds(still, &[Point::Motion], "are 0").await;
     let constant = Planted::sound().finishing(|actions| actions.fill([-0.2; 7]));
@@ -111,7 +116,7 @@ async fn an_answer_that_follows_no_observation_is_found() {
 }
 
 #[tokio::test]
-async fn numbers_that_are_none_are_found() {
+async fn nan_actions_are_found() {
     let nan = Planted::sound().finishing(|actions| actions[1][3] = f64::NAN);
     finds(nan, &[Point::Actions], "component 3 of action 1 is NaN").await;
 }
@@ -142,6 +147,6 @@ async fn servers_that_make_no_mistake_are_not_accused() {
     let findings = examined("builtin:expert", MEASURES).await;
     let failed = findings
         .iter()
-        .filter(|it| matches!(it.verdict, Verdict::Fail { .. }));
+        .filter(|finding| matches!(finding.verdict, Verdict::Fail { .. }));
     assert_eq!(failed.count(), 0, "{findings:?}");
 }

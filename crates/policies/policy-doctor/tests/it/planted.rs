@@ -118,7 +118,7 @@ impl Planted {
         let observation = request.observation.unwrap_or_default();
         let readings = observation.state.into_iter();
         let mut seen = Seen {
-            state: readings.flat_map(|it| it.values).collect(),
+            state: readings.flat_map(|reading| reading.values).collect(),
             frames: observation.images,
             instruction: reset.instruction,
             seed: reset.seed,
@@ -131,7 +131,7 @@ impl Planted {
         (self.finish)(&mut actions);
         let actions = actions.into_iter().take(horizon).flatten();
         Ok(InferResponse {
-            actions: actions.map(|it| it as f32).collect(),
+            actions: actions.map(|number| number as f32).collect(),
             action_width: 7,
         })
     }

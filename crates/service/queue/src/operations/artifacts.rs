@@ -101,7 +101,7 @@ impl Upload<'_> {
     /// # Errors
     /// If the outcome was deleted in the meantime, or the disk fails.
     pub async fn finish(mut self) -> Result<String, ArtifactError> {
-        // Writes complete in the background; only a flush reports that the last one failed.
+        // Writes run in the background; only a flush reports a failure of the last one.
         self.file.flush().await.map_err(at(&self.partial))?;
         self.file.sync_all().await.map_err(at(&self.partial))?;
         let attempt = self.attempt;

@@ -56,7 +56,7 @@ impl Queue {
         }
         let folder = campaigns::free_folder(&mut context.tx, &new.name).await?;
         if new.jobs.len() > PIECE {
-            // A derived campaign never gets here, because it is created without jobs.
+            // Never a derived campaign, which is created without jobs.
             drop(context);
             moves::insert(shared, new, &folder).await?;
             return Ok(created(shared, new));

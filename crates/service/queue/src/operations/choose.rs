@@ -207,7 +207,7 @@ impl Wanting<'_> {
         let open = |it: &&WaitingTask| !self.exhausted.contains(&it.task);
         let open: Vec<WaitingTask> = tasks.iter().filter(open).cloned().collect();
         let chosen = choose_task(&open)?.task.clone();
-        let counted = tasks.iter_mut().find(|it| it.task == chosen);
+        let counted = tasks.iter_mut().find(|task| task.task == chosen);
         counted.into_iter().for_each(|it| it.leased += 1);
         Some(chosen)
     }

@@ -180,7 +180,10 @@ impl Context<'_> {
             let Some((chosen, share)) = choose_campaign(&seen, wanting.len()) else {
                 break;
             };
-            let Some(campaign) = suitable.into_iter().find(|it| it.id == chosen) else {
+            let Some(campaign) = suitable
+                .into_iter()
+                .find(|candidate| candidate.id == chosen)
+            else {
                 break;
             };
             let room = match campaign.health.allowance(now) {
@@ -222,7 +225,10 @@ impl Context<'_> {
         }
         let waiting = self.cache.waiting(&mut self.tx).await?;
         let mut tried: BTreeSet<PolicyId> = BTreeSet::new();
-        for campaign in waiting.iter().filter(|it| lone.contains(&it.id)) {
+        for campaign in waiting
+            .iter()
+            .filter(|candidate| lone.contains(&candidate.id))
+        {
             let may_lease = !wanting.is_empty()
                 && campaign.state.may_lease()
                 && campaign.takes(pin)

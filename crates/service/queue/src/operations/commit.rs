@@ -58,7 +58,7 @@ impl Context<'_> {
         if reports.is_empty() {
             return Ok(Vec::new());
         }
-        let attempts: Vec<AttemptId> = reports.iter().map(|it| it.attempt).collect();
+        let attempts: Vec<AttemptId> = reports.iter().map(|report| report.attempt).collect();
         let mut named = jobs::named(&mut self.tx, &attempts).await?;
         let mut accepted = Vec::new();
         let mut replies = Vec::with_capacity(reports.len());

@@ -185,7 +185,11 @@ impl<'a> Context<'a> {
         last_error: &str,
     ) -> Result<Option<String>, StoreError> {
         let standings = workers::standings(&mut self.tx, &[worker]).await?;
-        let strike = strike(standings.get(worker).map_or(0, |it| it.charged_in_a_row));
+        let strike = strike(
+            standings
+                .get(worker)
+                .map_or(0, |worker_standing| worker_standing.charged_in_a_row),
+        );
         let stop = strike.stop.then(|| {
             format!(
                 "its machine has failed {} times in a row (the limit is \
@@ -234,7 +238,7 @@ mod tests {
 
     /// Regression (finding F14): "policy `bad` is paused: policy `bad` at … refused …".
     #[test]
-    fn a_reason_that_follows_the_policys_name_does_not_say_it_again() {
+    fn a_reason_after_the_policys_name_does_not_repeat_the_name() {
         for (error, expected) in [
             (
                 "policy `bad` at http://h:1 refused query 0: no",

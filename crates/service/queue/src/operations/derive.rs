@@ -94,9 +94,9 @@ async fn pass(shared: &Shared, passes: &mut Passes) -> Result<(), StoreError> {
     let mut view = shared.store.read().await?;
     let mut additions = Vec::new();
     let campaigns = derivations::all(&mut view).await?;
-    let is_source = |id: &CampaignId| campaigns.iter().any(|it| it.source == *id);
+    let is_source = |id: &CampaignId| campaigns.iter().any(|campaign| campaign.source == *id);
     passes.sources.retain(|id, _| is_source(id));
-    let is_here = |id: &CampaignId| campaigns.iter().any(|it| it.campaign == *id);
+    let is_here = |id: &CampaignId| campaigns.iter().any(|campaign| campaign.campaign == *id);
     passes.complete.retain(|id, _| is_here(id));
     for campaign in campaigns {
         let inputs = Inputs::at(&campaign);
@@ -177,7 +177,7 @@ async fn subsets(
     let wanted = aside(move || explanation::wanted(&source, &own, &explanation)).await;
     let ids: BTreeSet<String> = wanted
         .iter()
-        .map(|it| it.simultaneous.to_string())
+        .map(|rollouts| rollouts.simultaneous.to_string())
         .collect();
     let ids: Vec<String> = ids.into_iter().collect();
     let rows = derivations::rows(tx, campaign.source, &ids).await?;
@@ -320,7 +320,7 @@ mod tests {
     /// Regression (finding B9): between a pass and the addition of its jobs, a campaign was deleted
     /// and created again under the same number.
     #[tokio::test(flavor = "multi_thread")]
-    async fn jobs_that_follow_for_a_deleted_campaign_land_in_no_other() {
+    async fn derived_jobs_of_a_deleted_campaign_are_added_to_no_other() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let store = Store::open(folder.path()).await.expect("a store");
         let (clock, rng) = (Arc::new(SystemClock::start()), ChaCha8Rng::seed_from_u64(1));

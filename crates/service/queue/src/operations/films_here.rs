@@ -98,7 +98,7 @@ fn walk(data: &Path) -> io::Result<Vec<FilmHere>> {
             let file = film?.path();
             let name = |path: &Path| {
                 path.file_name()
-                    .and_then(|it| it.to_str().map(str::to_owned))
+                    .and_then(|name| name.to_str().map(str::to_owned))
             };
             let (Some(folder), Some(name)) = (name(&campaign.path()), name(&file)) else {
                 continue;

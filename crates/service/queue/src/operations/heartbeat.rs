@@ -28,7 +28,10 @@ impl Context<'_> {
         if heartbeats.is_empty() {
             return Ok(Vec::new());
         }
-        let workers: Vec<_> = heartbeats.iter().map(|it| &it.worker).collect();
+        let workers: Vec<_> = heartbeats
+            .iter()
+            .map(|heartbeat| &heartbeat.worker)
+            .collect();
         let standings = workers::standings(&mut self.tx, &workers).await?;
         workers::beat(&mut self.tx, &workers, self.now).await?;
         let progress = heartbeats.iter().flat_map(|it| {
@@ -64,8 +67,11 @@ impl Context<'_> {
         progress: &[Progress<'_>],
         held: &BTreeSet<AttemptId>,
     ) -> Result<bool, StoreError> {
-        let lost = progress.iter().filter(|it| !held.contains(&it.attempt));
-        let lost: Vec<(AttemptId, &str)> = lost.map(|it| (it.attempt, it.worker)).collect();
+        let lost = progress
+            .iter()
+            .filter(|report| !held.contains(&report.attempt));
+        let lost: Vec<(AttemptId, &str)> =
+            lost.map(|report| (report.attempt, report.worker)).collect();
         if lost.is_empty() {
             return Ok(false);
         }

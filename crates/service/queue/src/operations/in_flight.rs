@@ -47,7 +47,7 @@ impl Films {
     /// Drops cached campaigns that are not in `campaigns`. Returns those that must be scanned.
     pub(super) fn outdated(&self, campaigns: &[Filmed], now: Instant) -> Vec<Filmed> {
         let mut known = self.lock();
-        let is_filmed = |id: &CampaignId| campaigns.iter().any(|it| it.campaign == *id);
+        let is_filmed = |id: &CampaignId| campaigns.iter().any(|campaign| campaign.campaign == *id);
         known.wanting.retain(|id, _| is_filmed(id));
         let is_outdated = |of: &&Filmed| match known.wanting.get(&of.campaign) {
             Some(known) => {
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn a_campaign_is_looked_through_when_outcomes_came_and_seldom_if_that_takes_long() {
+    fn a_campaign_is_scanned_after_new_outcomes_and_rarely_if_scans_are_slow() {
         let films = Films::default();
         let now = UnixMillis(0);
         let (began, second) = (Instant::now(), Duration::from_secs(1));

@@ -206,7 +206,10 @@ fn stand_beside(
     for stored in first {
         let siblings = states.entry((&stored.task, stored.init_id)).or_default();
         let sibling = sibling(stored);
-        if !siblings.iter().any(|it| it.stands_for(&sibling)) {
+        if !siblings
+            .iter()
+            .any(|sibling_parts| sibling_parts.stands_for(&sibling))
+        {
             siblings.push(sibling);
         }
     }

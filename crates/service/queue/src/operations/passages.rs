@@ -159,7 +159,7 @@ pub(super) mod tests {
     /// Regression (finding B7): creating or deleting a campaign was one transaction of the only
     /// writer, which made every worker wait.
     #[tokio::test(flavor = "multi_thread")]
-    async fn a_large_campaign_comes_and_goes_in_pieces_and_nobody_sees_a_part_of_it() {
+    async fn a_large_campaign_is_inserted_and_deleted_in_hidden_batches() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let new = large();
         let jobs = i64::try_from(new.jobs.len()).expect("few");
@@ -213,7 +213,7 @@ pub(super) mod tests {
             let mut view = queue.view().await.expect("a view");
             assert!(view.statuses().await.expect("statuses").is_empty());
             let policies = view.policies().await.expect("policies");
-            assert!(policies.iter().all(|it| it.campaigns.is_empty()));
+            assert!(policies.iter().all(|policy| policy.campaigns.is_empty()));
             drop(view);
             queue.close().await.expect("closed");
 

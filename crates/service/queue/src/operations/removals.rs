@@ -104,7 +104,7 @@ mod tests {
     /// Regression (finding B11): a deleted campaign whose videos were in unavailable storage
     /// blocked the creation, alteration and deletion of all other campaigns.
     #[tokio::test(flavor = "multi_thread")]
-    async fn storage_that_does_not_answer_keeps_no_campaign_from_coming_or_going() {
+    async fn unresponsive_storage_blocks_no_creation_or_deletion_of_campaigns() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let store = Store::open(folder.path()).await.expect("a store");
         let (clock, rng) = (Arc::new(SystemClock::start()), ChaCha8Rng::seed_from_u64(1));

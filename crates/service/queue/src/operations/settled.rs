@@ -67,7 +67,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn what_is_being_settled_is_not_looked_at() {
+    fn uncommitted_settlements_count_as_unprocessed() {
         let settled = Settled::new();
         let ended = settled.subscribe();
         let is_all = || settled.is_all(settled.looked_at());

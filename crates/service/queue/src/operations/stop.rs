@@ -41,7 +41,7 @@ pub(crate) async fn run(shared: Arc<Shared>) {
     loop {
         settled.mark_unchanged();
         let began = Instant::now();
-        if let Err(error) = look(&shared, &mut fronts).await {
+        if let Err(error) = evaluate_rules(&shared, &mut fronts).await {
             tracing::error!("failed to {}", error.with_cause());
             fronts.clear();
             tokio::time::sleep(PAUSE_AFTER_FAILURE).await;
@@ -53,11 +53,11 @@ pub(crate) async fn run(shared: Arc<Shared>) {
     }
 }
 
-async fn look(shared: &Shared, fronts: &mut Fronts) -> Result<(), StoreError> {
+async fn evaluate_rules(shared: &Shared, fronts: &mut Fronts) -> Result<(), StoreError> {
     let mut view = shared.store.read().await?;
     let mut met = Vec::new();
     let stoppable = stops::stoppable(&mut view).await?;
-    fronts.retain(|id, _| stoppable.iter().any(|it| it.campaign == *id));
+    fronts.retain(|id, _| stoppable.iter().any(|campaign| campaign.campaign == *id));
     for campaign in stoppable {
         let first = stops::first_unsettled(&mut view, campaign.campaign).await?;
         // A complete campaign has no rollouts left to save.
@@ -144,7 +144,7 @@ mod tests {
     /// Regression (soak test): evaluating the rule inside the transaction blocked every claim for
     /// 40 s. The transaction must therefore detect that an evaluation is out of date.
     #[tokio::test(flavor = "multi_thread")]
-    async fn a_look_is_out_of_date_once_a_rollout_before_its_front_waits_again() {
+    async fn an_evaluation_is_outdated_once_an_earlier_rollout_waits_again() {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let queue = start(folder.path()).await;
         let spec = json!({

@@ -95,13 +95,16 @@ async fn transact(
             }
         }
     }
-    let reports: Vec<_> = commits.iter().map(|it| &*it.request).collect();
+    let reports: Vec<_> = commits.iter().map(|commit| &*commit.request).collect();
     answer(context.store_results(&reports).await?, commits);
-    let beats: Vec<_> = heartbeats.iter().map(|it| &it.request).collect();
+    let beats: Vec<_> = heartbeats
+        .iter()
+        .map(|heartbeat| &heartbeat.request)
+        .collect();
     answer(context.heartbeat(&beats).await?, heartbeats);
     let requests: Vec<_> = claims
         .iter()
-        .map(|it| (&it.request.0, it.request.1))
+        .map(|claim| (&claim.request.0, claim.request.1))
         .collect();
     answer(context.claim(&requests).await?, claims);
     context.commit().await

@@ -90,7 +90,9 @@ pub(super) fn forecast(workers: &[Live], measured: &[Measured], planned: &Planne
         }
     }
     let of_kinds = kinds.iter().map(|(pin, alike)| {
-        let drawn = measured.iter().filter(|it| it.renderer == pin.renderer);
+        let drawn = measured
+            .iter()
+            .filter(|results| results.renderer == pin.renderer);
         of_kind(alike, &drawn.collect::<Vec<_>>(), planned)
     });
     let least = |a: &Forecast, b: &Forecast| {
@@ -102,7 +104,7 @@ pub(super) fn forecast(workers: &[Live], measured: &[Measured], planned: &Planne
 
 /// Returns the forecast for workers of one kind, from results of the same renderer.
 fn of_kind(alike: &[&Live], drawn: &[&Measured], planned: &Planned<'_>) -> Forecast {
-    let slots = all_of(alike.iter().map(|it| it.slots));
+    let slots = all_of(alike.iter().map(|worker| worker.slots));
     let machine = |it: &&Live| {
         it.cores.map(|cores| Machine {
             slots: it.slots,
@@ -110,19 +112,19 @@ fn of_kind(alike: &[&Live], drawn: &[&Measured], planned: &Planned<'_>) -> Forec
         })
     };
     let machines: Option<Vec<Machine>> = alike.iter().map(machine).collect();
-    let is_of_policy = drawn.iter().any(|it| it.policy == planned.policy);
+    let is_of_policy = drawn.iter().any(|results| results.policy == planned.policy);
     let used = drawn.iter().copied();
-    let used = used.filter(|it| !is_of_policy || it.policy == planned.policy);
+    let used = used.filter(|results| !is_of_policy || results.policy == planned.policy);
     let used: Vec<&Measured> = used.collect();
     let forecast = Forecast {
         workers: u32::try_from(alike.len()).unwrap_or(u32::MAX),
         slots,
         cores: machines
             .as_ref()
-            .map(|all| all_of(all.iter().map(|it| it.cores))),
+            .map(|all| all_of(all.iter().map(|worker| worker.cores))),
         ..Forecast::default()
     };
-    let duration: Figure = (|it| it.secs, |it| it.results);
+    let duration: Figure = (|row| row.secs, |row| row.results);
     let Some(any) = mean(&used, duration) else {
         return forecast;
     };
@@ -156,7 +158,7 @@ fn of_kind(alike: &[&Live], drawn: &[&Measured], planned: &Planned<'_>) -> Forec
     let alone = || (work / f64::from(slots.max(1))).max(longest);
     Forecast {
         secs: Some(rate.map_or_else(alone, |rate| at(rate.per_sec))),
-        results: used.iter().map(|it| it.results.unsigned_abs()).sum(),
+        results: used.iter().map(|row| row.results.unsigned_abs()).sum(),
         is_of_policy,
         unmeasured_suites,
         speed,
@@ -177,14 +179,14 @@ fn total(rollouts: &BTreeMap<String, u64>) -> u64 {
 type Figure = (fn(&Measured) -> f64, fn(&Measured) -> i64);
 
 fn of_suite<'a>(measured: &[&'a Measured], suite: &str) -> Vec<&'a Measured> {
-    let in_suite = measured.iter().filter(|it| it.suite == suite);
+    let in_suite = measured.iter().filter(|row| row.suite == suite);
     in_suite.copied().collect()
 }
 
 /// Returns the mean time of a planned rollout, and the number of results that it is based on. A
 /// suite without results is assumed to be like the others. `None` if no result reports its times.
 fn spent(used: &[&Measured], rollouts: &BTreeMap<String, u64>) -> Option<(u64, Spent)> {
-    let results: i64 = used.iter().map(|it| it.known).sum();
+    let results: i64 = used.iter().map(|row| row.known).sum();
     let total = total(rollouts);
     // If no rollouts remain, all suites weigh the same.
     let weight = |suite: &str| match total {
@@ -192,9 +194,9 @@ fn spent(used: &[&Measured], rollouts: &BTreeMap<String, u64>) -> Option<(u64, S
         _ => rollouts.get(suite).copied().unwrap_or_default() as f64 / total as f64,
     };
     let figure = |of: &[&Measured], value: fn(&Measured) -> f64| {
-        let all = mean(of, (value, |it| it.known))?;
+        let all = mean(of, (value, |row| row.known))?;
         let suites = rollouts.keys().map(|suite| {
-            let secs = mean(&of_suite(of, suite), (value, |it| it.known));
+            let secs = mean(&of_suite(of, suite), (value, |row| row.known));
             weight(suite) * secs.unwrap_or(all)
         });
         Some(match total {
@@ -202,17 +204,17 @@ fn spent(used: &[&Measured], rollouts: &BTreeMap<String, u64>) -> Option<(u64, S
             _ => suites.sum(),
         })
     };
-    let roomy = used.iter().copied().filter(|it| it.is_roomy);
+    let roomy = used.iter().copied().filter(|row| row.is_roomy);
     let roomy: Vec<&Measured> = roomy.collect();
     let spent = Spent {
-        physics_secs: figure(used, |it| it.physics_secs)?,
-        drawing_secs: figure(used, |it| it.drawing_secs)?,
-        policy_secs: figure(used, |it| it.policy_secs)?,
-        waiting_secs: figure(used, |it| it.waiting_secs)?,
+        physics_secs: figure(used, |row| row.physics_secs)?,
+        drawing_secs: figure(used, |row| row.drawing_secs)?,
+        policy_secs: figure(used, |row| row.policy_secs)?,
+        waiting_secs: figure(used, |row| row.waiting_secs)?,
         // Measured only where every slot had its own core: on shared cores, slots also wait for one
         // another.
-        taken_secs: figure(&roomy, |it| it.waiting_secs).unwrap_or(0.0),
-        queries: figure(used, |it| it.queries)?,
+        taken_secs: figure(&roomy, |row| row.waiting_secs).unwrap_or(0.0),
+        queries: figure(used, |row| row.queries)?,
     };
     Some((results.unsigned_abs(), spent))
 }
@@ -278,7 +280,7 @@ mod tests {
     }
 
     /// A rollout of ten seconds: four on a core, five for the policy, one waiting.
-    fn known(suite: &str, is_roomy: bool) -> Measured {
+    fn with_times(suite: &str, is_roomy: bool) -> Measured {
         Measured {
             known: 10,
             is_roomy,
@@ -326,8 +328,8 @@ mod tests {
     }
 
     #[test]
-    fn where_the_time_went_says_what_bounds_the_rollouts() {
-        let took = [known("goal", true)];
+    fn the_time_of_each_part_determines_the_bottleneck() {
+        let took = [with_times("goal", true)];
         let workers = [("software", 4)];
         let forecast = of_cores(Some(4), &workers, &took, &[("goal", 100)]);
         assert_eq!(forecast.cores, Some(4));
@@ -345,7 +347,7 @@ mod tests {
 
     #[test]
     fn slots_that_shared_cores_waited_for_one_another() {
-        let took = [known("goal", false)];
+        let took = [with_times("goal", false)];
         let forecast = of_cores(Some(4), &[("software", 9)], &took, &[("goal", 100)]);
         let speed = forecast.speed.expect("known");
         assert_eq!(
@@ -358,12 +360,12 @@ mod tests {
     }
 
     #[test]
-    fn a_suite_weighs_as_much_as_there_is_of_it() {
+    fn suites_are_weighted_by_their_number_of_rollouts() {
         let slow = Measured {
             physics_secs: 9.0,
-            ..known("long", true)
+            ..with_times("long", true)
         };
-        let took = [known("goal", true), slow];
+        let took = [with_times("goal", true), slow];
         let rollouts = [("goal", 30), ("long", 10), ("object", 0)];
         let forecast = of_cores(Some(1), &[("software", 1)], &took, &rollouts);
         let speed = forecast.speed.expect("known");
@@ -374,7 +376,7 @@ mod tests {
 
     #[test]
     fn numbers_of_any_size_are_forecast() {
-        let took = [known("goal", true), known("long", true)];
+        let took = [with_times("goal", true), with_times("long", true)];
         let workers = [("software", u32::MAX), ("software", u32::MAX)];
         let rollouts = [("goal", u64::MAX), ("long", u64::MAX)];
         let forecast = of_cores(Some(u32::MAX), &workers, &took, &rollouts);
@@ -383,8 +385,8 @@ mod tests {
     }
 
     #[test]
-    fn workers_that_say_no_cores_are_forecast_by_their_slots() {
-        let took = [known("goal", true)];
+    fn workers_without_a_core_count_are_forecast_by_their_slots() {
+        let took = [with_times("goal", true)];
         let forecast = of(&[("software", 4)], &took, &[("goal", 100)]);
         let speed = forecast.speed.expect("known");
         assert_eq!((speed.rate, speed.enough_slots_secs), (None, None));

@@ -40,7 +40,7 @@ impl View {
             *planned.rollouts.entry(suite.to_owned()).or_default() += count.unsigned_abs();
         }
         let mut workers = self.live().await?;
-        workers.retain(|it| campaign.takes(&it.pin));
+        workers.retain(|worker| campaign.takes(&worker.pin));
         let measured = self.measured(Some(campaign.id)).await?;
         Ok(forecast(&workers, &measured, &planned))
     }

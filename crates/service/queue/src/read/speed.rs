@@ -60,7 +60,7 @@ impl Spent {
         self.physics_secs + self.drawing_secs + self.taken_secs
     }
 
-    /// Returns the duration of a rollout whose core is used by no other slot.
+    /// Returns the duration of a rollout whose slot has a core of its own.
     fn alone(&self) -> f64 {
         self.busy() + self.policy_secs
     }
@@ -78,7 +78,7 @@ pub(super) fn rate(machines: &[Machine], spent: &Spent, policy_rate: Option<f64>
     let by_slots = |it: &Machine| f64::from(it.slots) / alone;
     let simulated: f64 = machines
         .iter()
-        .map(|it| by_slots(it).min(by_cores(it)))
+        .map(|machine| by_slots(machine).min(by_cores(machine)))
         .sum();
     let full: f64 = machines.iter().map(by_cores).sum();
     let answered = policy_rate.filter(|_| spent.queries > 0.0);
@@ -124,26 +124,26 @@ mod tests {
         Machine { slots, cores }
     }
 
-    fn known(machines: &[Machine], policy_rate: Option<f64>) -> Rate {
+    fn rate_of_example(machines: &[Machine], policy_rate: Option<f64>) -> Rate {
         rate(machines, &ROLLOUT, policy_rate).expect("a rate")
     }
 
     #[test]
     fn few_slots_wait_for_the_policy_while_cores_are_idle() {
-        let few = known(&[on(4, 4)], None);
+        let few = rate_of_example(&[on(4, 4)], None);
         assert_eq!((few.per_sec, few.bottleneck), (0.4, Bottleneck::Slots));
         assert_eq!((few.enough_slots, few.most_per_sec), (10, 1.0));
-        let enough = known(&[on(10, 4)], None);
+        let enough = rate_of_example(&[on(10, 4)], None);
         assert_eq!(
             (enough.per_sec, enough.bottleneck),
             (1.0, Bottleneck::Cores)
         );
-        assert_eq!(known(&[on(64, 4)], None).per_sec, 1.0);
+        assert_eq!(rate_of_example(&[on(64, 4)], None).per_sec, 1.0);
     }
 
     #[test]
     fn slots_of_one_machine_do_not_use_the_cores_of_another() {
-        let one_sided = known(&[on(40, 4), on(2, 4)], None);
+        let one_sided = rate_of_example(&[on(40, 4), on(2, 4)], None);
         assert_eq!(one_sided.per_sec, 1.0 + 0.2);
         assert_eq!(one_sided.bottleneck, Bottleneck::Slots);
         assert_eq!((one_sided.enough_slots, one_sided.most_per_sec), (20, 2.0));
@@ -151,10 +151,10 @@ mod tests {
 
     #[test]
     fn a_policy_that_answers_slowly_bounds_all_of_them() {
-        let bound = known(&[on(10, 4)], Some(15.0));
+        let bound = rate_of_example(&[on(10, 4)], Some(15.0));
         assert_eq!((bound.per_sec, bound.bottleneck), (0.5, Bottleneck::Policy));
         assert_eq!((bound.enough_slots, bound.most_per_sec), (5, 0.5));
-        let fast = known(&[on(4, 4)], Some(15.0));
+        let fast = rate_of_example(&[on(4, 4)], Some(15.0));
         assert_eq!((fast.bottleneck, fast.enough_slots), (Bottleneck::Slots, 5));
     }
 
@@ -195,8 +195,8 @@ mod tests {
         ) {
             let found = rate(&machines, &spent, policy).expect("a rate");
             let close = |a: f64, b: f64| (a - b).abs() <= 1e-9 * b.max(1e-9);
-            let slots: u32 = machines.iter().map(|it| it.slots).sum();
-            let cores: u32 = machines.iter().map(|it| it.cores).sum();
+            let slots: u32 = machines.iter().map(|machine| machine.slots).sum();
+            let cores: u32 = machines.iter().map(|machine| machine.cores).sum();
             let by_slots = f64::from(slots) / spent.alone();
             let by_cores = f64::from(cores) / spent.busy();
             let asked = found.per_sec * spent.queries;

@@ -110,7 +110,7 @@ mod tests {
     }
 
     #[test]
-    fn a_stopped_campaign_stays_so_whatever_is_asked_for() {
+    fn a_stopped_campaign_rejects_every_change() {
         let stopped = CampaignState::Stopped { since: THEN };
         for change in [Change::Pause, Change::Resume, Change::Cancel] {
             assert_eq!(stopped.after(change, NOW), Err(EndedIsFinal));
@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_so_already_keeps_its_instant() {
+    fn repeating_the_current_state_keeps_its_instant() {
         let running = CampaignState::Running { since: THEN };
         assert_eq!(running.after(Change::Resume, NOW), Ok(running));
         let paused = CampaignState::Paused { since: NOW };
@@ -128,7 +128,7 @@ mod tests {
     }
 
     #[test]
-    fn states_read_back_under_their_names() {
+    fn states_round_trip_through_their_names() {
         for state in [
             CampaignState::Running { since: THEN },
             CampaignState::Paused { since: THEN },

@@ -21,9 +21,11 @@ pub struct WaitingCampaign {
 /// campaign. Claims that arrive together are assigned as if they had arrived one by one.
 pub fn choose_campaign(waiting: &[WaitingCampaign], claims: usize) -> Option<(CampaignId, usize)> {
     let priority = waiting.iter().map(|campaign| campaign.priority).max()?;
-    let peers = waiting.iter().filter(|it| it.priority == priority);
+    let peers = waiting
+        .iter()
+        .filter(|campaign| campaign.priority == priority);
     let mut peers: Vec<&WaitingCampaign> = peers.collect();
-    peers.sort_by_key(|it| (it.leased, it.last_turn, it.id));
+    peers.sort_by_key(|campaign| (campaign.leased, campaign.last_turn, campaign.id));
     let first = peers.first()?;
     // Find the number of leases that the campaign and its peers reach together once all claims are
     // served; peers that already have more get none.
@@ -77,7 +79,7 @@ mod tests {
     }
 
     #[test]
-    fn the_highest_priority_goes_first_whatever_it_holds() {
+    fn the_highest_priority_is_served_first_regardless_of_its_leases() {
         let waiting = [
             campaign(1, 0, 0, 0),
             campaign(2, 5, 90, 7),
@@ -88,8 +90,9 @@ mod tests {
     }
 
     #[test]
-    fn among_equals_the_fewest_leases_then_the_longest_wait_then_age_decide() {
-        let first = |waiting: &[WaitingCampaign]| choose_campaign(waiting, 1).map(|it| it.0.0);
+    fn equal_priorities_are_ordered_by_leases_then_wait_then_age() {
+        let first =
+            |waiting: &[WaitingCampaign]| choose_campaign(waiting, 1).map(|choice| choice.0.0);
         assert_eq!(
             first(&[campaign(1, 0, 2, 1), campaign(2, 0, 1, 2)]),
             Some(2)
@@ -124,7 +127,10 @@ mod tests {
                 chosen.last_turn = turn;
                 left -= share;
             }
-            waiting.iter().map(|it| it.leased).collect::<Vec<_>>()
+            waiting
+                .iter()
+                .map(|campaign| campaign.leased)
+                .collect::<Vec<_>>()
         };
         let (mut together, mut alone) = (given(usize::MAX), given(1));
         together.sort_unstable();
@@ -133,7 +139,7 @@ mod tests {
     }
 
     #[test]
-    fn claims_that_arrive_together_are_shared_out_as_if_each_had_come_alone() {
+    fn simultaneous_claims_are_assigned_as_if_sequential() {
         check(&[0, 0], 10);
         check(&[0, 0, 0], 10);
         check(&[7, 0], 4);

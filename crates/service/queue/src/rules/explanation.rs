@@ -61,7 +61,7 @@ pub(crate) fn telling(
     for (simultaneous, lattice) in &lattices {
         let answers = explain(lattice).map_or_else(|_| Vec::new(), |found| found.answers);
         let minimal = answers.iter().flat_map(|answer| &answer.minimal);
-        let sets = minimal.flat_map(|it| it.below.iter().copied().chain([it.set]));
+        let sets = minimal.flat_map(|minimum| minimum.below.iter().copied().chain([minimum.set]));
         for set in sets {
             let (task, level) = (simultaneous.task(), simultaneous.level());
             let condition = match set == lattice.full() {

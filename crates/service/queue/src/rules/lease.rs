@@ -488,7 +488,7 @@ mod tests {
     }
 
     #[test]
-    fn a_worker_that_comes_back_is_heard_until_its_job_is_leased_again_or_its_ceiling() {
+    fn a_reconnected_worker_resumes_its_lease_until_its_job_is_leased_again_or_its_ceiling() {
         let cut_off = CutOff {
             number: AttemptNumber(2),
             lease: lease(true),
@@ -533,7 +533,7 @@ mod tests {
     }
 
     #[test]
-    fn a_job_that_loses_its_policy_again_and_again_steps_back_and_is_quarantined_in_the_end() {
+    fn a_job_that_repeatedly_loses_its_policy_backs_off_and_is_finally_quarantined() {
         let lost = |count| after(FailureReason::PolicyLost, count, 0);
         let at_once = AfterFailure::Requeue {
             not_before: UnixMillis(0),
@@ -550,7 +550,7 @@ mod tests {
     }
 
     #[test]
-    fn a_job_that_takes_workers_down_is_quarantined_once_it_did_so_on_two_machines() {
+    fn a_job_that_crashes_workers_on_two_machines_is_quarantined() {
         let silent = |count, machines| after(FailureReason::WorkerSilent, count, machines);
         let at_once = AfterFailure::Requeue {
             not_before: UnixMillis(0),
@@ -579,7 +579,7 @@ mod tests {
     }
 
     #[test]
-    fn a_coordinator_that_missed_half_a_lease_was_asleep() {
+    fn a_gap_of_half_a_lease_between_sweeps_means_suspension() {
         let lease = Duration::from_secs(30);
         assert!(!was_asleep(Duration::from_secs(14), lease));
         assert!(was_asleep(Duration::from_secs(15), lease));

@@ -93,7 +93,7 @@ pub fn merge<N: Clone + Ord>(
     for (of, known) in first {
         match second
             .get(of)
-            .map_or(Ok(Kept::First), |it| known.beside(it))
+            .map_or(Ok(Kept::First), |second| known.beside(second))
         {
             Ok(half) => {
                 kept.insert(of.clone(), half);
@@ -122,7 +122,7 @@ mod tests {
 
     type Half = BTreeMap<u8, Known>;
 
-    fn known() -> impl Strategy<Value = Known> {
+    fn any_record() -> impl Strategy<Value = Known> {
         let standing = prop_oneof![
             Just(Standing::Open),
             Just(Standing::Quarantined),
@@ -142,7 +142,7 @@ mod tests {
     }
 
     fn half() -> impl Strategy<Value = Half> {
-        proptest::collection::btree_map(0..6_u8, known(), 0..6)
+        proptest::collection::btree_map(0..6_u8, any_record(), 0..6)
     }
 
     fn merged(first: &Half, second: &Half) -> Option<Half> {
@@ -197,7 +197,7 @@ mod tests {
                 .copied()
                 .collect();
             let found = merge(&a, &b).err().unwrap_or_default();
-            prop_assert_eq!(found.iter().map(|it| it.of).collect::<Vec<_>>(), expected);
+            prop_assert_eq!(found.iter().map(|conflict| conflict.of).collect::<Vec<_>>(), expected);
             for it in found {
                 prop_assert_eq!(Some(it.first), outcome(a.get(&it.of)));
                 prop_assert_eq!(Some(it.second), outcome(b.get(&it.of)));

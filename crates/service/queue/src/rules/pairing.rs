@@ -310,7 +310,7 @@ mod tests {
     }
 
     #[test]
-    fn other_levels_and_configurations_realise_what_they_like() {
+    fn other_levels_and_configurations_may_be_realised_differently() {
         for id in ["goal/t0/sensor/L1/c01", "goal/t0/sensor/L2/c02"] {
             let other = sibling(id, &[(Axis::Sensor, 0.0)], "");
             let difference = kept_out((COMBINATION, Realisation::Matched), &FIVE, "", &other);
@@ -319,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn an_axis_left_out_or_added_is_told_from_the_manifest_row() {
+    fn a_missing_or_extra_axis_is_detected_from_the_manifest_row() {
         let other = sibling("goal/t0/clean/i06", &[], "");
         let matched = |id| (id, Realisation::Matched);
         check(
@@ -363,9 +363,18 @@ mod tests {
             change(Arc::make_mut(&mut other.origin));
             kept_out(language, &[], &hex('f'), &other)
         };
-        assert_eq!(foreign(|it| it.pin.renderer = "NVIDIA".to_owned()), None);
-        assert_eq!(foreign(|it| it.policy_checkpoint_digest = hex('9')), None);
-        assert_eq!(foreign(|it| it.fingerprint = hex('e')), None);
+        assert_eq!(
+            foreign(|provenance| provenance.pin.renderer = "NVIDIA".to_owned()),
+            None
+        );
+        assert_eq!(
+            foreign(|provenance| provenance.policy_checkpoint_digest = hex('9')),
+            None
+        );
+        assert_eq!(
+            foreign(|provenance| provenance.fingerprint = hex('e')),
+            None
+        );
         assert!(foreign(|_| ()).is_some());
     }
 }

@@ -408,7 +408,7 @@ async fn rows(
     is_wanted: impl Fn(&str) -> bool,
 ) -> Result<(), StoreError> {
     name_attempts(tx).await?;
-    for copied in COPIED.iter().filter(|it| is_wanted(it.table)) {
+    for copied in COPIED.iter().filter(|table| is_wanted(table.table)) {
         let statement = copied.statement(tx).await?;
         run(tx, &statement).await?;
         match copied.table {
@@ -560,7 +560,7 @@ mod tests {
     use crate::store::Store;
 
     #[tokio::test]
-    async fn every_table_is_copied_or_stays_behind_on_purpose() {
+    async fn every_table_is_copied_or_explicitly_excluded() {
         let folder = tempfile::tempdir().expect("a folder");
         let store = Store::open(folder.path()).await.expect("a database");
         let mut view = store.read().await.expect("a view");
