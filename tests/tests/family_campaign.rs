@@ -1,6 +1,6 @@
 //! A campaign of LIBERO's family through real processes, held against `worker variants`.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::Path;
 use std::process::Command;
 use std::time::{Duration, Instant};
@@ -42,6 +42,8 @@ struct Outcome {
     steps: i64,
     /// Digests of the scene, the initial state and the policy's first frames.
     digests: [String; 3],
+    /// Prompt that the policy got.
+    prompt: String,
 }
 
 /// Outcomes by rollout id.
@@ -65,9 +67,9 @@ async fn stored(data: &Path) -> Outcomes {
     let mut database = sqlx::SqliteConnection::connect_with(&options)
         .await
         .expect("a database");
-    let rows: Vec<(String, bool, i64, String, String, String)> = sqlx::query_as(
+    let rows: Vec<(String, bool, i64, String, String, String, String)> = sqlx::query_as(
         "SELECT j.rollout_id, r.success, r.steps, r.scene_digest, r.init_state_digest,
-             r.first_frame_digest
+             r.first_frame_digest, r.prompt
          FROM result r JOIN job j ON j.id = r.job_id",
     )
     .fetch_all(&mut database)
@@ -75,7 +77,7 @@ async fn stored(data: &Path) -> Outcomes {
     .expect("results");
     let rows = rows
         .into_iter()
-        .map(|(id, success, steps, scene, state, frame)| {
+        .map(|(id, success, steps, scene, state, frame, prompt)| {
             let digests = [scene, state, frame];
             (
                 id,
@@ -83,6 +85,7 @@ async fn stored(data: &Path) -> Outcomes {
                     success,
                     steps,
                     digests,
+                    prompt,
                 },
             )
         });
@@ -129,6 +132,7 @@ fn run_alone(campaigns: &Campaigns, variants: &str, output: &Path) -> Outcomes {
         steps: row["steps"].as_i64().expect("a number"),
         digests: ["scene_digest", "init_state_digest", "first_frame_digest"]
             .map(|name| row[name].as_str().expect("a digest").to_owned()),
+        prompt: row["prompt"].as_str().expect("a prompt").to_owned(),
     };
     rows.map(|row| (id(&row), outcome(&row))).collect()
 }
@@ -148,12 +152,20 @@ async fn a_campaign_of_variants_has_the_outcomes_of_worker_variants() {
     let _worker = Process::worker(&campaigns.coordinator.url, 2, "primitives");
     campaigns.wait_for_commits("plus", None);
     let export = campaigns.succeed(&["export", "plus", "--format", "jsonl"]);
+    let mut prompts = HashMap::new();
     for line in export.lines() {
         let row: Value = serde_json::from_str(line).expect("JSON");
         assert_eq!(row["protocol"], "plus-official");
         assert_eq!(row["axis"], "variant");
+        prompts.insert(row["rollout_id"].clone(), row["prompt"].clone());
     }
     let outcomes = stored(&data).await;
+    for (id, outcome) in &outcomes {
+        assert_eq!(prompts[&Value::from(id.as_str())], outcome.prompt, "{id}");
+        let shown = campaigns.succeed(&["jobs", "show", "plus", id]);
+        let line = format!("  prompt         {}\n", outcome.prompt);
+        assert!(shown.contains(&line), "{shown}");
+    }
     assert!(outcomes.keys().eq(ids.iter()), "{outcomes:?}");
     let alone = run_alone(&campaigns, &joined, &folder.path().join("alone"));
     assert_eq!(outcomes, alone);
@@ -250,7 +262,10 @@ fn a_worker_without_the_task_files_gets_other_rollouts_until_they_are_fetched() 
     }
     let shown = ["jobs", "show", "plus", "goal/t8/plus:level1_sample1/i00"];
     let layout = campaigns.succeed(&shown);
-    assert!(layout.contains("attempts       0,"), "never leased: {layout}");
+    assert!(
+        layout.contains("attempts       0,"),
+        "never leased: {layout}"
+    );
     let report = campaigns.succeed(&["report", "plus", "--json"]);
     let report: Value = serde_json::from_str(&report).expect("JSON");
     let counts = ["missing", "quarantined"].map(|name| report["family"][name].clone());
