@@ -401,6 +401,7 @@ fn outcome(
             policy_queries: 100,
             parts: None,
             goal: None,
+            prompt: None,
         },
         provenance: Provenance {
             // One machine per worker.

@@ -17,7 +17,8 @@ const PAGE_ROWS: u32 = 1_000;
 
 /// Exported row: the reference's columns in its order, then optional columns: the replicate unless
 /// it is the first, the radius of a placebo, the execution model unless it is `wait`, the
-/// protocol of a variant of LIBERO's family, and the goal's progress if the worker reported it.
+/// protocol of a variant of LIBERO's family, the goal's progress if the worker reported it, and a
+/// variant's prompt.
 #[derive(Serialize)]
 struct ExportRow<'a> {
     rollout_id: RolloutId,
@@ -47,6 +48,8 @@ struct ExportRow<'a> {
     goal_at_end: Option<u32>,
     #[serde(skip_serializing_if = "Option::is_none")]
     goal_at_most: Option<u32>,
+    #[serde(skip_serializing_if = "Option::is_none")]
+    prompt: Option<&'a str>,
 }
 
 /// Returns the exported lines of a campaign as a stream that reads page by page on demand.
@@ -108,6 +111,11 @@ fn line(result: &ExportedRow, policy: &str) -> Result<String, ReadError> {
         goal_predicates: result.goal_predicates,
         goal_at_end: result.goal_at_end,
         goal_at_most: result.goal_at_most,
+        // Other rollouts' prompts follow from their ids.
+        prompt: result
+            .prompt
+            .as_deref()
+            .filter(|_| row.id.variant().is_some()),
     })
     .map_err(in_row)
 }

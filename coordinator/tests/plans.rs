@@ -168,6 +168,7 @@ fn report(attempt: AttemptId) -> CommitReport {
             policy_queries: 1,
             parts: None,
             goal: None,
+            prompt: None,
         },
         provenance: Provenance {
             host: "here".to_owned(),

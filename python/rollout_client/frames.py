@@ -32,6 +32,8 @@ RESULTS = {
     "goal_predicates": INTEGER,
     "goal_at_end": INTEGER,
     "goal_at_most": INTEGER,
+    "protocol": TEXT,
+    "prompt": TEXT,
 }
 
 #: Columns with the names of `coordinator jobs list --json`.

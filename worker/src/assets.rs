@@ -92,6 +92,12 @@ impl Provider {
         }
     }
 
+    /// Returns the benchmarks whose task files were not fetched.
+    pub fn absent(&self) -> impl Iterator<Item = Benchmark> {
+        let all = [Benchmark::Plus, Benchmark::Pro].into_iter();
+        all.filter(|benchmark| !self.sources.has_task_files(*benchmark))
+    }
+
     /// Returns true if a row's files may have to be fetched, or may be missing.
     pub fn is_needed(&self, row: &ManifestRow) -> bool {
         self.pack.is_managed() || row.id.variant().is_some()

@@ -278,6 +278,7 @@ impl Run<'_> {
             policy_queries: self.queries,
             parts: Some(self.parts),
             goal: Some(self.goal),
+            prompt: Some(instruction.into_owned()).filter(|it| !it.is_empty()),
         };
         Ok((
             result,

@@ -285,6 +285,9 @@ fn describe_job(details: &GetJobResponse) -> String {
             result.wall_secs,
             duration_text(result.ago_secs)
         ));
+        if !result.prompt.is_empty() {
+            lines.push(format!("  prompt         {}", result.prompt));
+        }
         if result.divergences > 0 {
             lines.push(format!(
                 "  divergent      reported {} times with another outcome",

@@ -134,6 +134,7 @@ forms! {
 
     ResultOrigin from result: wire::ResultOrigin {
         goal: Option<Goal> = result.goal.as_ref().map(Goal::of),
+        prompt: Option<String> = given(&result.prompt),
         attempt: u32 = result.attempt,
         worker_id: String = result.worker_id.clone(),
         host: String = result.host.clone(),

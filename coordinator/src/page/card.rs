@@ -257,6 +257,7 @@ fn of_result(result: &ResultLine) -> Vec<(&'static str, String)> {
         ("policy asked", format!("{} times", result.policy_queries)),
         ("actions clipped", result.clipped_actions.to_string()),
         ("goal", goal(result)),
+        ("prompt", result.prompt.clone().unwrap_or_default()),
         ("inverse kinematics off by", residual.unwrap_or_default()),
         ("policy", format!("{}{privileged}", from.policy_name)),
         ("checkpoint", from.policy_checkpoint.clone()),

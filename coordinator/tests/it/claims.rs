@@ -143,6 +143,63 @@ async fn jobs_of_tasks_without_assets_are_left_to_other_workers() {
     assert!(rest.iter().all(|lease| rollout_id(lease).contains("/t0/")));
 }
 
+/// Regression: a worker without LIBERO-Plus' task files was offered their rollouts again and again.
+#[tokio::test]
+async fn variants_whose_task_files_a_worker_lacks_are_left_to_others() {
+    let bench = Bench::start().await;
+    let variants = [
+        "put_the_bowl_on_the_plate_view_0_0_100_0_0_initstate_0_noise_30",
+        "put_the_bowl_on_the_plate_language_1_view_0_0_100_0_0_initstate_0",
+        "put_the_bowl_on_the_plate_moved_level1_sample1",
+    ];
+    let spec = json!({
+        "name": "plus",
+        "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
+        "variants": {
+            "benchmark": "libero-plus", "protocol": "plus-official", "variants": variants,
+        },
+    });
+    bench.create(&spec).await.expect("created");
+    let mut partial = bench.worker("a").await;
+    let mut claimed = Vec::new();
+    let idle_reason = loop {
+        let mut request = partial.claim_request(0.0, "");
+        request.lacking_tasks = vec!["libero_goal/8+libero-plus".to_owned()];
+        let answer = partial.service.claim(request).await.expect("an answer");
+        let answer = answer.into_inner();
+        match answer.lease {
+            Some(lease) => claimed.push(rollout_id(&lease)),
+            None => break answer.idle_reason,
+        }
+    };
+    claimed.sort();
+    assert_eq!(
+        claimed,
+        ["goal/t8/plus:noise_30/i00", "goal/t8/plus:unperturbed/i00"]
+    );
+    for words in ["campaign `plus`", "worker assets fetch --suite libero-plus"] {
+        assert!(idle_reason.contains(words), "{idle_reason}");
+    }
+    let listed = wire::ListJobsRequest {
+        campaign: "plus".to_owned(),
+        task: "libero_goal/8".to_owned(),
+        limit: 64,
+        ..wire::ListJobsRequest::default()
+    };
+    let listed = bench.operator().await.list_jobs(listed).await;
+    assert_eq!(listed.expect("jobs").into_inner().jobs.len(), 4);
+    let mut whole = bench.worker("b").await;
+    let mut rest: Vec<String> = whole.claim(64).await.iter().map(rollout_id).collect();
+    rest.sort();
+    assert_eq!(
+        rest,
+        [
+            "goal/t8/plus:language_1/i00",
+            "goal/t8/plus:level1_sample1/i00"
+        ]
+    );
+}
+
 #[tokio::test]
 async fn a_worker_that_names_no_renderer_is_not_registered() {
     let bench = Bench::start().await;

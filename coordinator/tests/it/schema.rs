@@ -81,6 +81,7 @@ const INVALID_STATEMENTS: &[(&str, &str)] = &[
     ("UPDATE result SET goal_at_end = NULL", "CHECK"),
     ("UPDATE result SET goal_at_end = 0 WHERE success", "CHECK"),
     ("UPDATE result SET goal_at_most = 3", "CHECK"),
+    ("UPDATE result SET prompt = ''", "CHECK"),
     ("UPDATE worker SET cores = 0", "CHECK"),
     ("UPDATE worker SET machine = ''", "CHECK"),
     ("UPDATE job SET losses = -1", "CHECK"),
@@ -97,7 +98,7 @@ const INVALID_STATEMENTS: &[(&str, &str)] = &[
         "INSERT INTO result SELECT j.id, r.campaign_id, hex(zeroblob(16)), 1, r.worker_id,
              r.committed_ms, r.success, r.steps, r.wall_secs, NULL, NULL, NULL, 0, 0,
              r.provenance_id, r.scene_digest, r.init_state_digest, '', '{}',
-             NULL, NULL, NULL, NULL, NULL, NULL
+             NULL, NULL, NULL, NULL, NULL, NULL, NULL
          FROM result r JOIN job j ON j.state = 'queued' LIMIT 1",
         "result_is_of_the_held_lease",
     ),

@@ -20,7 +20,7 @@ use crate::process::{coordinator, text};
 /// SQL dumps of databases, one per earlier schema, with jobs of every state, charged and uncharged
 /// failures, an unavailable policy, and films. From the third on, they are the second one as
 /// upgraded by later releases. A new migration adds a dump of the schema before it.
-const RELEASED: [&str; 11] = [
+const RELEASED: [&str; 12] = [
     include_str!("../databases/schema_1.sql"),
     include_str!("../databases/schema_2.sql"),
     include_str!("../databases/schema_3.sql"),
@@ -32,6 +32,7 @@ const RELEASED: [&str; 11] = [
     include_str!("../databases/schema_9.sql"),
     include_str!("../databases/schema_10.sql"),
     include_str!("../databases/schema_11.sql"),
+    include_str!("../databases/schema_12.sql"),
 ];
 
 const FIRST_MIGRATION: &str = "0001_campaigns_jobs_results.sql";

@@ -147,7 +147,7 @@ class Motion(_message.Message):
     def __init__(self, path: _Optional[bytes] = ..., actions: _Optional[bytes] = ...) -> None: ...
 
 class RolloutResult(_message.Message):
-    __slots__ = ("success", "steps", "wall_secs", "ik_residual_mm", "ik_residual_deg", "ik_clamped_joints", "clipped_actions", "policy_queries", "parts", "goal")
+    __slots__ = ("success", "steps", "wall_secs", "ik_residual_mm", "ik_residual_deg", "ik_clamped_joints", "clipped_actions", "policy_queries", "parts", "goal", "prompt")
     SUCCESS_FIELD_NUMBER: _ClassVar[int]
     STEPS_FIELD_NUMBER: _ClassVar[int]
     WALL_SECS_FIELD_NUMBER: _ClassVar[int]
@@ -158,6 +158,7 @@ class RolloutResult(_message.Message):
     POLICY_QUERIES_FIELD_NUMBER: _ClassVar[int]
     PARTS_FIELD_NUMBER: _ClassVar[int]
     GOAL_FIELD_NUMBER: _ClassVar[int]
+    PROMPT_FIELD_NUMBER: _ClassVar[int]
     success: bool
     steps: int
     wall_secs: float
@@ -168,7 +169,8 @@ class RolloutResult(_message.Message):
     policy_queries: int
     parts: Parts
     goal: GoalProgress
-    def __init__(self, success: bool = ..., steps: _Optional[int] = ..., wall_secs: _Optional[float] = ..., ik_residual_mm: _Optional[float] = ..., ik_residual_deg: _Optional[float] = ..., ik_clamped_joints: _Optional[int] = ..., clipped_actions: _Optional[int] = ..., policy_queries: _Optional[int] = ..., parts: _Optional[_Union[Parts, _Mapping]] = ..., goal: _Optional[_Union[GoalProgress, _Mapping]] = ...) -> None: ...
+    prompt: str
+    def __init__(self, success: bool = ..., steps: _Optional[int] = ..., wall_secs: _Optional[float] = ..., ik_residual_mm: _Optional[float] = ..., ik_residual_deg: _Optional[float] = ..., ik_clamped_joints: _Optional[int] = ..., clipped_actions: _Optional[int] = ..., policy_queries: _Optional[int] = ..., parts: _Optional[_Union[Parts, _Mapping]] = ..., goal: _Optional[_Union[GoalProgress, _Mapping]] = ..., prompt: _Optional[str] = ...) -> None: ...
 
 class GoalProgress(_message.Message):
     __slots__ = ("predicates", "at_end", "at_most")
@@ -645,7 +647,7 @@ class Failure(_message.Message):
     def __init__(self, attempt: _Optional[int] = ..., worker_id: _Optional[str] = ..., ago_secs: _Optional[float] = ..., reason: _Optional[str] = ..., charged: bool = ..., error: _Optional[str] = ..., failed_unix_ms: _Optional[int] = ...) -> None: ...
 
 class ResultOrigin(_message.Message):
-    __slots__ = ("attempt", "worker_id", "ago_secs", "wall_secs", "host", "renderer", "divergences", "video", "committed_unix_ms", "goal")
+    __slots__ = ("attempt", "worker_id", "ago_secs", "wall_secs", "host", "renderer", "divergences", "video", "committed_unix_ms", "goal", "prompt")
     ATTEMPT_FIELD_NUMBER: _ClassVar[int]
     WORKER_ID_FIELD_NUMBER: _ClassVar[int]
     AGO_SECS_FIELD_NUMBER: _ClassVar[int]
@@ -656,6 +658,7 @@ class ResultOrigin(_message.Message):
     VIDEO_FIELD_NUMBER: _ClassVar[int]
     COMMITTED_UNIX_MS_FIELD_NUMBER: _ClassVar[int]
     GOAL_FIELD_NUMBER: _ClassVar[int]
+    PROMPT_FIELD_NUMBER: _ClassVar[int]
     attempt: int
     worker_id: str
     ago_secs: float
@@ -666,7 +669,8 @@ class ResultOrigin(_message.Message):
     video: str
     committed_unix_ms: int
     goal: GoalProgress
-    def __init__(self, attempt: _Optional[int] = ..., worker_id: _Optional[str] = ..., ago_secs: _Optional[float] = ..., wall_secs: _Optional[float] = ..., host: _Optional[str] = ..., renderer: _Optional[str] = ..., divergences: _Optional[int] = ..., video: _Optional[str] = ..., committed_unix_ms: _Optional[int] = ..., goal: _Optional[_Union[GoalProgress, _Mapping]] = ...) -> None: ...
+    prompt: str
+    def __init__(self, attempt: _Optional[int] = ..., worker_id: _Optional[str] = ..., ago_secs: _Optional[float] = ..., wall_secs: _Optional[float] = ..., host: _Optional[str] = ..., renderer: _Optional[str] = ..., divergences: _Optional[int] = ..., video: _Optional[str] = ..., committed_unix_ms: _Optional[int] = ..., goal: _Optional[_Union[GoalProgress, _Mapping]] = ..., prompt: _Optional[str] = ...) -> None: ...
 
 class RetryJobsRequest(_message.Message):
     __slots__ = ("campaign", "jobs", "all")

@@ -157,6 +157,7 @@ fn play(
             policy_queries: STEPS / STEPS_PER_QUERY,
             parts: Some(parts),
             goal: None,
+            prompt: None,
         },
         evidence: Evidence {
             renderer: RENDERER.to_owned(),

@@ -1,9 +1,11 @@
 //! Configuration of a worker, and the coordinator's requirements.
 
+use std::collections::BTreeSet;
 use std::path::PathBuf;
 use std::time::Duration;
 
 use libero_ctrl::TaskRef;
+use libero_family::TaskKey;
 use proto::COORDINATOR_PROTOCOL_VERSION;
 use proto::coordinator::{RegisterRequest, RegisterResponse};
 use transport::Access;
@@ -53,6 +55,18 @@ pub struct Identity {
     pub asset_pack_digest: String,
     /// The simulator's version.
     pub mujoco_version: String,
+}
+
+impl Config {
+    /// Returns the keys of tasks whose files this worker lacks now. Task files that were fetched
+    /// since the worker's start count as present.
+    pub(super) fn lacking_keys(&self) -> BTreeSet<String> {
+        let of_pack = self.lacking_tasks.iter();
+        let of_pack = of_pack.flat_map(|task| TaskKey::of_task(*task));
+        let absent = self.provider.iter().flat_map(Provider::absent);
+        let keys = of_pack.chain(absent.flat_map(TaskKey::needing));
+        keys.map(|key| key.to_string()).collect()
+    }
 }
 
 pub(super) fn registration(config: &Config, renderer: String) -> RegisterRequest {

@@ -162,6 +162,7 @@ fn result(result: &RolloutResult) -> wire::RolloutResult {
             drawing_secs: parts.drawing_secs,
             policy_secs: parts.policy_secs,
         }),
+        prompt: result.prompt.clone().unwrap_or_default(),
         goal: result.goal.map(|goal| wire::GoalProgress {
             predicates: goal.predicates,
             at_end: goal.at_end,

@@ -4,6 +4,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
+use proto::coordinator::ClaimRequest;
 use proto::coordinator::release_request::Reason;
 
 use crate::scripted_coordinator::ScriptedCoordinator;
@@ -38,6 +39,16 @@ fn copy_of_primitives(folder: &Path) -> PathBuf {
     copy
 }
 
+/// Returns the keys of tasks that a claim excludes: of LIBERO's files (""), or of a benchmark's.
+fn lacking(claim: &ClaimRequest, files: &str) -> Vec<String> {
+    let keys = claim.lacking_tasks.iter();
+    let of_files = |key: &&String| match files {
+        "" => !key.contains('+'),
+        files => key.ends_with(files),
+    };
+    keys.filter(of_files).cloned().collect()
+}
+
 #[tokio::test(flavor = "multi_thread")]
 async fn a_job_whose_assets_cannot_be_fetched_is_given_back_without_a_charge() {
     if !ready("a_job_whose_assets_cannot_be_fetched_is_given_back_without_a_charge") {
@@ -64,7 +75,11 @@ async fn a_job_whose_assets_cannot_be_fetched_is_given_back_without_a_charge() {
         );
     }
     let claims = coordinator.claims();
-    assert!(claims.iter().all(|claim| claim.lacking_tasks.is_empty()));
+    assert!(claims.iter().all(|claim| lacking(claim, "").is_empty()));
+    let all = (0..10).map(|task| format!("libero_goal/{task}+libero-plus"));
+    let goal = lacking(&claims[0], "+libero-plus").into_iter();
+    let goal: Vec<String> = goal.filter(|key| key.contains("goal")).collect();
+    assert_eq!(goal, all.collect::<Vec<_>>(), "no benchmark's task files");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -82,8 +97,13 @@ async fn tasks_that_a_pack_cannot_show_are_named_and_not_claimed() {
         .arg(&pack);
     let worker = WorkerProcess::start_command(&mut worker);
     coordinator.claimed(1).await;
-    let lacking = coordinator.claims()[0].lacking_tasks.clone();
-    assert_eq!(lacking, ["libero_10/9"], "the only task with a microwave");
+    let claim = &coordinator.claims()[0];
+    assert_eq!(
+        lacking(claim, ""),
+        ["libero_10/9"],
+        "the only task with a microwave"
+    );
+    assert!(lacking(claim, "+libero-pro").contains(&"libero_10/9+libero-pro".to_owned()));
     let log = worker.terminated();
     for words in [
         "libero_10/9",

@@ -284,6 +284,7 @@ fn report(attempt: AttemptId, success: bool) -> CommitReport {
             policy_queries: 1,
             parts: None,
             goal: None,
+            prompt: None,
         },
         provenance: Provenance {
             host: "bench".to_owned(),

@@ -5,7 +5,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use libero_ctrl::{Benchmark, TaskRef, UnknownName};
-use libero_family::plus::Dimension;
+use libero_family::plus::{Dimension, PUBLISHED, PUBLISHED_SOURCE};
 use libero_family::pro::ProSuite;
 use libero_family::protocol::Protocol;
 use libero_family::{Case, SelectionError, Subject as CaseSubject};
@@ -39,6 +39,17 @@ pub struct Family {
     pub cells: Vec<Line>,
     /// All variants together, as the benchmark's total counts them.
     pub all: Line,
+    /// Policies of the benchmark's published table, if the protocol is that table's.
+    pub published: Vec<PublishedRow>,
+}
+
+/// A policy in the benchmark's published table.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PublishedRow {
+    /// The policy's published name.
+    pub policy: String,
+    /// Successes over all variants of each dimension, per cent.
+    pub percent: BTreeMap<&'static str, f64>,
 }
 
 /// A row of the tables.
@@ -299,6 +310,7 @@ impl Family {
                 })
                 .collect(),
             all: Line::new("all", variants.iter()),
+            published: published(&protocol),
         }))
     }
 
@@ -352,7 +364,50 @@ impl Family {
         for sentence in Self::LEGEND {
             push_wrapped(&mut text, "", sentence);
         }
+        if full && !self.published.is_empty() {
+            text.push('\n');
+            for row in self.beside_published() {
+                let _ = write!(text, "{:<14}", row[0]);
+                for (cell, name) in row[1..].iter().zip(Dimension::ALL.map(Dimension::name)) {
+                    let width = name.len() + 2;
+                    let _ = write!(text, "{cell:>width$}");
+                }
+                text.push('\n');
+            }
+            push_wrapped(&mut text, "", &Self::about_published());
+        }
         text
+    }
+
+    /// Returns the rows of the published table, the campaign's own first, under their heads.
+    pub(crate) fn beside_published(&self) -> Vec<Vec<String>> {
+        let names = Dimension::ALL.map(Dimension::name);
+        let own = |name: &&str| {
+            let line = self.groups.iter().find(|line| line.name == **name);
+            number(line.and_then(|line| line.percent))
+        };
+        let heads = ["Published"].into_iter().chain(names).map(str::to_owned);
+        let measured = ["this campaign".to_owned()].into_iter();
+        let measured = measured.chain(names.iter().map(own));
+        let published = self.published.iter().map(|row| {
+            let cells = names
+                .iter()
+                .map(|name| number(row.percent.get(name).copied()));
+            [row.policy.clone()].into_iter().chain(cells).collect()
+        });
+        [heads.collect(), measured.collect()]
+            .into_iter()
+            .chain(published)
+            .collect()
+    }
+
+    /// Describes the published table's source and scope.
+    pub(crate) fn about_published() -> String {
+        format!(
+            "Published: successes over all 10,030 variants, per cent ({PUBLISHED_SOURCE}). They \
+             compare with a dimension of this campaign only where it ran all of the dimension's \
+             variants."
+        )
     }
 
     /// Returns the rows of variants, the total last.
@@ -378,6 +433,19 @@ impl Family {
         }
         sentences
     }
+}
+
+/// Returns the benchmark's published table, if a protocol is that of the table.
+fn published(protocol: &Protocol) -> Vec<PublishedRow> {
+    if *protocol != Protocol::PLUS_OFFICIAL {
+        return Vec::new();
+    }
+    let names = Dimension::ALL.map(Dimension::name);
+    let rows = PUBLISHED.iter().map(|row| PublishedRow {
+        policy: row.policy.to_owned(),
+        percent: names.into_iter().zip(row.percent).collect(),
+    });
+    rows.collect()
 }
 
 /// Returns the group of a variant, and its place in the benchmark's order.

@@ -11,6 +11,7 @@ mod case;
 mod lack;
 mod selection;
 mod selection_error;
+mod task_key;
 
 pub mod corruption;
 pub mod para;
@@ -22,3 +23,4 @@ pub use case::{Case, Further, Subject};
 pub use lack::{Lack, Lacking};
 pub use selection::{PlusFilters, ProFilters, Selection, expand, left_out};
 pub use selection_error::SelectionError;
+pub use task_key::TaskKey;

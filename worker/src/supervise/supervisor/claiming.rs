@@ -1,6 +1,7 @@
 //! Claims jobs for idle slots and starts their rollouts.
 
 use libero_ctrl::RolloutId;
+use libero_family::TaskKey;
 use proto::coordinator::{ClaimRequest, ClaimResponse, Lease};
 use rollout_types::AttemptId;
 use tokio::time::Instant;
@@ -25,12 +26,13 @@ impl Supervisor {
         };
         self.slots[slot].state.work = Work::Claiming;
         let warm = self.slots[slot].assignment.as_ref();
-        let lacking = self.config.lacking_tasks.iter();
         let request = ClaimRequest {
             worker_id: self.config.identity.worker.to_string(),
             claim_id: random_id().to_string(),
-            warm_task: warm.map_or_else(String::new, |warm| warm.row.id.task().to_string()),
-            lacking_tasks: lacking.map(ToString::to_string).collect(),
+            warm_task: warm.map_or_else(String::new, |warm| {
+                TaskKey::of_rollout(warm.row.id).to_string()
+            }),
+            lacking_tasks: self.config.lacking_keys().into_iter().collect(),
             ..ClaimRequest::default()
         };
         let (link, events) = (self.link.clone(), self.events.clone());

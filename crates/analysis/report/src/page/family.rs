@@ -30,6 +30,19 @@ pub(super) fn sections(family: &Family) -> Markup {
             ))
             @for sentence in Family::LEGEND { p { (sentence) } }
         }
+        @if let (false, [heads, rows @ ..]) =
+            (family.published.is_empty(), family.beside_published().as_slice())
+        {
+            section {
+                h2 { "Beside the published table" }
+                (table(
+                    "Published",
+                    &heads.iter().map(String::as_str).collect::<Vec<_>>(),
+                    rows.iter().map(|row| markup(row)).collect(),
+                ))
+                p { (Family::about_published()) }
+            }
+        }
     }
 }
 

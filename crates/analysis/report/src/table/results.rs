@@ -30,6 +30,8 @@ pub struct ResultRow {
     goal_predicates: Option<u32>,
     goal_at_end: Option<u32>,
     goal_at_most: Option<u32>,
+    protocol: Option<String>,
+    prompt: Option<String>,
 }
 
 impl ResultRow {
@@ -59,7 +61,7 @@ pub fn write_results_parquet(
     table.parquet(out)
 }
 
-fn columns() -> [Column<ResultRow>; 18] {
+fn columns() -> [Column<ResultRow>; 20] {
     use Kind::{Bool, Integer, Number, Real, Text};
     [
         ("rollout_id", Text, |row| text(&row.rollout_id)),
@@ -92,5 +94,7 @@ fn columns() -> [Column<ResultRow>; 18] {
         ("goal_at_most", Integer, |row| {
             Value::Integer(row.goal_at_most.map(i64::from))
         }),
+        ("protocol", Text, |it| Value::Text(it.protocol.clone())),
+        ("prompt", Text, |it| Value::Text(it.prompt.clone())),
     ]
 }

@@ -124,7 +124,27 @@ fn every_form_has_the_dimensions_and_none_the_measures_of_libero_ctrl() {
         );
         assert!(!form.contains("R_e") && !form.contains("S_sim"), "{form}");
     }
-    assert!(document.text().contains("noise difficulty 1"));
+    let text = document.text();
+    assert!(text.contains("noise difficulty 1"));
+    let rows = |policy: &str| text.lines().find(|line| line.starts_with(policy));
+    let figures = |policy| -> Vec<&str> {
+        let row: &str = rows(policy).expect("a row of the published table");
+        row.split_whitespace().rev().take(7).collect()
+    };
+    // In reverse: light, layout, noise, language, camera, robot, background.
+    assert_eq!(
+        figures("this campaign"),
+        ["-", "-", "0.0", "-", "-", "100.0", "-"]
+    );
+    assert_eq!(
+        figures("OpenVLA-OFT "),
+        ["88.7", "74.2", "75.8", "79.5", "56.4", "31.9", "93.3"]
+    );
+    assert!(
+        text.lines().all(|line| line.chars().count() <= 80),
+        "{text}"
+    );
+    assert!(page(&document).contains("OpenVLA-OFT+") && json.contains("OpenVLA-OFT+"));
 }
 
 #[test]

@@ -22,12 +22,12 @@ pub struct ClaimRequest {
     pub claim: String,
     /// Task whose compiled scene the slot holds.
     pub warm_task: Option<String>,
-    /// Tasks that the worker cannot run.
+    /// Keys of tasks whose files the worker lacks.
     pub lacking_tasks: BTreeSet<String>,
 }
 
 impl ClaimRequest {
-    fn shows(&self, task: &str) -> bool {
+    pub(super) fn shows(&self, task: &str) -> bool {
         !self.lacking_tasks.contains(task)
     }
 }

@@ -4,13 +4,14 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
 
+use libero_family::TaskKey;
 use rollout_types::{AttemptId, Pin};
 
 use super::choose::Wanting;
 use super::context::Context;
 use super::error::QueueError;
 use crate::ids::{AttemptNumber, CampaignId, CampaignName, JobId, PolicyId, WorkerId};
-use crate::rules::choice::{WaitingCampaign, choose_campaign};
+use crate::rules::choice::{WaitingCampaign, WaitingTask, choose_campaign};
 use crate::rules::outage::{Allowance, PolicyState};
 use crate::store::campaigns::Campaign;
 use crate::store::claims::{self, Grant, LeasedJob, Term};
@@ -109,9 +110,12 @@ impl Context<'_> {
             }
             let idle_reason = self.idle_reason(&pin).await?;
             for left in wanting {
+                let lacks = self.lacked_files(&pin, left.request).await?;
+                let reasons = [idle_reason.as_str(), &lacks];
+                let reasons = reasons.into_iter().filter(|it| !it.is_empty());
                 answers[left.place] = Ok(Claimed {
                     job: None,
-                    idle_reason: idle_reason.clone(),
+                    idle_reason: reasons.collect::<Vec<_>>().join("; "),
                 });
             }
         }
@@ -326,6 +330,42 @@ impl Context<'_> {
         }
         Ok(reasons.join("; "))
     }
+
+    /// Returns the campaigns whose waiting jobs all need files that a worker lacks, in words.
+    async fn lacked_files(
+        &mut self,
+        pin: &Pin,
+        request: &ClaimRequest,
+    ) -> Result<String, StoreError> {
+        let mut reasons = Vec::new();
+        if request.lacking_tasks.is_empty() {
+            return Ok(String::new());
+        }
+        for campaign in self.cache.waiting(&mut self.tx).await?.iter() {
+            if !campaign.takes(pin) || !campaign.state.may_lease() {
+                continue;
+            }
+            let waiting = claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?;
+            if !waiting.iter().any(|it| request.shows(&it.task)) {
+                reasons.extend(absence(&campaign.name, &waiting));
+            }
+        }
+        Ok(reasons.join("; "))
+    }
+}
+
+/// Describes the files that all waiting tasks of a campaign need and a worker lacks; `None` if
+/// nothing waits.
+fn absence(campaign: &CampaignName, waiting: &[WaitingTask]) -> Option<String> {
+    let first = &waiting.first()?.task;
+    let files = match TaskKey::files_of(first) {
+        Some(benchmark) => format!(
+            "task files that this worker lacks; run `worker assets fetch --suite {}` on its machine",
+            benchmark.name()
+        ),
+        None => format!("assets that this worker lacks, for task {first} among others"),
+    };
+    Some(format!("campaign `{campaign}` needs {files}"))
 }
 
 /// Returns the standing of a worker that may lease.

@@ -8,6 +8,7 @@ use std::sync::Arc;
 use libero_ctrl::manifest::{Difference, diff};
 use libero_ctrl::seeds::policy_seed;
 use libero_ctrl::{CampaignSpec, JsonError, ManifestRow, RolloutId, Rollouts, SpecError};
+use libero_family::TaskKey;
 use rollout_types::Realised;
 use sqlx::SqliteConnection;
 
@@ -163,7 +164,12 @@ fn compare(stored: &StoredRow, row: &ManifestRow, expansion: &Expansion) -> Resu
     if stored.rollout_id != row.id.to_string() {
         return column("rollout_id");
     }
-    if stored.task != row.id.task().to_string() {
+    // Campaigns of earlier releases have the plain task where a benchmark's files are needed.
+    let keys = [
+        TaskKey::of_rollout(row.id).to_string(),
+        row.id.task().to_string(),
+    ];
+    if !keys.contains(&stored.task) {
         return column("task");
     }
     if stored.init_id != i64::from(row.init_id) {

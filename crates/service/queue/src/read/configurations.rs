@@ -60,6 +60,8 @@ pub struct ResultLine {
     pub goal_at_end: Option<u32>,
     /// Most predicates of the goal that held together.
     pub goal_at_most: Option<u32>,
+    /// Prompt that the policy got, if the worker reported it.
+    pub prompt: Option<String>,
     /// Reports of an outcome that differs from the committed one.
     pub divergences: u32,
     /// Digests of the scene, the initial state and the first frames, for comparison.
@@ -151,7 +153,7 @@ impl View {
         sqlx::query_as(concat!(
             "SELECT r.job_id, r.attempt_id, r.attempt, r.worker_id, r.committed_ms, r.success,
                  r.steps, r.wall_secs, r.ik_residual_mm, r.clipped_actions, r.policy_queries,
-                 r.goal_predicates, r.goal_at_end, r.goal_at_most,
+                 r.goal_predicates, r.goal_at_end, r.goal_at_most, r.prompt,
                  (SELECT count(*) FROM divergence d WHERE d.job_id = r.job_id) AS divergences,
                  r.realised, a.path AS video, a.size_bytes AS video_bytes, ",
             digests!(),

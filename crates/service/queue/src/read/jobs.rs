@@ -114,7 +114,8 @@ impl View {
             job_lines!(),
             " AND j.id > ?2 AND (?3 IS NULL OR j.state = ?3)
              AND (?5 IS NULL OR r.success = ?5)
-             AND (?6 IS NULL OR j.task = ?6 OR substr(j.task, 1, length(?6) + 1) = ?6 || '/')
+             AND (?6 IS NULL OR j.task = ?6
+                 OR substr(j.task, 1, length(?6) + 1) IN (?6 || '/', ?6 || '+'))
              AND (?7 IS NULL OR instr(j.rollout_id, '/' || ?7 || '/') > 0
                  OR ?7 = 'variant' AND instr(j.rollout_id, ':') > 0)
              AND (?8 IS NULL OR instr(j.rollout_id, '/' || ?8 || '/') > 0

@@ -46,6 +46,8 @@ pub struct ExportedRow {
     pub goal_at_end: Option<u32>,
     /// Most predicates of the goal that held together.
     pub goal_at_most: Option<u32>,
+    /// Prompt that the policy got, if the worker reported it.
+    pub prompt: Option<String>,
 }
 
 /// A job for reports.
@@ -124,7 +126,7 @@ impl View {
         let (rollout_id, replicate) = after.map_or(("", -1), |(id, k)| (id, i64::from(k)));
         sqlx::query_as(
             "SELECT j.rollout_id, j.replicate, j.manifest_row, r.success, r.steps, r.wall_secs,
-                 r.ik_residual_mm, r.goal_predicates, r.goal_at_end, r.goal_at_most
+                 r.ik_residual_mm, r.goal_predicates, r.goal_at_end, r.goal_at_most, r.prompt
              FROM job j JOIN result r ON r.job_id = j.id
              WHERE j.campaign_id = ? AND (j.rollout_id, j.replicate) > (?, ?)
              ORDER BY j.rollout_id, j.replicate LIMIT ?",

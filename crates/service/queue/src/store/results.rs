@@ -49,7 +49,7 @@ pub(crate) async fn insert(
                  committed_ms, success, steps, wall_secs, ik_residual_mm, ik_residual_deg,
                  ik_clamped_joints, clipped_actions, policy_queries, provenance_id, scene_digest,
                  init_state_digest, first_frame_digest, realised, physics_secs, drawing_secs,
-                 policy_secs, goal_predicates, goal_at_end, goal_at_most) ",
+                 policy_secs, goal_predicates, goal_at_end, goal_at_most, prompt) ",
         );
         statement.push_values(chunk, |mut row, new| {
             let (result, digests, ik) = (new.result, new.digests, new.result.ik);
@@ -77,7 +77,8 @@ pub(crate) async fn insert(
                 .push_bind(result.parts.map(|parts| parts.policy_secs))
                 .push_bind(result.goal.map(|goal| goal.predicates))
                 .push_bind(result.goal.map(|goal| goal.at_end))
-                .push_bind(result.goal.map(|goal| goal.at_most));
+                .push_bind(result.goal.map(|goal| goal.at_most))
+                .push_bind(result.prompt.as_deref());
         });
         let done = statement.build().persistent(true).execute(&mut *tx).await;
         done.doing("store results")?;

@@ -1,0 +1,106 @@
+//! Names of tasks for the queue: LIBERO's task, and the benchmark whose own files a rollout needs.
+
+use std::fmt;
+
+use libero_ctrl::{RolloutId, TaskRef};
+
+use crate::case::{Case, Subject};
+use crate::protocol::Benchmark;
+
+/// A task with the benchmark whose task files it needs beside LIBERO's. Displays as
+/// `libero_goal/8`, or as `libero_goal/8+libero-plus`. Workers name the keys that they cannot run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct TaskKey {
+    /// LIBERO's task.
+    pub task: TaskRef,
+    /// Benchmark whose task files are needed; `None` if LIBERO's suffice.
+    pub files: Option<Benchmark>,
+}
+
+impl TaskKey {
+    /// Returns the key of a rollout. A variant that no benchmark has is left to its worker, which
+    /// reports it.
+    pub fn of_rollout(id: RolloutId) -> Self {
+        let files = match id.variant() {
+            None => None,
+            Some(_) => Case::of_id(id).ok().and_then(|case| own_files(&case)),
+        };
+        Self {
+            task: id.task(),
+            files,
+        }
+    }
+
+    /// Returns all keys of a task.
+    pub fn of_task(task: TaskRef) -> impl Iterator<Item = Self> {
+        let files = [None, Some(Benchmark::Plus), Some(Benchmark::Pro)];
+        files.into_iter().map(move |files| Self { task, files })
+    }
+
+    /// Returns the keys of all tasks that need a benchmark's task files.
+    pub fn needing(benchmark: Benchmark) -> impl Iterator<Item = Self> {
+        TaskRef::all().map(move |task| Self {
+            task,
+            files: Some(benchmark),
+        })
+    }
+
+    /// Returns the benchmark whose task files a key needs, from the key's text.
+    pub fn files_of(text: &str) -> Option<Benchmark> {
+        let (_, name) = text.split_once('+')?;
+        let all = [Benchmark::Plus, Benchmark::Pro];
+        all.into_iter().find(|benchmark| benchmark.name() == name)
+    }
+}
+
+impl fmt::Display for TaskKey {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self.files {
+            None => write!(f, "{}", self.task),
+            Some(benchmark) => write!(f, "{}+{}", self.task, benchmark.name()),
+        }
+    }
+}
+
+/// Returns the benchmark whose task files a case needs.
+fn own_files(case: &Case) -> Option<Benchmark> {
+    match case.subject {
+        Subject::Unperturbed => None,
+        Subject::Pro(_) => Some(Benchmark::Pro),
+        Subject::Plus(entry) => {
+            let variant = &entry.variant;
+            let has_own = variant.bddl_stem() != case.task.name() || variant.has_one_state();
+            has_own.then_some(Benchmark::Plus)
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_key_names_the_benchmark_whose_files_a_rollout_needs() {
+        for (id, expected) in [
+            ("goal/t8/clean/i00", "libero_goal/8"),
+            ("goal/t8/plus:unperturbed/i00", "libero_goal/8"),
+            ("goal/t8/plus:noise_30/i00", "libero_goal/8"),
+            ("goal/t8/plus:initstate_19/i00", "libero_goal/8"),
+            ("goal/t8/plus:language_1/i00", "libero_goal/8+libero-plus"),
+            (
+                "goal/t8/plus:level1_sample1/i00",
+                "libero_goal/8+libero-plus",
+            ),
+            ("object/t0/plus:tb_18/i00", "libero_object/0+libero-plus"),
+            ("goal/t8/pro:swap/i07", "libero_goal/8+libero-pro"),
+        ] {
+            let key = TaskKey::of_rollout(id.parse().expect("an id"));
+            assert_eq!(key.to_string(), expected, "{id}");
+            assert_eq!(TaskKey::files_of(expected), key.files);
+            assert!(TaskKey::of_task(key.task).any(|it| it == key));
+            if let Some(benchmark) = key.files {
+                assert!(TaskKey::needing(benchmark).any(|it| it == key));
+            }
+        }
+    }
+}
