@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import argparse
+import importlib
 import json
 import os
 import resource
@@ -44,7 +45,8 @@ def measured(given: argparse.Namespace) -> dict[str, Any]:
     from policies import Policy
 
     policies = [Policy(name) for name in given.policies]
-    # torch and the accelerator's context are the policy's, and not counted.
+    # PyTorch and the accelerator's context are the policy's, and not counted in this process.
+    importlib.import_module("torch")
     memory, on_card = _pss_mb(), _card_mb()
     begun = time.perf_counter()
     rollouts = _construct(given)
@@ -76,6 +78,7 @@ def measured(given: argparse.Namespace) -> dict[str, Any]:
         one["steps_per_second"] = given.environments * len(actions) * given.chunk / lasted
         one["trajectories_per_second"] = given.environments / (one["reset_s"] + lasted)
     return {
+        "loop": rollouts.loop,
         "construct_s": constructed,
         "first_s": warm,
         "pss_mb": further,

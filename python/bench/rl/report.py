@@ -89,6 +89,8 @@ def _processes(runs: list[dict[str, Any]]) -> list[str]:
     for arm, of_arm in _by_arm([run for run in runs if "error" not in run]).items():
         cells = [_cell([run.get(key) for run in of_arm], digits) for key, _, digits in _PROCESS]
         lines.append("| " + " | ".join([arm, str(len(of_arm)), *cells]) + " |")
+    loops = sorted({run["loop"] for run in runs if "loop" in run})
+    lines += ["", f"Run by {', '.join(loops)}."] if loops else []
     lines += [
         f"\n{run['arm']}, round {run['round']}, failed: {run['error'][-300:]}"
         for run in runs
