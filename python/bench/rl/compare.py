@@ -47,25 +47,24 @@ def main() -> int:
     results["checks"] = fairness(given) if given.checks else {}
     report.write(results, given.out)
     longest: dict[Any, float] = {}
-    skipped = set()
     for number, size, framework, task in itertools.product(
         range(1, given.rounds + 1), given.environments, given.frameworks, given.tasks
     ):
         count = min(size, MOST[framework])
         if count != size and count in given.environments:
             continue
-        for arm in [arm for arm in ARMS[framework] if arm in given.arms]:
-            key = (framework, task, count, arm)
-            left = end - time.monotonic()
-            if key in skipped or left < 1.1 * longest.get(key, 0.0):
-                print(f"{key}, round {number}: no time is left for it", flush=True)
-                skipped.add(key)
-                continue
+        scenario = {"framework": framework, "task": task, "environments": count}
+        arms = [arm for arm in ARMS[framework] if arm in given.arms]
+        keys = {arm: (framework, task, count, arm) for arm in arms}
+        # A round has all of its arms or none, so that all are measured under the same conditions.
+        if end - time.monotonic() < 1.1 * sum(longest.get(key, 0.0) for key in keys.values()):
+            print(f"{scenario}, round {number}: no time is left for it", flush=True)
+            continue
+        for arm, key in keys.items():
             begun = time.monotonic()
-            measured = measure(given, framework, arm, task, count, left)
+            measured = measure(given, framework, arm, task, count, end - begun)
             longest[key] = max(longest.get(key, 0.0), time.monotonic() - begun)
-            about = {"framework": framework, "arm": arm, "task": task, "environments": count}
-            results["runs"].append({**about, "round": number, **measured})
+            results["runs"].append({**scenario, "arm": arm, "round": number, **measured})
             print(f"{key}, round {number}: {json.dumps(measured)}", flush=True)
             report.write(results, given.out)
     print(report.markdown(results))
