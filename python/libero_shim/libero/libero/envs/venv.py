@@ -20,6 +20,8 @@ import cloudpickle
 import numpy as np
 from numpy.typing import NDArray
 
+from libero.libero.envs import _shared_memory
+
 __all__ = [
     "BaseVectorEnv",
     "CloudpickleWrapper",
@@ -218,9 +220,19 @@ class _Failure:
         raise self.error from RuntimeError(f"in the environment's process:\n{self.trace}")
 
 
-def _serve(parent: Any, connection: Any, env_fn: CloudpickleWrapper, obs_bufs: None = None) -> None:
-    """Runs an environment: answers `[command, data]` until `close`."""
+def _serve(
+    parent: Any,
+    connection: Any,
+    env_fn: CloudpickleWrapper,
+    obs_bufs: None = None,
+    memory: _shared_memory.SharedMemory | None = None,
+) -> None:
+    """Runs an environment: answers `[command, data]` until `close`. Frames of an answer are written
+    to `memory`, if there is one."""
     parent.close()
+    if memory is not None:
+        # A forked process has a descriptor of its own.
+        memory.started()
     try:
         env = env_fn.data()
     except Exception as error:  # noqa: BLE001
@@ -245,7 +257,10 @@ def _serve(parent: Any, connection: Any, env_fn: CloudpickleWrapper, obs_bufs: N
             answer = (commands.get(command) or getattr(env, command))(data)
         except Exception as error:  # noqa: BLE001
             answer = _Failure(error)
-        connection.send(answer)
+        if memory is None:
+            connection.send(answer)
+        else:
+            connection.send_bytes(memory.dumps(answer))
         if command == "close":
             return
 
@@ -264,17 +279,29 @@ class SubprocEnvWorker(EnvWorker):
     def __init__(self, env_fn: Callable[[], Any], share_memory: bool = False) -> None:
         if share_memory:
             raise NotImplementedError(
-                "observations are not shared through memory: leave share_memory at False, or "
-                "use rollout_libero.VectorEnvironment, which copies none"
+                "frames always go through shared memory and are copied from it: leave "
+                "share_memory at False, or use rollout_libero.VectorEnvironment, which copies none"
             )
         self.parent_remote, self.child_remote = multiprocessing.Pipe()
         self.share_memory = share_memory
+        # Kept: messages refer to it.
+        self._memory = _shared_memory.memory()
         self.process = multiprocessing.Process(
             target=_serve,
-            args=(self.parent_remote, self.child_remote, CloudpickleWrapper(env_fn)),
+            args=(
+                self.parent_remote,
+                self.child_remote,
+                CloudpickleWrapper(env_fn),
+                None,
+                self._memory,
+            ),
             daemon=True,
         )
-        self.process.start()
+        try:
+            self.process.start()
+        finally:
+            if self._memory is not None:
+                self._memory.started()
         self.child_remote.close()
         self._is_starting = True
         super().__init__(env_fn)

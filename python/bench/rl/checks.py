@@ -1,0 +1,143 @@
+"""Checks that a comparison is fair: the same motion in both simulators, and the accelerator's
+name as the original's OpenGL gives it.
+
+usage: checks.py record TASK FILE    records the scripted expert's actions (rollout_libero)
+       checks.py replay TASK FILE    replays them with the `libero` that is imported; prints JSON
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from typing import Any
+
+import numpy as np
+from stand_ins import prepare
+
+#: Recorded control steps at most.
+LONGEST = 300
+#: Largest difference of joints (rad), fingers and hand (m) before the robot first touches anything.
+TOLERANCE = 1e-9
+#: Largest difference of the step in which the goal is reached.
+SUCCESS_STEPS = 2
+_STATE = 0
+_NOTHING = [0.0] * 6 + [-1.0]
+_SETTLING = 10
+_READINGS = ("robot0_joint_pos", "robot0_eef_pos", "robot0_eef_quat", "robot0_gripper_qpos")
+
+
+def main() -> None:
+    """Runs the command line."""
+    prepare()
+    work, task, file = sys.argv[1:]
+    if work == "record":
+        np.save(file, recorded(task))
+        print(json.dumps({"steps": len(np.load(file))}))
+    else:
+        print(json.dumps(replayed(task, np.load(file))))
+
+
+def recorded(task: str) -> np.ndarray:
+    """Returns the scripted expert's actions until shortly after success, [steps, 7]."""
+    import rollout_libero
+
+    envs = rollout_libero.VectorEnvironment(
+        task,
+        1,
+        cameras=[],
+        init_states=[_STATE],
+        settle_steps=_SETTLING,
+        autoreset_mode="Disabled",
+    )
+    envs.reset(seed=0)
+    actions = []
+    for _ in range(LONGEST):
+        *_, infos = envs.step_chunk(np.zeros((1, 1, 7)), expert=np.ones((1, 1), bool))
+        actions.append(infos["expert_action"][0, 0])
+        if infos["success"][0]:
+            actions += [actions[-1]] * (SUCCESS_STEPS + 3)
+            break
+    envs.close()
+    return np.asarray(actions)
+
+
+def replayed(task: str, actions: np.ndarray) -> dict[str, Any]:
+    """Returns the robot's readings per step, the step of success and of the first contact."""
+    from rollouts import task_files
+
+    from libero.libero.envs import OffScreenRenderEnv
+
+    bddl, states = task_files(task)
+    env = OffScreenRenderEnv(bddl_file_name=bddl, camera_heights=64, camera_widths=64)
+    env.seed(0)
+    env.reset()
+    env.set_init_state(states[_STATE])
+    for _ in range(_SETTLING):
+        env.step(_NOTHING)
+    readings, success, contact = [], None, None
+    for step, action in enumerate(actions, 1):
+        seen, _, _, _ = env.step(action.tolist())
+        readings.append(np.concatenate([np.asarray(seen[name]) for name in _READINGS]).tolist())
+        if success is None and env.check_success():
+            success = step
+        if contact is None and _touches(env):
+            contact = step
+    result = {
+        "readings": readings,
+        "success": success,
+        "contact": contact,
+        "renderer": _renderer(),
+    }
+    env.close()
+    return result
+
+
+def _touches(env: Any) -> bool | None:
+    """Returns true if the robot touches something else; None if the simulator does not say."""
+    try:
+        from robosuite.utils import binding_utils  # noqa: F401
+    except ImportError:
+        return None
+    model, data = env.sim.model, env.sim.data
+    for number in range(data.ncon):
+        contact = data.contact[number]
+        names = [
+            model.body_id2name(model.geom_bodyid[geom]) for geom in (contact.geom1, contact.geom2)
+        ]
+        robot = [str(name).startswith(("robot0_", "gripper0_", "mount0_")) for name in names]
+        if robot[0] != robot[1]:
+            return True
+    return False
+
+
+def _renderer() -> str | None:
+    """Returns the name of the current OpenGL renderer; None without one."""
+    try:
+        import robosuite  # noqa: F401
+        from OpenGL import GL
+    except ImportError:
+        return None
+    name = GL.glGetString(GL.GL_RENDERER)
+    return name.decode() if name else None
+
+
+def verdict(theirs: dict[str, Any], ours: dict[str, Any]) -> dict[str, Any]:
+    """Compares two replays: fair if `same_motion` and `same_success` hold."""
+    until = (theirs["contact"] or len(theirs["readings"]) + 1) - 1
+    apart = np.abs(np.asarray(theirs["readings"]) - np.asarray(ours["readings"]))
+    before = float(apart[:until].max()) if until else 0.0
+    successes = (theirs["success"], ours["success"])
+    return {
+        "first_contact": theirs["contact"],
+        "apart_before_contact": before,
+        "success_original": successes[0],
+        "success_shim": successes[1],
+        "renderer": theirs["renderer"],
+        "same_motion": before <= TOLERANCE,
+        "same_success": successes[0] == successes[1]
+        or (None not in successes and abs(successes[0] - successes[1]) <= SUCCESS_STEPS),
+    }
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,186 @@
+"""Compares rollouts of reinforcement learning in the original LIBERO and in rollout-libero, each
+simulator in turn, and prints a table in Markdown. Needs no network and no build.
+
+    python compare.py --original FOLDERS --shim FOLDERS --out FOLDER
+
+`FOLDERS` are entries of PYTHONPATH, separated by colons: of robosuite 1.4.0 and rlinf-libero or
+hf-libero, and of the wheels of this project. RLinf and what both need is found in either or in
+the environment. `LIBERO_CONFIG_PATH` is the original's, ROLLOUT_SOURCES and ROLLOUT_ASSETS are
+those of rollout_libero. Results are written after every run, so that an interrupted
+comparison has results.
+
+Arms: O, the original, rendering through EGL. O', the original that renders only the last step of
+a chunk. S, the shim with every frame drawn. S+, the shim as it is. V, RLINF_EXT_MODULE.
+RLinf reads every frame, so its S+ is S.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import checks
+import report
+from rollouts import SETTLING
+from stand_ins import LAST_OF_CHUNK
+
+HERE = Path(__file__).resolve().parent
+ARMS = {"rlinf": ("O", "O'", "S", "V"), "simplevla": ("O", "O'", "S", "S+")}
+#: SimpleVLA-RL runs few environments at a time.
+MOST = {"rlinf": 1024, "simplevla": 16}
+
+
+def main() -> int:
+    """Runs the command line."""
+    given = arguments()
+    given.out.mkdir(parents=True, exist_ok=True)
+    end = time.monotonic() + 60 * given.minutes
+    results: dict[str, Any] = {"machine": report.machine(), "command": sys.argv[1:], "runs": []}
+    results["checks"] = fairness(given) if given.checks else {}
+    report.write(results, given.out)
+    longest: dict[Any, float] = {}
+    for number, size, framework, task in itertools.product(
+        range(1, given.rounds + 1), given.environments, given.frameworks, given.tasks
+    ):
+        count = min(size, MOST[framework])
+        if count != size and count in given.environments:
+            continue
+        scenario = {"framework": framework, "task": task, "environments": count}
+        arms = [arm for arm in ARMS[framework] if arm in given.arms]
+        keys = {arm: (framework, task, count, arm) for arm in arms}
+        # A round has all of its arms or none, so that all are measured under the same conditions.
+        if end - time.monotonic() < 1.1 * sum(longest.get(key, 0.0) for key in keys.values()):
+            print(f"{scenario}, round {number}: no time is left for it", flush=True)
+            continue
+        for arm, key in keys.items():
+            begun = time.monotonic()
+            measured = measure(given, framework, arm, task, count, end - begun)
+            longest[key] = max(longest.get(key, 0.0), time.monotonic() - begun)
+            results["runs"].append({**scenario, "arm": arm, "round": number, **measured})
+            print(f"{key}, round {number}: {json.dumps(measured)}", flush=True)
+            report.write(results, given.out)
+    print(report.markdown(results))
+    fair = all(one["same_motion"] and one["same_success"] for one in results["checks"].values())
+    return 0 if fair else 1
+
+
+def arguments() -> argparse.Namespace:
+    """Parses the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
+    parser.add_argument("--original", required=True, help="the original's entries of PYTHONPATH")
+    parser.add_argument("--shim", required=True, help="this project's entries of PYTHONPATH")
+    parser.add_argument("--original-python", default=sys.executable)
+    parser.add_argument("--shim-python", default=sys.executable)
+    parser.add_argument("--out", type=Path, required=True, help="folder of the results")
+    parser.add_argument("--frameworks", nargs="+", default=list(ARMS), choices=list(ARMS))
+    parser.add_argument("--arms", nargs="+", default=["O", "O'", "S", "S+", "V"])
+    parser.add_argument("--tasks", nargs="+", default=["libero_goal/8"])
+    parser.add_argument("--environments", nargs="+", type=int, default=[16, 64])
+    parser.add_argument("--chunk", type=int, default=8)
+    parser.add_argument("--steps", type=int, default=200, help="control steps of a rollout")
+    parser.add_argument(
+        "--policies",
+        nargs="+",
+        default=["none", "sleep:100", "sleep:300", "card:100", "card:300", "busy"],
+    )
+    parser.add_argument(
+        "--shared-reset",
+        action="store_true",
+        help="all policies of a process go on from one reset, whose time counts in each",
+    )
+    parser.add_argument("--rounds", type=int, default=3)
+    parser.add_argument("--minutes", type=float, default=24 * 60.0, help="longest duration")
+    parser.add_argument("--no-checks", dest="checks", action="store_false")
+    parser.add_argument("--gl", default="egl", help="MUJOCO_GL of the original")
+    return parser.parse_args()
+
+
+def fairness(given: argparse.Namespace) -> dict[str, Any]:
+    """Returns the verdict of the checks for each task."""
+    found = {}
+    for task in given.tasks:
+        file = given.out / f"actions-{task.replace('/', '-')}.npy"
+        shim, original = environment(given, "S"), environment(given, "O")
+        call([given.shim_python, HERE / "checks.py", "record", task, file], shim, 300)
+        ours = call([given.shim_python, HERE / "checks.py", "replay", task, file], shim, 300)
+        theirs = call(
+            [given.original_python, HERE / "checks.py", "replay", task, file], original, 300
+        )
+        found[task] = checks.verdict(theirs, ours)
+        print(f"checks of {task}: {json.dumps(found[task])}", flush=True)
+    return found
+
+
+def measure(
+    given: argparse.Namespace, framework: str, arm: str, task: str, count: int, left: float
+) -> dict[str, Any]:
+    """Runs one arm, at most for `left` seconds; returns its measures, or its error."""
+    python = given.original_python if arm.startswith("O") else given.shim_python
+    command = [python, HERE / "measure.py", framework, arm, task]
+    command += ["--environments", count, "--chunk", given.chunk, "--steps", given.steps]
+    command += ["--policies", *given.policies]
+    command += ["--shared-reset"] if given.shared_reset else []
+    variables = environment(given, arm)
+    if arm == "O'":
+        variables[LAST_OF_CHUNK] = f"{SETTLING[framework]}:{given.chunk}"
+    try:
+        return call(command, variables, left)
+    except RuntimeError as error:
+        return {"error": str(error)}
+
+
+def environment(given: argparse.Namespace, arm: str) -> dict[str, str]:
+    """Returns the environment variables of an arm."""
+    original = arm.startswith("O")
+    variables = {
+        **os.environ,
+        "PYTHONPATH": given.original if original else given.shim,
+        "PYTHONWARNINGS": "ignore",
+        # One thread for each environment, as users of the original set it.
+        "OMP_NUM_THREADS": "1",
+        "LP_NUM_THREADS": "1",
+        "MUJOCO_GL": given.gl,
+        "PYOPENGL_PLATFORM": given.gl,
+    }
+    if not original:
+        # The shim has its own settings.
+        variables["LIBERO_CONFIG_PATH"] = str(given.out / "shim-settings")
+    variables.pop("RLINF_EXT_MODULE", None)
+    return variables
+
+
+def call(command: list[Any], variables: dict[str, str], limit: float) -> Any:
+    """Runs a program in a session of its own; returns the JSON of its last line.
+
+    Raises:
+        RuntimeError: with the end of its messages if it fails or exceeds the limit, s.
+    """
+    started = subprocess.Popen(
+        [str(word) for word in command],
+        env=variables,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+    try:
+        out, err = started.communicate(timeout=max(limit, 1.0))
+    except subprocess.TimeoutExpired:
+        os.killpg(started.pid, signal.SIGKILL)
+        _, err = started.communicate()
+        raise RuntimeError(f"stopped after {limit:.0f} s: {err[-1500:]}") from None
+    if started.returncode:
+        raise RuntimeError(f"status {started.returncode}: {out[-500:]}{err[-2500:]}")
+    return json.loads(out.splitlines()[-1])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

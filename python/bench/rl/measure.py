@@ -1,0 +1,174 @@
+"""Measures rollouts of one framework with one simulator, and prints a line of JSON.
+
+`compare.py` runs it in turn for each simulator, with `PYTHONPATH` set to it. Options: --help.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import os
+import resource
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from stand_ins import prepare
+
+# Spawned processes import this file as well, and unpickle classes of the frameworks.
+prepare()
+
+ARMS = ("O", "O'", "S", "S+", "V")
+
+
+def main() -> None:
+    """Runs the command line."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("framework", choices=["rlinf", "simplevla"])
+    parser.add_argument("arm", choices=ARMS)
+    parser.add_argument("task")
+    parser.add_argument("--environments", type=int, default=16)
+    parser.add_argument("--chunk", type=int, default=8)
+    parser.add_argument("--steps", type=int, default=200)
+    parser.add_argument("--policies", nargs="+", default=["none"])
+    parser.add_argument("--shared-reset", action="store_true")
+    given = parser.parse_args()
+    print(json.dumps(measured(given)))
+
+
+def measured(given: argparse.Namespace) -> dict[str, Any]:
+    """Returns the measures of one process and all its policies."""
+    from policies import Policy
+
+    policies = [Policy(name) for name in given.policies]
+    # PyTorch and the accelerator's context are the policy's, and not counted in this process.
+    importlib.import_module("torch")
+    memory, on_card = _pss_mb(), _card_mb()
+    begun = time.perf_counter()
+    rollouts = _construct(given)
+    constructed = time.perf_counter() - begun
+    actions = _actions(given)
+    results: dict[str, Any] = {}
+    resets: list[float] = []
+    try:
+        # Untimed: compiles, fills caches, and starts what is kept.
+        warm = time.perf_counter()
+        rollouts.reset()
+        rollouts.chunk(actions[0])
+        warm = time.perf_counter() - warm
+        for policy in policies:
+            if not resets or not given.shared_reset:
+                begun = time.perf_counter()
+                rollouts.reset()
+                resets.append(time.perf_counter() - begun)
+            results[policy.name] = {
+                **_run(rollouts, policy, actions),
+                "reset_s": resets[-1],
+            }
+        further = (_pss_mb() - memory) / given.environments
+        card = None if on_card is None else (_card_mb() or 0.0) - on_card
+    finally:
+        rollouts.close()
+    for one in results.values():
+        lasted = one.pop("lasted_s")
+        one["steps_per_second"] = given.environments * len(actions) * given.chunk / lasted
+        one["trajectories_per_second"] = given.environments / (one["reset_s"] + lasted)
+    return {
+        "loop": rollouts.loop,
+        "construct_s": constructed,
+        "first_s": warm,
+        "pss_mb": further,
+        "card_mb": card,
+        "cpu_s": sum(resource.getrusage(who).ru_utime for who in _USERS),
+        "policies": results,
+    }
+
+
+_USERS = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
+
+
+def _construct(given: argparse.Namespace) -> Any:
+    from rollouts import RLinf, SimpleVLA
+
+    if given.framework == "rlinf":
+        return RLinf(given.task, given.environments, given.steps, together=given.arm == "V")
+    return SimpleVLA(given.task, given.environments, every_frame=given.arm == "S")
+
+
+def _run(rollouts: Any, policy: Any, actions: np.ndarray) -> dict[str, float]:
+    whole, simulated = [], []
+    with policy:
+        products, start = policy.products(), time.perf_counter()
+        for chunk in actions:
+            begun = time.perf_counter()
+            policy.answer()
+            answered = time.perf_counter()
+            rollouts.chunk(chunk)
+            end = time.perf_counter()
+            whole.append(1e3 * (end - begun))
+            simulated.append(1e3 * (end - answered))
+        lasted = time.perf_counter() - start
+        products = policy.products() - products
+    result = {
+        "chunk_ms_p50": float(np.percentile(whole, 50)),
+        "chunk_ms_p95": float(np.percentile(whole, 95)),
+        "simulation_ms_p50": float(np.percentile(simulated, 50)),
+        "lasted_s": lasted,
+    }
+    if policy.kind == "busy":
+        result["products_per_second"] = products / lasted
+    return result
+
+
+def _actions(given: argparse.Namespace) -> np.ndarray:
+    """Returns a smooth motion in the air, [chunks, environments, steps of a chunk, 7]."""
+    chunks = max(1, given.steps // given.chunk)
+    phase = np.linspace(0, 3, chunks * given.chunk)[:, None] + np.arange(7)
+    each = np.linspace(0.2, 0.4, given.environments)[:, None, None]
+    moves = each * np.sin(phase)
+    return moves.reshape(given.environments, chunks, given.chunk, 7).swapaxes(0, 1)
+
+
+def _pss_mb() -> float:
+    """Returns the memory of this process and its children, shared pages counted once, MB."""
+    total = 0
+    for process in _tree(os.getpid()):
+        try:
+            lines = Path(f"/proc/{process}/smaps_rollup").read_text().splitlines()
+        except OSError:
+            continue
+        total += sum(int(line.split()[1]) for line in lines if line.startswith("Pss:"))
+    return total / 1024
+
+
+def _tree(root: int) -> list[int]:
+    parents: dict[int, list[int]] = {}
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = status.read_text().rpartition(")")[2].split()
+        except OSError:
+            continue
+        parents.setdefault(int(fields[1]), []).append(int(status.parent.name))
+    found = [root]
+    for one in found:
+        found += parents.get(one, [])
+    return found
+
+
+def _card_mb() -> float | None:
+    """Returns the memory in use on the first accelerator, MB; None without one."""
+    command = ["nvidia-smi", "--id=0", "--query-gpu=memory.used", "--format=csv,noheader,nounits"]
+    try:
+        asked = subprocess.run(command, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return None
+    return float(asked.stdout)
+
+
+if __name__ == "__main__":
+    sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]
+    main()

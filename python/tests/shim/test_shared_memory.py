@@ -1,0 +1,143 @@
+"""Frames that the processes of `SubprocVectorEnv` pass through shared memory."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import pickle
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from libero.libero import benchmark
+from libero.libero.envs import DummyVectorEnv, OffScreenRenderEnv, SubprocVectorEnv, _shared_memory
+from libero.libero.envs._shared_memory import SIZE, SharedMemory
+
+FRAME = (256, 256, 3)
+
+
+def drawing() -> Any:
+    """Returns a class of environments whose observations are frames with the number of their
+    steps. It is local, so that spawned processes need not import this module."""
+
+    class Drawing:
+        def __init__(self) -> None:
+            self.steps = 0
+
+        def _seen(self) -> dict[str, Any]:
+            frame = np.full(FRAME, self.steps, np.uint8)
+            return {"frame": frame, "again": frame, "small": np.array([self.steps])}
+
+        def reset(self) -> dict[str, Any]:
+            self.steps = 0
+            return self._seen()
+
+        def step(self, action: Any) -> Any:
+            self.steps += 1
+            return self._seen(), 0.0, False, {}
+
+        def close(self) -> None:
+            pass
+
+    return Drawing
+
+
+@pytest.fixture(params=["fork", "spawn", "forkserver"])
+def started(request: Any) -> Iterator[str]:
+    """Starts processes by this method."""
+    before = multiprocessing.get_start_method(allow_none=True)
+    multiprocessing.set_start_method(request.param, force=True)
+    yield request.param
+    multiprocessing.set_start_method(before, force=True)
+
+
+def test_observations_outlive_the_next_step(started: str) -> None:
+    envs = SubprocVectorEnv([drawing()] * 2)
+    first = envs.reset()
+    second, *_ = envs.step([0.0] * 2)
+    third, *_ = envs.step([0.0], id=[1])
+    for seen, number in ((first[0], 0), (first[1], 0), (second[0], 1), (third[0], 2)):
+        frame = seen["frame"]
+        assert frame.shape == FRAME and frame.dtype == np.uint8
+        assert (frame == number).all() and seen["small"] == number
+        assert seen["again"] is frame
+        assert frame.flags.owndata and frame.flags.writeable
+    envs.close()
+
+
+def test_messages_hold_no_frames() -> None:
+    memory = SharedMemory()
+    frames = {name: np.full(FRAME, number, np.uint8) for number, name in enumerate("ab")}
+    message = memory.dumps((frames, 1.0, False, {}))
+    assert len(message) < 1024
+    (received, *others) = pickle.loads(message)
+    assert others == [1.0, False, {}]
+    for name, frame in frames.items():
+        np.testing.assert_array_equal(received[name], frame)
+    memory.started()
+
+
+@pytest.mark.parametrize(
+    "array",
+    [
+        np.zeros(SIZE + 1, np.uint8),
+        np.arange(90_000).reshape(300, 300)[:, ::2],
+        np.array([{"any": "object"}] * 9_000),
+    ],
+    ids=["too large", "not contiguous", "objects"],
+)
+def test_other_arrays_stay_in_the_message(array: Any) -> None:
+    memory = SharedMemory()
+    message = memory.dumps([array, np.ones(FRAME)])
+    assert len(message) > 9_000
+    received, frame = pickle.loads(message)
+    np.testing.assert_array_equal(received, array)
+    np.testing.assert_array_equal(frame, np.ones(FRAME))
+    memory.started()
+
+
+def test_arrays_beyond_the_memory_stay_in_the_message() -> None:
+    memory = SharedMemory()
+    arrays = [np.full(SIZE // 2, number, np.uint8) for number in range(3)]
+    received = pickle.loads(memory.dumps(arrays))
+    for one, other in zip(received, arrays):
+        np.testing.assert_array_equal(one, other)
+    memory.started()
+
+
+def test_environments_close_their_descriptors() -> None:
+    before = len(os.listdir("/proc/self/fd"))
+    for _ in range(3):
+        envs = SubprocVectorEnv([drawing()] * 2)
+        envs.reset()
+        envs.close()
+        del envs
+    assert len(os.listdir("/proc/self/fd")) <= before + 1
+
+
+@pytest.mark.parametrize("is_shared", [True, False])
+def test_frames_have_the_bits_of_those_of_one_process(
+    is_shared: bool, bddl_file: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    if not is_shared:
+        monkeypatch.setattr(_shared_memory, "memory", lambda: None)
+
+    def construct() -> OffScreenRenderEnv:
+        return OffScreenRenderEnv(bddl_file_name=bddl_file, camera_heights=96, camera_widths=96)
+
+    states = benchmark.get_benchmark("libero_goal")().get_task_init_states(8)[:1]
+    seen: list[Any] = []
+    for kind in (DummyVectorEnv, SubprocVectorEnv):
+        # Several environments of one process would share NumPy's generator.
+        envs = kind([construct])
+        envs.seed(3)
+        seen += [envs.reset()[0], envs.set_init_state(states)[0]]
+        seen.append(envs.step([[0.5, 0, 0, 0, 0, 0, -1]])[0][0])
+        envs.close()
+    for alone, sent in zip(seen[:3], seen[3:]):
+        assert list(sent) == list(alone)
+        for name, value in alone.items():
+            np.testing.assert_array_equal(sent[name], value)
+            assert sent[name].dtype == value.dtype

@@ -1,0 +1,69 @@
+"""The comparison's judgement and tables (python/bench/rl), on given measurements."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+
+@pytest.fixture
+def bench(monkeypatch: pytest.MonkeyPatch) -> Any:
+    """Returns a function that imports a file of the comparison."""
+    folder = Path(__file__).parents[1] / "bench" / "rl"
+    monkeypatch.syspath_prepend(str(folder))
+    yield importlib.import_module
+    for name in ("checks", "report", "rollouts", "stand_ins"):
+        sys.modules.pop(name, None)
+
+
+def replay(readings: list[float], success: int | None, contact: int | None = None) -> Any:
+    return {
+        "readings": [[reading] for reading in readings],
+        "success": success,
+        "contact": contact,
+        "renderer": None,
+    }
+
+
+def test_motion_is_compared_until_the_first_contact(bench: Any) -> None:
+    checks = bench("checks")
+    theirs = replay([0.0, 1.0, 2.0], success=3, contact=3)
+    assert checks.verdict(theirs, replay([0.0, 1.0, 2.5], 3))["same_motion"]
+    apart = checks.verdict(theirs, replay([0.0, 1.0 + 1e-8, 2.0], 3))
+    assert not apart["same_motion"]
+    assert apart["apart_before_contact"] == pytest.approx(1e-8)
+
+
+@pytest.mark.parametrize(("ours", "is_same"), [(3, True), (5, True), (6, False), (None, False)])
+def test_success_may_differ_by_two_steps(bench: Any, ours: int | None, is_same: bool) -> None:
+    checks = bench("checks")
+    verdict = checks.verdict(replay([0.0], success=3), replay([0.0], success=ours))
+    assert verdict["same_success"] is is_same
+
+
+def test_tables_have_medians_ranges_and_ratios_to_the_original(bench: Any) -> None:
+    def run(arm: str, number: int, speed: float) -> dict[str, Any]:
+        return {
+            "framework": "rlinf",
+            "task": "libero_goal/8",
+            "environments": 16,
+            "arm": arm,
+            "round": number,
+            "construct_s": 1.0,
+            "pss_mb": 10.0,
+            "card_mb": None,
+            "cpu_s": 3.0,
+            "policies": {"none": {"steps_per_second": speed, "reset_s": 2.0}},
+        }
+
+    runs = [run("O", 1, 100), run("V", 1, 900), run("O", 2, 120), run("V", 2, 1100)]
+    failed = {**run("S", 1, 0), "error": "status 1: no room"}
+    table = bench("report").markdown({"machine": "m", "checks": {}, "runs": [*runs, failed]})
+    assert "| none | O | 110 (100–120) | – | 2.00 (2.00–2.00) |" in table
+    assert "| none | V | 1,000 (900–1,100) |" in table
+    assert "| 9.09 | – |" in table
+    assert "S, round 1, failed: status 1: no room" in table
