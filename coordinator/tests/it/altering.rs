@@ -232,7 +232,10 @@ async fn a_reused_name_shares_no_files_with_its_former_campaign() {
     assert_eq!(lease.campaign, "name");
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let former_path = film(&mut worker, &lease).await;
-    assert!(former_path.starts_with("artifacts/name~2/"), "{own}");
+    assert!(
+        former_path.starts_with("artifacts/name~2/"),
+        "{former_path}"
+    );
     is_in_order(&bench).await;
 
     bench.delete("name", "name").await.expect("deleted");

@@ -148,7 +148,7 @@ mod tests {
         );
         manner.protocol = Some("plus-rlinf".parse().unwrap());
         assert!(matches!(
-            of(&manner, Benchmark::Pro),
+            protocol(&manner, Benchmark::Pro),
             Err(SelectionError::Foreign { .. })
         ));
     }
