@@ -15,9 +15,6 @@ use super::command::{CommandError, Connection, usage};
 
 /// Description of the outcomes assumed without `--planning-from`.
 const STUDENT: &str = "the student's published ones (examples/student)";
-/// R_d assumed for a placebo level without outcomes: the student's (`examples/student_floor`), a
-/// fraction.
-const ASSUMED_FLOOR: f64 = 0.115;
 
 /// Smallest detectable differences of a campaign, as printed by `--json`.
 #[derive(Debug, Serialize)]
@@ -97,11 +94,12 @@ impl Planning {
 fn levels(campaign: &NewCampaign, assumed: &[Assumed]) -> Vec<PlannedLevel> {
     let planned = configurations(campaign);
     let floor = planned.get(&Level::L0).copied();
-    let measured_floor = assumed.iter().find(|level| level.level == Level::L0);
+    let placebo = |levels: &[Assumed]| levels.iter().find(|level| level.level == Level::L0).copied();
+    let assumed_floor = placebo(assumed).or_else(|| placebo(&Assumed::STUDENT));
     let perturbed = planned.iter().filter(|(level, _)| **level != Level::L0);
     let of_level = |(&level, &planned): (&Level, &Planned)| {
         let like = Assumed::nearest(assumed, level)?;
-        let r_d = measured_floor.map_or(ASSUMED_FLOOR, |level| level.r_d);
+        let r_d = assumed_floor?.r_d;
         let against = match floor {
             Some(planned) => Against::Floor { r_d, planned },
             None => Against::AnotherPolicy,

@@ -236,7 +236,7 @@ async fn placebo_rollouts_are_planned_counted_and_listed_as_l0() {
             .split_whitespace()
             .collect::<Vec<_>>()
             .join(" ")
-            .contains("above a floor of 11.5 % over 10 configurations"),
+            .contains("above a floor of 6.5 % over 10 configurations"),
         "{words}"
     );
     fits_a_terminal(words);

@@ -83,7 +83,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--frameworks", nargs="+", default=list(ARMS), choices=list(ARMS))
     parser.add_argument("--arms", nargs="+", default=["O", "O'", "S", "S+", "V"])
     parser.add_argument("--tasks", nargs="+", default=["libero_goal/8"])
-    parser.add_argument("--environments", nargs="+", type=int, default=[16, 64])
+    # RLinf gives each environment another one of a task's 50 states.
+    parser.add_argument("--environments", nargs="+", type=int, default=[16, 48])
     parser.add_argument("--chunk", type=int, default=8)
     parser.add_argument("--steps", type=int, default=200, help="control steps of a rollout")
     parser.add_argument(

@@ -72,31 +72,39 @@ pub struct Detectable {
 }
 
 impl Assumed {
-    /// The student's published outcomes (`examples/student`), all of v0.1.
-    pub const STUDENT: [Self; 3] = [
+    /// The student's published outcomes (`examples/student`): all of v0.1, and the placebo level.
+    pub const STUDENT: [Self; 4] = [
+        Self {
+            level: Level::L0,
+            s_sim: 0.95,
+            r_d: 0.065,
+            of_success: 0.5274,
+            of_change: 0.1444,
+            of_changed: 0.1457,
+        },
         Self {
             level: Level::L1,
-            s_sim: 0.6075,
-            r_d: 0.2225,
-            of_success: 0.4187,
-            of_change: 0.0297,
-            of_changed: 0.1361,
+            s_sim: 0.7225,
+            r_d: 0.2075,
+            of_success: 0.3487,
+            of_change: 0.0404,
+            of_changed: 0.0765,
         },
         Self {
             level: Level::L2,
-            s_sim: 0.3875,
-            r_d: 0.2675,
-            of_success: 0.3502,
-            of_change: 0.0558,
-            of_changed: 0.1272,
+            s_sim: 0.4175,
+            r_d: 0.27,
+            of_success: 0.2765,
+            of_change: 0.0462,
+            of_changed: 0.0852,
         },
         Self {
             level: Level::L3,
-            s_sim: 0.13,
-            r_d: 0.17,
-            of_success: 0.1354,
-            of_change: 0.0451,
-            of_changed: 0.0827,
+            s_sim: 0.0875,
+            r_d: 0.155,
+            of_success: 0.1527,
+            of_change: 0.0512,
+            of_changed: 0.0404,
         },
     ];
 
