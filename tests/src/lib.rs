@@ -1,7 +1,7 @@
 //! Helpers shared by the tests under `tests/` and the parity command.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages say it")]
+#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 pub mod browser;
 pub mod chaos;

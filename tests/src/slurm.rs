@@ -124,7 +124,7 @@ impl Cluster {
              GresTypes=gpu\n\
              ReturnToService=2\n\
              SlurmdParameters=config_overrides\n\
-             SchedulerParameters=bf_interval=1\n\
+             SchedulerParameters=bf_interval=1,sched_interval=2\n\
              PreemptType=preempt/partition_prio\n\
              PreemptMode=REQUEUE\n"
         );

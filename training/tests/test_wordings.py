@@ -63,13 +63,13 @@ def test_more_wordings_than_the_grammar_has_are_refused(monkeypatch: pytest.Monk
         draw("libero_goal/7", 5, seed=0)
 
 
-def test_no_wording_is_one_of_the_evaluations(drawn: dict[str, list[str]]) -> None:
+def test_no_wording_is_in_the_evaluation(drawn: dict[str, list[str]]) -> None:
     assert len(held_out_digests()) >= 1_000
     for texts in drawn.values():
         assert not held_out_digests() & {digest(text) for text in texts[1:]}
 
 
-def test_the_digests_are_those_of_the_benchmarks_rows(drawn: dict[str, list[str]]) -> None:
+def test_held_out_digests_are_those_of_the_benchmark_rows(drawn: dict[str, list[str]]) -> None:
     pytest.importorskip("rollout_libero", reason="rollout_libero is not installed")
     from training.held_out import evaluation_sentences
 
@@ -79,7 +79,7 @@ def test_the_digests_are_those_of_the_benchmarks_rows(drawn: dict[str, list[str]
         assert not sentences & set(texts[1:])
 
 
-def test_canonical_instructions_are_the_benchmarks() -> None:
+def test_canonical_instructions_are_those_of_the_benchmark() -> None:
     libero = pytest.importorskip("rollout_libero", reason="rollout_libero is not installed")
     assert {task.name: task.instruction for task in libero.tasks()} == {
         task: canonical(task) for task in TASK_NAMES

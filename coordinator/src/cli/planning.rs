@@ -94,7 +94,12 @@ impl Planning {
 fn levels(campaign: &NewCampaign, assumed: &[Assumed]) -> Vec<PlannedLevel> {
     let planned = configurations(campaign);
     let floor = planned.get(&Level::L0).copied();
-    let placebo = |levels: &[Assumed]| levels.iter().find(|level| level.level == Level::L0).copied();
+    let placebo = |levels: &[Assumed]| {
+        levels
+            .iter()
+            .find(|level| level.level == Level::L0)
+            .copied()
+    };
     let assumed_floor = placebo(assumed).or_else(|| placebo(&Assumed::STUDENT));
     let perturbed = planned.iter().filter(|(level, _)| **level != Level::L0);
     let of_level = |(&level, &planned): (&Level, &Planned)| {

@@ -24,7 +24,7 @@ use super::failure::invalid;
 const MAX_ROLLOUT_ID_BYTES: usize = 128;
 /// Longest stored error message, bytes; longer ones are truncated.
 const MAX_ERROR_BYTES: usize = 4_096;
-/// Longest stored prompt of a policy, bytes.
+/// Longest stored prompt of a policy, bytes; longer ones are truncated.
 const MAX_PROMPT_BYTES: usize = 4_096;
 /// Longest path and actions of a motion, bytes: 6 per position and 28 per action.
 const MAX_PATH_BYTES: usize = (MAX_MOTION_STEPS + 1) * 6;
@@ -333,12 +333,6 @@ fn result(result: wire::RolloutResult) -> Result<RolloutResult, Status> {
             "`result` holds a progress towards the goal that contradicts itself or its success",
         ));
     }
-    if result.prompt.len() > MAX_PROMPT_BYTES {
-        return Err(invalid(format!(
-            "`result` holds a prompt of {} bytes; at most {MAX_PROMPT_BYTES} are stored",
-            result.prompt.len()
-        )));
-    }
     let ik = |residual_mm| IkResidual {
         residual_mm,
         residual_deg: result.ik_residual_deg.unwrap_or_default(),
@@ -353,7 +347,8 @@ fn result(result: wire::RolloutResult) -> Result<RolloutResult, Status> {
         policy_queries: result.policy_queries,
         parts,
         goal,
-        prompt: Some(result.prompt).filter(|prompt| !prompt.is_empty()),
+        prompt: Some(shortened(&result.prompt, MAX_PROMPT_BYTES).to_owned())
+            .filter(|prompt| !prompt.is_empty()),
     })
 }
 

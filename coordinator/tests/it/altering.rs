@@ -38,7 +38,7 @@ fn to_name(campaign: &str, name: &str) -> wire::AlterCampaignRequest {
     }
 }
 
-async fn is_in_order(bench: &Bench) {
+async fn assert_invariants(bench: &Bench) {
     let violations = check(bench.folder.path()).await.expect("a database");
     assert_eq!(violations, []);
 }
@@ -91,7 +91,7 @@ async fn a_campaign_continues_at_once_after_its_endpoint_is_corrected() {
     );
     // No policy has the mistyped endpoint any more.
     assert_eq!(bench.count("SELECT count(*) FROM policy").await, 1);
-    is_in_order(&bench).await;
+    assert_invariants(&bench).await;
 }
 
 #[tokio::test]
@@ -158,7 +158,7 @@ async fn an_invalid_alteration_is_refused_and_changes_nothing() {
     cancelled.expect("cancelled");
     let refused = alter(&bench, to_endpoint("one", ELSEWHERE)).await;
     assert!(refused.expect_err("final").message().contains("final"));
-    is_in_order(&bench).await;
+    assert_invariants(&bench).await;
 }
 
 #[tokio::test]
@@ -175,13 +175,21 @@ async fn a_probe_is_replaced_if_its_campaign_changes_endpoint() {
     alter(&bench, to_endpoint("leaves", ELSEWHERE))
         .await
         .expect("altered");
-    is_in_order(&bench).await;
+    assert_invariants(&bench).await;
     let next = worker.claim(2).await;
     let campaigns: Vec<&str> = next.iter().map(|lease| lease.campaign.as_str()).collect();
-    assert_eq!(campaigns, ["leaves", "leaves"], "at once, elsewhere");
+    assert_eq!(
+        campaigns,
+        ["leaves", "leaves"],
+        "leased at once at the new endpoint"
+    );
     let rest = worker.claim(8).await;
     let probes = rest.iter().filter(|lease| lease.campaign == "stays");
-    assert_eq!(probes.count(), 1, "another tries the old one");
+    assert_eq!(
+        probes.count(),
+        1,
+        "another campaign probes the old endpoint"
+    );
 }
 
 #[tokio::test]
@@ -211,7 +219,7 @@ async fn a_renamed_campaign_keeps_everything_and_is_found_under_its_new_name() {
     let refused = refused.expect_err("renamed");
     assert_eq!(refused.code(), Code::NotFound);
     assert!(refused.message().contains("is called `new`"), "{refused}");
-    is_in_order(&bench).await;
+    assert_invariants(&bench).await;
 }
 
 /// A campaign's folder keeps the campaign's first name. A campaign that takes over a former name
@@ -231,16 +239,16 @@ async fn a_reused_name_shares_no_files_with_its_former_campaign() {
     let lease = worker.claim_one().await;
     assert_eq!(lease.campaign, "name");
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
-    let former_path = film(&mut worker, &lease).await;
+    let second_path = film(&mut worker, &lease).await;
     assert!(
-        former_path.starts_with("artifacts/name~2/"),
-        "{former_path}"
+        second_path.starts_with("artifacts/name~2/"),
+        "{second_path}"
     );
-    is_in_order(&bench).await;
+    assert_invariants(&bench).await;
 
     bench.delete("name", "name").await.expect("deleted");
     assert!(bench.folder.path().join(&kept).is_file());
-    assert!(!bench.folder.path().join(&former_path).exists());
+    assert!(!bench.folder.path().join(&second_path).exists());
     // No campaign has the name now, and no redirection from it is left.
     let request = wire::GetCampaignRequest {
         campaign: "name".to_owned(),
@@ -255,11 +263,11 @@ async fn a_reused_name_shares_no_files_with_its_former_campaign() {
     alter(&bench, to_name("name", "last"))
         .await
         .expect("renamed");
-    is_in_order(&bench).await;
+    assert_invariants(&bench).await;
     bench.delete("last", "last").await.expect("deleted");
     assert!(!bench.folder.path().join(&kept).exists());
     assert_eq!(bench.count("SELECT count(*) FROM former_name").await, 0);
-    is_in_order(&bench).await;
+    assert_invariants(&bench).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -53,7 +53,10 @@ async fn a_coordinator_that_cannot_write_suspends_leasing_until_it_can() {
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let started = Instant::now();
     while worker.claim(1).await.is_empty() {
-        assert!(started.elapsed() < Duration::from_secs(20), "still held");
+        assert!(
+            started.elapsed() < Duration::from_secs(20),
+            "leasing is still suspended"
+        );
     }
 }
 
@@ -106,9 +109,9 @@ async fn a_log_on_a_full_disk_does_not_end_the_coordinator() {
     serve.worker("a").await.claim_one().await;
 }
 
-/// Regression (defects 4 and 7): videos were sent before outcomes, so that an artifacts folder on a
-/// full disk held outcomes back forever; and the error of a video's last write was ignored, so that
-/// a truncated video counted as complete.
+/// Regression: videos were sent before outcomes, so that an artifacts folder on a full disk held
+/// outcomes back forever; and the error of a video's last write was ignored, so that a truncated
+/// video counted as complete.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_full_artifacts_disk_loses_the_video_but_not_the_outcome() {
     const ROOM: usize = 2_000_000;
@@ -120,9 +123,9 @@ async fn a_full_artifacts_disk_loses_the_video_but_not_the_outcome() {
     serve.limit_files(&format!("{ROOM}:unlimited"));
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let artifacts = folder.path().join("artifacts/demo");
-    let only_the_last_write_fails = [vec![1; ROOM / 2], vec![2; ROOM / 2], vec![3; 1]];
-    let already_the_second_fails = [vec![1; ROOM / 2], vec![2; ROOM], vec![3; ROOM]];
-    for pieces in [only_the_last_write_fails, already_the_second_fails] {
+    let last_write_fails = [vec![1; ROOM / 2], vec![2; ROOM / 2], vec![3; 1]];
+    let second_write_fails = [vec![1; ROOM / 2], vec![2; ROOM], vec![3; ROOM]];
+    for pieces in [last_write_fails, second_write_fails] {
         let refused = put(&mut worker, &lease, "video.mp4", &pieces).await;
         let refused = refused.expect_err("no room");
         assert_eq!(refused.code(), tonic::Code::Unavailable, "{refused}");

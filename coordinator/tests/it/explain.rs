@@ -206,7 +206,10 @@ async fn invalid_explanations_and_deletion_of_their_source_are_refused() {
         "campaign", "create", "--name", "alone", "--policy", "p",
         "--endpoint", "http://127.0.0.1:50051", "--tasks", "libero_object/0", "--axes", "camera",
     ]));
-    refused(&["explain", "alone"], "two axes at least can act together");
+    refused(
+        &["explain", "alone"],
+        "an interaction needs at least two axes",
+    );
     refused(
         &["campaign", "status", "alone-explained"],
         "no such campaign",

@@ -28,7 +28,7 @@ async fn retry(bench: &Bench, campaign: &str, jobs: &[&str], all: bool) -> Resul
     Ok(response.into_inner().jobs)
 }
 
-async fn is_in_order(bench: &Bench) {
+async fn assert_invariants(bench: &Bench) {
     let violations = check(bench.folder.path()).await.expect("a database");
     assert_eq!(violations, []);
 }
@@ -77,7 +77,7 @@ async fn a_paused_campaign_leases_nothing_and_accepts_running_attempts() {
     let resumed = bench.change("held", Change::Resume).await;
     assert_eq!(resumed.expect("resumed"), State::Running);
     assert_eq!(worker.claim(64).await.len(), 3);
-    is_in_order(&bench).await;
+    assert_invariants(&bench).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -127,7 +127,7 @@ async fn cancelling_a_campaign_revokes_leases_and_keeps_results() {
         .change("ended", Change::Cancel)
         .await
         .expect("so already");
-    is_in_order(&bench).await;
+    assert_invariants(&bench).await;
 }
 
 #[tokio::test]
@@ -147,7 +147,7 @@ async fn cancelling_a_campaign_frees_the_policy_probe() {
         .change("first", Change::Cancel)
         .await
         .expect("cancelled");
-    is_in_order(&bench).await;
+    assert_invariants(&bench).await;
     assert_eq!(worker.claim_one().await.campaign, "second");
 }
 
@@ -186,7 +186,7 @@ async fn deleting_a_campaign_needs_its_name_twice_and_removes_its_files() {
     ] {
         assert_eq!(bench.count(query).await, left, "{query}");
     }
-    is_in_order(&bench).await;
+    assert_invariants(&bench).await;
     let refused = bench.delete("old", "old").await.expect_err("gone");
     assert_eq!(refused.code(), Code::NotFound);
     assert_eq!(worker.claim(64).await.len(), 4);
@@ -217,7 +217,7 @@ async fn retry_requeues_quarantined_jobs_without_their_charges() {
         let lease = worker.claim_one().await;
         let released = worker.release(&lease, Reason::Draining).await;
         assert_eq!(released.verdict(), expected);
-        is_in_order(&bench).await;
+        assert_invariants(&bench).await;
     }
     let mut fresh = bench.worker("b").await;
     let lease = fresh.claim_one().await;
@@ -227,7 +227,7 @@ async fn retry_requeues_quarantined_jobs_without_their_charges() {
     bench.pass(61).await;
     let lease = fresh.claim_one().await;
     assert_eq!(fresh.commit(&lease, true).await, Verdict::Accepted);
-    is_in_order(&bench).await;
+    assert_invariants(&bench).await;
 }
 
 #[tokio::test]

@@ -1,5 +1,5 @@
-//! Campaigns that stop early stop where the statistics of the same outcomes say, even if the
-//! process is killed at any point.
+//! Early stops: a campaign stops at the configuration at which the statistics of its outcomes meet
+//! its rule, even if the process is killed at any point.
 
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -69,7 +69,10 @@ fn planted(spec: &Value) -> Planted {
     let stop = spec.stop.expect("a rule");
     let look = CampaignLook::when_met(&records, &stop).expect("the rule is met");
     let used = look.used.len();
-    assert!((5..look.units - 5).contains(&used), "{used} is no test");
+    assert!(
+        (5..look.units - 5).contains(&used),
+        "a stop after {used} configurations is too near an end of the campaign for a test"
+    );
     Planted {
         ids: rows.iter().map(|(id, _)| *id).collect(),
         // Two levels of four conditions each, and the nominal rollout.
@@ -266,12 +269,15 @@ async fn a_stopped_campaign_is_final_and_derived_campaigns_use_counted_results()
     ]).await;
     assert_eq!(measured["looked_for"], planted.configurations);
     assert_eq!(measured["found"], planted.configurations);
-    let of_beyond = |it: &Value| {
+    let is_of_beyond = |threshold: &Value| {
         let number = beyond.config().map(Value::from);
-        it["task"] == json!(beyond.task()) && Some(&it["config"]) == number.as_ref()
+        threshold["task"] == json!(beyond.task()) && Some(&threshold["config"]) == number.as_ref()
     };
     let thresholds = measured["thresholds"].as_array().expect("thresholds");
-    assert!(!thresholds.iter().any(of_beyond), "{beyond} does not count");
+    assert!(
+        !thresholds.iter().any(is_of_beyond),
+        "{beyond} does not count"
+    );
     for name in ["early-thresholds", "early-explained", "early"] {
         succeed(serve.command(&["campaign", "delete", name, "--confirm", name]));
     }

@@ -84,8 +84,8 @@ async fn batched_reports_each_get_their_own_verdict() {
     let expected: Vec<Verdict> = mixed.iter().map(|(_, verdict)| *verdict).collect();
     assert_eq!(verdicts, expected);
     assert_eq!(bench.status("together").await.committed, 8);
-    let one = "SELECT count(*) FROM divergence";
-    assert_eq!(bench.count(one).await, 1);
+    let divergences = "SELECT count(*) FROM divergence";
+    assert_eq!(bench.count(divergences).await, 1);
     assert_invariants(bench).await;
 }
 
@@ -141,10 +141,7 @@ async fn batched_claims_are_served_in_order_of_arrival() {
     let mut jobs: Vec<i64> = shares.iter().flatten().map(|lease| lease.job_id).collect();
     jobs.sort_unstable();
     let expected: Vec<i64> = leases[1..].iter().map(|lease| lease.job_id).collect();
-    assert_eq!(
-        jobs, expected,
-        "each once, and the first in paired-unit order"
-    );
+    assert_eq!(jobs, expected, "every remaining job is leased exactly once");
     assert!(shares.iter().flatten().all(|lease| lease.attempt == 2));
     assert_invariants(bench).await;
 }

@@ -18,8 +18,8 @@ use crate::harness::{Bench, open_database, sha, small_spec};
 use crate::process::{coordinator, text};
 
 /// SQL dumps of databases, one per earlier schema, with jobs of every state, charged and uncharged
-/// failures, an unavailable policy, and films. From the third on, they are the second one as
-/// upgraded by later releases. A new migration adds a dump of the schema before it.
+/// failures, an unavailable policy, and films. The dumps from the third on hold the database of the
+/// second, upgraded by later releases. A new migration adds a dump of the schema before it.
 const RELEASED: [&str; 12] = [
     include_str!("../databases/schema_1.sql"),
     include_str!("../databases/schema_2.sql"),
@@ -167,15 +167,15 @@ async fn a_database_of_schema_1_is_upgraded_and_its_campaigns_continue() {
     .await
     .expect("renderers");
     pool.close().await;
-    let of = |name: &str, renderer: Option<&str>| (name.to_owned(), renderer.map(Into::into), 2);
+    let pin = |name: &str, renderer: Option<&str>| (name.to_owned(), renderer.map(Into::into), 2);
     assert_eq!(
         pins,
         [
-            of("drawn", Some("llvmpipe")),
-            of("blind", None),
-            of("mixed", Some("NVIDIA")),
+            pin("drawn", Some("llvmpipe")),
+            pin("blind", None),
+            pin("mixed", Some("NVIDIA")),
         ],
-        "pinned to what drew first"
+        "pinned to the renderer of the first drawn result"
     );
     let drew = |renderer: &str, results| (Some(renderer.to_owned()), results);
     assert_eq!(

@@ -39,7 +39,7 @@ def run(policy_class: type[Policy], arguments: Sequence[str] | None = None) -> N
     the constructor, the warm-up and the policy's methods.
     """
     try:
-        parser, own = _parser(policy_class)
+        parser, parameters = _parser(policy_class)
         require_methods(policy_class)
     except (UnusableDescription, UnusableParameter) as error:
         sys.exit(f"error: {error}")
@@ -54,9 +54,9 @@ def run(policy_class: type[Policy], arguments: Sequence[str] | None = None) -> N
         sys.exit(f"error: {error}")
     # Models print while they load, but the first line of stdout must be the address.
     with contextlib.redirect_stdout(sys.stderr):
-        policy = policy_class(**{name: getattr(given, name) for name in own})
+        policy = policy_class(**{name: getattr(given, name) for name in parameters})
     try:
-        if "execute" not in own and given.execute is not None:
+        if "execute" not in parameters and given.execute is not None:
             set_execute(policy, given.execute)
         serve(policy, **options)
     except UnusableExecute as error:
@@ -76,7 +76,7 @@ class UnusableExecute(ValueError):
 
 
 def set_execute(policy: Policy, execute: int) -> None:
-    """Executes `execute` actions of every answer, overriding the policy's
+    """Sets the number of executed actions of every answer in the policy's
     description. Raises UnusableExecute."""
     try:
         policy.description = dataclasses.replace(description_of(policy), execute=execute)
@@ -142,14 +142,14 @@ def _parser(policy_class: type[Policy]) -> tuple[argparse.ArgumentParser, list[s
         allow_abbrev=False,
     )
     group = parser.add_argument_group("policy")
-    own = []
+    parameters = []
     try:
         for parameter in inspect.signature(policy_class, eval_str=True).parameters.values():
             # *args and **kwargs have no names of their own.
             if parameter.kind not in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
                 _add_flag(group, policy_class, parameter)
-                own.append(parameter.name)
-        if "execute" not in own:
+                parameters.append(parameter.name)
+        if "execute" not in parameters:
             group.add_argument(
                 "--execute",
                 type=int,
@@ -162,7 +162,7 @@ def _parser(policy_class: type[Policy]) -> tuple[argparse.ArgumentParser, list[s
             f"a parameter of {policy_class.__name__} is called like a flag of the server"
             f" ({error}); rename the parameter"
         ) from error
-    return parser, own
+    return parser, parameters
 
 
 def _add_flag(

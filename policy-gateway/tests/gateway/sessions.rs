@@ -22,14 +22,14 @@ use crate::{
     support::{Scripted, chunk, description, infer, reloadable, reset, serve},
 };
 
-/// A rollout with the calls that its worker makes.
+/// Session of a rollout, and the policy seed that its worker sends.
 struct Episode {
     session: Session,
     seed: u64,
 }
 
 impl Episode {
-    fn asked(&self) -> PolicySession<'_> {
+    fn policy_session(&self) -> PolicySession<'_> {
         PolicySession {
             policy: "stateful",
             session: self.session.as_str(),
@@ -61,7 +61,7 @@ async fn equal_rollouts_of_two_campaigns_get_their_own_answers() {
         .expect("the program starts");
     let endpoint = format!("grpc://{}", address(&mut gateway));
 
-    let asked = tokio::task::spawn_blocking(move || {
+    let rollouts = tokio::task::spawn_blocking(move || {
         let rollout: RolloutId = "object/t0/clean/i03".parse().expect("an id");
         let episodes = [1_u8, 2].map(|campaign| Episode {
             session: Session::new(&rollout, 0, AttemptId::from_random([campaign; 16])),
@@ -71,14 +71,15 @@ async fn equal_rollouts_of_two_campaigns_get_their_own_answers() {
             |_| PolicyClient::new(&endpoint, &Access::none(), OF_ONE_ROLLOUT).expect("an endpoint");
         let mut clients = [0, 1].map(client);
         for (client, episode) in clients.iter_mut().zip(&episodes) {
-            let (asked, seed) = (episode.asked(), episode.seed);
-            client.describe(asked).expect("a description");
-            let reset = client.reset(asked, "libero_object", "stand still", seed);
+            let (session, seed) = (episode.policy_session(), episode.seed);
+            client.describe(session).expect("a description");
+            let reset = client.reset(session, "libero_object", "stand still", seed);
             reset.expect("an episode");
         }
         for index in 0..4 {
             for (client, episode) in clients.iter_mut().zip(&episodes) {
-                let answer = client.infer(episode.asked(), index, Observation::default(), 1, None);
+                let session = episode.policy_session();
+                let answer = client.infer(session, index, Observation::default(), 1, None);
                 let action = answer.expect("an answer")[0];
                 let expected = [episode.seed as f64, f64::from(index)];
                 assert_eq!(action[..2], expected, "{}", episode.session);
@@ -88,17 +89,17 @@ async fn equal_rollouts_of_two_campaigns_get_their_own_answers() {
     .await;
     gateway.kill().expect("it runs");
     gateway.wait().expect("it ends");
-    asked.expect("every rollout got its own answers");
+    rollouts.expect("every rollout got its own answers");
 }
 
 /// A server that records the starts and ends of sessions, or does not implement End.
-struct Noting {
+struct RecordingPolicy {
     events: mpsc::UnboundedSender<String>,
     knows_end: bool,
 }
 
 #[tonic::async_trait]
-impl Policy for Noting {
+impl Policy for RecordingPolicy {
     async fn describe(
         &self,
         _: Request<DescribeRequest>,
@@ -133,7 +134,7 @@ impl Policy for Noting {
 async fn the_end_of_an_episode_reaches_its_server_and_closes_its_session() {
     for knows_end in [true, false] {
         let (events, mut heard) = mpsc::unbounded_channel();
-        let server = serve(Noting { events, knows_end }).await;
+        let server = serve(RecordingPolicy { events, knows_end }).await;
         let route = format!("x=grpc://{}", server.address);
         let (gateway, _handle) = reloadable(vec![route.parse().expect("a route")]).await;
         let mut client = gateway.client().await;

@@ -35,15 +35,15 @@ def test_a_file_of_initial_states_cannot_run_code(tmp_path: Path) -> None:
 class PickledCall:
     """Pickles as a call of a NumPy function, with a state for its result."""
 
-    def __init__(self, *asked: Any) -> None:
-        self.asked = asked
+    def __init__(self, *reduction: Any) -> None:
+        self.reduction = reduction
 
     def __reduce__(self) -> Any:
-        return self.asked
+        return self.reduction
 
 
 @pytest.mark.parametrize(
-    "asked",
+    "pickled",
     [
         # Its bytes would be read as pointers to objects.
         PickledCall(np.ndarray, ((1,), "O", b"AAAAAAAA")),
@@ -56,10 +56,10 @@ class PickledCall:
     ],
 )
 def test_a_file_of_initial_states_gives_only_a_table_of_numbers(
-    tmp_path: Path, asked: Any
+    tmp_path: Path, pickled: Any
 ) -> None:
     with pytest.raises(ValueError, match="holds no initial states"):
-        read_states(tmp_path, pickle.dumps(asked, protocol=2))
+        read_states(tmp_path, pickle.dumps(pickled, protocol=2))
     table = np.arange(6.0).reshape(2, 3)
     for states in (table, np.asfortranarray(table), table[0]):
         found = read_states(tmp_path, pickle.dumps(states, protocol=2))
@@ -87,7 +87,7 @@ except Exception as error:
 """
 
 
-@pytest.mark.parametrize("bomb", ["bzip2", "notes", "operations", "texts"])
+@pytest.mark.parametrize("bomb", ["bzip2", "memo", "operations", "texts"])
 def test_a_file_of_initial_states_with_a_bomb_takes_little_memory(
     tmp_path: Path, bomb: str
 ) -> None:
@@ -97,7 +97,7 @@ def test_a_file_of_initial_states_with_a_bomb_takes_little_memory(
     if bomb == "bzip2":
         method, content = zipfile.ZIP_BZIP2, bytes(300_000_000)
         reason = "its pickle is neither stored nor deflated"
-    elif bomb == "notes":
+    elif bomb == "memo":
         content = b"\x80\x02Nr" + (1 << 26).to_bytes(4, "little") + b"."
         reason = "its pickle uses memo entry 67108864 of 256"
     elif bomb == "texts":

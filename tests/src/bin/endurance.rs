@@ -62,7 +62,8 @@ fn main() -> ExitCode {
     let rounds = arguments.rollouts / tasks.len();
     if rounds < WARM_UP_PART {
         let problem = format!(
-            "{} rollouts make {rounds} rounds over {} tasks; to measure growth takes {WARM_UP_PART}",
+            "{} rollouts make {rounds} rounds over {} tasks; {WARM_UP_PART} rounds are needed to \
+             measure growth: raise --rollouts or lower --tasks",
             arguments.rollouts,
             tasks.len()
         );

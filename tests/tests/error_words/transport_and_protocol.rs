@@ -1,4 +1,5 @@
-//! Errors of connections and access, and of the protocol's own texts.
+//! Errors of connections and access, and of the benchmark's text formats: names, rows, designs,
+//! specifications and manifests.
 
 use libero_ctrl::manifest::{LineProblem, ManifestErrors};
 use libero_ctrl::{

@@ -82,7 +82,7 @@ impl<'a> Released<'a> {
                 problems.push(format!("{name} lies {below:.1} mm below the workspace"));
             }
         }
-        let untrue = untrue_supports(&self.problem.init, episode.environment());
+        let untrue = untrue_statements(&self.problem.init, episode.environment());
         problems.extend(
             untrue
                 .into_iter()
@@ -92,17 +92,17 @@ impl<'a> Released<'a> {
     }
 }
 
-/// Returns the height of the surface on which zones lie, m. Regions on the floor are declared
-/// slightly below it.
+/// Returns the height of the surface on which zones lie, m: 0 for a floor, whose arena declares an
+/// offset slightly below 0.
 fn workspace_height(problem: &Problem) -> f64 {
     let arena = arena(&problem.name).expect("the scene was composed");
     arena.workspace_offset[2].max(0.0)
 }
 
 /// Returns the initial statements of a problem that should hold and do not: objects on or in
-/// anything but a zone, and joints that are open, closed, on or off. Zones are left out, since the
-/// original's objects also lie beyond their borders.
-fn untrue_supports(init: &[Predicate], environment: &Environment) -> Vec<Predicate> {
+/// anything but a zone, and joints that are open, closed, on or off. Zones are left out, since in
+/// LIBERO itself some objects lie beyond the border of their zone.
+fn untrue_statements(init: &[Predicate], environment: &Environment) -> Vec<Predicate> {
     let scene = environment.scene();
     let is_object = |name: &String| {
         let instance = scene.instance(name);

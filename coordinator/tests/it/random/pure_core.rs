@@ -289,9 +289,9 @@ impl World {
                 let backoff = not_before.since(now);
                 assert!(backoff <= Duration::from_secs(60), "{backoff:?}");
                 let waits = backoff >= Duration::from_secs(1);
-                let steps_back = reason.is_loss() || reason == FailureReason::WorkerSilent;
+                let may_wait_uncharged = reason.is_loss() || reason == FailureReason::WorkerSilent;
                 assert!(
-                    charged == waits || steps_back && waits,
+                    charged == waits || may_wait_uncharged && waits,
                     "{reason:?}: {backoff:?}"
                 );
                 JobState::Queued { not_before }
@@ -335,19 +335,19 @@ impl World {
             let is_cancelled = matches!(self.campaign, CampaignState::Cancelled { .. });
             assert!(
                 !(is_leased && is_cancelled),
-                "a cancelled campaign holds nothing"
+                "a cancelled campaign holds no lease"
             );
             let is_new_lease = new.attempt > old.attempt;
             assert!(
                 !is_new_lease || self.campaign.may_lease(),
-                "only what runs is leased"
+                "only a running campaign leases jobs"
             );
             let is_committed = new.state == JobState::Committed;
             assert_eq!(is_committed, self.results.contains_key(&new.id));
         }
         if let PolicyState::Probing { attempt, .. } = &self.policy.state {
-            let is_out = |job: &Job| job.lease_of(*attempt).is_some();
-            assert!(self.jobs.iter().any(is_out), "a probe is out");
+            let is_probe = |job: &Job| job.lease_of(*attempt).is_some();
+            assert!(self.jobs.iter().any(is_probe), "a probe holds a lease");
         }
     }
 

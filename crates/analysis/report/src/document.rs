@@ -91,7 +91,7 @@ struct JsonReport<'a> {
 /// The JSON form of a campaign of LIBERO's family.
 #[derive(Serialize)]
 struct FamilyForm<'a> {
-    warnings: &'a [String],
+    warnings: Vec<&'a String>,
     origin: &'a Origin,
     errors: &'a [Quarantined],
     family: &'a Family,
@@ -160,7 +160,7 @@ impl Document {
     pub fn json(&self) -> Result<String, DocumentError> {
         if let (Some(family), [analysis]) = (&self.family, self.analyses.as_slice()) {
             let text = serde_json::to_string_pretty(&FamilyForm {
-                warnings: &self.warnings,
+                warnings: self.notes().collect(),
                 origin: &analysis.subject.origin,
                 errors: &analysis.subject.errors,
                 family,
@@ -198,13 +198,27 @@ impl Document {
         Ok(text.map_err(JsonError::from)?)
     }
 
+    /// Returns the warnings about the outcomes of each policy.
+    fn notes(&self) -> impl Iterator<Item = &String> {
+        let analyses = self.analyses.iter();
+        analyses.flat_map(|analysis| &analysis.report.notes)
+    }
+
+    fn push_notes(&self, text: &mut String) {
+        for note in self.notes() {
+            push_wrapped(text, "! ", note);
+        }
+    }
+
     /// Writes a short report for a terminal of 80 columns: success by condition, and
     /// findings as sentences.
     pub fn brief(&self) -> String {
-        if let Some(family) = &self.family {
-            return family.text(false);
-        }
         let mut text = String::new();
+        if let Some(family) = &self.family {
+            self.push_notes(&mut text);
+            text.push_str(&family.text(false));
+            return text;
+        }
         for warning in &self.warnings {
             push_wrapped(&mut text, "! ", warning);
         }
@@ -243,6 +257,7 @@ impl Document {
             text.push_str(&head(&analysis.subject));
             text.push('\n');
             if let Some(family) = &self.family {
+                self.push_notes(&mut text);
                 text.push_str(&family.text(true));
                 text.push_str(&quarantine_list(&analysis.subject));
                 return text;

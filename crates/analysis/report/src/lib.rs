@@ -7,7 +7,7 @@
 //! time, machine and order of arrival.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages say it")]
+#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 mod analysis;
 mod comparison;

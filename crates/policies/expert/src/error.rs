@@ -47,8 +47,8 @@ pub enum ExpertError {
         /// Predicate and arguments of the goal.
         goal: String,
     },
-    /// A number is not finite or absurdly large.
-    #[error("{field} of '{owner}' holds {value}, as in no scene")]
+    /// A number is not finite or outside the supported range.
+    #[error("{field} of '{owner}' is {value}, outside the range that the expert supports")]
     OutOfRange {
         /// The field.
         field: &'static str,

@@ -44,8 +44,8 @@ pub trait Backend: fmt::Display + Send + Sync {
     /// See [`BackendError`].
     async fn infer(&self, request: InferRequest) -> Result<InferResponse, BackendError>;
 
-    /// Answers several independent observations, in their order, or one after the other if the
-    /// policy takes no batches. The answers are not checked.
+    /// Answers several independent observations as one batch, or one after the other if the policy
+    /// takes no batches. The answers are in the order of the requests, and are not checked.
     ///
     /// # Errors
     /// See [`BackendError`], if no observation was answered.

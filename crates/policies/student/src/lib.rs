@@ -61,7 +61,7 @@
 //!   and has one path for all sizes.
 
 #![deny(unsafe_op_in_unsafe_fn)]
-#![allow(missing_docs, reason = "names and messages say it")]
+#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 mod block;
 mod columns;

@@ -10,7 +10,7 @@
 //! errors.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages say it")]
+#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 pub mod clock;
 mod elsewhere;

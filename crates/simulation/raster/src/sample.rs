@@ -520,7 +520,8 @@ fn neighbour(side: i32, face: i32, x: i32, y: i32) -> (i32, i32, i32) {
         4 => [s, -t, one],
         _ => [-s, -t, -one],
     };
-    // The axis of the edge that is not the face's own axis.
+    // The neighbouring face is on the axis, other than this face's own, whose coordinate is at the
+    // edge.
     let is_own = |axis: i32| face / 2 == axis;
     let (face, s, t) = if dx.abs() == side && !is_own(0) {
         (i32::from(dx < 0), if dx < 0 { dz } else { -dz }, -dy)

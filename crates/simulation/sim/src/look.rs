@@ -22,15 +22,15 @@ impl Environment {
         }
     }
 
-    /// Runs `see` with the environment at a captured instant, so that [`draw`](Self::draw) and
+    /// Runs `render` with the environment at a captured instant, so that [`draw`](Self::draw) and
     /// similar methods render that instant. Restores the environment afterwards.
     ///
     /// # Panics
     /// If the capture is from another compiled scene.
-    pub fn seeing<T>(&mut self, look: &Look, see: impl FnOnce(&mut Self) -> T) -> T {
+    pub fn seeing<T>(&mut self, look: &Look, render: impl FnOnce(&mut Self) -> T) -> T {
         let present = self.look();
         self.show(look);
-        let result = see(self);
+        let result = render(self);
         self.show(&present);
         result
     }

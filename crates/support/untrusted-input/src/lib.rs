@@ -5,7 +5,7 @@
 //! depends on this package.
 
 #![forbid(unsafe_code)]
-#![allow(missing_docs, reason = "names and messages say it")]
+#![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 mod call;
 mod coordinator;

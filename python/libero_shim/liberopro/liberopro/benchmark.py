@@ -1,4 +1,4 @@
-"""LIBERO's suites, and LIBERO-PRO's by their names: `libero_goal_swap`."""
+"""LIBERO's suites, and LIBERO-PRO's variants of them, such as `libero_goal_swap`."""
 
 from __future__ import annotations
 

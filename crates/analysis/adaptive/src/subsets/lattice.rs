@@ -23,7 +23,7 @@ pub struct Lattice {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LatticeError {
     /// The campaign has fewer than two axes.
-    #[error("explain axes {0}: two axes at least can act together")]
+    #[error("explain axes {0}: an interaction needs at least two axes")]
     TooFewAxes(AxisSet),
     /// The subset has an axis that the campaign lacks.
     #[error("explain axes {full}: {set} is not a subset of them")]
@@ -69,7 +69,7 @@ impl Lattice {
     /// decision waits for it.
     ///
     /// # Errors
-    /// If it has other axes.
+    /// If the replicate has an axis that the campaign lacks.
     pub fn add_replicate(&mut self, matched: &Matched) -> Result<(), LatticeError> {
         for (&axis, &outcome) in &matched.alone {
             self.record_source(AxisSet::of(axis), outcome)?;
@@ -81,8 +81,8 @@ impl Lattice {
         }
     }
 
-    /// Adds one rollout of the explained campaign: evidence for a deterministic policy, and
-    /// otherwise only a reason to repeat it.
+    /// Adds one rollout of the explained campaign. For a deterministic policy its outcome is
+    /// evidence; with repeats the outcome only selects the configuration.
     ///
     /// # Errors
     /// If `set` has an axis that the campaign lacks.

@@ -18,7 +18,7 @@ pub(crate) struct Row {
 /// Variances up to this are rounding errors of equal values.
 pub(crate) const NO_VARIANCE: f64 = 1e-24;
 
-/// Rows, grouped once.
+/// Rows with their sums by group, computed once for all statistics.
 #[derive(Clone, Debug)]
 pub(crate) struct Sample {
     rows: usize,
@@ -117,9 +117,9 @@ impl Sample {
     /// V_T leaves out one task at a time and V_TD one configuration, both within strata of
     /// suites; V_D leaves out one direction at a time. The variance for new tasks is V_T; for
     /// new tasks and new directions it is V_T + V_D − V_TD, at least the greater of V_T and
-    /// V_D, with Satterthwaite's degrees of freedom. For these tasks, configurations are left
-    /// out within their tasks; this counts effects of directions within a task as chance, so
-    /// that the variance is never too small.
+    /// V_D, with Satterthwaite's degrees of freedom. The variance for the sampled tasks
+    /// themselves (`these_tasks`) leaves out one configuration at a time within its task. It
+    /// counts effects of directions within a task as chance, and so is never too small.
     ///
     /// Sources: J. N. K. Rao and J. Shao, Jackknife variance estimation with survey data,
     /// Biometrika 79 (1992), 811–822 (strata); A. C. Cameron, J. B. Gelbach and

@@ -20,7 +20,9 @@ pub(super) fn subtitle(document: &Document) -> Markup {
     html! {
         p.muted {
             (rollouts)
-            @if document.analyses.iter().all(|analysis| analysis.findings.is_some()) {
+            @if document.family.is_some() {
+                " rollouts: variants of the benchmark, and their tasks unperturbed."
+            } @else if document.analyses.iter().all(|analysis| analysis.findings.is_some()) {
                 " rollouts under subsets of the axes, of configurations whose outcome changes under \
                 all of them at once."
             } @else if document.analyses.iter().all(|analysis| analysis.thresholds.is_some()) {
@@ -64,8 +66,9 @@ pub(super) fn warnings(document: &Document) -> Markup {
                             li {
                                 (label(analysis)) (quarantined)
                                 @if quarantined == 1 { " rollout is" } @else { " rollouts are" }
-                                " in quarantine after repeated errors: in no rate, bounded and listed \
-                                below."
+                                " in quarantine after repeated errors: in no rate"
+                                @if document.family.is_none() { ", bounded and listed below" }
+                                "."
                             }
                         }
                     }

@@ -163,7 +163,7 @@ fn policies_measured_differently_are_not_compared_and_the_difference_is_named() 
         message.contains("first: matched, second: reference") && message.contains("--realisation"),
         "{message}"
     );
-    // A subject that mixes two packs is comparable with neither.
+    // A subject that mixes two packs is comparable with no subject, not even with itself.
     let mut mixed = other("second");
     let mut more = mixed.provenances[0].clone();
     more.pin.asset_pack_digest = "b".repeat(64);
@@ -201,7 +201,7 @@ fn result_files_are_compared_with_a_warning_of_unknown_properties() {
 }
 
 #[test]
-fn a_campaign_without_results_is_compared_and_only_said_to_be_incomplete() {
+fn a_campaign_without_results_is_compared_without_warning_and_reported_as_incomplete() {
     let mut begun = other("second");
     begun.provenances.clear();
     for record in &mut begun.records {
@@ -276,7 +276,7 @@ fn a_page_of_several_policies_shows_every_pair_or_the_reason_against_it() {
 }
 
 #[test]
-fn quarantined_rollouts_of_either_are_in_no_rate_and_bounded() {
+fn quarantined_rollouts_of_either_policy_are_excluded_from_rates_and_counted_in_the_bounds() {
     let (a, mut b) = (campaign("first"), campaign("second"));
     b.records[0].outcome = Outcome::Quarantined;
     b.records[1].outcome = Outcome::Missing;

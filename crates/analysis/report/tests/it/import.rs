@@ -124,10 +124,22 @@ fn a_row_that_contradicts_itself_or_another_is_bad() {
     let wrong = |from: &str, to: &str| ROW.replace(from, to);
     for (from, to, expected) in [
         ("\"L2\",", "\"L3\",", "`level` differs from its id"),
-        ("\"camera\",", "\"robot\",", "`axis` is another"),
-        ("libero_goal", "libero_object", "`suite` is another"),
-        ("\"task_id\": 0", "\"task_id\": 7", "`task_id` is another"),
-        ("\"config\": 1", "\"config\": 2", "`config` is another"),
+        ("\"camera\",", "\"robot\",", "`axis` differs from its id"),
+        (
+            "libero_goal",
+            "libero_object",
+            "`suite` differs from its id",
+        ),
+        (
+            "\"task_id\": 0",
+            "\"task_id\": 7",
+            "`task_id` differs from its id",
+        ),
+        (
+            "\"config\": 1",
+            "\"config\": 2",
+            "`config` differs from its id",
+        ),
     ] {
         let message = refused(&[&wrong(from, to)]);
         assert!(message.contains(expected), "{expected}: {message}");

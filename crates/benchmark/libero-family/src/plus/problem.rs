@@ -105,7 +105,7 @@ const FLOORS: [(&str, &str); 25] = [
     ("brick_col", "Bricks02_COL_VAR1_6K.png"),
     ("cliffde_col", "CliffDesert006_COL_VAR1_HIRES.png"),
     ("cliffde_nrm", "CliffDesert006_NRM_HIRES.png"),
-    // The released table has this space.
+    // LIBERO-Plus' released table writes this file name with the space.
     ("cobble01_disp", "Cobblestone01_DISP_6K copy.png"),
     ("marble_gloss", "Marble01_GLOSS_3K.png"),
     ("woodfine01_g", "WoodFine001_GLOSS_6K.png"),
@@ -139,7 +139,7 @@ const LIBEROS_WALLS: usize = 16;
 
 /// Prefixes of the textures whose scenes are directly in `scenes/`; the scenes of all other
 /// textures are in a folder such as `scenes/kitchen250/`.
-const FIRST_TEXTURES: [&str; 6] = ["bricks", "cliff", "cobble", "marble", "tiles", "woodfine"];
+const ROOT_TEXTURES: [&str; 6] = ["bricks", "cliff", "cobble", "marble", "tiles", "woodfine"];
 
 /// Error: LIBERO-Plus has no problem class of this name.
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
@@ -234,7 +234,7 @@ fn parse_scene(prefix: &str, rest: &str) -> Option<ProblemClass> {
         return Some(with_scene(format!("scenes/{scene}.xml"), Some(wall)));
     }
     let lower = textures.to_lowercase();
-    let folder = match FIRST_TEXTURES.iter().any(|first| lower.starts_with(first)) {
+    let folder = match ROOT_TEXTURES.iter().any(|first| lower.starts_with(first)) {
         true => String::new(),
         false => format!("{prefix}250/"),
     };

@@ -65,7 +65,7 @@ impl Weights {
 }
 
 fn shipped(weights: &[u8]) -> Arc<Network> {
-    Arc::new(Network::from_safetensors(weights).expect("what is shipped was tested"))
+    Arc::new(Network::from_safetensors(weights).expect("tests load the shipped weights"))
 }
 
 /// Reason why a weights file cannot be used. Reads after "failed to …".
@@ -188,7 +188,7 @@ fn picture(observation: &Observation, at: usize) -> Result<&[u8], String> {
     let found = observation.images.get(at);
     let found = found.filter(|image| image.camera == camera);
     found.map(|image| &*image.rgb).ok_or_else(|| {
-        format!("picture {at} of the observation is not `{camera}`'s, which the student asks for")
+        format!("picture {at} of the observation is not from the requested camera `{camera}`")
     })
 }
 
@@ -248,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn it_answers_what_it_asks_for_and_listens_to_the_instruction() {
+    fn the_student_answers_requested_observations_and_depends_on_the_instruction() {
         let (described, mut plate) = session("put the bowl on the plate");
         let (_, mut stove) = session("turn on the stove");
         let seen = observation(&described);
@@ -262,15 +262,18 @@ mod tests {
     }
 
     #[test]
-    fn an_observation_of_something_else_is_refused_by_name() {
+    fn an_observation_of_another_form_is_refused_with_the_fault() {
         let (described, mut student) = session("put the bowl on the plate");
         let refused = |student: &mut Box<dyn BuiltinPolicy>, change: &dyn Fn(&mut Observation)| {
             let mut seen = observation(&described);
             change(&mut seen);
-            student.infer(0, &seen).expect_err("nothing to look at")
+            student.infer(0, &seen).expect_err("an invalid observation")
         };
         let swapped = refused(&mut student, &|seen| seen.images.swap(0, 1));
-        assert!(swapped.contains("not `agentview`'s"), "{swapped}");
+        assert!(
+            swapped.contains("the requested camera `agentview`"),
+            "{swapped}"
+        );
         let lost = refused(&mut student, &|seen| drop(seen.state.pop()));
         assert!(
             lost.contains("STATE_FIELD_GRIPPER_POS with 2 numbers"),

@@ -23,7 +23,7 @@ const STATE: [StateField; 4] = [
 ];
 /// Parameters of vla-eval's LIBERO benchmark that the campaign determines here. The benchmark
 /// ignores unknown parameters.
-const OF_THE_CAMPAIGN: [&str; 4] = ["seed", "env_seed", "max_steps", "num_steps_wait"];
+const CAMPAIGN_PARAMETERS: [&str; 4] = ["seed", "env_seed", "max_steps", "num_steps_wait"];
 /// Longest recorded value of a setting, bytes; the digest covers the whole HELLO.
 const RECORDED_BYTES: usize = 512;
 
@@ -89,7 +89,7 @@ pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Te
         (true, true) => "eef_pos3_axisangle3_gripper2, nearer antipode",
         (true, false) => "eef_pos3_axisangle3_gripper2, quaternion as it is",
     };
-    let campaign = OF_THE_CAMPAIGN.into_iter();
+    let campaign = CAMPAIGN_PARAMETERS.into_iter();
     let campaign: Vec<_> = campaign
         .filter(|name| lookup(asked, name).is_some())
         .collect();
@@ -138,7 +138,7 @@ pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Te
         settings: settings
             .map(|(name, value)| Setting {
                 name: name.to_owned(),
-                value: begin_of(value),
+                value: truncated(value),
             })
             .into(),
         ..DescribeResponse::default()
@@ -167,8 +167,8 @@ fn check_actions(hello: &ValueRef<'_>) -> Result<(), String> {
     if !effect.is_empty() {
         let format = format("gripper").unwrap_or_default();
         return Err(format!(
-            "it declares its gripper as {format}, and LIBERO closes it from 0 up, so that it \
-             would {effect}; have the server answer -1 for open and 1 for closed \
+            "it declares its gripper as {format}, and LIBERO closes the gripper at values from 0 \
+             up: it would {effect}; have the server answer -1 for open and 1 for closed \
              (binary_close_positive; GR00T: invert_gripper)"
         ));
     }
@@ -195,7 +195,7 @@ fn flag(asked: &ValueRef<'_>, name: &str, given: Option<bool>) -> Result<bool, S
     }
 }
 
-/// Summarises a map of a HELLO; of a component's specification, only the format.
+/// Summarises a map of a HELLO. A component's specification is reduced to its format.
 fn declaration(value: &ValueRef<'_>) -> String {
     let ValueRef::Map(entries) = value else {
         return or_none(&value.to_string());
@@ -211,7 +211,7 @@ fn declaration(value: &ValueRef<'_>) -> String {
 }
 
 /// Truncates a text to the recorded length.
-fn begin_of(mut text: String) -> String {
+fn truncated(mut text: String) -> String {
     let fits = |at: &usize| *at <= RECORDED_BYTES;
     let ends = text.char_indices().map(|(at, c)| at + c.len_utf8());
     text.truncate(ends.take_while(fits).last().unwrap_or_default());
@@ -248,7 +248,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_server_declares_fits_a_result_however_long_it_is() {
+    fn a_long_declaration_is_truncated_to_the_recorded_length() {
         let long = "é".repeat(10 * RECORDED_BYTES);
         let parameters = Value::Map(vec![(long.as_str().into(), true.into())]);
         let described = terms_for(parameters).expect("nothing to refuse").described;

@@ -1,5 +1,6 @@
 //! Client of the conformance check: plays episodes of synthetic observations and collects the
-//! answers. Judges only points with a yes-or-no answer.
+//! answers. Judges only the points that need no comparison of actions: the protocol version, the
+//! health service, and sessions without a Reset.
 
 use std::time::{Duration, Instant};
 
@@ -269,7 +270,7 @@ impl Probe {
                 .results
                 .into_iter()
                 .next()
-                .and_then(|it| it.result);
+                .and_then(|first| first.result);
             answers.push(match mine {
                 Some(infer_result::Result::Response(response)) => response,
                 Some(infer_result::Result::Error(text)) => return Err(Status::internal(text)),

@@ -1,6 +1,7 @@
 //! Synthetic observations with every input that a policy can request, in the right shape and of
-//! plausible size, and the same in every run. Frames are hashes of pixel positions, readings those
-//! of an arm at rest, and the privileged scene has one box and one basket as its goal.
+//! plausible size, and the same in every run. Frames are hashes of pixel positions. State readings
+//! are those of an arm at rest. The privileged scene has a box and a basket, and the goal is the
+//! box in the basket.
 
 use proto::policy::{
     DescribeResponse, Entity, GoalPredicate, Image, Observation, PrivilegedState, StateField,

@@ -113,7 +113,7 @@ impl<'a> Patient<'a> {
         let flipped = Variant::Turned(Turn::UpsideDown, Some(camera.to_owned()));
         let mut most = 0.0_f64;
         for at in 0..self.tried() {
-            let as_it_is = self.actions(at, self.shown[at].clone(), None).await?;
+            let unchanged = self.actions(at, self.shown[at].clone(), None).await?;
             let mut changed = self.shown[at].clone();
             flipped.apply(&self.situations[at], &mut changed);
             let to_flipped = self.actions(at, changed.clone(), None).await?;
@@ -126,7 +126,7 @@ impl<'a> Patient<'a> {
             }
             let to_black = self.actions(at, changed, None).await?;
             for answer in [to_flipped, to_black] {
-                most = most.max(largest_difference(&as_it_is, &answer));
+                most = most.max(largest_difference(&unchanged, &answer));
             }
         }
         Ok(most)

@@ -186,7 +186,13 @@ impl Context<'_> {
             realised: report.realised.clone(),
             origin,
         };
-        let siblings = match self.cache.siblings(&mut self.tx, &attempt.of).await {
+        // A variant is compared with no other rollout, and a task may have hundreds of them.
+        let has_siblings = attempt.row.id.variant().is_none();
+        let siblings = match has_siblings {
+            true => self.cache.siblings(&mut self.tx, &attempt.of).await,
+            false => Ok(&[][..]),
+        };
+        let siblings = match siblings {
             Err(error) if error.is_undecodable() => {
                 // No result of this initial state can be compared, so the worker is not charged.
                 let detail = format!(
@@ -207,7 +213,9 @@ impl Context<'_> {
         }
         // Later results are compared with this one.
         self.cache.add_measured(campaign.id, suite, &result.origin);
-        self.cache.add_sibling(&attempt.of, result);
+        if has_siblings {
+            self.cache.add_sibling(&attempt.of, result);
+        }
         let after = campaign.health.after_commit(attempt.id.0, self.now);
         self.set_health(&campaign, &after).await?;
         accepted.push(NewResult {

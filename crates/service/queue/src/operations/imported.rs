@@ -164,12 +164,7 @@ fn compare(stored: &StoredRow, row: &ManifestRow, expansion: &Expansion) -> Resu
     if stored.rollout_id != row.id.to_string() {
         return column("rollout_id");
     }
-    // Campaigns of earlier releases have the plain task where a benchmark's files are needed.
-    let keys = [
-        TaskKey::of_rollout(row.id).to_string(),
-        row.id.task().to_string(),
-    ];
-    if !keys.contains(&stored.task) {
+    if stored.task != TaskKey::of_rollout(row.id).to_string() {
         return column("task");
     }
     if stored.init_id != i64::from(row.init_id) {

@@ -31,7 +31,10 @@ pub(super) async fn insert(
         // The incomplete campaign is hidden; if its removal fails, the next start repeats it.
         let policy = policy_of(shared, id).await;
         if let Err(error) = remove(shared, id, policy?).await {
-            tracing::warn!("failed to {}; the next start does", error.with_cause());
+            tracing::warn!(
+                "failed to {}; the next start tries again",
+                error.with_cause()
+            );
         }
     }
     inserted
@@ -95,7 +98,7 @@ pub(crate) async fn left(shared: &Shared) -> Result<Vec<(CampaignId, PolicyId)>,
 pub(crate) async fn run(shared: Arc<Shared>, left: Vec<(CampaignId, PolicyId)>) {
     for (id, policy) in left {
         match remove(&shared, id, policy).await {
-            Ok(()) => tracing::info!("removed what was left of a campaign on its way in or out"),
+            Ok(()) => tracing::info!("deleted a campaign left incomplete by the previous run"),
             Err(error) => {
                 tracing::error!(
                     "failed to {}; the next start tries again",
@@ -143,7 +146,7 @@ pub(super) mod tests {
         NewCampaign::from_json(&spec.to_string()).expect("a campaign")
     }
 
-    async fn is_in_order(folder: &Path) {
+    async fn assert_invariants(folder: &Path) {
         let violations = invariants::check(folder).await;
         assert_eq!(violations.expect("a database"), []);
     }
@@ -167,13 +170,13 @@ pub(super) mod tests {
         let mut queue = start(folder.path()).await;
         let created = queue.create_campaign(&new).await.expect("created");
         assert_eq!(created.jobs_added, new.jobs.len() as u64);
-        is_in_order(folder.path()).await;
+        assert_invariants(folder.path()).await;
         assert_eq!(count(&queue, "SELECT count(*) FROM job").await, jobs);
-        let again = queue.create_campaign(&new).await.expect("it is here");
+        let again = queue.create_campaign(&new).await.expect("created again");
         assert_eq!(again.jobs_added, 0);
         let name = CampaignName::parse("large").expect("a name");
         let mut view = queue.view().await.expect("a view");
-        let campaign = view.campaign(&name).await.expect("it is here");
+        let campaign = view.campaign(&name).await.expect("the campaign");
         assert_eq!(
             (campaign.folder.as_str(), campaign.record.as_str()),
             ("large", "transitions")
@@ -185,12 +188,12 @@ pub(super) mod tests {
         assert_eq!(count(&queue, "SELECT count(*) FROM campaign").await, 0);
 
         // The coordinator stops in the middle of an insertion, and in the middle of a deletion.
-        for has_come in [false, true] {
+        for is_deletion in [false, true] {
             let shared = &queue.shared;
-            if has_come {
+            if is_deletion {
                 queue.create_campaign(&new).await.expect("created");
                 let mut context = Context::begin(shared, vec![]).await.expect("begun");
-                let campaign = context.campaign_named(&name).await.expect("it is here");
+                let campaign = context.campaign_named(&name).await.expect("the campaign");
                 passages::leave(&mut context.tx, campaign.id)
                     .await
                     .expect("hidden");
@@ -209,7 +212,7 @@ pub(super) mod tests {
             }
             let part = count(&queue, "SELECT count(*) FROM job").await;
             assert!(part > 0 && part < jobs, "{part}");
-            is_in_order(folder.path()).await;
+            assert_invariants(folder.path()).await;
             let mut view = queue.view().await.expect("a view");
             assert!(view.statuses().await.expect("statuses").is_empty());
             let policies = view.policies().await.expect("policies");
@@ -226,7 +229,7 @@ pub(super) mod tests {
                 }
                 tokio::time::sleep(Duration::from_millis(10)).await;
             }
-            assert_eq!(left, 0, "it is gone");
+            assert_eq!(left, 0, "no campaign is left");
             queue = again;
         }
         queue.close().await.expect("closed");

@@ -9,8 +9,9 @@ use crate::store::campaigns::Campaign;
 use crate::store::workers::pin;
 use crate::store::{Doing, StoreError};
 
-/// Age limit of results, and limit per campaign.
+/// Largest age of the results that a forecast uses.
 const RECENT: Duration = Duration::from_secs(7 * 24 * 3_600);
+/// Most results of one campaign that a forecast uses.
 const RECENT_RESULTS: u32 = 200;
 
 impl View {
@@ -30,7 +31,7 @@ impl View {
         .bind(campaign.id)
         .fetch_all(self.tx())
         .await
-        .doing("count what waits of a campaign")?;
+        .doing("count the waiting rollouts of a campaign")?;
         let mut planned = Planned {
             policy: &campaign.policy,
             ..Planned::default()
@@ -54,7 +55,7 @@ impl View {
                  AND stopped_reason IS NULL AND signed_off_ms IS NULL"
         ));
         let workers = workers.bind(alive_since).fetch_all(self.tx()).await;
-        workers.doing("look at the slots of live workers")
+        workers.doing("read the slots of live workers")
     }
 
     /// Returns recent durations of rollouts, of one campaign or of all campaigns.
@@ -87,6 +88,6 @@ impl View {
         .bind(of)
         .fetch_all(self.tx())
         .await
-        .doing("look how long rollouts took of late")
+        .doing("read the recent durations of rollouts")
     }
 }

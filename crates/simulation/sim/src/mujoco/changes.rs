@@ -1,4 +1,5 @@
-//! Mutable access to a model's own arrays.
+//! Mutable access to a model's own arrays: those that each model has a copy of, so that changing
+//! them does not affect other models of the same compilation.
 
 use super::model::Model;
 use super::own::each_own_array;
@@ -42,8 +43,8 @@ macro_rules! change {
                 }
             )*
 
-            /// Returns an own array by MuJoCo's name; `None` if the model has no own array of that
-            /// name.
+            /// Returns one of [`OWN_ARRAYS`](Self::OWN_ARRAYS) by MuJoCo's name; `None` for any
+            /// other name.
             pub fn own_array_mut(&mut self, name: &str) -> Option<OwnArray<'_>> {
                 match name {
                     $(stringify!($name) => Some(self.$method().into()),)*
