@@ -13,6 +13,7 @@ import traceback
 import warnings
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
+from multiprocessing import reduction
 from multiprocessing.sharedctypes import RawArray
 from typing import Any
 
@@ -213,11 +214,21 @@ class _Failure:
     """An exception sent from a process to its parent."""
 
     def __init__(self, error: Exception) -> None:
-        self.error = error
         self.trace = traceback.format_exc()
+        self.error = _sendable(error)
 
     def reraise(self) -> None:
         raise self.error from RuntimeError(f"in the environment's process:\n{self.trace}")
+
+
+def _sendable(error: Exception) -> Exception:
+    """Returns the error, or its text if it cannot be pickled and unpickled. The latter fails for
+    an exception whose constructor takes other arguments than its `args`."""
+    try:
+        pickle.loads(pickle.dumps(error))
+    except Exception:  # noqa: BLE001
+        return RuntimeError(f"{type(error).__name__}: {error}")
+    return error
 
 
 def _serve(
@@ -239,6 +250,7 @@ def _serve(
         connection.send(_Failure(error))
         return
     connection.send(None)
+    dumps = reduction.ForkingPickler.dumps if memory is None else memory.dumps
     commands: dict[str, Callable[[Any], Any]] = {
         "reset": lambda kwargs: env.reset(**kwargs),
         "render": lambda kwargs: _picture(env, kwargs),
@@ -254,13 +266,10 @@ def _serve(
         except (EOFError, KeyboardInterrupt):
             return
         try:
-            answer = (commands.get(command) or getattr(env, command))(data)
+            message = dumps((commands.get(command) or getattr(env, command))(data))
         except Exception as error:  # noqa: BLE001
-            answer = _Failure(error)
-        if memory is None:
-            connection.send(answer)
-        else:
-            connection.send_bytes(memory.dumps(answer))
+            message = dumps(_Failure(error))
+        connection.send_bytes(message)
         if command == "close":
             return
 
@@ -320,15 +329,7 @@ class SubprocEnvWorker(EnvWorker):
             self._send("step", action)
 
     def recv(self) -> Any:
-        try:
-            answer = self.parent_remote.recv()
-            self._is_awaited = False
-        except (EOFError, ConnectionError) as error:
-            self.process.join(timeout=1)
-            raise RuntimeError(
-                "the environment's process has ended "
-                f"(exit code {self.process.exitcode}): make new environments"
-            ) from error
+        answer = pickle.loads(self._receive())
         if isinstance(answer, _Failure):
             answer.reraise()
         return answer
@@ -343,20 +344,41 @@ class SubprocEnvWorker(EnvWorker):
         try:
             self.call("close")
             self.process.join()
-        except (RuntimeError, OSError):
+        except Exception:  # noqa: BLE001
+            # Nothing is left to close of an environment that failed or whose process has ended.
             pass
-        self.process.terminate()
+        finally:
+            self.process.terminate()
 
     def _send(self, command: str, data: Any) -> None:
         # Environments are created concurrently: each is awaited only at its first command.
         if self._is_starting:
-            self._is_starting = False
             self.recv()
         if self._is_awaited:
             # Drops the answer to a command that Ctrl-C interrupted.
-            self.parent_remote.recv()
-        self.parent_remote.send([command, data])
+            self._receive()
+        try:
+            self.parent_remote.send([command, data])
+        except ConnectionError as error:
+            raise self._ended() from error
         self._is_awaited = True
+
+    def _receive(self) -> bytes:
+        """Returns the process's next message. The message is no longer awaited from then on, even
+        if it cannot be unpickled."""
+        try:
+            message: bytes = self.parent_remote.recv_bytes()
+        except (EOFError, ConnectionError) as error:
+            raise self._ended() from error
+        self._is_starting = self._is_awaited = False
+        return message
+
+    def _ended(self) -> RuntimeError:
+        self.process.join(timeout=1)
+        return RuntimeError(
+            "the environment's process has ended "
+            f"(exit code {self.process.exitcode}): make new environments"
+        )
 
 
 class BaseVectorEnv:
@@ -473,11 +495,18 @@ class BaseVectorEnv:
             self.workers[i].set_env_attr(key, value)
 
     def close(self) -> None:
-        """Closes all environments."""
+        """Closes all environments, and then raises the first error of those that failed to
+        close."""
         self._assert_is_not_closed()
+        errors = []
         for worker in self.workers:
-            worker.close()
+            try:
+                worker.close()
+            except Exception as error:  # noqa: BLE001
+                errors.append(error)
         self.is_closed = True
+        if errors:
+            raise errors[0]
 
     def _exchange(self, chosen: Any, send: Callable[[Any, int], None]) -> list[Any]:
         """Calls `send` with each chosen worker and its position among them, and returns the
