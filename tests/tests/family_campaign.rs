@@ -96,7 +96,7 @@ async fn stored(data: &Path) -> Outcomes {
 fn variants(test: &str) -> (Vec<&'static str>, BTreeSet<String>) {
     let mut names = VARIANTS.to_vec();
     let mut ids: BTreeSet<String> = IDS.iter().map(ToString::to_string).collect();
-    match tests::files::sources().has_task_files(Benchmark::Plus) {
+    match scene::has_task_files(Benchmark::Plus, &tests::files::sources()) {
         false => println!("skipped in part {test}: no task files of LIBERO-Plus"),
         true => {
             names.extend(OWN.map(|(name, _)| name));
@@ -276,7 +276,7 @@ fn a_worker_without_the_task_files_gets_other_rollouts_until_they_are_fetched() 
     assert_eq!(report["family"]["unperturbed"]["rollouts"], 1);
 
     let own = tests::files::sources();
-    if !own.has_task_files(Benchmark::Plus) {
+    if !scene::has_task_files(Benchmark::Plus, &own) {
         println!("skipped in part {test}: no task files of LIBERO-Plus");
         return;
     }

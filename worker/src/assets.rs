@@ -95,7 +95,7 @@ impl Provider {
     /// Returns the benchmarks whose task files were not fetched.
     pub fn absent(&self) -> impl Iterator<Item = Benchmark> {
         let all = [Benchmark::Plus, Benchmark::Pro].into_iter();
-        all.filter(|benchmark| !self.sources.has_task_files(*benchmark))
+        all.filter(|benchmark| !scene::has_task_files(*benchmark, &self.sources))
     }
 
     /// Returns true if a row's files may have to be fetched, or may be missing.

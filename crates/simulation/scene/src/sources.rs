@@ -10,9 +10,6 @@ use libero_family::protocol::Benchmark;
 
 use crate::error::SceneError;
 
-/// Folders with the task files of a LIBERO-family benchmark.
-pub(crate) const FAMILY_FOLDERS: [&str; 2] = ["bddl_files", "init_files"];
-
 /// Folder with the unpacked wheels: `robosuite/` (with `models/assets`) and `libero/` (with
 /// `bddl_files` and `init_files`).
 #[derive(Debug, Clone)]
@@ -80,11 +77,6 @@ impl Sources {
     /// the sources or, as for [`fetched_pack`](Self::fetched_pack), in the cache.
     pub fn family(dir: &Path, benchmark: Benchmark) -> PathBuf {
         Self::fetched(dir, benchmark.name())
-    }
-
-    /// Returns true if the task files of a LIBERO-family benchmark were fetched.
-    pub fn has_task_files(&self, benchmark: Benchmark) -> bool {
-        crate::family::has_task_files(benchmark, &self.dir)
     }
 
     fn fetched(dir: &Path, name: &str) -> PathBuf {
