@@ -26,7 +26,7 @@ import numpy as np
 from .errors import CoordinatorError
 
 #: The newest format and schema that can be read.
-FORMAT, SCHEMA = 1, 12
+FORMAT, SCHEMA = 1, 13
 
 #: Bytes per read.
 PIECE = 1 << 20
