@@ -109,13 +109,22 @@ impl Context<'_> {
                 continue;
             }
             let idle_reason = self.idle_reason(&pin).await?;
+            let lacking = wanting
+                .iter()
+                .any(|left| !left.request.lacking_tasks.is_empty());
+            let waiting = match lacking {
+                true => self.waiting_tasks(&pin).await?,
+                false => Vec::new(),
+            };
             for left in wanting {
-                let lacks = self.lacked_files(&pin, left.request).await?;
-                let reasons = [idle_reason.as_str(), &lacks];
-                let reasons = reasons.into_iter().filter(|it| !it.is_empty());
+                let absences = waiting
+                    .iter()
+                    .filter_map(|(campaign, tasks)| absence(campaign, tasks, left.request));
+                let reasons = Some(idle_reason.clone()).filter(|reason| !reason.is_empty());
+                let reasons: Vec<String> = reasons.into_iter().chain(absences).collect();
                 answers[left.place] = Ok(Claimed {
                     job: None,
-                    idle_reason: reasons.collect::<Vec<_>>().join("; "),
+                    idle_reason: reasons.join("; "),
                 });
             }
         }
@@ -331,33 +340,33 @@ impl Context<'_> {
         Ok(reasons.join("; "))
     }
 
-    /// Returns the campaigns whose waiting jobs all need files that a worker lacks, in words.
-    async fn lacked_files(
+    /// Returns the campaigns that may lease to workers of a pin, with their waiting tasks.
+    async fn waiting_tasks(
         &mut self,
         pin: &Pin,
-        request: &ClaimRequest,
-    ) -> Result<String, StoreError> {
-        let mut reasons = Vec::new();
-        if request.lacking_tasks.is_empty() {
-            return Ok(String::new());
-        }
+    ) -> Result<Vec<(CampaignName, Vec<WaitingTask>)>, StoreError> {
+        let mut waiting = Vec::new();
         for campaign in self.cache.waiting(&mut self.tx).await?.iter() {
-            if !campaign.takes(pin) || !campaign.state.may_lease() {
-                continue;
-            }
-            let waiting = claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?;
-            if !waiting.iter().any(|it| request.shows(&it.task)) {
-                reasons.extend(absence(&campaign.name, &waiting));
+            if campaign.takes(pin) && campaign.state.may_lease() {
+                let tasks = claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?;
+                waiting.push((campaign.name.clone(), tasks));
             }
         }
-        Ok(reasons.join("; "))
+        Ok(waiting)
     }
 }
 
 /// Describes the files that all waiting tasks of a campaign need and a worker lacks; `None` if
-/// nothing waits.
-fn absence(campaign: &CampaignName, waiting: &[WaitingTask]) -> Option<String> {
+/// nothing waits, or the worker has the files of a task.
+fn absence(
+    campaign: &CampaignName,
+    waiting: &[WaitingTask],
+    request: &ClaimRequest,
+) -> Option<String> {
     let first = &waiting.first()?.task;
+    if waiting.iter().any(|waiting| request.shows(&waiting.task)) {
+        return None;
+    }
     let files = match TaskKey::files_of(first) {
         Some(benchmark) => format!(
             "task files that this worker lacks; run `worker assets fetch --suite {}` on its machine",
