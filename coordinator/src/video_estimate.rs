@@ -30,7 +30,7 @@ pub fn describe(campaign: &NewCampaign) -> Option<String> {
         "none" => None,
         "transitions" => Some(format!(
             "videos of configurations whose outcome changes: up to\n  {} if {:.0} % change, \
-             as in the paper;\n  {} if {:.0} % do, the most of a policy there;\nuntil they \
+             as in the paper;\n  {} if {:.0} % do, the largest share there;\nuntil they \
              are filmed, up to {} of actions",
             videos(CHANGED_IN_THE_PAPER),
             CHANGED_IN_THE_PAPER * 100.0,
@@ -91,7 +91,7 @@ mod tests {
             Some(
                 "videos of configurations whose outcome changes: up to\n  \
                  1 MB and 1m09s of one core if 17 % change, as in the paper;\n  \
-                 3 MB and 2m17s of one core if 34 % do, the most of a policy there;\n\
+                 3 MB and 2m17s of one core if 34 % do, the largest share there;\n\
                  until they are filmed, up to 1 MB of actions",
             ),
         );

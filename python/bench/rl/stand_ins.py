@@ -19,18 +19,20 @@ import numpy as np
 
 #: Imports for videos, data sets and training. Installed packages of these names take precedence.
 _BESIDE = (
-    *(
-        "codetiming",
-        "cv2",
-        "draccus",
-        "h5py",
-        "hydra",
-        "imageio",
-        "matplotlib",
-        "natsort",
-        "pandas",
-    ),
-    *("ray", "tensordict", "tensorflow", "tqdm", "transformers"),
+    "codetiming",
+    "cv2",
+    "draccus",
+    "h5py",
+    "hydra",
+    "imageio",
+    "matplotlib",
+    "natsort",
+    "pandas",
+    "ray",
+    "tensordict",
+    "tensorflow",
+    "tqdm",
+    "transformers",
 )
 #: Set to "SETTLING:CHUNK" for an original that renders only the last step of each chunk.
 LAST_OF_CHUNK = "ROLLOUT_BENCH_LAST_OF_CHUNK"

@@ -243,7 +243,7 @@ fn simulated_campaign(seed: u64) -> Value {
 }
 
 #[test]
-fn three_examples_and_two_hundred_campaigns_are_recomputed_by_numpy_and_scipy() {
+fn all_examples_and_two_hundred_campaigns_are_recomputed_by_numpy_and_scipy() {
     let python = std::env::var_os("ROLLOUT_PYTHON").unwrap_or_else(|| "python3".into());
     let probe = Command::new(&python)
         .args(["-c", "import numpy, scipy"])
