@@ -34,8 +34,9 @@ from stand_ins import LAST_OF_CHUNK
 
 HERE = Path(__file__).resolve().parent
 ARMS = {"rlinf": ("O", "O'", "S", "V"), "simplevla": ("O", "O'", "S", "S+")}
-#: SimpleVLA-RL runs few environments at a time.
-MOST = {"rlinf": 1024, "simplevla": 16}
+#: Environments that a framework runs at most: RLinf gives each another one of a task's 50 states,
+#: and SimpleVLA-RL runs few at a time.
+MOST = {"rlinf": 50, "simplevla": 16}
 
 
 def main() -> int:
@@ -83,8 +84,13 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--frameworks", nargs="+", default=list(ARMS), choices=list(ARMS))
     parser.add_argument("--arms", nargs="+", default=["O", "O'", "S", "S+", "V"])
     parser.add_argument("--tasks", nargs="+", default=["libero_goal/8"])
-    # RLinf gives each environment another one of a task's 50 states.
-    parser.add_argument("--environments", nargs="+", type=int, default=[16, 48])
+    parser.add_argument(
+        "--environments",
+        nargs="+",
+        type=int,
+        default=[16, 50],
+        help="limited to 50 in RLinf and to 16 in SimpleVLA-RL",
+    )
     parser.add_argument("--chunk", type=int, default=8)
     parser.add_argument("--steps", type=int, default=200, help="control steps of a rollout")
     parser.add_argument(
