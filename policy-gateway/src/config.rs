@@ -204,7 +204,7 @@ mod tests {
         check("a b=builtin:noop", "letters, digits");
         check(
             "x=builtin:nope",
-            "noop, expert, student, student-boxes, student-boxes-randomised",
+            "noop, expert, student, student-randomised, student-boxes",
         );
         check("x=http://host:1", "grpc://HOST:PORT");
         check("x=ws://host", "ws://HOST:PORT");

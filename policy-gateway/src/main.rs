@@ -72,7 +72,7 @@ struct Serve {
     /// A policy's name and its back-end: grpc://HOST:PORT[/POLICY],
     /// ws://HOST:PORT (an openpi server), vla-eval://HOST:PORT (a model server
     /// of vla-eval), builtin:noop, builtin:expert, builtin:student,
-    /// builtin:student-boxes, builtin:student-boxes-randomised, student:FILE (weights
+    /// builtin:student-randomised, builtin:student-boxes, student:FILE (weights
     /// that training exported), or several replicas separated by commas (repeatable)
     #[arg(
         long = "route",

@@ -33,8 +33,8 @@ impl Builtin {
         Self::Noop,
         Self::Expert,
         Self::Student(Weights::Libero),
+        Self::Student(Weights::LiberoRandomised),
         Self::Student(Weights::Boxes),
-        Self::Student(Weights::BoxesRandomised),
     ];
 
     /// Returns the name after `builtin:`.

@@ -81,11 +81,10 @@ mod weights;
 
 /// Weights trained on LIBERO's own assets in unperturbed scenes, as safetensors.
 pub const LIBERO: &[u8] = include_bytes!("../weights/student.safetensors");
-/// Weights trained on the built-in boxes in unperturbed scenes.
+/// Weights trained on LIBERO's own assets in randomly perturbed scenes.
+pub const LIBERO_RANDOMISED: &[u8] = include_bytes!("../weights/student-randomised.safetensors");
+/// Weights trained on the built-in boxes in unperturbed scenes, for tests without a network.
 pub const BOXES: &[u8] = include_bytes!("../weights/student-boxes.safetensors");
-/// Weights trained on the built-in boxes in randomly perturbed scenes.
-pub const BOXES_RANDOMISED: &[u8] =
-    include_bytes!("../weights/student-boxes-randomised.safetensors");
 
 pub use error::{QueryError, WeightsError};
 pub use network::Network;

@@ -24,42 +24,42 @@ const STATE: [StateField; 3] = [
 /// Weights that are compiled into the program.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Weights {
-    /// Trained in unperturbed scenes of the built-in assets.
-    Boxes,
-    /// Trained in randomly perturbed scenes of the built-in assets.
-    BoxesRandomised,
     /// Trained in unperturbed scenes of LIBERO's own assets.
     Libero,
+    /// Trained in randomly perturbed scenes of LIBERO's own assets.
+    LiberoRandomised,
+    /// Trained in unperturbed scenes of the built-in assets.
+    Boxes,
 }
 
 impl Weights {
     /// Returns the policy's name.
     pub fn name(self) -> &'static str {
         match self {
-            Self::Boxes => "student-boxes",
-            Self::BoxesRandomised => "student-boxes-randomised",
             Self::Libero => "student",
+            Self::LiberoRandomised => "student-randomised",
+            Self::Boxes => "student-boxes",
         }
     }
 
     /// Returns the name of the asset pack used in training, as in provenance.
     fn taught_on(self) -> &'static str {
         match self {
-            Self::Boxes | Self::BoxesRandomised => "primitives",
-            Self::Libero => "libero",
+            Self::Libero | Self::LiberoRandomised => "libero",
+            Self::Boxes => "primitives",
         }
     }
 
     /// Returns the network with these weights, loaded once.
     pub(crate) fn network(self) -> &'static Arc<Network> {
-        static BOXES: LazyLock<Arc<Network>> = LazyLock::new(|| shipped(student::BOXES));
-        static BOXES_RANDOMISED: LazyLock<Arc<Network>> =
-            LazyLock::new(|| shipped(student::BOXES_RANDOMISED));
         static LIBERO: LazyLock<Arc<Network>> = LazyLock::new(|| shipped(student::LIBERO));
+        static LIBERO_RANDOMISED: LazyLock<Arc<Network>> =
+            LazyLock::new(|| shipped(student::LIBERO_RANDOMISED));
+        static BOXES: LazyLock<Arc<Network>> = LazyLock::new(|| shipped(student::BOXES));
         match self {
-            Self::Boxes => &BOXES,
-            Self::BoxesRandomised => &BOXES_RANDOMISED,
             Self::Libero => &LIBERO,
+            Self::LiberoRandomised => &LIBERO_RANDOMISED,
+            Self::Boxes => &BOXES,
         }
     }
 }
@@ -288,9 +288,9 @@ mod tests {
     #[test]
     fn the_built_in_weights_declare_their_training_assets() {
         for (weights, pack) in [
-            (Weights::Boxes, "primitives"),
-            (Weights::BoxesRandomised, "primitives"),
             (Weights::Libero, "libero"),
+            (Weights::LiberoRandomised, "libero"),
+            (Weights::Boxes, "primitives"),
         ] {
             let described = shipped_policy(weights, "builtin".to_owned()).described;
             let [setting] = &described.settings[..] else {
@@ -303,7 +303,7 @@ mod tests {
 
     #[test]
     fn all_weights_are_networks_with_names_of_their_own() {
-        let all = [Weights::Boxes, Weights::BoxesRandomised, Weights::Libero];
+        let all = [Weights::Libero, Weights::LiberoRandomised, Weights::Boxes];
         for weights in all {
             let described = shipped_policy(weights, "builtin".to_owned()).described;
             assert_eq!(described.name, weights.name());
