@@ -46,8 +46,8 @@ pub enum DocumentError {
     /// Rollouts of LIBERO's family are reported together with other subjects, or lack their
     /// protocol.
     #[error(
-        "report on policy `{policy}`: its rollouts are of LIBERO-Plus or LIBERO-PRO, which are \
-         never pooled with others: report on its campaign alone, at its coordinator"
+        "report on policy `{policy}`: its rollouts are of LIBERO's family, which are never pooled \
+         with others: report on its campaign, or on its exported rows with their `protocol`, alone"
     )]
     Pooled {
         /// Name of the policy.

@@ -100,6 +100,8 @@ struct Row {
     policy: Option<String>,
     steps: Option<u32>,
     placebo_radius: Option<f64>,
+    /// Protocol of LIBERO's family, in rows of its variants.
+    protocol: Option<String>,
     goal_predicates: Option<u32>,
     goal_at_end: Option<u32>,
     goal_at_most: Option<u32>,
@@ -190,7 +192,7 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
         reported_nominal: about.nominal,
         setups: Setups::default(),
         derived: None,
-        protocol: None,
+        protocol: reading.protocol,
         early_stop: None,
     })
 }
@@ -222,6 +224,8 @@ struct Reading {
     policy: Option<String>,
     /// Execution model of the first row.
     execution: Option<Execution>,
+    /// Protocol of the first row, if it is of LIBERO's family.
+    protocol: Option<String>,
     bad: usize,
     named: Vec<BadLine>,
 }
@@ -281,6 +285,20 @@ impl Reading {
                 "it ran under execution model `{}`, earlier lines under `{first}`: one model per \
                  file",
                 row.execution
+            ));
+        }
+        if self.records.is_empty() {
+            self.protocol.clone_from(&row.protocol);
+        }
+        if self.protocol != row.protocol {
+            let named = |protocol: &Option<String>| match protocol {
+                Some(protocol) => format!("under protocol `{protocol}`"),
+                None => "without `protocol`".to_owned(),
+            };
+            return Err(format!(
+                "it is {}, earlier lines are {}: one protocol of LIBERO's family per file",
+                named(&row.protocol),
+                named(&self.protocol)
             ));
         }
         match (self.placebo_radius, row.placebo_radius) {

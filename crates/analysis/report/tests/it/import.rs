@@ -91,6 +91,34 @@ fn a_file_has_one_execution_model() {
     assert!(text.contains("overlap:4; wait"), "{text}");
 }
 
+/// Rows of LIBERO's family, as `coordinator export` writes them, are reported like their campaign.
+#[test]
+fn a_file_of_variants_has_one_protocol_and_the_report_of_its_benchmark() {
+    let row = |id: &str, success: bool| {
+        format!(
+            r#"{{"rollout_id": "{id}", "success": {success}, "axis": "variant", "protocol": "pro-official"}}"#
+        )
+    };
+    let swapped = row("goal/t0/pro:swap/i03", false);
+    let unperturbed = row("goal/t0/pro:unperturbed/i03", true);
+    let subject = import(file(&[&swapped, &unperturbed]).path()).expect("read");
+    let family = document(vec![subject]).family.expect("of LIBERO's family");
+    assert_eq!(family.protocol, "pro-official");
+    assert_eq!((family.all.rollouts, family.all.broken), (1, 1));
+
+    let other = unperturbed.replace("pro-official", "pro-bddl");
+    for (second, expected) in [
+        (
+            other,
+            "line 2: it is under protocol `pro-bddl`, earlier lines are under protocol `pro-official`",
+        ),
+        (ROW.to_owned(), "line 2: it is without `protocol`"),
+    ] {
+        let message = refused(&[&swapped, &second]);
+        assert!(message.contains(expected), "{message}");
+    }
+}
+
 #[test]
 fn bad_lines_are_named_by_their_numbers_and_nothing_is_taken() {
     let message = refused(&[
