@@ -234,15 +234,15 @@ mod tests {
             "{text}"
         );
         let mut without_cores = measured(Bottleneck::Unspecified);
-        let speed = without_cores.speed.as_mut().expect("one");
+        let speed = without_cores.speed.as_mut().expect("a speed");
         (speed.enough_slots, speed.enough_slots_secs) = (None, None);
         assert!(!describe(&without_cores, "pi05").contains("bottleneck"));
     }
 
     #[test]
     fn a_large_share_of_waiting_is_explained() {
-        let some = parts(&measured(Bottleneck::Slots).speed.expect("one"));
-        assert!(some.contains("waiting 10 %; mean"), "{some}");
+        let small = parts(&measured(Bottleneck::Slots).speed.expect("a speed"));
+        assert!(small.contains("waiting 10 %; mean"), "{small}");
         let much = Speed {
             physics_secs: 3.0,
             waiting_secs: 1.0,

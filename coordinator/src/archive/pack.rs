@@ -49,7 +49,7 @@ pub async fn package(
             missing.join(", "));
         campaign.leave_out(&missing).await?;
     }
-    let made = derived::derive(&campaign).await?;
+    let derived_members = derived::derive(&campaign).await?;
     let mut contents = Contents {
         format: FORMAT,
         program: format!("coordinator {}", version::version!()),
@@ -63,7 +63,7 @@ pub async fn package(
     let folder = campaign.folder().to_owned();
     campaign.close().await?;
     let name = contents.campaign.clone();
-    let listed = tokio::task::spawn_blocking(move || list(&folder, made, members)).await;
+    let listed = tokio::task::spawn_blocking(move || list(&folder, derived_members, members)).await;
     let listed = listed.map_err(|_| ArchiveError::Panicked { archive: name })??;
     let (members, files) = listed.into_iter().unzip();
     contents.members = members;
@@ -73,11 +73,11 @@ pub async fn package(
 /// Writes the derived members beside the database and computes size and digest of every file.
 fn list(
     folder: &Path,
-    made: Derived,
+    derived_members: Derived,
     films: Vec<(String, PathBuf)>,
 ) -> Result<Vec<(Member, PathBuf)>, ArchiveError> {
     let mut files = Vec::new();
-    for (name, text) in made {
+    for (name, text) in derived_members {
         let path = folder.join(name);
         std::fs::write(&path, text).map_err(|source| ArchiveError::Write {
             path: path.clone(),

@@ -112,8 +112,8 @@ fn print_endpoint(campaign: &str, altered: AlterCampaignResponse) -> Result<(), 
     )];
     if altered.taken_back > 0 {
         lines.push(format!(
-            "{} taken back without a charge: what was being run at the old endpoint\n\
-             runs again at the new one",
+            "{} taken back without a charge: rollouts in progress at the old endpoint\n\
+             run again at the new one",
             counted(altered.taken_back, "rollout")
         ));
     }

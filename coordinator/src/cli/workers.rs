@@ -33,7 +33,7 @@ pub(super) async fn workers(arguments: WorkersArguments) -> Result<(), CommandEr
     let (alive, gone): (Vec<_>, Vec<_>) = workers.partition(|worker| worker.alive);
     if arguments.json {
         let shown = alive.iter().chain(gone.iter().filter(|_| arguments.all));
-        return json::print(&json::Workers::of(shown));
+        return json::print(&json::Workers::from_messages(shown));
     }
     let (recent, forgotten): (Vec<_>, Vec<_>) = gone
         .iter()
@@ -46,11 +46,11 @@ pub(super) async fn workers(arguments: WorkersArguments) -> Result<(), CommandEr
         lines.push("no worker is alive; start one with `worker --connect`".to_owned());
     }
     if !arguments.all && !recent.is_empty() {
-        lines.push(format!("{} that have gone: --all shows them", recent.len()));
+        lines.push(format!("{} departed: --all shows them", recent.len()));
     }
     if arguments.all && !forgotten.is_empty() {
         lines.push(format!(
-            "{} not heard of for a week or more: --all --json lists them too",
+            "{} without a call for a week or more: --all --json lists them too",
             counted(forgotten.len() as u64, "worker")
         ));
     }

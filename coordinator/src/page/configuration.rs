@@ -10,7 +10,7 @@ use queue::read::{Campaign, FailureLine, ResultLine, RolloutLine, View};
 use rollout_types::Motion;
 
 use super::campaign::address;
-use super::card::{self, Shown};
+use super::card::{self, ShownRollout};
 use super::layout::{Place, Sheet, crumbs};
 use super::problem::Problem;
 use super::state::Page;
@@ -42,14 +42,14 @@ pub(super) async fn sheet(
     };
     let neighbours = neighbours(&mut view, &campaign, asked).await?;
     let subsets = subsets::section(&mut view, &campaign, asked).await?;
-    let of_cards = shown.iter().filter(|shown| shown.video_bytes().is_some());
-    let videos = of_cards.count() + subsets.films;
+    let filmed = shown.iter().filter(|shown| shown.video_bytes().is_some());
+    let videos = filmed.count() + subsets.films;
     let campaign = name.as_str();
     let extent = Extent::from_paths(shown.iter().map(|shown| &shown.path));
-    let is_nominal = |shown: &&Shown| shown.id.condition() == Condition::Clean;
+    let is_nominal = |shown: &&ShownRollout| shown.id.condition() == Condition::Clean;
     let nominal = shown.iter().find(is_nominal);
-    let trace = |rollout: &Shown| {
-        let is_other = |nominal: &&Shown| nominal.id != rollout.id;
+    let trace = |rollout: &ShownRollout| {
+        let is_other = |nominal: &&ShownRollout| nominal.id != rollout.id;
         let under = nominal.filter(is_other).map(|nominal| &nominal.path);
         let extent = extent.as_ref().filter(|_| !rollout.path.is_empty())?;
         Some(trace::plot(&rollout.path, under, extent))
@@ -93,14 +93,14 @@ async fn rollouts(
     campaign: &Campaign,
     asked: RolloutId,
     replicate: u32,
-) -> Result<Vec<Shown>, Problem> {
+) -> Result<Vec<ShownRollout>, Problem> {
     let mut ids = siblings(asked);
     let mut lines = view.rollouts(campaign.id, &ids, replicate).await?;
     let init_id = lines.iter().find_map(|line| Some(read(line).ok()?.init_id));
     if let (Some(init_id), Some(_)) = (init_id, asked.config()) {
         let nominal = RolloutId::clean(asked.task(), init_id).to_string();
-        let of = std::slice::from_ref(&nominal);
-        lines.extend(view.rollouts(campaign.id, of, replicate).await?);
+        let nominal_ids = std::slice::from_ref(&nominal);
+        lines.extend(view.rollouts(campaign.id, nominal_ids, replicate).await?);
         ids.insert(0, nominal);
     }
     let jobs: Vec<JobId> = lines.iter().map(|line| line.id).collect();
@@ -115,7 +115,7 @@ async fn rollouts(
     lines.sort_by_key(|line| ids.iter().position(|id| *id == line.rollout_id));
     let shown = lines.into_iter().map(|line| {
         let row = read(&line)?;
-        Ok(Shown {
+        Ok(ShownRollout {
             id: row.id,
             row,
             result: results.remove(&line.id),
@@ -213,7 +213,7 @@ fn number(id: RolloutId) -> String {
 
 fn heading(asked: RolloutId) -> String {
     let task = asked.task();
-    let which = match asked.config() {
+    let place_in_design = match asked.config() {
         Some(config) if asked.is_placebo() => {
             format!("configuration {config} at L0, the placebo level")
         }
@@ -223,11 +223,15 @@ fn heading(asked: RolloutId) -> String {
             None => format!("nominal from initial state {}", asked.number()),
         },
     };
-    format!("{}, task {}, {which}", task.suite().name(), task.index())
+    format!(
+        "{}, task {}, {place_in_design}",
+        task.suite().name(),
+        task.index()
+    )
 }
 
 /// Describes the effect of simultaneous perturbation; `None` while outcomes are missing.
-fn transition(shown: &[Shown], replicate: u32) -> Option<&'static str> {
+fn transition(shown: &[ShownRollout], replicate: u32) -> Option<&'static str> {
     let records: Vec<Record> = shown
         .iter()
         .map(|shown| Record {

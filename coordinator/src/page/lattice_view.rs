@@ -40,8 +40,8 @@ pub(super) async fn read(
     let Some(configuration) = asked.config().and_then(simultaneous) else {
         return Ok(None);
     };
-    // A thresholds campaign has its rollouts along one condition and so yields no lattice.
-    let (measured, by) = match explanation(view, campaign).await? {
+    // A thresholds campaign varies the radius of single conditions, so it yields no lattice.
+    let (measured, candidates) = match explanation(view, campaign).await? {
         None => (campaign.clone(), view.following(campaign.id).await?),
         Some(_) => match view.source(campaign.id).await? {
             Some(source) => (source, vec![campaign.clone()]),
@@ -51,23 +51,23 @@ pub(super) async fn read(
     let measured = source(view, measured, asked).await?;
     // Uses the explaining campaign with the most rollouts of this configuration.
     let mut explaining: Option<(Source, Explanation)> = None;
-    for by in by {
-        let Some(explanation) = explanation(view, &by).await? else {
+    for candidate in candidates {
+        let Some(explanation) = explanation(view, &candidate).await? else {
             continue;
         };
-        let one = source(view, by, asked).await?;
+        let candidate = source(view, candidate, asked).await?;
         let most = explaining
             .as_ref()
             .map_or(0, |(source, _)| source.rows.len());
-        if one.rows.len() > most {
-            explaining = Some((one, explanation));
+        if candidate.rows.len() > most {
+            explaining = Some((candidate, explanation));
         }
     }
     let records = records(&measured.rows)?;
     let lattices = match &explaining {
         None => own_configurations(&records),
-        Some((by, explanation)) => {
-            configurations(&records, &self::records(&by.rows)?, explanation.repeats)
+        Some((source, explanation)) => {
+            configurations(&records, &self::records(&source.rows)?, explanation.repeats)
         }
     };
     let explaining = explaining.map(|(source, _)| source);

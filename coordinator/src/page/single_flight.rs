@@ -147,7 +147,7 @@ mod tests {
         assert_eq!(again.await, Ok(7));
     }
 
-    /// Regression B12: reloading a page while its statistics were computed started another
+    /// Regression: reloading a page while its statistics were computed started another
     /// computation.
     #[tokio::test]
     async fn an_abandoned_computation_is_not_started_again() {

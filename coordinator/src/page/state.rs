@@ -59,7 +59,7 @@ pub(crate) struct Page {
 }
 
 /// Returns the cache time of statistics whose computation took `cost`.
-fn patience(cost: Duration) -> Duration {
+fn cache_time(cost: Duration) -> Duration {
     (cost * DOCUMENT_AGE_PER_COST).max(PAGE_AGE)
 }
 
@@ -126,7 +126,7 @@ impl Page {
     }
 
     /// Returns a campaign's statistics. They may lag behind its results by the cache time, see
-    /// [`patience`].
+    /// [`cache_time`].
     pub(super) async fn document(
         &self,
         campaign: &Campaign,
@@ -140,7 +140,7 @@ impl Page {
         let is_fresh = |made: &CachedValue<(Editions, Arc<Document>)>| {
             made.value.0 == editions
                 || (made.value.0.0.is_of_same_campaign(&editions.0)
-                    && made.at.elapsed() < patience(made.cost))
+                    && made.at.elapsed() < cache_time(made.cost))
         };
         let wanted = editions.clone();
         let read = async {
@@ -172,7 +172,7 @@ impl Page {
             let mut both = made.value.0.iter().zip(&editions);
             made.value.0 == editions
                 || (both.all(|(made, now)| made.is_of_same_campaign(now))
-                    && made.at.elapsed() < patience(made.cost))
+                    && made.at.elapsed() < cache_time(made.cost))
         };
         let wanted = editions.clone();
         let read = async {

@@ -97,16 +97,16 @@ fn sources(lattice: &LatticeView, shown: &Campaign) -> Markup {
         html! { a href={ "/campaigns/" (name) } { (name) } }
     };
     html! {
-        @if let Some(by) = &lattice.explaining {
+        @if let Some(explaining) = &lattice.explaining {
             p.muted {
-                @if by.campaign.id == shown.id {
+                @if explaining.campaign.id == shown.id {
                     "Explains "
                     a href=(address(lattice.measured.campaign.name.as_str(), lattice.configuration, 0)) {
                         "this configuration of " (lattice.measured.campaign.name)
                     }
                     "."
                 } @else {
-                    "Explained by " (to(&by.campaign)) "."
+                    "Explained by " (to(&explaining.campaign)) "."
                 }
             }
         }

@@ -194,7 +194,7 @@ async fn a_moved_campaign_continues_at_another_coordinator_to_the_same_report() 
     source.must(&["campaign", "set-priority", "moved", "7"]);
     let before = source.rows().await;
     let file = source.archive("moved");
-    assert_eq!(source.rows().await, before, "archiving changed something");
+    assert_eq!(source.rows().await, before, "archiving changed rows");
     let first = (members(&file), std::fs::read(&file).expect("an archive"));
     source.archive("moved");
     for (one, other) in first.0.iter().zip(members(&file)) {
@@ -312,9 +312,9 @@ async fn invalid_archives_are_refused_by_name_and_change_nothing() {
     let middle = flipped.len() / 2;
     flipped[middle] ^= 1;
     std::fs::write(&bad, flipped).expect("written");
-    refused(&["member"]);
+    refused(&["copy it again"]);
     std::fs::write(&bad, [&whole[..], b"more"].concat()).expect("written");
-    refused(&["there is more behind it"]);
+    refused(&["data follows the last member"]);
 
     for foreign in [b"".as_slice(), b"SQLite format 3\0", &[0; 2_000]] {
         std::fs::write(&bad, foreign).expect("written");
@@ -338,14 +338,14 @@ async fn invalid_archives_are_refused_by_name_and_change_nothing() {
         let mut altered = sound.clone();
         altered[number].0 = "../../outside".to_owned();
         write(&bad, &altered, false);
-        refused(&[name, "another one is in its place"]);
+        refused(&[name, "another member is in its place"]);
         write(&bad, &altered, true);
         refused(&["archive.json"]);
     }
     let mut more = sound.clone();
     more.push(("artifacts/moved/../../outside".to_owned(), vec![1]));
     write(&bad, &more, false);
-    refused(&["does not name"]);
+    refused(&["does not list"]);
     write(&bad, &more, true);
     refused(&["no film of this campaign"]);
     // A browser would execute one of these files if the coordinator served it.
@@ -426,13 +426,13 @@ async fn invalid_archives_are_refused_by_name_and_change_nothing() {
         list["members"] = json!("of another kind");
         newer[0].1 = list.to_string().into_bytes();
         write(&bad, &newer, false);
-        refused(&[what, "use a release as new as that one"]);
+        refused(&[what, "use that release or a later one"]);
     }
 
     assert_eq!(
         target.rows().await,
         before,
-        "a refused archive changed something"
+        "a refused archive changed rows"
     );
     assert!(!target.folder.path().join("artifacts").exists());
     let missing = target.refused(&["campaign", "import", "nowhere.tar.gz"]);
@@ -528,7 +528,10 @@ async fn a_derived_campaign_is_imported_after_its_source() {
         if let Some(lease) = source.worker.claim(1).await.pop() {
             break lease;
         }
-        assert!(began.elapsed() < Duration::from_secs(30), "nothing follows");
+        assert!(
+            began.elapsed() < Duration::from_secs(30),
+            "no rollout was derived"
+        );
         tokio::time::sleep(Duration::from_millis(100)).await;
     };
     assert_eq!(source.worker.commit(&lease, true).await, Verdict::Accepted);

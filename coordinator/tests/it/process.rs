@@ -321,7 +321,7 @@ async fn a_specification_is_read_from_a_file_or_standard_input() {
     let output = serve.command(&["campaign", "create", "--spec", path]);
     assert_eq!(text(&output.stdout), "campaign filed created: 4 rollouts\n");
     let output = serve.command(&["campaign", "create", "--spec", path]);
-    assert!(text(&output.stdout).contains("was there already"));
+    assert!(text(&output.stdout).contains("exists already"));
     let list = serve.command(&["campaign", "list"]);
     assert!(
         text(&list.stdout).starts_with("filed ░"),
@@ -469,7 +469,7 @@ fn a_printed_specification_creates_the_same_campaign_as_its_flags() {
     let again = serve.command(&["campaign", "create", "--spec", spec]);
     let output = text(&again.stdout);
     assert!(
-        output.contains("was there already, with this specification"),
+        output.contains("exists already, with this specification"),
         "{output}{}",
         text(&again.stderr)
     );

@@ -214,14 +214,14 @@ async fn a_departed_worker_is_listed_for_a_week_and_then_only_counted() {
         "{printed}"
     );
     assert!(
-        printed.contains("1 worker not heard of for a week or more: --all --json lists them too"),
+        printed.contains("1 worker without a call for a week or more: --all --json lists them too"),
         "{printed}"
     );
     let listed: Value = serde_json::from_str(&list(&["--all", "--json"])).expect("JSON");
     assert_eq!(listed["workers"].as_array().expect("workers").len(), 2);
     let printed = list(&[]);
     assert!(
-        printed.contains("1 that have gone: --all shows them"),
+        printed.contains("1 departed: --all shows them"),
         "{printed}"
     );
 }
