@@ -107,9 +107,9 @@ impl Server {
         self.child.kill().context("kill the coordinator")?;
         self.child.wait()?;
         let database = self.folder.join("data/coordinator.sqlite");
-        for beside in ["", "-wal", "-shm"] {
+        for suffix in ["", "-wal", "-shm"] {
             // The WAL files exist only because the process was killed.
-            let _ = std::fs::remove_file(format!("{}{beside}", database.display()));
+            let _ = std::fs::remove_file(format!("{}{suffix}", database.display()));
         }
         std::fs::copy(backup, &database).context("restore the backup")?;
         self.start_again()
@@ -145,7 +145,7 @@ impl Server {
         while self.child.try_wait()?.is_none() {
             ensure!(
                 began.elapsed() < PATIENCE,
-                "stop the coordinator: it goes on"
+                "stop the coordinator: it still runs"
             );
             std::thread::sleep(Duration::from_millis(100));
         }

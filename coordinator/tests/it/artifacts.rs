@@ -65,7 +65,7 @@ async fn a_video_is_stored_with_the_outcome_of_its_attempt() {
     assert_eq!(bench.count(recorded).await, 1);
 }
 
-/// Regression (defect 9): a failed attempt's film was shown beside the next attempt's outcome.
+/// Regression: a failed attempt's film was shown beside the next attempt's outcome.
 #[tokio::test]
 async fn the_film_of_a_failed_attempt_is_never_shown_with_another_attempts_outcome() {
     let bench = Bench::start().await;
@@ -77,12 +77,12 @@ async fn the_film_of_a_failed_attempt_is_never_shown_with_another_attempts_outco
     assert_eq!(second.job_id, failed.job_id);
     assert_eq!(worker.commit(&second, true).await, Verdict::Accepted);
     let late = put(&mut worker, &failed, "video.mp4", &[vec![1; 10]]).await;
-    let late = late.expect_err("its attempt brought no outcome");
+    let late = late.expect_err("its attempt has no outcome");
     assert_eq!(late.code(), Code::PermissionDenied);
     assert_eq!(bench.count("SELECT count(*) FROM artifact").await, 0);
 }
 
-/// Regression (defect 10): two uploads under one lease shared a partial file, so that a published
+/// Regression: two uploads under one lease shared a partial file, so that a published
 /// video was overwritten.
 #[tokio::test]
 async fn concurrent_uploads_of_one_attempt_leave_one_complete_video() {
@@ -91,10 +91,10 @@ async fn concurrent_uploads_of_one_attempt_leave_one_complete_video() {
     let (mut worker, lease) = bench.leasing("a").await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let attempt_id = lease.attempt_id.clone();
-    let chunk = move |of: u8| wire::ArtifactChunk {
+    let chunk = move |byte: u8| wire::ArtifactChunk {
         attempt_id: attempt_id.clone(),
         name: "video.mp4".to_owned(),
-        data: vec![of; 1_000],
+        data: vec![byte; 1_000],
     };
     let (pieces, rest) = tokio::sync::mpsc::channel(1);
     let mut slow = worker.clone();

@@ -82,7 +82,7 @@ async fn a_status_has_counts_and_rate() {
         let lease = worker.claim_one().await;
         bench.pass(10).await;
         let mut report = worker.report(&lease, success);
-        report.result.as_mut().expect("one").wall_secs = 10.0;
+        report.result.as_mut().expect("a result").wall_secs = 10.0;
         assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
     }
     let status = bench.status("paced").await;
@@ -115,7 +115,7 @@ async fn results_are_exported_as_reference_rows_in_a_stable_order() {
     for lease in &leases {
         let mut report = worker.report(lease, true);
         if lease.manifest_row.contains("robot") {
-            report.result.as_mut().expect("one").ik_residual_mm = Some(0.125);
+            report.result.as_mut().expect("a result").ik_residual_mm = Some(0.125);
         }
         assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
     }

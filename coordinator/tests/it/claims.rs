@@ -23,13 +23,13 @@ async fn claim_is_exclusive_under_concurrency() {
     for number in 0..8_u32 {
         let mut worker = bench.worker(&format!("w{number}")).await;
         claimants.spawn(async move {
-            let mut mine = Vec::new();
+            let mut claimed = Vec::new();
             loop {
                 let leases = worker.claim(1 + number % 3).await;
                 if leases.is_empty() {
-                    return mine;
+                    return claimed;
                 }
-                mine.extend(
+                claimed.extend(
                     leases
                         .into_iter()
                         .map(|lease| (lease.job_id, lease.attempt)),
@@ -80,7 +80,7 @@ async fn a_configuration_is_leased_together_with_its_nominal_rollout() {
     let ids: Vec<String> = worker.claim(8).await.iter().map(rollout_id).collect();
     let conditions: Vec<&str> = ids
         .iter()
-        .map(|id| id.split('/').nth(2).expect("one"))
+        .map(|id| id.split('/').nth(2).expect("a condition"))
         .collect();
     let unit = ["clean", "camera", "sensor", "combination"];
     assert_eq!(conditions, [unit, unit].concat());
@@ -105,7 +105,7 @@ async fn a_worker_keeps_its_warm_task_and_a_cold_one_takes_another() {
     let warm = first.claim_warm(1, "libero_object/2").await;
     assert_eq!(task(&rollout_id(&warm[0])), "t2", "its scene is compiled");
     let rest = first.claim_warm(64, "libero_object/2").await;
-    assert_eq!(rest.len(), 9, "warmth is a preference, not a limit");
+    assert_eq!(rest.len(), 9, "the warm task is preferred, not required");
 }
 
 /// Checks a campaign that is leased task by task and one that is leased in drawn order.
@@ -230,8 +230,8 @@ async fn campaigns_of_one_priority_progress_together() {
     assert_eq!(names, ["older", "newer", "older", "newer"]);
     // Several slots, which keep their leases.
     let rest = worker.claim(8).await;
-    let of = |name: &str| rest.iter().filter(|lease| lease.campaign == name).count();
-    assert_eq!((of("older"), of("newer")), (2, 2));
+    let count = |name: &str| rest.iter().filter(|lease| lease.campaign == name).count();
+    assert_eq!((count("older"), count("newer")), (2, 2));
 }
 
 #[tokio::test]
@@ -248,8 +248,16 @@ async fn the_campaign_with_the_fewest_leases_is_next() {
         .into_iter()
         .map(|l| l.campaign)
         .collect();
-    assert_eq!(campaigns[..4], ["new"; 4], "until they hold the same");
-    assert_eq!(campaigns[4..], ["begun", "new"], "then in turn");
+    assert_eq!(
+        campaigns[..4],
+        ["new"; 4],
+        "the new campaign until both hold four leases"
+    );
+    assert_eq!(
+        campaigns[4..],
+        ["begun", "new"],
+        "then the campaigns alternate"
+    );
     // A slot that finishes a rollout continues with the same campaign, whose scene it holds.
     assert_eq!(worker.commit(&begun[0], true).await, Verdict::Accepted);
     assert_eq!(worker.claim_one().await.campaign, "begun");
@@ -336,12 +344,12 @@ async fn replicates_change_the_policys_seed_only() {
     assert_eq!(bench.create(&spec).await.expect("created").jobs_total, 12);
     let mut worker = bench.worker("a").await;
     let leases = worker.claim(12).await;
-    let of = |replicate: u32| &leases[replicate as usize * 4 + 1];
-    let rows: BTreeSet<&str> = (0..3).map(|k| of(k).manifest_row.as_str()).collect();
-    let seeds: BTreeSet<u64> = (0..3).map(|k| of(k).policy_seed).collect();
+    let lease_of = |replicate: u32| &leases[replicate as usize * 4 + 1];
+    let rows: BTreeSet<&str> = (0..3).map(|k| lease_of(k).manifest_row.as_str()).collect();
+    let seeds: BTreeSet<u64> = (0..3).map(|k| lease_of(k).policy_seed).collect();
     assert_eq!((rows.len(), seeds.len()), (1, 3));
     assert_eq!(
-        (0..3).map(|k| of(k).replicate).collect::<Vec<_>>(),
+        (0..3).map(|k| lease_of(k).replicate).collect::<Vec<_>>(),
         [0, 1, 2]
     );
     assert!(
@@ -369,7 +377,7 @@ async fn an_unregistered_worker_must_register_and_another_protocol_version_is_re
     assert!(refused.message().contains(&ours), "{refused}");
 }
 
-/// Regression (defect 5): a claim whose answer was lost left a lease that its worker did not know
+/// Regression: a claim whose answer was lost left a lease that its worker did not know
 /// of.
 #[tokio::test]
 async fn a_repeated_claim_returns_its_existing_lease() {
@@ -399,7 +407,7 @@ async fn a_repeated_claim_returns_its_existing_lease() {
 }
 
 #[tokio::test]
-async fn leases_that_were_never_acknowledged_expire_uncharged_and_strike_no_worker() {
+async fn leases_that_were_never_acknowledged_expire_uncharged_and_count_against_no_worker() {
     let bench = Bench::start().await;
     bench.create(&small_spec("lost")).await.expect("created");
     let mut worker = bench.worker("a").await;

@@ -105,7 +105,7 @@ async fn a_log_on_a_full_disk_does_not_end_the_coordinator() {
         assert_eq!(refused.code(), tonic::Code::Unavailable);
     }
     serve.limit_files("unlimited:unlimited");
-    assert!(serve.ended().is_none(), "it ended");
+    assert!(serve.ended().is_none(), "the coordinator ended");
     serve.worker("a").await.claim_one().await;
 }
 
@@ -131,7 +131,7 @@ async fn a_full_artifacts_disk_loses_the_video_but_not_the_outcome() {
         assert_eq!(refused.code(), tonic::Code::Unavailable, "{refused}");
         assert!(refused.message().contains("room on the disk"), "{refused}");
         let left = std::fs::read_dir(&artifacts).expect("a folder").count();
-        assert_eq!(left, 0, "something was left of the video");
+        assert_eq!(left, 0, "a part of the video is left");
     }
     // Leasing continues, and the video can be uploaded when there is room again.
     let next = worker.claim_one().await;

@@ -12,11 +12,11 @@ use crate::derived::run_all;
 use crate::explain::{create_with, explained, outcome};
 use crate::films::{films, upload};
 use crate::json::{documented, keys};
-use crate::page::ask;
+use crate::page::http;
 use crate::process::{Serve, fail, fits_a_terminal, succeed};
 
 async fn page(serve: &Serve, path: &str) -> String {
-    let answer = ask(&serve.url, &format!("GET {path}")).await;
+    let answer = http(&serve.url, &format!("GET {path}")).await;
     assert_eq!(answer.code, 200, "{path}");
     answer.text()
 }
@@ -32,8 +32,8 @@ async fn report_page_and_table_show_the_explanation() {
     create_with(&serve, &[]);
     let mut worker = serve.worker("w").await;
     run_all(&mut worker, outcome).await;
-    // Before the explanation, the page tells how to get it. A configuration other than those below
-    // is requested, since a page may be a second old.
+    // Before the explanation, the page shows the command that starts it. A configuration other than
+    // those below is requested, since a page is cached for a second.
     let unexplained = "/campaigns/first/configurations/object/t1/combination/L2/c00";
     let hint = page(&serve, unexplained).await;
     assert!(hint.contains("coordinator explain first"), "{hint}");
@@ -72,7 +72,7 @@ async fn report_page_and_table_show_the_explanation() {
     }
     assert!(
         !html.contains("Paired outcomes"),
-        "it has parts of configurations only"
+        "the campaign runs only parts of configurations"
     );
 
     let emergent = "/campaigns/first/configurations/object/t0/combination/L2/c00";
@@ -201,7 +201,7 @@ async fn interactions_add_up_to_simultaneous_success() {
     let lattice = self::page(&serve, lattice).await;
     assert!(lattice.contains("64 of 64 subsets have an outcome"));
 
-    // If only transitions were run, the output says so.
+    // The output warns if only transitions were run.
     let _ = explained(&serve, &["--exhaustive"]).await;
     let of_some = printed(&serve, &["interactions", "first-explained"]);
     assert!(

@@ -48,7 +48,7 @@ async fn late_result_from_an_old_attempt_is_refused() {
     assert_eq!(bench.status("one").await.succeeded, 0);
 }
 
-/// Regression (finding B4): a network outage longer than a lease charged every lease.
+/// Regression: a network outage longer than a lease charged every lease.
 #[tokio::test]
 async fn a_disconnected_worker_is_not_charged_and_continues_when_it_returns() {
     let bench = Bench::start().await;
@@ -81,7 +81,7 @@ async fn a_disconnected_worker_is_not_charged_and_continues_when_it_returns() {
     );
 }
 
-/// Regression (chaos schedule 1955): a heartbeat sent before the release resumed the lease.
+/// Regression: a heartbeat sent before the release resumed the lease.
 #[tokio::test]
 async fn a_late_heartbeat_does_not_resume_a_released_attempt() {
     let bench = one_job().await;
@@ -162,8 +162,8 @@ async fn a_returning_worker_is_refused_after_its_endpoint_changed() {
     let altered = bench.operator().await.alter_campaign(request).await;
     altered.expect("altered");
     assert_eq!(worker.commit(&lease, true).await, Verdict::Stale);
-    let over = worker.heartbeat(&[&lease], 30).await;
-    assert_eq!(over, std::slice::from_ref(&lease.attempt_id));
+    let lost_leases = worker.heartbeat(&[&lease], 30).await;
+    assert_eq!(lost_leases, std::slice::from_ref(&lease.attempt_id));
 }
 
 #[tokio::test]
@@ -192,7 +192,11 @@ async fn another_outcome_of_a_committed_rollout_is_recorded_as_a_divergence() {
     assert_eq!(slow.commit(&old, false).await, Verdict::Divergent);
     assert_eq!(slow.commit(&old, true).await, Verdict::Duplicate);
     assert_eq!(bench.count("SELECT count(*) FROM divergence").await, 1);
-    assert_eq!(bench.status("one").await.succeeded, 1, "the first stands");
+    assert_eq!(
+        bench.status("one").await.succeeded,
+        1,
+        "the first outcome is kept"
+    );
 }
 
 #[tokio::test]
@@ -200,21 +204,21 @@ async fn reports_without_a_lease_are_refused() {
     let bench = one_job().await;
     let (mut holder, mut liar) = (bench.worker("holder").await, bench.worker("liar").await);
     let lease = holder.claim_one().await;
-    let made_up = Lease {
+    let unknown = Lease {
         attempt_id: "1".repeat(32),
         ..lease.clone()
     };
-    let refused = liar.try_commit(&made_up, true).await.expect_err("made up");
+    let refused = liar.try_commit(&unknown, true).await.expect_err("made up");
     assert_eq!(refused.code(), Code::NotFound);
     let release = ReleaseRequest {
-        attempt_id: made_up.attempt_id.clone(),
+        attempt_id: unknown.attempt_id.clone(),
         ..ReleaseRequest::default()
     };
     let refused = liar.service.release(release).await.expect_err("no reason");
     assert_eq!(refused.code(), Code::InvalidArgument);
     // A worker cannot renew another one's lease.
-    let over = liar.heartbeat(&[&lease], 5).await;
-    assert_eq!(over, std::slice::from_ref(&lease.attempt_id));
+    let lost_leases = liar.heartbeat(&[&lease], 5).await;
+    assert_eq!(lost_leases, std::slice::from_ref(&lease.attempt_id));
     assert_eq!(holder.commit(&lease, true).await, Verdict::Accepted);
     assert_eq!(bench.count("SELECT count(*) FROM divergence").await, 0);
 }
@@ -235,8 +239,8 @@ async fn an_attempt_that_heartbeats_leave_out_expires_and_is_charged() {
     let query = "SELECT count(*) FROM failure WHERE reason = 'lease_lost' AND charged = 1
                 AND error LIKE '%has left this attempt out since control step 12%'";
     assert_eq!(bench.count(query).await, 1);
-    let over = worker.heartbeat(&[&lease], 30).await;
-    assert_eq!(over, std::slice::from_ref(&lease.attempt_id));
+    let lost_leases = worker.heartbeat(&[&lease], 30).await;
+    assert_eq!(lost_leases, std::slice::from_ref(&lease.attempt_id));
 }
 
 #[tokio::test]
@@ -250,7 +254,7 @@ async fn heartbeats_renew_a_lease() {
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
 }
 
-/// Regression (defect 14): a stuck worker that still sent heartbeats kept its job forever.
+/// Regression: a stuck worker that still sent heartbeats kept its job forever.
 #[tokio::test]
 async fn no_heartbeat_extends_a_lease_past_the_ceiling_of_its_attempt() {
     let bench = one_job().await;
@@ -259,13 +263,13 @@ async fn no_heartbeat_extends_a_lease_past_the_ceiling_of_its_attempt() {
     let steps = row["max_steps"].as_u64().expect("a number")
         + row["num_steps_wait"].as_u64().expect("a number");
     let per_step = Timing::default().ceiling_per_step.as_secs();
-    let (mut held_secs, mut over) = (0, Vec::new());
-    while over.is_empty() && held_secs <= steps * per_step {
+    let (mut held_secs, mut lost_leases) = (0, Vec::new());
+    while lost_leases.is_empty() && held_secs <= steps * per_step {
         bench.pass(20).await;
         held_secs += 20;
-        over = worker.heartbeat(&[&lease], 7).await;
+        lost_leases = worker.heartbeat(&[&lease], 7).await;
     }
-    assert_eq!(over, std::slice::from_ref(&lease.attempt_id));
+    assert_eq!(lost_leases, std::slice::from_ref(&lease.attempt_id));
     assert!(held_secs + 20 > steps * per_step, "after {held_secs} s");
     let failure = "SELECT count(*) FROM failure WHERE reason = 'overdue' AND charged = 1";
     assert_eq!(bench.count(failure).await, 1);
@@ -296,7 +300,7 @@ async fn a_job_is_quarantined_after_three_charged_attempts_on_two_workers() {
     assert!(a.claim(1).await.is_empty());
     let status = bench.status("one").await;
     assert_eq!((status.quarantined, status.queued), (1, 0));
-    let query = "SELECT count(*) FROM job WHERE last_error = 'the bench said so'";
+    let query = "SELECT count(*) FROM job WHERE last_error = 'simulated failure'";
     assert_eq!(bench.count(query).await, 1);
 }
 
@@ -313,7 +317,10 @@ async fn one_broken_machine_quarantines_no_rollout_while_another_is_alive() {
     }
     bench.pass(PAST_BACKOFF_SECS).await;
     sound.heartbeat(&[], 0).await;
-    assert!(broken.claim(1).await.is_empty(), "it is kept for the other");
+    assert!(
+        broken.claim(1).await.is_empty(),
+        "the job is left to the other worker"
+    );
     let lease = sound.claim_one().await;
     assert_eq!(sound.commit(&lease, true).await, Verdict::Accepted);
 }
@@ -359,7 +366,7 @@ async fn five_consecutive_failures_stop_a_worker() {
         assert_eq!(released.stop_leasing, "");
     }
     let released = worker.release(&leases[9], Reason::MachineError).await;
-    for word in ["5 times in a row", "the bench said so"] {
+    for word in ["5 times in a row", "simulated failure"] {
         assert!(
             released.stop_leasing.contains(word),
             "{}",
@@ -384,7 +391,7 @@ async fn leases_that_one_heartbeat_leaves_out_count_as_one_failure() {
     bench.pass(20).await;
     assert_eq!(bench.count("SELECT charged_in_a_row FROM worker").await, 1);
     bench.pass(60).await;
-    assert_eq!(worker.claim(8).await.len(), 8, "it goes on");
+    assert_eq!(worker.claim(8).await.len(), 8, "the worker still leases");
 }
 
 #[tokio::test]

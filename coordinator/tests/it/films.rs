@@ -61,7 +61,10 @@ pub(crate) async fn upload(worker: &mut Worker, attempt_id: &str) {
 async fn all_rollouts_of_a_configuration_with_a_transition_are_filmed() {
     for conjunction in [true, false] {
         let (bench, mut worker, combination) = all_but_the_combination(conjunction).await;
-        assert!(films(&mut worker).await.is_empty(), "its outcome is open");
+        assert!(
+            films(&mut worker).await.is_empty(),
+            "the combination has no outcome"
+        );
         worker.commit(&combination, !conjunction).await;
         assert!(next_film(&mut worker, "other").await.film.is_none());
         let all = films(&mut worker).await;

@@ -196,17 +196,17 @@ async fn each_violated_invariant_is_reported_by_name() {
         assert_eq!(
             std::fs::read(&file).expect("a file"),
             before,
-            "it reads only"
+            "`check` changed the database"
         );
         let beside = std::fs::read_dir(copy.path()).expect("a folder").count();
-        assert_eq!(beside, 1, "and leaves nothing behind");
+        assert_eq!(beside, 1, "`check` left files");
     }
-    let tried: Vec<&str> = BROKEN.iter().map(|(invariant, ..)| *invariant).collect();
+    let violated: Vec<&str> = BROKEN.iter().map(|(invariant, ..)| *invariant).collect();
     assert!(
-        tried
+        violated
             .into_iter()
             .eq(INVARIANTS.map(|invariant| invariant.name)),
-        "each is tried once"
+        "each invariant is violated once"
     );
 }
 

@@ -32,7 +32,7 @@ impl Clock for BreakableClock {
     }
 }
 
-/// Regression (defect 11): panics of spawned tasks were not noticed, and a coordinator whose writer
+/// Regression: panics of spawned tasks were not noticed, and a coordinator whose writer
 /// had panicked answered "shutting down" forever.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_panic_of_the_writer_stops_the_coordinator_with_an_error() {
@@ -80,7 +80,7 @@ async fn a_panic_of_the_writer_stops_the_coordinator_with_an_error() {
     assert!(matches!(error, ServeError::Panicked { .. }), "{error:?}");
 }
 
-/// Regression (finding B6): the loop that accepts connections and signals also awaited the sweep.
+/// Regression: the loop that accepts connections and signals also awaited the sweep.
 #[tokio::test(flavor = "multi_thread")]
 async fn connections_and_signals_are_served_while_the_database_is_locked() {
     let folder = tempfile::tempdir().expect("a temporary folder");

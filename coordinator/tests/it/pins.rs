@@ -13,7 +13,7 @@ const GL: &str = "llvmpipe";
 /// Returns the reason why a worker with this pack and renderer gets no jobs, as its registration is
 /// answered; empty if it may have jobs.
 async fn refusal_reason(bench: &Bench, pack: &str, renderer: &str) -> String {
-    let mut worker = bench.worker_drawing("asks", pack, renderer).await;
+    let mut worker = bench.worker_with_renderer("asks", pack, renderer).await;
     let mut announced = registration("asks", pack);
     renderer.clone_into(&mut announced.renderer);
     let answer = worker.service.register(announced).await;
@@ -27,18 +27,18 @@ async fn a_campaign_is_pinned_to_the_pack_of_its_first_result() {
     let mut first = bench.worker_on("a", "primitives").await;
     let mut other = bench.worker_on("b", "libero").await;
     // Both workers may run jobs until a result pins the campaign; leases alone pin nothing.
-    let (lease, of_other) = (first.claim_one().await, other.claim_one().await);
+    let (lease, other_lease) = (first.claim_one().await, other.claim_one().await);
     assert_eq!(bench.status("pinned").await.live_workers, 2);
     assert_eq!(first.commit(&lease, true).await, Verdict::Accepted);
     assert_eq!(bench.status("pinned").await.live_workers, 1);
     // The other worker's rollout was run in vain, and nobody is charged for it.
-    let (verdict, detail) = other.commit_request(other.report(&of_other, true)).await;
+    let (verdict, detail) = other.commit_request(other.report(&other_lease, true)).await;
     assert_eq!(verdict, Verdict::Unpaired);
-    let nothing = other.claim_response("").await;
-    assert!(nothing.lease.is_none());
+    let response = other.claim_response("").await;
+    assert!(response.lease.is_none());
     for word in ["pinned", "primitives", "libero", "MuJoCo 3.3.7"] {
         assert!(detail.contains(word), "{detail}");
-        assert!(nothing.idle_reason.contains(word), "{nothing:?}");
+        assert!(response.idle_reason.contains(word), "{response:?}");
     }
     let charged = "SELECT (SELECT max(charged_attempts) FROM job)
         + (SELECT max(charged_in_a_row) FROM worker)";
@@ -50,15 +50,17 @@ async fn a_campaign_is_pinned_to_the_pack_of_its_first_result() {
 async fn a_campaign_is_pinned_to_the_renderer_of_its_first_result() {
     let bench = Bench::start().await;
     bench.create(&small_spec("pinned")).await.expect("created");
-    let mut first = bench.worker_drawing("a", "primitives", "one").await;
-    let mut other = bench.worker_drawing("b", "primitives", "another").await;
+    let mut first = bench.worker_with_renderer("a", "primitives", "one").await;
+    let mut other = bench
+        .worker_with_renderer("b", "primitives", "another")
+        .await;
     let lease = first.claim_one().await;
     assert_eq!(first.commit(&lease, true).await, Verdict::Accepted);
     for warm in ["", "libero_object/0"] {
-        let nothing = other.claim_response(warm).await;
-        assert!(nothing.lease.is_none());
+        let response = other.claim_response(warm).await;
+        assert!(response.lease.is_none());
         for word in ["`pinned` is pinned", "renderer `one`", "renderer `another`"] {
-            assert!(nothing.idle_reason.contains(word), "{nothing:?}");
+            assert!(response.idle_reason.contains(word), "{response:?}");
         }
     }
     assert_eq!(bench.status("pinned").await.live_workers, 1);
@@ -144,7 +146,11 @@ async fn a_result_under_another_execution_model_than_the_campaigns_is_refused() 
         let lease = worker.claim_one().await;
         assert_eq!(lease.execution, of_campaign.unwrap_or("wait"));
         let mut report = worker.report(&lease, true);
-        let settings = &mut report.provenance.as_mut().expect("one").policy_settings;
+        let settings = &mut report
+            .provenance
+            .as_mut()
+            .expect("provenance")
+            .policy_settings;
         settings.retain(|name, _| name != "execution model");
         settings.extend(of_result.map(|model| ("execution model".to_owned(), model.to_owned())));
         let (verdict, detail) = worker.commit_request(report).await;
@@ -171,7 +177,11 @@ async fn all_settings_of_a_description_are_stored_with_those_of_the_worker() {
     let mut worker = bench.worker_on("a", "primitives").await;
     let lease = worker.claim_one().await;
     let mut report = worker.report(&lease, true);
-    let settings = &mut report.provenance.as_mut().expect("one").policy_settings;
+    let settings = &mut report
+        .provenance
+        .as_mut()
+        .expect("provenance")
+        .policy_settings;
     settings.clear();
     let settings_of_worker = ["execute", "horizon", "real-time chunking"].map(str::to_owned);
     let of_policy = (0..proto::MAX_SETTINGS).map(|number| format!("setting {number}"));
@@ -224,7 +234,7 @@ async fn an_unsuitable_worker_learns_the_requirements_at_registration() {
     }
     assert_eq!(refusal_reason(&bench, "libero", SOFTWARE).await, "");
     assert_eq!(bench.status("choosy").await.waiting_reason, "");
-    let mut worker = bench.worker_drawing("a", "libero", SOFTWARE).await;
+    let mut worker = bench.worker_with_renderer("a", "libero", SOFTWARE).await;
     assert_eq!(worker.claim(4).await.len(), 4);
 }
 

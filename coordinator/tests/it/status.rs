@@ -13,22 +13,22 @@ use crate::process::{CREATE, Serve, coordinator, succeed, text};
 
 async fn commit_after(worker: &mut Worker, lease: &wire::Lease, wall_secs: f64) {
     let mut report = worker.report(lease, true);
-    report.result.as_mut().expect("one").wall_secs = wall_secs;
+    report.result.as_mut().expect("a result").wall_secs = wall_secs;
     assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
 }
 
 /// Regression: workers that had shut down cleanly stayed "live" for a minute.
 #[tokio::test]
-async fn a_worker_that_announces_its_shutdown_departs_at_once() {
+async fn a_worker_that_signs_off_is_no_longer_live() {
     let bench = Bench::start().await;
     bench.create(&small_spec("watched")).await.expect("created");
     let mut worker = bench.worker("a").await;
     assert_eq!(bench.status("watched").await.live_workers, 1);
-    let good_bye = wire::SignOffRequest {
+    let sign_off = wire::SignOffRequest {
         worker_id: "a".to_owned(),
     };
-    let heard = worker.service.sign_off(good_bye.clone()).await;
-    heard.expect("an answer");
+    let signed_off_response = worker.service.sign_off(sign_off.clone()).await;
+    signed_off_response.expect("an answer");
     let status = bench.status("watched").await;
     assert_eq!(status.live_workers, 0);
     assert!(status.waiting_reason.contains("no worker"), "{status:?}");

@@ -218,7 +218,7 @@ impl World {
         self.now = self.now.plus(Duration::from_secs(secs));
         assert!(
             !was_asleep(self.now.since(self.last_sweep), LEASE),
-            "sweeps came often enough"
+            "sweeps are too frequent to mean a suspension"
         );
         self.last_sweep = self.now;
         for granted in self.granted.clone() {
@@ -305,7 +305,7 @@ impl World {
                         let blamed = reason.blames();
                         assert!(
                             workers >= 2 || blamed == Some(Party::Policy),
-                            "one machine does not condemn a rollout"
+                            "failures on one machine do not quarantine a rollout"
                         );
                     }
                 }
