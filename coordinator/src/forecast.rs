@@ -66,12 +66,12 @@ pub fn describe(forecast: &ForecastResponse, policy: &str) -> String {
         "about {} on the {workers} connected now ({slots}), if they run nothing else",
         duration_text(secs)
     )];
-    let whose = match forecast.is_of_policy {
+    let measured_policies = match forecast.is_of_policy {
         true => format!("of {policy}"),
         false => format!("of other policies; none of {policy} was"),
     };
     lines.push(format!(
-        "measured on {} {whose}",
+        "measured on {} {measured_policies}",
         counted(forecast.results, "recent rollout")
     ));
     if !forecast.unmeasured_suites.is_empty() {
@@ -134,9 +134,9 @@ pub fn parts(speed: &Speed) -> String {
 pub fn bottleneck(speed: &Speed, slots: u32) -> Option<String> {
     let enough = speed.enough_slots?;
     let then = duration_text(speed.enough_slots_secs?);
-    let enough_of = counted(enough.into(), "slot");
+    let enough_slots_text = counted(enough.into(), "slot");
     let fewer = match enough < slots {
-        true => format!("; {enough_of} would do"),
+        true => format!("; {enough_slots_text} would do"),
         false => String::new(),
     };
     Some(match speed.bottleneck() {

@@ -332,7 +332,7 @@ mod tests {
         );
         assert!(!into.exists());
         let fetched = storage.fetch("a.mp4", Some(1 << 20), &into).await;
-        assert!(fetched.expect("of this size") && into.exists());
+        assert!(fetched.expect("an object of this size") && into.exists());
     }
 
     #[test]

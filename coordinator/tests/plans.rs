@@ -240,8 +240,8 @@ async fn call_everything(queue: &Queue, clock: &ManualClock) {
     }
 }
 
-/// Returns the statements for campaigns that are done or waiting, among them one that explains, one
-/// that may stop early and one that is filmed, while a rollout of another campaign is settled.
+/// Returns the statements that are executed when a rollout is settled while other campaigns are
+/// finished or waiting: an explaining one, one with a stop rule and one that is filmed.
 async fn frequent_statements(queue: &Queue, captured: &CapturedStatements) -> BTreeSet<String> {
     let name = |name: &str| CampaignName::parse(name).expect("a name");
     let create = async |name: &str, priority: i32, fields: &serde_json::Value| {

@@ -133,12 +133,12 @@ impl Reading<'_> {
         let mut rest = tar.into_inner().take(MAX_PADDING_BYTES);
         let read = io::copy(&mut rest, &mut io::sink());
         read.map_err(|error| self.broken("its end", error))?;
-        let mut behind = [0];
+        let mut trailing = [0];
         if rest.limit() == 0 {
             return Err(self.altered("its end", "data follows the last member"));
         }
         let compression = rest.into_inner();
-        match compression.into_inner().read(&mut behind) {
+        match compression.into_inner().read(&mut trailing) {
             Ok(0) => Ok(contents),
             Ok(_) => Err(self.altered("its end", "data follows the last member")),
             Err(error) => Err(self.broken("its end", error)),

@@ -90,7 +90,7 @@ pub(super) async fn up(arguments: UpArguments) -> Result<(), CommandError> {
 /// Starts the programs in order and waits for SIGINT or SIGTERM.
 ///
 /// # Errors
-/// If a program cannot be started or exits by itself.
+/// If a program cannot be started or exits unrequested.
 async fn run(
     arguments: &UpArguments,
     programs: &mut Programs,

@@ -139,7 +139,7 @@ fn perturbed(shown: &ShownRollout) -> Markup {
     combined.extend(shown.row.variant_id.is_some().then_some(Axis::Language));
     let axes = shown.id.condition().axes(combined.into_iter().collect());
     let axes: Vec<Axis> = axes.axes().collect();
-    // Instructions that only a variant's BDDL file has are not known here.
+    // The row lacks instructions that stand only in a variant's BDDL file.
     let instruction = &shown.row.instruction;
     let is_different = !instruction.is_empty() && *instruction != shown.id.task().instruction();
     let values = |axis| {

@@ -168,7 +168,7 @@ mod tests {
         };
         for _ in 0..5 {
             let given_up = tokio::time::timeout(Duration::from_millis(20), request()).await;
-            assert!(given_up.is_err(), "the computation waits");
+            assert!(given_up.is_err(), "the computation is not finished");
         }
         // Enough signals for every computation, had several been started.
         (0..6).for_each(|_| release.send(()).expect("a waiting computation"));

@@ -110,7 +110,10 @@ async fn an_altered_campaign_is_recognised_by_its_new_specification_only() {
     let policy = json!({"policy": {"name": "expart", "endpoint": NEW_ENDPOINT}});
     let now = bench.create(&with(before.clone(), policy)).await;
     assert_eq!(now.expect("an existing campaign").jobs_added, 0);
-    let refused = bench.create(&before).await.expect_err("another");
+    let refused = bench
+        .create(&before)
+        .await
+        .expect_err("another specification");
     assert_eq!(refused.code(), Code::AlreadyExists);
     assert!(refused.message().contains("`policy`"), "{refused}");
 }
@@ -184,7 +187,7 @@ async fn a_probe_is_replaced_if_its_campaign_changes_endpoint() {
     assert_eq!(
         campaigns,
         ["leaves", "leaves"],
-        "leased at once at the new endpoint"
+        "jobs are leased at once at the new endpoint"
     );
     let rest = worker.claim(8).await;
     let probes = rest.iter().filter(|lease| lease.campaign == "stays");

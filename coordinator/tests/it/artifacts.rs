@@ -47,7 +47,7 @@ async fn a_video_is_stored_with_the_outcome_of_its_attempt() {
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let path = put(&mut worker, &lease, "video.mp4", &pieces)
         .await
-        .expect("kept");
+        .expect("stored");
     let attempt = &lease.attempt_id;
     let expected = format!("artifacts/filmed/object_t0_clean_i16.r0.{attempt}.mp4");
     assert_eq!(path, expected);
@@ -100,18 +100,18 @@ async fn concurrent_uploads_of_one_attempt_leave_one_complete_video() {
     let mut slow = worker.clone();
     let slow = slow.service.put_artifact(ReceiverStream::new(rest));
     let others = async move {
-        pieces.send(chunk(1)).await.expect("taken");
+        pieces.send(chunk(1)).await.expect("received");
         let path = put(&mut worker, &lease, "video.mp4", &[vec![2; 500]]).await;
-        let file = bench.folder.path().join(path.expect("kept"));
+        let file = bench.folder.path().join(path.expect("stored"));
         assert_eq!(std::fs::read(&file).expect("a file"), [2; 500]);
         // The rest of the slow upload does not change the published file.
-        pieces.send(chunk(1)).await.expect("taken");
+        pieces.send(chunk(1)).await.expect("received");
         tokio::time::sleep(Duration::from_millis(200)).await;
         assert_eq!(std::fs::read(&file).expect("a file"), [2; 500]);
         (bench, file)
     };
     let (slow, (_bench, file)) = tokio::join!(slow, others);
-    slow.expect("kept");
+    slow.expect("stored");
     assert_eq!(std::fs::read(&file).expect("a file"), [1; 2_000]);
 }
 

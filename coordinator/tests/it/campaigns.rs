@@ -20,7 +20,10 @@ async fn creating_a_campaign_twice_adds_nothing_and_another_specification_is_ref
     assert_eq!((again.jobs_added, again.jobs_total), (0, 4));
 
     let other = with(spec, json!({"levels": ["L2"], "configs": [0, 1]}));
-    let refused = bench.create(&other).await.expect_err("another");
+    let refused = bench
+        .create(&other)
+        .await
+        .expect_err("another specification");
     assert_eq!(refused.code(), Code::AlreadyExists);
     assert!(
         refused.message().contains("`configs`, `levels`"),

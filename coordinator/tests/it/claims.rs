@@ -98,12 +98,16 @@ async fn a_worker_keeps_its_warm_task_and_a_cold_one_takes_another() {
     bench.create(&spec).await.expect("created");
     let (mut first, mut second) = (bench.worker("a").await, bench.worker("b").await);
     let task = |id: &str| id.split('/').nth(1).expect("a task").to_owned();
-    let of_first = rollout_id(&first.claim_one().await);
-    assert_eq!(task(&of_first), "t0");
-    let of_second = rollout_id(&second.claim_one().await);
-    assert_eq!(task(&of_second), "t1", "another worker holds t0");
+    let first_rollout = rollout_id(&first.claim_one().await);
+    assert_eq!(task(&first_rollout), "t0");
+    let second_rollout = rollout_id(&second.claim_one().await);
+    assert_eq!(task(&second_rollout), "t1", "another worker holds t0");
     let warm = first.claim_warm(1, "libero_object/2").await;
-    assert_eq!(task(&rollout_id(&warm[0])), "t2", "its scene is compiled");
+    assert_eq!(
+        task(&rollout_id(&warm[0])),
+        "t2",
+        "the worker has compiled the scene of t2"
+    );
     let rest = first.claim_warm(64, "libero_object/2").await;
     assert_eq!(rest.len(), 9, "the warm task is preferred, not required");
 }
@@ -139,7 +143,7 @@ async fn jobs_of_tasks_without_assets_are_left_to_other_workers() {
     );
     let mut whole = bench.worker("b").await;
     let rest = whole.claim(64).await;
-    assert_eq!(rest.len(), claimed.len(), "nothing was lost");
+    assert_eq!(rest.len(), claimed.len(), "the jobs of t0 are still queued");
     assert!(rest.iter().all(|lease| rollout_id(lease).contains("/t0/")));
 }
 

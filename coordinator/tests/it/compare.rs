@@ -116,7 +116,7 @@ async fn compare_takes_a_and_b_in_command_line_order() {
         assert_eq!(compared, 10 * 7, "five axes, simultaneous, nominal");
     }
 
-    // The published outcomes have the other realisation mode.
+    // The published outcomes have another realisation mode.
     let output = serve.command(&["compare", "a", "--from", EXAMPLE]);
     let error = text(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{error}");
@@ -184,7 +184,11 @@ async fn rollouts_of_different_designs_with_equal_ids_are_not_paired() {
         unpaired.iter().all(|id| id.ends_with("c10")),
         "{unpaired:?}"
     );
-    assert_eq!(statistics.shared(), 3, "the presets are the same");
+    assert_eq!(
+        statistics.shared(),
+        3,
+        "configuration 0 is the same in both"
+    );
     let same = compared(&bench, ["a", "c"]).await.statistics;
     assert_eq!((same.shared(), same.unpaired.len()), (6, 0));
 }

@@ -128,7 +128,7 @@ async fn planted_rules_are_found_again() {
     });
     assert_eq!(masked, &json!([pair]));
 
-    // Creating the same again adds nothing; the text has the same findings.
+    // Creating the same campaign again adds no rollout; the text has the same findings.
     assert_eq!(findings(&serve, &[]), found);
     let output = serve.command(&["explain", "first"]);
     let words = text(&output.stdout);

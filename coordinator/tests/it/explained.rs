@@ -96,7 +96,7 @@ async fn report_page_and_table_show_the_explanation() {
         assert!(page.contains("camera and robot together"), "{place}");
         assert!(
             page.contains("--record transitions"),
-            "the remedy for missing films"
+            "the remedy for missing films is shown"
         );
     }
 }
@@ -114,7 +114,7 @@ async fn explaining_rollouts_are_filmed_and_shown_side_by_side() {
         id.expect("an id").parse().expect("an id")
     };
     // The third task has a minimal triple: it is filmed, and so are its pairs.
-    let of_task: BTreeSet<String> = all
+    let filmed_conditions: BTreeSet<String> = all
         .iter()
         .filter(|film| film.campaign == "first-explained" && id(film).task().index() == 2)
         .map(|film| id(film).condition().to_string())
@@ -125,7 +125,7 @@ async fn explaining_rollouts_are_filmed_and_shown_side_by_side() {
         "camera+sensor",
         "lighting+sensor",
     ];
-    assert_eq!(of_task, expected.map(str::to_owned).into());
+    assert_eq!(filmed_conditions, expected.map(str::to_owned).into());
 
     // The page shows the command that makes the films once, with an address that can be pasted.
     let subset = "/campaigns/first/configurations/object/t2/simultaneous/L2/c00";
@@ -145,7 +145,7 @@ async fn explaining_rollouts_are_filmed_and_shown_side_by_side() {
     }
     assert!(
         !page.contains("Not all of these rollouts"),
-        "all are filmed"
+        "a film is missing"
     );
 }
 
@@ -203,9 +203,9 @@ async fn interactions_add_up_to_simultaneous_success() {
 
     // The output warns if only transitions were run.
     let _ = explained(&serve, &["--exhaustive"]).await;
-    let of_some = printed(&serve, &["interactions", "first-explained"]);
+    let partial_interactions = printed(&serve, &["interactions", "first-explained"]);
     assert!(
-        of_some.contains("! these configurations were picked"),
-        "{of_some}"
+        partial_interactions.contains("! these configurations were picked"),
+        "{partial_interactions}"
     );
 }

@@ -208,7 +208,10 @@ async fn reports_without_a_lease_are_refused() {
         attempt_id: "1".repeat(32),
         ..lease.clone()
     };
-    let refused = liar.try_commit(&unknown, true).await.expect_err("made up");
+    let refused = liar
+        .try_commit(&unknown, true)
+        .await
+        .expect_err("an unknown attempt");
     assert_eq!(refused.code(), Code::NotFound);
     let release = ReleaseRequest {
         attempt_id: unknown.attempt_id.clone(),
@@ -224,7 +227,7 @@ async fn reports_without_a_lease_are_refused() {
 }
 
 #[tokio::test]
-async fn an_attempt_that_heartbeats_leave_out_expires_and_is_charged() {
+async fn an_attempt_missing_from_heartbeats_expires_and_is_charged() {
     let bench = one_job().await;
     let (mut worker, lease) = bench.leasing("a").await;
     assert!(worker.heartbeat(&[&lease], 12).await.is_empty());
@@ -380,7 +383,7 @@ async fn five_consecutive_failures_stop_a_worker() {
 }
 
 #[tokio::test]
-async fn leases_that_one_heartbeat_leaves_out_count_as_one_failure() {
+async fn leases_missing_from_heartbeats_count_as_one_failure_of_their_worker() {
     let bench = Bench::start().await;
     let spec = with(small_spec("many"), json!({"configs": [0, 1, 2]}));
     bench.create(&spec).await.expect("created");

@@ -92,8 +92,8 @@ async fn mixed_fingerprints_are_shown_in_status_report_and_page() {
     let request = report_as(&another, &leases[1][0]);
     let (verdict, _) = another.clone().commit_request(request).await;
     assert_eq!(verdict, Verdict::Accepted);
-    let counts = |of_one: u32, of_other: u32| {
-        let mut counts = [(&ones, of_one), (&others, of_other)];
+    let counts = |own_count: u32, other_count: u32| {
+        let mut counts = [(&ones, own_count), (&others, other_count)];
         counts.sort();
         let counts = counts.map(|(digest, count)| format!("{count} of {}", &digest[..12]));
         counts.join(", ")

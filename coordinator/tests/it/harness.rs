@@ -311,7 +311,7 @@ impl Worker {
     /// Claims exactly one job, which must be available.
     pub(crate) async fn claim_one(&mut self) -> wire::Lease {
         let mut leases = self.claim(1).await;
-        assert_eq!(leases.len(), 1, "a job waits");
+        assert_eq!(leases.len(), 1, "a job is available");
         leases.remove(0)
     }
 

@@ -198,8 +198,8 @@ async fn each_violated_invariant_is_reported_by_name() {
             before,
             "`check` changed the database"
         );
-        let beside = std::fs::read_dir(copy.path()).expect("a folder").count();
-        assert_eq!(beside, 1, "`check` left files");
+        let files = std::fs::read_dir(copy.path()).expect("a folder").count();
+        assert_eq!(files, 1, "`check` left files");
     }
     let violated: Vec<&str> = BROKEN.iter().map(|(invariant, ..)| *invariant).collect();
     assert!(
@@ -236,7 +236,7 @@ async fn the_program_names_violations_and_fails() {
 }
 
 #[test]
-fn the_architecture_names_every_invariant() {
+fn the_architecture_page_documents_every_invariant() {
     let map = include_str!("../../../docs/ARCHITECTURE.md");
     for Invariant { name, .. } in INVARIANTS {
         assert!(map.contains(&format!("`{name}`")), "{name}");

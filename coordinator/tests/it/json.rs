@@ -179,8 +179,8 @@ async fn rollouts_are_listed_by_outcome_task_condition_and_level() {
     assert_eq!(ids(&["--level", "L1"]).len(), 6);
     assert_eq!(ids(&["--level", "L0"]).len(), 2);
     assert_eq!(ids(&["--level", "L2"]).len(), 0);
-    let of_camera = ids(&["--condition", "camera", "--task", "libero_object/0"]);
-    assert_eq!(of_camera, ["object/t0/camera/L1/c00"]);
+    let camera_ids = ids(&["--condition", "camera", "--task", "libero_object/0"]);
+    assert_eq!(camera_ids, ["object/t0/camera/L1/c00"]);
     for (name, id) in [("nominal", "clean"), ("simultaneous", "combination")] {
         let found = ids(&["--condition", name]);
         assert_eq!(found.len(), 2);

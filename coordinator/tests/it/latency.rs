@@ -76,7 +76,7 @@ async fn latency_is_a_separate_condition() {
         run_all(&mut worker, outcome).await;
         assert!(
             began.elapsed() < PATIENCE,
-            "the refused rollout is leased again"
+            "the refused rollout was not committed"
         );
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
@@ -150,7 +150,11 @@ async fn the_latency_threshold_is_found_in_whole_control_steps() {
     for threshold in found["thresholds"].as_array().expect("a list") {
         assert_eq!(threshold["condition"], "latency");
         let bracket = [&threshold["succeeds_at"], &threshold["fails_at"]];
-        assert_eq!(bracket, [&json!(6.0), &json!(8.0)], "three steps and four");
+        assert_eq!(
+            bracket,
+            [&json!(6.0), &json!(8.0)],
+            "delays of 3 and 4 control steps"
+        );
     }
     let output = serve.command(&["thresholds", "late"]);
     let words: Vec<&str> = text(&output.stdout).split_whitespace().collect();

@@ -55,7 +55,7 @@ async fn consistent_halves_merge_into_the_campaign_of_one_coordinator() {
     );
     put(&mut second.worker, &filmed, "video.mp4", &[vec![5; 99]])
         .await
-        .expect("kept");
+        .expect("stored");
     let (a, b) = (first.archive("moved"), second.archive("moved"));
     let folder = tempfile::tempdir().expect("a folder");
     let whole = folder.path().join("whole.tar.gz");

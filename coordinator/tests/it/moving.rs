@@ -167,9 +167,9 @@ pub(crate) fn write(file: &Path, members: &[(String, Vec<u8>)], list_anew: bool)
     }
     let mut out = tar
         .into_inner()
-        .expect("its end")
+        .expect("finished")
         .finish()
-        .expect("its end");
+        .expect("finished");
     out.flush().expect("written");
 }
 
@@ -186,7 +186,7 @@ async fn a_moved_campaign_continues_at_another_coordinator_to_the_same_report() 
     let film = [vec![7; 1_500_000]];
     put(&mut source.worker, &filmed, "video.mp4", &film)
         .await
-        .expect("kept");
+        .expect("stored");
     let failed = source.worker.claim_one().await;
     source.worker.release(&failed, Reason::SimulatorError).await;
     // One rollout is in progress while the campaign is archived.
@@ -260,7 +260,7 @@ async fn importing_an_existing_name_is_refused_and_another_name_makes_a_copy() {
     assert_eq!(source.worker.commit(&filmed, true).await, Verdict::Accepted);
     put(&mut source.worker, &filmed, "video.mp4", &[vec![1; 10]])
         .await
-        .expect("kept");
+        .expect("stored");
     let file = source.archive("moved");
     let before = source.rows().await;
     let path = file.display().to_string();
@@ -475,9 +475,9 @@ async fn a_decompression_bomb_is_refused_before_it_is_unpacked() {
         tar.append(&header, std::io::repeat(b'n').take(SWOLLEN))
             .expect("written");
         tar.into_inner()
-            .expect("its end")
+            .expect("finished")
             .finish()
-            .expect("its end");
+            .expect("finished");
         refused(&["bad.tar.gz"]);
     }
     // A film of zeros that the table of contents lists correctly.
@@ -504,9 +504,9 @@ async fn a_decompression_bomb_is_refused_before_it_is_unpacked() {
         tar.append_data(&mut header, name, bytes.as_slice())
             .expect("written");
     }
-    let mut out = tar.into_inner().expect("its end");
+    let mut out = tar.into_inner().expect("finished");
     std::io::copy(&mut std::io::repeat(0).take(SWOLLEN), &mut out).expect("written");
-    out.finish().expect("its end");
+    out.finish().expect("finished");
     refused(&["its end"]);
 
     let grown = source.serve.peak_memory_bytes() - before;

@@ -126,7 +126,7 @@ async fn cancelling_a_campaign_revokes_leases_and_keeps_results() {
     bench
         .change("ended", Change::Cancel)
         .await
-        .expect("cancelled before");
+        .expect("cancelled again");
     assert_invariants(&bench).await;
 }
 
@@ -165,7 +165,7 @@ async fn deleting_a_campaign_needs_its_name_twice_and_removes_its_files() {
         name: "video.mp4".to_owned(),
         data: vec![1; 100],
     }]);
-    let put = worker.service.put_artifact(video).await.expect("kept");
+    let put = worker.service.put_artifact(video).await.expect("stored");
     let video = bench.folder.path().join(put.into_inner().path);
     assert!(video.is_file());
 
@@ -211,7 +211,7 @@ async fn retry_requeues_quarantined_jobs_without_their_charges() {
     );
     let again = retry(&bench, "one", &[CAMERA], false)
         .await
-        .expect_err("waits");
+        .expect_err("a queued job");
     assert_eq!(again.code(), Code::FailedPrecondition);
     assert!(again.message().contains("queued"), "{again}");
     assert_eq!(retry(&bench, "one", &[], true).await.expect("none left"), 0);

@@ -90,7 +90,7 @@ async fn resuming_a_campaign_retries_its_policy_at_once() {
 }
 
 #[tokio::test]
-async fn a_pause_lets_one_probe_through_and_its_first_answer_resumes_the_rest() {
+async fn a_paused_policy_gets_one_probe_whose_first_answer_resumes_the_rest() {
     let bench = two_campaigns().await;
     let (mut worker, lease) = bench.leasing("a").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
@@ -178,7 +178,7 @@ async fn leases_from_before_the_recovery_report_no_new_outage() {
 }
 
 #[tokio::test]
-async fn a_pause_survives_a_restart_and_still_ends_by_itself() {
+async fn a_policy_pause_survives_a_restart_and_ends_automatically() {
     let bench = two_campaigns().await;
     let (mut worker, lease) = bench.leasing("a").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
@@ -347,7 +347,7 @@ async fn queued_and_running_rollouts_can_be_skipped_and_retried() {
     let lost_leases = worker.heartbeat(&[&leases[1]], 5).await;
     assert_eq!(lost_leases, std::slice::from_ref(&leases[1].attempt_id));
     let last = worker.claim(4).await;
-    assert_eq!(last.len(), 1, "the others are skipped");
+    assert_eq!(last.len(), 1, "the skipped jobs are not leased");
     assert_eq!(worker.commit(&last[0], true).await, Verdict::Accepted);
     let request = RetryJobsRequest {
         campaign: "some".to_owned(),

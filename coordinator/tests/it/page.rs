@@ -190,7 +190,7 @@ async fn pages_describe_outages_and_quarantine() {
     assert!(page.contains("Policy expert is paused"), "{page}");
 }
 
-/// Regression: the page said "no attempt is charged" where `jobs list` said "1 charged".
+/// Regression: the page showed "no attempt is charged" where `jobs list` printed "1 charged".
 #[tokio::test(flavor = "multi_thread")]
 async fn page_and_command_line_agree_on_charges_for_invalid_answers() {
     let bench = half_finished().await;
@@ -290,7 +290,7 @@ async fn a_video_is_sent_whole_and_in_ranges() {
         std::slice::from_ref(&film),
     )
     .await
-    .expect("kept");
+    .expect("stored");
     let address = "/campaigns/filmed/videos/object/t0/clean/i16?replicate=0";
     let whole = http(&bench.url, &format!("GET {address}")).await;
     assert_eq!(

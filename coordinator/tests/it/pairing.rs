@@ -122,14 +122,14 @@ async fn commit_altered(
 
 /// Shifts all realised elements of one axis by `by`.
 fn shift_elements(provenance: &mut wire::Provenance, axis: &str, by: f64) {
-    let of_axis = |realised: &&mut wire::RealisedAxis| realised.axis == axis;
-    for realised in provenance.realised.iter_mut().filter(of_axis) {
+    let is_of_axis = |realised: &&mut wire::RealisedAxis| realised.axis == axis;
+    for realised in provenance.realised.iter_mut().filter(is_of_axis) {
         realised.elements.iter_mut().for_each(|value| *value += by);
     }
 }
 
 #[tokio::test]
-async fn an_axis_realised_otherwise_in_the_combination_than_alone_is_refused_by_name() {
+async fn an_axis_realised_differently_in_the_combination_is_refused_and_named() {
     let (_bench, mut worker, leases) = leases_of(json!({})).await;
     let [clean, camera, sensor, combination] = leases.as_slice() else {
         panic!("{} leases", leases.len());
@@ -164,7 +164,7 @@ async fn in_reference_mode_the_sensor_may_differ_from_siblings_and_the_camera_ma
 }
 
 #[tokio::test]
-async fn a_replicate_that_was_perturbed_otherwise_is_refused() {
+async fn a_replicate_with_other_realised_values_is_refused() {
     let once = json!({"axes": ["camera"], "nominal": "none", "replicates": 2});
     let (_bench, mut worker, leases) = leases_of(once).await;
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
@@ -381,7 +381,7 @@ async fn a_result_that_does_not_fit_its_row_is_refused_with_the_bound_named() {
 /// Regression: an unreadable sibling failed every commit for its initial state, as if the database
 /// were down.
 #[tokio::test]
-async fn a_sibling_that_cannot_be_read_charges_nobody_and_is_named() {
+async fn an_unreadable_sibling_is_named_and_charges_no_attempt() {
     let (bench, _, _) = with_siblings().await;
     let pool = bench.database().await;
     sqlx::query("UPDATE result SET realised = '{\"camera\": 7}'")

@@ -1,5 +1,5 @@
-//! Assets, simulator and renderer of a campaign's workers: those that the campaign requires, and
-//! those that its first result pins it to.
+//! Assets, simulator and renderer that a campaign requires of its workers, by its specification or
+//! after its first result pinned it.
 
 use proto::coordinator::Provenance;
 use proto::coordinator::commit_response::Verdict;
@@ -31,7 +31,7 @@ async fn a_campaign_is_pinned_to_the_pack_of_its_first_result() {
     assert_eq!(bench.status("pinned").await.live_workers, 2);
     assert_eq!(first.commit(&lease, true).await, Verdict::Accepted);
     assert_eq!(bench.status("pinned").await.live_workers, 1);
-    // The other worker's rollout was run in vain, and nobody is charged for it.
+    // The other worker's result is refused without a charge to its job or worker.
     let (verdict, detail) = other.commit_request(other.report(&other_lease, true)).await;
     assert_eq!(verdict, Verdict::Unpaired);
     let response = other.claim_response("").await;
@@ -84,7 +84,7 @@ async fn a_result_that_is_refused_pins_nothing() {
 }
 
 /// Replaced weights or another `--execute` make a different policy: its jobs wait until the
-/// measured policy is back, and nobody is charged.
+/// measured policy is back, and no attempt is charged.
 #[tokio::test]
 async fn a_replaced_policy_counts_as_an_outage_of_the_measured_one() {
     for (what, replace) in [
@@ -129,7 +129,7 @@ async fn a_replaced_policy_counts_as_an_outage_of_the_measured_one() {
 /// A worker older than execution models waits for answers and reports no execution model.
 #[tokio::test]
 async fn a_result_under_another_execution_model_than_the_campaigns_is_refused() {
-    for (of_campaign, of_result, expected) in [
+    for (campaign_model, result_model, expected) in [
         (Some("overlap:4"), Some("overlap:4"), Verdict::Accepted),
         (Some("overlap:4"), None, Verdict::Unpaired),
         (Some("overlap:4"), Some("overlap:4,rtc"), Verdict::Unpaired),
@@ -137,14 +137,14 @@ async fn a_result_under_another_execution_model_than_the_campaigns_is_refused() 
         (None, Some("hold:1"), Verdict::Unpaired),
     ] {
         let bench = Bench::start().await;
-        let spec = match of_campaign {
+        let spec = match campaign_model {
             Some(model) => with(small_spec("late"), json!({ "execution": model })),
             None => small_spec("late"),
         };
         bench.create(&spec).await.expect("created");
         let mut worker = bench.worker_on("a", "primitives").await;
         let lease = worker.claim_one().await;
-        assert_eq!(lease.execution, of_campaign.unwrap_or("wait"));
+        assert_eq!(lease.execution, campaign_model.unwrap_or("wait"));
         let mut report = worker.report(&lease, true);
         let settings = &mut report
             .provenance
@@ -152,9 +152,12 @@ async fn a_result_under_another_execution_model_than_the_campaigns_is_refused() 
             .expect("provenance")
             .policy_settings;
         settings.retain(|name, _| name != "execution model");
-        settings.extend(of_result.map(|model| ("execution model".to_owned(), model.to_owned())));
+        settings.extend(result_model.map(|model| ("execution model".to_owned(), model.to_owned())));
         let (verdict, detail) = worker.commit_request(report).await;
-        assert_eq!(verdict, expected, "{of_campaign:?} {of_result:?}: {detail}");
+        assert_eq!(
+            verdict, expected,
+            "{campaign_model:?} {result_model:?}: {detail}"
+        );
         if expected == Verdict::Unpaired {
             assert!(detail.contains("update the worker's program"), "{detail}");
         }
@@ -183,12 +186,12 @@ async fn all_settings_of_a_description_are_stored_with_those_of_the_worker() {
         .expect("provenance")
         .policy_settings;
     settings.clear();
-    let settings_of_worker = ["execute", "horizon", "real-time chunking"].map(str::to_owned);
-    let of_policy = (0..proto::MAX_SETTINGS).map(|number| format!("setting {number}"));
+    let worker_settings = ["execute", "horizon", "real-time chunking"].map(str::to_owned);
+    let policy_settings_names = (0..proto::MAX_SETTINGS).map(|number| format!("setting {number}"));
     settings.extend(
-        settings_of_worker
+        worker_settings
             .into_iter()
-            .chain(of_policy)
+            .chain(policy_settings_names)
             .map(|name| (name, "1".to_owned())),
     );
     settings.insert("execution model".to_owned(), execution.to_owned());

@@ -205,7 +205,7 @@ async fn a_killed_coordinator_continues_after_a_restart() {
     let mut worker = second.worker("a").await;
     assert!(worker.heartbeat(&[&held], 50).await.is_empty());
     assert_eq!(worker.commit(&held, true).await, Verdict::Accepted);
-    // Accepted results were kept.
+    // Results accepted before the kill are in the database.
     assert_eq!(worker.commit(&committed[0], true).await, Verdict::Duplicate);
     while let [lease] = worker.claim(1).await.as_slice() {
         assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
@@ -236,7 +236,7 @@ async fn the_shortest_leases_expire_too() {
             tokio::time::sleep(Duration::from_millis(50)).await;
         };
         let lost = held.iter().find(|lease| lease.job_id == taken.job_id);
-        let late = silent.commit(lost.expect("one of them"), true).await;
+        let late = silent.commit(lost.expect("a lost lease"), true).await;
         assert_eq!(late, Verdict::Stale);
     }
 }

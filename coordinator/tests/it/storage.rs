@@ -129,7 +129,7 @@ async fn film(worker: &mut Worker, bytes: &[u8]) -> String {
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     put(worker, &lease, "video.mp4", &[bytes.to_vec()])
         .await
-        .expect("kept");
+        .expect("stored");
     rollout_id(&lease)
 }
 

@@ -146,7 +146,7 @@ async fn planted_thresholds_are_found_again() {
     );
     assert!(ids.contains("object/t0/camera/L1/c00"), "{ids:?}");
 
-    // Creating the same again adds nothing; the text and the figures show the same findings.
+    // Creating the same campaign again adds no rollout; text and figures show the same findings.
     assert_eq!(self::found(&serve, &[]), found);
     let figures = folder.path().join("figures");
     let figures = figures.to_string_lossy();
@@ -274,8 +274,8 @@ async fn unmeasurable_thresholds_are_refused_before_creation() {
     assert!(error.contains("they differ in `thresholds`"), "{error}");
     succeed(serve.command(&["campaign", "rename", "first", "final"]));
     succeed(serve.command(&["thresholds", "final", "--name", "first-thresholds"]));
-    let of_derived = serve.command(&["thresholds", "first-thresholds", "--create"]);
-    let error = text(&of_derived.stderr);
+    let output_for_derived = serve.command(&["thresholds", "first-thresholds", "--create"]);
+    let error = text(&output_for_derived.stderr);
     assert!(error.contains("its rows come from no design"), "{error}");
 }
 

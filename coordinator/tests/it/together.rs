@@ -112,8 +112,8 @@ async fn one_of_two_batched_reports_of_a_rollout_is_stored() {
 #[tokio::test(flavor = "multi_thread")]
 async fn contradictory_siblings_in_one_batch_are_not_both_stored() {
     let (bench, worker, leases) = twelve_leases().await;
-    let of_one_state = [&leases[0], &leases[1]];
-    let requests = of_one_state.iter().enumerate().map(|(place, lease)| {
+    let same_state = [&leases[0], &leases[1]];
+    let requests = same_state.iter().enumerate().map(|(place, lease)| {
         let (mut worker, mut report) = (worker.clone(), worker.report(lease, true));
         let provenance = report.provenance.as_mut().expect("provenance");
         provenance.scene_digest = sha(&format!("scene {place}"));

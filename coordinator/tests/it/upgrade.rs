@@ -284,7 +284,7 @@ async fn the_database_of_every_released_schema_is_upgraded_with_its_rows() {
         let database = archived.path().join(DATABASE_FILE);
         std::fs::copy(folder.path().join(DATABASE_FILE), database).expect("copied");
         let refused = queue::Portable::open(archived.path()).await;
-        let refused = refused.expect_err("several").to_string();
+        let refused = refused.expect_err("several campaigns").to_string();
         assert!(
             refused.contains("campaigns, not one"),
             "schema {version}: {refused}"

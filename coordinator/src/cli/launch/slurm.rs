@@ -151,7 +151,7 @@ struct GatewayArguments {
     /// Partition of the gateway. [default: --partition]
     #[arg(long, hide_short_help = true, value_name = "NAME", requires = "policy")]
     gateway_partition: Option<String>,
-    /// Port of the gateway, or the next one that nobody listens on.
+    /// Port of the gateway, or the next free one.
     #[arg(long, hide_short_help = true, value_name = "PORT", default_value_t = 7412,
         value_parser = number(1..=65_535_u16, ""))]
     gateway_port: u16,
