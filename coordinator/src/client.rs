@@ -105,8 +105,8 @@ impl Client {
         }
         serde_json::from_slice(&json).map_err(|error| ClientError::Refused {
             message: format!(
-                "read the results of `{name}` from the coordinator at {} ({}): use the same version \
-                 of both programs",
+                "read the results of `{name}` from the coordinator at {} ({}): use the same \
+                 version of both programs",
                 self.url,
                 JsonError::from(error).problem()
             ),

@@ -133,7 +133,7 @@ pub fn parts(speed: &Speed) -> String {
 /// unknown.
 pub fn bottleneck(speed: &Speed, slots: u32) -> Option<String> {
     let enough = speed.enough_slots?;
-    let then = duration_text(speed.enough_slots_secs?);
+    let enough_duration = duration_text(speed.enough_slots_secs?);
     let enough_slots_text = counted(enough.into(), "slot");
     let fewer = match enough < slots {
         true => format!("; {enough_slots_text} would do"),
@@ -142,8 +142,9 @@ pub fn bottleneck(speed: &Speed, slots: u32) -> Option<String> {
     Some(match speed.bottleneck() {
         Bottleneck::Unspecified => return None,
         Bottleneck::Slots => format!(
-            "bottleneck: slots, which wait for the policy while cores are idle. More of them \
-             help up to {enough}, then it takes about {then}, if the policy answers as fast then"
+            "bottleneck: slots, which wait for the policy while cores are idle. More slots help up \
+             to {enough}: the campaign then takes about {enough_duration} if the policy answers as \
+             fast"
         ),
         Bottleneck::Cores => format!(
             "bottleneck: the workers' cores, all of which are busy. More slots on them do not \
@@ -194,9 +195,9 @@ mod tests {
              libero_10, libero_goal: not measured, taken to be as fast\n  \
              a rollout takes 12.5 s: physics 40 %, drawing 20 %, policy 30 % (125 ms a\n    \
              query), waiting 10 %; mean of 180 rollouts\n  \
-             bottleneck: slots, which wait for the policy while cores are idle. More of\n    \
-             them help up to 22, then it takes about 2h25m, if the policy answers as fast\n    \
-             then"
+             bottleneck: slots, which wait for the policy while cores are idle. More slots\n    \
+             help up to 22: the campaign then takes about 2h25m if the policy answers as\n    \
+             fast"
         );
         assert!(text.lines().all(|line| line.chars().count() <= 80));
     }

@@ -66,22 +66,22 @@ const LOOPS: [(&str, Walks); 11] = [
     ("films", Captured("record = 'transitions'")),
     (
         "mixed fingerprints",
-        OnPurpose("only of a campaign that has several, which its tally says"),
+        OnPurpose("only for a campaign whose tally shows several fingerprints"),
     ),
     (
         "statistics of a page",
-        OnPurpose("once, an_abandoned_computation_is_not_started_again"),
+        OnPurpose("one computation at a time: an_abandoned_computation_is_not_started_again"),
     ),
     (
         "a large campaign is created, imported or deleted",
         OnPurpose(
-            "in pieces, a_large_campaign_is_inserted_and_deleted_in_hidden_batches and \
+            "in transactions: a_large_campaign_is_inserted_and_deleted_in_hidden_batches and \
              a_large_import_takes_several_transactions_and_leaves_nothing_if_interrupted",
         ),
     ),
     (
         "report, export, archive",
-        OnPurpose("when an operator asks, beside the writer"),
+        OnPurpose("on request of an operator, outside the writer"),
     ),
 ];
 

@@ -89,7 +89,7 @@ fn list(
     files.extend(films);
     let member = |(name, path): (String, PathBuf)| {
         let digest = File::open(&path).and_then(|file| copy_digesting(file, io::sink()));
-        let (bytes, sha256) = digest.map_err(input(&path))?;
+        let (bytes, sha256) = digest.map_err(input_error(&path))?;
         let member = Member {
             name,
             bytes,
@@ -126,14 +126,14 @@ impl Package {
         tar.append_data(&mut head, LIST, list.as_slice())
             .map_err(failed)?;
         for (member, path) in self.contents.members.iter().zip(&self.files) {
-            let file = File::open(path).map_err(input(path))?;
+            let file = File::open(path).map_err(input_error(path))?;
             let mut file = Digesting::new(file.take(member.bytes));
             let mut head = header(member.bytes);
             tar.append_data(&mut head, &member.name, &mut file)
                 .map_err(failed)?;
             if file.finish() != (member.bytes, member.sha256.clone()) {
                 let changed = io::Error::other("it has changed since it was listed");
-                return Err(input(path)(changed));
+                return Err(input_error(path)(changed));
             }
         }
         let finished = tar.into_inner().and_then(GzEncoder::finish);
@@ -151,7 +151,7 @@ fn header(bytes: u64) -> Header {
     header
 }
 
-fn input(path: &Path) -> impl FnOnce(io::Error) -> ArchiveError {
+fn input_error(path: &Path) -> impl FnOnce(io::Error) -> ArchiveError {
     let path = path.to_owned();
     move |source| ArchiveError::Input { path, source }
 }

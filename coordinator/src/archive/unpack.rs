@@ -84,11 +84,11 @@ pub async fn unpack(file: &Path, name: &str, into: &Path) -> Result<Unpacked, Ar
     if films != listed {
         return Err(altered(DATABASE_FILE, "it lists other films"));
     }
-    for (member, now) in derived::derive(&campaign).await? {
+    for (member, fresh) in derived::derive(&campaign).await? {
         let path = into.join(member);
         let archived = std::fs::read_to_string(&path);
         let archived = archived.map_err(|_| altered(member, "it is not UTF-8 text"))?;
-        if let Some(place) = derived::difference(&archived, &now) {
+        if let Some(place) = derived::difference(&archived, &fresh) {
             return Err(ArchiveError::Differs {
                 archive: archive(),
                 member,
@@ -263,6 +263,7 @@ impl Reading<'_> {
         }
     }
 
+    /// Unpacks the next entry, which must be `member`, and verifies its size and digest.
     fn member(
         &self,
         entries: &mut Members<'_>,
@@ -322,6 +323,7 @@ impl Reading<'_> {
         })
     }
 
+    /// Returns the error for a file that is not an archive.
     fn foreign(&self, problem: impl ToString) -> ArchiveError {
         ArchiveError::Foreign {
             archive: self.archive.to_owned(),
@@ -329,6 +331,7 @@ impl Reading<'_> {
         }
     }
 
+    /// Returns the error for a member that differs from the table of contents.
     fn altered(&self, member: &str, problem: &str) -> ArchiveError {
         ArchiveError::Altered {
             archive: self.archive.to_owned(),

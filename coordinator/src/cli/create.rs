@@ -318,7 +318,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
 }
 
 /// Prints the execution model of the rollouts unless it is `wait`, and the reason if the policy
-/// could not be asked for the length of its answers.
+/// could not report the length of its answers.
 fn print_execution(spec: &CampaignSpec, unknown_length: Option<&str>) -> Result<(), CommandError> {
     if let Some(unknown_length) = unknown_length {
         print_line(&wrapped("", 2, unknown_length))?;
@@ -327,12 +327,12 @@ fn print_execution(spec: &CampaignSpec, unknown_length: Option<&str>) -> Result<
         return Ok(());
     };
     let milliseconds = |steps: u16| u32::from(steps) * 1000 / CONTROL_HZ;
-    let late = match (delays.shortest(), delays.longest()) {
+    let delay_text = match (delays.shortest(), delays.longest()) {
         (first, last) if first == last => format!("{} ms", milliseconds(first)),
         (first, last) => format!("{} to {} ms", milliseconds(first), milliseconds(last)),
     };
     print_line(&format!(
-        "execution model {execution}: an answer takes effect after {late}"
+        "execution model {execution}: an answer takes effect after {delay_text}"
     ))?;
     Ok(())
 }

@@ -82,7 +82,7 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
     };
     let prospect = |source: &Subject| Findings::prospect(source, &explanation).map_err(usage);
     if !derived_campaign
-        .begin(&client, arguments.create, prospect)
+        .create_or_propose(&client, arguments.create, prospect)
         .await?
     {
         return Ok(());

@@ -12,7 +12,7 @@ use serde_json::Value;
 use super::command::{CommandError, failure, print_line};
 use super::line::is_finished;
 
-/// Declares structs of the output with their conversions from messages, so that every key is written
+/// Declares structs of the output with their conversions from messages, so that each key is written
 /// once.
 macro_rules! forms {
     ($($name:ident from $value:ident: $from:ty {

@@ -79,7 +79,7 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
         Ok(ThresholdReport::prospect(source, &thresholds))
     };
     if !derived_campaign
-        .begin(&client, arguments.create, prospect)
+        .create_or_propose(&client, arguments.create, prospect)
         .await?
     {
         return Ok(());

@@ -85,7 +85,8 @@ fn notes(status: &CampaignStatus) -> Markup {
                 }
                 @if quarantined > 0 {
                     li {
-                        (quarantined) @if quarantined == 1 { " rollout is" } @else { " rollouts are" }
+                        (quarantined)
+                        @if quarantined == 1 { " rollout is" } @else { " rollouts are" }
                         " in quarantine after failing too often: "
                         a href={ "/campaigns/" (status.campaign.name) "/rollouts?state=quarantined" } {
                             "list with the errors"

@@ -110,7 +110,7 @@ fn worker_row(line: &WorkerLine, now: UnixMillis) -> Markup {
                     None if line.charged_in_a_row > 0 => {
                         (counted(line.charged_in_a_row.into(), "failure")) " in a row"
                     }
-                    None if line.is_alive => "well",
+                    None if line.is_alive => "healthy",
                     None if line.has_signed_off => "ended",
                     None => "gone",
                 }

@@ -60,7 +60,8 @@ async fn a_coordinator_that_cannot_write_suspends_leasing_until_it_can() {
     }
 }
 
-/// Regression: SQLite wrote to the removed file, so that `create` printed "created" and all rows were lost.
+/// Regression: SQLite wrote to the removed file, so that `create` printed "created" and all rows
+/// were lost.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_removed_data_folder_refuses_writes_and_can_be_backed_up() {
     let folder = tempfile::tempdir().expect("a temporary folder");

@@ -36,7 +36,7 @@ fn counts(message: &str) -> [u64; 2] {
     };
     [
         number("campaign moved: ", " rollout"),
-        number("with an outcome, ", " of an archive"),
+        number("with an outcome, ", " outcomes repeated"),
     ]
 }
 

@@ -413,8 +413,8 @@ async fn campaigns_in_the_same_order_are_compared_sequentially() {
             (&cell["used"], &cell["configurations"]),
             (&json!(20), &json!(40))
         );
-        // The outcomes of all twenty observed configurations differ by one; those of the other twenty
-        // configurations are unknown.
+        // The outcomes of all twenty observed configurations differ by one; the outcomes of the
+        // other twenty are unknown.
         assert!(cell["difference"][0].as_f64() > Some(0.0), "{cell}");
         assert_eq!(cell["difference"][1], 1.0);
         let after = cell["met_after"].as_u64().expect("a met rule");
