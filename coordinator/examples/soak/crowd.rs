@@ -16,7 +16,7 @@ use tonic::transport::Endpoint;
 use tonic::{Code, Status};
 use transport::Connection;
 
-use super::server::Reached;
+use super::server::CoordinatorAccess;
 use super::{Arguments, Shared, drawn};
 
 /// Heartbeat interval of a worker.
@@ -40,7 +40,7 @@ type Client = WorkerServiceClient<Connection>;
 
 /// Simulated workers and the counts of their calls.
 pub(crate) struct Crowd {
-    reached: Reached,
+    coordinator: CoordinatorAccess,
     rollout: Duration,
     /// Latencies of claims since the last [`Crowd::take_claims`], seconds.
     claims: Shared<Vec<f64>>,
@@ -81,9 +81,9 @@ impl Worker {
 }
 
 impl Crowd {
-    pub(crate) fn start(reached: Reached, arguments: &Arguments) -> Arc<Crowd> {
+    pub(crate) fn start(coordinator: CoordinatorAccess, arguments: &Arguments) -> Arc<Crowd> {
         let crowd = Arc::new(Crowd {
-            reached,
+            coordinator,
             rollout: arguments.rollout(),
             claims: Shared::default(),
             accepted: AtomicU64::new(0),
@@ -120,9 +120,9 @@ impl Crowd {
     }
 
     fn client(&self) -> Client {
-        let endpoint = Endpoint::from_shared(self.reached.url.clone()).expect("a URL");
+        let endpoint = Endpoint::from_shared(self.coordinator.url.clone()).expect("a URL");
         let connection = self
-            .reached
+            .coordinator
             .worker
             .connect_lazy(endpoint.timeout(CALL_TIMEOUT));
         WorkerServiceClient::new(connection.expect("a host"))

@@ -25,7 +25,7 @@ pub(crate) struct Server {
 
 /// Address and credentials for clients of the coordinator.
 #[derive(Clone)]
-pub(crate) struct Reached {
+pub(crate) struct CoordinatorAccess {
     /// `https://localhost:PORT`.
     pub(crate) url: String,
     pub(crate) worker: Access,
@@ -65,13 +65,13 @@ impl Server {
         Ok(server)
     }
 
-    pub(crate) fn access(&self) -> Reached {
+    pub(crate) fn access(&self) -> CoordinatorAccess {
         let access = |role: Role, file: &str| {
             let (ca, token) = (self.folder.join("ca.pem"), self.folder.join(file));
             let access = Access::from_files(Some(&ca), Some(&token), &[role]);
             access.expect("files that were just written")
         };
-        Reached {
+        CoordinatorAccess {
             url: self.url(),
             worker: access(Role::Worker, "worker"),
             operator: access(Role::Operator, "operator"),

@@ -15,7 +15,7 @@ use tonic::transport::Endpoint;
 
 use super::Shared;
 use super::crowd::Crowd;
-use super::server::Reached;
+use super::server::CoordinatorAccess;
 
 /// Interval between two samples.
 const INTERVAL: Duration = Duration::from_secs(5);
@@ -66,23 +66,23 @@ pub(crate) struct Watch {
 }
 
 impl Watch {
-    pub(crate) fn start(reached: Reached, crowd: Arc<Crowd>) -> Watch {
+    pub(crate) fn start(coordinator: CoordinatorAccess, crowd: Arc<Crowd>) -> Watch {
         let (followed, samples) = (
             Shared::<FollowedProcess>::default(),
             Shared::<Vec<Sample>>::default(),
         );
         let longest = Longest::default();
         let mut tasks = JoinSet::new();
-        tasks.spawn(request_pages(reached.clone(), longest.clone(), 0));
-        tasks.spawn(request_pages(reached.clone(), longest.clone(), 1));
-        tasks.spawn(request_status(reached.clone(), longest.clone()));
+        tasks.spawn(request_pages(coordinator.clone(), longest.clone(), 0));
+        tasks.spawn(request_pages(coordinator.clone(), longest.clone(), 1));
+        tasks.spawn(request_status(coordinator.clone(), longest.clone()));
         let (sampled, collected) = (followed.clone(), samples.clone());
         tasks.spawn(async move {
             let began = Instant::now();
             println!("{HEADINGS}");
             loop {
                 tokio::time::sleep(INTERVAL).await;
-                let sample = sample(began, &reached.data, &sampled, &longest, &crowd);
+                let sample = sample(began, &coordinator.data, &sampled, &longest, &crowd);
                 println!("{}", sample.line(crowd.other_counts()));
                 collected.lock().expect("no panic").push(sample);
             }
@@ -192,7 +192,7 @@ fn note(longest: &Longest, kind: usize, took: Duration) {
 }
 
 /// Requests the pages in turn (kind 0) or the metrics (kind 1).
-async fn request_pages(reached: Reached, longest: Longest, kind: usize) {
+async fn request_pages(coordinator: CoordinatorAccess, longest: Longest, kind: usize) {
     for turn in 0_usize.. {
         tokio::time::sleep(REQUEST_INTERVAL).await;
         let path = match kind {
@@ -201,18 +201,18 @@ async fn request_pages(reached: Reached, longest: Longest, kind: usize) {
         };
         let sent_at = Instant::now();
         // Failed requests are not counted, since the coordinator is down at times.
-        if get(&reached, path).await.is_ok() {
+        if get(&coordinator, path).await.is_ok() {
             note(&longest, kind, sent_at.elapsed());
         }
     }
 }
 
-async fn get(reached: &Reached, path: &str) -> Result<()> {
-    let uri: tonic::codegen::http::Uri = reached.url.parse()?;
+async fn get(coordinator: &CoordinatorAccess, path: &str) -> Result<()> {
+    let uri: tonic::codegen::http::Uri = coordinator.url.parse()?;
     let authority = uri.authority().map(ToString::to_string).unwrap_or_default();
     let stream = TcpStream::connect(&authority).await?;
-    let mut stream = reached.viewer.encrypt(stream, "localhost").await?;
-    let token = reached.viewer.authorization(&uri, "Bearer");
+    let mut stream = coordinator.viewer.encrypt(stream, "localhost").await?;
+    let token = coordinator.viewer.authorization(&uri, "Bearer");
     let token = token
         .as_ref()
         .and_then(|value| value.to_str().ok())
@@ -233,9 +233,9 @@ async fn get(reached: &Reached, path: &str) -> Result<()> {
     }
 }
 
-async fn request_status(reached: Reached, longest: Longest) {
-    let endpoint = Endpoint::from_shared(reached.url.clone()).expect("a URL");
-    let connection = reached.operator.connect_lazy(endpoint).expect("a host");
+async fn request_status(coordinator: CoordinatorAccess, longest: Longest) {
+    let endpoint = Endpoint::from_shared(coordinator.url.clone()).expect("a URL");
+    let connection = coordinator.operator.connect_lazy(endpoint).expect("a host");
     let mut client = OperatorServiceClient::new(connection);
     loop {
         tokio::time::sleep(REQUEST_INTERVAL).await;

@@ -30,18 +30,18 @@ pub(super) async fn sheet(
         campaign: name.to_string(),
         rollout: shortened(rollout, 80).to_owned(),
     };
-    let asked: RolloutId = rollout.parse().map_err(|_| unknown())?;
+    let requested: RolloutId = rollout.parse().map_err(|_| unknown())?;
     let replicate = replicate(query)?;
-    let replicates = view.replicates(campaign.id, &asked.to_string()).await?;
+    let replicates = view.replicates(campaign.id, &requested.to_string()).await?;
     if !replicates.contains(&replicate) {
         return Err(unknown());
     }
-    let shown = rollouts(&mut view, &campaign, asked, replicate).await?;
-    let Some(first) = shown.iter().find(|shown| shown.id == asked) else {
+    let shown = rollouts(&mut view, &campaign, requested, replicate).await?;
+    let Some(first) = shown.iter().find(|shown| shown.id == requested) else {
         return Err(unknown());
     };
-    let neighbours = neighbours(&mut view, &campaign, asked).await?;
-    let subsets = subsets::section(&mut view, &campaign, asked).await?;
+    let neighbours = neighbours(&mut view, &campaign, requested).await?;
+    let subsets = subsets::section(&mut view, &campaign, requested).await?;
     let filmed = shown.iter().filter(|shown| shown.video_bytes().is_some());
     let videos = filmed.count() + subsets.films;
     let campaign = name.as_str();
@@ -56,13 +56,13 @@ pub(super) async fn sheet(
     };
     let main = html! {
         (crumbs(campaign))
-        h1 { (heading(asked)) }
+        h1 { (heading(requested)) }
         p.instruction { "“" (first.row.id.task().instruction()) "”" }
         p {
-            code { (asked.task()) } ", initial state " (first.row.init_id)
+            code { (requested.task()) } ", initial state " (first.row.init_id)
             @if let Some(effect) = transition(&shown, replicate) { ". " strong { (effect) } }
         }
-        (navigation_links(campaign, asked, replicate, &replicates, &neighbours))
+        (navigation_links(campaign, requested, replicate, &replicates, &neighbours))
         @if videos > 1 { (card::video_controls()) }
         (subsets.markup)
         @if !subsets.is_empty() { h2 { "Each rollout" } }
@@ -72,7 +72,7 @@ pub(super) async fn sheet(
             }
         }
     };
-    let title = format!("{asked} in {name}");
+    let title = format!("{requested} in {name}");
     Ok(Sheet::new(Place::Campaigns, title, main))
 }
 
@@ -91,14 +91,14 @@ pub(super) fn replicate(query: &str) -> Result<u32, Problem> {
 async fn rollouts(
     view: &mut View,
     campaign: &Campaign,
-    asked: RolloutId,
+    requested: RolloutId,
     replicate: u32,
 ) -> Result<Vec<ShownRollout>, Problem> {
-    let mut ids = siblings(asked);
+    let mut ids = siblings(requested);
     let mut lines = view.rollouts(campaign.id, &ids, replicate).await?;
     let init_id = lines.iter().find_map(|line| Some(read(line).ok()?.init_id));
-    if let (Some(init_id), Some(_)) = (init_id, asked.config()) {
-        let nominal = RolloutId::clean(asked.task(), init_id).to_string();
+    if let (Some(init_id), Some(_)) = (init_id, requested.config()) {
+        let nominal = RolloutId::clean(requested.task(), init_id).to_string();
         let nominal_ids = std::slice::from_ref(&nominal);
         lines.extend(view.rollouts(campaign.id, nominal_ids, replicate).await?);
         ids.insert(0, nominal);
@@ -133,16 +133,17 @@ fn read(line: &RolloutLine) -> Result<ManifestRow, Problem> {
 
 /// Returns the ids of all conditions of a rollout's configuration, itself included, in display
 /// order.
-fn siblings(asked: RolloutId) -> Vec<String> {
-    let Some(config) = asked.config() else {
-        return vec![asked.to_string()];
+fn siblings(requested: RolloutId) -> Vec<String> {
+    let Some(config) = requested.config() else {
+        return vec![requested.to_string()];
     };
     // The simultaneous rollout comes first, beside the nominal one, since the two are usually
     // compared.
     let several = AxisSet::ALL.subsets().into_iter().map(Condition::of);
     let conditions = [Condition::Combination].into_iter().chain(several);
     let conditions = conditions.chain([Condition::Latency]);
-    let id = |condition| RolloutId::perturbed(asked.task(), condition, asked.level(), config);
+    let id =
+        |condition| RolloutId::perturbed(requested.task(), condition, requested.level(), config);
     let ids = conditions.filter_map(|condition| id(condition).ok());
     ids.map(|id| id.to_string()).collect()
 }
@@ -151,10 +152,13 @@ fn siblings(asked: RolloutId) -> Vec<String> {
 async fn neighbours(
     view: &mut View,
     campaign: &Campaign,
-    asked: RolloutId,
+    requested: RolloutId,
 ) -> Result<Vec<RolloutId>, Problem> {
-    let (suite, task) = (asked.task().suite().short_name(), asked.task().index());
-    let prefix = format!("{suite}/t{task}/{}/", asked.condition());
+    let (suite, task) = (
+        requested.task().suite().short_name(),
+        requested.task().index(),
+    );
+    let prefix = format!("{suite}/t{task}/{}/", requested.condition());
     let ids = view.beginning(campaign.id, &prefix).await?;
     let mut ids: Vec<RolloutId> = ids.iter().filter_map(|id| id.parse().ok()).collect();
     ids.sort();
@@ -164,21 +168,25 @@ async fn neighbours(
 /// Renders links to other replicates, levels and configurations.
 fn navigation_links(
     campaign: &str,
-    asked: RolloutId,
+    requested: RolloutId,
     replicate: u32,
     replicates: &[u32],
     neighbours: &[RolloutId],
 ) -> Markup {
-    let is_same_level = |id: &&RolloutId| id.level() == asked.level();
+    let is_same_level = |id: &&RolloutId| id.level() == requested.level();
     let row: Vec<&RolloutId> = neighbours.iter().filter(is_same_level).collect();
-    let place = row.iter().position(|id| **id == asked);
+    let place = row.iter().position(|id| **id == requested);
     let before = place.and_then(|place| row.get(place.checked_sub(1)?));
     let after = place.and_then(|place| row.get(place + 1));
-    let levels = neighbours.iter().filter(|id| id.number() == asked.number());
+    let levels = neighbours
+        .iter()
+        .filter(|id| id.number() == requested.number());
     let to = |id: RolloutId, replicate| address(campaign, id, replicate);
     let levels = levels.map(|id| (id.level().to_string(), to(*id, replicate)));
-    let replicates = replicates.iter().map(|k| (k.to_string(), to(asked, *k)));
-    let current = to(asked, replicate);
+    let replicates = replicates
+        .iter()
+        .map(|k| (k.to_string(), to(requested, *k)));
+    let current = to(requested, replicate);
     html! {
         nav.ways aria-label="Other configurations" {
             @if let Some(id) = before { a rel="prev" href=(to(**id, replicate)) { "← " (number(**id)) } }
@@ -211,16 +219,16 @@ fn number(id: RolloutId) -> String {
     }
 }
 
-fn heading(asked: RolloutId) -> String {
-    let task = asked.task();
-    let place_in_design = match asked.config() {
-        Some(config) if asked.is_placebo() => {
+fn heading(requested: RolloutId) -> String {
+    let task = requested.task();
+    let place_in_design = match requested.config() {
+        Some(config) if requested.is_placebo() => {
             format!("configuration {config} at L0, the placebo level")
         }
-        Some(config) => format!("configuration {config} at {}", asked.level()),
-        None => match asked.variant() {
-            Some(variant) => format!("{variant} from initial state {}", asked.number()),
-            None => format!("nominal from initial state {}", asked.number()),
+        Some(config) => format!("configuration {config} at {}", requested.level()),
+        None => match requested.variant() {
+            Some(variant) => format!("{variant} from initial state {}", requested.number()),
+            None => format!("nominal from initial state {}", requested.number()),
         },
     };
     format!(

@@ -20,7 +20,7 @@ const MAX_GONE: usize = 20;
 pub(super) async fn workers(page: &Page) -> Result<Sheet, Problem> {
     let mut view = page.queue.view().await?;
     let (workers, now) = (view.workers().await?, view.now);
-    let (alive, gone): (Vec<_>, Vec<_>) = workers.into_iter().partition(|w| w.is_alive);
+    let (alive, departed): (Vec<_>, Vec<_>) = workers.into_iter().partition(|w| w.is_alive);
     let main = html! {
         h1 { "Workers" }
         @if alive.is_empty() {
@@ -28,13 +28,13 @@ pub(super) async fn workers(page: &Page) -> Result<Sheet, Problem> {
         } @else {
             (workers_table("Workers that are alive", &alive, now))
         }
-        @if !gone.is_empty() {
-            h2 { "Gone" }
+        @if !departed.is_empty() {
+            h2 { "Departed" }
             p.muted {
-                "Their rollouts were leased to other workers. Of " (gone.len()) ", those with the \
+                "Their rollouts were leased to other workers. Of " (departed.len()) ", those with the \
                 latest calls:"
             }
-            (workers_table("Workers that have gone", &gone[..gone.len().min(MAX_GONE)], now))
+            (workers_table("Departed workers", &departed[..departed.len().min(MAX_GONE)], now))
         }
     };
     Ok(Sheet::new(Place::Workers, "Workers", main))

@@ -30,9 +30,9 @@ impl Section {
 pub(super) async fn section(
     view: &mut View,
     campaign: &Campaign,
-    asked: RolloutId,
+    requested: RolloutId,
 ) -> Result<Section, Problem> {
-    let Some(lattice) = read(view, campaign, asked).await? else {
+    let Some(lattice) = read(view, campaign, requested).await? else {
         return Ok(Section::default());
     };
     let found = Explained::of(lattice.configuration, &lattice.outcomes).ok();

@@ -73,7 +73,7 @@ pub(super) async fn answer(
 
 /// Serves a video from the artifact storage, or the requested range of it.
 async fn stored(storage: &Storage, video: &str, headers: &HeaderMap) -> Result<Response, Problem> {
-    let range = headers.get(header::RANGE).and_then(asked_range);
+    let range = headers.get(header::RANGE).and_then(requested_range);
     let is_part = range.is_some();
     let read = storage.read(video, range).await;
     let object = read.map_err(|error| Problem::failed(&error))?;
@@ -98,7 +98,7 @@ async fn stored(storage: &Storage, video: &str, headers: &HeaderMap) -> Result<R
 }
 
 /// Returns the requested range; `None`, which serves the whole video, if several are requested.
-fn asked_range(header: &HeaderValue) -> Option<GetRange> {
+fn requested_range(header: &HeaderValue) -> Option<GetRange> {
     let ranges = parse_range_header(header.to_str().ok()?).ok()?.ranges;
     let [range] = ranges.as_slice() else {
         return None;

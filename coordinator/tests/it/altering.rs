@@ -123,7 +123,7 @@ async fn an_invalid_alteration_is_refused_and_changes_nothing() {
     let bench = Bench::start().await;
     bench.create(&small_spec("one")).await.expect("created");
     bench.create(&small_spec("two")).await.expect("created");
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     assert_eq!(lease.campaign, "one");
     let held = worker.claim(8).await;
@@ -173,9 +173,9 @@ async fn a_probe_is_replaced_if_its_campaign_changes_endpoint() {
     let leaves = bench.create_with_priority(&small_spec("leaves"), 1).await;
     leaves.expect("created");
     bench.create(&small_spec("stays")).await.expect("created");
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
-    bench.pass(61).await;
+    bench.advance(61).await;
     let probe = worker.claim_one().await;
     assert_eq!(probe.campaign, "leaves");
     alter(&bench, to_endpoint("leaves", NEW_ENDPOINT))
@@ -234,7 +234,7 @@ async fn a_renamed_campaign_keeps_everything_and_is_found_under_its_new_name() {
 async fn a_reused_name_shares_no_files_with_its_former_campaign() {
     let bench = Bench::start().await;
     bench.create(&small_spec("name")).await.expect("created");
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let first_path = film(&mut worker, &lease).await;
     alter(&bench, to_name("name", "first"))

@@ -38,7 +38,7 @@ pub(crate) async fn put(
 async fn a_video_is_stored_with_the_outcome_of_its_attempt() {
     let bench = Bench::start().await;
     bench.create(&small_spec("filmed")).await.expect("created");
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     let pieces = [vec![1; 1_000_000], vec![2; 500_000]];
     let early = put(&mut worker, &lease, "video.mp4", &pieces).await;
     let early = early.expect_err("there is no outcome yet");
@@ -88,7 +88,7 @@ async fn the_film_of_a_failed_attempt_is_never_shown_with_another_attempts_outco
 async fn concurrent_uploads_of_one_attempt_leave_one_complete_video() {
     let bench = Bench::start().await;
     bench.create(&small_spec("filmed")).await.expect("created");
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let attempt_id = lease.attempt_id.clone();
     let chunk = move |byte: u8| wire::ArtifactChunk {
@@ -119,7 +119,7 @@ async fn concurrent_uploads_of_one_attempt_leave_one_complete_video() {
 async fn uploads_with_unknown_attempt_invalid_name_or_excess_size_are_refused() {
     let bench = Bench::start().await;
     bench.create(&small_spec("filmed")).await.expect("created");
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let small = [vec![1; 10]];
 

@@ -59,7 +59,7 @@ async fn rollouts_of_a_misbehaving_policy_are_quarantined_with_its_error() {
     // Another machine would get the same answers, so it need not try.
     let (mut worker, mut other) = (bench.worker("a").await, bench.worker("b").await);
     while bench.status("first").await.quarantined < 2 {
-        bench.pass(PAST_BACKOFF_SECS).await;
+        bench.advance(PAST_BACKOFF_SECS).await;
         other.heartbeat(&[], 0).await;
         let lease = worker.claim_one().await;
         misbehaves(&mut worker, &lease).await;
@@ -68,13 +68,13 @@ async fn rollouts_of_a_misbehaving_policy_are_quarantined_with_its_error() {
         WHERE state = 'quarantined' AND last_error = 'simulated failure'";
     assert_eq!(bench.count(quarantined).await, 2);
     // The policy is corrected: its next probe is answered, and its other jobs follow.
-    bench.pass(PAST_BACKOFF_SECS).await;
+    bench.advance(PAST_BACKOFF_SECS).await;
     let probe = worker.claim_one().await;
     assert!(worker.claim(1).await.is_empty(), "only one probe is leased");
     assert_eq!(worker.commit(&probe, true).await, Verdict::Accepted);
     let misbehaved = "SELECT max(misbehaved) + max(outages) FROM policy";
     assert_eq!(bench.count(misbehaved).await, 0, "the counts are reset");
-    bench.pass(PAST_BACKOFF_SECS).await;
+    bench.advance(PAST_BACKOFF_SECS).await;
     assert_eq!(worker.claim(64).await.len(), 9);
 }
 
@@ -93,7 +93,7 @@ async fn only_failures_charged_to_its_machine_stop_a_worker() {
         let mut worker = bench.worker("a").await;
         let mut stop_reason = String::new();
         for _ in 0..5 {
-            bench.pass(PAST_BACKOFF_SECS).await;
+            bench.advance(PAST_BACKOFF_SECS).await;
             let lease = worker.claim_one().await;
             stop_reason = worker.release(&lease, reason).await.stop_leasing;
         }
@@ -113,7 +113,7 @@ async fn restarted_workers_of_one_machine_count_as_one_machine() {
     let mut job = None;
     for start in 0..4 {
         let mut worker = bench.worker_at("broken", &format!("b{start}")).await;
-        bench.pass(PAST_BACKOFF_SECS).await;
+        bench.advance(PAST_BACKOFF_SECS).await;
         worker.heartbeat(&[], 0).await;
         sound.heartbeat(&[], 0).await;
         let leases = worker.claim(12).await;
@@ -132,7 +132,7 @@ async fn restarted_workers_of_one_machine_count_as_one_machine() {
             worker.release(other, Reason::Draining).await;
         }
     }
-    bench.pass(PAST_BACKOFF_SECS).await;
+    bench.advance(PAST_BACKOFF_SECS).await;
     sound.heartbeat(&[], 0).await;
     let leases = sound.claim(12).await;
     let lease = leases.iter().find(|lease| Some(lease.job_id) == job);
@@ -145,7 +145,7 @@ async fn a_restarted_worker_on_a_broken_machine_stops_at_its_first_failure() {
     let bench = Bench::start().await;
     create(&bench, "first", "any").await;
     let fail = async |worker: &mut Worker| {
-        bench.pass(PAST_BACKOFF_SECS).await;
+        bench.advance(PAST_BACKOFF_SECS).await;
         worker.heartbeat(&[], 0).await;
         let lease = worker.claim_one().await;
         let released = worker.release(&lease, Reason::MachineError).await;

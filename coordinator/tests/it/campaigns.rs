@@ -83,7 +83,7 @@ async fn a_status_has_counts_and_rate() {
     let mut worker = bench.worker("a").await;
     for success in [true, false] {
         let lease = worker.claim_one().await;
-        bench.pass(10).await;
+        bench.advance(10).await;
         let mut report = worker.report(&lease, success);
         report.result.as_mut().expect("a result").wall_secs = 10.0;
         assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
@@ -158,7 +158,7 @@ async fn results_are_exported_as_reference_rows_in_a_stable_order() {
 async fn campaigns_and_results_survive_a_restart() {
     let bench = Bench::start().await;
     bench.create(&small_spec("kept")).await.expect("created");
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let bench = bench.restart().await;
     let status = bench.status("kept").await;

@@ -327,7 +327,7 @@ async fn a_campaign_that_a_worker_cannot_run_delays_no_other() {
     assert_eq!(other.commit(&lease, true).await, Verdict::Accepted);
     let down = with(small_spec("down"), policy("fragile"));
     bench.create_with_priority(&down, 5).await.expect("created");
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     assert_eq!(lease.campaign, "down");
     let reason = wire::release_request::Reason::PolicyUnavailable;
     worker.release(&lease, reason).await;
@@ -419,7 +419,7 @@ async fn leases_that_were_never_acknowledged_expire_uncharged_and_count_against_
     for _ in 0..8 {
         let claimed = worker.claim_response("").await;
         assert!(claimed.lease.is_some(), "{}", claimed.idle_reason);
-        bench.pass(40).await;
+        bench.advance(40).await;
         assert_eq!(bench.status("lost").await.leased, 0);
     }
     let failures = "SELECT count(*) FROM failure

@@ -142,7 +142,7 @@ async fn a_clock_set_back_hides_neither_an_outage_nor_a_dead_worker() {
     // The policy counts as available from today on.
     let lease = worker.claim_one().await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
-    bench.pass(5).await;
+    bench.advance(5).await;
     let probe = worker.claim_one().await;
     assert_eq!(worker.commit(&probe, true).await, Verdict::Accepted);
     let yesterday = UnixMillis(bench.clock.now().0 - DAY_MS);
@@ -153,9 +153,9 @@ async fn a_clock_set_back_hides_neither_an_outage_nor_a_dead_worker() {
         1,
         "the worker has just called"
     );
-    bench.pass(60).await;
+    bench.advance(60).await;
     assert_eq!(bench.status("back").await.live_workers, 0);
-    let (mut worker, lease) = bench.leasing("b").await;
+    let (mut worker, lease) = bench.worker_with_lease("b").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
     assert!(bench.status("back").await.policy_paused, "a new outage");
 }
@@ -167,7 +167,7 @@ async fn a_clock_jump_ahead_expires_no_lease() {
     let lease = bench.worker("a").await.claim_one().await;
     bench.clock.advance(Duration::from_secs(24 * 3_600));
     let bench = bench.restart().await;
-    bench.pass(20).await;
+    bench.advance(20).await;
     let mut worker = bench.worker("a").await;
     assert!(worker.heartbeat(&[&lease], 40).await.is_empty());
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);

@@ -10,7 +10,7 @@ use serde_json::Value;
 
 use crate::derived::run_all;
 use crate::explain::{create_with, explained, outcome};
-use crate::films::{films, upload};
+use crate::films::{take_films, upload};
 use crate::json::{documented, keys};
 use crate::page::http;
 use crate::process::{Serve, fail, fits_a_terminal, succeed};
@@ -107,7 +107,7 @@ async fn explaining_rollouts_are_filmed_and_shown_side_by_side() {
     create_with(&serve, &["--record", "transitions"]);
     explained(&serve, &[]).await;
     let mut worker = serve.worker("films").await;
-    let all = films(&mut worker).await;
+    let all = take_films(&mut worker).await;
     let id = |film: &wire::Film| -> RolloutId {
         let row: Value = serde_json::from_str(&film.manifest_row).expect("a row");
         let id = row["rollout_id"].as_str().or(row["id"].as_str());

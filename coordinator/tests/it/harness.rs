@@ -117,7 +117,7 @@ impl Bench {
     }
 
     /// Advances the clock, with regular sweeps.
-    pub(crate) async fn pass(&self, secs: u64) {
+    pub(crate) async fn advance(&self, secs: u64) {
         let mut left = secs;
         while left > 0 {
             let step = left.min(SWEEP_SECS);
@@ -133,7 +133,7 @@ impl Bench {
     }
 
     /// Registers a worker that claims one job, which must be available.
-    pub(crate) async fn leasing(&self, id: &str) -> (Worker, wire::Lease) {
+    pub(crate) async fn worker_with_lease(&self, id: &str) -> (Worker, wire::Lease) {
         let mut worker = self.worker(id).await;
         let lease = worker.claim_one().await;
         (worker, lease)

@@ -132,7 +132,7 @@ pub(crate) async fn sound() -> TempDir {
     for _ in 0..3 {
         let lease = worker.claim_one().await;
         worker.release(&lease, Reason::SlotCrashed).await;
-        bench.pass(61).await;
+        bench.advance(61).await;
     }
     for lease in worker.claim(2).await {
         assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);

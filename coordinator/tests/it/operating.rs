@@ -47,7 +47,7 @@ async fn quarantined(bench: &Bench) -> Worker {
         let lease = worker.claim_one().await;
         let released = worker.release(&lease, Reason::SlotCrashed).await;
         assert_eq!(released.verdict(), expected);
-        bench.pass(61).await;
+        bench.advance(61).await;
     }
     worker
 }
@@ -59,7 +59,7 @@ async fn a_paused_campaign_leases_nothing_and_accepts_running_attempts() {
     let bench = Bench::start().await;
     bench.create(&small_spec("held")).await.expect("created");
     bench.create(&small_spec("other")).await.expect("created");
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     assert_eq!(lease.campaign, "held");
     let paused = bench.change("held", Change::Pause).await;
     assert_eq!(paused.expect("paused"), State::Paused);
@@ -137,9 +137,9 @@ async fn cancelling_a_campaign_frees_the_policy_probe() {
     let first = bench.create_with_priority(&first, 1).await;
     first.expect("created");
     bench.create(&small_spec("second")).await.expect("created");
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
-    bench.pass(61).await;
+    bench.advance(61).await;
     let probe = worker.claim_one().await;
     assert!(worker.claim(4).await.is_empty(), "one probe at a time");
     assert_eq!(probe.campaign, "first");
@@ -228,7 +228,7 @@ async fn retry_requeues_quarantined_jobs_without_their_charges() {
     assert_eq!(lease.attempt, 6, "the attempt number keeps rising");
     let released = fresh.release(&lease, Reason::SlotCrashed).await;
     assert_eq!(released.verdict(), Released::Requeued);
-    bench.pass(61).await;
+    bench.advance(61).await;
     let lease = fresh.claim_one().await;
     assert_eq!(fresh.commit(&lease, true).await, Verdict::Accepted);
     assert_invariants(&bench).await;
@@ -320,7 +320,7 @@ async fn workers_are_listed_with_their_leases_and_stop_reasons() {
     let spec = with(small_spec("many"), json!({"configs": [0, 1]}));
     bench.create(&spec).await.expect("created");
     bench.worker("gone").await;
-    bench.pass(100).await;
+    bench.advance(100).await;
     let mut broken = bench.worker("broken").await;
     let mut sound = bench.worker("sound").await;
     sound.claim(2).await;

@@ -75,7 +75,7 @@ async fn an_outage_pauses_the_jobs_of_its_policy_only() {
 #[tokio::test]
 async fn resuming_a_campaign_retries_its_policy_at_once() {
     let bench = two_campaigns().await;
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
     let status = bench.status("first").await;
     assert!(status.policy_retry_secs > Some(0.0), "{status:?}");
@@ -92,9 +92,9 @@ async fn resuming_a_campaign_retries_its_policy_at_once() {
 #[tokio::test]
 async fn a_paused_policy_gets_one_probe_whose_first_answer_resumes_the_rest() {
     let bench = two_campaigns().await;
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
-    bench.pass(PAST_FIRST_SECS).await;
+    bench.advance(PAST_FIRST_SECS).await;
     let leases = worker.claim(4).await;
     let fragile: Vec<_> = leases
         .iter()
@@ -124,14 +124,14 @@ async fn a_paused_policy_gets_one_probe_whose_first_answer_resumes_the_rest() {
 #[tokio::test]
 async fn a_failed_probe_doubles_the_pause_and_a_crashed_one_is_replaced() {
     let bench = two_campaigns().await;
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     let first = worker.release(&lease, Reason::PolicyUnavailable).await;
-    bench.pass(PAST_FIRST_SECS).await;
+    bench.advance(PAST_FIRST_SECS).await;
     let mut probe = worker.claim(1).await.remove(0);
     assert_eq!(probe.policy, "fragile");
     for _ in 0..5 {
         worker.release(&probe, Reason::PolicyUnavailable).await;
-        bench.pass(70).await;
+        bench.advance(70).await;
         probe = worker.claim(1).await.remove(0);
     }
     let last = worker.release(&probe, Reason::PolicyUnavailable).await;
@@ -148,7 +148,7 @@ async fn a_failed_probe_doubles_the_pause_and_a_crashed_one_is_replaced() {
     let extra_secs = last.backoff_secs - paused_secs;
     assert!((9.9..=10.1).contains(&extra_secs), "{extra_secs}");
 
-    bench.pass(70).await;
+    bench.advance(70).await;
     let probe = worker.claim(1).await.remove(0);
     assert_eq!(probe.policy, "fragile");
     worker.release(&probe, Reason::SlotCrashed).await;
@@ -166,7 +166,7 @@ async fn leases_from_before_the_recovery_report_no_new_outage() {
     let mut worker = bench.worker("a").await;
     let leases = worker.claim(2).await;
     worker.release(&leases[0], Reason::PolicyUnavailable).await;
-    bench.pass(PAST_FIRST_SECS).await;
+    bench.advance(PAST_FIRST_SECS).await;
     let probe = worker.claim(1).await.remove(0);
     worker.heartbeat(&[&probe, &leases[1]], 11).await;
     assert!(!bench.status("first").await.policy_paused);
@@ -180,12 +180,12 @@ async fn leases_from_before_the_recovery_report_no_new_outage() {
 #[tokio::test]
 async fn a_policy_pause_survives_a_restart_and_ends_automatically() {
     let bench = two_campaigns().await;
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
     let bench = bench.restart().await;
     assert!(bench.status("first").await.policy_paused);
     let mut worker = bench.worker("a").await;
-    bench.pass(PAST_FIRST_SECS).await;
+    bench.advance(PAST_FIRST_SECS).await;
     let probe = worker.claim(1).await.remove(0);
     assert_eq!(probe.policy, "fragile");
     assert_eq!(worker.commit(&probe, true).await, Verdict::Accepted);
@@ -201,7 +201,7 @@ async fn run_with_killer(answered_queries: u32) -> Bench {
     let mut worker = bench.worker("a").await;
     let is_killer = |lease: &Lease| rollout_id(lease).ends_with("sensor/L1/c00");
     for _ in 0..200 {
-        bench.pass(3).await;
+        bench.advance(3).await;
         worker.heartbeat(&[], 0).await;
         let mut leases = worker.claim(2).await;
         // The policy crashes before the other rollouts finish.
@@ -270,7 +270,7 @@ async fn a_long_outage_quarantines_nothing_and_is_probed_by_one_rollout_at_a_tim
     let mut probes = BTreeSet::new();
     for _ in 0..30 {
         // Longer than the longest back-off, shorter than twice that.
-        bench.pass(65).await;
+        bench.advance(65).await;
         worker.heartbeat(&[], 0).await;
         let probe = worker.claim_one().await;
         assert!(worker.claim(1).await.is_empty(), "one probe at a time");
@@ -293,13 +293,13 @@ async fn a_sole_rollout_is_not_quarantined_by_repeated_policy_outages() {
     assert_eq!(bench.create(&spec).await.expect("created").jobs_total, 1);
     let mut worker = bench.worker("a").await;
     for _ in 0..30 {
-        bench.pass(130).await;
+        bench.advance(130).await;
         worker.heartbeat(&[], 0).await;
         let probe = worker.claim_one().await;
         worker.release(&probe, Reason::PolicyUnavailable).await;
     }
     assert_eq!(bench.status("one").await.quarantined, 0);
-    bench.pass(130).await;
+    bench.advance(130).await;
     worker.heartbeat(&[], 0).await;
     let probe = worker.claim_one().await;
     assert_eq!(worker.commit(&probe, true).await, Verdict::Accepted);

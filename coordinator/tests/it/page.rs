@@ -180,7 +180,7 @@ async fn every_page_shows_its_content_and_loads_nothing_external() {
 #[tokio::test(flavor = "multi_thread")]
 async fn pages_describe_outages_and_quarantine() {
     let bench = half_finished().await;
-    let (mut worker, lease) = bench.leasing("w").await;
+    let (mut worker, lease) = bench.worker_with_lease("w").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
     let page = http(&bench.url, "GET /policies").await.text();
     for word in ["paused", "is tried again", "simulated failure"] {
@@ -197,7 +197,7 @@ async fn page_and_command_line_agree_on_charges_for_invalid_answers() {
     let mut worker = bench.worker("w").await;
     for attempt in 1..=5 {
         // Longer than the back-off of a failed rollout.
-        bench.pass(10).await;
+        bench.advance(10).await;
         let lease = worker.claim_one().await;
         worker.release(&lease, Reason::PolicyMisbehaved).await;
         let page = http(&bench.url, "GET /policies").await.text();
@@ -280,7 +280,7 @@ async fn text_from_workers_is_escaped_in_pages() {
 async fn a_video_is_sent_whole_and_in_ranges() {
     let bench = Bench::start().await;
     bench.create(&small_spec("filmed")).await.expect("created");
-    let (mut worker, lease) = bench.leasing("w").await;
+    let (mut worker, lease) = bench.worker_with_lease("w").await;
     worker.commit(&lease, true).await;
     let film: Vec<u8> = (0..200_000_u32).map(|n| n.to_le_bytes()[0]).collect();
     put(
@@ -412,7 +412,7 @@ async fn the_stream_reports_a_commit_and_ends_with_the_coordinator() {
         }
     };
     until("data: 0");
-    let (mut worker, lease) = bench.leasing("another").await;
+    let (mut worker, lease) = bench.worker_with_lease("another").await;
     worker.commit(&lease, true).await;
     tokio::task::block_in_place(|| until("data: 1"));
     bench.stop().await;
@@ -582,12 +582,13 @@ async fn concurrent_page_requests_do_not_block_each_other() {
     ];
     for _ in 0..4 {
         let tabs = addresses.iter().cycle().take(TABS);
-        let asked = tabs.map(|address| {
+        let requests = tabs.map(|address| {
             let url = bench.url.clone();
             async move { http(&url, &format!("GET {address}")).await.code }
         });
         // Waiting for a connection fails after 30 s.
-        let answers = tokio::time::timeout(READ_TIMEOUT / 2, futures_util::future::join_all(asked));
+        let answers =
+            tokio::time::timeout(READ_TIMEOUT / 2, futures_util::future::join_all(requests));
         let codes = answers
             .await
             .expect("requests that do not block each other");

@@ -15,7 +15,7 @@ async fn with_siblings() -> (Bench, Worker, wire::Lease) {
     for lease in worker.claim(2).await {
         assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     }
-    bench.pass(1).await;
+    bench.advance(1).await;
     let lease = worker.claim_one().await;
     (bench, worker, lease)
 }
@@ -391,8 +391,8 @@ async fn an_unreadable_sibling_is_named_and_charges_no_attempt() {
     pool.close().await;
     // A restart drops the cached results of running campaigns.
     let bench = bench.restart().await;
-    bench.pass(61).await;
-    let (mut worker, lease) = bench.leasing("b").await;
+    bench.advance(61).await;
+    let (mut worker, lease) = bench.worker_with_lease("b").await;
     let report = worker.report(&lease, true);
     let (verdict, detail) = worker.commit_request(report).await;
     assert_eq!(verdict, Verdict::Unpaired);

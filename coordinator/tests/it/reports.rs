@@ -31,7 +31,7 @@ async fn run_all(bench: &Bench, worker: &mut Worker) {
             let success = outcome(&lease);
             assert_eq!(worker.commit(&lease, success).await, Verdict::Accepted);
         }
-        bench.pass(10).await;
+        bench.advance(10).await;
     }
 }
 
@@ -75,7 +75,7 @@ async fn a_report_is_the_same_with_and_without_faults() {
     b.release(&leases[0], Reason::SlotCrashed).await;
     b.release(&leases[1], Reason::PolicyUnavailable).await;
     b.release(&leases[2], Reason::Draining).await;
-    disturbed.pass(60).await;
+    disturbed.advance(60).await;
     let disturbed = disturbed.restart().await;
     let mut worker = disturbed.worker("z").await;
     run_all(&disturbed, &mut worker).await;
@@ -155,7 +155,7 @@ async fn quarantined_rollouts_are_listed_with_errors_and_in_no_rate() {
     let mut lease = bad;
     for _ in 0..2 {
         alone.release(&lease, Reason::SimulatorError).await;
-        bench.pass(60).await;
+        bench.advance(60).await;
         lease = loop {
             let lease = alone.claim_one().await;
             if rollout_id(&lease) == "object/t1/sensor/L1/c01" {

@@ -53,9 +53,9 @@ async fn a_worker_counts_as_alive_for_the_length_of_a_lease() {
     let bench = Bench::start().await;
     bench.create(&small_spec("watched")).await.expect("created");
     let mut worker = bench.worker("a").await;
-    bench.pass(30).await;
+    bench.advance(30).await;
     assert_eq!(bench.status("watched").await.live_workers, 1);
-    bench.pass(1).await;
+    bench.advance(1).await;
     assert_eq!(bench.status("watched").await.live_workers, 0);
     worker.heartbeat(&[], 0).await;
     assert_eq!(bench.status("watched").await.live_workers, 1);
@@ -71,7 +71,7 @@ async fn the_rate_excludes_rollouts_begun_before_a_pause() {
     let mut worker = bench.worker("a").await;
     let leases = worker.claim(2).await;
     bench.change("paced", Change::Pause).await.expect("changed");
-    bench.pass(20).await;
+    bench.advance(20).await;
     bench
         .change("paced", Change::Resume)
         .await
@@ -84,7 +84,7 @@ async fn the_rate_excludes_rollouts_begun_before_a_pause() {
     assert_eq!((status.rate_per_sec, status.eta_secs), (None, None));
 
     let lease = worker.claim_one().await;
-    bench.pass(20).await;
+    bench.advance(20).await;
     commit_after(&mut worker, &lease, 20.0).await;
     let status = bench.status("paced").await;
     assert_eq!(status.rate_per_sec, Some(0.05));
@@ -97,9 +97,9 @@ async fn the_rate_excludes_rollouts_begun_before_a_pause() {
 async fn the_rate_excludes_the_wait_for_the_first_worker() {
     let bench = Bench::start().await;
     bench.create(&small_spec("late")).await.expect("created");
-    bench.pass(200).await;
-    let (mut worker, lease) = bench.leasing("a").await;
-    bench.pass(10).await;
+    bench.advance(200).await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
+    bench.advance(10).await;
     commit_after(&mut worker, &lease, 10.0).await;
     assert_eq!(bench.status("late").await.rate_per_sec, Some(0.1));
 }
