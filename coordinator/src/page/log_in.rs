@@ -60,7 +60,7 @@ fn show(code: StatusCode, next: &str, why: &str) -> Response {
         }
         p.muted {
             "Tokens are the second words in the coordinator's token file. Logged in already, and \
-            led here by another site's link? " a href=(next) { "Go on" } "."
+            led here by another site's link? " a href=(next) { "Continue" } "."
         }
     };
     answer::page(code, layout::static_page("Log in", &main).into_string())

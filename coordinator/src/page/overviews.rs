@@ -67,8 +67,8 @@ pub(super) async fn quarantine(page: &Page) -> Result<Sheet, Problem> {
             p {
                 "These rollouts were charged with too many attempts that ended without an outcome \
                 (through the machine, the simulator, or answers of the policy that broke the \
-                protocol), took their policy or their workers down, or were skipped. They are in \
-                no rate; the report gives bounds on the measures. "
+                protocol), took their policy or their workers down, or were skipped. Rates leave \
+                them out; the report gives bounds on the measures. "
                 code { "coordinator jobs retry CAMPAIGN ROLLOUT" } " retries one."
             }
             @if quarantined.len() >= MAX_QUARANTINED as usize {
