@@ -90,7 +90,8 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
     let found = async || {
         let subject = client.report(&name).await?;
         let found = Findings::of(&subject).map_err(usage)?;
-        let no_findings = || anyhow!("show what `{name}` explains: it explains no campaign");
+        let no_findings =
+            || anyhow!("show the findings of `{name}`: the campaign explains no other campaign");
         Ok(found.ok_or_else(no_findings)?)
     };
     let is_complete = |found: &Findings| found.complete;

@@ -86,7 +86,7 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
     }
     let found = async || {
         let found = ThresholdReport::of(&client.report(&name).await?);
-        let no_findings = || anyhow!("show what `{name}` measures: it measures no thresholds");
+        let no_findings = || anyhow!("show the thresholds of `{name}`: the campaign measures none");
         Ok(found.ok_or_else(no_findings)?)
     };
     let is_complete = |found: &ThresholdReport| found.complete;

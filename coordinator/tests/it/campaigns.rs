@@ -186,7 +186,7 @@ async fn a_database_of_a_newer_schema_is_refused_untouched() {
     let known = newest_known_schema();
     assert!(matches!(
         error,
-        OpenError::NewerSchema { found: 4711, known: ours, .. } if ours == known
+        OpenError::NewerSchema { found: 4711, known: newest, .. } if newest == known
     ));
     let text = error.to_string();
     let up_to = format!("up to {known}");

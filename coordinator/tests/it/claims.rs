@@ -377,8 +377,8 @@ async fn an_unregistered_worker_must_register_and_another_protocol_version_is_re
     let refused = worker.service.register(request).await.expect_err("too new");
     assert_eq!(refused.code(), Code::FailedPrecondition);
     assert!(refused.message().contains("version 99"), "{refused}");
-    let ours = format!("version {};", proto::COORDINATOR_PROTOCOL_VERSION);
-    assert!(refused.message().contains(&ours), "{refused}");
+    let own_version = format!("version {};", proto::COORDINATOR_PROTOCOL_VERSION);
+    assert!(refused.message().contains(&own_version), "{refused}");
 }
 
 /// Regression: a claim whose answer was lost left a lease that its worker did not know
