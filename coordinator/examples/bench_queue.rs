@@ -82,13 +82,13 @@ async fn main() -> Result<()> {
     let (jobs, expand_secs) = create(&queue, &spec("bench", arguments.jobs)?).await?;
     let moved = Arc::new(Mutex::new(Vec::new()));
 
-    let mut beats = JoinSet::new();
+    let mut background = JoinSet::new();
     for worker in 0..arguments.slots.div_ceil(arguments.slots_per_worker) {
         queue.register(&worker_info(worker, &arguments)).await?;
-        beats.spawn(beat(queue.clone(), worker));
+        background.spawn(beat(queue.clone(), worker));
     }
     let sweeping = queue.clone();
-    beats.spawn(async move {
+    background.spawn(async move {
         loop {
             tokio::time::sleep(sweeping.timing().sweep).await;
             sweeping.sweep().await?;
@@ -96,7 +96,7 @@ async fn main() -> Result<()> {
     });
 
     if arguments.beside > 0 {
-        beats.spawn(move_other_campaign(
+        background.spawn(move_other_campaign(
             queue.clone(),
             arguments.beside,
             moved.clone(),
@@ -121,7 +121,7 @@ async fn main() -> Result<()> {
     };
     let elapsed = began.elapsed();
     slots.abort_all();
-    beats.abort_all();
+    background.abort_all();
     let mut report = report(
         &arguments,
         (&measured, &seconds, elapsed),
@@ -211,7 +211,7 @@ async fn run_slot(
         let Some(job) = claimed.job else {
             continue;
         };
-        note(
+        record_latency(
             match warm_task {
                 None => &measured.first_claim_micros,
                 Some(_) => &measured.claim_micros,
@@ -224,7 +224,7 @@ async fn run_slot(
         let report = outcome(&worker, &job, &row, &mut rng);
         let began = Instant::now();
         let reply = queue.commit(&report).await?;
-        note(&measured.commit_micros, began);
+        record_latency(&measured.commit_micros, began);
         if reply.verdict != CommitVerdict::Accepted {
             bail!("a commit was not accepted: {}", reply.detail);
         }
@@ -316,7 +316,7 @@ fn percentiles(micros: &Mutex<Vec<u64>>) -> Value {
     json!({"p50": at(0.5), "p90": at(0.9), "p99": at(0.99), "most": at(1.0)})
 }
 
-fn note(micros: &Mutex<Vec<u64>>, began: Instant) {
+fn record_latency(micros: &Mutex<Vec<u64>>, began: Instant) {
     let span = began.elapsed().as_micros() as u64;
     micros.lock().expect("no slot panicked").push(span);
 }
@@ -422,7 +422,7 @@ fn outcome(
     }
 }
 
-fn digest(of: &str) -> String {
-    let bytes = Sha256::digest(of.as_bytes());
+fn digest(text: &str) -> String {
+    let bytes = Sha256::digest(text.as_bytes());
     bytes.iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -84,7 +84,7 @@ pub enum ArchiveError {
     )]
     Foreign { archive: String, problem: String },
     #[error(
-        "read archive {archive}: {program} wrote it, with {what} {found}, and this program knows up to {known}; use a release as new as that one"
+        "read archive {archive}: it has {what} {found}, written by {program}, and this program reads up to {known}; use that release or a later one"
     )]
     Newer {
         archive: String,
@@ -94,10 +94,10 @@ pub enum ArchiveError {
         found: i64,
         known: i64,
     },
-    #[error("read archive {archive}: it is cut off or damaged in member {member}; copy it again")]
+    #[error("read archive {archive}: it is cut off or damaged in {member}; copy it again")]
     Damaged { archive: String, member: String },
     #[error(
-        "read archive {archive}: member {member} is not what {LIST} says ({problem}); copy it again, or archive the campaign again"
+        "read archive {archive}: {member} is altered ({problem}); copy it again, or archive the campaign again"
     )]
     Altered {
         archive: String,

@@ -235,7 +235,7 @@ mod tests {
 
     /// Regression: `campaign create` printed 61 ungrouped lines for `-h` and `--help` alike.
     #[test]
-    fn short_help_fits_a_screen_and_groups_what_every_command_has() {
+    fn short_help_fits_a_screen_and_long_help_groups_connection_flags() {
         let helps = helps::check(Arguments::command());
         assert!(helps.len() > 20, "{}", helps.len());
         for helps::Help { words, short, long } in helps {
@@ -247,7 +247,7 @@ mod tests {
     }
 
     #[test]
-    fn the_largest_commands_have_three_examples_and_short_help_says_less() {
+    fn the_largest_commands_have_three_examples_in_their_long_help_only() {
         let program = Arguments::command();
         for words in [
             "campaign create",

@@ -105,8 +105,8 @@ impl Client {
         }
         serde_json::from_slice(&json).map_err(|error| ClientError::Refused {
             message: format!(
-                "read what the coordinator at {} sent of `{name}` ({}): use the same version of \
-                 both programs",
+                "read the results of `{name}` from the coordinator at {} ({}): use the same \
+                 version of both programs",
                 self.url,
                 JsonError::from(error).problem()
             ),
@@ -137,11 +137,11 @@ impl Client {
                 Err(status) => status,
             };
             let trouble = self.peer.trouble(&status).await;
-            let may_pass = match &trouble {
+            let is_transient = match &trouble {
                 Some(trouble) => !trouble.found.is_final(),
                 None => status.code() == Code::Unavailable,
             };
-            if !may_pass || Instant::now() + pause > deadline {
+            if !is_transient || Instant::now() + pause > deadline {
                 return Err(self.failed(&status, trouble));
             }
             if !is_reported {

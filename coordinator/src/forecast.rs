@@ -66,12 +66,12 @@ pub fn describe(forecast: &ForecastResponse, policy: &str) -> String {
         "about {} on the {workers} connected now ({slots}), if they run nothing else",
         duration_text(secs)
     )];
-    let whose = match forecast.is_of_policy {
+    let measured_policies = match forecast.is_of_policy {
         true => format!("of {policy}"),
         false => format!("of other policies; none of {policy} was"),
     };
     lines.push(format!(
-        "measured on {} {whose}",
+        "measured on {} {measured_policies}",
         counted(forecast.results, "recent rollout")
     ));
     if !forecast.unmeasured_suites.is_empty() {
@@ -133,17 +133,18 @@ pub fn parts(speed: &Speed) -> String {
 /// unknown.
 pub fn bottleneck(speed: &Speed, slots: u32) -> Option<String> {
     let enough = speed.enough_slots?;
-    let then = duration_text(speed.enough_slots_secs?);
-    let enough_of = counted(enough.into(), "slot");
+    let enough_duration = duration_text(speed.enough_slots_secs?);
+    let enough_slots_text = counted(enough.into(), "slot");
     let fewer = match enough < slots {
-        true => format!("; {enough_of} would do"),
+        true => format!("; {enough_slots_text} would do"),
         false => String::new(),
     };
     Some(match speed.bottleneck() {
         Bottleneck::Unspecified => return None,
         Bottleneck::Slots => format!(
-            "bottleneck: slots, which wait for the policy while cores are idle. More of them \
-             help up to {enough}, then it takes about {then}, if the policy answers as fast then"
+            "bottleneck: slots, which wait for the policy while cores are idle. More slots help up \
+             to {enough}: the campaign then takes about {enough_duration} if the policy answers as \
+             fast"
         ),
         Bottleneck::Cores => format!(
             "bottleneck: the workers' cores, all of which are busy. More slots on them do not \
@@ -194,9 +195,9 @@ mod tests {
              libero_10, libero_goal: not measured, taken to be as fast\n  \
              a rollout takes 12.5 s: physics 40 %, drawing 20 %, policy 30 % (125 ms a\n    \
              query), waiting 10 %; mean of 180 rollouts\n  \
-             bottleneck: slots, which wait for the policy while cores are idle. More of\n    \
-             them help up to 22, then it takes about 2h25m, if the policy answers as fast\n    \
-             then"
+             bottleneck: slots, which wait for the policy while cores are idle. More slots\n    \
+             help up to 22: the campaign then takes about 2h25m if the policy answers as\n    \
+             fast"
         );
         assert!(text.lines().all(|line| line.chars().count() <= 80));
     }
@@ -234,15 +235,15 @@ mod tests {
             "{text}"
         );
         let mut without_cores = measured(Bottleneck::Unspecified);
-        let speed = without_cores.speed.as_mut().expect("one");
+        let speed = without_cores.speed.as_mut().expect("a speed");
         (speed.enough_slots, speed.enough_slots_secs) = (None, None);
         assert!(!describe(&without_cores, "pi05").contains("bottleneck"));
     }
 
     #[test]
     fn a_large_share_of_waiting_is_explained() {
-        let some = parts(&measured(Bottleneck::Slots).speed.expect("one"));
-        assert!(some.contains("waiting 10 %; mean"), "{some}");
+        let small = parts(&measured(Bottleneck::Slots).speed.expect("a speed"));
+        assert!(small.contains("waiting 10 %; mean"), "{small}");
         let much = Speed {
             physics_secs: 3.0,
             waiting_secs: 1.0,

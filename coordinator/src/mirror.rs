@@ -56,7 +56,8 @@ async fn move_films(queue: &Queue, storage: &Storage) -> Result<(), String> {
                 return Ok(());
             }
             let moved = move_film(queue, storage, &film).await;
-            // A failure of one file does not stop the other transfers; one of the storage does.
+            // A failure of one file does not stop the other transfers; a failure of the storage
+            // does.
             if let Err(MoveError::Storage(_)) = moved {
                 is_down.store(true, Ordering::Relaxed);
             }

@@ -109,20 +109,20 @@ async fn rollouts_of(
 
 async fn one_configuration(
     State(page): PageState,
-    Path(of): Path<CampaignAndRollout>,
+    Path((name, rollout)): Path<CampaignAndRollout>,
     request: RequestedPage,
 ) -> Response {
     let query = request.0.query().unwrap_or_default().to_owned();
-    let sheet = configuration::sheet(&page, &of.0, &of.1, &query);
+    let sheet = configuration::sheet(&page, &name, &rollout, &query);
     page.show(request, sheet).await
 }
 
 async fn one_video(
     State(page): PageState,
-    Path(of): Path<CampaignAndRollout>,
+    Path((name, rollout)): Path<CampaignAndRollout>,
     request: Request,
 ) -> Response {
-    let video = video::answer(&page, &of.0, &of.1, request).await;
+    let video = video::answer(&page, &name, &rollout, request).await;
     video.unwrap_or_else(IntoResponse::into_response)
 }
 

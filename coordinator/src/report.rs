@@ -172,15 +172,15 @@ pub async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setups, Read
         }
         // The digest leaves out the state's slot in the design and the paraphrase's name, which the
         // policy never observes, and the execution model, which a report compares by itself.
-        let met = ManifestRow {
+        let observed = ManifestRow {
             init_slot: 0,
             variant_id: None,
             execution: Execution::Wait,
             ..row
         };
-        let id = met.id;
-        let met = serde_json::to_string(&met).map_err(unreadable(id.to_string()))?;
-        setups.rollouts.insert(id, digest(&[&met]));
+        let id = observed.id;
+        let observed = serde_json::to_string(&observed).map_err(unreadable(id.to_string()))?;
+        setups.rollouts.insert(id, digest(&[&observed]));
     }
     Ok(setups)
 }

@@ -61,7 +61,7 @@ pub enum ServeError {
     Security(#[from] SecurityError),
     #[error("keep serving: {what} panicked (the log says where); start the coordinator again")]
     Panicked { what: &'static str },
-    #[error("tidy the artifacts in {}", folder.display())]
+    #[error("remove partial files in {}", folder.display())]
     Tidy { folder: PathBuf, source: io::Error },
 }
 
@@ -172,7 +172,7 @@ impl Coordinator {
             task = queue.broken() => return Err(ServeError::Panicked { what: task }),
             task = background.next_ended() => return Err(ServeError::Panicked { what: task }),
             () = &mut shutdown => {
-                tracing::info!("stopping: leasing nothing more, finishing what is under way");
+                tracing::info!("stopping: no further leases; finishing requests in progress");
                 queue.drain();
                 page.close();
                 let _ = stop.send(());

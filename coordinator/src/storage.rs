@@ -40,7 +40,7 @@ pub struct Storage {
 
 /// Object, or a range of one, being read.
 #[derive(Debug)]
-pub struct Piece {
+pub struct ObjectRange {
     /// Byte range within the object.
     pub range: Range<u64>,
     /// Size of the whole object, bytes.
@@ -198,11 +198,11 @@ impl Storage {
         size_bytes: Option<u64>,
         into: &Path,
     ) -> Result<bool, StorageError> {
-        let Some(piece) = self.read(key, None).await? else {
+        let Some(object) = self.read(key, None).await? else {
             return Ok(false);
         };
-        if let Some(expected) = size_bytes.filter(|size| *size != piece.size_bytes) {
-            let problem = format!("{} bytes are there, not {expected}", piece.size_bytes);
+        if let Some(expected) = size_bytes.filter(|size| *size != object.size_bytes) {
+            let problem = format!("{} bytes are there, not {expected}", object.size_bytes);
             return Err(self.failed("fetch", key, &io::Error::other(problem)));
         }
         let unwritable = |source| StorageError::File {
@@ -210,7 +210,7 @@ impl Storage {
             source,
         };
         let mut file = tokio::fs::File::create(into).await.map_err(unwritable)?;
-        let mut bytes = piece.bytes.0;
+        let mut bytes = object.bytes.0;
         while let Some(data) = bytes.try_next().await? {
             file.write_all(&data).await.map_err(unwritable)?;
         }
@@ -226,7 +226,7 @@ impl Storage {
         &self,
         key: &str,
         range: Option<GetRange>,
-    ) -> Result<Option<Piece>, StorageError> {
+    ) -> Result<Option<ObjectRange>, StorageError> {
         let options = GetOptions {
             range,
             ..GetOptions::default()
@@ -241,7 +241,7 @@ impl Storage {
         let bytes = found
             .into_stream()
             .map_err(move |error| storage.failed("fetch", &key, &error));
-        Ok(Some(Piece {
+        Ok(Some(ObjectRange {
             range,
             size_bytes,
             bytes: BoxedBytes(bytes.boxed()),
@@ -332,7 +332,7 @@ mod tests {
         );
         assert!(!into.exists());
         let fetched = storage.fetch("a.mp4", Some(1 << 20), &into).await;
-        assert!(fetched.expect("of this size") && into.exists());
+        assert!(fetched.expect("an object of this size") && into.exists());
     }
 
     #[test]

@@ -38,9 +38,9 @@ pub fn describe(campaign: &NewCampaign) -> Option<String> {
             MOST_CHANGED_IN_THE_PAPER * 100.0,
             size(steps * ACTION_BYTES_PER_STEP),
         )),
-        which => Some(format!(
+        record => Some(format!(
             "videos of {}: up to {},\nless for rollouts that reach their goal",
-            which.replace("all", "all rollouts"),
+            record.replace("all", "all rollouts"),
             videos(1.0)
         )),
     }

@@ -48,40 +48,40 @@ const WALKED: [&str; 4] = ["job_queued", "job_leased", "job_siblings", "worker_s
 /// Evidence that a loop of the table in docs/ARCHITECTURE.md walks no campaign, or the reason why
 /// it may.
 enum Walks {
-    /// Part of a statement that must be caught.
-    Caught(&'static str),
+    /// Part of a statement that must be captured.
+    Captured(&'static str),
     /// Walks the jobs of one campaign on purpose.
     OnPurpose(&'static str),
 }
-use Walks::{Caught as Seen, OnPurpose};
+use Walks::{Captured, OnPurpose};
 
 /// The loops of the table, in its order.
 const LOOPS: [(&str, Walks); 11] = [
-    ("claim", Seen("UPDATE job SET state = 'leased'")),
-    ("commit", Seen("INSERT INTO result")),
-    ("sweep", Seen("lease_expires_ms <=")),
-    ("status, front page, metrics", Seen("ending_tally")),
-    ("derived campaigns", Seen("FROM derivation d JOIN")),
-    ("early stop", Seen("FROM stop s")),
-    ("films", Seen("record = 'transitions'")),
+    ("claim", Captured("UPDATE job SET state = 'leased'")),
+    ("commit", Captured("INSERT INTO result")),
+    ("sweep", Captured("lease_expires_ms <=")),
+    ("status, front page, metrics", Captured("ending_tally")),
+    ("derived campaigns", Captured("FROM derivation d JOIN")),
+    ("early stop", Captured("FROM stop s")),
+    ("films", Captured("record = 'transitions'")),
     (
         "mixed fingerprints",
-        OnPurpose("only of a campaign that has several, which its tally says"),
+        OnPurpose("only for a campaign whose tally shows several fingerprints"),
     ),
     (
         "statistics of a page",
-        OnPurpose("once, an_abandoned_computation_is_not_started_again"),
+        OnPurpose("one computation at a time: an_abandoned_computation_is_not_started_again"),
     ),
     (
         "a large campaign is created, imported or deleted",
         OnPurpose(
-            "in pieces, a_large_campaign_is_inserted_and_deleted_in_hidden_batches and \
+            "in transactions: a_large_campaign_is_inserted_and_deleted_in_hidden_batches and \
              a_large_import_takes_several_transactions_and_leaves_nothing_if_interrupted",
         ),
     ),
     (
         "report, export, archive",
-        OnPurpose("when an operator asks, beside the writer"),
+        OnPurpose("on request of an operator, outside the writer"),
     ),
 ];
 
@@ -102,17 +102,17 @@ fn documented_loops() -> Vec<&'static str> {
 
 /// Collects the statements that sqlx executes.
 #[derive(Clone, Default)]
-struct Caught(Arc<Mutex<BTreeSet<String>>>);
+struct CapturedStatements(Arc<Mutex<BTreeSet<String>>>);
 
-struct Text<'a>(&'a Caught);
+struct Text<'a>(&'a CapturedStatements);
 
-impl Caught {
+impl CapturedStatements {
     fn lock(&self) -> MutexGuard<'_, BTreeSet<String>> {
         self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
-impl<S: tracing::Subscriber> Layer<S> for Caught {
+impl<S: tracing::Subscriber> Layer<S> for CapturedStatements {
     fn on_event(&self, event: &tracing::Event<'_>, _: Context<'_, S>) {
         if event.metadata().target() == "sqlx::query" {
             event.record(&mut Text(self));
@@ -132,8 +132,8 @@ impl Visit for Text<'_> {
     fn record_debug(&mut self, _: &Field, _: &dyn Debug) {}
 }
 
-fn digest(of: char) -> String {
-    of.to_string().repeat(64)
+fn digest(digit: char) -> String {
+    digit.to_string().repeat(64)
 }
 
 fn pin() -> Pin {
@@ -240,9 +240,9 @@ async fn call_everything(queue: &Queue, clock: &ManualClock) {
     }
 }
 
-/// Returns the statements for campaigns that are done or waiting, among them one that explains, one
-/// that may stop early and one that is filmed, while a rollout of another campaign is settled.
-async fn frequent_statements(queue: &Queue, caught: &Caught) -> BTreeSet<String> {
+/// Returns the statements that are executed when a rollout is settled while other campaigns are
+/// finished or waiting: an explaining one, one with a stop rule and one that is filmed.
+async fn frequent_statements(queue: &Queue, captured: &CapturedStatements) -> BTreeSet<String> {
     let name = |name: &str| CampaignName::parse(name).expect("a name");
     let create = async |name: &str, priority: i32, fields: &serde_json::Value| {
         let mut spec = json!({
@@ -286,13 +286,16 @@ async fn frequent_statements(queue: &Queue, caught: &Caught) -> BTreeSet<String>
             skipped.push(job_name);
         }
     };
-    assert!(has_result, "it is pinned, so that it is filmed");
+    assert!(
+        has_result,
+        "a result pins the campaign, so that it can be filmed"
+    );
     let skip = queue.skip_jobs(&name("done"), &skipped).await;
     assert_eq!(skip.expect("skipped"), skipped.len() as u64);
     wait_for_queue_tasks(queue).await;
     assert_eq!(queue.next_film(&pin()).await.expect("an answer"), None);
 
-    caught.lock().clear();
+    captured.lock().clear();
     let skip = queue.skip_jobs(&other.0, &[other.1]).await;
     assert_eq!(skip.expect("skipped"), 1);
     wait_for_queue_tasks(queue).await;
@@ -303,7 +306,7 @@ async fn frequent_statements(queue: &Queue, caught: &Caught) -> BTreeSet<String>
     view.policies().await.expect("policies");
     view.endings().await.expect("endings");
     drop(view);
-    caught.lock().clone()
+    captured.lock().clone()
 }
 
 /// Waits until the queue's tasks have processed every settled job.
@@ -319,7 +322,7 @@ async fn wait_for_queue_tasks(queue: &Queue) {
         }
         tokio::time::sleep(Duration::from_millis(10)).await;
     }
-    panic!("what was settled is not looked at");
+    panic!("the queue's tasks did not process the settled jobs");
 }
 
 /// Returns SQLite's plan of a statement, line by line.
@@ -378,7 +381,7 @@ async fn campaign_walks(connection: &mut SqliteConnection, statement: &str) -> V
 
 #[tokio::test]
 async fn no_frequent_statement_walks_all_jobs() {
-    let caught = Caught::default();
+    let captured = CapturedStatements::default();
     let folder = tempfile::tempdir().expect("a temporary folder");
     let store = Store::open(folder.path()).await.expect("a store");
     let clock = Arc::new(ManualClock::at(UnixMillis(1_700_000_000_000)));
@@ -410,10 +413,10 @@ async fn no_frequent_statement_walks_all_jobs() {
         program_version: "0.1.0".to_owned(),
     };
     queue.register(&worker).await.expect("registered");
-    tracing_subscriber::registry().with(caught.clone()).init();
+    tracing_subscriber::registry().with(captured.clone()).init();
     call_everything(&queue, &clock).await;
-    let statements = caught.lock().clone();
-    let frequent = frequent_statements(&queue, &caught).await;
+    let statements = captured.lock().clone();
+    let frequent = frequent_statements(&queue, &captured).await;
     queue.close().await.expect("closes");
 
     let file = folder.path().join(DATABASE_FILE);
@@ -424,18 +427,18 @@ async fn no_frequent_statement_walks_all_jobs() {
         statements
             .iter()
             .any(|statement| statement.contains("GROUP BY campaign_id")),
-        "what campaigns hold is compared"
+        "no statement compares the leases of campaigns"
     );
-    // A new origin comes once per kind of worker, not once per rollout, and
-    // SQLite would look for its children only if references were broken.
+    // A provenance is inserted once per kind of worker, not once per rollout, and SQLite would
+    // search the rows that refer to it only if references were broken.
     let is_hot = |statement: &&String| {
         verbs.iter().any(|verb| statement.starts_with(verb))
             && !statement.starts_with("INSERT INTO provenance")
     };
-    let looked_at: Vec<&String> = statements.iter().filter(is_hot).collect();
-    assert!(looked_at.len() >= 20, "{statements:#?}");
+    let hot: Vec<&String> = statements.iter().filter(is_hot).collect();
+    assert!(hot.len() >= 20, "{statements:#?}");
     let mut walked = BTreeSet::new();
-    for statement in looked_at {
+    for statement in hot {
         let (faults, indices) = inspect_plan(&mut connection, statement).await;
         assert!(faults.is_empty(), "{faults:?} in\n{statement}");
         walked.extend(indices);
@@ -444,7 +447,7 @@ async fn no_frequent_statement_walks_all_jobs() {
         assert!(walked.contains(index), "{index} is not walked: {walked:?}");
     }
 
-    // Regression (findings B5, B10, B14): finished campaigns were counted, derived and scanned
+    // Regression: finished campaigns were counted, derived and scanned
     // again.
     assert!(frequent.len() >= 15, "{frequent:#?}");
     for part in [
@@ -462,7 +465,7 @@ async fn no_frequent_statement_walks_all_jobs() {
         let is_outcomes = statement.contains("LEFT JOIN result r");
         assert!(
             !is_outcomes,
-            "a campaign that is done is read again by\n{statement}"
+            "a finished campaign is read again by\n{statement}"
         );
         let (mut faults, _) = inspect_plan(&mut connection, statement).await;
         faults.extend(campaign_walks(&mut connection, statement).await);
@@ -470,12 +473,12 @@ async fn no_frequent_statement_walks_all_jobs() {
     }
     connection.close().await.expect("closes");
     for (name, walks) in &LOOPS {
-        if let Seen(part) = walks {
-            let is_caught = statements
+        if let Captured(part) = walks {
+            let is_captured = statements
                 .iter()
                 .chain(&frequent)
                 .any(|statement| statement.contains(part));
-            assert!(is_caught, "{name}: {part} in {statements:#?}");
+            assert!(is_captured, "{name}: {part} in {statements:#?}");
         }
     }
 }
@@ -484,7 +487,7 @@ async fn no_frequent_statement_walks_all_jobs() {
 fn every_documented_loop_is_captured_or_has_a_reason() {
     let listed = LOOPS.map(|(name, walks)| match walks {
         OnPurpose("") => panic!("{name} has no reason"),
-        Seen(_) | OnPurpose(_) => name,
+        Captured(_) | OnPurpose(_) => name,
     });
-    assert_eq!(documented_loops(), listed, "say how a new loop walks");
+    assert_eq!(documented_loops(), listed, "list new loops in LOOPS");
 }

@@ -118,7 +118,7 @@ fn the_page_fills_in_by_itself_and_catches_up_after_a_restart() {
     bench.campaigns.kill_coordinator();
     bench
         .browser
-        .wait_for("document.getElementById('connection').innerText.includes('Cut off')");
+        .wait_for("document.getElementById('connection').innerText.includes('Disconnected')");
     bench.browser.complaints();
     let data = bench.folder.path().join("data");
     bench.campaigns.restart_coordinator(&data);

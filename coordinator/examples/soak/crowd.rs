@@ -16,7 +16,7 @@ use tonic::transport::Endpoint;
 use tonic::{Code, Status};
 use transport::Connection;
 
-use super::server::Reached;
+use super::server::CoordinatorAccess;
 use super::{Arguments, Shared, drawn};
 
 /// Heartbeat interval of a worker.
@@ -40,7 +40,7 @@ type Client = WorkerServiceClient<Connection>;
 
 /// Simulated workers and the counts of their calls.
 pub(crate) struct Crowd {
-    reached: Reached,
+    coordinator: CoordinatorAccess,
     rollout: Duration,
     /// Latencies of claims since the last [`Crowd::take_claims`], seconds.
     claims: Shared<Vec<f64>>,
@@ -49,12 +49,12 @@ pub(crate) struct Crowd {
     films: AtomicU64,
     failed: AtomicU64,
     running: AtomicU32,
-    busy: Shared<Instant>,
+    last_busy: Shared<Instant>,
     is_stopped: AtomicBool,
     tasks: tokio::sync::Mutex<JoinSet<()>>,
 }
 
-/// Simulated worker, which restarts when the coordinator tells it to stop.
+/// Simulated worker, which restarts when the coordinator no longer leases to it.
 struct Worker {
     number: u32,
     slots: u32,
@@ -81,9 +81,9 @@ impl Worker {
 }
 
 impl Crowd {
-    pub(crate) fn start(reached: Reached, arguments: &Arguments) -> Arc<Crowd> {
+    pub(crate) fn start(coordinator: CoordinatorAccess, arguments: &Arguments) -> Arc<Crowd> {
         let crowd = Arc::new(Crowd {
-            reached,
+            coordinator,
             rollout: arguments.rollout(),
             claims: Shared::default(),
             accepted: AtomicU64::new(0),
@@ -91,7 +91,7 @@ impl Crowd {
             films: AtomicU64::new(0),
             failed: AtomicU64::new(0),
             running: AtomicU32::new(0),
-            busy: Arc::new(std::sync::Mutex::new(Instant::now())),
+            last_busy: Arc::new(std::sync::Mutex::new(Instant::now())),
             is_stopped: AtomicBool::new(false),
             tasks: tokio::sync::Mutex::default(),
         });
@@ -120,9 +120,9 @@ impl Crowd {
     }
 
     fn client(&self) -> Client {
-        let endpoint = Endpoint::from_shared(self.reached.url.clone()).expect("a URL");
+        let endpoint = Endpoint::from_shared(self.coordinator.url.clone()).expect("a URL");
         let connection = self
-            .reached
+            .coordinator
             .worker
             .connect_lazy(endpoint.timeout(CALL_TIMEOUT));
         WorkerServiceClient::new(connection.expect("a host"))
@@ -138,13 +138,13 @@ impl Crowd {
     }
 
     /// Returns the numbers of refused results, failed calls and stored films.
-    pub(crate) fn others(&self) -> [u64; 3] {
+    pub(crate) fn other_counts(&self) -> [u64; 3] {
         [&self.refused, &self.failed, &self.films].map(|count| count.load(Ordering::Relaxed))
     }
 
     /// Returns true if no rollout has been running for [`QUIET`].
     pub(crate) fn is_finished(&self) -> bool {
-        let quiet = self.busy.lock().expect("no panic").elapsed();
+        let quiet = self.last_busy.lock().expect("no panic").elapsed();
         self.running.load(Ordering::Relaxed) == 0 && quiet > QUIET
     }
 
@@ -160,7 +160,7 @@ impl Crowd {
     /// Counts a failed call and pauses, since the coordinator may be down.
     async fn failed(&self, _: &Status) {
         self.failed.fetch_add(1, Ordering::Relaxed);
-        *self.busy.lock().expect("no panic") = Instant::now();
+        *self.last_busy.lock().expect("no panic") = Instant::now();
         tokio::time::sleep(PAUSE).await;
     }
 
@@ -254,7 +254,7 @@ impl Crowd {
                     warm = self.roll_out(&mut client, &lease).await;
                     held.lock().expect("no panic").remove(&lease.attempt_id);
                     self.running.fetch_sub(1, Ordering::Relaxed);
-                    *self.busy.lock().expect("no panic") = Instant::now();
+                    *self.last_busy.lock().expect("no panic") = Instant::now();
                 }
                 None => tokio::time::sleep(PAUSE).await,
             }
@@ -419,8 +419,8 @@ fn bits(text: &str) -> u64 {
     (drawn(text) * 2_f64.powi(32)) as u64 ^ u64::from(std::process::id()) << 32
 }
 
-fn sha(of: &str) -> String {
+fn sha(text: &str) -> String {
     use sha2::{Digest, Sha256};
-    let digest = Sha256::digest(of.as_bytes());
+    let digest = Sha256::digest(text.as_bytes());
     digest.iter().map(|byte| format!("{byte:02x}")).collect()
 }

@@ -135,7 +135,7 @@ async fn run(arguments: &Arguments) -> Result<()> {
         "finish everything: {}",
         unfinished.join("; ")
     );
-    watch::judge(&samples)
+    watch::check_growth(&samples)
 }
 
 /// Creates the campaigns: 55 % of the jobs are only measured, 30 % are filmed, and 15 % belong to

@@ -25,7 +25,7 @@ pub(crate) struct Server {
 
 /// Address and credentials for clients of the coordinator.
 #[derive(Clone)]
-pub(crate) struct Reached {
+pub(crate) struct CoordinatorAccess {
     /// `https://localhost:PORT`.
     pub(crate) url: String,
     pub(crate) worker: Access,
@@ -65,13 +65,13 @@ impl Server {
         Ok(server)
     }
 
-    pub(crate) fn access(&self) -> Reached {
+    pub(crate) fn access(&self) -> CoordinatorAccess {
         let access = |role: Role, file: &str| {
             let (ca, token) = (self.folder.join("ca.pem"), self.folder.join(file));
             let access = Access::from_files(Some(&ca), Some(&token), &[role]);
             access.expect("files that were just written")
         };
-        Reached {
+        CoordinatorAccess {
             url: self.url(),
             worker: access(Role::Worker, "worker"),
             operator: access(Role::Operator, "operator"),
@@ -107,9 +107,9 @@ impl Server {
         self.child.kill().context("kill the coordinator")?;
         self.child.wait()?;
         let database = self.folder.join("data/coordinator.sqlite");
-        for beside in ["", "-wal", "-shm"] {
+        for suffix in ["", "-wal", "-shm"] {
             // The WAL files exist only because the process was killed.
-            let _ = std::fs::remove_file(format!("{}{beside}", database.display()));
+            let _ = std::fs::remove_file(format!("{}{suffix}", database.display()));
         }
         std::fs::copy(backup, &database).context("restore the backup")?;
         self.start_again()
@@ -145,7 +145,7 @@ impl Server {
         while self.child.try_wait()?.is_none() {
             ensure!(
                 began.elapsed() < PATIENCE,
-                "stop the coordinator: it goes on"
+                "stop the coordinator: it still runs"
             );
             std::thread::sleep(Duration::from_millis(100));
         }

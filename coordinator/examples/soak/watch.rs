@@ -15,12 +15,12 @@ use tonic::transport::Endpoint;
 
 use super::Shared;
 use super::crowd::Crowd;
-use super::server::Reached;
+use super::server::CoordinatorAccess;
 
 /// Interval between two samples.
 const INTERVAL: Duration = Duration::from_secs(5);
 /// Interval between two requests of one kind, as from many browsers together.
-const ASKED_EVERY: Duration = Duration::from_millis(500);
+const REQUEST_INTERVAL: Duration = Duration::from_millis(500);
 /// Pages that are requested in turn.
 const PAGES: [&str; 4] = ["/", "/campaigns/measured", "/campaigns/filmed", "/workers"];
 
@@ -46,8 +46,9 @@ pub(crate) struct Sample {
     pub(crate) wal_mib: f64,
 }
 
+/// Process whose resources are sampled.
 #[derive(Default)]
-struct Followed {
+struct FollowedProcess {
     process: u32,
     log: PathBuf,
     /// Total size of the logs of earlier processes, bytes.
@@ -59,31 +60,31 @@ struct Followed {
 type Longest = Shared<[Option<f64>; 3]>;
 
 pub(crate) struct Watch {
-    followed: Shared<Followed>,
+    followed: Shared<FollowedProcess>,
     samples: Shared<Vec<Sample>>,
     tasks: JoinSet<()>,
 }
 
 impl Watch {
-    pub(crate) fn start(reached: Reached, crowd: Arc<Crowd>) -> Watch {
+    pub(crate) fn start(coordinator: CoordinatorAccess, crowd: Arc<Crowd>) -> Watch {
         let (followed, samples) = (
-            Shared::<Followed>::default(),
+            Shared::<FollowedProcess>::default(),
             Shared::<Vec<Sample>>::default(),
         );
         let longest = Longest::default();
         let mut tasks = JoinSet::new();
-        tasks.spawn(ask_pages(reached.clone(), longest.clone(), 0));
-        tasks.spawn(ask_pages(reached.clone(), longest.clone(), 1));
-        tasks.spawn(ask_status(reached.clone(), longest.clone()));
-        let (of, into) = (followed.clone(), samples.clone());
+        tasks.spawn(request_pages(coordinator.clone(), longest.clone(), 0));
+        tasks.spawn(request_pages(coordinator.clone(), longest.clone(), 1));
+        tasks.spawn(request_status(coordinator.clone(), longest.clone()));
+        let (sampled, collected) = (followed.clone(), samples.clone());
         tasks.spawn(async move {
             let began = Instant::now();
             println!("{HEADINGS}");
             loop {
                 tokio::time::sleep(INTERVAL).await;
-                let sample = sample(began, &reached.data, &of, &longest, &crowd);
-                println!("{}", sample.line(crowd.others()));
-                into.lock().expect("no panic").push(sample);
+                let sample = sample(began, &coordinator.data, &sampled, &longest, &crowd);
+                println!("{}", sample.line(crowd.other_counts()));
+                collected.lock().expect("no panic").push(sample);
             }
         });
         Watch {
@@ -144,7 +145,7 @@ impl Sample {
 fn sample(
     began: Instant,
     data: &Path,
-    followed: &Shared<Followed>,
+    followed: &Shared<FollowedProcess>,
     longest: &Longest,
     crowd: &Crowd,
 ) -> Sample {
@@ -191,27 +192,27 @@ fn note(longest: &Longest, kind: usize, took: Duration) {
 }
 
 /// Requests the pages in turn (kind 0) or the metrics (kind 1).
-async fn ask_pages(reached: Reached, longest: Longest, kind: usize) {
+async fn request_pages(coordinator: CoordinatorAccess, longest: Longest, kind: usize) {
     for turn in 0_usize.. {
-        tokio::time::sleep(ASKED_EVERY).await;
+        tokio::time::sleep(REQUEST_INTERVAL).await;
         let path = match kind {
             0 => PAGES[turn % PAGES.len()],
             _ => "/metrics",
         };
         let sent_at = Instant::now();
         // Failed requests are not counted, since the coordinator is down at times.
-        if get(&reached, path).await.is_ok() {
+        if get(&coordinator, path).await.is_ok() {
             note(&longest, kind, sent_at.elapsed());
         }
     }
 }
 
-async fn get(reached: &Reached, path: &str) -> Result<()> {
-    let uri: tonic::codegen::http::Uri = reached.url.parse()?;
+async fn get(coordinator: &CoordinatorAccess, path: &str) -> Result<()> {
+    let uri: tonic::codegen::http::Uri = coordinator.url.parse()?;
     let authority = uri.authority().map(ToString::to_string).unwrap_or_default();
     let stream = TcpStream::connect(&authority).await?;
-    let mut stream = reached.viewer.encrypt(stream, "localhost").await?;
-    let token = reached.viewer.authorization(&uri, "Bearer");
+    let mut stream = coordinator.viewer.encrypt(stream, "localhost").await?;
+    let token = coordinator.viewer.authorization(&uri, "Bearer");
     let token = token
         .as_ref()
         .and_then(|value| value.to_str().ok())
@@ -232,12 +233,12 @@ async fn get(reached: &Reached, path: &str) -> Result<()> {
     }
 }
 
-async fn ask_status(reached: Reached, longest: Longest) {
-    let endpoint = Endpoint::from_shared(reached.url.clone()).expect("a URL");
-    let connection = reached.operator.connect_lazy(endpoint).expect("a host");
+async fn request_status(coordinator: CoordinatorAccess, longest: Longest) {
+    let endpoint = Endpoint::from_shared(coordinator.url.clone()).expect("a URL");
+    let connection = coordinator.operator.connect_lazy(endpoint).expect("a host");
     let mut client = OperatorServiceClient::new(connection);
     loop {
-        tokio::time::sleep(ASKED_EVERY).await;
+        tokio::time::sleep(REQUEST_INTERVAL).await;
         let sent_at = Instant::now();
         let listed = client
             .list_campaigns(wire::ListCampaignsRequest::default())
@@ -253,23 +254,24 @@ async fn ask_status(reached: Reached, longest: Longest) {
 ///
 /// # Errors
 /// If a quantity grew beyond its tolerance.
-pub(crate) fn judge(samples: &[Sample]) -> Result<()> {
+pub(crate) fn check_growth(samples: &[Sample]) -> Result<()> {
     let third = samples.len() / 3;
     if third < 3 {
-        println!("too few samples to say what grows");
+        println!("too few samples to detect growth");
         return Ok(());
     }
     let (before, last) = (&samples[third..2 * third], &samples[2 * third..]);
-    let most = |of: &[Sample], value: fn(&Sample) -> f64| of.iter().map(value).fold(0.0, f64::max);
-    let median = |of: &[Sample], value: fn(&Sample) -> Option<f64>| {
-        let mut values: Vec<f64> = of.iter().filter_map(value).collect();
+    let most =
+        |part: &[Sample], value: fn(&Sample) -> f64| part.iter().map(value).fold(0.0, f64::max);
+    let median = |part: &[Sample], value: fn(&Sample) -> Option<f64>| {
+        let mut values: Vec<f64> = part.iter().filter_map(value).collect();
         values.sort_by(f64::total_cmp);
         values.get(values.len() / 2).copied().unwrap_or_default()
     };
-    let grown = |of: &[Sample], value: fn(&Sample) -> f64| {
+    let grown = |part: &[Sample], value: fn(&Sample) -> f64| {
         let results = |sample: &Sample| sample.accepted as f64;
-        let of_results = results(&of[of.len() - 1]) - results(&of[0]);
-        (value(&of[of.len() - 1]) - value(&of[0])) / of_results.max(1.0)
+        let result_count = results(&part[part.len() - 1]) - results(&part[0]);
+        (value(&part[part.len() - 1]) - value(&part[0])) / result_count.max(1.0)
     };
     // Rows of name, value before, value at the end, and tolerance: a factor and an addend.
     let (memory, files) = (
@@ -320,8 +322,8 @@ pub(crate) fn judge(samples: &[Sample]) -> Result<()> {
         "\n{:24} {:>12} {:>12} {:>12}",
         "", "before", "at the end", "allowed"
     );
-    for (name, before, last, times, and) in rows {
-        let allowed = before * times + and;
+    for (name, before, last, factor, addend) in rows {
+        let allowed = before * factor + addend;
         println!("{name:24} {before:12.3} {last:12.3} {allowed:12.3}");
         if last > allowed {
             has_grown.push(name);
@@ -330,7 +332,7 @@ pub(crate) fn judge(samples: &[Sample]) -> Result<()> {
     match has_grown.is_empty() {
         true => Ok(()),
         false => bail!(
-            "keep it level: {} grew in the last third",
+            "bound the resources: {} grew in the last third",
             has_grown.join(", ")
         ),
     }

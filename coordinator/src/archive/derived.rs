@@ -62,31 +62,33 @@ pub(super) async fn derive(from: &Portable) -> Result<Derived, ArchiveError> {
 
 /// Returns the path of the first difference between an archived JSON text and a fresh one; `None`
 /// if they agree. Keys that only the fresh one has are ignored, since a later release may add some.
-pub(super) fn difference(archived: &str, now: &str) -> Option<String> {
+pub(super) fn difference(archived: &str, fresh: &str) -> Option<String> {
     let read = |text| serde_json::from_str::<Value>(text);
-    match (read(archived), read(now)) {
-        (Ok(archived), Ok(now)) => differs(&archived, &now, ""),
+    match (read(archived), read(fresh)) {
+        (Ok(archived), Ok(fresh)) => differs(&archived, &fresh, ""),
         _ => Some("its beginning, which is not JSON".to_owned()),
     }
 }
 
-fn differs(archived: &Value, now: &Value, place: &str) -> Option<String> {
-    match (archived, now) {
-        (Value::Object(archived), Value::Object(now)) => {
+fn differs(archived: &Value, fresh: &Value, place: &str) -> Option<String> {
+    match (archived, fresh) {
+        (Value::Object(archived), Value::Object(fresh)) => {
             archived.iter().find_map(|(key, value)| {
                 let place = format!("{place}.{key}");
-                match now.get(key) {
-                    Some(now) => differs(value, now, &place),
+                match fresh.get(key) {
+                    Some(fresh) => differs(value, fresh, &place),
                     None => Some(place),
                 }
             })
         }
-        (Value::Array(archived), Value::Array(now)) if archived.len() == now.len() => {
-            let pairs = archived.iter().zip(now).enumerate();
-            let mut pairs = pairs.map(|(at, (archived, now))| (at, archived, now));
-            pairs.find_map(|(at, archived, now)| differs(archived, now, &format!("{place}[{at}]")))
+        (Value::Array(archived), Value::Array(fresh)) if archived.len() == fresh.len() => {
+            let pairs = archived.iter().zip(fresh).enumerate();
+            let mut pairs = pairs.map(|(at, (archived, fresh))| (at, archived, fresh));
+            pairs.find_map(|(at, archived, fresh)| {
+                differs(archived, fresh, &format!("{place}[{at}]"))
+            })
         }
-        _ => (archived != now).then(|| match place {
+        _ => (archived != fresh).then(|| match place {
             "" => "its beginning".to_owned(),
             place => place.to_owned(),
         }),
@@ -103,14 +105,18 @@ mod tests {
         assert_eq!(difference(archived, archived), None);
         let more = r#"{"a": [1, {"b": 2.5, "new": 1}], "c": null, "d": 3}"#;
         assert_eq!(difference(archived, more), None);
-        for (now, place) in [
+        for (fresh, place) in [
             (r#"{"a": [1, {"b": 2.6}], "c": null}"#, ".a[1].b"),
             (r#"{"a": [1], "c": null}"#, ".a"),
             (r#"{"a": [1, {"b": 2.5}]}"#, ".c"),
             ("[]", "its beginning"),
             ("nonsense", "its beginning, which is not JSON"),
         ] {
-            assert_eq!(difference(archived, now).as_deref(), Some(place), "{now}");
+            assert_eq!(
+                difference(archived, fresh).as_deref(),
+                Some(place),
+                "{fresh}"
+            );
         }
     }
 }

@@ -49,7 +49,7 @@ pub async fn package(
             missing.join(", "));
         campaign.leave_out(&missing).await?;
     }
-    let made = derived::derive(&campaign).await?;
+    let derived_members = derived::derive(&campaign).await?;
     let mut contents = Contents {
         format: FORMAT,
         program: format!("coordinator {}", version::version!()),
@@ -63,7 +63,7 @@ pub async fn package(
     let folder = campaign.folder().to_owned();
     campaign.close().await?;
     let name = contents.campaign.clone();
-    let listed = tokio::task::spawn_blocking(move || list(&folder, made, members)).await;
+    let listed = tokio::task::spawn_blocking(move || list(&folder, derived_members, members)).await;
     let listed = listed.map_err(|_| ArchiveError::Panicked { archive: name })??;
     let (members, files) = listed.into_iter().unzip();
     contents.members = members;
@@ -73,11 +73,11 @@ pub async fn package(
 /// Writes the derived members beside the database and computes size and digest of every file.
 fn list(
     folder: &Path,
-    made: Derived,
+    derived_members: Derived,
     films: Vec<(String, PathBuf)>,
 ) -> Result<Vec<(Member, PathBuf)>, ArchiveError> {
     let mut files = Vec::new();
-    for (name, text) in made {
+    for (name, text) in derived_members {
         let path = folder.join(name);
         std::fs::write(&path, text).map_err(|source| ArchiveError::Write {
             path: path.clone(),
@@ -89,7 +89,7 @@ fn list(
     files.extend(films);
     let member = |(name, path): (String, PathBuf)| {
         let digest = File::open(&path).and_then(|file| copy_digesting(file, io::sink()));
-        let (bytes, sha256) = digest.map_err(input(&path))?;
+        let (bytes, sha256) = digest.map_err(input_error(&path))?;
         let member = Member {
             name,
             bytes,
@@ -126,14 +126,14 @@ impl Package {
         tar.append_data(&mut head, LIST, list.as_slice())
             .map_err(failed)?;
         for (member, path) in self.contents.members.iter().zip(&self.files) {
-            let file = File::open(path).map_err(input(path))?;
+            let file = File::open(path).map_err(input_error(path))?;
             let mut file = Digesting::new(file.take(member.bytes));
             let mut head = header(member.bytes);
             tar.append_data(&mut head, &member.name, &mut file)
                 .map_err(failed)?;
             if file.finish() != (member.bytes, member.sha256.clone()) {
                 let changed = io::Error::other("it has changed since it was listed");
-                return Err(input(path)(changed));
+                return Err(input_error(path)(changed));
             }
         }
         let finished = tar.into_inner().and_then(GzEncoder::finish);
@@ -151,7 +151,7 @@ fn header(bytes: u64) -> Header {
     header
 }
 
-fn input(path: &Path) -> impl FnOnce(io::Error) -> ArchiveError {
+fn input_error(path: &Path) -> impl FnOnce(io::Error) -> ArchiveError {
     let path = path.to_owned();
     move |source| ArchiveError::Input { path, source }
 }

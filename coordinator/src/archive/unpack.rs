@@ -82,13 +82,13 @@ pub async fn unpack(file: &Path, name: &str, into: &Path) -> Result<Unpacked, Ar
     let listed = contents.members[MEMBERS.len()..].iter();
     let listed: Vec<(String, u64)> = listed.map(|film| (film.name.clone(), film.bytes)).collect();
     if films != listed {
-        return Err(altered(DATABASE_FILE, "it names other films"));
+        return Err(altered(DATABASE_FILE, "it lists other films"));
     }
-    for (member, now) in derived::derive(&campaign).await? {
+    for (member, fresh) in derived::derive(&campaign).await? {
         let path = into.join(member);
         let archived = std::fs::read_to_string(&path);
-        let archived = archived.map_err(|_| altered(member, "it is no text"))?;
-        if let Some(place) = derived::difference(&archived, &now) {
+        let archived = archived.map_err(|_| altered(member, "it is not UTF-8 text"))?;
+        if let Some(place) = derived::difference(&archived, &fresh) {
             return Err(ArchiveError::Differs {
                 archive: archive(),
                 member,
@@ -124,20 +124,23 @@ impl Reading<'_> {
         }
         if let Some(next) = entries.next() {
             next.map_err(|error| self.broken("its end", error))?;
-            return Err(self.altered("its end", "there are members that it does not name"));
+            return Err(self.altered(
+                "its end",
+                "it holds members that archive.json does not list",
+            ));
         }
         // The gzip trailer holds the checksum, so the stream must be read to its very end.
         let mut rest = tar.into_inner().take(MAX_PADDING_BYTES);
         let read = io::copy(&mut rest, &mut io::sink());
         read.map_err(|error| self.broken("its end", error))?;
-        let mut behind = [0];
+        let mut trailing = [0];
         if rest.limit() == 0 {
-            return Err(self.altered("its end", "there is more behind it"));
+            return Err(self.altered("its end", "data follows the last member"));
         }
         let compression = rest.into_inner();
-        match compression.into_inner().read(&mut behind) {
+        match compression.into_inner().read(&mut trailing) {
             Ok(0) => Ok(contents),
-            Ok(_) => Err(self.altered("its end", "there is more behind it")),
+            Ok(_) => Err(self.altered("its end", "data follows the last member")),
             Err(error) => Err(self.broken("its end", error)),
         }
     }
@@ -260,6 +263,7 @@ impl Reading<'_> {
         }
     }
 
+    /// Unpacks the next entry, which must be `member`, and verifies its size and digest.
     fn member(
         &self,
         entries: &mut Members<'_>,
@@ -267,13 +271,13 @@ impl Reading<'_> {
         into: &Path,
     ) -> Result<(), ArchiveError> {
         let name = shown(&member.name);
-        let another = || self.altered(name, "another one is in its place");
+        let displaced = || self.altered(name, "another member is in its place");
         let mut entry = self.next(entries, name)?;
         let mut found = entry.path_bytes().into_owned();
         // GNU tar stores a name that is too long for the header in a preceding entry.
         if entry.header().entry_type() == EntryType::GNULongName {
             if entry.size() > member.name.len() as u64 + 1 {
-                return Err(another());
+                return Err(displaced());
             }
             found.clear();
             let read = entry.read_to_end(&mut found);
@@ -282,7 +286,7 @@ impl Reading<'_> {
             entry = self.next(entries, name)?;
         }
         if found != member.name.as_bytes() || entry.header().entry_type() != EntryType::Regular {
-            return Err(another());
+            return Err(displaced());
         }
         if entry.size() != member.bytes {
             return Err(self.altered(name, &format!("it has {} bytes", entry.size())));
@@ -319,6 +323,7 @@ impl Reading<'_> {
         })
     }
 
+    /// Returns the error for a file that is not an archive.
     fn foreign(&self, problem: impl ToString) -> ArchiveError {
         ArchiveError::Foreign {
             archive: self.archive.to_owned(),
@@ -326,6 +331,7 @@ impl Reading<'_> {
         }
     }
 
+    /// Returns the error for a member that differs from the table of contents.
     fn altered(&self, member: &str, problem: &str) -> ArchiveError {
         ArchiveError::Altered {
             archive: self.archive.to_owned(),

@@ -83,9 +83,9 @@ pub(super) async fn set_endpoint(arguments: EndpointArguments) -> Result<(), Com
 pub(super) async fn move_endpoint(arguments: MoveArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
     let campaigns = client.list_campaigns().await?;
-    let moves =
+    let is_moved =
         |status: &&CampaignStatus| status.policy_endpoint == arguments.from && !is_finished(status);
-    let moved: Vec<&CampaignStatus> = campaigns.iter().filter(moves).collect();
+    let moved: Vec<&CampaignStatus> = campaigns.iter().filter(is_moved).collect();
     if moved.is_empty() {
         return Ok(print_line(&format!(
             "no campaign measures a policy at {}",
@@ -112,8 +112,8 @@ fn print_endpoint(campaign: &str, altered: AlterCampaignResponse) -> Result<(), 
     )];
     if altered.taken_back > 0 {
         lines.push(format!(
-            "{} taken back without a charge: what was being run at the old endpoint\n\
-             runs again at the new one",
+            "{} taken back without a charge: rollouts in progress at the old endpoint\n\
+             run again at the new one",
             counted(altered.taken_back, "rollout")
         ));
     }

@@ -299,12 +299,12 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         priority: arguments.priority,
     };
     let created = client.call(request, Service::create_campaign).await?;
-    let happened = match created.jobs_added {
-        0 => "was there already, with this specification",
+    let verb = match created.jobs_added {
+        0 => "exists already, with this specification",
         _ => "created",
     };
     let total = counted(created.jobs_total, "rollout");
-    print_line(&format!("campaign {name} {happened}: {total}"))?;
+    print_line(&format!("campaign {name} {verb}: {total}"))?;
     print_left_out(&spec)?;
     print_stop(&spec, &campaign)?;
     print_execution(&spec, unknown_length.as_deref())?;
@@ -318,7 +318,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
 }
 
 /// Prints the execution model of the rollouts unless it is `wait`, and the reason if the policy
-/// could not be asked for the length of its answers.
+/// could not report the length of its answers.
 fn print_execution(spec: &CampaignSpec, unknown_length: Option<&str>) -> Result<(), CommandError> {
     if let Some(unknown_length) = unknown_length {
         print_line(&wrapped("", 2, unknown_length))?;
@@ -327,12 +327,12 @@ fn print_execution(spec: &CampaignSpec, unknown_length: Option<&str>) -> Result<
         return Ok(());
     };
     let milliseconds = |steps: u16| u32::from(steps) * 1000 / CONTROL_HZ;
-    let late = match (delays.shortest(), delays.longest()) {
+    let delay_text = match (delays.shortest(), delays.longest()) {
         (first, last) if first == last => format!("{} ms", milliseconds(first)),
         (first, last) => format!("{} to {} ms", milliseconds(first), milliseconds(last)),
     };
     print_line(&format!(
-        "execution model {execution}: an answer takes effect after {late}"
+        "execution model {execution}: an answer takes effect after {delay_text}"
     ))?;
     Ok(())
 }
@@ -342,11 +342,11 @@ fn print_left_out(spec: &CampaignSpec) -> Result<(), CommandError> {
     let Rollouts::Variants(variants) = &spec.rollouts else {
         return Ok(());
     };
-    let lacking = libero_family::left_out(variants).map_err(usage)?;
-    if lacking.count() > 0 {
-        let count = counted(lacking.count() as u64, "variant");
+    let left_out = libero_family::left_out(variants).map_err(usage)?;
+    if left_out.count() > 0 {
+        let count = counted(left_out.count() as u64, "variant");
         print_line(&format!(
-            "the campaign leaves out {count}, whose files are missing:\n{lacking}"
+            "the campaign leaves out {count}, whose files are missing:\n{left_out}"
         ))?;
     }
     Ok(())
@@ -356,8 +356,10 @@ fn print_left_out(spec: &CampaignSpec) -> Result<(), CommandError> {
 fn print_placebo(campaign: &NewCampaign) -> Result<(), CommandError> {
     let placebo = campaign.jobs.iter().filter(|job| job.is_placebo()).count();
     if placebo > 0 {
-        let of_them = counted(placebo as u64, "rollout");
-        print_line(&format!("  including {of_them} at the placebo level L0"))?;
+        let placebo_rollouts = counted(placebo as u64, "rollout");
+        print_line(&format!(
+            "  including {placebo_rollouts} at the placebo level L0"
+        ))?;
     }
     Ok(())
 }
@@ -423,9 +425,9 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandErr
 
 fn design_of_flags(arguments: &CreateArguments) -> anyhow::Result<Design> {
     let mut given = arguments.design.axes.clone();
-    let is_late = |name: &String| name == "latency";
-    let latency = given.iter().any(is_late);
-    given.retain(|name| !is_late(name));
+    let is_latency = |name: &String| name == "latency";
+    let latency = given.iter().any(is_latency);
+    given.retain(|name| !is_latency(name));
     let axes = match given.join(",").as_str() {
         "metric" => Axis::METRIC.to_vec(),
         "all" => Axis::ALL.to_vec(),

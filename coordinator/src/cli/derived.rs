@@ -51,7 +51,7 @@ pub(super) struct CreateFlags {
 impl DerivedCampaign<'_> {
     /// Creates or proposes the campaign as the flags request; `prospect` computes its size from
     /// its source. Returns false if there are no findings to show, because it was only proposed.
-    pub(super) async fn begin(
+    pub(super) async fn create_or_propose(
         &self,
         client: &Client,
         flags: CreateFlags,
@@ -98,8 +98,8 @@ impl DerivedCampaign<'_> {
             return Ok(false);
         }
         let rollouts = spec(client, self.name).await?.rollouts;
-        let is_alike = discriminant(&rollouts) == discriminant(&self.rollouts);
-        Ok(is_alike && rollouts.source() == Some(self.source))
+        let is_same_kind = discriminant(&rollouts) == discriminant(&self.rollouts);
+        Ok(is_same_kind && rollouts.source() == Some(self.source))
     }
 
     /// Creates the campaign, unless it exists with the same specification.
@@ -130,7 +130,8 @@ impl DerivedCampaign<'_> {
         let open = source.queued + source.leased;
         if open > 0 && source.state() != State::Stopped {
             eprintln!(
-                "campaign {} has {open} rollouts without an outcome; {} begins once it is finished",
+                "campaign {} has {open} rollouts without an outcome; {} starts when {0} is \
+                 finished",
                 source.campaign, self.name
             );
         }

@@ -16,7 +16,7 @@ const MAX_REPEATS: u32 = 1_000;
 /// Printed below the long help.
 const EXAMPLES: &str = "\
 Examples:
-  coordinator explain first                  # the findings, or the rollouts they need
+  coordinator explain first                  # the findings, or the rollouts needed
   coordinator explain first --create --watch
   coordinator explain first --dry-run --budget 200";
 
@@ -61,8 +61,8 @@ pub(super) struct ExplainArguments {
 
 pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
-    let usual = || format!("{}-explained", arguments.campaign);
-    let name = arguments.name.clone().unwrap_or_else(usual);
+    let default_name = || format!("{}-explained", arguments.campaign);
+    let name = arguments.name.clone().unwrap_or_else(default_name);
     let explanation = Explanation {
         campaign: arguments.campaign.clone(),
         budget: arguments.budget,
@@ -82,16 +82,17 @@ pub(super) async fn explain(arguments: ExplainArguments) -> Result<(), CommandEr
     };
     let prospect = |source: &Subject| Findings::prospect(source, &explanation).map_err(usage);
     if !derived_campaign
-        .begin(&client, arguments.create, prospect)
+        .create_or_propose(&client, arguments.create, prospect)
         .await?
     {
         return Ok(());
     }
     let found = async || {
-        let by = client.report(&name).await?;
-        let found = Findings::of(&by).map_err(usage)?;
-        let nothing = || anyhow!("show what `{name}` explains: it explains no campaign");
-        Ok(found.ok_or_else(nothing)?)
+        let subject = client.report(&name).await?;
+        let found = Findings::of(&subject).map_err(usage)?;
+        let no_findings =
+            || anyhow!("show the findings of `{name}`: the campaign explains no other campaign");
+        Ok(found.ok_or_else(no_findings)?)
     };
     let is_complete = |found: &Findings| found.complete;
     let found = derived::poll_findings(arguments.watch, found, is_complete, Findings::text).await?;

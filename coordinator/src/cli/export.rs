@@ -48,7 +48,7 @@ pub(super) async fn export(arguments: ExportArguments) -> Result<(), CommandErro
     match &arguments.output {
         None if matches!(arguments.format, Format::Parquet) => {
             return Err(usage(anyhow!(
-                "export as parquet: a table is no text; name a file with --output"
+                "export as parquet: a Parquet table cannot be printed; name a file with --output"
             )));
         }
         None => {

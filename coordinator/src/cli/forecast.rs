@@ -88,7 +88,7 @@ json::forms! {
         results: u64 = forecast.results,
         is_of_policy: bool = forecast.is_of_policy,
         unmeasured_suites: Vec<String> = forecast.unmeasured_suites.clone(),
-        speed: Option<Speed> = forecast.speed.as_ref().map(Speed::of),
+        speed: Option<Speed> = forecast.speed.as_ref().map(Speed::from_message),
     }
 
     Speed from speed: wire::Speed {
@@ -117,7 +117,7 @@ impl<'a> DryRun<'a> {
         planning: &'a Planning,
     ) -> DryRun<'a> {
         let (forecast, no_forecast) = match answer {
-            Ok(forecast) => (Some(Forecast::of(&forecast)), None),
+            Ok(forecast) => (Some(Forecast::from_message(&forecast)), None),
             Err(problem) => (None, Some(problem)),
         };
         DryRun {

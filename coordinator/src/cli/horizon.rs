@@ -17,7 +17,7 @@ use super::command::{CommandError, Connection, usage};
 const DEADLINE: Duration = Duration::from_secs(3);
 
 /// Refuses a campaign under `overlap`, or with the latency axis, if its delays are as long as its
-/// policy's answers in one of the suites. Returns a sentence if the policy cannot be asked; the
+/// policy's answers in one of the suites. Returns a sentence if the policy cannot be reached; the
 /// first rollout then fails if the delays are too long.
 pub(super) async fn check(
     spec: &CampaignSpec,
@@ -30,16 +30,22 @@ pub(super) async fn check(
     };
     let access = match connection.policy_access() {
         Ok(access) => access,
-        Err(error) => return Ok(Some(unknown(spec, longest, &transport::chain(&error)))),
+        Err(error) => {
+            return Ok(Some(unknown_length(
+                spec,
+                longest,
+                &transport::chain(&error),
+            )));
+        }
     };
     let policy = &spec.policy;
     for suite in suites {
         let horizon = match tokio::time::timeout(DEADLINE, horizon(spec, suite, &access)).await {
             Ok(Ok(horizon)) => horizon,
-            Ok(Err(problem)) => return Ok(Some(unknown(spec, longest, &problem))),
+            Ok(Err(problem)) => return Ok(Some(unknown_length(spec, longest, &problem))),
             Err(_) => {
                 let problem = format!("no answer within {} s", DEADLINE.as_secs());
-                return Ok(Some(unknown(spec, longest, &problem)));
+                return Ok(Some(unknown_length(spec, longest, &problem)));
             }
         };
         for model in &models {
@@ -75,7 +81,8 @@ fn overlaps(spec: &CampaignSpec) -> Vec<Execution> {
     model.into_iter().chain(late).collect()
 }
 
-/// Asks the endpoint for the most actions of an answer. The error is a clause.
+/// Returns the largest number of actions of an answer, from the policy's description. The error is
+/// a clause for a message.
 async fn horizon(spec: &CampaignSpec, suite: &str, access: &Access) -> Result<usize, String> {
     let endpoint = parse_endpoint(&spec.policy.endpoint).map_err(|error| error.to_string())?;
     let connection = access.connect_lazy(endpoint);
@@ -90,7 +97,8 @@ async fn horizon(spec: &CampaignSpec, suite: &str, access: &Access) -> Result<us
     Ok(described.into_inner().horizon as usize)
 }
 
-fn unknown(spec: &CampaignSpec, model: &Execution, problem: &str) -> String {
+/// Describes why the length of the answers is unknown, and the consequence.
+fn unknown_length(spec: &CampaignSpec, model: &Execution, problem: &str) -> String {
     let (name, endpoint) = (&spec.policy.name, &spec.policy.endpoint);
     format!(
         "the length of the answers of policy {name} at {endpoint} is unknown yet ({problem}): the \

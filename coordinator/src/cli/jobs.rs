@@ -142,7 +142,7 @@ async fn list(arguments: ListArguments) -> Result<(), CommandError> {
         let shown = page.iter().take(request.limit as usize - 1);
         for job in shown {
             match arguments.json {
-                true => listed.jobs.push(json::Job::of(job)),
+                true => listed.jobs.push(json::Job::from_message(job)),
                 false => print_line(&line(job))?,
             }
             request.after_job_id = job.job_id;
@@ -169,7 +169,7 @@ async fn show(arguments: ShowArguments) -> Result<(), CommandError> {
     };
     let details = client.call(request, Service::get_job).await?;
     match arguments.json {
-        true => json::print(&json::JobDetails::of(&details)?),
+        true => json::print(&json::JobDetails::from_message(&details)?),
         false => Ok(print_line(&describe_job(&details))?),
     }
 }

@@ -12,7 +12,8 @@ use serde_json::Value;
 use super::command::{CommandError, failure, print_line};
 use super::line::is_finished;
 
-/// Declares forms with their conversions, so that every key stands once.
+/// Declares structs of the output with their conversions from messages, so that each key is written
+/// once.
 macro_rules! forms {
     ($($name:ident from $value:ident: $from:ty {
         $($key:ident: $type:ty = $expression:expr,)*
@@ -23,7 +24,7 @@ macro_rules! forms {
         }
 
         impl $name {
-            pub(super) fn of($value: &$from) -> $name {
+            pub(super) fn from_message($value: &$from) -> $name {
                 $name { $($key: $expression,)* }
             }
         }
@@ -31,13 +32,13 @@ macro_rules! forms {
 }
 pub(super) use forms;
 
-/// `campaign list` and `campaign status`.
+/// Output of `campaign list` and `campaign status`.
 #[derive(Serialize)]
 pub(super) struct Campaigns {
     campaigns: Vec<Campaign>,
 }
 
-/// `jobs list`.
+/// Output of `jobs list`.
 #[derive(Serialize)]
 pub(super) struct Jobs {
     pub(super) jobs: Vec<Job>,
@@ -45,7 +46,7 @@ pub(super) struct Jobs {
     pub(super) is_truncated: bool,
 }
 
-/// `jobs show`.
+/// Output of `jobs show`.
 #[derive(Serialize)]
 pub(super) struct JobDetails {
     job: Job,
@@ -55,7 +56,7 @@ pub(super) struct JobDetails {
     failures: Vec<Failure>,
 }
 
-/// `workers`.
+/// Output of `workers`.
 #[derive(Serialize)]
 pub(super) struct Workers {
     workers: Vec<Worker>,
@@ -84,7 +85,7 @@ forms! {
             State::Stopped => "stopped",
         },
         is_finished: bool = is_finished(status),
-        rollouts: Rollouts = Rollouts::of(status),
+        rollouts: Rollouts = Rollouts::from_message(status),
         rate_per_sec: Option<f64> = status.rate_per_sec,
         remaining_secs: Option<f64> = status.eta_secs,
         live_workers: u32 = status.live_workers,
@@ -133,7 +134,7 @@ forms! {
     }
 
     ResultOrigin from result: wire::ResultOrigin {
-        goal: Option<Goal> = result.goal.as_ref().map(Goal::of),
+        goal: Option<Goal> = result.goal.as_ref().map(Goal::from_message),
         prompt: Option<String> = given(&result.prompt),
         attempt: u32 = result.attempt,
         worker_id: String = result.worker_id.clone(),
@@ -193,9 +194,9 @@ fn instant(unix_ms: i64) -> String {
 }
 
 impl Campaigns {
-    pub(super) fn of(statuses: &[wire::CampaignStatus]) -> Campaigns {
+    pub(super) fn from_messages(statuses: &[wire::CampaignStatus]) -> Campaigns {
         Campaigns {
-            campaigns: statuses.iter().map(Campaign::of).collect(),
+            campaigns: statuses.iter().map(Campaign::from_message).collect(),
         }
     }
 }
@@ -203,21 +204,23 @@ impl Campaigns {
 impl JobDetails {
     /// # Errors
     /// If the manifest row is not valid JSON.
-    pub(super) fn of(details: &wire::GetJobResponse) -> Result<JobDetails, CommandError> {
+    pub(super) fn from_message(details: &wire::GetJobResponse) -> Result<JobDetails, CommandError> {
         Ok(JobDetails {
-            job: Job::of(&details.job.clone().unwrap_or_default()),
+            job: Job::from_message(&details.job.clone().unwrap_or_default()),
             manifest_row: serde_json::from_str(&details.manifest_row).map_err(failure)?,
             late_reports: details.stale_reports,
-            result: details.result.as_ref().map(ResultOrigin::of),
-            failures: details.failures.iter().map(Failure::of).collect(),
+            result: details.result.as_ref().map(ResultOrigin::from_message),
+            failures: details.failures.iter().map(Failure::from_message).collect(),
         })
     }
 }
 
 impl Workers {
-    pub(super) fn of<'a>(workers: impl Iterator<Item = &'a wire::WorkerStatus>) -> Workers {
+    pub(super) fn from_messages<'a>(
+        workers: impl Iterator<Item = &'a wire::WorkerStatus>,
+    ) -> Workers {
         Workers {
-            workers: workers.map(Worker::of).collect(),
+            workers: workers.map(Worker::from_message).collect(),
         }
     }
 }

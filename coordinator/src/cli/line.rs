@@ -43,8 +43,8 @@ pub(super) fn line(status: &CampaignStatus) -> String {
     };
     let name = shortened(&status.campaign, NAME_BYTES);
     let counts = format!("{done}/{} {percent}%  {pace}", status.total);
-    let taken = name.chars().count() + counts.chars().count() + 2;
-    let bar_columns = LINE_COLUMNS.saturating_sub(taken).min(BAR_COLUMNS) as u64;
+    let used_columns = name.chars().count() + counts.chars().count() + 2;
+    let bar_columns = LINE_COLUMNS.saturating_sub(used_columns).min(BAR_COLUMNS) as u64;
     let filled = (done * bar_columns).checked_div(status.total).unwrap_or(0);
     let bar: String = (0..bar_columns)
         .map(|column| if column < filled { '█' } else { '░' })

@@ -153,20 +153,20 @@ pub(super) async fn merge(arguments: MergeArguments) -> Result<(), CommandError>
     let Some((_, first)) = archives.next() else {
         return Ok(());
     };
-    let mut whole = read(first, &folder, 0).await?;
+    let mut whole = read_archive(first, &folder, 0).await?;
     let mut halves = vec![half(&whole)];
     let mut merged = Merged::default();
     let mut repeated = 0;
     for (number, path) in archives {
-        let other = read(path, &folder, number).await?;
+        let other = read_archive(path, &folder, number).await?;
         halves.push(half(&other));
         let into = folder.path().join(format!("merged-{number}"));
         let name = arguments.name.as_ref();
         let done = merge_halves(&whole.campaign, &other.campaign, &into, name).await;
-        let (campaign, counts) = done.map_err(|error| refused(error, first, path))?;
+        let (campaign, counts) = done.map_err(|error| merge_error(error, first, path))?;
         repeated += counts.both;
         merged = counts;
-        films_into(&into, &campaign, [&whole, &other]).await?;
+        move_films(&into, &campaign, [&whole, &other]).await?;
         whole = Unpacked {
             campaign,
             contents: whole.contents,
@@ -185,8 +185,8 @@ pub(super) async fn merge(arguments: MergeArguments) -> Result<(), CommandError>
         quarantined, open, ..
     } = merged;
     Ok(print_line(&format!(
-        "merged {} archives into campaign {name}: {} with an outcome, {repeated} of an archive \
-         equal to those of an earlier one; {quarantined} in quarantine, {open} still to run; \
+        "merged {} archives into campaign {name}: {} with an outcome, {repeated} outcomes \
+         repeated by later archives; {quarantined} in quarantine, {open} still to run; \
          wrote {}",
         arguments.archives.len(),
         counted(merged.first + merged.second + merged.both, "rollout"),
@@ -201,13 +201,13 @@ async fn send(
     first: ImportChunk,
 ) -> Result<Response<ImportCampaignResponse>, Status> {
     let file = File::open(path).await?;
-    let pieces = ReaderStream::with_capacity(file, CHUNK_BYTES);
+    let chunks = ReaderStream::with_capacity(file, CHUNK_BYTES);
     // A read error ends the stream early; the coordinator then rejects the archive as truncated.
-    let pieces = pieces.map_while(Result::ok).map(|data| ImportChunk {
+    let chunks = chunks.map_while(Result::ok).map(|data| ImportChunk {
         data: data.into(),
         ..ImportChunk::default()
     });
-    let chunks = tokio_stream::iter([first]).chain(pieces);
+    let chunks = tokio_stream::iter([first]).chain(chunks);
     service.import_campaign(chunks).await
 }
 
@@ -238,7 +238,11 @@ impl Stored {
     }
 }
 
-async fn read(path: &Path, folder: &TempDir, number: usize) -> Result<Unpacked, CommandError> {
+async fn read_archive(
+    path: &Path,
+    folder: &TempDir,
+    number: usize,
+) -> Result<Unpacked, CommandError> {
     let into = folder.path().join(format!("archive-{number}"));
     let unpacked = unpack(path, &path.display().to_string(), &into).await;
     unpacked.map_err(|error| match error {
@@ -259,7 +263,7 @@ fn half(archive: &Unpacked) -> Half {
 }
 
 /// Moves the halves' films to their paths in the merged campaign.
-async fn films_into(
+async fn move_films(
     into: &Path,
     campaign: &queue::Portable,
     halves: [&Unpacked; 2],
@@ -284,7 +288,7 @@ async fn films_into(
     Ok(())
 }
 
-fn refused(error: MergeError, first: &Path, second: &Path) -> CommandError {
+fn merge_error(error: MergeError, first: &Path, second: &Path) -> CommandError {
     let error = anyhow::Error::from(error);
     failure(error.context(format!("use {} and {}", first.display(), second.display())))
 }

@@ -32,8 +32,8 @@ struct PlannedLevel {
     assumed_level: Level,
     tasks: u32,
     configurations: u32,
-    new_tasks: Found,
-    these_tasks: Found,
+    new_tasks: DetectableDifferences,
+    these_tasks: DetectableDifferences,
     /// Assumed R_d of the placebo level; `None` if the campaign has no placebo level, in which case
     /// R_d is compared with another policy's.
     floor: Option<f64>,
@@ -42,13 +42,13 @@ struct PlannedLevel {
 
 /// Smallest detectable differences for one target of inference, new tasks or these tasks.
 #[derive(Debug, Serialize)]
-struct Found {
+struct DetectableDifferences {
     difference: Option<f64>,
     i: Option<f64>,
     r_d: Option<f64>,
 }
 
-impl From<Detectable> for Found {
+impl From<Detectable> for DetectableDifferences {
     fn from(found: Detectable) -> Self {
         Self {
             difference: found.difference,
@@ -102,8 +102,8 @@ fn levels(campaign: &NewCampaign, assumed: &[Assumed]) -> Vec<PlannedLevel> {
     };
     let assumed_floor = placebo(assumed).or_else(|| placebo(&Assumed::STUDENT));
     let perturbed = planned.iter().filter(|(level, _)| **level != Level::L0);
-    let of_level = |(&level, &planned): (&Level, &Planned)| {
-        let like = Assumed::nearest(assumed, level)?;
+    let plan_level = |(&level, &planned): (&Level, &Planned)| {
+        let nearest = Assumed::nearest(assumed, level)?;
         let r_d = assumed_floor?.r_d;
         let against = match floor {
             Some(planned) => Against::Floor { r_d, planned },
@@ -111,16 +111,16 @@ fn levels(campaign: &NewCampaign, assumed: &[Assumed]) -> Vec<PlannedLevel> {
         };
         Some(PlannedLevel {
             level,
-            assumed_level: like.level,
+            assumed_level: nearest.level,
             tasks: planned.tasks,
             configurations: planned.count(),
-            new_tasks: like.detectable(planned, against).into(),
-            these_tasks: like.of_these_tasks().detectable(planned, against).into(),
+            new_tasks: nearest.detectable(planned, against).into(),
+            these_tasks: nearest.of_these_tasks().detectable(planned, against).into(),
             floor: floor.map(|_| r_d),
             floor_configurations: floor.map(|planned| planned.count()),
         })
     };
-    perturbed.filter_map(of_level).collect()
+    perturbed.filter_map(plan_level).collect()
 }
 
 /// Counts, for each level, the tasks and configurations that run under several axes at once.
@@ -181,11 +181,11 @@ fn describe_level(planned: &PlannedLevel) -> String {
     };
     let configurations = counted(planned.configurations.into(), "configuration");
     let tasks = counted(planned.tasks.into(), "task");
-    let Found { difference, i, r_d } = &planned.new_tasks;
+    let DetectableDifferences { difference, i, r_d } = &planned.new_tasks;
     if (difference, i, r_d) == (&None, &None, &None) {
         return format!(
-            "{level}, {configurations} of {tasks}: none; more tasks detect more, and an interval \
-             needs at least 10"
+            "{level}, {configurations} of {tasks}: none; more tasks make smaller differences \
+             detectable, and an interval needs at least 10 tasks"
         );
     }
     let against = match (planned.floor, planned.floor_configurations) {

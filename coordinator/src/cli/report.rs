@@ -81,14 +81,14 @@ pub(super) async fn report(arguments: ReportArguments) -> Result<(), CommandErro
         subjects.push(report::import(path).map_err(usage)?);
     }
     add_published(&mut subjects, &arguments.published).map_err(usage)?;
-    let unfit = [
+    let ctrl_only = [
         ("--figures", arguments.figures.is_some()),
         ("--table", !arguments.table.is_empty()),
         ("--published", !arguments.published.is_empty()),
     ];
-    let unfit = unfit.into_iter().find(|(_, is_given)| *is_given);
+    let ctrl_only = ctrl_only.into_iter().find(|(_, is_given)| *is_given);
     if let (Some((flag, _)), Some(protocol)) = (
-        unfit,
+        ctrl_only,
         subjects
             .iter()
             .find_map(|subject| subject.protocol.as_deref()),
@@ -147,19 +147,19 @@ fn add_published(subjects: &mut [Subject], published: &[Published]) -> anyhow::R
         rate,
     } in published
     {
-        let mut any = false;
+        let mut is_known = false;
         for subject in subjects.iter_mut().filter(|s| s.policy == *policy) {
             match suite {
                 Some(suite) => subject.published_by_suite.push((*suite, *rate)),
                 None => subject.published_nominal = Some(*rate),
             }
-            any = true;
+            is_known = true;
         }
-        if !any {
+        if !is_known {
             let policies: Vec<&str> = subjects.iter().map(|s| s.policy.as_str()).collect();
             let policies = policies.join(", ");
             return Err(anyhow!("valid are {policies}"))
-                .with_context(|| format!("use --published {policy}: no such policy here"));
+                .with_context(|| format!("use --published {policy}: no report has this policy"));
         }
     }
     Ok(())

@@ -40,7 +40,7 @@ pub(super) struct StatusArguments {
 pub(super) async fn list(arguments: ListArguments) -> Result<(), CommandError> {
     let campaigns = arguments.connection.client()?.list_campaigns().await?;
     if arguments.json {
-        return json::print(&json::Campaigns::of(&campaigns));
+        return json::print(&json::Campaigns::from_messages(&campaigns));
     }
     if campaigns.is_empty() {
         return Ok(print_line(NO_CAMPAIGNS)?);
@@ -63,7 +63,7 @@ pub(super) async fn status(arguments: StatusArguments) -> Result<(), CommandErro
         (false, None) => client.list_campaigns().await?,
     };
     if arguments.json {
-        return json::print(&json::Campaigns::of(&campaigns));
+        return json::print(&json::Campaigns::from_messages(&campaigns));
     }
     if campaigns.is_empty() {
         return Ok(print_line(NO_CAMPAIGNS)?);

@@ -11,7 +11,12 @@ pub(super) fn explain_rule(rule: &StopRule, configurations: usize) -> Vec<String
     let mut lines: Vec<String> = rule
         .clauses()
         .iter()
-        .map(|clause| format!("an early end shows that {}", shown(*clause, &these)))
+        .map(|clause| {
+            format!(
+                "an early end shows that {}",
+                describe_clause(*clause, &these)
+            )
+        })
         .collect();
     if rule.is_about_new_tasks() {
         lines.push(
@@ -26,9 +31,8 @@ pub(super) fn explain_rule(rule: &StopRule, configurations: usize) -> Vec<String
     }
     if rule.clauses().iter().any(is_certain_at_the_end) {
         lines.push(
-            "a run to the end shows as much for certain, unless the numbers of emergent failures \
-             and compensated successes are equal; an early end saves rollouts and proves \
-             no more than that"
+            "a complete run shows this with certainty, unless the numbers of emergent failures and \
+             compensated successes are equal; an early end saves rollouts and proves no more"
                 .to_owned(),
         );
     }
@@ -40,11 +44,11 @@ pub(super) fn explain_rule(rule: &StopRule, configurations: usize) -> Vec<String
     lines
 }
 
-fn shown(clause: Clause, these: &str) -> String {
+fn describe_clause(clause: Clause, these: &str) -> String {
     match clause {
         Clause::Width(measure, width) => format!(
             "{} over all {these} lies in an interval narrower than {}",
-            called(measure),
+            describe_measure(measure),
             points(width)
         ),
         Clause::Excludes(Measure::I, 0.0) => format!(
@@ -54,11 +58,15 @@ fn shown(clause: Clause, these: &str) -> String {
              successes are not equally frequent in new tasks"
             .to_owned(),
         Clause::ExcludesForNewTasks(measure, value) => {
-            format!("{} in new tasks is not {}", called(measure), points(value))
+            format!(
+                "{} in new tasks is not {}",
+                describe_measure(measure),
+                points(value)
+            )
         }
         Clause::Excludes(measure, value) => format!(
             "{} over all {these} is not {}",
-            called(measure),
+            describe_measure(measure),
             points(value)
         ),
     }
@@ -70,7 +78,7 @@ fn is_certain_at_the_end(clause: &Clause) -> bool {
     matches!(clause, Clause::Excludes(Measure::I, 0.0))
 }
 
-fn called(measure: Measure) -> &'static str {
+fn describe_measure(measure: Measure) -> &'static str {
     match measure {
         Measure::SSim => "the success rate under simultaneous perturbation",
         Measure::RE => "the share of emergent failures",
@@ -103,7 +111,7 @@ mod tests {
             lines[2]
                 .ends_with("share of changed outcomes over all 400 configurations is not 5 points")
         );
-        assert!(lines[3].starts_with("a run to the end shows as much for certain"));
+        assert!(lines[3].starts_with("a complete run shows this with certainty"));
         assert!(lines[4].contains("these 400 configurations only"));
         let rule = "I excludes 0 for new tasks and R_d excludes 0.05 for new tasks";
         let lines = explain_rule(&rule.parse().expect("a rule"), 400);

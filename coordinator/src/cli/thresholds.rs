@@ -15,7 +15,7 @@ use super::files::write_figures;
 /// Printed below the long help.
 const EXAMPLES: &str = "\
 Examples:
-  coordinator thresholds first               # the findings, or what they would take
+  coordinator thresholds first               # the findings, or the rollouts needed
   coordinator thresholds first --create --axes camera,simultaneous
   coordinator thresholds first --figures figures";
 
@@ -61,8 +61,8 @@ pub(super) struct ThresholdsArguments {
 
 pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), CommandError> {
     let client = arguments.connection.client()?;
-    let usual = || format!("{}-thresholds", arguments.campaign);
-    let name = arguments.name.clone().unwrap_or_else(usual);
+    let default_name = || format!("{}-thresholds", arguments.campaign);
+    let name = arguments.name.clone().unwrap_or_else(default_name);
     let thresholds = arguments.thresholds();
     let derived_campaign = DerivedCampaign {
         source: &arguments.campaign,
@@ -79,15 +79,15 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
         Ok(ThresholdReport::prospect(source, &thresholds))
     };
     if !derived_campaign
-        .begin(&client, arguments.create, prospect)
+        .create_or_propose(&client, arguments.create, prospect)
         .await?
     {
         return Ok(());
     }
     let found = async || {
         let found = ThresholdReport::of(&client.report(&name).await?);
-        let nothing = || anyhow!("show what `{name}` measures: it measures no thresholds");
-        Ok(found.ok_or_else(nothing)?)
+        let no_findings = || anyhow!("show the thresholds of `{name}`: the campaign measures none");
+        Ok(found.ok_or_else(no_findings)?)
     };
     let is_complete = |found: &ThresholdReport| found.complete;
     let found =
@@ -105,8 +105,8 @@ pub(super) async fn thresholds(arguments: ThresholdsArguments) -> Result<(), Com
 impl ThresholdsArguments {
     /// Returns true if a flag of the campaign to be created was given, such as `--tolerance`.
     fn has_creation_flags(&self) -> bool {
-        let measures = self.tolerance.or(self.max_radius).is_some();
-        measures || !self.axes.is_empty() || self.budget.is_some() || self.seed.is_some()
+        let has_radius_flags = self.tolerance.or(self.max_radius).is_some();
+        has_radius_flags || !self.axes.is_empty() || self.budget.is_some() || self.seed.is_some()
     }
 
     fn thresholds(&self) -> Thresholds {

@@ -90,7 +90,7 @@ pub(super) async fn up(arguments: UpArguments) -> Result<(), CommandError> {
 /// Starts the programs in order and waits for SIGINT or SIGTERM.
 ///
 /// # Errors
-/// If a program cannot be started or exits by itself.
+/// If a program cannot be started or exits unrequested.
 async fn run(
     arguments: &UpArguments,
     programs: &mut Programs,
@@ -126,7 +126,7 @@ async fn run(
     if programs.first_line("worker ", requests).await?.is_none() {
         return Ok(());
     }
-    print_line(&ready(arguments, &coordinator, &gateway))?;
+    print_line(&startup_message(arguments, &coordinator, &gateway))?;
     tokio::select! {
         () = requests.next() => Ok(()),
         error = programs.next_exit() => Err(error),
@@ -134,7 +134,7 @@ async fn run(
 }
 
 /// Returns the startup message: the addresses, and example commands for another terminal.
-fn ready(arguments: &UpArguments, coordinator: &str, gateway: &str) -> String {
+fn startup_message(arguments: &UpArguments, coordinator: &str, gateway: &str) -> String {
     let first = arguments.routes.first().map(String::as_str);
     let policy = first.and_then(|route| route.split('=').next());
     let policy = policy.unwrap_or_default();
@@ -358,7 +358,7 @@ mod tests {
             listen: "127.0.0.1:0".parse().expect("an address"),
             gateway_listen: "127.0.0.1:0".parse().expect("an address"),
         };
-        let text = ready(&arguments, "127.0.0.1:4000", "127.0.0.1:4001");
+        let text = startup_message(&arguments, "127.0.0.1:4000", "127.0.0.1:4001");
         for part in [
             "--policy mine",
             "--endpoint http://127.0.0.1:4001",
@@ -372,7 +372,7 @@ mod tests {
         );
         // The message fits a terminal together with the log's first lines.
         assert!(text.lines().count() <= 24, "{text}");
-        let usual = ready(&arguments, "127.0.0.1:7411", "127.0.0.1:7412");
-        assert!(!usual.contains("--connect"), "{usual}");
+        let default_message = startup_message(&arguments, "127.0.0.1:7411", "127.0.0.1:7412");
+        assert!(!default_message.contains("--connect"), "{default_message}");
     }
 }

@@ -30,12 +30,14 @@ pub(super) async fn workers(arguments: WorkersArguments) -> Result<(), CommandEr
     let client = arguments.connection.client()?;
     let listed = client.call(ListWorkersRequest {}, Service::list_workers);
     let workers = listed.await?.workers.into_iter();
-    let (alive, gone): (Vec<_>, Vec<_>) = workers.partition(|worker| worker.alive);
+    let (alive, departed): (Vec<_>, Vec<_>) = workers.partition(|worker| worker.alive);
     if arguments.json {
-        let shown = alive.iter().chain(gone.iter().filter(|_| arguments.all));
-        return json::print(&json::Workers::of(shown));
+        let shown = alive
+            .iter()
+            .chain(departed.iter().filter(|_| arguments.all));
+        return json::print(&json::Workers::from_messages(shown));
     }
-    let (recent, forgotten): (Vec<_>, Vec<_>) = gone
+    let (recent, forgotten): (Vec<_>, Vec<_>) = departed
         .iter()
         .partition(|worker| worker.silent_secs < REMEMBERED.as_secs_f64());
     let shown = alive
@@ -46,11 +48,11 @@ pub(super) async fn workers(arguments: WorkersArguments) -> Result<(), CommandEr
         lines.push("no worker is alive; start one with `worker --connect`".to_owned());
     }
     if !arguments.all && !recent.is_empty() {
-        lines.push(format!("{} that have gone: --all shows them", recent.len()));
+        lines.push(format!("{} departed: --all shows them", recent.len()));
     }
     if arguments.all && !forgotten.is_empty() {
         lines.push(format!(
-            "{} not heard of for a week or more: --all --json lists them too",
+            "{} without a call for a week or more: --all --json lists them too",
             counted(forgotten.len() as u64, "worker")
         ));
     }

@@ -18,10 +18,10 @@ pub(super) type Chunks = Pin<Box<dyn Stream<Item = Result<wire::BackupChunk, Sta
 
 pub(super) async fn chunks(backup: Backup) -> Result<Chunks, Status> {
     let file = File::open(backup.path()).await.map_err(unreadable)?;
-    let pieces = ReaderStream::with_capacity(file, CHUNK_BYTES);
-    Ok(Box::pin(pieces.map(move |piece| {
+    let chunks = ReaderStream::with_capacity(file, CHUNK_BYTES);
+    Ok(Box::pin(chunks.map(move |chunk| {
         let _until_read = &backup;
-        let data = piece.map_err(unreadable)?.into();
+        let data = chunk.map_err(unreadable)?.into();
         Ok(wire::BackupChunk { data })
     })))
 }

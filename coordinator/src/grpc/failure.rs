@@ -45,7 +45,7 @@ fn code(error: &QueueError) -> Code {
         | QueueError::Unmatched { .. }
         | QueueError::NoThresholds { .. }
         | QueueError::OtherPolicy { .. } => Code::InvalidArgument,
-        // The data folder does not come back by waiting, so clients should not retry. Workers retry
+        // Waiting does not restore the data folder, so clients should not retry. Workers retry
         // anyway, to keep their outcomes.
         QueueError::Store(StoreError::Gone { .. }) => Code::Internal,
         QueueError::ShuttingDown | QueueError::Store(StoreError::Statement { .. }) => {

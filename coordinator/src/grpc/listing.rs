@@ -41,13 +41,13 @@ pub(super) fn status(status: CampaignStatus) -> wire::CampaignStatus {
     }
 }
 
-fn early_stop(of: EarlyStop) -> wire::campaign_status::EarlyStop {
+fn early_stop(early: EarlyStop) -> wire::campaign_status::EarlyStop {
     wire::campaign_status::EarlyStop {
-        rule: of.stop.rule.to_string(),
-        seed: of.stop.seed,
-        strata: of.stop.strata.name().to_owned(),
-        configurations: of.configurations,
-        used: of.used,
+        rule: early.stop.rule.to_string(),
+        seed: early.stop.seed,
+        strata: early.stop.strata.name().to_owned(),
+        configurations: early.configurations,
+        used: early.used,
     }
 }
 

@@ -25,7 +25,7 @@ use crate::storage::Storage;
 /// Size of a chunk, bytes.
 const CHUNK_BYTES: usize = 1 << 20;
 /// Most chunks buffered for a slow reader.
-const MAX_WAITING: usize = 4;
+const MAX_BUFFERED_CHUNKS: usize = 4;
 /// Longest wait for the next chunk of an upload.
 const MAX_CHUNK_WAIT: Duration = Duration::from_secs(30);
 /// Longest file name quoted in a message, bytes.
@@ -85,23 +85,23 @@ async fn fetch(
 
 /// Streams an archive, which a blocking thread writes as fast as the client reads.
 fn chunks(package: Package, folder: TempDir, name: &CampaignName) -> Chunks {
-    let (pieces, waiting) = mpsc::channel(MAX_WAITING);
+    let (sender, receiver) = mpsc::channel(MAX_BUFFERED_CHUNKS);
     let archive = format!("of campaign {name}");
     let writing = tokio::task::spawn_blocking(move || {
         // Keeps the temporary folder until the last chunk is sent.
         let _until_written = &folder;
-        let mut out = Pieces {
-            piece: Vec::with_capacity(CHUNK_BYTES),
-            to: pieces,
+        let mut out = ChunkWriter {
+            buffer: Vec::with_capacity(CHUNK_BYTES),
+            sender,
         };
         package.write(&mut out, Path::new(&archive))
     });
-    let state = (waiting, Some(writing));
+    let state = (receiver, Some(writing));
     Box::pin(futures_util::stream::unfold(
         state,
-        |(mut waiting, writing)| async move {
-            if let Some(data) = waiting.recv().await {
-                return Some((Ok(wire::ArchiveChunk { data }), (waiting, writing)));
+        |(mut receiver, writing)| async move {
+            if let Some(data) = receiver.recv().await {
+                return Some((Ok(wire::ArchiveChunk { data }), (receiver, writing)));
             }
             // The writer's result is awaited: a failure must end the stream with an error, or the
             // client would take a truncated archive for complete.
@@ -110,35 +110,35 @@ fn chunks(package: Package, folder: TempDir, name: &CampaignName) -> Chunks {
                 Ok(Err(error)) => archive_failed(error),
                 Err(_) => Status::internal("write the archive: a thread panicked"),
             };
-            Some((Err(status), (waiting, None)))
+            Some((Err(status), (receiver, None)))
         },
     ))
 }
 
 /// Writer that sends its data into a channel in chunks.
-struct Pieces {
-    piece: Vec<u8>,
-    to: mpsc::Sender<Vec<u8>>,
+struct ChunkWriter {
+    buffer: Vec<u8>,
+    sender: mpsc::Sender<Vec<u8>>,
 }
 
-impl Write for Pieces {
+impl Write for ChunkWriter {
     fn write(&mut self, data: &[u8]) -> io::Result<usize> {
-        let room = CHUNK_BYTES - self.piece.len();
+        let room = CHUNK_BYTES - self.buffer.len();
         let taken = &data[..data.len().min(room)];
-        self.piece.extend_from_slice(taken);
-        if self.piece.len() == CHUNK_BYTES {
+        self.buffer.extend_from_slice(taken);
+        if self.buffer.len() == CHUNK_BYTES {
             self.flush()?;
         }
         Ok(taken.len())
     }
 
     fn flush(&mut self) -> io::Result<()> {
-        if self.piece.is_empty() {
+        if self.buffer.is_empty() {
             return Ok(());
         }
         let next = Vec::with_capacity(CHUNK_BYTES);
-        let piece = std::mem::replace(&mut self.piece, next);
-        let sent = self.to.blocking_send(piece);
+        let chunk = std::mem::replace(&mut self.buffer, next);
+        let sent = self.sender.blocking_send(chunk);
         sent.map_err(|_| io::Error::other("the client has disconnected"))
     }
 }

@@ -128,7 +128,7 @@ impl OperatorService for OperatorApi {
         let name = campaign_name(&request.campaign)?;
         if request.confirm != request.campaign {
             return Err(invalid(format!(
-                "delete campaign `{name}`: `confirm` must be its name once more"
+                "delete campaign `{name}`: `confirm` must repeat the name"
             )));
         }
         let queue = self.queue.clone();
@@ -249,10 +249,10 @@ impl OperatorService for OperatorApi {
     ) -> Answer<AlterCampaignResponse> {
         let request = request.into_inner();
         let name = campaign_name(&request.campaign)?;
-        let to = read::alteration(request)?;
-        let renamed = to.name.clone().unwrap_or_else(|| name.clone());
+        let alteration = read::alteration(request)?;
+        let renamed = alteration.name.clone().unwrap_or_else(|| name.clone());
         let queue = self.queue.clone();
-        let altered = async move { queue.alter_campaign(&name, &to).await };
+        let altered = async move { queue.alter_campaign(&name, &alteration).await };
         let taken_back = self.changes.run(altered).await?.map_err(failed)?;
         let name = renamed;
         let (mut view, campaign) = self.campaign(name.as_str()).await?;

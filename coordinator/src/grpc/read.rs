@@ -56,7 +56,7 @@ pub(super) fn claim_id(id: String) -> Result<String, Status> {
 
 pub(super) fn worker_info(request: wire::RegisterRequest) -> Result<WorkerInfo, Status> {
     if request.slots == 0 {
-        return Err(invalid("`slots` is 0; a worker has some"));
+        return Err(invalid("`slots` is 0; a worker has at least one"));
     }
     for (field, count) in [("slots", request.slots), ("cores", request.cores)] {
         if count > MAX_SLOTS {
@@ -135,7 +135,7 @@ pub(super) fn change(change: i32) -> Result<Change, Status> {
         Ok(Wire::Resume) => Ok(Change::Resume),
         Ok(Wire::Cancel) => Ok(Change::Cancel),
         Ok(Wire::Unspecified) | Err(_) => Err(invalid(format!(
-            "`change` is {change}, which is none of this protocol version"
+            "`change` is {change}, which this protocol version does not define"
         ))),
     }
 }
@@ -147,7 +147,7 @@ pub(super) fn priority(priority: i32) -> Result<i32, Status> {
     }
     let (least, most) = (PRIORITIES.start(), PRIORITIES.end());
     Err(invalid(format!(
-        "`priority` is {priority}; it is from {least} to {most}"
+        "`priority` is {priority}; it must be from {least} to {most}"
     )))
 }
 
@@ -169,13 +169,13 @@ pub(super) fn alteration(request: wire::AlterCampaignRequest) -> Result<Alterati
 
 /// Reads the number of rollouts, by suite.
 pub(super) fn rollouts_by_suite(
-    asked: Vec<wire::SuiteRollouts>,
+    requests: Vec<wire::SuiteRollouts>,
 ) -> Result<BTreeMap<String, u64>, Status> {
     let mut rollouts = BTreeMap::new();
-    for of in asked {
-        let suite: Suite = of.suite.parse().map_err(invalid)?;
+    for requested in requests {
+        let suite: Suite = requested.suite.parse().map_err(invalid)?;
         let total: &mut u64 = rollouts.entry(suite.to_string()).or_default();
-        *total = total.saturating_add(of.rollouts);
+        *total = total.saturating_add(requested.rollouts);
     }
     Ok(rollouts)
 }
@@ -184,7 +184,7 @@ pub(super) fn rollouts_by_suite(
 pub(super) fn policy_rate(given: Option<f64>) -> Result<Option<f64>, Status> {
     match given {
         Some(rate) if !rate.is_finite() || rate <= 0.0 => Err(invalid(format!(
-            "`policy_rate` is {rate}; it is a number of queries per second, more than 0"
+            "`policy_rate` is {rate}; it must be a number of queries per second above 0"
         ))),
         given => Ok(given),
     }
@@ -252,7 +252,7 @@ pub(super) fn retry(jobs: Vec<wire::JobName>, all: bool) -> Result<Retry, Status
             Ok(Retry::Named(names?))
         }
         _ => Err(invalid(format!(
-            "name 1 to {MAX_JOBS_RETRIED} jobs, or ask for all"
+            "name 1 to {MAX_JOBS_RETRIED} jobs, or set `all`"
         ))),
     }
 }
@@ -276,7 +276,7 @@ pub(super) fn failure_reason(reason: i32) -> Result<FailureReason, Status> {
         Ok(Reason::PolicyUnavailable) => Ok(FailureReason::PolicyUnavailable),
         Ok(Reason::Draining) => Ok(FailureReason::Draining),
         Ok(Reason::Unspecified) | Err(_) => Err(invalid(format!(
-            "`reason` is {reason}, which is none of this protocol version"
+            "`reason` is {reason}, which this protocol version does not define"
         ))),
     }
 }
@@ -330,7 +330,7 @@ fn result(result: wire::RolloutResult) -> Result<RolloutResult, Status> {
     });
     if goal.is_some_and(|goal| !goal.agrees_with(result.success)) {
         return Err(invalid(
-            "`result` holds a progress towards the goal that contradicts itself or its success",
+            "`result` has goal progress that is inconsistent in itself or with `success`",
         ));
     }
     let ik = |residual_mm| IkResidual {
@@ -370,8 +370,8 @@ fn realised(axes: Vec<wire::RealisedAxis>) -> Result<Realised, Status> {
             }
             _ => {
                 return Err(invalid(format!(
-                    "`realised` of axis `{}`: an axis with numbers comes once, with at most \
-                     {MAX_REALISED_VALUES} values, all finite",
+                    "`realised` of axis `{}`: each axis must be metric, occur once \
+                     and have at most {MAX_REALISED_VALUES} values, all finite",
                     shortened(&name, MAX_ROLLOUT_ID_BYTES)
                 )));
             }

@@ -109,15 +109,15 @@ mod tests {
     /// Regression: the page's `.bar{width:100%}` stretched every bar of the report's figures.
     #[test]
     fn page_styles_do_not_apply_to_figures() {
-        let of_figures = |class: &str| {
+        let is_in_figures = |class: &str| {
             let within = format!(".panel .{class}");
             selectors(report::figures::STYLE).any(|selector| selector == within)
         };
         let classes = selectors(STYLE).filter_map(|selector| selector.strip_prefix('.'));
-        let alone =
+        let single_classes =
             classes.filter(|selector| selector.chars().all(|c| c.is_alphanumeric() || c == '-'));
-        let mut reaching = alone.filter(|class| of_figures(class));
-        assert_eq!(reaching.next(), None);
-        assert!(of_figures("bar"), "the figures' rules are not found");
+        let mut conflicting = single_classes.filter(|class| is_in_figures(class));
+        assert_eq!(conflicting.next(), None);
+        assert!(is_in_figures("bar"), "the figures' rules are not found");
     }
 }

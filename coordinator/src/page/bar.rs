@@ -7,12 +7,12 @@ use queue::read::Counts;
 const WIDTH: f64 = 1_000.0;
 
 /// Segments of a bar: CSS class, count and label.
-fn pieces(counts: &Counts) -> [(&'static str, u64, &'static str); 5] {
+fn segments(counts: &Counts) -> [(&'static str, u64, &'static str); 5] {
     let failed = counts.committed.saturating_sub(counts.succeeded);
     [
         ("succeeded", counts.succeeded, "succeeded"),
         ("failed", failed, "failed"),
-        ("aside", counts.quarantined, "quarantined"),
+        ("quarantined", counts.quarantined, "quarantined"),
         ("running", counts.leased, "running"),
         ("empty", counts.queued, "waiting"),
     ]
@@ -22,7 +22,7 @@ fn pieces(counts: &Counts) -> [(&'static str, u64, &'static str); 5] {
 pub(super) fn bar(counts: &Counts, words: &str) -> Markup {
     let scale = WIDTH / (counts.total().max(1) as f64);
     let mut end = 0.0;
-    let placed = pieces(counts).map(|(class, count, _)| {
+    let placed = segments(counts).map(|(class, count, _)| {
         let (x, width) = (end, count as f64 * scale);
         end += width;
         (class, x, width)
@@ -44,7 +44,7 @@ pub(super) fn bar(counts: &Counts, words: &str) -> Markup {
 pub(super) fn legend(counts: &Counts) -> Markup {
     html! {
         ul.legend {
-            @for (class, count, word) in pieces(counts) {
+            @for (class, count, word) in segments(counts) {
                 li { span class={ "key " (class) } {} strong { (count) } " " (word) }
             }
         }

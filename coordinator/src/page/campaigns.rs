@@ -63,11 +63,11 @@ pub(super) fn progress(status: &CampaignStatus) -> Markup {
 
 /// Renders notes on obstacles and on faults that need the operator.
 fn notes(status: &CampaignStatus) -> Markup {
-    let aside = status.counts.quarantined;
+    let quarantined = status.counts.quarantined;
     let is_over = status.campaign.state.is_over();
     html! {
         @if !is_over && (status.policy_pause_reason.is_some() || !status.waiting_reason.is_empty()
-            || aside > 0)
+            || quarantined > 0)
         {
             ul.notes {
                 @if let Some(reason) = &status.policy_pause_reason {
@@ -83,12 +83,13 @@ fn notes(status: &CampaignStatus) -> Markup {
                         }
                     }
                 }
-                @if aside > 0 {
+                @if quarantined > 0 {
                     li {
-                        (aside) @if aside == 1 { " rollout is" } @else { " rollouts are" }
+                        (quarantined)
+                        @if quarantined == 1 { " rollout is" } @else { " rollouts are" }
                         " in quarantine after failing too often: "
                         a href={ "/campaigns/" (status.campaign.name) "/rollouts?state=quarantined" } {
-                            "which, and why"
+                            "list with the errors"
                         }
                         "."
                     }

@@ -11,7 +11,8 @@ use super::perturbation;
 use super::trace::Path;
 use crate::words::{duration_text, size_text, utc_text};
 
-pub(super) struct Shown {
+/// Rollout of a configuration with its result and failed attempts.
+pub(super) struct ShownRollout {
     pub(super) id: RolloutId,
     pub(super) row: ManifestRow,
     pub(super) line: RolloutLine,
@@ -21,7 +22,7 @@ pub(super) struct Shown {
     pub(super) path: Path,
 }
 
-impl Shown {
+impl ShownRollout {
     /// Returns the size of the rollout's video, bytes; `None` without a video.
     pub(super) fn video_bytes(&self) -> Option<u64> {
         let bytes = self.result.as_ref()?.video_bytes?;
@@ -30,7 +31,12 @@ impl Shown {
 }
 
 /// Renders the card. `trace` is the plot of the hand's path, if any.
-pub(super) fn card(campaign: &str, shown: &Shown, replicate: u32, trace: Option<Markup>) -> Markup {
+pub(super) fn card(
+    campaign: &str,
+    shown: &ShownRollout,
+    replicate: u32,
+    trace: Option<Markup>,
+) -> Markup {
     let title = shown.id.condition().label();
     let (class, word, detail) = describe_state(shown);
     html! {
@@ -74,7 +80,7 @@ pub(super) fn video_controls() -> Markup {
 }
 
 /// Returns CSS class, label and detail of a rollout's state.
-fn describe_state(shown: &Shown) -> (&'static str, &'static str, String) {
+fn describe_state(shown: &ShownRollout) -> (&'static str, &'static str, String) {
     let budget = shown.row.max_steps;
     let line = &shown.line;
     match (&shown.result, line.state.as_str()) {
@@ -97,13 +103,13 @@ fn describe_state(shown: &Shown) -> (&'static str, &'static str, String) {
         }
         (None, "quarantined") => {
             let detail = format!("after {} attempts", line.attempt);
-            ("aside", "quarantined", detail)
+            ("quarantined", "quarantined", detail)
         }
         (None, _) => ("empty", "waiting", String::new()),
     }
 }
 
-fn video(campaign: &str, shown: &Shown, replicate: u32, bytes: u64) -> Markup {
+fn video(campaign: &str, shown: &ShownRollout, replicate: u32, bytes: u64) -> Markup {
     let address = video_address(campaign, shown.id, replicate);
     html! {
         (player(campaign, shown.id, replicate))
@@ -128,12 +134,12 @@ fn video_address(campaign: &str, id: RolloutId, replicate: u32) -> String {
 }
 
 /// Renders the instruction, if it differs, and the perturbation of each axis.
-fn perturbed(shown: &Shown) -> Markup {
+fn perturbed(shown: &ShownRollout) -> Markup {
     let mut combined = shown.row.perturbation.axes();
     combined.extend(shown.row.variant_id.is_some().then_some(Axis::Language));
     let axes = shown.id.condition().axes(combined.into_iter().collect());
     let axes: Vec<Axis> = axes.axes().collect();
-    // Instructions that only a variant's BDDL file has are not known here.
+    // The row lacks instructions that stand only in a variant's BDDL file.
     let instruction = &shown.row.instruction;
     let is_different = !instruction.is_empty() && *instruction != shown.id.task().instruction();
     let values = |axis| {
@@ -166,7 +172,7 @@ fn perturbed(shown: &Shown) -> Markup {
 }
 
 /// Renders the attempts that ended without a result.
-fn failures(shown: &Shown) -> Markup {
+fn failures(shown: &ShownRollout) -> Markup {
     let count = shown.failures.len();
     html! {
         details {
@@ -188,7 +194,7 @@ fn failures(shown: &Shown) -> Markup {
 }
 
 /// Renders seeds, worker, policy, assets and the other provenance of the outcome.
-fn origin(shown: &Shown, replicate: u32) -> Markup {
+fn origin(shown: &ShownRollout, replicate: u32) -> Markup {
     let line = &shown.line;
     let seed = seeds::rollout_seed(&shown.id);
     let attempts = format!("{}, {} charged", line.attempt, line.charged_attempts);
@@ -253,8 +259,8 @@ fn of_result(result: &ResultLine) -> Vec<(&'static str, String)> {
         ("divergent", divergent),
         ("attempt id", result.attempt.to_string()),
         ("worker", result.worker_id.to_string()),
-        ("took", duration_text(result.wall_secs)),
-        ("policy asked", format!("{} times", result.policy_queries)),
+        ("duration", duration_text(result.wall_secs)),
+        ("policy queries", result.policy_queries.to_string()),
         ("actions clipped", result.clipped_actions.to_string()),
         ("goal", goal(result)),
         ("prompt", result.prompt.clone().unwrap_or_default()),

@@ -27,7 +27,7 @@ const MAX_EVENT_INTERVAL: Duration = Duration::from_secs(5);
 const RECONNECT_MS: u32 = 1_000;
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum News {
+enum ChangeState {
     /// Change counter; only increases while the coordinator runs.
     Version(u64),
     /// The coordinator is shutting down.
@@ -37,30 +37,30 @@ enum News {
 /// Broadcast of changes to all open streams.
 #[derive(Debug)]
 pub(super) struct Changes {
-    news: watch::Sender<News>,
-    seats: Arc<Semaphore>,
-    arrived: Notify,
+    state: watch::Sender<ChangeState>,
+    permits: Arc<Semaphore>,
+    opened: Notify,
 }
 
 impl Changes {
     pub(super) fn new() -> Changes {
         Changes {
-            news: watch::Sender::new(News::Version(0)),
-            seats: Arc::new(Semaphore::new(MAX_STREAMS)),
-            arrived: Notify::new(),
+            state: watch::Sender::new(ChangeState::Version(0)),
+            permits: Arc::new(Semaphore::new(MAX_STREAMS)),
+            opened: Notify::new(),
         }
     }
 
     /// Returns the change counter, which is the version of a page rendered now.
     pub(super) fn version(&self) -> u64 {
-        match *self.news.borrow() {
-            News::Version(version) => version,
-            News::Closed => 0,
+        match *self.state.borrow() {
+            ChangeState::Version(version) => version,
+            ChangeState::Closed => 0,
         }
     }
 
     pub(super) fn streams(&self) -> usize {
-        MAX_STREAMS - self.seats.available_permits()
+        MAX_STREAMS - self.permits.available_permits()
     }
 
     /// Opens a stream.
@@ -68,15 +68,15 @@ impl Changes {
     /// # Errors
     /// If [`MAX_STREAMS`] streams are open.
     pub(super) fn stream(&self) -> Result<Response, Problem> {
-        let seat = self.seats.clone().try_acquire_owned();
-        let seat = seat.map_err(|_| Problem::TooManyStreams)?;
-        self.arrived.notify_one();
-        let news = WatchStream::new(self.news.subscribe());
-        let news = news.take_while(|news| *news != News::Closed);
-        let lines = news.map(move |news| {
-            // The closure owns the permit, so the seat is freed when the stream is dropped.
-            let _taken = &seat;
-            let News::Version(version) = news else {
+        let permit = self.permits.clone().try_acquire_owned();
+        let permit = permit.map_err(|_| Problem::TooManyStreams)?;
+        self.opened.notify_one();
+        let state = WatchStream::new(self.state.subscribe());
+        let state = state.take_while(|state| *state != ChangeState::Closed);
+        let lines = state.map(move |state| {
+            // The closure owns the permit, so it is released when the stream is dropped.
+            let _taken = &permit;
+            let ChangeState::Version(version) = state else {
                 return Ok(Bytes::new());
             };
             let event = format!("retry: {RECONNECT_MS}\nevent: change\ndata: {version}\n\n");
@@ -93,7 +93,7 @@ impl Changes {
     pub(super) async fn poll(&self, queue: &Queue) {
         loop {
             if self.streams() == 0 {
-                self.arrived.notified().await;
+                self.opened.notified().await;
             }
             if let Err(error) = self.poll_while_watched(queue).await {
                 // Logged at debug level only: the pages themselves show database errors.
@@ -105,7 +105,7 @@ impl Changes {
     }
 
     pub(super) fn close(&self) {
-        self.news.send_replace(News::Closed);
+        self.state.send_replace(ChangeState::Closed);
     }
 
     async fn poll_while_watched(&self, queue: &Queue) -> Result<(), StoreError> {
@@ -125,8 +125,8 @@ impl Changes {
     }
 
     fn increment_version(&self) {
-        self.news.send_modify(|news| {
-            if let News::Version(version) = news {
+        self.state.send_modify(|state| {
+            if let ChangeState::Version(version) = state {
                 *version += 1;
             }
         });

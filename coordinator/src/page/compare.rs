@@ -12,12 +12,12 @@ pub(super) const ADDRESS: &str = "/compare";
 
 /// Renders the page, or the selection form alone if the query does not name two campaigns.
 pub(super) async fn sheet(page: &Page, query: &str) -> Result<Sheet, Problem> {
-    let of = |wanted: &str| {
+    let parameter = |wanted: &str| {
         let mut pairs = form_urlencoded::parse(query.as_bytes());
         let value = pairs.find(|(name, _)| name == wanted);
         value.map(|(_, value)| value.into_owned())
     };
-    let (a, b) = (of("a"), of("b"));
+    let (a, b) = (parameter("a"), parameter("b"));
     let mut view = page.queue.view().await?;
     let names = names(&mut view).await?;
     let form = form(&names, [a.as_deref(), b.as_deref()]);

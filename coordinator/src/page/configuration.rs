@@ -10,7 +10,7 @@ use queue::read::{Campaign, FailureLine, ResultLine, RolloutLine, View};
 use rollout_types::Motion;
 
 use super::campaign::address;
-use super::card::{self, Shown};
+use super::card::{self, ShownRollout};
 use super::layout::{Place, Sheet, crumbs};
 use super::problem::Problem;
 use super::state::Page;
@@ -30,39 +30,39 @@ pub(super) async fn sheet(
         campaign: name.to_string(),
         rollout: shortened(rollout, 80).to_owned(),
     };
-    let asked: RolloutId = rollout.parse().map_err(|_| unknown())?;
+    let requested: RolloutId = rollout.parse().map_err(|_| unknown())?;
     let replicate = replicate(query)?;
-    let replicates = view.replicates(campaign.id, &asked.to_string()).await?;
+    let replicates = view.replicates(campaign.id, &requested.to_string()).await?;
     if !replicates.contains(&replicate) {
         return Err(unknown());
     }
-    let shown = rollouts(&mut view, &campaign, asked, replicate).await?;
-    let Some(first) = shown.iter().find(|shown| shown.id == asked) else {
+    let shown = rollouts(&mut view, &campaign, requested, replicate).await?;
+    let Some(first) = shown.iter().find(|shown| shown.id == requested) else {
         return Err(unknown());
     };
-    let neighbours = neighbours(&mut view, &campaign, asked).await?;
-    let subsets = subsets::section(&mut view, &campaign, asked).await?;
-    let of_cards = shown.iter().filter(|shown| shown.video_bytes().is_some());
-    let videos = of_cards.count() + subsets.films;
+    let neighbours = neighbours(&mut view, &campaign, requested).await?;
+    let subsets = subsets::section(&mut view, &campaign, requested).await?;
+    let filmed = shown.iter().filter(|shown| shown.video_bytes().is_some());
+    let videos = filmed.count() + subsets.films;
     let campaign = name.as_str();
     let extent = Extent::from_paths(shown.iter().map(|shown| &shown.path));
-    let is_nominal = |shown: &&Shown| shown.id.condition() == Condition::Clean;
+    let is_nominal = |shown: &&ShownRollout| shown.id.condition() == Condition::Clean;
     let nominal = shown.iter().find(is_nominal);
-    let trace = |rollout: &Shown| {
-        let is_other = |nominal: &&Shown| nominal.id != rollout.id;
+    let trace = |rollout: &ShownRollout| {
+        let is_other = |nominal: &&ShownRollout| nominal.id != rollout.id;
         let under = nominal.filter(is_other).map(|nominal| &nominal.path);
         let extent = extent.as_ref().filter(|_| !rollout.path.is_empty())?;
         Some(trace::plot(&rollout.path, under, extent))
     };
     let main = html! {
         (crumbs(campaign))
-        h1 { (heading(asked)) }
+        h1 { (heading(requested)) }
         p.instruction { "“" (first.row.id.task().instruction()) "”" }
         p {
-            code { (asked.task()) } ", initial state " (first.row.init_id)
+            code { (requested.task()) } ", initial state " (first.row.init_id)
             @if let Some(effect) = transition(&shown, replicate) { ". " strong { (effect) } }
         }
-        (navigation_links(campaign, asked, replicate, &replicates, &neighbours))
+        (navigation_links(campaign, requested, replicate, &replicates, &neighbours))
         @if videos > 1 { (card::video_controls()) }
         (subsets.markup)
         @if !subsets.is_empty() { h2 { "Each rollout" } }
@@ -72,7 +72,7 @@ pub(super) async fn sheet(
             }
         }
     };
-    let title = format!("{asked} in {name}");
+    let title = format!("{requested} in {name}");
     Ok(Sheet::new(Place::Campaigns, title, main))
 }
 
@@ -91,16 +91,16 @@ pub(super) fn replicate(query: &str) -> Result<u32, Problem> {
 async fn rollouts(
     view: &mut View,
     campaign: &Campaign,
-    asked: RolloutId,
+    requested: RolloutId,
     replicate: u32,
-) -> Result<Vec<Shown>, Problem> {
-    let mut ids = siblings(asked);
+) -> Result<Vec<ShownRollout>, Problem> {
+    let mut ids = siblings(requested);
     let mut lines = view.rollouts(campaign.id, &ids, replicate).await?;
     let init_id = lines.iter().find_map(|line| Some(read(line).ok()?.init_id));
-    if let (Some(init_id), Some(_)) = (init_id, asked.config()) {
-        let nominal = RolloutId::clean(asked.task(), init_id).to_string();
-        let of = std::slice::from_ref(&nominal);
-        lines.extend(view.rollouts(campaign.id, of, replicate).await?);
+    if let (Some(init_id), Some(_)) = (init_id, requested.config()) {
+        let nominal = RolloutId::clean(requested.task(), init_id).to_string();
+        let nominal_ids = std::slice::from_ref(&nominal);
+        lines.extend(view.rollouts(campaign.id, nominal_ids, replicate).await?);
         ids.insert(0, nominal);
     }
     let jobs: Vec<JobId> = lines.iter().map(|line| line.id).collect();
@@ -115,7 +115,7 @@ async fn rollouts(
     lines.sort_by_key(|line| ids.iter().position(|id| *id == line.rollout_id));
     let shown = lines.into_iter().map(|line| {
         let row = read(&line)?;
-        Ok(Shown {
+        Ok(ShownRollout {
             id: row.id,
             row,
             result: results.remove(&line.id),
@@ -133,16 +133,17 @@ fn read(line: &RolloutLine) -> Result<ManifestRow, Problem> {
 
 /// Returns the ids of all conditions of a rollout's configuration, itself included, in display
 /// order.
-fn siblings(asked: RolloutId) -> Vec<String> {
-    let Some(config) = asked.config() else {
-        return vec![asked.to_string()];
+fn siblings(requested: RolloutId) -> Vec<String> {
+    let Some(config) = requested.config() else {
+        return vec![requested.to_string()];
     };
     // The simultaneous rollout comes first, beside the nominal one, since the two are usually
     // compared.
     let several = AxisSet::ALL.subsets().into_iter().map(Condition::of);
     let conditions = [Condition::Combination].into_iter().chain(several);
     let conditions = conditions.chain([Condition::Latency]);
-    let id = |condition| RolloutId::perturbed(asked.task(), condition, asked.level(), config);
+    let id =
+        |condition| RolloutId::perturbed(requested.task(), condition, requested.level(), config);
     let ids = conditions.filter_map(|condition| id(condition).ok());
     ids.map(|id| id.to_string()).collect()
 }
@@ -151,10 +152,13 @@ fn siblings(asked: RolloutId) -> Vec<String> {
 async fn neighbours(
     view: &mut View,
     campaign: &Campaign,
-    asked: RolloutId,
+    requested: RolloutId,
 ) -> Result<Vec<RolloutId>, Problem> {
-    let (suite, task) = (asked.task().suite().short_name(), asked.task().index());
-    let prefix = format!("{suite}/t{task}/{}/", asked.condition());
+    let (suite, task) = (
+        requested.task().suite().short_name(),
+        requested.task().index(),
+    );
+    let prefix = format!("{suite}/t{task}/{}/", requested.condition());
     let ids = view.beginning(campaign.id, &prefix).await?;
     let mut ids: Vec<RolloutId> = ids.iter().filter_map(|id| id.parse().ok()).collect();
     ids.sort();
@@ -164,21 +168,25 @@ async fn neighbours(
 /// Renders links to other replicates, levels and configurations.
 fn navigation_links(
     campaign: &str,
-    asked: RolloutId,
+    requested: RolloutId,
     replicate: u32,
     replicates: &[u32],
     neighbours: &[RolloutId],
 ) -> Markup {
-    let is_same_level = |id: &&RolloutId| id.level() == asked.level();
+    let is_same_level = |id: &&RolloutId| id.level() == requested.level();
     let row: Vec<&RolloutId> = neighbours.iter().filter(is_same_level).collect();
-    let place = row.iter().position(|id| **id == asked);
+    let place = row.iter().position(|id| **id == requested);
     let before = place.and_then(|place| row.get(place.checked_sub(1)?));
     let after = place.and_then(|place| row.get(place + 1));
-    let levels = neighbours.iter().filter(|id| id.number() == asked.number());
+    let levels = neighbours
+        .iter()
+        .filter(|id| id.number() == requested.number());
     let to = |id: RolloutId, replicate| address(campaign, id, replicate);
     let levels = levels.map(|id| (id.level().to_string(), to(*id, replicate)));
-    let replicates = replicates.iter().map(|k| (k.to_string(), to(asked, *k)));
-    let current = to(asked, replicate);
+    let replicates = replicates
+        .iter()
+        .map(|k| (k.to_string(), to(requested, *k)));
+    let current = to(requested, replicate);
     html! {
         nav.ways aria-label="Other configurations" {
             @if let Some(id) = before { a rel="prev" href=(to(**id, replicate)) { "← " (number(**id)) } }
@@ -211,23 +219,27 @@ fn number(id: RolloutId) -> String {
     }
 }
 
-fn heading(asked: RolloutId) -> String {
-    let task = asked.task();
-    let which = match asked.config() {
-        Some(config) if asked.is_placebo() => {
+fn heading(requested: RolloutId) -> String {
+    let task = requested.task();
+    let place_in_design = match requested.config() {
+        Some(config) if requested.is_placebo() => {
             format!("configuration {config} at L0, the placebo level")
         }
-        Some(config) => format!("configuration {config} at {}", asked.level()),
-        None => match asked.variant() {
-            Some(variant) => format!("{variant} from initial state {}", asked.number()),
-            None => format!("nominal from initial state {}", asked.number()),
+        Some(config) => format!("configuration {config} at {}", requested.level()),
+        None => match requested.variant() {
+            Some(variant) => format!("{variant} from initial state {}", requested.number()),
+            None => format!("nominal from initial state {}", requested.number()),
         },
     };
-    format!("{}, task {}, {which}", task.suite().name(), task.index())
+    format!(
+        "{}, task {}, {place_in_design}",
+        task.suite().name(),
+        task.index()
+    )
 }
 
 /// Describes the effect of simultaneous perturbation; `None` while outcomes are missing.
-fn transition(shown: &[Shown], replicate: u32) -> Option<&'static str> {
+fn transition(shown: &[ShownRollout], replicate: u32) -> Option<&'static str> {
     let records: Vec<Record> = shown
         .iter()
         .map(|shown| Record {

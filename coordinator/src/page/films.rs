@@ -152,8 +152,8 @@ fn remedies(lattice: &LatticeView, shown: &[Film]) -> Markup {
         }
     }
     let explains = |source: &Source| {
-        let by = lattice.explaining.as_ref();
-        by.is_some_and(|by| by.campaign.id == source.campaign.id)
+        let explaining = lattice.explaining.as_ref();
+        explaining.is_some_and(|explaining| explaining.campaign.id == source.campaign.id)
     };
     let measured = &lattice.measured.campaign.name;
     // A single `worker film` command covers all campaigns that stored actions.

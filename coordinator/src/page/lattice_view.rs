@@ -27,47 +27,53 @@ pub(super) struct LatticeView {
     pub(super) explaining: Option<Source>,
 }
 
-/// Reads the outcomes of a configuration; `None` if `asked` is a nominal rollout or the
+/// Reads the outcomes of a configuration; `None` if `requested` is a nominal rollout or the
 /// configuration has fewer than two axes.
 pub(super) async fn read(
     view: &mut View,
     campaign: &Campaign,
-    asked: RolloutId,
+    requested: RolloutId,
 ) -> Result<Option<LatticeView>, Problem> {
     let simultaneous = |number| {
-        RolloutId::perturbed(asked.task(), Condition::Combination, asked.level(), number).ok()
+        RolloutId::perturbed(
+            requested.task(),
+            Condition::Combination,
+            requested.level(),
+            number,
+        )
+        .ok()
     };
-    let Some(configuration) = asked.config().and_then(simultaneous) else {
+    let Some(configuration) = requested.config().and_then(simultaneous) else {
         return Ok(None);
     };
-    // A thresholds campaign has its rollouts along one condition and so yields no lattice.
-    let (measured, by) = match explanation(view, campaign).await? {
+    // A thresholds campaign varies the radius of single conditions, so it yields no lattice.
+    let (measured, candidates) = match explanation(view, campaign).await? {
         None => (campaign.clone(), view.following(campaign.id).await?),
         Some(_) => match view.source(campaign.id).await? {
             Some(source) => (source, vec![campaign.clone()]),
             None => return Ok(None),
         },
     };
-    let measured = source(view, measured, asked).await?;
+    let measured = source(view, measured, requested).await?;
     // Uses the explaining campaign with the most rollouts of this configuration.
     let mut explaining: Option<(Source, Explanation)> = None;
-    for by in by {
-        let Some(explanation) = explanation(view, &by).await? else {
+    for candidate in candidates {
+        let Some(explanation) = explanation(view, &candidate).await? else {
             continue;
         };
-        let one = source(view, by, asked).await?;
+        let candidate = source(view, candidate, requested).await?;
         let most = explaining
             .as_ref()
             .map_or(0, |(source, _)| source.rows.len());
-        if one.rows.len() > most {
-            explaining = Some((one, explanation));
+        if candidate.rows.len() > most {
+            explaining = Some((candidate, explanation));
         }
     }
     let records = records(&measured.rows)?;
     let lattices = match &explaining {
         None => own_configurations(&records),
-        Some((by, explanation)) => {
-            configurations(&records, &self::records(&by.rows)?, explanation.repeats)
+        Some((source, explanation)) => {
+            configurations(&records, &self::records(&source.rows)?, explanation.repeats)
         }
     };
     let explaining = explaining.map(|(source, _)| source);
@@ -83,15 +89,25 @@ pub(super) async fn read(
 }
 
 /// Reads a campaign's rollouts of a configuration under all subsets of the axes, nominal included.
-async fn source(view: &mut View, campaign: Campaign, asked: RolloutId) -> Result<Source, Problem> {
+async fn source(
+    view: &mut View,
+    campaign: Campaign,
+    requested: RolloutId,
+) -> Result<Source, Problem> {
     let conditions = AxisSet::ALL.subsets().into_iter().map(Condition::of);
-    let id =
-        |condition| RolloutId::perturbed(asked.task(), condition, asked.level(), asked.number());
+    let id = |condition| {
+        RolloutId::perturbed(
+            requested.task(),
+            condition,
+            requested.level(),
+            requested.number(),
+        )
+    };
     let ids = conditions.filter_map(|condition| id(condition).ok());
     let ids: Vec<String> = ids.map(|id| id.to_string()).collect();
     let mut rows = view.subsets(campaign.id, &ids).await?;
     if let Some(first) = rows.first() {
-        let nominal = RolloutId::clean(asked.task(), first.job.init_id).to_string();
+        let nominal = RolloutId::clean(requested.task(), first.job.init_id).to_string();
         rows.extend(view.subsets(campaign.id, &[nominal]).await?);
     }
     Ok(Source { campaign, rows })

@@ -21,7 +21,7 @@ pub(super) async fn form(State(page): State<Arc<Page>>, uri: Uri) -> Response {
     let next = next(uri.query().unwrap_or_default().as_bytes());
     match page.security.asks_for_tokens() {
         true => show(StatusCode::OK, &next, ""),
-        false => to(&next, None),
+        false => redirect(&next, None),
     }
 }
 
@@ -34,7 +34,7 @@ pub(super) async fn submit(State(page): State<Arc<Page>>, body: Bytes) -> Respon
     let next = next(&body);
     let token = field(&body, "token");
     match page.security.log_in(token.trim(), &READERS) {
-        Some(cookie) => to(&next, Some(cookie)),
+        Some(cookie) => redirect(&next, Some(cookie)),
         None => {
             let why = "This is no token of a viewer or an operator of this coordinator.";
             show(StatusCode::UNAUTHORIZED, &next, why)
@@ -44,7 +44,7 @@ pub(super) async fn submit(State(page): State<Arc<Page>>, body: Bytes) -> Respon
 
 /// Ends the browser's session.
 pub(super) async fn log_out(State(page): State<Arc<Page>>, headers: HeaderMap) -> Response {
-    to(LOG_IN, Some(page.security.log_out(&headers)))
+    redirect(LOG_IN, Some(page.security.log_out(&headers)))
 }
 
 fn show(code: StatusCode, next: &str, why: &str) -> Response {
@@ -60,13 +60,13 @@ fn show(code: StatusCode, next: &str, why: &str) -> Response {
         }
         p.muted {
             "Tokens are the second words in the coordinator's token file. Logged in already, and \
-            led here by another site's link? " a href=(next) { "Go on" } "."
+            led here by another site's link? " a href=(next) { "Continue" } "."
         }
     };
     answer::page(code, layout::static_page("Log in", &main).into_string())
 }
 
-fn to(address: &str, cookie: Option<String>) -> Response {
+fn redirect(address: &str, cookie: Option<String>) -> Response {
     let cookie = cookie.map(|cookie| [(header::SET_COOKIE, cookie)]);
     let headers = [
         (header::LOCATION, address),
@@ -80,10 +80,10 @@ fn to(address: &str, cookie: Option<String>) -> Response {
 fn next(form: &[u8]) -> String {
     let next = field(form, "next");
     let mut bytes = next.bytes();
-    let is_own = next.starts_with('/')
+    let is_local_path = next.starts_with('/')
         && !next.starts_with("//")
         && bytes.all(|byte| byte.is_ascii_graphic() && byte != b'\\');
-    if is_own { next } else { "/".to_owned() }
+    if is_local_path { next } else { "/".to_owned() }
 }
 
 /// Returns a form field; empty if absent.

@@ -24,15 +24,15 @@ const COUNTER: &str = "counter";
 
 /// Serves `/metrics`.
 pub(super) async fn get(State(page): State<Arc<Page>>) -> Response {
-    let made = page
+    let cached = page
         .metrics
-        .get("", |made| made.at.elapsed() < PAGE_AGE, collect(&page));
+        .get("", |cached| cached.at.elapsed() < PAGE_AGE, collect(&page));
     let kind = "text/plain; version=0.0.4; charset=utf-8";
     let headers = [
         (header::CONTENT_TYPE, kind),
         (header::CACHE_CONTROL, "no-store"),
     ];
-    match made.await {
+    match cached.await {
         Ok(text) => (headers, text.to_string()).into_response(),
         Err(problem) => problem.into_response(),
     }
@@ -47,12 +47,12 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
     let endings = view.endings().await?;
     drop(view);
     let mut text = Exposition::default();
-    of_campaigns(&mut text, &campaigns);
-    of_policies(&mut text, &policies);
-    let of_all = |count: fn(&CampaignStatus) -> u64| campaigns.iter().map(count).sum::<u64>();
+    campaign_metrics(&mut text, &campaigns);
+    policy_metrics(&mut text, &policies);
+    let total_of = |count: fn(&CampaignStatus) -> u64| campaigns.iter().map(count).sum::<u64>();
     let ended = "rollout_attempts_ended_total";
     text.family(ended, COUNTER, "Attempts by how they ended.");
-    let committed = of_all(|status| status.counts.committed);
+    let committed = total_of(|status| status.counts.committed);
     text.sample(ended, &[("ending", "committed")], committed as f64);
     for (ending, count) in &endings {
         text.sample(ended, &[("ending", ending)], *count as f64);
@@ -61,7 +61,7 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
     let slots: u32 = alive.clone().map(|worker| worker.slots).sum();
     let sizes = queue.store().sizes();
     let free = Room::measure(queue.store().folder(), 0).free_bytes;
-    let leased = of_all(|status| status.counts.leased) as f64;
+    let leased = total_of(|status| status.counts.leased) as f64;
     let waiting = page.gauges.claims() as f64;
     let is_held = f64::from(queue.held().is_some());
     let streams = page.changes.streams() as f64;
@@ -87,7 +87,7 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
     Ok(text.0.into())
 }
 
-fn of_campaigns(text: &mut Exposition, campaigns: &[CampaignStatus]) {
+fn campaign_metrics(text: &mut Exposition, campaigns: &[CampaignStatus]) {
     let total = campaigns.len();
     text.single_gauge("rollout_campaigns", "Number of campaigns.", total as f64);
     let shown = &campaigns[total.saturating_sub(MAX_CAMPAIGNS)..];
@@ -123,7 +123,7 @@ fn of_campaigns(text: &mut Exposition, campaigns: &[CampaignStatus]) {
     }
 }
 
-fn of_policies(text: &mut Exposition, policies: &[PolicyLine]) {
+fn policy_metrics(text: &mut Exposition, policies: &[PolicyLine]) {
     let help = "1 for the state that a policy is in: available, paused by an outage, probing.";
     text.family("rollout_policy_state", GAUGE, help);
     for policy in policies.iter().take(MAX_POLICIES) {

@@ -20,7 +20,7 @@ const MAX_GONE: usize = 20;
 pub(super) async fn workers(page: &Page) -> Result<Sheet, Problem> {
     let mut view = page.queue.view().await?;
     let (workers, now) = (view.workers().await?, view.now);
-    let (alive, gone): (Vec<_>, Vec<_>) = workers.into_iter().partition(|w| w.is_alive);
+    let (alive, departed): (Vec<_>, Vec<_>) = workers.into_iter().partition(|w| w.is_alive);
     let main = html! {
         h1 { "Workers" }
         @if alive.is_empty() {
@@ -28,13 +28,13 @@ pub(super) async fn workers(page: &Page) -> Result<Sheet, Problem> {
         } @else {
             (workers_table("Workers that are alive", &alive, now))
         }
-        @if !gone.is_empty() {
-            h2 { "Gone" }
+        @if !departed.is_empty() {
+            h2 { "Departed" }
             p.muted {
-                "Their rollouts were leased to other workers. Of " (gone.len()) ", those with the \
+                "Their rollouts were leased to other workers. Of " (departed.len()) ", those with the \
                 latest calls:"
             }
-            (workers_table("Workers that have gone", &gone[..gone.len().min(MAX_GONE)], now))
+            (workers_table("Departed workers", &departed[..departed.len().min(MAX_GONE)], now))
         }
     };
     Ok(Sheet::new(Place::Workers, "Workers", main))
@@ -67,8 +67,8 @@ pub(super) async fn quarantine(page: &Page) -> Result<Sheet, Problem> {
             p {
                 "These rollouts were charged with too many attempts that ended without an outcome \
                 (through the machine, the simulator, or answers of the policy that broke the \
-                protocol), took their policy or their workers down, or were skipped. They are in \
-                no rate; the report gives bounds on the measures. "
+                protocol), took their policy or their workers down, or were skipped. Rates leave \
+                them out; the report gives bounds on the measures. "
                 code { "coordinator jobs retry CAMPAIGN ROLLOUT" } " retries one."
             }
             @if quarantined.len() >= MAX_QUARANTINED as usize {
@@ -110,7 +110,7 @@ fn worker_row(line: &WorkerLine, now: UnixMillis) -> Markup {
                     None if line.charged_in_a_row > 0 => {
                         (counted(line.charged_in_a_row.into(), "failure")) " in a row"
                     }
-                    None if line.is_alive => "well",
+                    None if line.is_alive => "healthy",
                     None if line.has_signed_off => "ended",
                     None => "gone",
                 }
@@ -144,7 +144,7 @@ fn policy_section(policy: &PolicyLine, now: UnixMillis) -> Markup {
                         "Its rollouts wait. " (charges(policy.health.misbehaved)) " It is tried again "
                         @if *resume > now { "in " (duration_text(resume.since(now).as_secs_f64())) }
                         @else { "by the next rollout that a worker claims" }
-                        ", after " (policy.health.outages) " outages. It said: "
+                        ", after " (policy.health.outages) " outages. Its last error: "
                     }
                     pre { (reason) }
                 },

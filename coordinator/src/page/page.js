@@ -2,7 +2,7 @@
 // all videos. Pages are readable without JavaScript.
 "use strict";
 
-const CUT_OFF = "Cut off from the coordinator; trying again by itself.";
+const DISCONNECTED = "Disconnected from the coordinator; reconnecting automatically.";
 const LIVE = "Live";
 const CROWDED = "Too many pages are open: this one polls for changes.";
 const CROWDED_MS = 15000;
@@ -118,7 +118,7 @@ async function refresh() {
       watchVideos();
     }
   } catch {
-    showConnection(CUT_OFF, true);
+    showConnection(DISCONNECTED, true);
   }
   setTimeout(() => {
     busy = false;
@@ -146,9 +146,9 @@ function centre() {
   }
 }
 
-function showConnection(text, isCut) {
+function showConnection(text, isDisconnected) {
   const line = document.getElementById("connection");
-  line.classList.toggle("cut", isCut);
+  line.classList.toggle("cut", isDisconnected);
   if (line.textContent !== text) line.textContent = text;
 }
 
@@ -167,12 +167,12 @@ function openStream() {
   });
   stream.addEventListener("error", async () => {
     if (stream && stream.readyState === EventSource.CONNECTING) {
-      showConnection(CUT_OFF, true);
+      showConnection(DISCONNECTED, true);
       return;
     }
     closeStream();
     const crowded = await isReachable();
-    showConnection(crowded ? CROWDED : CUT_OFF, !crowded);
+    showConnection(crowded ? CROWDED : DISCONNECTED, !crowded);
     if (crowded) refresh();
     retryTimer = setTimeout(openStream, crowded ? CROWDED_MS : RETRY_MS);
   });

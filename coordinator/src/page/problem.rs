@@ -86,8 +86,8 @@ impl Problem {
                 "Too many pages are open. This one polls for changes instead."
             },
             Problem::Failed(text) => html! {
-                "The coordinator failed to " (text) ". Nothing is lost by that; its log says more. \
-                Reload to try again."
+                "The coordinator failed to " (text) ". No result is lost; the coordinator's log has the \
+                details. Reload to try again."
             },
         }
     }

@@ -36,14 +36,14 @@ struct Wanted {
 
 pub(super) async fn sheet(page: &Page, name: &str, query: &str) -> Result<Sheet, Problem> {
     let wanted = Wanted::read(query)?;
-    let (of, mut view) = page.campaign(name).await?;
+    let (campaign, mut view) = page.campaign(name).await?;
     let (lines, next) = match &wanted.id {
         Some(id) => {
             let job = JobName {
                 rollout_id: id.clone(),
                 replicate: 0,
             };
-            match view.job(&of, &job).await {
+            match view.job(&campaign, &job).await {
                 Ok(line) => (vec![line], None),
                 Err(QueueError::UnknownRollout { .. }) => (Vec::new(), None),
                 Err(error) => return Err(error.into()),
@@ -62,14 +62,14 @@ pub(super) async fn sheet(page: &Page, name: &str, query: &str) -> Result<Sheet,
                 after: JobId(wanted.after),
                 limit: PAGE_JOBS + 1,
             };
-            let mut lines = view.jobs(&of, filter).await?;
+            let mut lines = view.jobs(&campaign, filter).await?;
             let is_more = lines.len() > PAGE_JOBS as usize;
             lines.truncate(PAGE_JOBS as usize);
             let next = lines.last().filter(|_| is_more).map(|line| line.id.0);
             (lines, next)
         }
     };
-    let campaign = of.name.as_str();
+    let campaign = campaign.name.as_str();
     let main = html! {
         (crumbs(campaign))
         h1 { "Rollouts of " (campaign) }

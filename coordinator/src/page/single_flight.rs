@@ -57,14 +57,14 @@ impl<V: Clone + Send + 'static> SingleFlightCache<V> {
         make: impl Future<Output = Result<V, E>>,
     ) -> Result<V, E> {
         let entry = self.entry(key);
-        let mut made = entry.lock().await;
-        if let Some(made) = made.as_ref().filter(|made| is_fresh(made)) {
-            return Ok(made.value.clone());
+        let mut cached = entry.lock().await;
+        if let Some(cached) = cached.as_ref().filter(|cached| is_fresh(cached)) {
+            return Ok(cached.value.clone());
         }
         let at = Instant::now();
         let value = make.await?;
         let cost = at.elapsed();
-        *made = Some(CachedValue {
+        *cached = Some(CachedValue {
             value: value.clone(),
             at,
             cost,
@@ -90,9 +90,9 @@ impl<V: Clone + Send + 'static> SingleFlightCache<V> {
         E: Send + 'static,
         C: FnOnce() -> Result<V, E> + Send + 'static,
     {
-        let mut made = self.entry(key).lock_owned().await;
-        if let Some(made) = made.as_ref().filter(|made| is_fresh(made)) {
-            return Ok(made.value.clone());
+        let mut cached = self.entry(key).lock_owned().await;
+        if let Some(cached) = cached.as_ref().filter(|cached| is_fresh(cached)) {
+            return Ok(cached.value.clone());
         }
         let at = Instant::now();
         let computation = read.await?;
@@ -100,7 +100,7 @@ impl<V: Clone + Send + 'static> SingleFlightCache<V> {
         let computed = tokio::task::spawn_blocking(move || {
             let _turn = turn;
             let value = computation()?;
-            *made = Some(CachedValue {
+            *cached = Some(CachedValue {
                 value: value.clone(),
                 at,
                 cost: at.elapsed(),
@@ -147,7 +147,7 @@ mod tests {
         assert_eq!(again.await, Ok(7));
     }
 
-    /// Regression B12: reloading a page while its statistics were computed started another
+    /// Regression: reloading a page while its statistics were computed started another
     /// computation.
     #[tokio::test]
     async fn an_abandoned_computation_is_not_started_again() {
@@ -168,7 +168,7 @@ mod tests {
         };
         for _ in 0..5 {
             let given_up = tokio::time::timeout(Duration::from_millis(20), request()).await;
-            assert!(given_up.is_err(), "the computation waits");
+            assert!(given_up.is_err(), "the computation is not finished");
         }
         // Enough signals for every computation, had several been started.
         (0..6).for_each(|_| release.send(()).expect("a waiting computation"));
@@ -182,8 +182,8 @@ mod tests {
         let failed = cache.get("a", |_| true, async { Err("no") }).await;
         assert_eq!(failed, Err("no"));
         for key in ["a", "b", "c"] {
-            let made = cache.get(key, |_| true, async { Ok::<_, &str>(key.len()) });
-            assert_eq!(made.await, Ok(1));
+            let cached = cache.get(key, |_| true, async { Ok::<_, &str>(key.len()) });
+            assert_eq!(cached.await, Ok(1));
         }
         assert!(cache.entries.lock().expect("unpoisoned").len() <= 2);
     }

@@ -59,7 +59,7 @@ pub(crate) struct Page {
 }
 
 /// Returns the cache time of statistics whose computation took `cost`.
-fn patience(cost: Duration) -> Duration {
+fn cache_time(cost: Duration) -> Duration {
     (cost * DOCUMENT_AGE_PER_COST).max(PAGE_AGE)
 }
 
@@ -106,8 +106,8 @@ impl Page {
             return Problem::Address.into_response();
         }
         let version = self.changes.version();
-        let is_fresh = |made: &CachedValue<Arc<Rendered>>| {
-            made.at.elapsed() < PAGE_AGE && made.value.version == version
+        let is_fresh = |cached: &CachedValue<Arc<Rendered>>| {
+            cached.at.elapsed() < PAGE_AGE && cached.value.version == version
         };
         let make = async {
             let sheet = sheet.await?;
@@ -126,7 +126,7 @@ impl Page {
     }
 
     /// Returns a campaign's statistics. They may lag behind its results by the cache time, see
-    /// [`patience`].
+    /// [`cache_time`].
     pub(super) async fn document(
         &self,
         campaign: &Campaign,
@@ -137,10 +137,10 @@ impl Page {
             None => None,
         };
         let editions = (view.edition(campaign.id).await?, source);
-        let is_fresh = |made: &CachedValue<(Editions, Arc<Document>)>| {
-            made.value.0 == editions
-                || (made.value.0.0.is_of_same_campaign(&editions.0)
-                    && made.at.elapsed() < patience(made.cost))
+        let is_fresh = |cached: &CachedValue<(Editions, Arc<Document>)>| {
+            cached.value.0 == editions
+                || (cached.value.0.0.is_of_same_campaign(&editions.0)
+                    && cached.at.elapsed() < cache_time(cached.cost))
         };
         let wanted = editions.clone();
         let read = async {
@@ -168,11 +168,11 @@ impl Page {
         view: &mut View,
     ) -> Result<Arc<Compared>, Problem> {
         let editions = [view.edition(a.id).await?, view.edition(b.id).await?];
-        let is_fresh = |made: &CachedValue<([Edition; 2], Arc<Compared>)>| {
-            let mut both = made.value.0.iter().zip(&editions);
-            made.value.0 == editions
-                || (both.all(|(made, now)| made.is_of_same_campaign(now))
-                    && made.at.elapsed() < patience(made.cost))
+        let is_fresh = |cached: &CachedValue<([Edition; 2], Arc<Compared>)>| {
+            let mut both = cached.value.0.iter().zip(&editions);
+            cached.value.0 == editions
+                || (both.all(|(cached, now)| cached.is_of_same_campaign(now))
+                    && cached.at.elapsed() < cache_time(cached.cost))
         };
         let wanted = editions.clone();
         let read = async {

@@ -30,9 +30,9 @@ impl Section {
 pub(super) async fn section(
     view: &mut View,
     campaign: &Campaign,
-    asked: RolloutId,
+    requested: RolloutId,
 ) -> Result<Section, Problem> {
-    let Some(lattice) = read(view, campaign, asked).await? else {
+    let Some(lattice) = read(view, campaign, requested).await? else {
         return Ok(Section::default());
     };
     let found = Explained::of(lattice.configuration, &lattice.outcomes).ok();
@@ -97,16 +97,16 @@ fn sources(lattice: &LatticeView, shown: &Campaign) -> Markup {
         html! { a href={ "/campaigns/" (name) } { (name) } }
     };
     html! {
-        @if let Some(by) = &lattice.explaining {
+        @if let Some(explaining) = &lattice.explaining {
             p.muted {
-                @if by.campaign.id == shown.id {
+                @if explaining.campaign.id == shown.id {
                     "Explains "
                     a href=(address(lattice.measured.campaign.name.as_str(), lattice.configuration, 0)) {
                         "this configuration of " (lattice.measured.campaign.name)
                     }
                     "."
                 } @else {
-                    "Explained by " (to(&by.campaign)) "."
+                    "Explained by " (to(&explaining.campaign)) "."
                 }
             }
         }

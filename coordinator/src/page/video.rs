@@ -73,29 +73,32 @@ pub(super) async fn answer(
 
 /// Serves a video from the artifact storage, or the requested range of it.
 async fn stored(storage: &Storage, video: &str, headers: &HeaderMap) -> Result<Response, Problem> {
-    let range = headers.get(header::RANGE).and_then(asked_range);
+    let range = headers.get(header::RANGE).and_then(requested_range);
     let is_part = range.is_some();
     let read = storage.read(video, range).await;
-    let piece = read.map_err(|error| Problem::failed(&error))?;
-    let piece = piece.ok_or(Problem::Video)?;
-    let size = piece.size_bytes;
+    let object = read.map_err(|error| Problem::failed(&error))?;
+    let object = object.ok_or(Problem::Video)?;
+    let size = object.size_bytes;
     let mut answer = Response::builder()
         .header(header::CONTENT_TYPE, "video/mp4")
         .header(header::ACCEPT_RANGES, "bytes")
-        .header(header::CONTENT_LENGTH, piece.range.end - piece.range.start);
+        .header(
+            header::CONTENT_LENGTH,
+            object.range.end - object.range.start,
+        );
     if is_part {
-        let (first, last) = (piece.range.start, piece.range.end.saturating_sub(1));
+        let (first, last) = (object.range.start, object.range.end.saturating_sub(1));
         answer = answer.status(StatusCode::PARTIAL_CONTENT).header(
             header::CONTENT_RANGE,
             format!("bytes {first}-{last}/{size}"),
         );
     }
-    let answer = answer.body(Body::from_stream(piece.bytes.0));
+    let answer = answer.body(Body::from_stream(object.bytes.0));
     answer.map_err(|error| Problem::failed(&error))
 }
 
 /// Returns the requested range; `None`, which serves the whole video, if several are requested.
-fn asked_range(header: &HeaderValue) -> Option<GetRange> {
+fn requested_range(header: &HeaderValue) -> Option<GetRange> {
     let ranges = parse_range_header(header.to_str().ok()?).ok()?.ranges;
     let [range] = ranges.as_slice() else {
         return None;

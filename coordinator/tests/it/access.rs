@@ -26,7 +26,7 @@ use crate::process::{Serve, coordinator, fail, succeed, text};
 pub(crate) const WORKER: &str = "worker-secret-0123456789";
 pub(crate) const OPERATOR: &str = "operator-secret-0123456789";
 pub(crate) const VIEWER: &str = "viewer-secret-0123456789";
-/// Length of a name that is meant to do harm, characters.
+/// Length of an oversized name, characters.
 const MILLION: usize = 1_000_000;
 
 /// Writes a file that only this user may read.
@@ -80,12 +80,12 @@ impl Guarded {
     }
 }
 
-type Shown = Box<dyn FnMut(Request<()>) -> Result<Request<()>, Status>>;
+type WithToken = Box<dyn FnMut(Request<()>) -> Result<Request<()>, Status>>;
 
 /// Returns a service that sends a token, or none, with every call.
-fn showing(channel: &Channel, token: Option<&str>) -> InterceptedService<Channel, Shown> {
+fn with_token(channel: &Channel, token: Option<&str>) -> InterceptedService<Channel, WithToken> {
     let value = token.map(|token| format!("Bearer {token}").parse().expect("a header"));
-    let show: Shown = Box::new(move |mut request: Request<()>| {
+    let add_token: WithToken = Box::new(move |mut request: Request<()>| {
         if let Some(value) = &value {
             request.metadata_mut().insert(
                 "authorization",
@@ -94,17 +94,17 @@ fn showing(channel: &Channel, token: Option<&str>) -> InterceptedService<Channel
         }
         Ok(request)
     });
-    InterceptedService::new(channel.clone(), show)
+    InterceptedService::new(channel.clone(), add_token)
 }
 
 async fn register(channel: &Channel, token: Option<&str>, id: &str) -> Result<(), Status> {
-    let mut service = WorkerServiceClient::new(showing(channel, token));
+    let mut service = WorkerServiceClient::new(with_token(channel, token));
     service.register(registration(id, "primitives")).await?;
     Ok(())
 }
 
 async fn create(channel: &Channel, token: Option<&str>, spec: String) -> Result<(), Status> {
-    let mut service = OperatorServiceClient::new(showing(channel, token));
+    let mut service = OperatorServiceClient::new(with_token(channel, token));
     service
         .create_campaign(wire::CreateCampaignRequest { spec, priority: 0 })
         .await?;
@@ -112,7 +112,7 @@ async fn create(channel: &Channel, token: Option<&str>, spec: String) -> Result<
 }
 
 async fn list(channel: &Channel, token: Option<&str>) -> Result<(), Status> {
-    let mut service = OperatorServiceClient::new(showing(channel, token));
+    let mut service = OperatorServiceClient::new(with_token(channel, token));
     service
         .list_campaigns(wire::ListCampaignsRequest {})
         .await?;
@@ -124,7 +124,7 @@ async fn unauthenticated_callers_are_refused_logged_once_and_change_nothing() {
     let guarded = Guarded::start(&[]);
     let channel = guarded.channel().await;
     let before = guarded.rows().await;
-    let spec = || small_spec("theirs").to_string();
+    let spec = || small_spec("stranger").to_string();
     for token in [None, Some("wrong-secret-0123456789"), Some("x")] {
         for _ in 0..3 {
             let refused = register(&channel, token, "w")
@@ -181,7 +181,7 @@ async fn names_of_a_million_characters_are_refused_in_every_field() {
     let channel = guarded.channel().await;
     let before = guarded.rows().await;
     let long = "n".repeat(MILLION);
-    let mut worker = WorkerServiceClient::new(showing(&channel, Some(WORKER)));
+    let mut worker = WorkerServiceClient::new(with_token(&channel, Some(WORKER)));
     for field in [
         "worker_id",
         "host",
@@ -223,7 +223,7 @@ async fn an_oversized_message_is_refused_before_it_is_read() {
     let guarded = Guarded::start(&[]);
     let channel = guarded.channel().await;
     let before = guarded.rows().await;
-    let mut worker = WorkerServiceClient::new(showing(&channel, Some(WORKER)));
+    let mut worker = WorkerServiceClient::new(with_token(&channel, Some(WORKER)));
     let refused = worker
         .release(wire::ReleaseRequest {
             error: "e".repeat(4 << 20),
@@ -331,7 +331,7 @@ fn other_addresses_are_served_only_with_tls_and_tokens_or_insecure() {
     assert!(!folder.path().join("data").exists());
 }
 
-/// Regression (finding A2): on a shared machine, every user could call a coordinator that listened
+/// Regression: on a shared machine, every user could call a coordinator that listened
 /// on loopback, delete its campaigns and set its policies' endpoints.
 #[test]
 fn other_users_of_the_machine_are_refused_unless_insecure_loopback() {
@@ -343,7 +343,7 @@ fn other_users_of_the_machine_are_refused_unless_insecure_loopback() {
         );
         return;
     }
-    for (flags, is_let_in) in [(&[][..], false), (&["--insecure-loopback"][..], true)] {
+    for (flags, is_allowed) in [(&[][..], false), (&["--insecure-loopback"][..], true)] {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let serve = Serve::start_with(folder.path(), flags, Stdio::null());
         let listed = Command::new(env!("CARGO_BIN_EXE_coordinator"))
@@ -355,10 +355,10 @@ fn other_users_of_the_machine_are_refused_unless_insecure_loopback() {
             .output()
             .expect("runs");
         let message = text(&listed.stderr);
-        assert_eq!(listed.status.success(), is_let_in, "{message}");
+        assert_eq!(listed.status.success(), is_allowed, "{message}");
         assert_eq!(
             message.contains("--insecure-loopback"),
-            !is_let_in,
+            !is_allowed,
             "{message}"
         );
         assert!(serve.command(&["campaign", "list"]).status.success());
@@ -370,12 +370,12 @@ fn readable_secrets_are_refused_and_stored_files_are_private() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = |name: &str| folder.path().join(name);
     let [tokens, key, certificate, data] = ["tokens", "key.pem", "cert.pem", "deep/data"].map(path);
-    for (file, holds) in [
+    for (file, content) in [
         (&tokens, format!("worker {WORKER}\noperator {OPERATOR}\n")),
         (&key, "a key".to_owned()),
         (&certificate, "a certificate".to_owned()),
     ] {
-        write_private(file, &holds);
+        write_private(file, &content);
     }
     let [tokens_text, key_text, certificate_text, data_text] =
         [&tokens, &key, &certificate, &data].map(|path| path.to_str().expect("UTF-8"));
@@ -443,7 +443,7 @@ async fn silent_connections_are_closed_and_do_not_exhaust_the_limit() {
         .stderr(Stdio::null())
         .spawn();
     let serve = Serve::wait_until_listening(limited.expect("starts"));
-    assert!(serve.is_ready(), "it listens");
+    assert!(serve.is_ready(), "the coordinator does not listen");
     let address = serve.url.strip_prefix("http://").expect("a URL");
     let connect = || TcpStream::connect(address).expect("a connection");
     let mut silent: Vec<TcpStream> = (0..FILES + 12).map(|_| connect()).collect();
@@ -459,6 +459,6 @@ async fn silent_connections_are_closed_and_do_not_exhaust_the_limit() {
     let end = last.read(&mut [0; 64]);
     assert!(
         matches!(&end, Ok(0)) || end.is_err_and(|error| error.kind() == ErrorKind::ConnectionReset),
-        "it is still open"
+        "the connection is still open"
     );
 }

@@ -9,10 +9,10 @@ use serde_json::{Value, json};
 use tonic::{Code, Status};
 
 use crate::harness::{Bench, Worker, small_spec, with};
-use crate::page::ask;
+use crate::page::http;
 use crate::process::{CREATE, Serve, text};
 
-const ELSEWHERE: &str = "http://127.0.0.1:50099";
+const NEW_ENDPOINT: &str = "http://127.0.0.1:50099";
 
 async fn alter(
     bench: &Bench,
@@ -50,7 +50,7 @@ async fn film(worker: &mut Worker, lease: &wire::Lease) -> String {
         name: "video.mp4".to_owned(),
         data: vec![1; 100],
     }]);
-    let put = worker.service.put_artifact(video).await.expect("kept");
+    let put = worker.service.put_artifact(video).await.expect("stored");
     put.into_inner().path
 }
 
@@ -66,17 +66,20 @@ async fn a_campaign_continues_at_once_after_its_endpoint_is_corrected() {
     assert!(bench.status("typo").await.policy_paused);
     assert!(worker.claim(1).await.is_empty());
 
-    let altered = alter(&bench, to_endpoint("typo", ELSEWHERE)).await;
+    let altered = alter(&bench, to_endpoint("typo", NEW_ENDPOINT)).await;
     let altered = altered.expect("altered");
     assert_eq!(altered.taken_back, 1);
     let status = altered.status.expect("a status");
-    assert_eq!(status.policy_endpoint, ELSEWHERE);
-    assert!(!status.policy_paused, "nothing bad is known of the new one");
+    assert_eq!(status.policy_endpoint, NEW_ENDPOINT);
+    assert!(
+        !status.policy_paused,
+        "the policy at the new endpoint is available"
+    );
 
     // An attempt at the old endpoint no longer belongs to this campaign, and is no evidence about
     // the new endpoint.
-    let over = worker.heartbeat(&[&held], 20).await;
-    assert_eq!(over, std::slice::from_ref(&held.attempt_id));
+    let lost_leases = worker.heartbeat(&[&held], 20).await;
+    assert_eq!(lost_leases, std::slice::from_ref(&held.attempt_id));
     worker.release(&held, Reason::PolicyUnavailable).await;
     assert_eq!(worker.commit(&held, true).await, Verdict::Stale);
     assert!(!bench.status("typo").await.policy_paused);
@@ -87,7 +90,7 @@ async fn a_campaign_continues_at_once_after_its_endpoint_is_corrected() {
     assert!(
         leases
             .iter()
-            .all(|lease| lease.policy_endpoint == ELSEWHERE)
+            .all(|lease| lease.policy_endpoint == NEW_ENDPOINT)
     );
     // No policy has the mistyped endpoint any more.
     assert_eq!(bench.count("SELECT count(*) FROM policy").await, 1);
@@ -101,13 +104,16 @@ async fn an_altered_campaign_is_recognised_by_its_new_specification_only() {
     bench.create(&before).await.expect("created");
     let request = wire::AlterCampaignRequest {
         policy: Some("expart".to_owned()),
-        ..to_endpoint("typo", ELSEWHERE)
+        ..to_endpoint("typo", NEW_ENDPOINT)
     };
     alter(&bench, request).await.expect("altered");
-    let policy = json!({"policy": {"name": "expart", "endpoint": ELSEWHERE}});
+    let policy = json!({"policy": {"name": "expart", "endpoint": NEW_ENDPOINT}});
     let now = bench.create(&with(before.clone(), policy)).await;
     assert_eq!(now.expect("an existing campaign").jobs_added, 0);
-    let refused = bench.create(&before).await.expect_err("another");
+    let refused = bench
+        .create(&before)
+        .await
+        .expect_err("another specification");
     assert_eq!(refused.code(), Code::AlreadyExists);
     assert!(refused.message().contains("`policy`"), "{refused}");
 }
@@ -117,7 +123,7 @@ async fn an_invalid_alteration_is_refused_and_changes_nothing() {
     let bench = Bench::start().await;
     bench.create(&small_spec("one")).await.expect("created");
     bench.create(&small_spec("two")).await.expect("created");
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     assert_eq!(lease.campaign, "one");
     let held = worker.claim(8).await;
@@ -127,7 +133,7 @@ async fn an_invalid_alteration_is_refused_and_changes_nothing() {
             Code::InvalidArgument,
             "http://",
         ),
-        (to_endpoint("none", ELSEWHERE), Code::NotFound, "no such"),
+        (to_endpoint("none", NEW_ENDPOINT), Code::NotFound, "no such"),
         (
             to_name("one", "two"),
             Code::AlreadyExists,
@@ -156,7 +162,7 @@ async fn an_invalid_alteration_is_refused_and_changes_nothing() {
     assert!(worker.heartbeat(&leases, 9).await.is_empty());
     let cancelled = bench.change("one", Change::Cancel).await;
     cancelled.expect("cancelled");
-    let refused = alter(&bench, to_endpoint("one", ELSEWHERE)).await;
+    let refused = alter(&bench, to_endpoint("one", NEW_ENDPOINT)).await;
     assert!(refused.expect_err("final").message().contains("final"));
     assert_invariants(&bench).await;
 }
@@ -167,12 +173,12 @@ async fn a_probe_is_replaced_if_its_campaign_changes_endpoint() {
     let leaves = bench.create_with_priority(&small_spec("leaves"), 1).await;
     leaves.expect("created");
     bench.create(&small_spec("stays")).await.expect("created");
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
-    bench.pass(61).await;
+    bench.advance(61).await;
     let probe = worker.claim_one().await;
     assert_eq!(probe.campaign, "leaves");
-    alter(&bench, to_endpoint("leaves", ELSEWHERE))
+    alter(&bench, to_endpoint("leaves", NEW_ENDPOINT))
         .await
         .expect("altered");
     assert_invariants(&bench).await;
@@ -181,7 +187,7 @@ async fn a_probe_is_replaced_if_its_campaign_changes_endpoint() {
     assert_eq!(
         campaigns,
         ["leaves", "leaves"],
-        "leased at once at the new endpoint"
+        "jobs are leased at once at the new endpoint"
     );
     let rest = worker.claim(8).await;
     let probes = rest.iter().filter(|lease| lease.campaign == "stays");
@@ -228,9 +234,9 @@ async fn a_renamed_campaign_keeps_everything_and_is_found_under_its_new_name() {
 async fn a_reused_name_shares_no_files_with_its_former_campaign() {
     let bench = Bench::start().await;
     bench.create(&small_spec("name")).await.expect("created");
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
-    let kept = film(&mut worker, &lease).await;
+    let first_path = film(&mut worker, &lease).await;
     alter(&bench, to_name("name", "first"))
         .await
         .expect("renamed");
@@ -247,7 +253,7 @@ async fn a_reused_name_shares_no_files_with_its_former_campaign() {
     assert_invariants(&bench).await;
 
     bench.delete("name", "name").await.expect("deleted");
-    assert!(bench.folder.path().join(&kept).is_file());
+    assert!(bench.folder.path().join(&first_path).is_file());
     assert!(!bench.folder.path().join(&second_path).exists());
     // No campaign has the name now, and no redirection from it is left.
     let request = wire::GetCampaignRequest {
@@ -265,7 +271,7 @@ async fn a_reused_name_shares_no_files_with_its_former_campaign() {
         .expect("renamed");
     assert_invariants(&bench).await;
     bench.delete("last", "last").await.expect("deleted");
-    assert!(!bench.folder.path().join(&kept).exists());
+    assert!(!bench.folder.path().join(&first_path).exists());
     assert_eq!(bench.count("SELECT count(*) FROM former_name").await, 0);
     assert_invariants(&bench).await;
 }
@@ -295,13 +301,17 @@ async fn an_operator_alters_a_campaign_from_the_command_line() {
     run(&set("set-priority", "-100"), 0, "demo has priority -100");
     run(&set("set-priority", "101"), 2, "-100 to 100");
     run(&set("set-endpoint", "localhost"), 2, "http://");
-    run(&set("set-endpoint", ELSEWHERE), 0, "1 rollout taken back");
-    run(&["campaign", "status", "demo"], 0, ELSEWHERE);
+    run(
+        &set("set-endpoint", NEW_ENDPOINT),
+        0,
+        "1 rollout taken back",
+    );
+    run(&["campaign", "status", "demo"], 0, NEW_ENDPOINT);
     let moved = "http://127.0.0.1:50053";
     let move_from = |from| ["campaign", "move-endpoint", from, moved];
     run(&move_from("http://127.0.0.1:1"), 0, "no campaign measures");
     run(
-        &move_from(ELSEWHERE),
+        &move_from(NEW_ENDPOINT),
         0,
         &format!("demo measures expert at {moved}"),
     );
@@ -316,7 +326,7 @@ async fn an_old_page_address_redirects_to_the_renamed_campaign() {
     let bench = Bench::start().await;
     bench.create(&small_spec("old")).await.expect("created");
     alter(&bench, to_name("old", "new")).await.expect("renamed");
-    let page = async |path: &str| ask(&bench.url, &format!("GET {path}")).await;
+    let page = async |path: &str| http(&bench.url, &format!("GET {path}")).await;
     for rest in ["", "/rollouts?state=queued"] {
         let answer = page(&format!("/campaigns/old{rest}")).await;
         assert_eq!(answer.code, 307);
@@ -333,7 +343,7 @@ async fn the_stored_specification_follows_every_change() {
     let request = wire::AlterCampaignRequest {
         name: Some("new".to_owned()),
         priority: Some(1),
-        ..to_endpoint("old", ELSEWHERE)
+        ..to_endpoint("old", NEW_ENDPOINT)
     };
     alter(&bench, request).await.expect("altered");
     let request = wire::GetCampaignRequest {
@@ -343,5 +353,5 @@ async fn the_stored_specification_follows_every_change() {
     let spec = campaign.expect("a campaign").into_inner().spec;
     let spec: Value = serde_json::from_str(&spec).expect("JSON");
     assert_eq!(spec["name"], "new");
-    assert_eq!(spec["policy"]["endpoint"], ELSEWHERE);
+    assert_eq!(spec["policy"]["endpoint"], NEW_ENDPOINT);
 }

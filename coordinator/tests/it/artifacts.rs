@@ -38,7 +38,7 @@ pub(crate) async fn put(
 async fn a_video_is_stored_with_the_outcome_of_its_attempt() {
     let bench = Bench::start().await;
     bench.create(&small_spec("filmed")).await.expect("created");
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     let pieces = [vec![1; 1_000_000], vec![2; 500_000]];
     let early = put(&mut worker, &lease, "video.mp4", &pieces).await;
     let early = early.expect_err("there is no outcome yet");
@@ -47,7 +47,7 @@ async fn a_video_is_stored_with_the_outcome_of_its_attempt() {
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let path = put(&mut worker, &lease, "video.mp4", &pieces)
         .await
-        .expect("kept");
+        .expect("stored");
     let attempt = &lease.attempt_id;
     let expected = format!("artifacts/filmed/object_t0_clean_i16.r0.{attempt}.mp4");
     assert_eq!(path, expected);
@@ -65,7 +65,7 @@ async fn a_video_is_stored_with_the_outcome_of_its_attempt() {
     assert_eq!(bench.count(recorded).await, 1);
 }
 
-/// Regression (defect 9): a failed attempt's film was shown beside the next attempt's outcome.
+/// Regression: a failed attempt's film was shown beside the next attempt's outcome.
 #[tokio::test]
 async fn the_film_of_a_failed_attempt_is_never_shown_with_another_attempts_outcome() {
     let bench = Bench::start().await;
@@ -77,41 +77,41 @@ async fn the_film_of_a_failed_attempt_is_never_shown_with_another_attempts_outco
     assert_eq!(second.job_id, failed.job_id);
     assert_eq!(worker.commit(&second, true).await, Verdict::Accepted);
     let late = put(&mut worker, &failed, "video.mp4", &[vec![1; 10]]).await;
-    let late = late.expect_err("its attempt brought no outcome");
+    let late = late.expect_err("its attempt has no outcome");
     assert_eq!(late.code(), Code::PermissionDenied);
     assert_eq!(bench.count("SELECT count(*) FROM artifact").await, 0);
 }
 
-/// Regression (defect 10): two uploads under one lease shared a partial file, so that a published
+/// Regression: two uploads under one lease shared a partial file, so that a published
 /// video was overwritten.
 #[tokio::test]
 async fn concurrent_uploads_of_one_attempt_leave_one_complete_video() {
     let bench = Bench::start().await;
     bench.create(&small_spec("filmed")).await.expect("created");
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let attempt_id = lease.attempt_id.clone();
-    let chunk = move |of: u8| wire::ArtifactChunk {
+    let chunk = move |byte: u8| wire::ArtifactChunk {
         attempt_id: attempt_id.clone(),
         name: "video.mp4".to_owned(),
-        data: vec![of; 1_000],
+        data: vec![byte; 1_000],
     };
     let (pieces, rest) = tokio::sync::mpsc::channel(1);
     let mut slow = worker.clone();
     let slow = slow.service.put_artifact(ReceiverStream::new(rest));
     let others = async move {
-        pieces.send(chunk(1)).await.expect("taken");
+        pieces.send(chunk(1)).await.expect("received");
         let path = put(&mut worker, &lease, "video.mp4", &[vec![2; 500]]).await;
-        let file = bench.folder.path().join(path.expect("kept"));
+        let file = bench.folder.path().join(path.expect("stored"));
         assert_eq!(std::fs::read(&file).expect("a file"), [2; 500]);
         // The rest of the slow upload does not change the published file.
-        pieces.send(chunk(1)).await.expect("taken");
+        pieces.send(chunk(1)).await.expect("received");
         tokio::time::sleep(Duration::from_millis(200)).await;
         assert_eq!(std::fs::read(&file).expect("a file"), [2; 500]);
         (bench, file)
     };
     let (slow, (_bench, file)) = tokio::join!(slow, others);
-    slow.expect("kept");
+    slow.expect("stored");
     assert_eq!(std::fs::read(&file).expect("a file"), [1; 2_000]);
 }
 
@@ -119,7 +119,7 @@ async fn concurrent_uploads_of_one_attempt_leave_one_complete_video() {
 async fn uploads_with_unknown_attempt_invalid_name_or_excess_size_are_refused() {
     let bench = Bench::start().await;
     bench.create(&small_spec("filmed")).await.expect("created");
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let small = [vec![1; 10]];
 

@@ -20,7 +20,7 @@ async fn create(bench: &Bench, name: &str, policy: &str) {
 
 async fn misbehaves(worker: &mut Worker, lease: &proto::coordinator::Lease) -> Released {
     let released = worker.release(lease, Reason::PolicyMisbehaved).await;
-    assert_eq!(released.stop_leasing, "", "it is no fault of the worker's");
+    assert_eq!(released.stop_leasing, "", "the worker is not stopped");
     released.verdict()
 }
 
@@ -34,16 +34,16 @@ async fn invalid_answers_pause_the_policy_and_stop_no_worker() {
         assert!(!bench.status("first").await.policy_paused, "{number}");
         let leases = worker.claim(2).await;
         let lease = leases.iter().find(|lease| lease.policy == "nonsense");
-        misbehaves(&mut worker, lease.expect("the older one goes first")).await;
+        misbehaves(&mut worker, lease.expect("the older campaign's job")).await;
         for lease in leases.iter().filter(|lease| lease.policy == "sound") {
             assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
         }
     }
     let status = bench.status("first").await;
     assert!(status.policy_paused);
-    assert_eq!(status.policy_pause_reason, "the bench said so");
-    let strikes = "SELECT count(*) FROM worker WHERE charged_in_a_row > 0";
-    assert_eq!(bench.count(strikes).await, 0);
+    assert_eq!(status.policy_pause_reason, "simulated failure");
+    let failing_workers = "SELECT count(*) FROM worker WHERE charged_in_a_row > 0";
+    assert_eq!(bench.count(failing_workers).await, 0);
     while let Some(lease) = worker.claim(1).await.pop() {
         if lease.policy == "sound" {
             assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
@@ -59,22 +59,22 @@ async fn rollouts_of_a_misbehaving_policy_are_quarantined_with_its_error() {
     // Another machine would get the same answers, so it need not try.
     let (mut worker, mut other) = (bench.worker("a").await, bench.worker("b").await);
     while bench.status("first").await.quarantined < 2 {
-        bench.pass(PAST_BACKOFF_SECS).await;
+        bench.advance(PAST_BACKOFF_SECS).await;
         other.heartbeat(&[], 0).await;
         let lease = worker.claim_one().await;
         misbehaves(&mut worker, &lease).await;
     }
-    let with_its_words = "SELECT count(*) FROM job
-        WHERE state = 'quarantined' AND last_error = 'the bench said so'";
-    assert_eq!(bench.count(with_its_words).await, 2);
+    let quarantined = "SELECT count(*) FROM job
+        WHERE state = 'quarantined' AND last_error = 'simulated failure'";
+    assert_eq!(bench.count(quarantined).await, 2);
     // The policy is corrected: its next probe is answered, and its other jobs follow.
-    bench.pass(PAST_BACKOFF_SECS).await;
+    bench.advance(PAST_BACKOFF_SECS).await;
     let probe = worker.claim_one().await;
-    assert!(worker.claim(1).await.is_empty(), "one probe");
+    assert!(worker.claim(1).await.is_empty(), "only one probe is leased");
     assert_eq!(worker.commit(&probe, true).await, Verdict::Accepted);
     let misbehaved = "SELECT max(misbehaved) + max(outages) FROM policy";
-    assert_eq!(bench.count(misbehaved).await, 0, "its past is forgotten");
-    bench.pass(PAST_BACKOFF_SECS).await;
+    assert_eq!(bench.count(misbehaved).await, 0, "the counts are reset");
+    bench.advance(PAST_BACKOFF_SECS).await;
     assert_eq!(worker.claim(64).await.len(), 9);
 }
 
@@ -93,7 +93,7 @@ async fn only_failures_charged_to_its_machine_stop_a_worker() {
         let mut worker = bench.worker("a").await;
         let mut stop_reason = String::new();
         for _ in 0..5 {
-            bench.pass(PAST_BACKOFF_SECS).await;
+            bench.advance(PAST_BACKOFF_SECS).await;
             let lease = worker.claim_one().await;
             stop_reason = worker.release(&lease, reason).await.stop_leasing;
         }
@@ -103,7 +103,7 @@ async fn only_failures_charged_to_its_machine_stop_a_worker() {
     }
 }
 
-/// Regression (finding B2): a restarted worker has a new id, so that one machine was counted as
+/// Regression: a restarted worker has a new id, so that one machine was counted as
 /// several.
 #[tokio::test]
 async fn restarted_workers_of_one_machine_count_as_one_machine() {
@@ -113,14 +113,15 @@ async fn restarted_workers_of_one_machine_count_as_one_machine() {
     let mut job = None;
     for start in 0..4 {
         let mut worker = bench.worker_at("broken", &format!("b{start}")).await;
-        bench.pass(PAST_BACKOFF_SECS).await;
+        bench.advance(PAST_BACKOFF_SECS).await;
         worker.heartbeat(&[], 0).await;
         sound.heartbeat(&[], 0).await;
         let leases = worker.claim(12).await;
-        let of = |it: &&proto::coordinator::Lease| Some(it.job_id) == job || job.is_none();
-        let lease = leases.iter().find(of);
+        let is_job =
+            |lease: &&proto::coordinator::Lease| Some(lease.job_id) == job || job.is_none();
+        let lease = leases.iter().find(is_job);
         if start == 3 {
-            assert!(lease.is_none(), "it is kept for the other machine");
+            assert!(lease.is_none(), "the job is left to the other machine");
             continue;
         }
         let lease = lease.expect("the job");
@@ -131,7 +132,7 @@ async fn restarted_workers_of_one_machine_count_as_one_machine() {
             worker.release(other, Reason::Draining).await;
         }
     }
-    bench.pass(PAST_BACKOFF_SECS).await;
+    bench.advance(PAST_BACKOFF_SECS).await;
     sound.heartbeat(&[], 0).await;
     let leases = sound.claim(12).await;
     let lease = leases.iter().find(|lease| Some(lease.job_id) == job);
@@ -144,7 +145,7 @@ async fn a_restarted_worker_on_a_broken_machine_stops_at_its_first_failure() {
     let bench = Bench::start().await;
     create(&bench, "first", "any").await;
     let fail = async |worker: &mut Worker| {
-        bench.pass(PAST_BACKOFF_SECS).await;
+        bench.advance(PAST_BACKOFF_SECS).await;
         worker.heartbeat(&[], 0).await;
         let lease = worker.claim_one().await;
         let released = worker.release(&lease, Reason::MachineError).await;
@@ -157,9 +158,9 @@ async fn a_restarted_worker_on_a_broken_machine_stops_at_its_first_failure() {
     let mut second = bench.worker_at("broken", "second").await;
     assert!(fail(&mut second).await);
     // Other machines are not affected, nor is a worker that does not name its machine.
-    let mut elsewhere = bench.worker_at("sound", "elsewhere").await;
+    let mut other = bench.worker_at("sound", "other").await;
     let mut nameless = bench.worker("nameless").await;
-    assert!(!fail(&mut elsewhere).await && !fail(&mut nameless).await);
+    assert!(!fail(&mut other).await && !fail(&mut nameless).await);
     // The machine is repaired.
     let mut third = bench.worker_at("broken", "third").await;
     let lease = third.claim_one().await;

@@ -1,12 +1,12 @@
-//! Numbers reported by workers that are impossibly large: they must not spoil sums over workers.
+//! Impossibly large numbers reported by workers must not make sums over workers overflow.
 
 use tonic::Code;
 
 use crate::harness::{Bench, registration, small_spec};
-use crate::page::ask;
+use crate::page::http;
 
 #[tokio::test(flavor = "multi_thread")]
-async fn impossible_numbers_from_workers_spoil_no_sum() {
+async fn impossibly_large_numbers_from_workers_are_refused_or_capped() {
     let bench = Bench::start().await;
     bench.create(&small_spec("huge")).await.expect("created");
     let mut worker = bench.worker("w").await;
@@ -30,8 +30,8 @@ async fn impossible_numbers_from_workers_spoil_no_sum() {
     (result.wall_secs, result.ik_residual_mm) = (1.0, Some(1e308));
     let refused = worker.service.commit(report).await;
     refused.expect_err("an impossible distance");
-    worker.films(u32::MAX).await;
-    let metrics = ask(&bench.url, "GET /metrics").await;
+    worker.report_filming(u32::MAX).await;
+    let metrics = http(&bench.url, "GET /metrics").await;
     assert_eq!(metrics.code, 200);
     assert!(metrics.text().contains("rollout_worker_slots_alive 2\n"));
 }

@@ -20,7 +20,10 @@ async fn creating_a_campaign_twice_adds_nothing_and_another_specification_is_ref
     assert_eq!((again.jobs_added, again.jobs_total), (0, 4));
 
     let other = with(spec, json!({"levels": ["L2"], "configs": [0, 1]}));
-    let refused = bench.create(&other).await.expect_err("another");
+    let refused = bench
+        .create(&other)
+        .await
+        .expect_err("another specification");
     assert_eq!(refused.code(), Code::AlreadyExists);
     assert!(
         refused.message().contains("`configs`, `levels`"),
@@ -80,9 +83,9 @@ async fn a_status_has_counts_and_rate() {
     let mut worker = bench.worker("a").await;
     for success in [true, false] {
         let lease = worker.claim_one().await;
-        bench.pass(10).await;
+        bench.advance(10).await;
         let mut report = worker.report(&lease, success);
-        report.result.as_mut().expect("one").wall_secs = 10.0;
+        report.result.as_mut().expect("a result").wall_secs = 10.0;
         assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
     }
     let status = bench.status("paced").await;
@@ -115,7 +118,7 @@ async fn results_are_exported_as_reference_rows_in_a_stable_order() {
     for lease in &leases {
         let mut report = worker.report(lease, true);
         if lease.manifest_row.contains("robot") {
-            report.result.as_mut().expect("one").ik_residual_mm = Some(0.125);
+            report.result.as_mut().expect("a result").ik_residual_mm = Some(0.125);
         }
         assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
     }
@@ -155,7 +158,7 @@ async fn results_are_exported_as_reference_rows_in_a_stable_order() {
 async fn campaigns_and_results_survive_a_restart() {
     let bench = Bench::start().await;
     bench.create(&small_spec("kept")).await.expect("created");
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     let bench = bench.restart().await;
     let status = bench.status("kept").await;
@@ -183,7 +186,7 @@ async fn a_database_of_a_newer_schema_is_refused_untouched() {
     let known = newest_known_schema();
     assert!(matches!(
         error,
-        OpenError::NewerSchema { found: 4711, known: ours, .. } if ours == known
+        OpenError::NewerSchema { found: 4711, known: newest, .. } if newest == known
     ));
     let text = error.to_string();
     let up_to = format!("up to {known}");

@@ -23,13 +23,13 @@ async fn claim_is_exclusive_under_concurrency() {
     for number in 0..8_u32 {
         let mut worker = bench.worker(&format!("w{number}")).await;
         claimants.spawn(async move {
-            let mut mine = Vec::new();
+            let mut claimed = Vec::new();
             loop {
                 let leases = worker.claim(1 + number % 3).await;
                 if leases.is_empty() {
-                    return mine;
+                    return claimed;
                 }
-                mine.extend(
+                claimed.extend(
                     leases
                         .into_iter()
                         .map(|lease| (lease.job_id, lease.attempt)),
@@ -80,7 +80,7 @@ async fn a_configuration_is_leased_together_with_its_nominal_rollout() {
     let ids: Vec<String> = worker.claim(8).await.iter().map(rollout_id).collect();
     let conditions: Vec<&str> = ids
         .iter()
-        .map(|id| id.split('/').nth(2).expect("one"))
+        .map(|id| id.split('/').nth(2).expect("a condition"))
         .collect();
     let unit = ["clean", "camera", "sensor", "combination"];
     assert_eq!(conditions, [unit, unit].concat());
@@ -98,14 +98,18 @@ async fn a_worker_keeps_its_warm_task_and_a_cold_one_takes_another() {
     bench.create(&spec).await.expect("created");
     let (mut first, mut second) = (bench.worker("a").await, bench.worker("b").await);
     let task = |id: &str| id.split('/').nth(1).expect("a task").to_owned();
-    let of_first = rollout_id(&first.claim_one().await);
-    assert_eq!(task(&of_first), "t0");
-    let of_second = rollout_id(&second.claim_one().await);
-    assert_eq!(task(&of_second), "t1", "another worker holds t0");
+    let first_rollout = rollout_id(&first.claim_one().await);
+    assert_eq!(task(&first_rollout), "t0");
+    let second_rollout = rollout_id(&second.claim_one().await);
+    assert_eq!(task(&second_rollout), "t1", "another worker holds t0");
     let warm = first.claim_warm(1, "libero_object/2").await;
-    assert_eq!(task(&rollout_id(&warm[0])), "t2", "its scene is compiled");
+    assert_eq!(
+        task(&rollout_id(&warm[0])),
+        "t2",
+        "the worker has compiled the scene of t2"
+    );
     let rest = first.claim_warm(64, "libero_object/2").await;
-    assert_eq!(rest.len(), 9, "warmth is a preference, not a limit");
+    assert_eq!(rest.len(), 9, "the warm task is preferred, not required");
 }
 
 /// Checks a campaign that is leased task by task and one that is leased in drawn order.
@@ -139,7 +143,7 @@ async fn jobs_of_tasks_without_assets_are_left_to_other_workers() {
     );
     let mut whole = bench.worker("b").await;
     let rest = whole.claim(64).await;
-    assert_eq!(rest.len(), claimed.len(), "nothing was lost");
+    assert_eq!(rest.len(), claimed.len(), "the jobs of t0 are still queued");
     assert!(rest.iter().all(|lease| rollout_id(lease).contains("/t0/")));
 }
 
@@ -230,8 +234,8 @@ async fn campaigns_of_one_priority_progress_together() {
     assert_eq!(names, ["older", "newer", "older", "newer"]);
     // Several slots, which keep their leases.
     let rest = worker.claim(8).await;
-    let of = |name: &str| rest.iter().filter(|lease| lease.campaign == name).count();
-    assert_eq!((of("older"), of("newer")), (2, 2));
+    let count = |name: &str| rest.iter().filter(|lease| lease.campaign == name).count();
+    assert_eq!((count("older"), count("newer")), (2, 2));
 }
 
 #[tokio::test]
@@ -248,8 +252,16 @@ async fn the_campaign_with_the_fewest_leases_is_next() {
         .into_iter()
         .map(|l| l.campaign)
         .collect();
-    assert_eq!(campaigns[..4], ["new"; 4], "until they hold the same");
-    assert_eq!(campaigns[4..], ["begun", "new"], "then in turn");
+    assert_eq!(
+        campaigns[..4],
+        ["new"; 4],
+        "the new campaign until both hold four leases"
+    );
+    assert_eq!(
+        campaigns[4..],
+        ["begun", "new"],
+        "then the campaigns alternate"
+    );
     // A slot that finishes a rollout continues with the same campaign, whose scene it holds.
     assert_eq!(worker.commit(&begun[0], true).await, Verdict::Accepted);
     assert_eq!(worker.claim_one().await.campaign, "begun");
@@ -315,7 +327,7 @@ async fn a_campaign_that_a_worker_cannot_run_delays_no_other() {
     assert_eq!(other.commit(&lease, true).await, Verdict::Accepted);
     let down = with(small_spec("down"), policy("fragile"));
     bench.create_with_priority(&down, 5).await.expect("created");
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     assert_eq!(lease.campaign, "down");
     let reason = wire::release_request::Reason::PolicyUnavailable;
     worker.release(&lease, reason).await;
@@ -336,12 +348,12 @@ async fn replicates_change_the_policys_seed_only() {
     assert_eq!(bench.create(&spec).await.expect("created").jobs_total, 12);
     let mut worker = bench.worker("a").await;
     let leases = worker.claim(12).await;
-    let of = |replicate: u32| &leases[replicate as usize * 4 + 1];
-    let rows: BTreeSet<&str> = (0..3).map(|k| of(k).manifest_row.as_str()).collect();
-    let seeds: BTreeSet<u64> = (0..3).map(|k| of(k).policy_seed).collect();
+    let lease_of = |replicate: u32| &leases[replicate as usize * 4 + 1];
+    let rows: BTreeSet<&str> = (0..3).map(|k| lease_of(k).manifest_row.as_str()).collect();
+    let seeds: BTreeSet<u64> = (0..3).map(|k| lease_of(k).policy_seed).collect();
     assert_eq!((rows.len(), seeds.len()), (1, 3));
     assert_eq!(
-        (0..3).map(|k| of(k).replicate).collect::<Vec<_>>(),
+        (0..3).map(|k| lease_of(k).replicate).collect::<Vec<_>>(),
         [0, 1, 2]
     );
     assert!(
@@ -365,11 +377,11 @@ async fn an_unregistered_worker_must_register_and_another_protocol_version_is_re
     let refused = worker.service.register(request).await.expect_err("too new");
     assert_eq!(refused.code(), Code::FailedPrecondition);
     assert!(refused.message().contains("version 99"), "{refused}");
-    let ours = format!("version {};", proto::COORDINATOR_PROTOCOL_VERSION);
-    assert!(refused.message().contains(&ours), "{refused}");
+    let own_version = format!("version {};", proto::COORDINATOR_PROTOCOL_VERSION);
+    assert!(refused.message().contains(&own_version), "{refused}");
 }
 
-/// Regression (defect 5): a claim whose answer was lost left a lease that its worker did not know
+/// Regression: a claim whose answer was lost left a lease that its worker did not know
 /// of.
 #[tokio::test]
 async fn a_repeated_claim_returns_its_existing_lease() {
@@ -399,7 +411,7 @@ async fn a_repeated_claim_returns_its_existing_lease() {
 }
 
 #[tokio::test]
-async fn leases_that_were_never_acknowledged_expire_uncharged_and_strike_no_worker() {
+async fn leases_that_were_never_acknowledged_expire_uncharged_and_count_against_no_worker() {
     let bench = Bench::start().await;
     bench.create(&small_spec("lost")).await.expect("created");
     let mut worker = bench.worker("a").await;
@@ -407,7 +419,7 @@ async fn leases_that_were_never_acknowledged_expire_uncharged_and_strike_no_work
     for _ in 0..8 {
         let claimed = worker.claim_response("").await;
         assert!(claimed.lease.is_some(), "{}", claimed.idle_reason);
-        bench.pass(40).await;
+        bench.advance(40).await;
         assert_eq!(bench.status("lost").await.leased, 0);
     }
     let failures = "SELECT count(*) FROM failure

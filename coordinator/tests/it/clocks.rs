@@ -56,7 +56,7 @@ const INSTANTS: [(&str, &str, Option<i64>); 20] = [
 ];
 
 /// Stores an instant in every column of `INSTANTS`.
-async fn every_instant(bench: &Bench) {
+async fn store_every_instant(bench: &Bench) {
     let spec = with(small_spec("times"), json!({"configs": [0, 1]}));
     bench.create(&spec).await.expect("created");
     let mut worker = bench.worker("a").await;
@@ -107,15 +107,15 @@ async fn every_column_with_an_instant_is_listed() {
     assert_eq!(
         found.collect::<Vec<_>>(),
         named,
-        "say what a jump does to it"
+        "list new columns in INSTANTS"
     );
 }
 
-/// Regression (finding B3): instants stayed ahead of a clock that was set back.
+/// Regression: instants stayed ahead of a clock that was set back.
 #[tokio::test]
 async fn a_clock_set_back_leaves_no_instant_in_the_future() {
     let bench = Bench::start().await;
-    every_instant(&bench).await;
+    store_every_instant(&bench).await;
     let now = bench.clock.now().0 - DAY_MS;
     let folder = bench.stop().await;
     let clock = Arc::new(ManualClock::at(UnixMillis(now)));
@@ -142,7 +142,7 @@ async fn a_clock_set_back_hides_neither_an_outage_nor_a_dead_worker() {
     // The policy counts as available from today on.
     let lease = worker.claim_one().await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
-    bench.pass(5).await;
+    bench.advance(5).await;
     let probe = worker.claim_one().await;
     assert_eq!(worker.commit(&probe, true).await, Verdict::Accepted);
     let yesterday = UnixMillis(bench.clock.now().0 - DAY_MS);
@@ -151,11 +151,11 @@ async fn a_clock_set_back_hides_neither_an_outage_nor_a_dead_worker() {
     assert_eq!(
         bench.status("back").await.live_workers,
         1,
-        "it called just now"
+        "the worker has just called"
     );
-    bench.pass(60).await;
+    bench.advance(60).await;
     assert_eq!(bench.status("back").await.live_workers, 0);
-    let (mut worker, lease) = bench.leasing("b").await;
+    let (mut worker, lease) = bench.worker_with_lease("b").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
     assert!(bench.status("back").await.policy_paused, "a new outage");
 }
@@ -167,7 +167,7 @@ async fn a_clock_jump_ahead_expires_no_lease() {
     let lease = bench.worker("a").await.claim_one().await;
     bench.clock.advance(Duration::from_secs(24 * 3_600));
     let bench = bench.restart().await;
-    bench.pass(20).await;
+    bench.advance(20).await;
     let mut worker = bench.worker("a").await;
     assert!(worker.heartbeat(&[&lease], 40).await.is_empty());
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
@@ -176,7 +176,7 @@ async fn a_clock_jump_ahead_expires_no_lease() {
 #[tokio::test]
 async fn a_clock_jump_ahead_leaves_all_instants_in_the_past_and_leases_their_full_time() {
     let bench = Bench::start().await;
-    every_instant(&bench).await;
+    store_every_instant(&bench).await;
     let mut before = Vec::new();
     for (table, column, _) in INSTANTS {
         before.push(latest(&bench, table, column).await);
@@ -200,13 +200,17 @@ async fn a_clock_jump_ahead_leaves_all_instants_in_the_past_and_leases_their_ful
     let mut worker = bench.worker("b").await;
     let probe = worker.claim_one().await;
     assert_eq!(worker.commit(&probe, true).await, Verdict::Accepted);
-    assert_eq!(worker.claim(64).await.len(), 5, "those that failed, too");
+    assert_eq!(
+        worker.claim(64).await.len(),
+        5,
+        "failed jobs are leased again, too"
+    );
     let folder = bench.stop().await;
     assert_eq!(check(folder.path()).await.expect("a database"), []);
 }
 
 /// Source files that read the system's clock, or instants of files, and the effect of a jump.
-const OUTSIDE: [(&str, &str); 7] = [
+const OTHER_CLOCKS: [(&str, &str); 7] = [
     (
         "crates/policies/policy-backends/src/vla_eval.rs",
         "a stamp for the log of a server, which decides nothing",
@@ -284,5 +288,9 @@ fn every_file_that_reads_another_clock_is_listed() {
         .map(|path| path.to_str().expect("UTF-8"))
         .collect();
     found.sort_unstable();
-    assert_eq!(found, OUTSIDE.map(|(file, _)| file), "say what a jump does");
+    assert_eq!(
+        found,
+        OTHER_CLOCKS.map(|(file, _)| file),
+        "list new files in OTHER_CLOCKS"
+    );
 }

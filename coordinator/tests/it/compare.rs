@@ -6,7 +6,7 @@ use proto::coordinator::commit_response::Verdict;
 use serde_json::{Value, json};
 
 use crate::harness::{Bench, Worker, rollout_id, small_spec, with};
-use crate::page::ask;
+use crate::page::http;
 use crate::process::{Serve, coordinator, fail, fits_a_terminal, succeed, succeed_in_json, text};
 
 /// The published outcomes of OpenVLA-OFT.
@@ -116,7 +116,7 @@ async fn compare_takes_a_and_b_in_command_line_order() {
         assert_eq!(compared, 10 * 7, "five axes, simultaneous, nominal");
     }
 
-    // The published outcomes have the other realisation mode.
+    // The published outcomes have another realisation mode.
     let output = serve.command(&["compare", "a", "--from", EXAMPLE]);
     let error = text(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{error}");
@@ -156,7 +156,7 @@ async fn compared(bench: &Bench, names: [&str; 2]) -> report::Comparison {
     }
     let document = report::Document::new(subjects).expect("no duplicates");
     let [a, b] = document.analyses.as_slice() else {
-        panic!("two");
+        panic!("there are two subjects");
     };
     let setups = [&a.subject.setups, &b.subject.setups];
     report::Comparison::of([a, b], setups).expect("comparable")
@@ -184,7 +184,11 @@ async fn rollouts_of_different_designs_with_equal_ids_are_not_paired() {
         unpaired.iter().all(|id| id.ends_with("c10")),
         "{unpaired:?}"
     );
-    assert_eq!(statistics.shared(), 3, "the presets are the same");
+    assert_eq!(
+        statistics.shared(),
+        3,
+        "configuration 0 is the same in both"
+    );
     let same = compared(&bench, ["a", "c"]).await.statistics;
     assert_eq!((same.shared(), same.unpaired.len()), (6, 0));
 }
@@ -234,25 +238,25 @@ async fn two_campaigns_are_compared_on_the_page() {
         json!({"policy": {"name": "strong", "endpoint": "http://127.0.0.1:50051"}}),
     );
     bench.create(&first).await.expect("created");
-    let list = ask(&bench.url, "GET /").await.text();
+    let list = http(&bench.url, "GET /").await.text();
     assert!(
         !list.contains("action=\"/compare\""),
-        "one has nothing to be compared with"
+        "a single campaign has no comparison form"
     );
     bench.create(&small_spec("second")).await.expect("created");
     let mut worker = bench.worker("w").await;
     run_all(&mut worker).await;
 
     // A different address, since a page is cached for a second.
-    let list = ask(&bench.url, "GET /?later").await.text();
+    let list = http(&bench.url, "GET /?later").await.text();
     assert!(list.contains("action=\"/compare\""), "{list}");
-    let form = ask(&bench.url, "GET /compare").await;
+    let form = http(&bench.url, "GET /compare").await;
     assert!(
         form.text().contains("<option value=\"first\""),
         "{}",
         form.text()
     );
-    let answer = ask(&bench.url, "GET /compare?a=first&b=second")
+    let answer = http(&bench.url, "GET /compare?a=first&b=second")
         .await
         .text();
     for words in [
@@ -266,12 +270,14 @@ async fn two_campaigns_are_compared_on_the_page() {
     ] {
         assert!(answer.contains(words), "no `{words}` in\n{answer}");
     }
-    let missing = ask(&bench.url, "GET /compare?a=first&b=third").await;
+    let missing = http(&bench.url, "GET /compare?a=first&b=third").await;
     assert!(missing.text().contains("There is no such campaign"));
     // Campaigns that cannot be compared also give a page, not an error.
     let other = with(small_spec("other"), json!({"realisation": "reference"}));
     bench.create(&other).await.expect("created");
-    let refused = ask(&bench.url, "GET /compare?a=first&b=other").await.text();
+    let refused = http(&bench.url, "GET /compare?a=first&b=other")
+        .await
+        .text();
     for words in ["They cannot be compared", "different realisation modes"] {
         assert!(refused.contains(words), "no `{words}` in\n{refused}");
     }

@@ -85,7 +85,7 @@ pub(crate) async fn kill_at_failpoint(
     let mut serve = Serve::wait_until_listening(child);
     let began = Instant::now();
     if serve.is_ready() {
-        // Calls the service directly, since the command would retry while nobody answers.
+        // Calls the service directly, since the command would retry while the coordinator is down.
         let request = CreateCampaignRequest {
             spec: spec.to_string(),
             priority: 0,

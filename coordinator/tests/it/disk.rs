@@ -1,5 +1,5 @@
-//! A disk that is nearly full, and one that is full: nothing is leased whose result could not be
-//! stored, and neither accepted results nor attempts in progress are lost.
+//! Nearly full and full disks: no job is leased whose result could not be stored, and neither
+//! accepted results nor attempts in progress are lost.
 
 use std::fs::File;
 use std::process::Stdio;
@@ -60,7 +60,8 @@ async fn a_coordinator_that_cannot_write_suspends_leasing_until_it_can() {
     }
 }
 
-/// Regression: SQLite wrote to the removed file, so that `create` said "created" and all was lost.
+/// Regression: SQLite wrote to the removed file, so that `create` printed "created" and all rows
+/// were lost.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_removed_data_folder_refuses_writes_and_can_be_backed_up() {
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -105,7 +106,7 @@ async fn a_log_on_a_full_disk_does_not_end_the_coordinator() {
         assert_eq!(refused.code(), tonic::Code::Unavailable);
     }
     serve.limit_files("unlimited:unlimited");
-    assert!(serve.ended().is_none(), "it ended");
+    assert!(serve.ended().is_none(), "the coordinator ended");
     serve.worker("a").await.claim_one().await;
 }
 
@@ -131,7 +132,7 @@ async fn a_full_artifacts_disk_loses_the_video_but_not_the_outcome() {
         assert_eq!(refused.code(), tonic::Code::Unavailable, "{refused}");
         assert!(refused.message().contains("room on the disk"), "{refused}");
         let left = std::fs::read_dir(&artifacts).expect("a folder").count();
-        assert_eq!(left, 0, "something was left of the video");
+        assert_eq!(left, 0, "a part of the video is left");
     }
     // Leasing continues, and the video can be uploaded when there is room again.
     let next = worker.claim_one().await;
@@ -139,7 +140,7 @@ async fn a_full_artifacts_disk_loses_the_video_but_not_the_outcome() {
     serve.limit_files("unlimited:unlimited");
     let pieces = [vec![1; ROOM / 2], vec![2; ROOM / 2], vec![3; 1]];
     let path = put(&mut worker, &lease, "video.mp4", &pieces).await;
-    let stored = folder.path().join(path.expect("kept"));
+    let stored = folder.path().join(path.expect("stored"));
     let size = std::fs::metadata(stored).expect("a file").len();
     assert_eq!(size, ROOM as u64 + 1);
 }

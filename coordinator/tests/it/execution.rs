@@ -46,8 +46,8 @@ async fn results_reports_and_tables_carry_the_execution_model() {
         let report = serve.command(&["report", name, "--json"]);
         assert_eq!(json_of(&report.stdout)["reports"][0]["execution"], model);
         let report = serve.command(&["report", name, "--full"]);
-        let is_told = text(&report.stdout).contains(&format!("execution model {model}\n"));
-        assert_eq!(is_told, model != "wait", "{}", text(&report.stdout));
+        let is_shown = text(&report.stdout).contains(&format!("execution model {model}\n"));
+        assert_eq!(is_shown, model != "wait", "{}", text(&report.stdout));
     }
 
     let rows = folder.path().join("rollouts.jsonl");
@@ -87,19 +87,19 @@ fn a_dry_run_and_a_manifest_carry_the_execution_model() {
         let flags = [&CREATE[..8], &["--manifest", &rows, "--print-spec"], more];
         coordinator(&flags.concat())
     };
-    let taken = imported(&[]);
-    assert_eq!(json_of(&taken.stdout)["execution"], MODEL);
+    let imported_spec = imported(&[]);
+    assert_eq!(json_of(&imported_spec.stdout)["execution"], MODEL);
     let message = &fail(imported(&["--execution", "hold:2"]), 2);
     assert!(message.contains("`execution` is hold:2"), "{message}");
 }
 
 /// A policy that only describes itself, with answers of ten actions.
-struct Described;
+struct DescribeOnly;
 
 type Answer<T> = Result<Response<T>, Status>;
 
 #[tonic::async_trait]
-impl Policy for Described {
+impl Policy for DescribeOnly {
     async fn describe(&self, request: Request<DescribeRequest>) -> Answer<DescribeResponse> {
         let DescribeRequest { policy, suite, .. } = request.into_inner();
         assert_eq!(
@@ -116,19 +116,19 @@ impl Policy for Described {
     }
 
     async fn reset(&self, _: Request<ResetRequest>) -> Answer<ResetResponse> {
-        Err(Status::unimplemented("nobody asks"))
+        Err(Status::unimplemented("the test only describes"))
     }
 
     async fn infer(&self, _: Request<InferRequest>) -> Answer<InferResponse> {
-        Err(Status::unimplemented("nobody asks"))
+        Err(Status::unimplemented("the test only describes"))
     }
 
     async fn infer_batch(&self, _: Request<InferBatchRequest>) -> Answer<InferBatchResponse> {
-        Err(Status::unimplemented("nobody asks"))
+        Err(Status::unimplemented("the test only describes"))
     }
 
     async fn end(&self, _: Request<EndRequest>) -> Answer<EndResponse> {
-        Err(Status::unimplemented("nobody asks"))
+        Err(Status::unimplemented("the test only describes"))
     }
 }
 
@@ -136,7 +136,7 @@ impl Policy for Described {
 async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
     let endpoint = format!("http://{}", listener.local_addr().expect("an address"));
-    let policy = Server::builder().add_service(PolicyServer::new(Described));
+    let policy = Server::builder().add_service(PolicyServer::new(DescribeOnly));
     let mut serving = JoinSet::new();
     serving.spawn(policy.serve_with_incoming(TcpIncoming::from(listener)));
     let (_folder, serve) = Serve::anew();
@@ -166,8 +166,8 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
         message.contains("`overlap:10` drops at least 10"),
         "{message}"
     );
-    // The first model drops only some answers whole; `hold` drops none, since the arm holds still
-    // meanwhile.
+    // The first model drops every action of some answers only; `hold` drops no action, since the
+    // arm holds still meanwhile.
     for (name, model) in [("some", "overlap:9*1+12*9"), ("all", "hold:10")] {
         let message = &succeed(create(name, model, &[]));
         assert!(!message.contains("does not say"), "{message}");

@@ -128,7 +128,7 @@ async fn planted_rules_are_found_again() {
     });
     assert_eq!(masked, &json!([pair]));
 
-    // Creating the same again adds nothing; the text has the same findings.
+    // Creating the same campaign again adds no rollout; the text has the same findings.
     assert_eq!(findings(&serve, &[]), found);
     let output = serve.command(&["explain", "first"]);
     let words = text(&output.stdout);
@@ -145,7 +145,7 @@ async fn planted_rules_are_found_again() {
     assert_eq!(violations, []);
 }
 
-/// Regression: looking at an explanation created a campaign that took slots.
+/// Regression: `explain` without `--create` created a campaign whose rollouts took slots.
 #[tokio::test(flavor = "multi_thread")]
 async fn explain_without_create_changes_nothing_and_names_the_flag() {
     let (_folder, serve) = Serve::anew();
@@ -278,7 +278,7 @@ async fn a_kill_around_any_transaction_leaves_the_same_explanation() {
     assert_eq!(found, expected);
 }
 
-/// Regression (finding B8): a campaign whose client disconnected during COMMIT got no rollouts.
+/// Regression: a campaign whose client disconnected during COMMIT got no rollouts.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_client_that_disconnects_during_create_leaves_no_campaign_without_rollouts() {
     let (_folder, serve) = Serve::anew();

@@ -10,13 +10,13 @@ use serde_json::Value;
 
 use crate::derived::run_all;
 use crate::explain::{create_with, explained, outcome};
-use crate::films::{films, upload};
+use crate::films::{take_films, upload};
 use crate::json::{documented, keys};
-use crate::page::ask;
+use crate::page::http;
 use crate::process::{Serve, fail, fits_a_terminal, succeed};
 
 async fn page(serve: &Serve, path: &str) -> String {
-    let answer = ask(&serve.url, &format!("GET {path}")).await;
+    let answer = http(&serve.url, &format!("GET {path}")).await;
     assert_eq!(answer.code, 200, "{path}");
     answer.text()
 }
@@ -32,8 +32,8 @@ async fn report_page_and_table_show_the_explanation() {
     create_with(&serve, &[]);
     let mut worker = serve.worker("w").await;
     run_all(&mut worker, outcome).await;
-    // Before the explanation, the page tells how to get it. A configuration other than those below
-    // is requested, since a page may be a second old.
+    // Before the explanation, the page shows the command that starts it. A configuration other than
+    // those below is requested, since a page is cached for a second.
     let unexplained = "/campaigns/first/configurations/object/t1/combination/L2/c00";
     let hint = page(&serve, unexplained).await;
     assert!(hint.contains("coordinator explain first"), "{hint}");
@@ -72,7 +72,7 @@ async fn report_page_and_table_show_the_explanation() {
     }
     assert!(
         !html.contains("Paired outcomes"),
-        "it has parts of configurations only"
+        "the campaign runs only parts of configurations"
     );
 
     let emergent = "/campaigns/first/configurations/object/t0/combination/L2/c00";
@@ -96,7 +96,7 @@ async fn report_page_and_table_show_the_explanation() {
         assert!(page.contains("camera and robot together"), "{place}");
         assert!(
             page.contains("--record transitions"),
-            "the remedy for missing films"
+            "the remedy for missing films is shown"
         );
     }
 }
@@ -107,14 +107,14 @@ async fn explaining_rollouts_are_filmed_and_shown_side_by_side() {
     create_with(&serve, &["--record", "transitions"]);
     explained(&serve, &[]).await;
     let mut worker = serve.worker("films").await;
-    let all = films(&mut worker).await;
+    let all = take_films(&mut worker).await;
     let id = |film: &wire::Film| -> RolloutId {
         let row: Value = serde_json::from_str(&film.manifest_row).expect("a row");
         let id = row["rollout_id"].as_str().or(row["id"].as_str());
         id.expect("an id").parse().expect("an id")
     };
     // The third task has a minimal triple: it is filmed, and so are its pairs.
-    let of_task: BTreeSet<String> = all
+    let filmed_conditions: BTreeSet<String> = all
         .iter()
         .filter(|film| film.campaign == "first-explained" && id(film).task().index() == 2)
         .map(|film| id(film).condition().to_string())
@@ -125,7 +125,7 @@ async fn explaining_rollouts_are_filmed_and_shown_side_by_side() {
         "camera+sensor",
         "lighting+sensor",
     ];
-    assert_eq!(of_task, expected.map(str::to_owned).into());
+    assert_eq!(filmed_conditions, expected.map(str::to_owned).into());
 
     // The page shows the command that makes the films once, with an address that can be pasted.
     let subset = "/campaigns/first/configurations/object/t2/simultaneous/L2/c00";
@@ -145,7 +145,7 @@ async fn explaining_rollouts_are_filmed_and_shown_side_by_side() {
     }
     assert!(
         !page.contains("Not all of these rollouts"),
-        "all are filmed"
+        "a film is missing"
     );
 }
 
@@ -201,11 +201,11 @@ async fn interactions_add_up_to_simultaneous_success() {
     let lattice = self::page(&serve, lattice).await;
     assert!(lattice.contains("64 of 64 subsets have an outcome"));
 
-    // If only transitions were run, the output says so.
+    // The output warns if only transitions were run.
     let _ = explained(&serve, &["--exhaustive"]).await;
-    let of_some = printed(&serve, &["interactions", "first-explained"]);
+    let partial_interactions = printed(&serve, &["interactions", "first-explained"]);
     assert!(
-        of_some.contains("! these configurations were picked"),
-        "{of_some}"
+        partial_interactions.contains("! these configurations were picked"),
+        "{partial_interactions}"
     );
 }

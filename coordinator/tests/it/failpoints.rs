@@ -196,7 +196,7 @@ async fn take_over(
         let request = wire::ReleaseRequest {
             attempt_id: job.attempt_id,
             reason: Reason::Draining.into(),
-            error: "another life".to_owned(),
+            error: "left by an earlier process".to_owned(),
             ..wire::ReleaseRequest::default()
         };
         worker.service.release(request).await.expect("released");
@@ -251,10 +251,10 @@ async fn a_kill_around_any_transaction_keeps_the_invariants_and_the_report() {
     let undisturbed = finish(copy_of(folder.path()).path()).await;
     // Additions to derived campaigns are tested in `explain` and `thresholds`, and early stops in
     // `stops`.
-    let has_its_own = [Step::Derive, Step::Stop];
+    let tested_elsewhere = [Step::Derive, Step::Stop];
     let steps = Step::ALL
         .into_iter()
-        .filter(|step| !has_its_own.contains(step));
+        .filter(|step| !tested_elsewhere.contains(step));
     let mut points: Vec<(Side, Step)> = steps
         .flat_map(|step| [(Side::Before, step), (Side::After, step)])
         .collect();
@@ -264,7 +264,7 @@ async fn a_kill_around_any_transaction_keeps_the_invariants_and_the_report() {
             let copy = copy_of(folder.path());
             processes.spawn(async move { (side, step, kill_at_failpoint(copy, side, step).await) });
         }
-        let process = processes.join_next().await.expect("one is alive");
+        let process = processes.join_next().await.expect("a running process");
         let (side, step, report) = process.expect("a process without failures");
         assert!(report == undisturbed, "{side:?} {step:?}: another report");
     }

@@ -27,7 +27,7 @@ async fn one_job() -> Bench {
 
 /// Fails the only job on a worker, which must be able to lease it.
 async fn fail_on(bench: &Bench, worker: &mut Worker) -> Released {
-    bench.pass(PAST_BACKOFF_SECS).await;
+    bench.advance(PAST_BACKOFF_SECS).await;
     let lease = worker.claim_one().await;
     worker.release(&lease, Reason::SlotCrashed).await.verdict()
 }
@@ -37,7 +37,7 @@ async fn late_result_from_an_old_attempt_is_refused() {
     let bench = one_job().await;
     let (mut slow, mut quick) = (bench.worker("slow").await, bench.worker("quick").await);
     let old = slow.claim_one().await;
-    bench.pass(40).await;
+    bench.advance(40).await;
     let new = quick.claim_one().await;
     assert_eq!((new.job_id, new.attempt), (old.job_id, old.attempt + 1));
 
@@ -48,7 +48,7 @@ async fn late_result_from_an_old_attempt_is_refused() {
     assert_eq!(bench.status("one").await.succeeded, 0);
 }
 
-/// Regression (finding B4): a network outage longer than a lease charged every lease.
+/// Regression: a network outage longer than a lease charged every lease.
 #[tokio::test]
 async fn a_disconnected_worker_is_not_charged_and_continues_when_it_returns() {
     let bench = Bench::start().await;
@@ -57,7 +57,7 @@ async fn a_disconnected_worker_is_not_charged_and_continues_when_it_returns() {
     let leases = worker.claim(4).await;
     let held: Vec<&Lease> = leases.iter().collect();
     worker.heartbeat(&held, 12).await;
-    bench.pass(40).await;
+    bench.advance(40).await;
     let status = bench.status("cut").await;
     assert_eq!((status.leased, status.queued), (0, 4));
     let query = "SELECT count(*) FROM failure WHERE reason = 'worker_silent' AND charged = 0
@@ -81,19 +81,19 @@ async fn a_disconnected_worker_is_not_charged_and_continues_when_it_returns() {
     );
 }
 
-/// Regression (chaos schedule 1955): a heartbeat sent before the release resumed the lease.
+/// Regression: a heartbeat sent before the release resumed the lease.
 #[tokio::test]
 async fn a_late_heartbeat_does_not_resume_a_released_attempt() {
     let bench = one_job().await;
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     worker.heartbeat(&[&lease], 0).await;
-    bench.pass(40).await;
+    bench.advance(40).await;
     let released = worker.release(&lease, Reason::Draining).await;
     assert_eq!(released.verdict(), Released::Requeued);
     let lost = worker.heartbeat(&[&lease], 0).await;
     assert_eq!(lost, [lease.attempt_id.as_str()]);
     for _ in 0..6 {
-        bench.pass(10).await;
+        bench.advance(10).await;
         worker.heartbeat(&[], 0).await;
     }
     let query = "SELECT count(*) FROM failure WHERE reason = 'draining' AND charged = 0";
@@ -108,9 +108,9 @@ async fn network_outages_quarantine_nothing_and_stop_no_worker() {
     // More outages than would quarantine a rollout or stop a worker if they were charged.
     for _ in 0..6 {
         let mut worker = bench.worker("a").await;
-        bench.pass(PAST_BACKOFF_SECS).await;
+        bench.advance(PAST_BACKOFF_SECS).await;
         assert_eq!(worker.claim(4).await.len(), 4);
-        bench.pass(40).await;
+        bench.advance(40).await;
     }
     let status = bench.status("cut").await;
     assert_eq!((status.queued, status.quarantined), (4, 0));
@@ -129,9 +129,9 @@ async fn a_rollout_that_takes_its_workers_down_is_quarantined_without_a_charge()
     let bench = one_job().await;
     for number in 0..MAX_SILENCES {
         let mut worker = bench.worker(&format!("w{number}")).await;
-        bench.pass(PAST_BACKOFF_SECS).await;
+        bench.advance(PAST_BACKOFF_SECS).await;
         worker.claim_one().await;
-        bench.pass(40).await;
+        bench.advance(40).await;
     }
     assert_eq!(bench.status("one").await.quarantined, 1);
     let query = "SELECT count(*) FROM failure WHERE reason = 'takes_worker_down' AND charged = 0";
@@ -144,7 +144,7 @@ async fn a_returning_worker_is_refused_after_its_attempts_ceiling() {
     let bench = one_job().await;
     let mut slow = bench.worker("slow").await;
     let old = slow.claim_one().await;
-    bench.pass(3_600).await;
+    bench.advance(3_600).await;
     assert_eq!(slow.commit(&old, true).await, Verdict::Stale);
     assert_eq!(bench.status("one").await.queued, 1);
 }
@@ -152,8 +152,8 @@ async fn a_returning_worker_is_refused_after_its_attempts_ceiling() {
 #[tokio::test]
 async fn a_returning_worker_is_refused_after_its_endpoint_changed() {
     let bench = one_job().await;
-    let (mut worker, lease) = bench.leasing("a").await;
-    bench.pass(40).await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
+    bench.advance(40).await;
     let request = AlterCampaignRequest {
         campaign: "one".to_owned(),
         policy_endpoint: Some("http://127.0.0.1:50052".to_owned()),
@@ -162,14 +162,14 @@ async fn a_returning_worker_is_refused_after_its_endpoint_changed() {
     let altered = bench.operator().await.alter_campaign(request).await;
     altered.expect("altered");
     assert_eq!(worker.commit(&lease, true).await, Verdict::Stale);
-    let over = worker.heartbeat(&[&lease], 30).await;
-    assert_eq!(over, std::slice::from_ref(&lease.attempt_id));
+    let lost_leases = worker.heartbeat(&[&lease], 30).await;
+    assert_eq!(lost_leases, std::slice::from_ref(&lease.attempt_id));
 }
 
 #[tokio::test]
 async fn a_repeated_outcome_is_a_duplicate() {
     let bench = one_job().await;
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     assert_eq!(worker.commit(&lease, true).await, Verdict::Duplicate);
     assert_eq!(bench.count("SELECT count(*) FROM result").await, 1);
@@ -181,7 +181,7 @@ async fn another_outcome_of_a_committed_rollout_is_recorded_as_a_divergence() {
     let bench = one_job().await;
     let (mut slow, mut quick) = (bench.worker("slow").await, bench.worker("quick").await);
     let old = slow.claim_one().await;
-    bench.pass(40).await;
+    bench.advance(40).await;
     let new = quick.claim_one().await;
     assert_eq!(quick.commit(&new, true).await, Verdict::Accepted);
     // The worker has lost its lease, but it ran the rollout, so its result is evidence.
@@ -192,7 +192,11 @@ async fn another_outcome_of_a_committed_rollout_is_recorded_as_a_divergence() {
     assert_eq!(slow.commit(&old, false).await, Verdict::Divergent);
     assert_eq!(slow.commit(&old, true).await, Verdict::Duplicate);
     assert_eq!(bench.count("SELECT count(*) FROM divergence").await, 1);
-    assert_eq!(bench.status("one").await.succeeded, 1, "the first stands");
+    assert_eq!(
+        bench.status("one").await.succeeded,
+        1,
+        "the first outcome is kept"
+    );
 }
 
 #[tokio::test]
@@ -200,72 +204,75 @@ async fn reports_without_a_lease_are_refused() {
     let bench = one_job().await;
     let (mut holder, mut liar) = (bench.worker("holder").await, bench.worker("liar").await);
     let lease = holder.claim_one().await;
-    let made_up = Lease {
+    let unknown = Lease {
         attempt_id: "1".repeat(32),
         ..lease.clone()
     };
-    let refused = liar.try_commit(&made_up, true).await.expect_err("made up");
+    let refused = liar
+        .try_commit(&unknown, true)
+        .await
+        .expect_err("an unknown attempt");
     assert_eq!(refused.code(), Code::NotFound);
     let release = ReleaseRequest {
-        attempt_id: made_up.attempt_id.clone(),
+        attempt_id: unknown.attempt_id.clone(),
         ..ReleaseRequest::default()
     };
     let refused = liar.service.release(release).await.expect_err("no reason");
     assert_eq!(refused.code(), Code::InvalidArgument);
     // A worker cannot renew another one's lease.
-    let over = liar.heartbeat(&[&lease], 5).await;
-    assert_eq!(over, std::slice::from_ref(&lease.attempt_id));
+    let lost_leases = liar.heartbeat(&[&lease], 5).await;
+    assert_eq!(lost_leases, std::slice::from_ref(&lease.attempt_id));
     assert_eq!(holder.commit(&lease, true).await, Verdict::Accepted);
     assert_eq!(bench.count("SELECT count(*) FROM divergence").await, 0);
 }
 
 #[tokio::test]
-async fn an_attempt_that_heartbeats_leave_out_expires_and_is_charged() {
+async fn an_attempt_missing_from_heartbeats_expires_and_is_charged() {
     let bench = one_job().await;
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     assert!(worker.heartbeat(&[&lease], 12).await.is_empty());
-    bench.pass(20).await;
+    bench.advance(20).await;
     worker.heartbeat(&[], 0).await;
-    bench.pass(9).await;
+    bench.advance(9).await;
     assert_eq!(bench.status("one").await.leased, 1);
-    bench.pass(2).await;
+    bench.advance(2).await;
     let status = bench.status("one").await;
     assert_eq!((status.leased, status.queued), (0, 1));
     assert_eq!(bench.count("SELECT charged_attempts FROM job").await, 1);
     let query = "SELECT count(*) FROM failure WHERE reason = 'lease_lost' AND charged = 1
                 AND error LIKE '%has left this attempt out since control step 12%'";
     assert_eq!(bench.count(query).await, 1);
-    let over = worker.heartbeat(&[&lease], 30).await;
-    assert_eq!(over, std::slice::from_ref(&lease.attempt_id));
+    let lost_leases = worker.heartbeat(&[&lease], 30).await;
+    assert_eq!(lost_leases, std::slice::from_ref(&lease.attempt_id));
 }
 
 #[tokio::test]
 async fn heartbeats_renew_a_lease() {
     let bench = one_job().await;
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     for beat in 0..20 {
-        bench.pass(10).await;
+        bench.advance(10).await;
         assert!(worker.heartbeat(&[&lease], beat * 10).await.is_empty());
     }
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
 }
 
-/// Regression (defect 14): a stuck worker that still sent heartbeats kept its job forever.
+/// Regression: a stuck worker that still sent heartbeats kept its job forever.
 #[tokio::test]
 async fn no_heartbeat_extends_a_lease_past_the_ceiling_of_its_attempt() {
     let bench = one_job().await;
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     let row: Value = serde_json::from_str(&lease.manifest_row).expect("a row");
     let steps = row["max_steps"].as_u64().expect("a number")
         + row["num_steps_wait"].as_u64().expect("a number");
     let per_step = Timing::default().ceiling_per_step.as_secs();
-    let (mut held_secs, mut over) = (0, Vec::new());
-    while over.is_empty() && held_secs <= steps * per_step {
-        bench.pass(20).await;
+    let (mut held_secs, mut lost_leases) = (0, Vec::new());
+    while lost_leases.is_empty() && held_secs <= steps * per_step {
+        bench.advance(20).await;
         held_secs += 20;
-        over = worker.heartbeat(&[&lease], 7).await;
+        lost_leases = worker.heartbeat(&[&lease], 7).await;
     }
-    assert_eq!(over, std::slice::from_ref(&lease.attempt_id));
+    assert_eq!(lost_leases, std::slice::from_ref(&lease.attempt_id));
     assert!(held_secs + 20 > steps * per_step, "after {held_secs} s");
     let failure = "SELECT count(*) FROM failure WHERE reason = 'overdue' AND charged = 1";
     assert_eq!(bench.count(failure).await, 1);
@@ -275,12 +282,12 @@ async fn no_heartbeat_extends_a_lease_past_the_ceiling_of_its_attempt() {
 #[tokio::test]
 async fn a_failed_job_is_not_leased_before_its_back_off_is_over() {
     let bench = one_job().await;
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     let released = worker.release(&lease, Reason::SimulatorError).await;
     assert_eq!(released.verdict(), Released::Requeued);
     assert!(released.backoff_secs >= 1.0, "{}", released.backoff_secs);
     assert!(worker.claim(1).await.is_empty());
-    bench.pass(2).await;
+    bench.advance(2).await;
     assert_eq!(worker.claim_one().await.attempt, 2);
 }
 
@@ -292,11 +299,11 @@ async fn a_job_is_quarantined_after_three_charged_attempts_on_two_workers() {
     assert_eq!(fail_on(&bench, &mut a).await, Released::Requeued);
     b.heartbeat(&[], 0).await;
     assert_eq!(fail_on(&bench, &mut b).await, Released::Quarantined);
-    bench.pass(PAST_BACKOFF_SECS).await;
+    bench.advance(PAST_BACKOFF_SECS).await;
     assert!(a.claim(1).await.is_empty());
     let status = bench.status("one").await;
     assert_eq!((status.quarantined, status.queued), (1, 0));
-    let query = "SELECT count(*) FROM job WHERE last_error = 'the bench said so'";
+    let query = "SELECT count(*) FROM job WHERE last_error = 'simulated failure'";
     assert_eq!(bench.count(query).await, 1);
 }
 
@@ -305,15 +312,18 @@ async fn one_broken_machine_quarantines_no_rollout_while_another_is_alive() {
     let bench = one_job().await;
     let (mut broken, mut sound) = (bench.worker("broken").await, bench.worker("sound").await);
     for _ in 0..3 {
-        bench.pass(PAST_BACKOFF_SECS).await;
+        bench.advance(PAST_BACKOFF_SECS).await;
         sound.heartbeat(&[], 0).await;
         let lease = broken.claim_one().await;
         let released = broken.release(&lease, Reason::SlotCrashed).await;
         assert_eq!(released.verdict(), Released::Requeued);
     }
-    bench.pass(PAST_BACKOFF_SECS).await;
+    bench.advance(PAST_BACKOFF_SECS).await;
     sound.heartbeat(&[], 0).await;
-    assert!(broken.claim(1).await.is_empty(), "it is kept for the other");
+    assert!(
+        broken.claim(1).await.is_empty(),
+        "the job is left to the other worker"
+    );
     let lease = sound.claim_one().await;
     assert_eq!(sound.commit(&lease, true).await, Verdict::Accepted);
 }
@@ -359,7 +369,7 @@ async fn five_consecutive_failures_stop_a_worker() {
         assert_eq!(released.stop_leasing, "");
     }
     let released = worker.release(&leases[9], Reason::MachineError).await;
-    for word in ["5 times in a row", "the bench said so"] {
+    for word in ["5 times in a row", "simulated failure"] {
         assert!(
             released.stop_leasing.contains(word),
             "{}",
@@ -373,18 +383,18 @@ async fn five_consecutive_failures_stop_a_worker() {
 }
 
 #[tokio::test]
-async fn leases_that_one_heartbeat_leaves_out_count_as_one_failure() {
+async fn leases_missing_from_heartbeats_count_as_one_failure_of_their_worker() {
     let bench = Bench::start().await;
     let spec = with(small_spec("many"), json!({"configs": [0, 1, 2]}));
     bench.create(&spec).await.expect("created");
     let mut worker = bench.worker("a").await;
     assert_eq!(worker.claim(8).await.len(), 8);
-    bench.pass(20).await;
+    bench.advance(20).await;
     worker.heartbeat(&[], 0).await;
-    bench.pass(20).await;
+    bench.advance(20).await;
     assert_eq!(bench.count("SELECT charged_in_a_row FROM worker").await, 1);
-    bench.pass(60).await;
-    assert_eq!(worker.claim(8).await.len(), 8, "it goes on");
+    bench.advance(60).await;
+    assert_eq!(worker.claim(8).await.len(), 8, "the worker still leases");
 }
 
 #[tokio::test]
@@ -393,7 +403,7 @@ async fn leases_get_their_full_duration_after_a_restart() {
     let lease = bench.worker("a").await.claim_one().await;
     bench.clock.advance(std::time::Duration::from_secs(3_600));
     let bench = bench.restart().await;
-    bench.pass(20).await;
+    bench.advance(20).await;
     let mut worker = bench.worker("a").await;
     assert!(worker.heartbeat(&[&lease], 40).await.is_empty());
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);

@@ -39,7 +39,7 @@ async fn next_film(worker: &mut Worker, pack: &str) -> wire::NextFilmResponse {
 }
 
 /// Takes films until none is left; returns them.
-pub(crate) async fn films(worker: &mut Worker) -> Vec<wire::Film> {
+pub(crate) async fn take_films(worker: &mut Worker) -> Vec<wire::Film> {
     let mut films = Vec::new();
     while let Some(film) = next_film(worker, "primitives").await.film {
         films.push(film);
@@ -61,10 +61,13 @@ pub(crate) async fn upload(worker: &mut Worker, attempt_id: &str) {
 async fn all_rollouts_of_a_configuration_with_a_transition_are_filmed() {
     for conjunction in [true, false] {
         let (bench, mut worker, combination) = all_but_the_combination(conjunction).await;
-        assert!(films(&mut worker).await.is_empty(), "its outcome is open");
+        assert!(
+            take_films(&mut worker).await.is_empty(),
+            "the combination has no outcome"
+        );
         worker.commit(&combination, !conjunction).await;
         assert!(next_film(&mut worker, "other").await.film.is_none());
-        let all = films(&mut worker).await;
+        let all = take_films(&mut worker).await;
         let rows = all.iter().map(|film| film.manifest_row.as_str());
         let named = |name: &str| rows.clone().filter(|row| row.contains(name)).count();
         assert_eq!(all.len(), 4, "the nominal rollout, two axes, all at once");
@@ -72,10 +75,10 @@ async fn all_rollouts_of_a_configuration_with_a_transition_are_filmed() {
         assert!(all.iter().all(|film| film.actions == [2; 28]));
         // One film is stored; the others were never uploaded.
         upload(&mut worker, &all[1].attempt_id).await;
-        bench.pass(LONG_SECS).await;
+        bench.advance(LONG_SECS).await;
         let answer = next_film(&mut worker, "primitives").await;
         assert_eq!(answer.left, 3);
-        assert_eq!(1 + films(&mut worker).await.len(), 3);
+        assert_eq!(1 + take_films(&mut worker).await.len(), 3);
         bench.stop().await;
     }
 }
@@ -107,6 +110,6 @@ async fn a_configuration_without_a_transition_is_not_filmed() {
     for outcome in [true, false] {
         let (_bench, mut worker, combination) = all_but_the_combination(outcome).await;
         worker.commit(&combination, outcome).await;
-        assert!(films(&mut worker).await.is_empty());
+        assert!(take_films(&mut worker).await.is_empty());
     }
 }

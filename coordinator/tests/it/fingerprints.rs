@@ -8,7 +8,7 @@ use proto::coordinator::commit_response::Verdict;
 use serde_json::json;
 
 use crate::harness::{Bench, Worker, sha, small_spec, with};
-use crate::page::ask;
+use crate::page::http;
 
 /// Longest wait for the newest results on a page, which shows slightly older ones.
 const PATIENCE: Duration = Duration::from_secs(60);
@@ -44,7 +44,7 @@ async fn check(bench: &Bench, words: &[&str]) {
     }
     let began = Instant::now();
     loop {
-        let page = ask(&bench.url, "GET /campaigns/mixed").await.text();
+        let page = http(&bench.url, "GET /campaigns/mixed").await.text();
         let page = page.to_lowercase();
         let missing = words.iter().find(|words| !page.contains(**words));
         match missing {
@@ -78,7 +78,7 @@ async fn mixed_fingerprints_are_shown_in_status_report_and_page() {
     }
     commit(&mut one, &leases[0][0]).await;
     commit(&mut one, &leases[0][1]).await;
-    let page = ask(&bench.url, "GET /campaigns/mixed").await.text();
+    let page = http(&bench.url, "GET /campaigns/mixed").await.text();
     let [status, report] = fingerprint_texts(&bench).await;
     assert_eq!(status, "");
     assert!(!page.contains(warning) && !report.contains(warning));
@@ -92,8 +92,8 @@ async fn mixed_fingerprints_are_shown_in_status_report_and_page() {
     let request = report_as(&another, &leases[1][0]);
     let (verdict, _) = another.clone().commit_request(request).await;
     assert_eq!(verdict, Verdict::Accepted);
-    let counts = |of_one: u32, of_other: u32| {
-        let mut counts = [(&ones, of_one), (&others, of_other)];
+    let counts = |own_count: u32, other_count: u32| {
+        let mut counts = [(&ones, own_count), (&others, other_count)];
         counts.sort();
         let counts = counts.map(|(digest, count)| format!("{count} of {}", &digest[..12]));
         counts.join(", ")

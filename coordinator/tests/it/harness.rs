@@ -117,7 +117,7 @@ impl Bench {
     }
 
     /// Advances the clock, with regular sweeps.
-    pub(crate) async fn pass(&self, secs: u64) {
+    pub(crate) async fn advance(&self, secs: u64) {
         let mut left = secs;
         while left > 0 {
             let step = left.min(SWEEP_SECS);
@@ -133,14 +133,14 @@ impl Bench {
     }
 
     /// Registers a worker that claims one job, which must be available.
-    pub(crate) async fn leasing(&self, id: &str) -> (Worker, wire::Lease) {
+    pub(crate) async fn worker_with_lease(&self, id: &str) -> (Worker, wire::Lease) {
         let mut worker = self.worker(id).await;
         let lease = worker.claim_one().await;
         (worker, lease)
     }
 
     pub(crate) async fn worker_on(&self, id: &str, pack: &str) -> Worker {
-        self.worker_drawing(id, pack, "llvmpipe").await
+        self.worker_with_renderer(id, pack, "llvmpipe").await
     }
 
     /// Registers a worker of the `primitives` pack on a named machine.
@@ -155,7 +155,12 @@ impl Bench {
         worker
     }
 
-    pub(crate) async fn worker_drawing(&self, id: &str, pack: &str, renderer: &str) -> Worker {
+    pub(crate) async fn worker_with_renderer(
+        &self,
+        id: &str,
+        pack: &str,
+        renderer: &str,
+    ) -> Worker {
         let channel = Channel::from_shared(self.url.clone())
             .expect("a URL")
             .connect()
@@ -306,7 +311,7 @@ impl Worker {
     /// Claims exactly one job, which must be available.
     pub(crate) async fn claim_one(&mut self) -> wire::Lease {
         let mut leases = self.claim(1).await;
-        assert_eq!(leases.len(), 1, "a job waits");
+        assert_eq!(leases.len(), 1, "a job is available");
         leases.remove(0)
     }
 
@@ -416,7 +421,7 @@ impl Worker {
         let request = wire::ReleaseRequest {
             attempt_id: lease.attempt_id.clone(),
             reason: reason.into(),
-            error: "the bench said so".to_owned(),
+            error: "simulated failure".to_owned(),
             answered_queries,
         };
         let response = self.service.release(request).await;
@@ -424,7 +429,7 @@ impl Worker {
     }
 
     /// Sends a heartbeat without leases that reports the number of videos being made.
-    pub(crate) async fn films(&mut self, filming: u32) {
+    pub(crate) async fn report_filming(&mut self, filming: u32) {
         let request = wire::HeartbeatRequest {
             worker_id: self.id.clone(),
             filming,
@@ -554,9 +559,9 @@ pub(crate) async fn rows(folder: &Path) -> Vec<String> {
 }
 
 /// Returns the SHA-256 of a text, in place of a real digest.
-pub(crate) fn sha(of: &str) -> String {
+pub(crate) fn sha(text: &str) -> String {
     use sha2::{Digest, Sha256};
-    Sha256::digest(of.as_bytes())
+    Sha256::digest(text.as_bytes())
         .iter()
         .map(|byte| format!("{byte:02x}"))
         .collect()

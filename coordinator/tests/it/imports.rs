@@ -137,11 +137,7 @@ async fn imported_rows_that_violate_an_invariant_are_refused_by_name() {
 
 /// Checks that refusals changed nothing, and that the unaltered archive is imported afterwards.
 async fn check_unchanged(target: &Bench, before: &[String], file: &Path) {
-    assert_eq!(
-        target.rows().await,
-        before,
-        "a refused row changed something"
-    );
+    assert_eq!(target.rows().await, before, "a refused import changed rows");
     target.import(file);
     target.assert_invariants().await;
 }
@@ -159,7 +155,10 @@ async fn a_derived_rollout_with_another_step_budget_than_its_source_is_refused()
     source.must(&["thresholds", "moved", "--create"]);
     let began = Instant::now();
     while source.worker.claim(1).await.is_empty() {
-        assert!(began.elapsed() < Duration::from_secs(30), "nothing follows");
+        assert!(
+            began.elapsed() < Duration::from_secs(30),
+            "no rollout was derived"
+        );
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
     let (source_archive, file) = (source.archive("moved"), source.archive(name));
@@ -199,43 +198,50 @@ async fn counts(folder: &Path) -> (i64, i64) {
 #[tokio::test(flavor = "multi_thread")]
 async fn a_large_import_takes_several_transactions_and_leaves_nothing_if_interrupted() {
     let mut source = Bench::with(&large()).await;
-    // Some results are in the second piece.
+    // Some results are in the second transaction.
     source.run(520, "").await;
     let filmed = source.worker.claim_one().await;
     assert_eq!(source.worker.commit(&filmed, true).await, Verdict::Accepted);
     put(&mut source.worker, &filmed, "video.mp4", &[vec![7; 99]])
         .await
-        .expect("kept");
+        .expect("stored");
     let (_, jobs) = counts(source.folder.path()).await;
     assert!(jobs > 1_000, "{jobs}");
     let file = source.archive("large");
     let path = file.display().to_string();
 
     let target = tempfile::tempdir().expect("a folder");
-    // The third transaction writes the second piece.
+    // The third transaction of the import adds the second part of the jobs.
     let mut dying = Serve::wait_until_listening(serve(target.path(), "After:ImportCampaign:3"));
     let output = dying.command(&["campaign", "import", &path, "--retry-secs", "0"]);
-    assert!(!output.status.success(), "it was cut off");
+    assert!(!output.status.success(), "the interrupted import succeeded");
     let began = Instant::now();
     while dying.ended().is_none() {
-        assert!(began.elapsed() < Duration::from_secs(30), "it goes on");
+        assert!(
+            began.elapsed() < Duration::from_secs(30),
+            "the coordinator still runs"
+        );
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
     drop(dying);
     assert_eq!(counts(target.path()).await, (1, 1_000));
     let films = target.path().join("artifacts/large");
-    assert!(films.exists(), "films come first");
+    assert!(films.exists(), "films are stored before rows");
     assert_eq!(check(target.path()).await.expect("a database"), []);
 
     let again = Serve::start(target.path());
     let listed = again.command(&["campaign", "list", "--json"]);
     let listed: Value = serde_json::from_slice(&listed.stdout).expect("JSON");
-    assert_eq!(listed["campaigns"], json!([]), "nobody sees a part of it");
+    assert_eq!(
+        listed["campaigns"],
+        json!([]),
+        "an incomplete campaign is listed"
+    );
     while counts(target.path()).await != (0, 0) {
-        assert!(began.elapsed() < Duration::from_secs(60), "a part is left");
+        assert!(began.elapsed() < Duration::from_secs(60), "jobs are left");
         tokio::time::sleep(Duration::from_millis(50)).await;
     }
-    assert!(!films.exists(), "its films are left");
+    assert!(!films.exists(), "films are left");
     let imported = again.command(&["campaign", "import", &path]);
     assert!(imported.status.success());
     assert_eq!(std::fs::read_dir(&films).expect("films").count(), 1);

@@ -132,7 +132,7 @@ pub(crate) async fn sound() -> TempDir {
     for _ in 0..3 {
         let lease = worker.claim_one().await;
         worker.release(&lease, Reason::SlotCrashed).await;
-        bench.pass(61).await;
+        bench.advance(61).await;
     }
     for lease in worker.claim(2).await {
         assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
@@ -196,17 +196,17 @@ async fn each_violated_invariant_is_reported_by_name() {
         assert_eq!(
             std::fs::read(&file).expect("a file"),
             before,
-            "it reads only"
+            "`check` changed the database"
         );
-        let beside = std::fs::read_dir(copy.path()).expect("a folder").count();
-        assert_eq!(beside, 1, "and leaves nothing behind");
+        let files = std::fs::read_dir(copy.path()).expect("a folder").count();
+        assert_eq!(files, 1, "`check` left files");
     }
-    let tried: Vec<&str> = BROKEN.iter().map(|(invariant, ..)| *invariant).collect();
+    let violated: Vec<&str> = BROKEN.iter().map(|(invariant, ..)| *invariant).collect();
     assert!(
-        tried
+        violated
             .into_iter()
             .eq(INVARIANTS.map(|invariant| invariant.name)),
-        "each is tried once"
+        "each invariant is violated once"
     );
 }
 
@@ -236,7 +236,7 @@ async fn the_program_names_violations_and_fails() {
 }
 
 #[test]
-fn the_architecture_names_every_invariant() {
+fn the_architecture_page_documents_every_invariant() {
     let map = include_str!("../../../docs/ARCHITECTURE.md");
     for Invariant { name, .. } in INVARIANTS {
         assert!(map.contains(&format!("`{name}`")), "{name}");

@@ -48,21 +48,21 @@ pub(crate) fn keys(value: &Value, at: &str, found: &mut BTreeSet<String>) {
 struct Printed(Value);
 
 impl Printed {
-    fn by(serve: &Serve, arguments: &[&str]) -> Printed {
+    fn run(serve: &Serve, arguments: &[&str]) -> Printed {
         let output = serve.command(&[arguments, &["--json"]].concat());
         assert!(output.status.success(), "{}", text(&output.stderr));
         Printed(serde_json::from_str(text(&output.stdout)).expect("JSON"))
     }
 
     /// Asserts that all keys are documented; some may be missing, since `null` has no keys.
-    fn has_the_keys_of_a_part(&self, command: &str) {
+    fn assert_keys_are_documented(&self, command: &str) {
         let mut found = BTreeSet::new();
         keys(&self.0, "", &mut found);
         let documented = documented(command);
         assert!(found.is_subset(&documented), "{found:?}");
     }
 
-    fn has_the_keys_of(&self, command: &str) {
+    fn assert_keys(&self, command: &str) {
         let mut found = BTreeSet::new();
         keys(&self.0, "", &mut found);
         assert_eq!(found, documented(command), "{command}");
@@ -92,8 +92,8 @@ async fn json_output_has_the_documented_keys() {
 
     for command in ["campaign list", "campaign status"] {
         let arguments: Vec<&str> = command.split(' ').collect();
-        let printed = Printed::by(&serve, &arguments);
-        printed.has_the_keys_of("campaign list");
+        let printed = Printed::run(&serve, &arguments);
+        printed.assert_keys("campaign list");
         let campaign = &printed.0["campaigns"][0];
         assert_eq!(campaign["name"], "demo");
         assert_eq!(campaign["state"], "running");
@@ -105,11 +105,11 @@ async fn json_output_has_the_documented_keys() {
         assert_eq!((created.len(), &created[10..11]), (form.len(), "T"));
         assert!(created.ends_with('Z'));
     }
-    let one = Printed::by(&serve, &["campaign", "status", "early"]);
-    one.has_the_keys_of("campaign list");
+    let one = Printed::run(&serve, &["campaign", "status", "early"]);
+    one.assert_keys("campaign list");
 
-    let jobs = Printed::by(&serve, &["jobs", "list", "demo"]);
-    jobs.has_the_keys_of("jobs list");
+    let jobs = Printed::run(&serve, &["jobs", "list", "demo"]);
+    jobs.assert_keys("jobs list");
     assert_eq!(jobs.0["is_truncated"], false);
     let jobs = jobs.0["jobs"].as_array().expect("a list").clone();
     assert_eq!(jobs.len(), 14);
@@ -124,8 +124,8 @@ async fn json_output_has_the_documented_keys() {
         assert_eq!(job["lease_left_secs"].is_number(), is_leased, "{job}");
         assert_eq!(job["outcome"].is_string(), job["state"] == "committed");
     }
-    let few = Printed::by(&serve, &["jobs", "list", "demo", "--limit", "2"]);
-    few.has_the_keys_of("jobs list");
+    let few = Printed::run(&serve, &["jobs", "list", "demo", "--limit", "2"]);
+    few.assert_keys("jobs list");
     assert_eq!(few.0["is_truncated"], true);
     assert_eq!(few.0["jobs"].as_array().map(Vec::len), Some(2));
 
@@ -134,7 +134,7 @@ async fn json_output_has_the_documented_keys() {
     for job in &jobs {
         let id = job["rollout_id"].as_str().expect("an id");
         keys(
-            &Printed::by(&serve, &["jobs", "show", "demo", id]).0,
+            &Printed::run(&serve, &["jobs", "show", "demo", id]).0,
             "",
             &mut shown,
         );
@@ -142,13 +142,13 @@ async fn json_output_has_the_documented_keys() {
     assert_eq!(shown, documented("jobs show"));
 
     let dry = [&CREATE[..], &["--dry-run", "--policy-rate", "40"]].concat();
-    let dry = Printed::by(&serve, &dry);
-    dry.has_the_keys_of("campaign create --dry-run");
+    let dry = Printed::run(&serve, &dry);
+    dry.assert_keys("campaign create --dry-run");
     assert_eq!(dry.0["forecast"]["speed"]["results"], 2);
     assert_eq!(dry.0["no_forecast"], Value::Null);
 
-    let workers = Printed::by(&serve, &["workers"]);
-    workers.has_the_keys_of("workers");
+    let workers = Printed::run(&serve, &["workers"]);
+    workers.assert_keys("workers");
     assert_eq!(workers.0["workers"][0]["worker_id"], "a");
     assert_eq!(workers.0["workers"][0]["is_alive"], true);
 }
@@ -164,7 +164,7 @@ async fn rollouts_are_listed_by_outcome_task_condition_and_level() {
         assert_eq!(verdict, Verdict::Accepted);
     }
     let ids = |filters: &[&str]| -> Vec<String> {
-        let printed = Printed::by(&serve, &[&["jobs", "list", "demo"][..], filters].concat());
+        let printed = Printed::run(&serve, &[&["jobs", "list", "demo"][..], filters].concat());
         let jobs = printed.0["jobs"].as_array().expect("a list").iter();
         jobs.map(|job| job["rollout_id"].as_str().expect("an id").to_owned())
             .collect()
@@ -179,8 +179,8 @@ async fn rollouts_are_listed_by_outcome_task_condition_and_level() {
     assert_eq!(ids(&["--level", "L1"]).len(), 6);
     assert_eq!(ids(&["--level", "L0"]).len(), 2);
     assert_eq!(ids(&["--level", "L2"]).len(), 0);
-    let of_camera = ids(&["--condition", "camera", "--task", "libero_object/0"]);
-    assert_eq!(of_camera, ["object/t0/camera/L1/c00"]);
+    let camera_ids = ids(&["--condition", "camera", "--task", "libero_object/0"]);
+    assert_eq!(camera_ids, ["object/t0/camera/L1/c00"]);
     for (name, id) in [("nominal", "clean"), ("simultaneous", "combination")] {
         let found = ids(&["--condition", name]);
         assert_eq!(found.len(), 2);
@@ -208,8 +208,8 @@ async fn placebo_rollouts_are_planned_counted_and_listed_as_l0() {
         .split_whitespace()
         .collect();
     let dry = [&create[..], &["--dry-run"]].concat();
-    let json = Printed::by(&serve, &dry);
-    json.has_the_keys_of_a_part("campaign create --dry-run");
+    let json = Printed::run(&serve, &dry);
+    json.assert_keys_are_documented("campaign create --dry-run");
     // Per task: two nominal rollouts, three conditions of two configurations at L1, three at L0.
     assert_eq!(json.0["rollouts"], 10 * (2 + 2 * 3 + 3));
     assert_eq!(json.0["placebo_rollouts"], 30);
@@ -222,7 +222,7 @@ async fn placebo_rollouts_are_planned_counted_and_listed_as_l0() {
         ],
         [&Value::from("L1"), &Value::from(20), &Value::from(10)]
     );
-    let detectable = |level: &Value| level["new_tasks"]["r_d"].as_f64().expect("some");
+    let detectable = |level: &Value| level["new_tasks"]["r_d"].as_f64().expect("a number");
     assert!(detectable(level) > 0.1, "{level}");
     assert!(level["these_tasks"]["r_d"].as_f64() < Some(detectable(level)));
     let words = serve.command(&dry);
@@ -242,7 +242,7 @@ async fn placebo_rollouts_are_planned_counted_and_listed_as_l0() {
     fits_a_terminal(words);
     // Steadier assumed outcomes make other, smaller differences detectable.
     let example = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/openvla_oft");
-    let earlier = Printed::by(&serve, &[&dry[..], &["--planning-from", example]].concat());
+    let earlier = Printed::run(&serve, &[&dry[..], &["--planning-from", example]].concat());
     assert_ne!(
         detectable(&earlier.0["planning"]["levels"][0]),
         detectable(level)
@@ -252,7 +252,7 @@ async fn placebo_rollouts_are_planned_counted_and_listed_as_l0() {
 
     assert!(serve.command(&create).status.success());
     let ids = |filters: &[&str]| -> Vec<String> {
-        let printed = Printed::by(&serve, &[&["jobs", "list", "floor"][..], filters].concat());
+        let printed = Printed::run(&serve, &[&["jobs", "list", "floor"][..], filters].concat());
         let jobs = printed.0["jobs"].as_array().expect("a list").iter();
         jobs.map(|job| job["rollout_id"].as_str().expect("an id").to_owned())
             .collect()
@@ -261,7 +261,7 @@ async fn placebo_rollouts_are_planned_counted_and_listed_as_l0() {
     let placebo = ids(&["--level", "L0", "--condition", "language"]);
     assert_eq!(placebo.len(), 10);
     assert_eq!(placebo[0], "object/t0/language/L0/c03");
-    let shown = Printed::by(&serve, &["jobs", "show", "floor", &placebo[0]]);
+    let shown = Printed::run(&serve, &["jobs", "show", "floor", &placebo[0]]);
     assert_eq!(shown.0["manifest_row"]["placebo_radius"], 0.02);
     assert_eq!(shown.0["manifest_row"]["variant_id"], "t0/L0/canonical");
 }

@@ -9,15 +9,15 @@ use serde_json::{Value, json};
 
 use crate::derived::{PATIENCE, run_all};
 use crate::harness::rollout_id;
-use crate::page::ask;
+use crate::page::http;
 use crate::process::{Serve, succeed, succeed_in_json, text};
 
 /// Longest delay at which the policy still succeeds, control steps.
-const BEARS: u16 = 3;
+const MAX_DELAY: u16 = 3;
 
 fn outcome(id: &RolloutId) -> Outcome {
     let is_late = id.condition() == Condition::Latency;
-    Outcome::from(!is_late || delay_at(id.level()).is_some_and(|delay| delay <= BEARS))
+    Outcome::from(!is_late || delay_at(id.level()).is_some_and(|delay| delay <= MAX_DELAY))
 }
 
 fn json_of(serve: &Serve, arguments: &[&str]) -> Value {
@@ -45,13 +45,17 @@ async fn latency_is_a_separate_condition() {
 
     // A worker that leaves the delay out is refused.
     let mut worker = serve.worker("w").await;
-    let mut tried = false;
+    let mut is_refused_once = false;
     for lease in worker.claim(64).await {
         let id: RolloutId = rollout_id(&lease).parse().expect("an id");
-        if !tried && id.condition() == Condition::Latency {
-            tried = true;
+        if !is_refused_once && id.condition() == Condition::Latency {
+            is_refused_once = true;
             let mut report = worker.report(&lease, true);
-            let settings = &mut report.provenance.as_mut().expect("one").policy_settings;
+            let settings = &mut report
+                .provenance
+                .as_mut()
+                .expect("provenance")
+                .policy_settings;
             settings
                 .remove("execution model")
                 .expect("an execution model");
@@ -66,13 +70,13 @@ async fn latency_is_a_separate_condition() {
         let success = outcome(&id) == Outcome::Success;
         assert_eq!(worker.commit(&lease, success).await, Verdict::Accepted);
     }
-    assert!(tried);
+    assert!(is_refused_once);
     let began = Instant::now();
     while !text(&serve.command(&["campaign", "status", "late"]).stdout).contains("finished") {
         run_all(&mut worker, outcome).await;
         assert!(
             began.elapsed() < PATIENCE,
-            "the refused rollout is leased again"
+            "the refused rollout was not committed"
         );
         tokio::time::sleep(Duration::from_millis(100)).await;
     }
@@ -113,9 +117,9 @@ async fn latency_is_a_separate_condition() {
         .find(|line| line.contains("latency"));
     let words: Vec<&str> = head.expect("a column").split_whitespace().collect();
     assert_eq!(words, ["camera", "robot", "latency", "simultaneous"]);
-    let page = ask(&serve.url, "GET /campaigns/late").await.text();
+    let page = http(&serve.url, "GET /campaigns/late").await.text();
     assert!(page.contains("latency"), "{page}");
-    let one = ask(
+    let one = http(
         &serve.url,
         "GET /campaigns/late/configurations/object/t0/latency/L3/c00",
     )
@@ -129,10 +133,10 @@ async fn the_latency_threshold_is_found_in_whole_control_steps() {
     assert!(serve.command(&CREATE).status.success());
     let mut worker = serve.worker("w").await;
     let began = Instant::now();
-    let ask = ["thresholds", "late", "--axes", "latency", "--create"];
+    let thresholds = ["thresholds", "late", "--axes", "latency", "--create"];
     let found = loop {
         run_all(&mut worker, outcome).await;
-        let found = json_of(&serve, &ask);
+        let found = json_of(&serve, &thresholds);
         if found["complete"] == json!(true) {
             break found;
         }
@@ -146,7 +150,11 @@ async fn the_latency_threshold_is_found_in_whole_control_steps() {
     for threshold in found["thresholds"].as_array().expect("a list") {
         assert_eq!(threshold["condition"], "latency");
         let bracket = [&threshold["succeeds_at"], &threshold["fails_at"]];
-        assert_eq!(bracket, [&json!(6.0), &json!(8.0)], "three steps and four");
+        assert_eq!(
+            bracket,
+            [&json!(6.0), &json!(8.0)],
+            "delays of 3 and 4 control steps"
+        );
     }
     let output = serve.command(&["thresholds", "late"]);
     let words: Vec<&str> = text(&output.stdout).split_whitespace().collect();

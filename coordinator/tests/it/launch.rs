@@ -20,7 +20,7 @@ fn programs() -> tempfile::TempDir {
 
 fn launch(programs: &Path, arguments: &[&str]) -> Output {
     let programs = programs.to_str().expect("UTF-8");
-    let usual = [
+    let common = [
         "launch",
         "slurm",
         "--assets",
@@ -28,7 +28,7 @@ fn launch(programs: &Path, arguments: &[&str]) -> Output {
         "--programs",
         programs,
     ];
-    coordinator(&[&usual, arguments].concat())
+    coordinator(&[&common, arguments].concat())
 }
 
 const INSECURE: [&str; 3] = ["--connect", "http://login1:7411", "--insecure"];
@@ -116,9 +116,9 @@ fn written_scripts_are_valid_bash_for_any_values() {
 #[test]
 fn tokens_are_named_by_their_file_and_never_written_out() {
     let (programs, folder) = (programs(), tempfile::tempdir().expect("a folder"));
-    let file = |name: &str, holds: &str| {
+    let file = |name: &str, content: &str| {
         let path = folder.path().join(name);
-        write_private(&path, holds);
+        write_private(&path, content);
         path.to_str().expect("UTF-8").to_owned()
     };
     let secret = "0123456789abcdef0123456789abcdef";
@@ -135,15 +135,15 @@ fn tokens_are_named_by_their_file_and_never_written_out() {
         let message = &fail(launch(programs.path(), &[&guarded[..], more].concat()), 2);
         assert!(message.contains("--worker-token-file"), "{message}");
     }
-    let of_workers = file("worker-token", &format!("worker {secret}\n"));
-    let more = ["--worker-token-file", &of_workers];
+    let worker_token = file("worker-token", &format!("worker {secret}\n"));
+    let more = ["--worker-token-file", &worker_token];
     let scripts = &succeed(launch(programs.path(), &[&guarded[..], &more].concat()));
     let (servers, workers) = scripts
         .split_once("workers.sbatch")
         .expect("the workers' script");
     let named = |file: &str| format!("ROLLOUT_TOKEN_FILE={file}\n");
     assert!(servers.contains(&named(&tokens)), "{scripts}");
-    assert!(workers.contains(&named(&of_workers)), "{scripts}");
+    assert!(workers.contains(&named(&worker_token)), "{scripts}");
     assert!(!workers.contains(&named(&tokens)), "{scripts}");
     assert!(
         scripts.contains(&format!("ROLLOUT_CA={pem}\n")),

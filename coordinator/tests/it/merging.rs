@@ -36,7 +36,7 @@ fn counts(message: &str) -> [u64; 2] {
     };
     [
         number("campaign moved: ", " rollout"),
-        number("with an outcome, ", " of an archive"),
+        number("with an outcome, ", " outcomes repeated"),
     ]
 }
 
@@ -55,14 +55,14 @@ async fn consistent_halves_merge_into_the_campaign_of_one_coordinator() {
     );
     put(&mut second.worker, &filmed, "video.mp4", &[vec![5; 99]])
         .await
-        .expect("kept");
+        .expect("stored");
     let (a, b) = (first.archive("moved"), second.archive("moved"));
     let folder = tempfile::tempdir().expect("a folder");
     let whole = folder.path().join("whole.tar.gz");
     let message = merge(&[&a, &b], &whole).expect("merged");
     let [outcomes, repeated] = counts(&message);
-    let other_way = folder.path().join("other.tar.gz");
-    merge(&[&b, &a], &other_way).expect("merged");
+    let reversed = folder.path().join("other.tar.gz");
+    merge(&[&b, &a], &reversed).expect("merged");
 
     let mut target = Bench::empty().await;
     target.import(&whole);
@@ -137,5 +137,5 @@ async fn contradictory_halves_are_refused_with_both_outcomes() {
     assert!(message.contains("`levels`"), "{message}");
     assert!(!whole.exists());
     let mut left = std::fs::read_dir(folder.path()).expect("a folder");
-    assert!(left.next().is_none(), "nothing is left of what was refused");
+    assert!(left.next().is_none(), "a refused merge left files");
 }

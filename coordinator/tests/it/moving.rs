@@ -167,9 +167,9 @@ pub(crate) fn write(file: &Path, members: &[(String, Vec<u8>)], list_anew: bool)
     }
     let mut out = tar
         .into_inner()
-        .expect("its end")
+        .expect("finished")
         .finish()
-        .expect("its end");
+        .expect("finished");
     out.flush().expect("written");
 }
 
@@ -186,7 +186,7 @@ async fn a_moved_campaign_continues_at_another_coordinator_to_the_same_report() 
     let film = [vec![7; 1_500_000]];
     put(&mut source.worker, &filmed, "video.mp4", &film)
         .await
-        .expect("kept");
+        .expect("stored");
     let failed = source.worker.claim_one().await;
     source.worker.release(&failed, Reason::SimulatorError).await;
     // One rollout is in progress while the campaign is archived.
@@ -194,7 +194,7 @@ async fn a_moved_campaign_continues_at_another_coordinator_to_the_same_report() 
     source.must(&["campaign", "set-priority", "moved", "7"]);
     let before = source.rows().await;
     let file = source.archive("moved");
-    assert_eq!(source.rows().await, before, "archiving changed something");
+    assert_eq!(source.rows().await, before, "archiving changed rows");
     let first = (members(&file), std::fs::read(&file).expect("an archive"));
     source.archive("moved");
     for (one, other) in first.0.iter().zip(members(&file)) {
@@ -260,7 +260,7 @@ async fn importing_an_existing_name_is_refused_and_another_name_makes_a_copy() {
     assert_eq!(source.worker.commit(&filmed, true).await, Verdict::Accepted);
     put(&mut source.worker, &filmed, "video.mp4", &[vec![1; 10]])
         .await
-        .expect("kept");
+        .expect("stored");
     let file = source.archive("moved");
     let before = source.rows().await;
     let path = file.display().to_string();
@@ -312,9 +312,9 @@ async fn invalid_archives_are_refused_by_name_and_change_nothing() {
     let middle = flipped.len() / 2;
     flipped[middle] ^= 1;
     std::fs::write(&bad, flipped).expect("written");
-    refused(&["member"]);
+    refused(&["copy it again"]);
     std::fs::write(&bad, [&whole[..], b"more"].concat()).expect("written");
-    refused(&["there is more behind it"]);
+    refused(&["data follows the last member"]);
 
     for foreign in [b"".as_slice(), b"SQLite format 3\0", &[0; 2_000]] {
         std::fs::write(&bad, foreign).expect("written");
@@ -338,14 +338,14 @@ async fn invalid_archives_are_refused_by_name_and_change_nothing() {
         let mut altered = sound.clone();
         altered[number].0 = "../../outside".to_owned();
         write(&bad, &altered, false);
-        refused(&[name, "another one is in its place"]);
+        refused(&[name, "another member is in its place"]);
         write(&bad, &altered, true);
         refused(&["archive.json"]);
     }
     let mut more = sound.clone();
     more.push(("artifacts/moved/../../outside".to_owned(), vec![1]));
     write(&bad, &more, false);
-    refused(&["does not name"]);
+    refused(&["does not list"]);
     write(&bad, &more, true);
     refused(&["no film of this campaign"]);
     // A browser would execute one of these files if the coordinator served it.
@@ -426,13 +426,13 @@ async fn invalid_archives_are_refused_by_name_and_change_nothing() {
         list["members"] = json!("of another kind");
         newer[0].1 = list.to_string().into_bytes();
         write(&bad, &newer, false);
-        refused(&[what, "use a release as new as that one"]);
+        refused(&[what, "use that release or a later one"]);
     }
 
     assert_eq!(
         target.rows().await,
         before,
-        "a refused archive changed something"
+        "a refused archive changed rows"
     );
     assert!(!target.folder.path().join("artifacts").exists());
     let missing = target.refused(&["campaign", "import", "nowhere.tar.gz"]);
@@ -475,9 +475,9 @@ async fn a_decompression_bomb_is_refused_before_it_is_unpacked() {
         tar.append(&header, std::io::repeat(b'n').take(SWOLLEN))
             .expect("written");
         tar.into_inner()
-            .expect("its end")
+            .expect("finished")
             .finish()
-            .expect("its end");
+            .expect("finished");
         refused(&["bad.tar.gz"]);
     }
     // A film of zeros that the table of contents lists correctly.
@@ -504,9 +504,9 @@ async fn a_decompression_bomb_is_refused_before_it_is_unpacked() {
         tar.append_data(&mut header, name, bytes.as_slice())
             .expect("written");
     }
-    let mut out = tar.into_inner().expect("its end");
+    let mut out = tar.into_inner().expect("finished");
     std::io::copy(&mut std::io::repeat(0).take(SWOLLEN), &mut out).expect("written");
-    out.finish().expect("its end");
+    out.finish().expect("finished");
     refused(&["its end"]);
 
     let grown = source.serve.peak_memory_bytes() - before;
@@ -528,7 +528,10 @@ async fn a_derived_campaign_is_imported_after_its_source() {
         if let Some(lease) = source.worker.claim(1).await.pop() {
             break lease;
         }
-        assert!(began.elapsed() < Duration::from_secs(30), "nothing follows");
+        assert!(
+            began.elapsed() < Duration::from_secs(30),
+            "no rollout was derived"
+        );
         tokio::time::sleep(Duration::from_millis(100)).await;
     };
     assert_eq!(source.worker.commit(&lease, true).await, Verdict::Accepted);

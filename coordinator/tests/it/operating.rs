@@ -47,7 +47,7 @@ async fn quarantined(bench: &Bench) -> Worker {
         let lease = worker.claim_one().await;
         let released = worker.release(&lease, Reason::SlotCrashed).await;
         assert_eq!(released.verdict(), expected);
-        bench.pass(61).await;
+        bench.advance(61).await;
     }
     worker
 }
@@ -59,7 +59,7 @@ async fn a_paused_campaign_leases_nothing_and_accepts_running_attempts() {
     let bench = Bench::start().await;
     bench.create(&small_spec("held")).await.expect("created");
     bench.create(&small_spec("other")).await.expect("created");
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     assert_eq!(lease.campaign, "held");
     let paused = bench.change("held", Change::Pause).await;
     assert_eq!(paused.expect("paused"), State::Paused);
@@ -106,8 +106,8 @@ async fn cancelling_a_campaign_revokes_leases_and_keeps_results() {
     let cancelled = bench.change("ended", Change::Cancel).await;
     assert_eq!(cancelled.expect("cancelled"), State::Cancelled);
 
-    let over = worker.heartbeat(&[&second], 9).await;
-    assert_eq!(over, std::slice::from_ref(&second.attempt_id));
+    let lost_leases = worker.heartbeat(&[&second], 9).await;
+    assert_eq!(lost_leases, std::slice::from_ref(&second.attempt_id));
     assert_eq!(worker.commit(&second, true).await, Verdict::Stale);
     assert_eq!(worker.commit(&first, true).await, Verdict::Duplicate);
     assert!(worker.claim(4).await.is_empty());
@@ -126,7 +126,7 @@ async fn cancelling_a_campaign_revokes_leases_and_keeps_results() {
     bench
         .change("ended", Change::Cancel)
         .await
-        .expect("so already");
+        .expect("cancelled again");
     assert_invariants(&bench).await;
 }
 
@@ -137,9 +137,9 @@ async fn cancelling_a_campaign_frees_the_policy_probe() {
     let first = bench.create_with_priority(&first, 1).await;
     first.expect("created");
     bench.create(&small_spec("second")).await.expect("created");
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
-    bench.pass(61).await;
+    bench.advance(61).await;
     let probe = worker.claim_one().await;
     assert!(worker.claim(4).await.is_empty(), "one probe at a time");
     assert_eq!(probe.campaign, "first");
@@ -165,7 +165,7 @@ async fn deleting_a_campaign_needs_its_name_twice_and_removes_its_files() {
         name: "video.mp4".to_owned(),
         data: vec![1; 100],
     }]);
-    let put = worker.service.put_artifact(video).await.expect("kept");
+    let put = worker.service.put_artifact(video).await.expect("stored");
     let video = bench.folder.path().join(put.into_inner().path);
     assert!(video.is_file());
 
@@ -198,7 +198,11 @@ async fn retry_requeues_quarantined_jobs_without_their_charges() {
     let mut worker = quarantined(&bench).await;
     let unknown = retry(&bench, "one", &[CAMERA, "object/t0/camera/L1/c09"], false).await;
     assert_eq!(unknown.expect_err("unknown").code(), Code::NotFound);
-    assert_eq!(bench.status("one").await.quarantined, 1, "all or none");
+    assert_eq!(
+        bench.status("one").await.quarantined,
+        1,
+        "neither or both are requeued"
+    );
     assert_eq!(
         retry(&bench, "one", &[CAMERA], false)
             .await
@@ -207,7 +211,7 @@ async fn retry_requeues_quarantined_jobs_without_their_charges() {
     );
     let again = retry(&bench, "one", &[CAMERA], false)
         .await
-        .expect_err("waits");
+        .expect_err("a queued job");
     assert_eq!(again.code(), Code::FailedPrecondition);
     assert!(again.message().contains("queued"), "{again}");
     assert_eq!(retry(&bench, "one", &[], true).await.expect("none left"), 0);
@@ -221,10 +225,10 @@ async fn retry_requeues_quarantined_jobs_without_their_charges() {
     }
     let mut fresh = bench.worker("b").await;
     let lease = fresh.claim_one().await;
-    assert_eq!(lease.attempt, 6, "attempts are not forgotten");
+    assert_eq!(lease.attempt, 6, "the attempt number keeps rising");
     let released = fresh.release(&lease, Reason::SlotCrashed).await;
     assert_eq!(released.verdict(), Released::Requeued);
-    bench.pass(61).await;
+    bench.advance(61).await;
     let lease = fresh.claim_one().await;
     assert_eq!(fresh.commit(&lease, true).await, Verdict::Accepted);
     assert_invariants(&bench).await;
@@ -311,32 +315,38 @@ async fn jobs_are_listed_page_by_page_and_by_state() {
 }
 
 #[tokio::test]
-async fn workers_are_listed_with_their_leases_and_why_they_stopped() {
+async fn workers_are_listed_with_their_leases_and_stop_reasons() {
     let bench = Bench::start().await;
     let spec = with(small_spec("many"), json!({"configs": [0, 1]}));
     bench.create(&spec).await.expect("created");
     bench.worker("gone").await;
-    bench.pass(100).await;
+    bench.advance(100).await;
     let mut broken = bench.worker("broken").await;
     let mut sound = bench.worker("sound").await;
     sound.claim(2).await;
-    sound.films(3).await;
+    sound.report_filming(3).await;
     for lease in broken.claim(5).await {
         broken.release(&lease, Reason::SlotCrashed).await;
     }
     let request = wire::ListWorkersRequest {};
     let list = bench.operator().await.list_workers(request).await;
     let list = list.expect("a list").into_inner().workers;
-    let of = |id: &str| {
+    let worker = |id: &str| {
         list.iter()
             .find(|worker| worker.worker_id == id)
             .expect("listed")
     };
-    assert_eq!((of("gone").alive, of("gone").silent_secs), (false, 100.0));
-    assert_eq!((of("sound").alive, of("sound").leases), (true, 2));
-    assert_eq!((of("sound").filming, of("broken").filming), (3, 0));
-    assert_eq!((of("broken").charged_in_a_row, of("broken").leases), (5, 0));
-    assert!(of("broken").stopped_reason.contains("5 times in a row"));
+    assert_eq!(
+        (worker("gone").alive, worker("gone").silent_secs),
+        (false, 100.0)
+    );
+    assert_eq!((worker("sound").alive, worker("sound").leases), (true, 2));
+    assert_eq!((worker("sound").filming, worker("broken").filming), (3, 0));
+    assert_eq!(
+        (worker("broken").charged_in_a_row, worker("broken").leases),
+        (5, 0)
+    );
+    assert!(worker("broken").stopped_reason.contains("5 times in a row"));
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -386,7 +396,7 @@ async fn an_operator_follows_and_ends_a_campaign_from_the_command_line() {
     let lease = worker.claim_one().await;
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     worker.claim_one().await;
-    worker.films(2).await;
+    worker.report_filming(2).await;
     let busy = [
         "slow-1 on bench: 1/2 slots busy",
         "\n  filming 2 rollouts\n",
@@ -452,9 +462,9 @@ async fn an_operator_follows_and_ends_a_campaign_from_the_command_line() {
     run(&["campaign", "list"], 0, &["no campaigns yet"]);
 }
 
-/// Regression (defect 3): new jobs reused the ids of deleted ones, and a lease was identified by
+/// Regression: new jobs reused the ids of deleted ones, and a lease was identified by
 /// job and attempt number, so that a slot that still ran an old rollout committed it into the new
-/// campaign. Now a lease has an id of its own, and numbers are never reused (finding B9).
+/// campaign. Now a lease has an id of its own, and numbers are never reused.
 #[tokio::test]
 async fn attempts_of_a_deleted_campaign_match_no_job_of_a_later_one() {
     let bench = Bench::start().await;
@@ -466,10 +476,10 @@ async fn attempts_of_a_deleted_campaign_match_no_job_of_a_later_one() {
     bench.delete("before", "before").await.expect("deleted");
     bench.create(&small_spec("after")).await.expect("created");
     let new = slot.claim_one().await;
-    assert!(new.job_id > old.job_id + 3, "no number is used again");
+    assert!(new.job_id > old.job_id + 3, "job ids are not reused");
 
-    let over = slot.heartbeat(&[&old, &new], 9).await;
-    assert_eq!(over, std::slice::from_ref(&old.attempt_id));
+    let lost_leases = slot.heartbeat(&[&old, &new], 9).await;
+    assert_eq!(lost_leases, std::slice::from_ref(&old.attempt_id));
     let refused = slot
         .try_commit(&old, true)
         .await

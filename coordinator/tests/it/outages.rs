@@ -49,7 +49,7 @@ async fn an_outage_pauses_the_jobs_of_its_policy_only() {
     }
     let status = bench.status("first").await;
     assert!(status.policy_paused);
-    assert_eq!(status.policy_pause_reason, "the bench said so");
+    assert_eq!(status.policy_pause_reason, "simulated failure");
     assert_eq!(
         bench
             .count("SELECT outages FROM policy WHERE name = 'fragile'")
@@ -66,7 +66,7 @@ async fn an_outage_pauses_the_jobs_of_its_policy_only() {
     assert!(others.iter().all(|lease| lease.policy == "sound"));
     let idle = worker.claim_response("").await.idle_reason;
     assert!(
-        idle.contains("`fragile`") && idle.contains("the bench said so"),
+        idle.contains("`fragile`") && idle.contains("simulated failure"),
         "{idle}"
     );
 }
@@ -75,7 +75,7 @@ async fn an_outage_pauses_the_jobs_of_its_policy_only() {
 #[tokio::test]
 async fn resuming_a_campaign_retries_its_policy_at_once() {
     let bench = two_campaigns().await;
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
     let status = bench.status("first").await;
     assert!(status.policy_retry_secs > Some(0.0), "{status:?}");
@@ -86,24 +86,21 @@ async fn resuming_a_campaign_retries_its_policy_at_once() {
     assert_eq!(bench.status("first").await.policy_retry_secs, Some(0.0));
     assert_eq!(worker.claim_one().await.policy, "fragile");
     let status = bench.status("first").await;
-    assert_eq!(
-        status.policy_retry_secs, None,
-        "one rollout is out to try it"
-    );
+    assert_eq!(status.policy_retry_secs, None, "a probe holds a lease");
 }
 
 #[tokio::test]
-async fn a_pause_lets_one_probe_through_and_its_first_answer_resumes_the_rest() {
+async fn a_paused_policy_gets_one_probe_whose_first_answer_resumes_the_rest() {
     let bench = two_campaigns().await;
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
-    bench.pass(PAST_FIRST_SECS).await;
+    bench.advance(PAST_FIRST_SECS).await;
     let leases = worker.claim(4).await;
     let fragile: Vec<_> = leases
         .iter()
         .filter(|lease| lease.policy == "fragile")
         .collect();
-    assert_eq!(fragile.len(), 1, "one probe");
+    assert_eq!(fragile.len(), 1, "only one probe is leased");
     let probe = fragile[0].clone();
     assert!(
         worker
@@ -127,14 +124,14 @@ async fn a_pause_lets_one_probe_through_and_its_first_answer_resumes_the_rest() 
 #[tokio::test]
 async fn a_failed_probe_doubles_the_pause_and_a_crashed_one_is_replaced() {
     let bench = two_campaigns().await;
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     let first = worker.release(&lease, Reason::PolicyUnavailable).await;
-    bench.pass(PAST_FIRST_SECS).await;
+    bench.advance(PAST_FIRST_SECS).await;
     let mut probe = worker.claim(1).await.remove(0);
     assert_eq!(probe.policy, "fragile");
     for _ in 0..5 {
         worker.release(&probe, Reason::PolicyUnavailable).await;
-        bench.pass(70).await;
+        bench.advance(70).await;
         probe = worker.claim(1).await.remove(0);
     }
     let last = worker.release(&probe, Reason::PolicyUnavailable).await;
@@ -148,17 +145,17 @@ async fn a_failed_probe_doubles_the_pause_and_a_crashed_one_is_replaced() {
     let paused_secs = (bench.count(paused).await - now_ms) as f64 / 1e3;
     assert!((30.0..=60.0).contains(&paused_secs), "{paused_secs}");
     // The job waits 10 s longer than the policy's pause, so that another rollout probes the policy.
-    let gives_way = last.backoff_secs - paused_secs;
-    assert!((9.9..=10.1).contains(&gives_way), "{gives_way}");
+    let extra_secs = last.backoff_secs - paused_secs;
+    assert!((9.9..=10.1).contains(&extra_secs), "{extra_secs}");
 
-    bench.pass(70).await;
+    bench.advance(70).await;
     let probe = worker.claim(1).await.remove(0);
     assert_eq!(probe.policy, "fragile");
     worker.release(&probe, Reason::SlotCrashed).await;
     let next = worker.claim(1).await.remove(0);
     assert_eq!(
         next.policy, "fragile",
-        "the crash said nothing about the policy"
+        "a crash is no evidence about the policy"
     );
     assert_ne!(next.job_id, probe.job_id);
 }
@@ -169,23 +166,26 @@ async fn leases_from_before_the_recovery_report_no_new_outage() {
     let mut worker = bench.worker("a").await;
     let leases = worker.claim(2).await;
     worker.release(&leases[0], Reason::PolicyUnavailable).await;
-    bench.pass(PAST_FIRST_SECS).await;
+    bench.advance(PAST_FIRST_SECS).await;
     let probe = worker.claim(1).await.remove(0);
     worker.heartbeat(&[&probe, &leases[1]], 11).await;
     assert!(!bench.status("first").await.policy_paused);
     worker.release(&leases[1], Reason::PolicyUnavailable).await;
-    assert!(!bench.status("first").await.policy_paused, "old news");
+    assert!(
+        !bench.status("first").await.policy_paused,
+        "the lease is older than the recovery"
+    );
 }
 
 #[tokio::test]
-async fn a_pause_survives_a_restart_and_still_ends_by_itself() {
+async fn a_policy_pause_survives_a_restart_and_ends_automatically() {
     let bench = two_campaigns().await;
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     worker.release(&lease, Reason::PolicyUnavailable).await;
     let bench = bench.restart().await;
     assert!(bench.status("first").await.policy_paused);
     let mut worker = bench.worker("a").await;
-    bench.pass(PAST_FIRST_SECS).await;
+    bench.advance(PAST_FIRST_SECS).await;
     let probe = worker.claim(1).await.remove(0);
     assert_eq!(probe.policy, "fragile");
     assert_eq!(worker.commit(&probe, true).await, Verdict::Accepted);
@@ -193,25 +193,25 @@ async fn a_pause_survives_a_restart_and_still_ends_by_itself() {
 }
 
 /// Runs a campaign of eight rollouts on two slots. One rollout crashes the policy after
-/// `killer_is_answered` queries, and every other rollout in progress loses the policy with it.
-async fn plays_on(killer_is_answered: u32) -> Bench {
+/// `answered_queries` queries, and every other rollout in progress loses the policy with it.
+async fn run_with_killer(answered_queries: u32) -> Bench {
     let bench = Bench::start().await;
     let spec = spec_of("first", "fragile");
     bench.create(&spec).await.expect("created");
     let mut worker = bench.worker("a").await;
-    let killer = |lease: &Lease| rollout_id(lease).ends_with("sensor/L1/c00");
+    let is_killer = |lease: &Lease| rollout_id(lease).ends_with("sensor/L1/c00");
     for _ in 0..200 {
-        bench.pass(3).await;
+        bench.advance(3).await;
         worker.heartbeat(&[], 0).await;
         let mut leases = worker.claim(2).await;
         // The policy crashes before the other rollouts finish.
-        leases.sort_by_key(|lease| !killer(lease));
-        let dies = leases.iter().any(killer);
+        leases.sort_by_key(|lease| !is_killer(lease));
+        let has_killer = leases.iter().any(is_killer);
         for lease in &leases {
-            match (dies, killer(lease)) {
+            match (has_killer, is_killer(lease)) {
                 (true, true) => {
                     worker
-                        .lose_policy(lease, killer_is_answered)
+                        .lose_policy(lease, answered_queries)
                         .await
                         .backoff_secs
                 }
@@ -230,11 +230,11 @@ async fn plays_on(killer_is_answered: u32) -> Bench {
     bench
 }
 
-/// Regression (finding B1): the rollout was requeued, became the next probe, and so on forever.
+/// Regression: the rollout was requeued, became the next probe, and so on forever.
 #[tokio::test]
 async fn a_rollout_that_takes_its_policy_down_is_quarantined_and_others_complete() {
-    for killer_is_answered in [3, 0] {
-        let bench = plays_on(killer_is_answered).await;
+    for answered_queries in [3, 0] {
+        let bench = run_with_killer(answered_queries).await;
         let status = bench.status("first").await;
         assert_eq!((status.committed, status.quarantined), (7, 1));
         assert!(!bench.status("first").await.policy_paused || status.queued == 0);
@@ -242,7 +242,7 @@ async fn a_rollout_that_takes_its_policy_down_is_quarantined_and_others_complete
                 AND f.attempt = j.attempt
             WHERE j.state = 'quarantined' AND j.rollout_id LIKE '%sensor/L1/c00'
                 AND j.charged_attempts = 0 AND f.reason = 'takes_policy_down'
-                AND f.error LIKE '%takes its policy down%the bench said so'";
+                AND f.error LIKE '%takes its policy down%simulated failure'";
         assert_eq!(bench.count(query).await, 1);
         assert_eq!(
             bench
@@ -270,10 +270,10 @@ async fn a_long_outage_quarantines_nothing_and_is_probed_by_one_rollout_at_a_tim
     let mut probes = BTreeSet::new();
     for _ in 0..30 {
         // Longer than the longest back-off, shorter than twice that.
-        bench.pass(65).await;
+        bench.advance(65).await;
         worker.heartbeat(&[], 0).await;
         let probe = worker.claim_one().await;
-        assert!(worker.claim(1).await.is_empty(), "one at a time");
+        assert!(worker.claim(1).await.is_empty(), "one probe at a time");
         worker.release(&probe, Reason::PolicyUnavailable).await;
         probes.insert(probe.job_id);
     }
@@ -284,7 +284,7 @@ async fn a_long_outage_quarantines_nothing_and_is_probed_by_one_rollout_at_a_tim
 }
 
 #[tokio::test]
-async fn the_last_rollout_outlasts_any_policy_outage() {
+async fn a_sole_rollout_is_not_quarantined_by_repeated_policy_outages() {
     let bench = Bench::start().await;
     let spec = with(
         spec_of("one", "fragile"),
@@ -293,13 +293,13 @@ async fn the_last_rollout_outlasts_any_policy_outage() {
     assert_eq!(bench.create(&spec).await.expect("created").jobs_total, 1);
     let mut worker = bench.worker("a").await;
     for _ in 0..30 {
-        bench.pass(130).await;
+        bench.advance(130).await;
         worker.heartbeat(&[], 0).await;
         let probe = worker.claim_one().await;
         worker.release(&probe, Reason::PolicyUnavailable).await;
     }
     assert_eq!(bench.status("one").await.quarantined, 0);
-    bench.pass(130).await;
+    bench.advance(130).await;
     worker.heartbeat(&[], 0).await;
     let probe = worker.claim_one().await;
     assert_eq!(worker.commit(&probe, true).await, Verdict::Accepted);
@@ -328,9 +328,13 @@ async fn queued_and_running_rollouts_can_be_skipped_and_retried() {
     };
     let running = rollout_id(&leases[1]);
     let refused = skip(&[running.clone(), rollout_id(&leases[0])]).await;
-    let refused = refused.expect_err("one is committed");
+    let refused = refused.expect_err("a committed rollout");
     assert!(refused.message().contains("it is committed"), "{refused}");
-    assert_eq!(bench.status("some").await.leased, 1, "all or none");
+    assert_eq!(
+        bench.status("some").await.leased,
+        1,
+        "neither or both are skipped"
+    );
     assert_eq!(
         skip(&[running, id("combination")]).await.expect("skipped"),
         2
@@ -340,10 +344,10 @@ async fn queued_and_running_rollouts_can_be_skipped_and_retried() {
         bench.count("SELECT sum(charged_attempts) FROM job").await,
         0
     );
-    let over = worker.heartbeat(&[&leases[1]], 5).await;
-    assert_eq!(over, std::slice::from_ref(&leases[1].attempt_id));
+    let lost_leases = worker.heartbeat(&[&leases[1]], 5).await;
+    assert_eq!(lost_leases, std::slice::from_ref(&leases[1].attempt_id));
     let last = worker.claim(4).await;
-    assert_eq!(last.len(), 1, "the others are skipped");
+    assert_eq!(last.len(), 1, "the skipped jobs are not leased");
     assert_eq!(worker.commit(&last[0], true).await, Verdict::Accepted);
     let request = RetryJobsRequest {
         campaign: "some".to_owned(),

@@ -15,7 +15,7 @@ async fn with_siblings() -> (Bench, Worker, wire::Lease) {
     for lease in worker.claim(2).await {
         assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     }
-    bench.pass(1).await;
+    bench.advance(1).await;
     let lease = worker.claim_one().await;
     (bench, worker, lease)
 }
@@ -87,11 +87,15 @@ async fn siblings_share_the_initial_state_and_include_replicates() {
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
     // Another initial state of the same task has no siblings to agree with.
     let mut other = worker.report(&leases[1], true);
-    other.provenance.as_mut().expect("some").scene_digest = sha("moved");
+    other.provenance.as_mut().expect("provenance").scene_digest = sha("moved");
     assert_eq!(worker.commit_request(other).await.0, Verdict::Accepted);
     // Replicate 1 of the first rollout.
     let mut replicate = worker.report(&leases[2], true);
-    replicate.provenance.as_mut().expect("some").scene_digest = sha("moved");
+    replicate
+        .provenance
+        .as_mut()
+        .expect("provenance")
+        .scene_digest = sha("moved");
     assert_eq!(worker.commit_request(replicate).await.0, Verdict::Unpaired);
 }
 
@@ -117,15 +121,15 @@ async fn commit_altered(
 }
 
 /// Shifts all realised elements of one axis by `by`.
-fn realise_otherwise(provenance: &mut wire::Provenance, axis: &str, by: f64) {
-    let of_axis = |realised: &&mut wire::RealisedAxis| realised.axis == axis;
-    for realised in provenance.realised.iter_mut().filter(of_axis) {
+fn shift_elements(provenance: &mut wire::Provenance, axis: &str, by: f64) {
+    let is_of_axis = |realised: &&mut wire::RealisedAxis| realised.axis == axis;
+    for realised in provenance.realised.iter_mut().filter(is_of_axis) {
         realised.elements.iter_mut().for_each(|value| *value += by);
     }
 }
 
 #[tokio::test]
-async fn an_axis_realised_otherwise_in_the_combination_than_alone_is_refused_by_name() {
+async fn an_axis_realised_differently_in_the_combination_is_refused_and_named() {
     let (_bench, mut worker, leases) = leases_of(json!({})).await;
     let [clean, camera, sensor, combination] = leases.as_slice() else {
         panic!("{} leases", leases.len());
@@ -133,8 +137,8 @@ async fn an_axis_realised_otherwise_in_the_combination_than_alone_is_refused_by_
     for lease in [clean, camera, sensor] {
         assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
     }
-    let otherwise = |p: &mut wire::Provenance| realise_otherwise(p, "sensor", 0.5);
-    let (verdict, detail) = commit_altered(&mut worker, combination, otherwise).await;
+    let shifted = |p: &mut wire::Provenance| shift_elements(p, "sensor", 0.5);
+    let (verdict, detail) = commit_altered(&mut worker, combination, shifted).await;
     assert_eq!(verdict, Verdict::Unpaired);
     for word in [
         "realisation of axis sensor",
@@ -152,26 +156,26 @@ async fn in_reference_mode_the_sensor_may_differ_from_siblings_and_the_camera_ma
         for lease in &leases[..3] {
             assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
         }
-        let otherwise = |p: &mut wire::Provenance| realise_otherwise(p, axis, 0.5);
-        commit_altered(&mut worker, &leases[3], otherwise).await.0
+        let shifted = |p: &mut wire::Provenance| shift_elements(p, axis, 0.5);
+        commit_altered(&mut worker, &leases[3], shifted).await.0
     };
     assert_eq!(verdict_of("sensor").await, Verdict::Accepted);
     assert_eq!(verdict_of("camera").await, Verdict::Unpaired);
 }
 
 #[tokio::test]
-async fn a_replicate_that_was_perturbed_otherwise_is_refused() {
+async fn a_replicate_with_other_realised_values_is_refused() {
     let once = json!({"axes": ["camera"], "nominal": "none", "replicates": 2});
     let (_bench, mut worker, leases) = leases_of(once).await;
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
-    let otherwise = |p: &mut wire::Provenance| realise_otherwise(p, "camera", 0.5);
-    let (verdict, detail) = commit_altered(&mut worker, &leases[1], otherwise).await;
+    let shifted = |p: &mut wire::Provenance| shift_elements(p, "camera", 0.5);
+    let (verdict, detail) = commit_altered(&mut worker, &leases[1], shifted).await;
     assert_eq!(verdict, Verdict::Unpaired);
     assert!(detail.contains("axis camera"), "{detail}");
 }
 
 #[tokio::test]
-async fn a_rollout_that_left_its_perturbation_out_is_refused() {
+async fn a_rollout_without_its_perturbation_is_refused() {
     let words = [
         "set of perturbed axes",
         "`none` here",
@@ -181,16 +185,16 @@ async fn a_rollout_that_left_its_perturbation_out_is_refused() {
 }
 
 #[tokio::test]
-async fn a_replicate_that_saw_another_first_frame_is_refused() {
+async fn a_replicate_with_another_first_frame_is_refused() {
     let twice = json!({"axes": ["camera"], "nominal": "none", "replicates": 2});
     let (_bench, mut worker, leases) = leases_of(twice).await;
-    let saw = |frame: &str| {
+    let with_first_frame = |frame: &str| {
         let frame = sha(frame);
         move |p: &mut wire::Provenance| p.first_frame_digest = frame
     };
-    let first = commit_altered(&mut worker, &leases[0], saw("one")).await;
+    let first = commit_altered(&mut worker, &leases[0], with_first_frame("one")).await;
     assert_eq!(first.0, Verdict::Accepted);
-    let (verdict, detail) = commit_altered(&mut worker, &leases[1], saw("two")).await;
+    let (verdict, detail) = commit_altered(&mut worker, &leases[1], with_first_frame("two")).await;
     assert_eq!(verdict, Verdict::Unpaired);
     for word in ["first-frame digest", &sha("one"), &sha("two")] {
         assert!(detail.contains(word), "{detail} lacks {word}");
@@ -201,7 +205,7 @@ async fn a_replicate_that_saw_another_first_frame_is_refused() {
 async fn conditions_without_visual_perturbation_must_have_the_nominal_first_frame() {
     let (_bench, mut worker, leases) =
         leases_of(json!({"axes": ["camera", "actuation", "language"]})).await;
-    let mut saw = async |lease: &wire::Lease, frame: &str| {
+    let mut commit_frame = async |lease: &wire::Lease, frame: &str| {
         let frame = sha(frame);
         commit_altered(&mut worker, lease, |p| p.first_frame_digest = frame).await
     };
@@ -213,18 +217,18 @@ async fn conditions_without_visual_perturbation_must_have_the_nominal_first_fram
         (camera, "moved"),
         (actuation, "nominal"),
     ] {
-        assert_eq!(saw(lease, frame).await.0, Verdict::Accepted);
+        assert_eq!(commit_frame(lease, frame).await.0, Verdict::Accepted);
     }
-    let (verdict, detail) = saw(language, "moved").await;
+    let (verdict, detail) = commit_frame(language, "moved").await;
     assert_eq!(verdict, Verdict::Unpaired);
     assert!(detail.contains("object/t0/clean/i"), "{detail}");
     // In this combination, only the camera axis affects the first frame.
-    let (verdict, detail) = saw(combination, "nominal").await;
+    let (verdict, detail) = commit_frame(combination, "nominal").await;
     assert_eq!(verdict, Verdict::Unpaired);
     assert!(detail.contains("object/t0/camera/L1/c00"), "{detail}");
 }
 
-/// Regression (defect 6): results from two kinds of processor, whose last bits differ, were refused
+/// Regression: results from two kinds of processor, whose last bits differ, were refused
 /// as inconsistent with each other.
 #[tokio::test]
 async fn last_bit_differences_of_processors_are_accepted_and_stored() {
@@ -237,8 +241,8 @@ async fn last_bit_differences_of_processors_are_accepted_and_stored() {
         for lease in &leases[..3] {
             assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
         }
-        let otherwise = |p: &mut wire::Provenance| realise_otherwise(p, "camera", by);
-        let (verdict, detail) = commit_altered(&mut worker, &leases[3], otherwise).await;
+        let shifted = |p: &mut wire::Provenance| shift_elements(p, "camera", by);
+        let (verdict, detail) = commit_altered(&mut worker, &leases[3], shifted).await;
         assert_eq!(verdict, expected, "{by}: {detail}");
         if verdict == Verdict::Accepted {
             let pool = bench.database().await;
@@ -340,7 +344,7 @@ async fn a_result_with_missing_or_invalid_provenance_is_refused() {
         "negative",
     )
     .await;
-    assert_eq!(bench.status("paired").await.leased, 1, "nothing changed");
+    assert_eq!(bench.status("paired").await.leased, 1, "the lease is kept");
 }
 
 /// A result with more control steps than its rollout may take would be paired and reported.
@@ -377,7 +381,7 @@ async fn a_result_that_does_not_fit_its_row_is_refused_with_the_bound_named() {
 /// Regression: an unreadable sibling failed every commit for its initial state, as if the database
 /// were down.
 #[tokio::test]
-async fn a_sibling_that_cannot_be_read_charges_nobody_and_is_named() {
+async fn an_unreadable_sibling_is_named_and_charges_no_attempt() {
     let (bench, _, _) = with_siblings().await;
     let pool = bench.database().await;
     sqlx::query("UPDATE result SET realised = '{\"camera\": 7}'")
@@ -387,8 +391,8 @@ async fn a_sibling_that_cannot_be_read_charges_nobody_and_is_named() {
     pool.close().await;
     // A restart drops the cached results of running campaigns.
     let bench = bench.restart().await;
-    bench.pass(61).await;
-    let (mut worker, lease) = bench.leasing("b").await;
+    bench.advance(61).await;
+    let (mut worker, lease) = bench.worker_with_lease("b").await;
     let report = worker.report(&lease, true);
     let (verdict, detail) = worker.commit_request(report).await;
     assert_eq!(verdict, Verdict::Unpaired);

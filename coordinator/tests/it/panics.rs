@@ -32,7 +32,7 @@ impl Clock for BreakableClock {
     }
 }
 
-/// Regression (defect 11): panics of spawned tasks were not noticed, and a coordinator whose writer
+/// Regression: panics of spawned tasks were not noticed, and a coordinator whose writer
 /// had panicked answered "shutting down" forever.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_panic_of_the_writer_stops_the_coordinator_with_an_error() {
@@ -76,11 +76,11 @@ async fn a_panic_of_the_writer_stops_the_coordinator_with_an_error() {
         .await
         .expect("an end of the coordinator")
         .expect("a task");
-    let error = ended.expect("no panic of its own").expect_err("an error");
+    let error = ended.expect("no panic").expect_err("an error");
     assert!(matches!(error, ServeError::Panicked { .. }), "{error:?}");
 }
 
-/// Regression (finding B6): the loop that accepts connections and signals also awaited the sweep.
+/// Regression: the loop that accepts connections and signals also awaited the sweep.
 #[tokio::test(flavor = "multi_thread")]
 async fn connections_and_signals_are_served_while_the_database_is_locked() {
     let folder = tempfile::tempdir().expect("a temporary folder");
@@ -96,7 +96,7 @@ async fn connections_and_signals_are_served_while_the_database_is_locked() {
     .await
     .expect("the database");
     let locked = sqlx::query("BEGIN IMMEDIATE").execute(&mut writer).await;
-    locked.expect("its lock");
+    locked.expect("a lock");
     let (stop, stopped) = tokio::sync::oneshot::channel::<()>();
     let mut served = JoinSet::new();
     served.spawn(coordinator.serve(listener, async {
@@ -160,7 +160,7 @@ fn a_panic_of_a_background_task_stops_the_coordinator_and_names_the_task() {
             }
             std::thread::sleep(Duration::from_millis(20));
         }
-        let output = child.wait_with_output().expect("its end");
+        let output = child.wait_with_output().expect("finished");
         let error = String::from_utf8_lossy(&output.stderr);
         assert!(!output.status.success(), "{name}: {error}");
         assert!(

@@ -1,5 +1,5 @@
-//! Assets, simulator and renderer of a campaign's workers: those that the campaign requires, and
-//! those that its first result pins it to.
+//! Assets, simulator and renderer that a campaign requires of its workers, by its specification or
+//! after its first result pinned it.
 
 use proto::coordinator::Provenance;
 use proto::coordinator::commit_response::Verdict;
@@ -13,7 +13,7 @@ const GL: &str = "llvmpipe";
 /// Returns the reason why a worker with this pack and renderer gets no jobs, as its registration is
 /// answered; empty if it may have jobs.
 async fn refusal_reason(bench: &Bench, pack: &str, renderer: &str) -> String {
-    let mut worker = bench.worker_drawing("asks", pack, renderer).await;
+    let mut worker = bench.worker_with_renderer("asks", pack, renderer).await;
     let mut announced = registration("asks", pack);
     renderer.clone_into(&mut announced.renderer);
     let answer = worker.service.register(announced).await;
@@ -27,18 +27,18 @@ async fn a_campaign_is_pinned_to_the_pack_of_its_first_result() {
     let mut first = bench.worker_on("a", "primitives").await;
     let mut other = bench.worker_on("b", "libero").await;
     // Both workers may run jobs until a result pins the campaign; leases alone pin nothing.
-    let (lease, of_other) = (first.claim_one().await, other.claim_one().await);
+    let (lease, other_lease) = (first.claim_one().await, other.claim_one().await);
     assert_eq!(bench.status("pinned").await.live_workers, 2);
     assert_eq!(first.commit(&lease, true).await, Verdict::Accepted);
     assert_eq!(bench.status("pinned").await.live_workers, 1);
-    // The other worker's rollout was run in vain, and nobody is charged for it.
-    let (verdict, detail) = other.commit_request(other.report(&of_other, true)).await;
+    // The other worker's result is refused without a charge to its job or worker.
+    let (verdict, detail) = other.commit_request(other.report(&other_lease, true)).await;
     assert_eq!(verdict, Verdict::Unpaired);
-    let nothing = other.claim_response("").await;
-    assert!(nothing.lease.is_none());
+    let response = other.claim_response("").await;
+    assert!(response.lease.is_none());
     for word in ["pinned", "primitives", "libero", "MuJoCo 3.3.7"] {
         assert!(detail.contains(word), "{detail}");
-        assert!(nothing.idle_reason.contains(word), "{nothing:?}");
+        assert!(response.idle_reason.contains(word), "{response:?}");
     }
     let charged = "SELECT (SELECT max(charged_attempts) FROM job)
         + (SELECT max(charged_in_a_row) FROM worker)";
@@ -50,15 +50,17 @@ async fn a_campaign_is_pinned_to_the_pack_of_its_first_result() {
 async fn a_campaign_is_pinned_to_the_renderer_of_its_first_result() {
     let bench = Bench::start().await;
     bench.create(&small_spec("pinned")).await.expect("created");
-    let mut first = bench.worker_drawing("a", "primitives", "one").await;
-    let mut other = bench.worker_drawing("b", "primitives", "another").await;
+    let mut first = bench.worker_with_renderer("a", "primitives", "one").await;
+    let mut other = bench
+        .worker_with_renderer("b", "primitives", "another")
+        .await;
     let lease = first.claim_one().await;
     assert_eq!(first.commit(&lease, true).await, Verdict::Accepted);
     for warm in ["", "libero_object/0"] {
-        let nothing = other.claim_response(warm).await;
-        assert!(nothing.lease.is_none());
+        let response = other.claim_response(warm).await;
+        assert!(response.lease.is_none());
         for word in ["`pinned` is pinned", "renderer `one`", "renderer `another`"] {
-            assert!(nothing.idle_reason.contains(word), "{nothing:?}");
+            assert!(response.idle_reason.contains(word), "{response:?}");
         }
     }
     assert_eq!(bench.status("pinned").await.live_workers, 1);
@@ -82,7 +84,7 @@ async fn a_result_that_is_refused_pins_nothing() {
 }
 
 /// Replaced weights or another `--execute` make a different policy: its jobs wait until the
-/// measured policy is back, and nobody is charged.
+/// measured policy is back, and no attempt is charged.
 #[tokio::test]
 async fn a_replaced_policy_counts_as_an_outage_of_the_measured_one() {
     for (what, replace) in [
@@ -127,7 +129,7 @@ async fn a_replaced_policy_counts_as_an_outage_of_the_measured_one() {
 /// A worker older than execution models waits for answers and reports no execution model.
 #[tokio::test]
 async fn a_result_under_another_execution_model_than_the_campaigns_is_refused() {
-    for (of_campaign, of_result, expected) in [
+    for (campaign_model, result_model, expected) in [
         (Some("overlap:4"), Some("overlap:4"), Verdict::Accepted),
         (Some("overlap:4"), None, Verdict::Unpaired),
         (Some("overlap:4"), Some("overlap:4,rtc"), Verdict::Unpaired),
@@ -135,20 +137,27 @@ async fn a_result_under_another_execution_model_than_the_campaigns_is_refused() 
         (None, Some("hold:1"), Verdict::Unpaired),
     ] {
         let bench = Bench::start().await;
-        let spec = match of_campaign {
+        let spec = match campaign_model {
             Some(model) => with(small_spec("late"), json!({ "execution": model })),
             None => small_spec("late"),
         };
         bench.create(&spec).await.expect("created");
         let mut worker = bench.worker_on("a", "primitives").await;
         let lease = worker.claim_one().await;
-        assert_eq!(lease.execution, of_campaign.unwrap_or("wait"));
+        assert_eq!(lease.execution, campaign_model.unwrap_or("wait"));
         let mut report = worker.report(&lease, true);
-        let settings = &mut report.provenance.as_mut().expect("one").policy_settings;
+        let settings = &mut report
+            .provenance
+            .as_mut()
+            .expect("provenance")
+            .policy_settings;
         settings.retain(|name, _| name != "execution model");
-        settings.extend(of_result.map(|model| ("execution model".to_owned(), model.to_owned())));
+        settings.extend(result_model.map(|model| ("execution model".to_owned(), model.to_owned())));
         let (verdict, detail) = worker.commit_request(report).await;
-        assert_eq!(verdict, expected, "{of_campaign:?} {of_result:?}: {detail}");
+        assert_eq!(
+            verdict, expected,
+            "{campaign_model:?} {result_model:?}: {detail}"
+        );
         if expected == Verdict::Unpaired {
             assert!(detail.contains("update the worker's program"), "{detail}");
         }
@@ -171,14 +180,18 @@ async fn all_settings_of_a_description_are_stored_with_those_of_the_worker() {
     let mut worker = bench.worker_on("a", "primitives").await;
     let lease = worker.claim_one().await;
     let mut report = worker.report(&lease, true);
-    let settings = &mut report.provenance.as_mut().expect("one").policy_settings;
+    let settings = &mut report
+        .provenance
+        .as_mut()
+        .expect("provenance")
+        .policy_settings;
     settings.clear();
-    let settings_of_worker = ["execute", "horizon", "real-time chunking"].map(str::to_owned);
-    let of_policy = (0..proto::MAX_SETTINGS).map(|number| format!("setting {number}"));
+    let worker_settings = ["execute", "horizon", "real-time chunking"].map(str::to_owned);
+    let policy_settings_names = (0..proto::MAX_SETTINGS).map(|number| format!("setting {number}"));
     settings.extend(
-        settings_of_worker
+        worker_settings
             .into_iter()
-            .chain(of_policy)
+            .chain(policy_settings_names)
             .map(|name| (name, "1".to_owned())),
     );
     settings.insert("execution model".to_owned(), execution.to_owned());
@@ -224,7 +237,7 @@ async fn an_unsuitable_worker_learns_the_requirements_at_registration() {
     }
     assert_eq!(refusal_reason(&bench, "libero", SOFTWARE).await, "");
     assert_eq!(bench.status("choosy").await.waiting_reason, "");
-    let mut worker = bench.worker_drawing("a", "libero", SOFTWARE).await;
+    let mut worker = bench.worker_with_renderer("a", "libero", SOFTWARE).await;
     assert_eq!(worker.claim(4).await.len(), 4);
 }
 

@@ -51,7 +51,7 @@ impl Serve {
             .spawn()
             .expect("starts");
         let serve = Serve::wait_until_listening(child);
-        assert!(serve.is_ready(), "it listens");
+        assert!(serve.is_ready(), "the coordinator does not listen");
         serve
     }
 
@@ -205,7 +205,7 @@ async fn a_killed_coordinator_continues_after_a_restart() {
     let mut worker = second.worker("a").await;
     assert!(worker.heartbeat(&[&held], 50).await.is_empty());
     assert_eq!(worker.commit(&held, true).await, Verdict::Accepted);
-    // Accepted results were kept.
+    // Results accepted before the kill are in the database.
     assert_eq!(worker.commit(&committed[0], true).await, Verdict::Duplicate);
     while let [lease] = worker.claim(1).await.as_slice() {
         assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
@@ -236,13 +236,13 @@ async fn the_shortest_leases_expire_too() {
             tokio::time::sleep(Duration::from_millis(50)).await;
         };
         let lost = held.iter().find(|lease| lease.job_id == taken.job_id);
-        let late = silent.commit(lost.expect("one of them"), true).await;
+        let late = silent.commit(lost.expect("a lost lease"), true).await;
         assert_eq!(late, Verdict::Stale);
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_coordinator_told_to_stop_answers_waiting_claims_and_leaves_one_file() {
+async fn a_stopping_coordinator_answers_waiting_claims_and_leaves_one_database_file() {
     let (folder, mut serve) = Serve::anew();
     let mut worker = serve.worker("a").await;
     let mut waiting = JoinSet::new();
@@ -321,7 +321,7 @@ async fn a_specification_is_read_from_a_file_or_standard_input() {
     let output = serve.command(&["campaign", "create", "--spec", path]);
     assert_eq!(text(&output.stdout), "campaign filed created: 4 rollouts\n");
     let output = serve.command(&["campaign", "create", "--spec", path]);
-    assert!(text(&output.stdout).contains("was there already"));
+    assert!(text(&output.stdout).contains("exists already"));
     let list = serve.command(&["campaign", "list"]);
     assert!(
         text(&list.stdout).starts_with("filed ░"),
@@ -391,7 +391,7 @@ async fn control_sequences_from_workers_and_archives_never_reach_the_terminal() 
     const HOSTILE: &str = "\x1b]52;c;cm0gLXJm\x07\x1b[2K\rall is well \u{9b}31m\u{202e}";
     let (folder, serve) = Serve::anew();
     let spec = folder.path().join("spec.json");
-    std::fs::write(&spec, small_spec("told").to_string()).expect("written");
+    std::fs::write(&spec, small_spec("hostile").to_string()).expect("written");
     let path = spec.to_str().expect("UTF-8");
     assert!(
         serve
@@ -408,9 +408,9 @@ async fn control_sequences_from_workers_and_archives_never_reach_the_terminal() 
         answered_queries: None,
     };
     worker.service.release(request).await.expect("released");
-    let is_obeyed = |text: &str| {
-        let is_obeyed = |c: char| (c.is_control() && c != '\n') || c == '\u{202e}';
-        text.contains(is_obeyed)
+    let has_control_sequence = |text: &str| {
+        let is_control = |c: char| (c.is_control() && c != '\n') || c == '\u{202e}';
+        text.contains(is_control)
     };
     // Control sequences are not stored.
     let pool = open_database(folder.path()).await;
@@ -419,7 +419,7 @@ async fn control_sequences_from_workers_and_archives_never_reach_the_terminal() 
         .await
         .expect("a failure");
     assert!(
-        kept.contains("all is well") && !is_obeyed(&kept),
+        kept.contains("all is well") && !has_control_sequence(&kept),
         "{kept:?}"
     );
     // Control sequences that something else stored are not printed.
@@ -433,14 +433,14 @@ async fn control_sequences_from_workers_and_archives_never_reach_the_terminal() 
     pool.close().await;
     let rollout = crate::harness::rollout_id(&lease);
     for command in [
-        &["jobs", "show", "told", &rollout][..],
-        &["jobs", "list", "told"],
-        &["campaign", "status", "told"],
+        &["jobs", "show", "hostile", &rollout][..],
+        &["jobs", "list", "hostile"],
+        &["campaign", "status", "hostile"],
     ] {
         let output = &succeed(serve.command(command));
-        assert!(!is_obeyed(output), "{command:?}: {output:?}");
+        assert!(!has_control_sequence(output), "{command:?}: {output:?}");
     }
-    let output = serve.command(&["jobs", "show", "told", &rollout]);
+    let output = serve.command(&["jobs", "show", "hostile", &rollout]);
     assert!(text(&output.stdout).contains("all is well"));
 }
 
@@ -469,7 +469,7 @@ fn a_printed_specification_creates_the_same_campaign_as_its_flags() {
     let again = serve.command(&["campaign", "create", "--spec", spec]);
     let output = text(&again.stdout);
     assert!(
-        output.contains("was there already, with this specification"),
+        output.contains("exists already, with this specification"),
         "{output}{}",
         text(&again.stderr)
     );

@@ -83,16 +83,16 @@ fn event() -> impl Strategy<Value = Event> {
     let commit = (lease.clone(), any::<bool>())
         .prop_map(|(lease, success)| Event::Commit { lease, success });
     let release = (lease, reason).prop_map(|(lease, reason)| Event::Release { lease, reason });
-    let of_a_worker = prop_oneof![
+    let worker_event = prop_oneof![
         40 => claim,
         8 => again,
         20 => heartbeat,
         20 => commit,
         30 => release,
     ];
-    let together = prop::collection::vec(of_a_worker.clone(), 2..8).prop_map(Event::Together);
+    let together = prop::collection::vec(worker_event.clone(), 2..8).prop_map(Event::Together);
     prop_oneof![
-        118 => of_a_worker,
+        118 => worker_event,
         25 => together,
         30 => (1..14_u64).prop_map(|secs| Event::Pass { secs }),
         5 => Just(Event::Operate { change: Change::Pause }),

@@ -15,7 +15,7 @@ const EXAMPLE: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../examples/openvla_
 fn spec() -> Value {
     let tasks = json!(["libero_object/0", "libero_object/1"]);
     with(
-        small_spec("told"),
+        small_spec("reported"),
         json!({"tasks": tasks, "configs": [0, 1]}),
     )
 }
@@ -31,7 +31,7 @@ async fn run_all(bench: &Bench, worker: &mut Worker) {
             let success = outcome(&lease);
             assert_eq!(worker.commit(&lease, success).await, Verdict::Accepted);
         }
-        bench.pass(10).await;
+        bench.advance(10).await;
     }
 }
 
@@ -44,7 +44,7 @@ struct Report {
 /// Returns the report that `coordinator report` computes from the coordinator's answer.
 async fn report(bench: &Bench) -> Report {
     let request = wire::ReportRequest {
-        campaign: "told".to_owned(),
+        campaign: "reported".to_owned(),
     };
     let parts = bench.operator().await.report(request).await;
     let mut parts = parts.expect("a report").into_inner();
@@ -62,31 +62,31 @@ async fn report(bench: &Bench) -> Report {
 
 #[tokio::test]
 async fn a_report_is_the_same_with_and_without_faults() {
-    let calm = Bench::start().await;
-    calm.create(&spec()).await.expect("created");
-    let mut worker = calm.worker("a").await;
-    run_all(&calm, &mut worker).await;
+    let undisturbed = Bench::start().await;
+    undisturbed.create(&spec()).await.expect("created");
+    let mut worker = undisturbed.worker("a").await;
+    run_all(&undisturbed, &mut worker).await;
 
-    let rough = Bench::start().await;
-    rough.create(&spec()).await.expect("created");
-    let (mut a, mut b) = (rough.worker("x").await, rough.worker("y").await);
+    let disturbed = Bench::start().await;
+    disturbed.create(&spec()).await.expect("created");
+    let (mut a, mut b) = (disturbed.worker("x").await, disturbed.worker("y").await);
     let lost = a.claim(2).await;
     let leases = b.claim(4).await;
     b.release(&leases[0], Reason::SlotCrashed).await;
     b.release(&leases[1], Reason::PolicyUnavailable).await;
     b.release(&leases[2], Reason::Draining).await;
-    rough.pass(60).await;
-    let rough = rough.restart().await;
-    let mut worker = rough.worker("z").await;
-    run_all(&rough, &mut worker).await;
+    disturbed.advance(60).await;
+    let disturbed = disturbed.restart().await;
+    let mut worker = disturbed.worker("z").await;
+    run_all(&disturbed, &mut worker).await;
     // The first worker reports late, with the outcome that other workers found too.
-    let mut late = rough.worker("x").await;
+    let mut late = disturbed.worker("x").await;
     let success = outcome(&lost[0]);
     assert_eq!(late.commit(&lost[0], success).await, Verdict::Duplicate);
 
-    let (calm, rough) = (report(&calm).await, report(&rough).await);
-    assert_eq!(calm.table, rough.table);
-    assert_eq!(calm.json, rough.json);
+    let (undisturbed, disturbed) = (report(&undisturbed).await, report(&disturbed).await);
+    assert_eq!(undisturbed.table, disturbed.table);
+    assert_eq!(undisturbed.json, disturbed.json);
 }
 
 #[tokio::test]
@@ -97,7 +97,7 @@ async fn a_finished_campaign_has_its_paired_measures() {
     run_all(&bench, &mut worker).await;
     let report = report(&bench).await;
     let json = &report.json["reports"][0];
-    assert_eq!(json["origin"]["campaign"]["name"], "told");
+    assert_eq!(json["origin"]["campaign"]["name"], "reported");
     assert_eq!(json["realisation"], "matched");
     let paired = &report.json["paired"]["expert"]["L1"];
     assert_eq!(paired, &json["cells"][0]["paired"]);
@@ -107,7 +107,7 @@ async fn a_finished_campaign_has_its_paired_measures() {
     );
     assert_eq!(paired["i"], json!(-0.5));
     assert_eq!(json["nominal"][0]["count"], json!({"successes": 4, "n": 4}));
-    let head = "campaign told\npolicy expert at http://127.0.0.1:50051\n";
+    let head = "campaign reported\npolicy expert at http://127.0.0.1:50051\n";
     assert!(report.table.starts_with(head), "{}", report.table);
     let widest = report.table.lines().map(|line| line.chars().count()).max();
     assert!(widest <= Some(80), "{}", report.table);
@@ -155,7 +155,7 @@ async fn quarantined_rollouts_are_listed_with_errors_and_in_no_rate() {
     let mut lease = bad;
     for _ in 0..2 {
         alone.release(&lease, Reason::SimulatorError).await;
-        bench.pass(60).await;
+        bench.advance(60).await;
         lease = loop {
             let lease = alone.claim_one().await;
             if rollout_id(&lease) == "object/t1/sensor/L1/c01" {
@@ -170,13 +170,13 @@ async fn quarantined_rollouts_are_listed_with_errors_and_in_no_rate() {
     assert!(
         report
             .table
-            .contains("object/t1/sensor/L1/c01: the bench said so"),
+            .contains("object/t1/sensor/L1/c01: simulated failure"),
         "{}",
         report.table
     );
     let json = &report.json["reports"][0];
     assert_eq!(json["quarantined"], json!(["object/t1/sensor/L1/c01"]));
-    assert_eq!(json["errors"][0]["last_error"], "the bench said so");
+    assert_eq!(json["errors"][0]["last_error"], "simulated failure");
     assert_eq!(json["cells"][0]["paired"]["n"], 3);
     let bounds = &json["cells"][0]["bounds"];
     assert_eq!((&bounds["n"], &bounds["affected"]), (&json!(4), &json!(1)));
@@ -194,7 +194,7 @@ async fn the_report_warns_of_a_privileged_policy_and_mixed_origins() {
     let leases = worker.claim(2).await;
     for (lease, version) in leases.iter().zip(["0.1.0", "0.2.0"]) {
         let mut report = worker.report(lease, true);
-        let provenance = report.provenance.as_mut().expect("one");
+        let provenance = report.provenance.as_mut().expect("provenance");
         provenance.policy_privileged = true;
         provenance.policy_canonical_only = true;
         provenance.program_version = version.to_owned();
@@ -395,7 +395,7 @@ fn a_wrong_report_command_exits_with_2_and_writes_nothing() {
         &["`971` is no percentage"],
     );
     let left = std::fs::read_dir(folder.path()).expect("a folder");
-    assert_eq!(left.count(), 1, "only the rows");
+    assert_eq!(left.count(), 1, "only the rows are in the folder");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -108,7 +108,7 @@ const INVALID_STATEMENTS: &[(&str, &str)] = &[
 async fn rows_that_no_state_describes_cannot_be_stored() {
     let bench = Bench::start().await;
     bench.create(&small_spec("strict")).await.expect("created");
-    let (mut worker, lease) = bench.leasing("a").await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
     worker.commit(&lease, true).await;
     worker.claim_one().await;
     let pool = bench.database().await;

@@ -45,7 +45,7 @@ fn seeds(leases: &[wire::Lease]) -> BTreeMap<(String, u32), u64> {
 }
 
 #[tokio::test]
-async fn seeds_are_the_protocols_and_differ_between_replicates_and_conditions() {
+async fn seeds_match_the_protocol_and_differ_between_replicates_and_conditions() {
     let bench = Bench::start().await;
     let seeds = seeds(&run(&bench, &spec("thrice", "matched")).await);
     for (replicate, seed) in (0..).zip(CAMERA.1) {

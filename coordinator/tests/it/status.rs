@@ -13,22 +13,22 @@ use crate::process::{CREATE, Serve, coordinator, succeed, text};
 
 async fn commit_after(worker: &mut Worker, lease: &wire::Lease, wall_secs: f64) {
     let mut report = worker.report(lease, true);
-    report.result.as_mut().expect("one").wall_secs = wall_secs;
+    report.result.as_mut().expect("a result").wall_secs = wall_secs;
     assert_eq!(worker.commit_request(report).await.0, Verdict::Accepted);
 }
 
 /// Regression: workers that had shut down cleanly stayed "live" for a minute.
 #[tokio::test]
-async fn a_worker_that_announces_its_shutdown_departs_at_once() {
+async fn a_worker_that_signs_off_is_no_longer_live() {
     let bench = Bench::start().await;
     bench.create(&small_spec("watched")).await.expect("created");
     let mut worker = bench.worker("a").await;
     assert_eq!(bench.status("watched").await.live_workers, 1);
-    let good_bye = wire::SignOffRequest {
+    let sign_off = wire::SignOffRequest {
         worker_id: "a".to_owned(),
     };
-    let heard = worker.service.sign_off(good_bye.clone()).await;
-    heard.expect("an answer");
+    let signed_off_response = worker.service.sign_off(sign_off.clone()).await;
+    signed_off_response.expect("an answer");
     let status = bench.status("watched").await;
     assert_eq!(status.live_workers, 0);
     assert!(status.waiting_reason.contains("no worker"), "{status:?}");
@@ -53,9 +53,9 @@ async fn a_worker_counts_as_alive_for_the_length_of_a_lease() {
     let bench = Bench::start().await;
     bench.create(&small_spec("watched")).await.expect("created");
     let mut worker = bench.worker("a").await;
-    bench.pass(30).await;
+    bench.advance(30).await;
     assert_eq!(bench.status("watched").await.live_workers, 1);
-    bench.pass(1).await;
+    bench.advance(1).await;
     assert_eq!(bench.status("watched").await.live_workers, 0);
     worker.heartbeat(&[], 0).await;
     assert_eq!(bench.status("watched").await.live_workers, 1);
@@ -71,7 +71,7 @@ async fn the_rate_excludes_rollouts_begun_before_a_pause() {
     let mut worker = bench.worker("a").await;
     let leases = worker.claim(2).await;
     bench.change("paced", Change::Pause).await.expect("changed");
-    bench.pass(20).await;
+    bench.advance(20).await;
     bench
         .change("paced", Change::Resume)
         .await
@@ -84,7 +84,7 @@ async fn the_rate_excludes_rollouts_begun_before_a_pause() {
     assert_eq!((status.rate_per_sec, status.eta_secs), (None, None));
 
     let lease = worker.claim_one().await;
-    bench.pass(20).await;
+    bench.advance(20).await;
     commit_after(&mut worker, &lease, 20.0).await;
     let status = bench.status("paced").await;
     assert_eq!(status.rate_per_sec, Some(0.05));
@@ -97,9 +97,9 @@ async fn the_rate_excludes_rollouts_begun_before_a_pause() {
 async fn the_rate_excludes_the_wait_for_the_first_worker() {
     let bench = Bench::start().await;
     bench.create(&small_spec("late")).await.expect("created");
-    bench.pass(200).await;
-    let (mut worker, lease) = bench.leasing("a").await;
-    bench.pass(10).await;
+    bench.advance(200).await;
+    let (mut worker, lease) = bench.worker_with_lease("a").await;
+    bench.advance(10).await;
     commit_after(&mut worker, &lease, 10.0).await;
     assert_eq!(bench.status("late").await.rate_per_sec, Some(0.1));
 }
@@ -214,14 +214,14 @@ async fn a_departed_worker_is_listed_for_a_week_and_then_only_counted() {
         "{printed}"
     );
     assert!(
-        printed.contains("1 worker not heard of for a week or more: --all --json lists them too"),
+        printed.contains("1 worker without a call for a week or more: --all --json lists them too"),
         "{printed}"
     );
     let listed: Value = serde_json::from_str(&list(&["--all", "--json"])).expect("JSON");
     assert_eq!(listed["workers"].as_array().expect("workers").len(), 2);
     let printed = list(&[]);
     assert!(
-        printed.contains("1 that have gone: --all shows them"),
+        printed.contains("1 departed: --all shows them"),
         "{printed}"
     );
 }

@@ -15,11 +15,11 @@ use serde_json::{Value, json};
 
 use crate::derived::{PATIENCE, kill_at_failpoint};
 use crate::harness::{Worker, rollout_id};
-use crate::page::ask;
+use crate::page::http;
 use crate::process::{Serve, coordinator, fail, fits_a_terminal, succeed, succeed_in_json, text};
 
 /// Time for which a test observes that a campaign does not stop.
-const A_WHILE: Duration = Duration::from_millis(400);
+const OBSERVATION_TIME: Duration = Duration::from_millis(400);
 const RULE: &str = "width(S_sim) < 0.7 and R_c excludes 1";
 
 /// One suite under three axes at two levels: 40 configurations with nine rollouts each.
@@ -141,7 +141,7 @@ async fn a_campaign_stops_where_its_rule_is_met_and_reports_the_savings() {
     assert_ne!(another, planted.ids);
     let sorted = |ids: &[RolloutId]| ids.iter().copied().collect::<BTreeSet<_>>();
     assert_eq!(sorted(&another), sorted(&planted.ids));
-    tokio::time::sleep(A_WHILE).await;
+    tokio::time::sleep(OBSERVATION_TIME).await;
     let running = status(&serve, "early");
     assert_eq!(running["state"], "running");
     assert_eq!(running["early_stop"]["used"], Value::Null);
@@ -192,14 +192,17 @@ async fn a_campaign_stops_where_its_rule_is_met_and_reports_the_savings() {
     let page = std::fs::read_to_string(page).expect("a page");
     assert!(page.contains("Confidence sequences") && page.contains("Stopped early after"));
 
-    let metrics = ask(&serve.url, "GET /metrics").await.text();
+    let metrics = http(&serve.url, "GET /metrics").await.text();
     for (state, jobs) in [("queued", 0), ("not_run", saved)] {
         let line = format!("rollout_jobs{{campaign=\"early\",state=\"{state}\"}} {jobs}\n");
         assert!(metrics.contains(&line), "{line}");
     }
-    let page = ask(&serve.url, "GET /campaigns/early").await.text();
+    let page = http(&serve.url, "GET /campaigns/early").await.text();
     let words = words.replace('<', "&lt;");
-    assert!(page.contains(&words), "the campaign's page says it too");
+    assert!(
+        page.contains(&words),
+        "the campaign's page lacks the early stop"
+    );
 
     // Figures cover the same configurations as the intervals.
     let report = printed(&serve, &["report", "early", "--json"]);
@@ -410,7 +413,8 @@ async fn campaigns_in_the_same_order_are_compared_sequentially() {
             (&cell["used"], &cell["configurations"]),
             (&json!(20), &json!(40))
         );
-        // Each of the twenty seen configurations differs by one; little is known of the others.
+        // The outcomes of all twenty observed configurations differ by one; the outcomes of the
+        // other twenty are unknown.
         assert!(cell["difference"][0].as_f64() > Some(0.0), "{cell}");
         assert_eq!(cell["difference"][1], 1.0);
         let after = cell["met_after"].as_u64().expect("a met rule");

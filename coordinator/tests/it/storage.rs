@@ -106,7 +106,7 @@ fn serve(data: &Path, place: &str, variables: &[(&str, String)]) -> Serve {
         .spawn()
         .expect("starts");
     let serve = Serve::wait_until_listening(child);
-    assert!(serve.is_ready(), "it listens");
+    assert!(serve.is_ready(), "the coordinator does not listen");
     serve
 }
 
@@ -129,7 +129,7 @@ async fn film(worker: &mut Worker, bytes: &[u8]) -> String {
     assert_eq!(worker.commit(&lease, true).await, Verdict::Accepted);
     put(worker, &lease, "video.mp4", &[bytes.to_vec()])
         .await
-        .expect("kept");
+        .expect("stored");
     rollout_id(&lease)
 }
 
@@ -139,10 +139,13 @@ fn local_films(folder: &TempDir) -> usize {
     films.map_or(0, Iterator::count)
 }
 
-async fn until(what: &str, is_so: impl Fn() -> bool) {
+async fn wait_until(event: &str, has_happened: impl Fn() -> bool) {
     let began = Instant::now();
-    while !is_so() {
-        assert!(began.elapsed() < PATIENCE, "{what}");
+    while !has_happened() {
+        assert!(
+            began.elapsed() < PATIENCE,
+            "timed out waiting until {event}"
+        );
         tokio::time::sleep(Duration::from_millis(200)).await;
     }
 }
@@ -154,7 +157,7 @@ fn assert_served(serve: &Serve, rollout: &str, bytes: &[u8]) {
     let path = format!("/campaigns/filmed/videos/{rollout}");
     let (head, whole) = http(address, "GET", &path, "");
     assert!(head.starts_with("HTTP/1.1 200"), "{head}");
-    assert!(whole == bytes, "another film");
+    assert!(whole == bytes, "the served film differs");
     for (range, expected) in [
         ("bytes=10-19", &bytes[10..20]),
         ("bytes=100-", &bytes[100..]),
@@ -163,9 +166,9 @@ fn assert_served(serve: &Serve, rollout: &str, bytes: &[u8]) {
         let (head, part) = http(address, "GET", &path, &format!("Range: {range}\r\n"));
         assert!(head.starts_with("HTTP/1.1 206"), "{head}");
         assert!(part == expected, "{range}");
-        let of = format!("/{}", bytes.len());
+        let total_size = format!("/{}", bytes.len());
         let has_range = |line: &str| {
-            line.to_lowercase().starts_with("content-range: bytes ") && line.ends_with(&of)
+            line.to_lowercase().starts_with("content-range: bytes ") && line.ends_with(&total_size)
         };
         assert!(head.lines().any(has_range), "{head}");
     }
@@ -189,7 +192,7 @@ async fn check_film_lifecycle(
     let one = film(&mut worker, &first).await;
     assert_served(&coordinator, &one, &first);
     let other = film(&mut worker, &second).await;
-    until("both are stored", || {
+    wait_until("both films are stored", || {
         local_films(&folder) == 0 && stored() == 2
     })
     .await;
@@ -205,16 +208,16 @@ async fn check_film_lifecycle(
         &coordinator,
         &["campaign", "archive", "filmed", "--output", &archive],
     );
-    let elsewhere = tempfile::tempdir().expect("a folder");
-    let other_coordinator = Serve::start(elsewhere.path());
+    let other_folder = tempfile::tempdir().expect("a folder");
+    let other_coordinator = Serve::start(other_folder.path());
     let message = must(&other_coordinator, &["campaign", "import", &archive]);
     assert!(message.contains("2 films"), "{message}");
     assert_served(&other_coordinator, &one, &first);
-    assert_eq!(local_films(&elsewhere), 2);
+    assert_eq!(local_films(&other_folder), 2);
 
     let delete = ["campaign", "delete", "filmed", "--confirm", "filmed"];
     must(&coordinator, &delete);
-    until("nothing is left", || stored() == 0).await;
+    wait_until("no object is left", || stored() == 0).await;
     let violations = check(folder.path()).await.expect("a database");
     assert_eq!(violations, []);
 }
@@ -292,7 +295,7 @@ async fn a_storage_outage_loses_no_rollout_and_no_film() {
     assert!(!jobs.contains("\"charged_attempts\":1"), "{jobs}");
 
     let bucket = Bucket::start(&program, address);
-    until("they are stored", || local_films(&folder) == 0).await;
+    wait_until("the films are stored", || local_films(&folder) == 0).await;
     assert_eq!(bucket.keys().len(), 2);
     assert_served(&coordinator, &rollout, &bytes);
     drop(bucket);

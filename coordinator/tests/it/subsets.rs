@@ -3,7 +3,7 @@
 use proto::coordinator::commit_response::Verdict;
 
 use crate::harness::rollout_id;
-use crate::page::ask;
+use crate::page::http;
 use crate::process::{Serve, fail, text};
 
 const CREATE: [&str; 16] = [
@@ -56,10 +56,10 @@ async fn a_pair_that_fails_while_its_axes_alone_succeed_is_reported() {
     ] {
         assert!(words.contains(line), "{line}: {table}");
     }
-    let rows = ask(&serve.url, "GET /campaigns/pairs").await.text();
+    let rows = http(&serve.url, "GET /campaigns/pairs").await.text();
     assert!(rows.contains("camera+robot"), "{rows}");
     let configuration = "GET /campaigns/pairs/configurations/object/t0/combination/L1/c00";
-    let cards = ask(&serve.url, configuration).await.text();
+    let cards = http(&serve.url, configuration).await.text();
     assert!(cards.contains("camera+robot"), "{cards}");
 }
 

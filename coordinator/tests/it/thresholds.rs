@@ -11,7 +11,7 @@ use serde_json::{Value, json};
 
 use crate::derived::{PATIENCE, kill_around_every_transaction, run_all};
 use crate::json::{documented, keys};
-use crate::page::ask;
+use crate::page::http;
 use crate::process::{Serve, fits_a_terminal, succeed, succeed_in_json, text};
 
 /// Returns the smallest radius at which a rollout of this suite fails.
@@ -91,7 +91,7 @@ async fn planted_thresholds_are_found_again() {
     assert_eq!(printed, documented("thresholds"));
     assert_eq!([&found["looked_for"], &found["found"]], [30, 30]);
     for threshold in list(&found, "thresholds") {
-        let of = |key: &str| threshold[key].as_f64();
+        let number = |key: &str| threshold[key].as_f64();
         let [condition, task] = ["condition", "task"].map(|key| threshold[key].as_str());
         let (condition, task) = (condition.expect("a name"), task.expect("a name"));
         let suite = task.replace("libero_object/", "object/t");
@@ -104,11 +104,12 @@ async fn planted_thresholds_are_found_again() {
         assert_eq!(!list(threshold, "recovers_at").is_empty(), recovers, "{id}");
         let kind = threshold["threshold"].as_str().expect("a kind");
         match kind {
-            "nominal_fails" => assert_eq!((from, of("fails_at")), (0.0, Some(0.0))),
-            "beyond" => assert_eq!((from, of("succeeds_at")), (50.0, Some(16.0))),
+            "nominal_fails" => assert_eq!((from, number("fails_at")), (0.0, Some(0.0))),
+            "beyond" => assert_eq!((from, number("succeeds_at")), (50.0, Some(16.0))),
             _ => {
                 assert_eq!(kind, "between", "{id}");
-                let [low, high] = ["succeeds_at", "fails_at"].map(|key| of(key).expect("a radius"));
+                let [low, high] =
+                    ["succeeds_at", "fails_at"].map(|key| number(key).expect("a radius"));
                 assert!(
                     low < from && from <= high,
                     "{id}: {low} to {high} for {from}"
@@ -145,7 +146,7 @@ async fn planted_thresholds_are_found_again() {
     );
     assert!(ids.contains("object/t0/camera/L1/c00"), "{ids:?}");
 
-    // Creating the same again adds nothing; the text and the figures show the same findings.
+    // Creating the same campaign again adds no rollout; text and figures show the same findings.
     assert_eq!(self::found(&serve, &[]), found);
     let figures = folder.path().join("figures");
     let figures = figures.to_string_lossy();
@@ -176,7 +177,7 @@ async fn planted_thresholds_are_found_again() {
         csv.contains("robot,libero_object,0,0,beyond,16,,false,true"),
         "{csv}"
     );
-    let page = ask(&serve.url, "GET /campaigns/first-thresholds").await;
+    let page = http(&serve.url, "GET /campaigns/first-thresholds").await;
     let page = page.text();
     for words in [
         "How far",
@@ -273,13 +274,13 @@ async fn unmeasurable_thresholds_are_refused_before_creation() {
     assert!(error.contains("they differ in `thresholds`"), "{error}");
     succeed(serve.command(&["campaign", "rename", "first", "final"]));
     succeed(serve.command(&["thresholds", "final", "--name", "first-thresholds"]));
-    let of_derived = serve.command(&["thresholds", "first-thresholds", "--create"]);
-    let error = text(&of_derived.stderr);
+    let output_for_derived = serve.command(&["thresholds", "first-thresholds", "--create"]);
+    let error = text(&output_for_derived.stderr);
     assert!(error.contains("its rows come from no design"), "{error}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_budget_is_kept() {
+async fn thresholds_stay_within_their_budget() {
     let (_folder, serve) = Serve::anew();
     create(&serve);
     let found = measured(&serve, &["--budget", "100", "--seed", "3"]).await;

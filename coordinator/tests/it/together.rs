@@ -23,13 +23,16 @@ async fn together<T: Send + 'static>(
     requests: Vec<impl Future<Output = T> + Send + 'static>,
 ) -> Vec<T> {
     let database = bench.database().await;
-    let hold = database.begin_with("BEGIN IMMEDIATE").await.expect("held");
+    let lock = database
+        .begin_with("BEGIN IMMEDIATE")
+        .await
+        .expect("a write lock");
     let mut answers = JoinSet::new();
     for (place, request) in requests.into_iter().enumerate() {
         answers.spawn(async move { (place, request.await) });
     }
     tokio::time::sleep(ARRIVAL).await;
-    hold.rollback().await.expect("let go");
+    lock.rollback().await.expect("rolled back");
     database.close().await;
     let mut answers = answers.join_all().await;
     answers.sort_by_key(|(place, _)| *place);
@@ -64,18 +67,18 @@ async fn batched_reports_each_get_their_own_verdict() {
         .map(|lease| (worker.report(lease, true), Verdict::Accepted))
         .collect();
     let mut moved = worker.report(&leases[3], true);
-    moved.provenance.as_mut().expect("some").scene_digest = sha("moved");
+    moved.provenance.as_mut().expect("provenance").scene_digest = sha("moved");
     worker.release(&leases[9], Reason::Draining).await;
     let stale = worker.report(&leases[9], true);
     let again = worker.report(&leases[0], true);
     let otherwise = worker.report(&leases[0], false);
-    let odd = [
+    let not_accepted = [
         (again, Verdict::Duplicate),
         (otherwise, Verdict::Divergent),
         (moved, Verdict::Unpaired),
         (stale, Verdict::Stale),
     ];
-    let mixed: Vec<_> = good.into_iter().chain(odd).collect();
+    let mixed: Vec<_> = good.into_iter().chain(not_accepted).collect();
     let requests = mixed.iter().map(|(report, _)| {
         let (mut worker, report) = (worker.clone(), report.clone());
         async move { worker.commit_request(report).await.0 }
@@ -109,10 +112,10 @@ async fn one_of_two_batched_reports_of_a_rollout_is_stored() {
 #[tokio::test(flavor = "multi_thread")]
 async fn contradictory_siblings_in_one_batch_are_not_both_stored() {
     let (bench, worker, leases) = twelve_leases().await;
-    let of_one_state = [&leases[0], &leases[1]];
-    let requests = of_one_state.iter().enumerate().map(|(place, lease)| {
+    let same_state = [&leases[0], &leases[1]];
+    let requests = same_state.iter().enumerate().map(|(place, lease)| {
         let (mut worker, mut report) = (worker.clone(), worker.report(lease, true));
-        let provenance = report.provenance.as_mut().expect("some");
+        let provenance = report.provenance.as_mut().expect("provenance");
         provenance.scene_digest = sha(&format!("scene {place}"));
         async move { worker.commit_request(report).await.0 }
     });

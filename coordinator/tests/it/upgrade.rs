@@ -177,17 +177,23 @@ async fn a_database_of_schema_1_is_upgraded_and_its_campaigns_continue() {
         ],
         "pinned to the renderer of the first drawn result"
     );
-    let drew = |renderer: &str, results| (Some(renderer.to_owned()), results);
+    let renderer_count = |renderer: &str, results| (Some(renderer.to_owned()), results);
     assert_eq!(
         renderers,
-        [drew("", 3), drew("NVIDIA", 1), drew("llvmpipe", 2)]
+        [
+            renderer_count("", 3),
+            renderer_count("NVIDIA", 1),
+            renderer_count("llvmpipe", 2)
+        ]
     );
     assert_eq!(bench.count("SELECT count(*) FROM job").await, 12);
     assert_eq!(bench.count("SELECT count(*) FROM motion").await, 6);
     assert_eq!(bench.status("drawn").await.committed, 2);
 
     // Only the campaign for which no frame was drawn accepts any renderer.
-    let mut worker = bench.worker_drawing("new", "primitives", "software").await;
+    let mut worker = bench
+        .worker_with_renderer("new", "primitives", "software")
+        .await;
     let leases = worker.claim(64).await;
     let campaigns: Vec<&str> = leases.iter().map(|lease| lease.campaign.as_str()).collect();
     assert_eq!(campaigns, ["blind"; 2]);
@@ -203,7 +209,9 @@ async fn a_database_of_schema_1_is_upgraded_and_its_campaigns_continue() {
     ] {
         assert!(idle.contains(word), "{idle}");
     }
-    let mut older = bench.worker_drawing("gl", "primitives", "llvmpipe").await;
+    let mut older = bench
+        .worker_with_renderer("gl", "primitives", "llvmpipe")
+        .await;
     let lease = older.claim_one().await;
     assert_eq!(lease.campaign, "drawn");
     assert_eq!(older.commit(&lease, true).await, Verdict::Accepted);
@@ -229,9 +237,9 @@ async fn schema(folder: &Path) -> Vec<(String, String)> {
 
 /// Counts rows that an upgrade must not lose: jobs of each final state, results with their
 /// outcomes, failures, motions.
-async fn kept(folder: &Path) -> Vec<(String, i64)> {
+async fn count_kept_rows(folder: &Path) -> Vec<(String, i64)> {
     let pool = open_database(folder).await;
-    let kept = sqlx::query_as(
+    let counts = sqlx::query_as(
         "SELECT 'jobs', count(*) FROM job
          UNION ALL SELECT 'committed', count(*) FROM job WHERE state = 'committed'
          UNION ALL SELECT 'quarantined', count(*) FROM job WHERE state = 'quarantined'
@@ -244,9 +252,9 @@ async fn kept(folder: &Path) -> Vec<(String, i64)> {
          UNION ALL SELECT 'motions', count(*) FROM motion
          UNION ALL SELECT 'campaigns', count(*) FROM campaign",
     );
-    let kept = kept.fetch_all(&pool).await.expect("counts");
+    let counts = counts.fetch_all(&pool).await.expect("counts");
     pool.close().await;
-    kept
+    counts
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -276,17 +284,21 @@ async fn the_database_of_every_released_schema_is_upgraded_with_its_rows() {
         let database = archived.path().join(DATABASE_FILE);
         std::fs::copy(folder.path().join(DATABASE_FILE), database).expect("copied");
         let refused = queue::Portable::open(archived.path()).await;
-        let refused = refused.expect_err("several").to_string();
+        let refused = refused.expect_err("several campaigns").to_string();
         assert!(
             refused.contains("campaigns, not one"),
             "schema {version}: {refused}"
         );
-        let before = kept(folder.path()).await;
+        let before = count_kept_rows(folder.path()).await;
         assert!(before.iter().all(|(_, count)| *count > 0), "{before:?}");
 
         let clock = Arc::new(ManualClock::at(UnixMillis(now)));
         let bench = Bench::start_in(folder, clock.clone()).await;
-        assert_eq!(kept(bench.folder.path()).await, before, "schema {version}");
+        assert_eq!(
+            count_kept_rows(bench.folder.path()).await,
+            before,
+            "schema {version}"
+        );
         // Since schema 5, one of the campaigns explains another.
         let derived = bench.count("SELECT count(*) FROM derivation").await;
         assert_eq!(derived, i64::from(version >= 5), "schema {version}");
@@ -306,7 +318,9 @@ async fn the_database_of_every_released_schema_is_upgraded_with_its_rows() {
             .await
             .expect("a renderer");
         pool.close().await;
-        let mut worker = bench.worker_drawing("new", "primitives", &renderer).await;
+        let mut worker = bench
+            .worker_with_renderer("new", "primitives", &renderer)
+            .await;
         let open = "SELECT count(*) FROM job j JOIN campaign c ON c.id = j.campaign_id
              WHERE j.state = 'queued' AND c.state = 'running'";
         let open = usize::try_from(bench.count(open).await).expect("few");
@@ -333,7 +347,7 @@ async fn a_development_database_with_a_combined_third_migration_is_upgraded() {
     )
     .execute(&pool)
     .await
-    .expect("as that program left it");
+    .expect("altered");
     pool.close().await;
     let clock = Arc::new(ManualClock::at(UnixMillis(NOW_MS)));
     let folder = Bench::start_in(folder, clock).await.stop().await;

@@ -8,7 +8,7 @@ use serde_json::{Value, json};
 
 use crate::derived::{PATIENCE, run_all};
 use crate::harness::{Worker, rollout_id};
-use crate::page::ask;
+use crate::page::http;
 use crate::process::{Serve, succeed, succeed_in_json, text};
 
 /// Three axes together cause a failure, but no two do, so that the search takes two rounds.
@@ -69,12 +69,12 @@ async fn an_explaining_campaign_names_its_source_and_finishes_after_it() {
     assert!(status_text.contains("waits for first"), "{status_text}");
     assert!(status_text.contains(why), "{status_text}");
     for address in ["/", "/campaigns/first-explained"] {
-        let page = ask(&serve.url, &format!("GET {address}")).await.text();
+        let page = http(&serve.url, &format!("GET {address}")).await.text();
         assert!(page.contains("waits for campaign first"), "{address}");
         assert!(page.contains(why), "{address}");
     }
 
-    // When the status says that it is finished, everything is explained.
+    // Once the status reports the campaign as finished, everything is explained.
     let began = Instant::now();
     while status(&serve, "first-explained")["is_finished"] == false {
         assert!(began.elapsed() < PATIENCE);

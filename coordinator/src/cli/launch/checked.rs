@@ -14,7 +14,7 @@ pub(super) fn absolute_path(path: &Path) -> Result<PathBuf, CommandError> {
 
 pub(super) fn text(path: &Path) -> Result<String, CommandError> {
     let text = path.to_str().map(str::to_owned);
-    text.ok_or_else(|| usage(anyhow!("use {}: its name is no UTF-8", path.display())))
+    text.ok_or_else(|| usage(anyhow!("use {}: its name is not UTF-8", path.display())))
 }
 
 /// Accepts a value without control characters, so that it cannot break its line of the script.

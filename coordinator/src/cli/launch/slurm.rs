@@ -151,7 +151,7 @@ struct GatewayArguments {
     /// Partition of the gateway. [default: --partition]
     #[arg(long, hide_short_help = true, value_name = "NAME", requires = "policy")]
     gateway_partition: Option<String>,
-    /// Port of the gateway, or the next one that nobody listens on.
+    /// Port of the gateway, or the next free one.
     #[arg(long, hide_short_help = true, value_name = "PORT", default_value_t = 7412,
         value_parser = number(1..=65_535_u16, ""))]
     gateway_port: u16,
@@ -243,8 +243,8 @@ impl SlurmArguments {
         values.set_all("slot_memory", memory);
         values.set("drain_secs", workers.drain_secs);
         values.set("idle_secs", workers.idle_secs);
-        let more = options("--worker-sbatch", &workers.worker_sbatch)?;
-        values.set_all("worker_options", more);
+        let further_options = options("--worker-sbatch", &workers.worker_sbatch)?;
+        values.set_all("worker_options", further_options);
 
         values.set_all("route", gateway.route()?);
         let server = gateway.policy_server.clone();
@@ -253,8 +253,8 @@ impl SlurmArguments {
             .transpose()?;
         values.set_all("policy_server", server);
         values.set_all("gpus", word("--gpus", gateway.gpus.as_ref())?);
-        let more = options("--gateway-sbatch", &gateway.gateway_sbatch)?;
-        values.set_all("gateway_options", more);
+        let further_options = options("--gateway-sbatch", &gateway.gateway_sbatch)?;
+        values.set_all("gateway_options", further_options);
 
         let mut programs = vec![("worker", "worker"), ("coordinator", "coordinator")];
         programs.extend(
@@ -329,10 +329,10 @@ impl SlurmArguments {
         }
         guard.extend(self.security.insecure.then(|| "--insecure".to_owned()));
         values.set_all("guard", guard);
-        let of_workers = self.worker_token_file()?;
+        let worker_tokens = self.worker_token_file()?;
         for (name, flag, file) in [
             ("token_file", "--token-file", &self.security.token_file),
-            ("worker_token_file", "--worker-token-file", &of_workers),
+            ("worker_token_file", "--worker-token-file", &worker_tokens),
             ("ca", "--ca", &self.ca),
         ] {
             let path = file.as_deref().map(absolute_path).transpose()?;

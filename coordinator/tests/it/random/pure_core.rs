@@ -190,7 +190,7 @@ impl World {
             *self.silences.entry(granted.job).or_default() += 1;
         }
         let suspicion = self.suspicion(granted);
-        let then = job.after_failure(reason, suspicion, self.now, &mut self.rng);
+        let consequence = job.after_failure(reason, suspicion, self.now, &mut self.rng);
         if reason.blames() == Some(Party::Machine) {
             let in_a_row = self.in_a_row.entry(granted.worker.clone()).or_default();
             *in_a_row = strike(*in_a_row).in_a_row;
@@ -211,14 +211,14 @@ impl World {
             }
             _ => self.policy.after_other_failure(granted.attempt, self.now),
         };
-        self.fail(granted, reason, then);
+        self.fail(granted, reason, consequence);
     }
 
     fn pass(&mut self, secs: u64) {
         self.now = self.now.plus(Duration::from_secs(secs));
         assert!(
             !was_asleep(self.now.since(self.last_sweep), LEASE),
-            "sweeps came often enough"
+            "sweeps are too frequent to mean a suspension"
         );
         self.last_sweep = self.now;
         for granted in self.granted.clone() {
@@ -270,7 +270,7 @@ impl World {
         self.last_sweep = self.now;
     }
 
-    fn fail(&mut self, granted: &Granted, reason: FailureReason, then: AfterFailure) {
+    fn fail(&mut self, granted: &Granted, reason: FailureReason, consequence: AfterFailure) {
         let now = self.now;
         let charged = reason.is_charged();
         if charged {
@@ -284,7 +284,7 @@ impl World {
         let job = self.job(granted.job);
         job.charged_attempts += u32::from(charged);
         job.losses += u32::from(reason.is_loss());
-        job.state = match then {
+        job.state = match consequence {
             AfterFailure::Requeue { not_before } => {
                 let backoff = not_before.since(now);
                 assert!(backoff <= Duration::from_secs(60), "{backoff:?}");
@@ -297,7 +297,7 @@ impl World {
                 JobState::Queued { not_before }
             }
             AfterFailure::Quarantine => {
-                match reason.before(then) {
+                match reason.before(consequence) {
                     FailureReason::TakesPolicyDown => assert!(job.losses >= MAX_LOSSES),
                     FailureReason::TakesWorkerDown => assert!(silences >= MAX_SILENCES),
                     _ => {
@@ -305,7 +305,7 @@ impl World {
                         let blamed = reason.blames();
                         assert!(
                             workers >= 2 || blamed == Some(Party::Policy),
-                            "one machine does not condemn a rollout"
+                            "failures on one machine do not quarantine a rollout"
                         );
                     }
                 }

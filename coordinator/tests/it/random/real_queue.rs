@@ -55,12 +55,12 @@ async fn run_on_real_queue(events: &[Event]) {
     let clock = Arc::new(ManualClock::at(UnixMillis(1_700_000_000_000)));
     let mut queue = start(folder.path(), &clock).await;
     // These rollouts realise no perturbation, so that reports do not depend on the row.
-    let words = json!({
+    let changes = json!({
         "tasks": ["libero_object/0", "libero_object/1"],
         "axes": ["language"],
         "levels": ["L1", "L2"],
     });
-    let spec = with(small_spec("random"), words);
+    let spec = with(small_spec("random"), changes);
     let campaign = NewCampaign::from_json(&spec.to_string());
     let created = queue.create_campaign(&campaign.expect("a campaign")).await;
     assert!(created.expect("created").jobs_total > 1);
@@ -101,7 +101,7 @@ async fn run_on_real_queue(events: &[Event]) {
         assert_eq!(check(folder.path()).await.expect("a database"), []);
     }
     accepted += finish(&queue, &clock).await;
-    check_books(folder.path(), accepted).await;
+    check_results(folder.path(), accepted).await;
     queue.close().await.expect("closes");
 }
 
@@ -164,7 +164,7 @@ async fn apply(
         }
         Event::Release { lease, reason } => {
             if let Some((_, attempt)) = granted(*lease) {
-                let released = queue.release(attempt, *reason, "it happened").await;
+                let released = queue.release(attempt, *reason, "simulated failure").await;
                 released.expect("a verdict");
             }
         }
@@ -174,8 +174,8 @@ async fn apply(
         }
         Event::Operate { change } => {
             let changed = queue.change_campaign(&campaign(), *change).await;
-            let may_be = matches!(changed, Ok(_) | Err(QueueError::Cancelled { .. }));
-            assert!(may_be, "{changed:?}");
+            let is_allowed = matches!(changed, Ok(_) | Err(QueueError::Cancelled { .. }));
+            assert!(is_allowed, "{changed:?}");
         }
         Event::Retry { .. } => {
             let retried = queue.retry_jobs(&campaign(), &Retry::All).await;
@@ -217,7 +217,7 @@ async fn finish(queue: &Queue, clock: &ManualClock) -> usize {
 
 /// Asserts that every job has ended, unless the campaign was cancelled, and that every accepted
 /// result is stored. The invariants cover the rest.
-async fn check_books(folder: &Path, accepted: usize) {
+async fn check_results(folder: &Path, accepted: usize) {
     assert_eq!(check(folder).await.expect("a database"), []);
     let pool = open_database(folder).await;
     let count = async |sql: &'static str| -> i64 {
