@@ -42,7 +42,7 @@ const CACHED_SCENES: usize = 2;
 /// Capacity of the queue of shutdown requests: a third request has no effect.
 const SHUTDOWN_QUEUE: usize = 2;
 /// Longest wait for a running fetch after the worker has ended.
-const FAREWELL: Duration = Duration::from_secs(1);
+const FETCH_GRACE: Duration = Duration::from_secs(1);
 /// Release and commit, as printed by `--version`.
 const VERSION: &str = version::version!();
 
@@ -66,7 +66,7 @@ fn main() -> ExitCode {
             assets::run(&arguments).map_err(anyhow::Error::from)
         }
         (None, Some(serve)) => run_worker(serve, &arguments.access, &arguments.simulator),
-        (None, _) => unreachable!("clap asks for --connect"),
+        (None, _) => unreachable!("clap requires --connect"),
     };
     warn_of_scene_files();
     match result {
@@ -240,7 +240,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
     let mut row = match (&own_task, arguments.id) {
         (Some(task), _) => task.row()?,
         (None, Some(id)) => libero_ctrl::row_of(id)?,
-        (None, None) => unreachable!("clap asks for --id or --bddl"),
+        (None, None) => unreachable!("clap requires --id or --bddl"),
     };
     if row.id.condition() == Condition::Latency && !arguments.execution.is_wait() {
         bail!(
@@ -262,7 +262,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
             &arguments.access.access(&[Role::Worker, Role::Operator])?,
             OF_ONE_ROLLOUT,
         )?),
-        (None, None) => unreachable!("clap asks for --endpoint or --actions"),
+        (None, None) => unreachable!("clap requires --endpoint or --actions"),
     };
     let simulator = open(&arguments.simulator)?;
     let files = own_task.as_ref().map_or_else(
@@ -516,7 +516,7 @@ fn run_worker(
         }
     });
     // A cancelled fetch may still wait for its server.
-    runtime.shutdown_timeout(FAREWELL);
+    runtime.shutdown_timeout(FETCH_GRACE);
     ended
 }
 

@@ -3,7 +3,7 @@
 //! passed as files, so that lines stay short.
 //!
 //! Every message about a rollout names its attempt: an event that crosses a command in transit may
-//! concern an attempt that is no longer in hand.
+//! concern an attempt that the receiver has already dropped.
 
 use std::collections::BTreeMap;
 use std::fmt;

@@ -35,7 +35,7 @@ const WINDOW_BYTES: u32 = 4 << 20;
 #[derive(Debug)]
 pub struct PolicyClient {
     endpoint: String,
-    // The background thread keeps the connection alive while the simulator uses this one.
+    // The background thread keeps the connection alive while the simulator occupies this thread.
     runtime: Runtime,
     grpc: GrpcClient<Connection>,
     peer: Peer,
@@ -72,7 +72,7 @@ impl PolicyClient {
             .build()
             .map_err(PolicyError::Runtime)?;
         let connection = {
-            let _inside = runtime.enter();
+            let _runtime_context = runtime.enter();
             access.connect_lazy(address)
         };
         let grpc = GrpcClient::new(connection.map_err(PolicyError::Access)?)
@@ -133,8 +133,8 @@ impl PolicyClient {
 
     /// Describes a failed call: the policy's error, or a diagnosis of the peer.
     fn explain(&self, status: &Status) -> String {
-        let trouble = self.runtime.block_on(self.peer.trouble(status));
-        trouble.map_or_else(|| answer(status), |trouble| trouble.to_string())
+        let diagnosis = self.runtime.block_on(self.peer.trouble(status));
+        diagnosis.map_or_else(|| answer(status), |diagnosis| diagnosis.to_string())
     }
 }
 

@@ -1,7 +1,7 @@
 //! Runs one rollout: the scene settles, the policy is reset, and queries and steps alternate until
 //! the goal holds or the step budget is spent. Keeps the order of section 3 of the protocol, and
 //! renders frames only for the policy's queries. The caller provides assignment and policy and
-//! handles the result; the coordinator is unknown here.
+//! handles the result; this module does not call the coordinator.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -102,14 +102,14 @@ pub fn run(
     assignment: &Assignment,
     watcher: &mut dyn Watcher,
 ) -> Result<Simulated, RolloutError> {
-    run_after(None, stage, actor, assignment, watcher)
+    run_resumed(None, stage, actor, assignment, watcher)
 }
 
 /// Start of a rollout in the middle of an earlier one, with a change at that step.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Resumed<'a> {
     /// Commands to the robot up to that step.
-    pub(crate) after: &'a [Action],
+    pub(crate) commands: &'a [Action],
     pub(crate) change: Change,
 }
 
@@ -126,8 +126,8 @@ pub(crate) enum Change {
 /// change applied; the policy is reset there, and the commands count against the step budget.
 ///
 /// # Errors
-/// As [`run`].
-pub(crate) fn run_after(
+/// See [`run`].
+pub(crate) fn run_resumed(
     resumed: Option<Resumed<'_>>,
     stage: &mut Stage<'_>,
     actor: &mut dyn Actor,
@@ -167,7 +167,7 @@ pub(crate) fn run_after(
     // Opens the renderer first, so that a failure to render costs no simulation.
     let draws = !description.about.cameras.is_empty() || assignment.video.is_some();
     let (renderer, fingerprint) = stage
-        .drawing(draws)
+        .renderer_and_fingerprint(draws)
         .map_err(|source| run.simulator_failed(source))?;
     let (result, digests, realised) = run.simulate(stage)?;
     let evidence = Evidence {
@@ -247,7 +247,7 @@ impl Run<'_> {
         self.path.push(end_effector_position(&mut episode));
         self.goal.record(&episode.environment().goal_truths());
         self.watcher.moved(None, &mut episode);
-        for &command in self.resumed.map_or(&[][..], |resumed| resumed.after) {
+        for &command in self.resumed.map_or(&[][..], |resumed| resumed.commands) {
             self.step(&mut episode, command)?;
         }
         match change {
@@ -278,7 +278,7 @@ impl Run<'_> {
             policy_queries: self.queries,
             parts: Some(self.parts),
             goal: Some(self.goal),
-            prompt: Some(instruction.into_owned()).filter(|it| !it.is_empty()),
+            prompt: Some(instruction.into_owned()).filter(|prompt| !prompt.is_empty()),
         };
         Ok((
             result,

@@ -13,8 +13,8 @@ use scene::{AssetPack, Problem, SceneError, Sources, TaskFiles, compose, needed_
 /// Part of the protocol's 40 tasks that a pack has the files for.
 #[derive(Debug)]
 pub struct Coverage {
-    categories: Shelf,
-    arenas: Shelf,
+    categories: Models,
+    arenas: Models,
     shown: Vec<TaskRef>,
     /// Tasks by the reason why they cannot be shown.
     broken: BTreeMap<String, Vec<TaskRef>>,
@@ -24,7 +24,7 @@ pub struct Coverage {
 
 /// Present and missing models of one kind.
 #[derive(Debug, Default)]
-struct Shelf {
+struct Models {
     present: BTreeSet<String>,
     missing: BTreeSet<String>,
 }
@@ -37,8 +37,8 @@ impl Coverage {
     /// If the task files cannot be read.
     pub fn check(pack: &AssetPack, sources: &Sources) -> Result<Self, SceneError> {
         let mut coverage = Self {
-            categories: Shelf::default(),
-            arenas: Shelf::default(),
+            categories: Models::default(),
+            arenas: Models::default(),
             shown: Vec::new(),
             broken: BTreeMap::new(),
             to_fetch: pack.is_managed().then(BTreeMap::new),
@@ -64,8 +64,8 @@ impl Coverage {
             let workspace = arena.as_ref().map(|arena| arena.workspace_category);
             let model = category(&declaration.category);
             if workspace != Some(&*declaration.category) {
-                let is_there = model.is_some_and(|model| has(model.file));
-                self.categories.add(&declaration.category, is_there);
+                let is_present = model.is_some_and(|model| has(model.file));
+                self.categories.add(&declaration.category, is_present);
             }
         }
     }
@@ -105,7 +105,7 @@ impl Coverage {
     }
 
     /// Returns true if every task can be shown, possibly after a fetch.
-    pub fn is_whole(&self) -> bool {
+    pub fn is_complete(&self) -> bool {
         self.broken().is_empty()
     }
 
@@ -128,18 +128,18 @@ impl Coverage {
     }
 }
 
-impl Shelf {
-    fn add(&mut self, name: &str, is_there: bool) {
-        let shelf = if is_there {
+impl Models {
+    fn add(&mut self, name: &str, is_present: bool) {
+        let names = if is_present {
             &mut self.present
         } else {
             &mut self.missing
         };
-        shelf.insert(name.to_owned());
+        names.insert(name.to_owned());
     }
 }
 
-impl fmt::Display for Shelf {
+impl fmt::Display for Models {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let all = self.present.len() + self.missing.len();
         write!(f, "{} of {all}", self.present.len())?;
@@ -188,8 +188,8 @@ mod tests {
                 return;
             }
         };
-        let whole = AssetPack::open("primitives", &sources).expect("built in");
-        let coverage = Coverage::check(&whole, &sources).expect("reads");
+        let built_in = AssetPack::open("primitives", &sources).expect("built in");
+        let coverage = Coverage::check(&built_in, &sources).expect("reads");
         assert!(coverage.is_whole());
         let description = coverage.to_string();
         assert!(

@@ -35,7 +35,8 @@ pub fn choose_slots(program: SlotProgram, scenes: usize) -> Result<Chosen, Measu
     let times = ROUNDS * numbers(cores).len();
     let secs = (ALL_SECS / times as f64).min(ONE_SECS);
     let mut slots = Slots::new(program);
-    // Uses only the memory: a third measurement of one slot would favour it over larger numbers.
+    // Uses only the measured memory: a third throughput of one slot would favour that number over
+    // larger ones.
     let per_slot = slots.measure(1, secs)?.per_slot(scenes);
     let fitting = fit(available, per_slot);
     let most = cores.min(fitting);

@@ -5,7 +5,7 @@ use std::collections::BTreeSet;
 use libero_ctrl::TaskRef;
 
 /// Share of the best throughput that a number of slots must reach. Further slots would take memory
-/// and cores from others for the remaining few per cent.
+/// and cores from other processes for the remaining few per cent.
 pub(super) const ENOUGH: f64 = 0.95;
 /// Share of the available memory that slots may take. The rest is for videos and for tasks whose
 /// scenes are larger than the measured one.
@@ -15,7 +15,7 @@ const SHARE: f64 = 0.8;
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Throughput {
     pub(super) slots: usize,
-    /// Control steps per second of all of them.
+    /// Control steps per second of all these slots together.
     pub(super) steps_per_sec: f64,
 }
 
@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn one_core_has_one_number_to_choose_from() {
+    fn one_core_gets_one_slot() {
         assert_eq!(numbers(1), BTreeSet::from([1]));
         assert_eq!(chosen(&[(1, 28.0)], 1), Some(1));
     }
@@ -183,7 +183,7 @@ mod tests {
     }
 
     #[test]
-    fn slots_that_wait_for_a_policy_leave_room_for_others() {
+    fn more_slots_keep_the_cores_busy_if_the_policy_is_slower() {
         // Ten steps take 0.4 s; the policy takes no time, half and all of that.
         assert_eq!(to_fill(8, 25.0, 10, 0.0), 8);
         assert_eq!(to_fill(8, 25.0, 10, 0.2), 16);

@@ -19,7 +19,7 @@ use crate::actor::{Action, Actor, Description, PolicyError, PolicySession};
 use crate::message::Assignment;
 use crate::parent::{FromParent, Parent};
 use crate::rollout::{self, RolloutError, Step, Watcher};
-use crate::slot::die_first;
+use crate::slot::raise_oom_score;
 use crate::stage::Stage;
 
 /// Control steps of a measured rollout: about as many as a successful rollout takes. The next
@@ -78,7 +78,7 @@ pub fn count(
     execute: u32,
     answer_after: Duration,
 ) -> Result<(), MeasureError> {
-    die_first();
+    raise_oom_score();
     let parent = Parent::connect()?;
     let mut slot = Counting {
         simulator: Simulator::new(config),

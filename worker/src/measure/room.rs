@@ -64,8 +64,8 @@ fn left_in(group: &Path) -> Option<u64> {
 
 /// Reads a field of `/proc/meminfo` or `/proc/PID/status`, converted from kibibytes to bytes.
 pub(super) fn bytes(text: &str, field: &str) -> Option<u64> {
-    let behind = text.lines().find_map(|line| line.strip_prefix(field))?;
-    let number: u64 = behind.split_whitespace().next()?.parse().ok()?;
+    let value = text.lines().find_map(|line| line.strip_prefix(field))?;
+    let number: u64 = value.split_whitespace().next()?.parse().ok()?;
     Some(number << 10)
 }
 
@@ -82,7 +82,7 @@ mod tests {
             fs::create_dir_all(path.parent().expect("a folder")).expect("made");
             fs::write(path, text).expect("written");
         }
-        available_below(root.path()).expect("it says")
+        available_below(root.path()).expect("readable statistics")
     }
 
     #[test]
@@ -126,6 +126,6 @@ mod tests {
 
     #[test]
     fn the_available_memory_of_this_machine_is_read() {
-        assert!(available().expect("it says") > 1 << 20);
+        assert!(available().expect("readable statistics") > 1 << 20);
     }
 }

@@ -17,7 +17,7 @@ use crate::memory::OomKills;
 
 /// Longest silence of a slot beyond the measured period: it may hash an asset pack, compile a
 /// scene, render it, or finish a control step.
-const PATIENCE: Duration = Duration::from_secs(120);
+const MAX_SILENCE: Duration = Duration::from_secs(120);
 
 /// Processes of measured slots. Dropping them kills the processes.
 pub(super) struct Slots {
@@ -46,7 +46,7 @@ enum Inbound {
 pub(super) struct Measured {
     /// Control steps per second, with the number of slots.
     pub(super) throughput: Throughput,
-    /// Frames per second of all of them.
+    /// Frames per second of all slots together.
     pub(super) frames_per_sec: f64,
     /// Control steps per second of the slowest slot.
     pub(super) slowest: f64,
@@ -87,7 +87,7 @@ impl Slots {
             // A failed write means that the slot has ended, which `receive` reports.
             let _ = writeln!(self.running[slot].connection, "{request}");
         }
-        let deadline = Instant::now() + Duration::from_secs_f64(secs) + PATIENCE;
+        let deadline = Instant::now() + Duration::from_secs_f64(secs) + MAX_SILENCE;
         let mut counts = Vec::new();
         while counts.len() < slots {
             if let SlotReport::Counted(count) = self.receive(deadline)? {
@@ -99,7 +99,7 @@ impl Slots {
 
     /// Starts slots until there are `slots`, and waits until all are ready.
     pub(super) fn start(&mut self, slots: usize) -> Result<(), MeasureError> {
-        let deadline = Instant::now() + PATIENCE;
+        let deadline = Instant::now() + MAX_SILENCE;
         let mut missing = 0;
         while self.running.len() < slots {
             self.start_one()?;
@@ -149,7 +149,7 @@ impl Slots {
             Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {
                 Err(MeasureError::Silent {
                     slots: self.running.len(),
-                    secs: PATIENCE.as_secs_f64(),
+                    secs: MAX_SILENCE.as_secs_f64(),
                 })
             }
         }

@@ -38,8 +38,9 @@ fn run_rollout(
     let assignment = assignment(row, None);
     let mut stage = Stage::of_the_protocol(simulator);
     let mut watcher = QuerySteps::default();
-    let simulated = rollout::run_after(resumed, &mut stage, &mut actor, &assignment, &mut watcher)
-        .expect("an outcome");
+    let simulated =
+        rollout::run_resumed(resumed, &mut stage, &mut actor, &assignment, &mut watcher)
+            .expect("an outcome");
     let both = |query: usize| [0, 1].map(|at| camera_of(&actor.observations[query], at));
     Observed {
         pictures: (0..actor.observations.len()).map(both).collect(),

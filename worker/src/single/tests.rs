@@ -12,7 +12,7 @@ use sim::{Renderer, SimulatorConfig};
 
 use super::*;
 use crate::actor::{Description, PolicyError, PolicySession};
-use crate::filming::{Replay, watch_again};
+use crate::filming::{Replay, render_again};
 use crate::ids::random_id;
 use crate::message::{Session, VideoOf, VideoRequest};
 use crate::video::PANE_SIDE;
@@ -91,16 +91,16 @@ fn array<T: npyz::Deserialize>(trace: &Path, name: &str) -> (Vec<u64>, Vec<T>) {
     let file = fs::File::open(trace).expect("a trace");
     let mut archive = zip::ZipArchive::new(file).expect("an NPZ file");
     let member = archive.by_name(&format!("{name}.npy"));
-    let array = npyz::NpyFile::new(member.expect("is there")).expect("an array");
+    let array = npyz::NpyFile::new(member.expect("a member of the archive")).expect("an array");
     (
         array.shape().to_vec(),
-        array.into_vec().expect("of this type"),
+        array.into_vec().expect("values of this type"),
     )
 }
 
 #[test]
-fn a_users_task_is_replayed_and_its_trace_replays_again() {
-    let test = "a_users_task_is_replayed_and_its_trace_replays_again";
+fn a_users_task_is_run_from_a_recording_and_again_from_its_trace() {
+    let test = "a_users_task_is_run_from_a_recording_and_again_from_its_trace";
     let Some(sources) = sources(test) else {
         return;
     };
@@ -338,7 +338,7 @@ fn run_and_film(
     };
     let mut in_film = Vec::new();
     let mut stage = Stage::of_the_protocol(simulator);
-    watch_again(&mut stage, replay, &mut |pictures| {
+    render_again(&mut stage, replay, &mut |pictures| {
         in_film.push(pictures.map(|picture| picture.rgb));
         Ok(())
     })
@@ -393,7 +393,7 @@ fn films_and_pictures_show_what_the_policy_saw_with_the_sensors_corruption() {
 }
 
 #[test]
-fn invalid_recordings_are_named() {
+fn invalid_recordings_are_refused_with_the_reason() {
     let folder = tempfile::tempdir().expect("a folder");
     let check = |name: &str, content: &str, expected: &str| {
         let path = folder.path().join(name);

@@ -94,7 +94,7 @@ pub(crate) enum Video {
     None,
     /// The slot's process makes the video, and does no other work meanwhile.
     Filming {
-        /// Attempt whose video it is.
+        /// Attempt that the video shows.
         attempt: AttemptId,
         /// Frames of the video so far.
         pictures: u32,
@@ -105,7 +105,7 @@ pub(crate) enum Video {
     },
     /// The video is finished, and its result is still being delivered.
     Made {
-        /// Attempt whose video it is.
+        /// Attempt that the video shows.
         attempt: AttemptId,
     },
 }
@@ -183,25 +183,25 @@ impl SlotState {
         progress_timeout: Duration,
         now: Instant,
     ) -> Option<Decision> {
-        let serving = mode == Mode::Serving;
-        let stands_still = |moved_at: Instant| now.duration_since(moved_at) >= progress_timeout;
+        let is_serving = mode == Mode::Serving;
+        let is_stuck = |moved_at: Instant| now.duration_since(moved_at) >= progress_timeout;
         match (&self.process, &self.work, &self.video) {
-            (ProcessState::Down { until }, Work::Nothing, _) if serving && now >= *until => {
+            (ProcessState::Down { until }, Work::Nothing, _) if is_serving && now >= *until => {
                 Some(Decision::Start)
             }
             (ProcessState::Starting { deadline }, ..) if now >= *deadline => {
                 Some(Decision::Kill(Kill::NotReady))
             }
-            (ProcessState::Up, Work::Running { moved_at, .. }, _) if stands_still(*moved_at) => {
+            (ProcessState::Up, Work::Running { moved_at, .. }, _) if is_stuck(*moved_at) => {
                 Some(Decision::Kill(Kill::Stuck))
             }
             (ProcessState::Up, Work::Abandoning { deadline, .. }, _) if now >= *deadline => {
                 Some(Decision::Kill(Kill::NotAbandoned))
             }
             (ProcessState::Up, _, Video::Filming { moved_at, .. }) => {
-                stands_still(*moved_at).then_some(Decision::Kill(Kill::StuckFilming))
+                is_stuck(*moved_at).then_some(Decision::Kill(Kill::StuckFilming))
             }
-            (ProcessState::Up, Work::Nothing, _) if serving => Some(Decision::Claim),
+            (ProcessState::Up, Work::Nothing, _) if is_serving => Some(Decision::Claim),
             _ => None,
         }
     }
