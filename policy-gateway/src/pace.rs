@@ -116,7 +116,7 @@ impl Watch {
     }
 
     /// Waits for the answer to a call with queries. `answered` returns how many of them succeeded,
-    /// which counts as a sign of life.
+    /// which shows that the server is alive.
     ///
     /// # Errors
     /// If the server is silent for `limit`.
@@ -157,7 +157,7 @@ mod tests {
     }
 
     #[test]
-    fn a_server_with_many_queries_before_it_is_silent_only_once_it_answers_none() {
+    fn a_busy_server_is_silent_only_after_answering_no_query_for_the_limit() {
         let (mut pace, began) = (Pace::default(), Instant::now());
         pace.sent(began);
         pace.sent(began);
@@ -166,7 +166,7 @@ mod tests {
         assert_eq!(
             pace.silent_at(began, LIMIT),
             began + millis(400) + LIMIT,
-            "it is at work"
+            "the server is busy"
         );
         let later = began + millis(500);
         assert_eq!(pace.silent_at(later, LIMIT), later + LIMIT);

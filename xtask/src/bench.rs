@@ -124,7 +124,7 @@ pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
     );
     if options.execute > 1 {
         let what = format!(
-            "drawing only every {}th step, which it cannot do as released",
+            "drawing only every {}th step, which the released version cannot do",
             options.execute
         );
         print_ratios(&what, &here, &with_fewer_frames);
@@ -188,7 +188,7 @@ fn print_ratios(what: &str, ours: &[Parts], theirs: &[Parts]) {
         ("rollout", |parts| parts.whole),
     ];
     for (name, part) in parts {
-        let all = |of: &[Parts]| of.iter().map(part).collect::<Vec<_>>();
+        let all = |runs: &[Parts]| runs.iter().map(part).collect::<Vec<_>>();
         let (ours, theirs) = (all(ours), all(theirs));
         let ratios: Vec<f64> = theirs.iter().zip(&ours).map(|(a, b)| a / b).collect();
         let (middle, least, most) = spread(&ratios);
@@ -232,7 +232,7 @@ impl std::fmt::Display for RolloutTime {
 pub(crate) fn last_json(command: &mut Command) -> Result<Value> {
     let printed = capture(command)?;
     let line = printed.lines().next_back().unwrap_or_default();
-    serde_json::from_str(line).with_context(|| format!("read what `{}` printed", shown(command)))
+    serde_json::from_str(line).with_context(|| format!("read the output of `{}`", shown(command)))
 }
 
 fn cores() -> Result<u32> {
@@ -242,8 +242,8 @@ fn cores() -> Result<u32> {
 
 /// Describes the processor and its cores, for the record beside the figures.
 pub(crate) fn machine() -> Result<String> {
-    let about = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let model = about
+    let cpuinfo = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = cpuinfo
         .lines()
         .find_map(|line| line.strip_prefix("model name"))
         .map_or("an unnamed processor", |rest| {
@@ -272,11 +272,11 @@ mod tests {
         });
         let parts = their_parts(&theirs).unwrap();
         assert_eq!((parts.settle, parts.whole), (250.0, 3750.0));
-        assert!(their_parts(&ours).is_err(), "the one is not the other");
+        assert!(their_parts(&ours).is_err(), "a report of the other program");
     }
 
     #[test]
-    fn a_spread_has_the_middle_and_both_ends() {
+    fn a_spread_is_median_minimum_and_maximum() {
         assert_eq!(spread(&[3.0, 1.0, 7.0]), (3.0, 1.0, 7.0));
         assert_eq!(spread(&[4.0, 1.0, 2.0, 9.0]), (3.0, 1.0, 9.0));
         assert_eq!(spread(&[5.0]), (5.0, 5.0, 5.0));

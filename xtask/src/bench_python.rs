@@ -47,7 +47,7 @@ struct Row {
     what: &'static str,
     target: &'static str,
     unit: &'static str,
-    of: fn(&Round) -> Result<[f64; 3]>,
+    values_of: fn(&Round) -> Result<[f64; 3]>,
 }
 
 /// Outputs of the programs of one round.
@@ -69,25 +69,25 @@ const ROWS: [Row; 6] = [
         what: "control step without frames",
         target: ">= 4",
         unit: "ms",
-        of: |round| faster(&round.theirs, &round.ours, "step_ms"),
+        values_of: |round| compare_values(&round.theirs, &round.ours, "step_ms"),
     },
     Row {
         what: "reset",
         target: ">= 500",
         unit: "ms",
-        of: |round| faster(&round.theirs, &round.ours, "reset_ms"),
+        values_of: |round| compare_values(&round.theirs, &round.ours, "reset_ms"),
     },
     Row {
         what: "step with both frames",
         target: ">= 8",
         unit: "ms",
-        of: |round| faster(&round.theirs, &round.ours, "frames_ms"),
+        values_of: |round| compare_values(&round.theirs, &round.ours, "frames_ms"),
     },
     Row {
         what: "environments together",
         target: ">= 8",
         unit: "obs/s",
-        of: |round| {
+        values_of: |round| {
             let ours = median(round, |pair| rate(&pair.threads))?;
             let theirs = rate(&round.processes)?;
             Ok([ours, theirs, ours / theirs])
@@ -97,13 +97,13 @@ const ROWS: [Row; 6] = [
         what: "memory of a further environment",
         target: "<= 15 MB",
         unit: "MB",
-        of: |round| faster(&round.processes, &round.pairs[0].threads, "further_mb"),
+        values_of: |round| compare_values(&round.processes, &round.pairs[0].threads, "further_mb"),
     },
     Row {
         what: "the same without Python",
         target: ">= 0.95",
         unit: "obs/s",
-        of: |round| {
+        values_of: |round| {
             Ok([
                 median(round, |pair| rate(&pair.threads))?,
                 median(round, |pair| rate(&pair.without_python))?,
@@ -116,7 +116,7 @@ const ROWS: [Row; 6] = [
 ];
 
 /// Returns our value, the original's, and the original's divided by ours.
-fn faster(theirs: &Value, ours: &Value, name: &str) -> Result<[f64; 3]> {
+fn compare_values(theirs: &Value, ours: &Value, name: &str) -> Result<[f64; 3]> {
     let [ours, theirs] = [number(&ours[name], name)?, number(&theirs[name], name)?];
     Ok([ours, theirs, theirs / ours])
 }
@@ -126,8 +126,12 @@ fn rate(run: &Value) -> Result<f64> {
     number(&run[RATE], RATE)
 }
 
-fn median(round: &Round, of: impl Fn(&Pair) -> Result<f64>) -> Result<f64> {
-    let values = round.pairs.iter().map(of).collect::<Result<Vec<_>>>()?;
+fn median(round: &Round, value_of: impl Fn(&Pair) -> Result<f64>) -> Result<f64> {
+    let values = round
+        .pairs
+        .iter()
+        .map(value_of)
+        .collect::<Result<Vec<_>>>()?;
     Ok(spread(&values).0)
 }
 
@@ -148,7 +152,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let program = build_released_program(root, WITHOUT_PYTHON)?;
     let script = root.join("python/bench/speed.py");
     let [count, steps] = [options.environments, options.steps].map(|number| number.to_string());
-    let with = |mut command: Command, mode: &str| {
+    let configured = |mut command: Command, mode: &str| {
         command.args([
             mode,
             &options.task,
@@ -165,9 +169,9 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let ours = |mode: &str| {
         let mut command = Command::new(&python);
         command.arg(&script);
-        with(command, mode)
+        configured(command, mode)
     };
-    let theirs = |mode: &str| with(original.script(&script), mode);
+    let theirs = |mode: &str| configured(original.script(&script), mode);
     println!(
         "{} of {} together, {} steps, {} rounds in turn, on {}",
         options.environments,
@@ -208,7 +212,10 @@ fn print(rounds: &[Round]) -> Result<()> {
         "", "here", "there", "", "ratio", "  spread"
     );
     for row in &ROWS {
-        let all = rounds.iter().map(row.of).collect::<Result<Vec<_>>>()?;
+        let all = rounds
+            .iter()
+            .map(row.values_of)
+            .collect::<Result<Vec<_>>>()?;
         let column = |at: usize| all.iter().map(|values| values[at]).collect::<Vec<_>>();
         let (ratio, least, most) = spread(&column(2));
         println!(

@@ -1,4 +1,5 @@
-//! Runs reinforcement learning's rollouts here and in the original, in turn.
+//! `cargo xtask bench training`: times rollouts of reinforcement learning here and in the original,
+//! in turn.
 //! `python/bench/training.py` and docs/PYTHON.md describe the measurement.
 
 use std::path::{Path, PathBuf};

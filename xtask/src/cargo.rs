@@ -52,7 +52,7 @@ fn build(root: &Path, what: &[&str]) -> Result<PathBuf> {
         .args(["build", "--workspace", "--exclude", "xtask"])
         .args(what))?;
     // The same cargo built this program into the same folder.
-    let own = std::env::current_exe()?;
+    let this_program = std::env::current_exe()?;
     Ok(own
         .parent()
         .map_or_else(|| root.join("target/debug"), Path::to_owned))

@@ -38,13 +38,13 @@ pub(crate) fn run(root: &Path, cache: &Path) -> Result<()> {
     ] {
         let mut command = Command::new(dir.join("bin").join(tool));
         command.current_dir(root).args(arguments);
-        step(what, || complaints(&mut command))?;
+        step(what, || run_tool(&mut command))?;
     }
     Ok(())
 }
 
 /// Runs a tool; if it reports faults, the error includes its output.
-fn complaints(command: &mut Command) -> Result<&'static str> {
+fn run_tool(command: &mut Command) -> Result<&'static str> {
     let output = command
         .output()
         .with_context(|| format!("start `{}`", shown(command)))?;

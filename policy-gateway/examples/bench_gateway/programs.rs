@@ -60,7 +60,10 @@ impl Running {
     /// Returns a memory size of the process from `/proc`, MiB: `VmRSS`, the current one, or
     /// `VmHWM`, the peak.
     pub(crate) fn memory_mib(&self, size: &str) -> Result<f64> {
-        let pid = self.child.id().context("it still runs")?;
+        let pid = self
+            .child
+            .id()
+            .context("find the process id: the process has ended")?;
         let path = format!("/proc/{pid}/status");
         let status = std::fs::read_to_string(&path).with_context(|| format!("read {path}"))?;
         let mut lines = status.lines().filter_map(|line| line.split_once(':'));

@@ -79,7 +79,10 @@ impl Simulated {
             std::future::pending::<()>().await;
         }
         let done = {
-            let mut busy_until = self.busy_until.lock().expect("nobody panics with it");
+            let mut busy_until = self
+                .busy_until
+                .lock()
+                .expect("no code panics while it holds the lock");
             let began = Instant::now().max(*busy_until);
             *busy_until = began + Duration::from_millis(self.options.batch_millis);
             *busy_until

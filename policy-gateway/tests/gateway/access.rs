@@ -21,23 +21,23 @@ const TOKEN: &str = "worker-secret-0123456789";
 const WRONG: &str = "wrong-secret-0123456789";
 
 /// Certificates and tokens in a folder.
-struct Papers {
+struct Credentials {
     folder: TempDir,
     issuer: CertifiedIssuer<'static, KeyPair>,
 }
 
-impl Papers {
+impl Credentials {
     fn new() -> Self {
         let mut params = CertificateParams::new(Vec::new()).expect("no names");
         params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
         let key = KeyPair::generate().expect("a key");
-        let papers = Self {
+        let credentials = Self {
             folder: tempfile::tempdir().expect("a temporary folder"),
             issuer: CertifiedIssuer::self_signed(params, key).expect("signed"),
         };
-        papers.write("ca.pem", &papers.issuer.pem());
-        papers.write("token", &format!("worker {TOKEN}\n"));
-        papers
+        credentials.write("ca.pem", &credentials.issuer.pem());
+        credentials.write("token", &format!("worker {TOKEN}\n"));
+        credentials
     }
 
     fn path(&self, name: &str) -> PathBuf {
@@ -117,21 +117,21 @@ async fn send_query_over(
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_tls_server_accepts_valid_credentials_and_invalid_ones_are_named() {
-    let papers = Papers::new();
-    let server = papers.serve(2099);
-    let (ca, token) = (papers.path("ca.pem"), papers.path("token"));
+    let credentials = Credentials::new();
+    let server = credentials.serve(2099);
+    let (ca, token) = (credentials.path("ca.pem"), credentials.path("token"));
     send_query(&server, &ca, &token)
         .await
-        .expect("the right papers");
+        .expect("valid credentials");
 
-    papers.write("other-token", &format!("worker {WRONG}\n"));
-    let stranger = send_query(&server, &ca, &papers.path("other-token")).await;
+    credentials.write("other-token", &format!("worker {WRONG}\n"));
+    let stranger = send_query(&server, &ca, &credentials.path("other-token")).await;
     let stranger = stranger.expect_err("a token that it does not know");
     assert_eq!(stranger.code(), Code::Unavailable);
     assert!(stranger.message().contains("`token_file`"), "{stranger}");
     assert!(!stranger.message().contains(WRONG), "{stranger}");
 
-    let others = Papers::new();
+    let others = Credentials::new();
     let untrusted = send_query(&server, &others.path("ca.pem"), &token).await;
     let untrusted = untrusted.expect_err("another authority");
     assert_eq!(untrusted.code(), Code::Unavailable);
@@ -144,9 +144,14 @@ async fn a_tls_server_accepts_valid_credentials_and_invalid_ones_are_named() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_expired_certificate_is_named() {
-    let papers = Papers::new();
-    let server = papers.serve(2020);
-    let expired = send_query(&server, &papers.path("ca.pem"), &papers.path("token")).await;
+    let credentials = Credentials::new();
+    let server = credentials.serve(2020);
+    let expired = send_query(
+        &server,
+        &credentials.path("ca.pem"),
+        &credentials.path("token"),
+    )
+    .await;
     let expired = expired.expect_err("expired");
     assert_eq!(expired.code(), Code::Unavailable);
     let text = expired.message();
@@ -161,10 +166,10 @@ async fn an_expired_certificate_is_named() {
 /// untrusted one during it.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn over_websocket_too_only_a_server_of_the_given_authority_is_trusted() {
-    let papers = Papers::new();
-    let server = papers.serve(2099);
-    let (ca, token) = (papers.path("ca.pem"), papers.path("token"));
-    let others = Papers::new();
+    let credentials = Credentials::new();
+    let server = credentials.serve(2099);
+    let (ca, token) = (credentials.path("ca.pem"), credentials.path("token"));
+    let others = Credentials::new();
     for scheme in ["wss", "vla-evals"] {
         let untrusted = send_query_over(scheme, &server, &others.path("ca.pem"), &token).await;
         let untrusted = untrusted.expect_err("another authority");
@@ -195,7 +200,7 @@ async fn no_token_is_sent_in_the_clear_to_a_server_of_another_user() {
         println!("skipped: only root starts programs as another user");
         return;
     }
-    let papers = Papers::new();
+    let credentials = Credentials::new();
     let mut child = Command::new("python3")
         .args(["-c", STRANGER])
         .stdout(Stdio::piped())
@@ -213,7 +218,7 @@ async fn no_token_is_sent_in_the_clear_to_a_server_of_another_user() {
         .to_owned();
     let server = Server { child, port };
     for scheme in ["grpc", "ws", "vla-eval"] {
-        let (ca, token) = (papers.path("ca.pem"), papers.path("token"));
+        let (ca, token) = (credentials.path("ca.pem"), credentials.path("token"));
         let refused = send_query_over(scheme, &server, &ca, &token).await;
         let refused = refused.expect_err("another user's server");
         assert_eq!(refused.code(), Code::Unavailable, "{refused}");

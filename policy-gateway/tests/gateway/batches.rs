@@ -57,9 +57,12 @@ impl Policy for FixedSpeed {
         Ok(Response::new(ResetResponse {}))
     }
 
-    async fn infer(&self, it: Request<InferRequest>) -> Result<Response<InferResponse>, Status> {
+    async fn infer(
+        &self,
+        request: Request<InferRequest>,
+    ) -> Result<Response<InferResponse>, Status> {
         self.largest.fetch_max(1, Ordering::SeqCst);
-        answer(it.get_ref())
+        answer(request.get_ref())
             .map(Response::new)
             .map_err(Status::internal)
     }
@@ -129,7 +132,7 @@ async fn play(batching: Batching) -> (usize, String) {
 }
 
 #[tokio::test]
-async fn queries_go_together_and_each_gets_its_own_answer() {
+async fn queries_are_batched_and_each_gets_its_own_answer() {
     let (largest, batch_mode) = play(Batching::Dynamic).await;
     assert_eq!(batch_mode, format!("up to {LARGEST}"));
     assert!((2..=LARGEST as usize).contains(&largest), "{largest}");

@@ -18,8 +18,8 @@ use crate::{
 
 struct Ended {
     status: Option<i32>,
-    printed: String,
-    complained: String,
+    stdout: String,
+    stderr: String,
 }
 
 /// Runs a command to its end while the servers of this test run.
@@ -29,8 +29,8 @@ async fn ended(arguments: &[&str]) -> Ended {
     let output = output.await.expect("it runs").expect("the program starts");
     Ended {
         status: output.status.code(),
-        printed: String::from_utf8(output.stdout).expect("UTF-8"),
-        complained: String::from_utf8(output.stderr).expect("UTF-8"),
+        stdout: String::from_utf8(output.stdout).expect("UTF-8"),
+        stderr: String::from_utf8(output.stderr).expect("UTF-8"),
     }
 }
 
@@ -51,7 +51,7 @@ fn unopened() -> Planted {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_judgement_is_0_or_1_and_fits_80_columns() {
+async fn the_exit_code_is_0_or_1_and_the_output_fits_80_columns() {
     let (sound, flips) = (serve(Planted::sound()).await, serve(flipping()).await);
     let (sound, flips, unopened) = (url(&sound), url(&flips), serve(unopened()).await);
     let cases: [(&[&str], i32, &str, &str); 4] = [
@@ -83,11 +83,11 @@ async fn a_judgement_is_0_or_1_and_fits_80_columns() {
     for (arguments, status, holds, last) in cases {
         let ended = ended(arguments).await;
         let Ended {
-            printed,
-            complained,
+            stdout: printed,
+            stderr,
             ..
         } = &ended;
-        assert_eq!(ended.status, Some(status), "{printed}{complained}");
+        assert_eq!(ended.status, Some(status), "{printed}{stderr}");
         let lines: Vec<&str> = printed.lines().collect();
         assert!(
             lines.iter().any(|line| line.starts_with(holds)),
@@ -101,16 +101,16 @@ async fn a_judgement_is_0_or_1_and_fits_80_columns() {
 
 #[tokio::test]
 async fn unreachable_servers_exit_with_1_and_usage_errors_with_2() {
-    let nobody = url_of_nobody().await;
+    let nobody = unused_url().await;
     let ask = ["compare", "builtin:noop", &nobody];
     let unreachable = ended(&ask).await;
     assert_eq!(unreachable.status, Some(1));
-    assert!(unreachable.printed.is_empty());
+    assert!(unreachable.stdout.is_empty());
     let words = format!("failed to get an answer of {nobody}");
     assert!(
-        unreachable.complained.contains(&words),
+        unreachable.stderr.contains(&words),
         "{}",
-        unreachable.complained
+        unreachable.stderr
     );
     let wrong: [&[&str]; 4] = [
         &["compare", "builtin:noop"],
@@ -123,7 +123,7 @@ async fn unreachable_servers_exit_with_1_and_usage_errors_with_2() {
     }
 }
 
-async fn url_of_nobody() -> String {
+async fn unused_url() -> String {
     format!("grpc://{}", crate::support::unused_address().await)
 }
 
@@ -171,7 +171,7 @@ async fn json_has_the_keys_that_are_documented() {
         (&doctor[..], "policy-gateway doctor", "is_sound"),
     ] {
         let ended = ended(arguments).await;
-        let printed: Value = serde_json::from_str(&ended.printed).expect("JSON");
+        let printed: Value = serde_json::from_str(&ended.stdout).expect("JSON");
         let mut found = BTreeSet::new();
         keys(&printed, "", &mut found);
         assert_eq!(found, documented(command));
@@ -235,8 +235,8 @@ async fn recorded_observations_replace_synthetic_ones() {
     let (sound, flips) = (serve(Planted::sound()).await, serve(flipping()).await);
     let (sound, flips) = (url(&sound), url(&flips));
     let compared = ended(&["compare", &sound, &flips, "--recorded", recorded]).await;
-    assert_eq!(compared.status, Some(1), "{}", compared.complained);
-    let words: Vec<&str> = compared.printed.split_whitespace().collect();
+    assert_eq!(compared.status, Some(1), "{}", compared.stderr);
+    let words: Vec<&str> = compared.stdout.split_whitespace().collect();
     let words = words.join(" ");
     for expected in ["frames flipped vertically", "to 6 observations"] {
         assert!(words.contains(expected), "{words}");
@@ -245,11 +245,7 @@ async fn recorded_observations_replace_synthetic_ones() {
     let joints = serve(Planted::sound().with_state(&[StateField::JointPos])).await;
     let lacking = ended(&["doctor", &url(&joints), "--recorded", recorded]).await;
     assert_eq!(lacking.status, Some(1));
-    assert!(
-        lacking.complained.contains("JOINT_POS"),
-        "{}",
-        lacking.complained
-    );
+    assert!(lacking.stderr.contains("JOINT_POS"), "{}", lacking.stderr);
 }
 
 /// A text that sets the clipboard, and reads backwards, on terminals that obey it.
@@ -281,15 +277,15 @@ async fn no_command_prints_control_sequences() {
     let mut printed = String::new();
     for arguments in cases {
         let ended = ended(arguments).await;
-        assert_eq!(ended.status, Some(1), "{arguments:?}: {}", ended.complained);
-        for text in [&ended.printed, &ended.complained] {
+        assert_eq!(ended.status, Some(1), "{arguments:?}: {}", ended.stderr);
+        for text in [&ended.stdout, &ended.stderr] {
             let obeyed = |c: char| (c.is_control() && c != '\n') || c == '\u{202e}';
             assert!(!text.contains(obeyed), "{arguments:?}: {text:?}");
         }
-        printed += &ended.printed;
+        printed += &ended.stdout;
     }
     assert!(
         printed.contains("\u{fffd}]52;c;"),
-        "it was asked: {printed}"
+        "the server's text is printed: {printed}"
     );
 }

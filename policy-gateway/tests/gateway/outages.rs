@@ -73,7 +73,7 @@ async fn a_policy_that_restarts_is_found_again() {
     let down = client
         .infer(infer("", "s", 1))
         .await
-        .expect_err("it stopped");
+        .expect_err("the server has stopped");
     assert_eq!(down.code(), Code::Unavailable, "{down}");
 
     let _inner = gateway_at(address, &["noop=builtin:noop"]).await;
@@ -97,7 +97,7 @@ async fn a_caller_that_disconnects_during_a_probe_lets_the_next_caller_probe() {
     client
         .infer(infer("", "s", 0))
         .await
-        .expect_err("it stopped");
+        .expect_err("the server has stopped");
 
     // A server that accepts connections and never sends anything.
     let mute = tokio::net::TcpListener::bind(address).await.expect("free");
@@ -105,7 +105,7 @@ async fn a_caller_that_disconnects_during_a_probe_lets_the_next_caller_probe() {
     let probe = client.reset(reset("", "gone"));
     let patience = Duration::from_millis(300);
     let went = tokio::time::timeout(patience, probe).await;
-    went.expect_err("nothing answers, and the caller goes");
+    went.expect_err("no answer before the caller disconnects");
 
     drop(mute);
     let _inner = gateway_at(address, &["noop=builtin:noop"]).await;

@@ -86,14 +86,14 @@ async fn a_recorded_session_is_answered_again_and_the_first_difference_is_named(
     other.images[0].rgb = [[0; 3], [0; 3], [0, 9, 9], [0; 3]].concat().into();
     let refused = send_query(&mut client, 0, other)
         .await
-        .expect_err("it differs");
+        .expect_err("another observation");
     assert_eq!(refused.code(), Code::Internal);
     let named = "2 of 12 numbers of \"agentview\" differ, first at column 0 of row 1 (0 was \
                  recorded, 9 came)";
     assert!(refused.message().contains(named), "{refused}");
 
     let longer = send_query(&mut client, 2, observation(2)).await;
-    let longer = longer.expect_err("it was not asked a third time");
+    let longer = longer.expect_err("no third query was recorded");
     assert!(
         longer.message().contains("ends after 2 queries"),
         "{longer}"

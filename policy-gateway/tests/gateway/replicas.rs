@@ -46,7 +46,7 @@ fn replicas(servers: &[&Running]) -> String {
 }
 
 #[tokio::test]
-async fn sessions_of_a_stateful_policy_are_shared_out_and_stay_where_they_are() {
+async fn sessions_of_a_stateful_policy_are_distributed_and_stay_on_their_replica() {
     let one = numbered(stateful(), 0.1).await;
     let two = numbered(stateful(), 0.2).await;
     let gateway = gateway(&[&replicas(&[&one, &two])]).await;
@@ -115,12 +115,12 @@ async fn a_replica_with_other_weights_is_refused_by_name_and_the_others_serve() 
     let refused = client
         .reset(reset("x", "d"))
         .await
-        .expect_err("nobody with these weights is left");
+        .expect_err("no replica with these weights");
     assert_eq!(refused.code(), Code::Unavailable, "{refused}");
 }
 
 #[tokio::test]
-async fn the_only_replica_that_changes_its_description_is_refused_by_what_it_changed() {
+async fn a_changed_description_of_the_only_replica_is_refused_with_the_difference() {
     let asked = Arc::new(AtomicU32::new(0));
     let count = Arc::clone(&asked);
     let server = serve(
@@ -196,7 +196,7 @@ async fn a_suite_is_answered_by_its_own_checkpoint_and_an_unknown_one_by_none() 
 }
 
 #[tokio::test]
-async fn a_reload_moves_new_sessions_and_leaves_open_ones_where_they_are() {
+async fn a_reload_applies_to_new_sessions_only() {
     let old = numbered(stateful(), 0.1).await;
     let new = numbered(stateful(), 0.2).await;
     let (running, gateway) = reloadable(vec![route(&replicas(&[&old]))]).await;
@@ -240,7 +240,7 @@ async fn a_deterministic_policy_sends_each_seed_to_one_replica() {
     let mut client = gateway.client().await;
     let mut places = BTreeSet::new();
     for seed in 0..24 {
-        let mut of_seed = BTreeSet::new();
+        let mut replicas_of_seed = BTreeSet::new();
         for attempt in 0..3 {
             let session = format!("{seed} {attempt}");
             let request = ResetRequest {
@@ -248,10 +248,10 @@ async fn a_deterministic_policy_sends_each_seed_to_one_replica() {
                 ..reset("x", &session)
             };
             client.reset(request).await.expect("an episode");
-            of_seed.insert(number(&mut client, &session, 0).await as u32);
+            replicas_of_seed.insert(number(&mut client, &session, 0).await as u32);
         }
-        assert_eq!(of_seed.len(), 1);
-        places.extend(of_seed);
+        assert_eq!(replicas_of_seed.len(), 1);
+        places.extend(replicas_of_seed);
     }
     assert_eq!(places.len(), 3, "24 seeds find all of three replicas");
 }
@@ -263,7 +263,10 @@ async fn of_two_replicas_one_may_be_down_from_the_start() {
     let route = format!("x=grpc://{nowhere},grpc://{}", one.address);
     let gateway = gateway(&[&route]).await;
     let mut client = gateway.client().await;
-    client.describe(describe("x")).await.expect("the other one");
+    client
+        .describe(describe("x"))
+        .await
+        .expect("the other replica");
     client.reset(reset("x", "s")).await.expect("an episode");
     assert_eq!(number(&mut client, "s", 0).await, 0.1);
 }

@@ -146,13 +146,16 @@ async fn the_end_of_an_episode_reaches_its_server_and_closes_its_session() {
             policy: "x".to_owned(),
             session: session.to_owned(),
         };
-        client.end(end("one")).await.expect("noted");
-        client.end(end("one")).await.expect("noted already");
+        client.end(end("one")).await.expect("an end");
+        client
+            .end(end("one"))
+            .await
+            .expect("a repeated end is accepted");
         client.end(end("never opened")).await.expect("no error");
-        client.end(end("two")).await.expect("noted");
+        client.end(end("two")).await.expect("an end");
         let mut all = vec![];
         while !all.contains(&"end two".to_owned()) || !all.contains(&"end one".to_owned()) {
-            all.push(heard.recv().await.expect("the server lives"));
+            all.push(heard.recv().await.expect("the server runs"));
         }
         all.sort();
         assert_eq!(all, ["begin one", "begin two", "end one", "end two"]);

@@ -65,14 +65,15 @@ impl Server {
                     let note = notices.clone();
                     // The closure's type is fixed by the library.
                     #[allow(clippy::result_large_err)]
-                    let see = |request: &Request, response: Response| {
-                        let shown = request.headers().get("authorization");
-                        let shown = shown.map(|header| header.to_str().expect("ASCII").to_owned());
-                        drop(note.send(Noticed::Connected(shown)));
+                    let record_header = |request: &Request, response: Response| {
+                        let header = request.headers().get("authorization");
+                        let header =
+                            header.map(|header| header.to_str().expect("ASCII").to_owned());
+                        drop(note.send(Noticed::Connected(header)));
                         Ok(response)
                     };
-                    // The probe after a failure does not speak WebSocket.
-                    if let Ok(socket) = accept_hdr_async(stream, see).await {
+                    // The probe after a failure is no WebSocket handshake.
+                    if let Ok(socket) = accept_hdr_async(stream, record_header).await {
                         serve(socket, &*answer, &notices).await;
                         drop(notices.send(Noticed::Gone));
                     }
@@ -104,9 +105,9 @@ async fn serve(
         let Message::Binary(bytes) = message else {
             continue;
         };
-        let asked = rmpv::decode::read_value(&mut &*bytes).expect("msgpack");
-        let kind = asked["type"].as_str().expect("text").to_owned();
-        let number = asked["seq"].as_u64().expect("a number");
+        let received = rmpv::decode::read_value(&mut &*bytes).expect("msgpack");
+        let kind = received["type"].as_str().expect("text").to_owned();
+        let number = received["seq"].as_u64().expect("a number");
         drop(notices.send(Noticed::Asked(kind.clone())));
         let sent = match answer(&kind, number) {
             Answer::Message(bytes) => socket.send(Message::binary(bytes)).await,
@@ -242,7 +243,9 @@ async fn a_connection_that_breaks_in_a_query_is_an_outage() {
     let gateway = server.behind_a_gateway().await;
     let mut client = gateway.client().await;
     client.reset(reset("x", "s")).await.expect("an episode");
-    let broken = query(&mut client, "s", 0).await.expect_err("it hung up");
+    let broken = query(&mut client, "s", 0)
+        .await
+        .expect_err("the connection was closed");
     assert_eq!(broken.code(), Code::Unavailable, "{broken}");
     assert!(broken.message().contains("cannot reach"), "{broken}");
 }
@@ -285,7 +288,7 @@ async fn other_servers_and_other_versions_are_recognised() {
 }
 
 #[tokio::test]
-async fn a_late_answer_is_given_to_no_other_query() {
+async fn a_late_answer_is_not_the_answer_to_another_query() {
     let mut server = Server::start(answering(|_| Answer::Nothing)).await;
     let spec = RouteSpec {
         answer_within: Duration::from_millis(300),
@@ -306,7 +309,7 @@ async fn a_late_answer_is_given_to_no_other_query() {
 }
 
 #[tokio::test]
-async fn queries_of_an_episode_are_asked_in_order() {
+async fn queries_of_an_episode_are_answered_in_order_only() {
     let server = Server::start(answering(|number| action(vec![0.5.into(); 7], number))).await;
     let gateway = server.behind_a_gateway().await;
     let mut client = gateway.client().await;

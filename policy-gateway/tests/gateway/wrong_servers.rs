@@ -37,8 +37,8 @@ async fn behind_a_gateway(server: &Running) -> Running {
 #[tokio::test]
 async fn a_broken_accelerator_is_out_with_its_first_error_until_a_query_is_answered() {
     let broken = Arc::new(AtomicBool::new(true));
-    let asked = Arc::new(AtomicU32::new(0));
-    let (is_broken, count) = (Arc::clone(&broken), Arc::clone(&asked));
+    let queries = Arc::new(AtomicU32::new(0));
+    let (is_broken, count) = (Arc::clone(&broken), Arc::clone(&queries));
     let answer = move |_| {
         count.fetch_add(1, Ordering::SeqCst);
         match is_broken.load(Ordering::SeqCst) {
@@ -61,9 +61,9 @@ async fn a_broken_accelerator_is_out_with_its_first_error_until_a_query_is_answe
         assert!(refused.message().contains("tried again in"), "{refused}");
     }
     assert_eq!(
-        asked.load(Ordering::SeqCst),
+        queries.load(Ordering::SeqCst),
         1,
-        "the others did not reach it"
+        "refused queries do not reach the server"
     );
 
     broken.store(false, Ordering::SeqCst);
@@ -73,7 +73,9 @@ async fn a_broken_accelerator_is_out_with_its_first_error_until_a_query_is_answe
         assert!(Instant::now() < deadline, "{status}");
         tokio::time::sleep(SICK_WAITS.first / 10).await;
     }
-    one_query(&mut client, "milk").await.expect("it is back");
+    one_query(&mut client, "milk")
+        .await
+        .expect("an answer after the outage");
 }
 
 #[tokio::test]
@@ -93,20 +95,22 @@ async fn the_same_error_to_three_tasks_is_the_servers_and_to_one_task_is_the_tas
 }
 
 #[tokio::test]
-async fn answers_of_no_use_to_three_tasks_are_an_outage_of_the_policy() {
-    for nonsense in [
+async fn invalid_answers_to_three_tasks_are_an_outage_of_the_policy() {
+    for invalid_answer in [
         chunk(&[f32::NAN; 7], 7),
         chunk(&[1e9; 7], 7),
         chunk(&[0.0; 18], 6),
         chunk(&[], 7),
     ] {
-        let answer = move |_| Ok(nonsense.clone());
+        let answer = move |_| Ok(invalid_answer.clone());
         let server = serve(Scripted::new(description("p", 1), answer)).await;
         let gateway = behind_a_gateway(&server).await;
         let mut client = gateway.client().await;
         let mut codes = vec![];
         for task in ["butter", "milk", "bowl"] {
-            let status = one_query(&mut client, task).await.expect_err("nonsense");
+            let status = one_query(&mut client, task)
+                .await
+                .expect_err("an invalid answer");
             codes.push(status.code());
         }
         assert_eq!(codes, [Code::Internal, Code::Internal, Code::Unavailable]);

@@ -25,9 +25,9 @@ const SHELLS: [(&str, &str, &str, &str); 3] = [
     ("fish", "fish/vendor_completions.d", "", ".fish"),
 ];
 
-/// Extensions of the files that scenes are made from. The robot's models include others of twice
-/// their size, which nothing reads.
-const OF_SCENES: [&str; 5] = ["bddl", "obj", "pruned_init", "stl", "xml"];
+/// Extensions of the files that scenes are made from. The robot's models also include files of
+/// twice that size that no program reads.
+const SCENE_EXTENSIONS: [&str; 5] = ["bddl", "obj", "pruned_init", "stl", "xml"];
 
 /// Folders of the archive for documents, and for the files that scenes are made from.
 pub(super) const DOCUMENTS: &str = "share/doc/rollout";
@@ -56,8 +56,8 @@ pub(super) fn fill(
     step("manual pages, completions", || shell_files(folder))?;
     step("files of scenes", || scenes(cache, folder))?;
     step("documents, licences, bill of materials", || {
-        let mut parts = components::of_wheels(cache)?;
-        parts.extend(components::of_compiler(&compilers.0)?);
+        let mut parts = components::from_wheels(cache)?;
+        parts.extend(components::from_compiler(&compilers.0)?);
         let crates = crates::shipped(root)?;
         let to = folder.join(DOCUMENTS);
         documents(root, folder, &to)?;
@@ -138,7 +138,7 @@ fn scenes(cache: &Path, folder: &Path) -> Result<String> {
                 .extension()
                 .and_then(|name| name.to_str())
                 .unwrap_or_default();
-            if OF_SCENES.contains(&ending) {
+            if SCENE_EXTENSIONS.contains(&ending) {
                 copy(&from.join(&file), &to.join(part).join(&file))?;
             }
         }
@@ -154,7 +154,7 @@ fn documents(root: &Path, folder: &Path, to: &Path) -> Result<()> {
     }
     let pages = root.join("docs");
     for page in files(&pages)? {
-        if page.extension().is_some_and(|it| it == "md") {
+        if page.extension().is_some_and(|extension| extension == "md") {
             copy(&pages.join(&page), &to.join("docs").join(&page))?;
         }
     }
@@ -173,8 +173,11 @@ fn documents(root: &Path, folder: &Path, to: &Path) -> Result<()> {
 
 /// Returns true if a file is a source, not one of Python's by-products.
 fn is_source(file: &Path) -> bool {
-    let of_python = |part: &str| part == "__pycache__" || part.ends_with(".egg-info");
-    !file.iter().filter_map(|part| part.to_str()).any(of_python)
+    let is_by_product = |part: &str| part == "__pycache__" || part.ends_with(".egg-info");
+    !file
+        .iter()
+        .filter_map(|part| part.to_str())
+        .any(is_by_product)
 }
 
 fn copy(from: &Path, to: &Path) -> Result<()> {
