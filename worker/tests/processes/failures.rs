@@ -168,15 +168,11 @@ async fn a_lost_lease_abandons_the_rollout_without_a_report() {
     let worker = WorkerProcess::start(&coordinator.url());
     coordinator.progressed(1, 10).await;
     let slots = worker.slots();
-    coordinator.lose(1);
+    coordinator.lose_lease(1);
     coordinator.lease(lease(2, "still", &policy.url()));
     let commit = coordinator.message(1).await.commit();
     assert_eq!(commit.attempt_id, attempt_id(2));
-    assert_eq!(
-        worker.slots(),
-        slots,
-        "the slot need not be replaced for that"
-    );
+    assert_eq!(worker.slots(), slots, "the slot's process is not replaced");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -25,7 +25,7 @@ async fn a_claim_whose_answer_is_lost_is_repeated_with_the_same_id() {
     let claims = coordinator.claims().into_iter();
     let names: Vec<String> = claims.map(|claim| claim.claim_id).collect();
     assert_eq!(names[0], names[1], "the repeated claim has the same id");
-    assert_ne!(names[1], names[2], "another claim");
+    assert_ne!(names[1], names[2], "the next claim has a new id");
     assert!(names.iter().all(|name| name.len() == 32), "{names:?}");
 }
 

@@ -199,11 +199,11 @@ async fn an_outcome_is_kept_until_the_coordinator_is_back() {
     coordinator.lease(lease(1, "slow", &policy.url()));
     let worker = WorkerProcess::start(&coordinator.url());
     coordinator.progressed(1, 10).await;
-    coordinator.go_down();
+    coordinator.stop();
     // Three answers take 200 ms each, so the rollout ends during the outage.
     tokio::time::sleep(std::time::Duration::from_secs(3)).await;
     assert_eq!(coordinator.messages().len(), 1);
-    coordinator.come_back().await;
+    coordinator.restart().await;
     coordinator.message(1).await.commit();
 
     let log = worker.terminated();
@@ -281,7 +281,7 @@ fn a_replay_without_pictures_opens_no_renderer() {
     assert_eq!(
         ran.status.code(),
         Some(1),
-        "a video takes a renderer: {stderr}"
+        "a video needs a renderer: {stderr}"
     );
     let ran = run(&[&line[..], &["--no-video"]].concat());
     let stderr = String::from_utf8_lossy(&ran.stderr);
@@ -303,9 +303,9 @@ async fn an_unreadable_row_is_released_with_the_reason() {
         return;
     }
     let coordinator = ScriptedCoordinator::start().await;
-    let mut strange = lease(1, "still", "http://127.0.0.1:9");
-    strange.manifest_row = strange.manifest_row.replace("object/t0", "object/t1");
-    coordinator.lease(strange);
+    let mut unreadable = lease(1, "still", "http://127.0.0.1:9");
+    unreadable.manifest_row = unreadable.manifest_row.replace("object/t0", "object/t1");
+    coordinator.lease(unreadable);
     let _worker = WorkerProcess::start(&coordinator.url());
     let release = coordinator.message(1).await.release(Reason::SimulatorError);
     assert!(

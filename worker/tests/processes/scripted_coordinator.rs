@@ -61,7 +61,7 @@ struct State {
     claims: Vec<ClaimRequest>,
     /// Number of claims that were withdrawn before they were answered.
     claims_withdrawn: u32,
-    /// Number of answers to claims that are still to be lost.
+    /// Number of further claims whose answers are lost.
     answers_to_lose: u32,
     /// Leases granted to claims whose answers were lost.
     leased: HashMap<String, Lease>,
@@ -89,7 +89,7 @@ pub(crate) struct ScriptedCoordinator {
 
 impl Drop for ScriptedCoordinator {
     fn drop(&mut self) {
-        self.go_down();
+        self.stop();
     }
 }
 
@@ -136,7 +136,7 @@ impl ScriptedCoordinator {
     }
 
     /// Reports the lease of this job's attempt as lost from now on.
-    pub(crate) fn lose(&self, job: i64) {
+    pub(crate) fn lose_lease(&self, job: i64) {
         self.change(|state| state.lost_attempts.push(attempt_id(job)));
     }
 
@@ -168,14 +168,14 @@ impl ScriptedCoordinator {
     }
 
     /// Closes the server with all connections, as if it were killed.
-    pub(crate) fn go_down(&mut self) {
+    pub(crate) fn stop(&mut self) {
         if let Some(runtime) = self.runtime.take() {
             runtime.shutdown_background();
         }
     }
 
     /// Listens at the same address again.
-    pub(crate) async fn come_back(&mut self) {
+    pub(crate) async fn restart(&mut self) {
         // The port becomes free a moment after the runtime has ended.
         let listener = loop {
             match TcpListener::bind(self.address).await {
@@ -369,7 +369,10 @@ impl WorkerService for Service {
                 if let Some(lease) = lease {
                     return lease;
                 }
-                changes.changed().await.expect("this holds the sender");
+                changes
+                    .changed()
+                    .await
+                    .expect("the service holds the sender");
             }
         };
         let lease = tokio::time::timeout(wait, leasing).await.ok();
@@ -383,7 +386,7 @@ impl WorkerService for Service {
             is_lost
         });
         match is_lost {
-            true => Err(Status::unavailable("lost on its way")),
+            true => Err(Status::unavailable("the answer was lost")),
             false => Ok(Response::new(ClaimResponse {
                 lease,
                 idle_reason: String::new(),

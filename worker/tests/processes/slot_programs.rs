@@ -1,5 +1,4 @@
-//! Slots that are other programs: the test determines their messages, their output and the way in
-//! which they exit.
+//! Slots that are other programs: the test determines their messages, their output and their exit.
 
 use std::path::Path;
 

@@ -143,13 +143,13 @@ async fn a_slot_that_dies_before_its_result_is_committed_is_not_charged() {
     coordinator.lease(slow);
     let worker = WorkerProcess::start(&coordinator.url());
     coordinator.progressed(1, 10).await;
-    coordinator.go_down();
+    coordinator.stop();
     // The rollout and its video end during the outage.
     tokio::time::sleep(Duration::from_secs(3)).await;
     for slot in worker.slots() {
         signal(slot, "KILL");
     }
-    coordinator.come_back().await;
+    coordinator.restart().await;
     let commit = coordinator.message(1).await.commit();
     assert_eq!(commit.attempt_id, attempt_id(1));
     let messages = coordinator.messages();
