@@ -79,9 +79,9 @@ impl Pace {
 pub struct Watch(Mutex<Pace>);
 
 /// Guard of a call with queries in flight; dropping it ends the call's count.
-struct Sent<'a>(&'a Watch);
+struct CallInFlight<'a>(&'a Watch);
 
-impl Drop for Sent<'_> {
+impl Drop for CallInFlight<'_> {
     fn drop(&mut self) {
         self.0.pace().ended();
     }
@@ -127,7 +127,7 @@ impl Watch {
         answered: impl FnOnce(&T) -> u32,
     ) -> Result<T, Silent> {
         self.pace().sent(Instant::now());
-        let _sent = Sent(self);
+        let _sent = CallInFlight(self);
         let answer = self.answer(limit, call).await?;
         let count = answered(&answer);
         if count > 0 {

@@ -153,7 +153,7 @@ fn run_bench(arguments: &BenchArguments) -> anyhow::Result<()> {
     let pack = simulator.pack.name();
     let mut slot = program_of(
         "bench-slot",
-        own_program()?,
+        this_program()?,
         &arguments.simulator,
         &simulator,
     );
@@ -383,7 +383,7 @@ fn run_rescue(arguments: RescueArguments) -> anyhow::Result<()> {
         ..standalone_assignment(row, arguments.replicate, arguments.realisation)
     };
     let rescued = rescue::run(&mut simulator, &mut actor, &assignment, &arguments.output)?;
-    let what = match (rescued.saved_until, rescued.lost_from) {
+    let summary = match (rescued.saved_until, rescued.lost_from) {
         (None, _) => "not saved at any tried step at which its perturbations end".to_owned(),
         (Some(step), None) => {
             format!("saved if its perturbations end at step {step}, the policy's last query")
@@ -397,7 +397,7 @@ fn run_rescue(arguments: RescueArguments) -> anyhow::Result<()> {
         false => ", but lost if they end at an earlier tried step",
     };
     print_line(&format!(
-        "{}: {what}{exception} ({} tried); see {}",
+        "{}: {summary}{exception} ({} tried); see {}",
         rescued.rollout_id,
         counted(rescued.tried.len() as u64, "step"),
         arguments.output.display()
@@ -445,7 +445,7 @@ fn run_worker(
     let has_own_slots = arguments.slot_program.is_some();
     let program = match arguments.slot_program {
         Some(program) => program,
-        None => own_program()?,
+        None => this_program()?,
     };
     let slots = match arguments.slots {
         SlotCount::Given(slots) => {
@@ -536,7 +536,7 @@ async fn forward(
     }
 }
 
-fn own_program() -> anyhow::Result<PathBuf> {
+fn this_program() -> anyhow::Result<PathBuf> {
     std::env::current_exe().context("find this program's own file")
 }
 

@@ -20,7 +20,7 @@ use transport::{
 };
 
 use crate::actor::{Action, Actor, Description, PolicyError, PolicySession};
-use crate::grpc::within;
+use crate::grpc::with_deadline;
 
 /// Longest wait for one answer. A policy that compiles itself must do so before it serves.
 pub const POLICY_CALL_DEADLINE: Duration = Duration::from_secs(60);
@@ -94,7 +94,7 @@ impl PolicyClient {
     where
         F: Future<Output = Result<Response<T>, Status>>,
     {
-        self.runtime.block_on(within(deadline, call))
+        self.runtime.block_on(with_deadline(deadline, call))
     }
 
     fn unavailable(

@@ -21,7 +21,7 @@ use crate::digest::hex;
 use crate::message::{Assignment, Evidence, Failure, FailureKind, Finished};
 use crate::observation;
 use crate::stage::Stage;
-use crate::stopwatch::{by_clock, processor};
+use crate::stopwatch::{add_elapsed_time, add_processor_time};
 
 /// Control step of the policy.
 pub struct Step {
@@ -238,10 +238,10 @@ impl Run<'_> {
             Some(Change::Lift) => Cow::Owned(row.id.task().instruction()),
         };
         let physics = &mut self.parts.physics_secs;
-        let begun = processor(physics, || stage.begin(row, *realisation));
+        let begun = add_processor_time(physics, || stage.begin(row, *realisation));
         let mut episode = begun.map_err(|source| self.simulator_failed(source))?;
         continue_unless_abandoned(self.watcher.progress(0))?;
-        processor(&mut self.parts.physics_secs, || episode.settle())
+        add_processor_time(&mut self.parts.physics_secs, || episode.settle())
             .map_err(|source| self.simulator_failed(source))?;
         continue_unless_abandoned(self.watcher.progress(row.settle_steps))?;
         self.path.push(end_effector_position(&mut episode));
@@ -257,12 +257,12 @@ impl Run<'_> {
         }
         let suite = row.id.task().suite();
         let session = self.assignment.policy_session();
-        by_clock(&mut self.parts.policy_secs, || {
+        add_elapsed_time(&mut self.parts.policy_secs, || {
             let seed = self.assignment.policy_seed;
             self.actor.reset(session, suite.name(), &instruction, seed)
         })?;
         let outcome = self.act(&mut episode);
-        by_clock(&mut self.parts.policy_secs, || self.actor.end(session));
+        add_elapsed_time(&mut self.parts.policy_secs, || self.actor.end(session));
         let success = outcome?;
         self.watcher.ended(&mut episode);
         let result = RolloutResult {
@@ -313,7 +313,7 @@ impl Run<'_> {
     /// Executes one control step; returns true if the goal holds after it.
     fn step(&mut self, episode: &mut Episode<'_>, sent: Action) -> Result<bool, RolloutError> {
         let executed = episode.command(&sent);
-        let stepped = processor(&mut self.parts.physics_secs, || episode.step(&executed));
+        let stepped = add_processor_time(&mut self.parts.physics_secs, || episode.step(&executed));
         let success = stepped.map_err(|source| self.simulator_failed(source))?;
         self.executed.push(executed);
         self.path.push(end_effector_position(episode));
@@ -331,14 +331,15 @@ impl Run<'_> {
         query: &Query,
     ) -> Result<Vec<Action>, RolloutError> {
         let request = observation_request(self.description);
-        let observed = processor(&mut self.parts.drawing_secs, || episode.observe(&request));
+        let observed =
+            add_processor_time(&mut self.parts.drawing_secs, || episode.observe(&request));
         let observation = observed.map_err(|source| self.simulator_failed(source))?;
         self.watcher.observed(self.queries, &observation);
         if self.queries == 0 && !observation.frames.is_empty() {
             self.first_frame_digest = frames_digest(&observation);
         }
         let observation = observation::to_wire(observation, &self.description.state);
-        let actions = by_clock(&mut self.parts.policy_secs, || {
+        let actions = add_elapsed_time(&mut self.parts.policy_secs, || {
             let session = self.assignment.policy_session();
             let horizon = self.description.horizon;
             let under_way = self.assignment.row.execution.is_rtc().then_some(query);

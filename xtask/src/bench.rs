@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use crate::cargo::build_program;
 use crate::original::Original;
-use crate::process::{capture, shown};
+use crate::process::{capture, command_line};
 use crate::setup;
 use crate::step::step;
 
@@ -109,12 +109,12 @@ pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
     );
     let (mut here, mut released, mut with_fewer_frames) = (Vec::new(), Vec::new(), Vec::new());
     for round in 1..=options.rounds {
-        let name = |what: &str| format!("round {round}: {what}");
+        let name = |title: &str| format!("round {round}: {title}");
         here.push(step(&name("here"), || ours().map(RolloutTime))?.0);
         released.push(step(&name("original as released"), || theirs(1).map(RolloutTime))?.0);
         if options.execute > 1 {
-            let what = name("original with fewer frames");
-            with_fewer_frames.push(step(&what, || theirs(options.execute).map(RolloutTime))?.0);
+            let title = name("original with fewer frames");
+            with_fewer_frames.push(step(&title, || theirs(options.execute).map(RolloutTime))?.0);
         }
     }
     print_ratios(
@@ -123,11 +123,11 @@ pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
         &released,
     );
     if options.execute > 1 {
-        let what = format!(
+        let title = format!(
             "drawing only every {}th step, which the released version cannot do",
             options.execute
         );
-        print_ratios(&what, &here, &with_fewer_frames);
+        print_ratios(&title, &here, &with_fewer_frames);
     }
     Ok(())
 }
@@ -175,8 +175,8 @@ pub(crate) fn number(value: &Value, name: &str) -> Result<f64> {
 type Part = fn(&Parts) -> f64;
 
 /// Prints durations and ratios; each ratio is of the two runs of one round.
-fn print_ratios(what: &str, ours: &[Parts], theirs: &[Parts]) {
-    println!("the original {what}:");
+fn print_ratios(title: &str, ours: &[Parts], theirs: &[Parts]) {
+    println!("the original {title}:");
     println!(
         "  {:<8} {:>12} {:>14} {:>8}  spread",
         "", "here, ms", "original, ms", "ratio"
@@ -232,7 +232,8 @@ impl std::fmt::Display for RolloutTime {
 pub(crate) fn last_json(command: &mut Command) -> Result<Value> {
     let printed = capture(command)?;
     let line = printed.lines().next_back().unwrap_or_default();
-    serde_json::from_str(line).with_context(|| format!("read the output of `{}`", shown(command)))
+    serde_json::from_str(line)
+        .with_context(|| format!("read the output of `{}`", command_line(command)))
 }
 
 fn cores() -> Result<u32> {

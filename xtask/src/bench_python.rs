@@ -44,7 +44,7 @@ pub(crate) struct Options {
 
 /// Row of the table: the measured quantity, its target, and its computation from a round.
 struct Row {
-    what: &'static str,
+    name: &'static str,
     target: &'static str,
     unit: &'static str,
     values_of: fn(&Round) -> Result<[f64; 3]>,
@@ -66,25 +66,25 @@ struct Pair {
 
 const ROWS: [Row; 6] = [
     Row {
-        what: "control step without frames",
+        name: "control step without frames",
         target: ">= 4",
         unit: "ms",
         values_of: |round| compare_values(&round.theirs, &round.ours, "step_ms"),
     },
     Row {
-        what: "reset",
+        name: "reset",
         target: ">= 500",
         unit: "ms",
         values_of: |round| compare_values(&round.theirs, &round.ours, "reset_ms"),
     },
     Row {
-        what: "step with both frames",
+        name: "step with both frames",
         target: ">= 8",
         unit: "ms",
         values_of: |round| compare_values(&round.theirs, &round.ours, "frames_ms"),
     },
     Row {
-        what: "environments together",
+        name: "environments together",
         target: ">= 8",
         unit: "obs/s",
         values_of: |round| {
@@ -94,13 +94,13 @@ const ROWS: [Row; 6] = [
         },
     },
     Row {
-        what: "memory of a further environment",
+        name: "memory of a further environment",
         target: "<= 15 MB",
         unit: "MB",
         values_of: |round| compare_values(&round.processes, &round.pairs[0].threads, "further_mb"),
     },
     Row {
-        what: "the same without Python",
+        name: "the same without Python",
         target: ">= 0.95",
         unit: "obs/s",
         values_of: |round| {
@@ -220,7 +220,7 @@ fn print(rounds: &[Round]) -> Result<()> {
         let (ratio, least, most) = spread(&column(2));
         println!(
             "{:<32} {:>10.2} {:>10.2} {:<6} {ratio:>8.2} {:<13} {}",
-            row.what,
+            row.name,
             spread(&column(0)).0,
             spread(&column(1)).0,
             row.unit,

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
 
-use crate::process::shown;
+use crate::process::command_line;
 
 /// Longest wait for a program to announce its address.
 const START_LIMIT: Duration = Duration::from_secs(30);
@@ -66,10 +66,14 @@ impl Running {
     pub(crate) fn run_while_alive(&mut self, command: &mut Command) -> Result<()> {
         let mut running_command = command
             .spawn()
-            .with_context(|| format!("start `{}`", shown(command)))?;
+            .with_context(|| format!("start `{}`", command_line(command)))?;
         loop {
             if let Some(status) = running_command.try_wait()? {
-                ensure!(status.success(), "run `{}`: {status}", shown(command));
+                ensure!(
+                    status.success(),
+                    "run `{}`: {status}",
+                    command_line(command)
+                );
                 return Ok(());
             }
             if let Err(error) = self.check() {

@@ -186,13 +186,13 @@ fn install(packages: &[&str]) -> Result<()> {
     if !is_root {
         bail!("install missing packages: run `sudo {by_hand}`, then run this command again");
     }
-    let quiet = |arguments: &[&str]| {
+    let apt_get = |arguments: &[&str]| {
         let mut apt = Command::new("apt-get");
         apt.args(arguments).env("DEBIAN_FRONTEND", "noninteractive");
         capture(&mut apt).with_context(|| format!("install packages (by hand: `{by_hand}`)"))
     };
-    quiet(&["update"])?;
-    quiet(&[&["install", "--yes", "--no-install-recommends"], packages].concat())?;
+    apt_get(&["update"])?;
+    apt_get(&[&["install", "--yes", "--no-install-recommends"], packages].concat())?;
     Ok(())
 }
 

@@ -202,18 +202,18 @@ mod tests {
 
     #[test]
     fn build_requirements_are_the_versions_that_setup_installs() {
-        let mut seen = 0;
+        let mut checked = 0;
         for file in projects(&crate::root()) {
             let text = std::fs::read_to_string(&file).expect("a project");
             for line in text.lines().filter(|line| line.starts_with("requires = ")) {
                 for tool in line.split('"').skip(1).step_by(2) {
                     let place = file.display();
                     assert!(BUILT_WITH.contains(&tool), "{place} requires {tool}");
-                    seen += 1;
+                    checked += 1;
                 }
             }
         }
-        assert!(seen >= 3, "few requirements were found: {seen}");
+        assert!(checked >= 3, "few requirements were found: {checked}");
         assert!(BUILT_WITH.iter().all(|tool| tool.contains("==")));
     }
 }

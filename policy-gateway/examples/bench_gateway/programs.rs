@@ -20,15 +20,15 @@ pub(crate) struct Running {
 
 impl Running {
     async fn start(mut command: Command) -> Result<Self> {
-        let what = format!("{:?}", command.as_std());
+        let program = format!("{:?}", command.as_std());
         let mut child = command
             .stdout(Stdio::piped())
             .kill_on_drop(true)
             .spawn()
-            .with_context(|| format!("start {what}"))?;
+            .with_context(|| format!("start {program}"))?;
         let stdout = child.stdout.take().context("its output is piped")?;
         let line = BufReader::new(stdout).lines().next_line().await?;
-        let line = line.with_context(|| format!("read an address: {what} ended"))?;
+        let line = line.with_context(|| format!("read an address: {program} ended"))?;
         let address = line.strip_prefix("listening on ").unwrap_or(&line);
         Ok(Self {
             address: address.to_owned(),

@@ -18,7 +18,7 @@ fn paths() -> Vec<(String, bool)> {
     let policy =
         calls.map(|(service, name)| (format!("/rollout.policy.v1.{service}/{name}"), false));
     let health = ["Check", "Watch"].map(|name| (format!("/grpc.health.v1.Health/{name}"), true));
-    let elsewhere = [
+    let other_paths = [
         "/",
         "/metrics",
         "/grpc.health.v1.Health",
@@ -26,8 +26,8 @@ fn paths() -> Vec<(String, bool)> {
         "/grpc.reflection.v1.ServerReflection/ServerReflectionInfo",
         "/rollout.coordinator.v1.OperatorService/ListCampaigns",
     ];
-    let elsewhere = elsewhere.map(|path| (path.to_owned(), false));
-    let paths: Vec<_> = policy.chain(health).chain(elsewhere).collect();
+    let other_paths = other_paths.map(|path| (path.to_owned(), false));
+    let paths: Vec<_> = policy.chain(health).chain(other_paths).collect();
     assert_eq!(
         paths.len(),
         13,

@@ -211,16 +211,16 @@ mod tests {
 
     /// A back-end that panics at its first batch.
     #[derive(Default)]
-    struct Panicking(AtomicBool);
+    struct PanickingBackend(AtomicBool);
 
-    impl fmt::Display for Panicking {
+    impl fmt::Display for PanickingBackend {
         fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
             f.write_str("panicking")
         }
     }
 
     #[tonic::async_trait]
-    impl Backend for Panicking {
+    impl Backend for PanickingBackend {
         async fn describe(&self, _: &str) -> Result<DescribeResponse, BackendError> {
             Ok(DescribeResponse::default())
         }
@@ -237,7 +237,7 @@ mod tests {
 
     #[tokio::test]
     async fn a_batch_whose_task_panics_is_lost_uncharged_and_the_next_one_is_answered() {
-        let backend = Arc::new(Panicking::default());
+        let backend = Arc::new(PanickingBackend::default());
         let patience = Duration::from_secs(60);
         let batcher = Batcher::new(backend, Arc::default(), patience);
         let lost = batcher.infer(InferRequest::default(), 2, patience).await;

@@ -225,9 +225,9 @@ async fn no_token_is_sent_in_the_clear_to_a_server_of_another_user() {
         for part in ["another user of this machine listens there", "speak TLS"] {
             assert!(refused.message().contains(part), "{part} in {refused}");
         }
-        let mut got = String::new();
-        stdout.read_line(&mut got).expect("a line");
-        assert_eq!(got.trim_end(), "got 0", "{scheme}");
+        let mut received = String::new();
+        stdout.read_line(&mut received).expect("a line");
+        assert_eq!(received.trim_end(), "got 0", "{scheme}");
     }
     drop(server.log());
 }

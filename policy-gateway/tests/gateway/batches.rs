@@ -147,7 +147,7 @@ async fn with_batching_off_queries_are_sent_one_by_one() {
 
 /// An error text that does not fit the response's HTTP/2 header would count as an outage.
 #[tokio::test]
-async fn an_error_of_a_mebibyte_is_the_policys_and_truncated() {
+async fn an_error_of_a_mebibyte_is_truncated_and_no_outage() {
     let server = serve(FixedSpeed {
         computing: Mutex::default(),
         largest: Arc::default(),

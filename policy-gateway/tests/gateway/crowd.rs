@@ -169,7 +169,7 @@ async fn many_slots_at_a_slow_server_finish_their_episodes() {
 }
 
 /// Waits until a count has the expected value.
-async fn until(count: &AtomicUsize, expected: usize) {
+async fn wait_for_count(count: &AtomicUsize, expected: usize) {
     while count.load(Ordering::SeqCst) != expected {
         tokio::time::sleep(Duration::from_millis(1)).await;
     }
@@ -199,7 +199,7 @@ async fn a_query_whose_caller_has_disconnected_is_never_computed() {
             let mut client = client.clone();
             asking.spawn(async move { client.infer(infer("slow", &session, 0)).await });
         }
-        until(&awaited, calls).await;
+        wait_for_count(&awaited, calls).await;
         asking.shutdown().await;
         // Arrives after the ends of the other calls, on the same connection.
         client
@@ -208,12 +208,12 @@ async fn a_query_whose_caller_has_disconnected_is_never_computed() {
             .expect("an episode");
         // The gateway ends the streams of a connection in separate tasks, so that a caller that
         // gave up may still be in the server's queue for a moment after the Reset.
-        let mut quiet = 0;
-        while quiet < 50 {
-            until(&awaited, 0).await;
+        let mut quiet_checks = 0;
+        while quiet_checks < 50 {
+            wait_for_count(&awaited, 0).await;
             tokio::time::sleep(Duration::from_millis(2)).await;
-            quiet = if awaited.load(Ordering::SeqCst) == 0 {
-                quiet + 1
+            quiet_checks = if awaited.load(Ordering::SeqCst) == 0 {
+                quiet_checks + 1
             } else {
                 0
             };
@@ -228,7 +228,7 @@ async fn a_query_whose_caller_has_disconnected_is_never_computed() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn sessions_beyond_what_is_answered_in_time_wait_for_another_to_end() {
+async fn sessions_beyond_the_capacity_wait_for_another_to_end() {
     // At this speed, four sessions get their answers in time.
     let server = serve(SlowServer::new(Duration::from_millis(250))).await;
     let gateway = gateway_for(&server, Duration::from_secs(1)).await;

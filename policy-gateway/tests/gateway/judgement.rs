@@ -16,18 +16,18 @@ use crate::{
     support::{Running, Scripted, description, infer, reloadable, reset, serve},
 };
 
-struct Ended {
+struct CommandOutput {
     status: Option<i32>,
     stdout: String,
     stderr: String,
 }
 
 /// Runs a command to its end while the servers of this test run.
-async fn ended(arguments: &[&str]) -> Ended {
+async fn run_to_end(arguments: &[&str]) -> CommandOutput {
     let mut command = program(arguments);
     let output = tokio::task::spawn_blocking(move || command.output());
     let output = output.await.expect("it runs").expect("the program starts");
-    Ended {
+    CommandOutput {
         status: output.status.code(),
         stdout: String::from_utf8(output.stdout).expect("UTF-8"),
         stderr: String::from_utf8(output.stderr).expect("UTF-8"),
@@ -81,8 +81,8 @@ async fn the_exit_code_is_0_or_1_and_the_output_fits_80_columns() {
         ),
     ];
     for (arguments, status, holds, last) in cases {
-        let ended = ended(arguments).await;
-        let Ended {
+        let ended = run_to_end(arguments).await;
+        let CommandOutput {
             stdout: printed,
             stderr,
             ..
@@ -103,7 +103,7 @@ async fn the_exit_code_is_0_or_1_and_the_output_fits_80_columns() {
 async fn unreachable_servers_exit_with_1_and_usage_errors_with_2() {
     let nobody = unused_url().await;
     let ask = ["compare", "builtin:noop", &nobody];
-    let unreachable = ended(&ask).await;
+    let unreachable = run_to_end(&ask).await;
     assert_eq!(unreachable.status, Some(1));
     assert!(unreachable.stdout.is_empty());
     let words = format!("failed to get an answer of {nobody}");
@@ -119,7 +119,7 @@ async fn unreachable_servers_exit_with_1_and_usage_errors_with_2() {
         &["doctor", "builtin:noop", "--answer-within", "0"],
     ];
     for arguments in wrong {
-        assert_eq!(ended(arguments).await.status, Some(2), "{arguments:?}");
+        assert_eq!(run_to_end(arguments).await.status, Some(2), "{arguments:?}");
     }
 }
 
@@ -170,7 +170,7 @@ async fn json_has_the_keys_that_are_documented() {
         (&compare[..], "policy-gateway compare", "is_same"),
         (&doctor[..], "policy-gateway doctor", "is_sound"),
     ] {
-        let ended = ended(arguments).await;
+        let ended = run_to_end(arguments).await;
         let printed: Value = serde_json::from_str(&ended.stdout).expect("JSON");
         let mut found = BTreeSet::new();
         keys(&printed, "", &mut found);
@@ -234,7 +234,7 @@ async fn recorded_observations_replace_synthetic_ones() {
     let recorded = folder.path().to_str().expect("UTF-8");
     let (sound, flips) = (serve(Planted::sound()).await, serve(flipping()).await);
     let (sound, flips) = (url(&sound), url(&flips));
-    let compared = ended(&["compare", &sound, &flips, "--recorded", recorded]).await;
+    let compared = run_to_end(&["compare", &sound, &flips, "--recorded", recorded]).await;
     assert_eq!(compared.status, Some(1), "{}", compared.stderr);
     let words: Vec<&str> = compared.stdout.split_whitespace().collect();
     let words = words.join(" ");
@@ -243,7 +243,7 @@ async fn recorded_observations_replace_synthetic_ones() {
     }
 
     let joints = serve(Planted::sound().with_state(&[StateField::JointPos])).await;
-    let lacking = ended(&["doctor", &url(&joints), "--recorded", recorded]).await;
+    let lacking = run_to_end(&["doctor", &url(&joints), "--recorded", recorded]).await;
     assert_eq!(lacking.status, Some(1));
     assert!(lacking.stderr.contains("JOINT_POS"), "{}", lacking.stderr);
 }
@@ -276,7 +276,7 @@ async fn no_command_prints_control_sequences() {
     ];
     let mut printed = String::new();
     for arguments in cases {
-        let ended = ended(arguments).await;
+        let ended = run_to_end(arguments).await;
         assert_eq!(ended.status, Some(1), "{arguments:?}: {}", ended.stderr);
         for text in [&ended.stdout, &ended.stderr] {
             let obeyed = |c: char| (c.is_control() && c != '\n') || c == '\u{202e}';

@@ -61,7 +61,7 @@ async fn a_policy_that_is_down_is_unavailable_and_named_until_it_comes_up() {
 }
 
 #[tokio::test]
-async fn a_policy_that_restarts_is_found_again() {
+async fn a_restarted_policy_is_used_again() {
     let inner = gateway(&["noop=builtin:noop"]).await;
     let address = inner.address;
     let outer = gateway(&[&format!("noop=grpc://{address}")]).await;
@@ -104,8 +104,8 @@ async fn a_caller_that_disconnects_during_a_probe_lets_the_next_caller_probe() {
     tokio::time::sleep(WAITS.longest / 10).await;
     let probe = client.reset(reset("", "gone"));
     let patience = Duration::from_millis(300);
-    let went = tokio::time::timeout(patience, probe).await;
-    went.expect_err("no answer before the caller disconnects");
+    let cut_off = tokio::time::timeout(patience, probe).await;
+    cut_off.expect_err("no answer before the caller disconnects");
 
     drop(mute);
     let _inner = gateway_at(address, &["noop=builtin:noop"]).await;

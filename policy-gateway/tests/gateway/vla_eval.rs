@@ -33,20 +33,20 @@ enum Answer {
     Nothing,
 }
 
-/// Event that a server noticed.
+/// Event of a server.
 #[derive(Debug, PartialEq)]
-enum Noticed {
+enum ServerEvent {
     /// A connection, with the value of its `Authorization` header.
     Connected(Option<String>),
     /// Type of a received message.
-    Asked(String),
-    Gone,
+    Received(String),
+    Disconnected,
 }
 
 /// A server whose answers a function computes from a message's type and number.
 struct Server {
     port: u16,
-    noticed: UnboundedReceiver<Noticed>,
+    events: UnboundedReceiver<ServerEvent>,
     _task: JoinSet<()>,
 }
 
@@ -55,34 +55,34 @@ impl Server {
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
         let port = listener.local_addr().expect("a bound address").port();
         let answer = Arc::new(answer);
-        let (notices, noticed) = unbounded_channel();
+        let (event_sender, events) = unbounded_channel();
         let mut task = JoinSet::new();
         task.spawn(async move {
             let mut connections = JoinSet::new();
             while let Ok((stream, _)) = listener.accept().await {
-                let (answer, notices) = (Arc::clone(&answer), notices.clone());
+                let (answer, event_sender) = (Arc::clone(&answer), event_sender.clone());
                 connections.spawn(async move {
-                    let note = notices.clone();
+                    let note = event_sender.clone();
                     // The closure's type is fixed by the library.
                     #[allow(clippy::result_large_err)]
                     let record_header = |request: &Request, response: Response| {
                         let header = request.headers().get("authorization");
                         let header =
                             header.map(|header| header.to_str().expect("ASCII").to_owned());
-                        drop(note.send(Noticed::Connected(header)));
+                        drop(note.send(ServerEvent::Connected(header)));
                         Ok(response)
                     };
                     // The probe after a failure is no WebSocket handshake.
                     if let Ok(socket) = accept_hdr_async(stream, record_header).await {
-                        serve(socket, &*answer, &notices).await;
-                        drop(notices.send(Noticed::Gone));
+                        serve(socket, &*answer, &event_sender).await;
+                        drop(event_sender.send(ServerEvent::Disconnected));
                     }
                 });
             }
         });
         Self {
             port,
-            noticed,
+            events,
             _task: task,
         }
     }
@@ -99,7 +99,7 @@ impl Server {
 async fn serve(
     mut socket: WebSocketStream<tokio::net::TcpStream>,
     answer: &(impl Fn(&str, u64) -> Answer + Sync),
-    notices: &UnboundedSender<Noticed>,
+    event_sender: &UnboundedSender<ServerEvent>,
 ) {
     while let Some(Ok(message)) = socket.next().await {
         let Message::Binary(bytes) = message else {
@@ -108,7 +108,7 @@ async fn serve(
         let received = rmpv::decode::read_value(&mut &*bytes).expect("msgpack");
         let kind = received["type"].as_str().expect("text").to_owned();
         let number = received["seq"].as_u64().expect("a number");
-        drop(notices.send(Noticed::Asked(kind.clone())));
+        drop(event_sender.send(ServerEvent::Received(kind.clone())));
         let sent = match answer(&kind, number) {
             Answer::Message(bytes) => socket.send(Message::binary(bytes)).await,
             Answer::Text(text) => socket.send(Message::text(text)).await,
@@ -300,12 +300,12 @@ async fn a_late_answer_is_not_the_answer_to_another_query() {
     let late = query(&mut client, "s", 0).await.expect_err("silence");
     assert_eq!(late.code(), Code::DeadlineExceeded, "{late}");
     // The connection of the query is closed; that of the description stays open.
-    let mut noticed = vec![];
-    while noticed.last() != Some(&Noticed::Gone) {
-        noticed.push(server.noticed.recv().await.expect("a server"));
+    let mut events = vec![];
+    while events.last() != Some(&ServerEvent::Disconnected) {
+        events.push(server.events.recv().await.expect("a server"));
     }
-    let asked = Noticed::Asked("observation".to_owned());
-    assert!(noticed.contains(&asked), "{noticed:?}");
+    let asked = ServerEvent::Received("observation".to_owned());
+    assert!(events.contains(&asked), "{events:?}");
 }
 
 #[tokio::test]
@@ -341,5 +341,8 @@ async fn a_token_is_sent_to_a_proxy_in_front_of_the_server() {
     let mut client = gateway.client().await;
     client.describe(describe("x")).await.expect("a description");
     let shown = Some("Bearer secret-of-the-proxy-0123".to_owned());
-    assert_eq!(server.noticed.recv().await, Some(Noticed::Connected(shown)));
+    assert_eq!(
+        server.events.recv().await,
+        Some(ServerEvent::Connected(shown))
+    );
 }

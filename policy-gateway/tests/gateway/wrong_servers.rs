@@ -79,7 +79,7 @@ async fn a_broken_accelerator_is_out_with_its_first_error_until_a_query_is_answe
 }
 
 #[tokio::test]
-async fn the_same_error_to_three_tasks_is_the_servers_and_to_one_task_is_the_tasks() {
+async fn the_same_error_to_three_tasks_is_an_outage_and_to_one_task_is_an_error() {
     let answer = |_| Err::<InferResponse, _>(Status::internal("ValueError: shape (3, 4)"));
     let server = serve(Scripted::new(description("p", 1), answer)).await;
     let gateway = behind_a_gateway(&server).await;
@@ -118,10 +118,10 @@ async fn invalid_answers_to_three_tasks_are_an_outage_of_the_policy() {
 }
 
 /// A server that opens sessions, and answers queries after this delay, or never.
-struct Late(Option<Duration>);
+struct DelayedPolicy(Option<Duration>);
 
 #[tonic::async_trait]
-impl Policy for Late {
+impl Policy for DelayedPolicy {
     async fn describe(
         &self,
         _: Request<DescribeRequest>,
@@ -150,16 +150,16 @@ impl Policy for Late {
 }
 
 #[tokio::test]
-async fn a_server_that_never_answers_is_out_after_its_time_and_others_fail_fast() {
-    is_out_and_others_fail_fast(Late(None)).await;
+async fn a_silent_server_is_out_after_the_limit_and_later_queries_fail_at_once() {
+    expect_outage_after_the_limit(DelayedPolicy(None)).await;
 }
 
 #[tokio::test]
-async fn a_server_that_answers_after_its_time_is_out_like_one_that_never_does() {
-    is_out_and_others_fail_fast(Late(Some(Duration::from_millis(600)))).await;
+async fn a_server_that_answers_after_the_limit_is_out_like_a_silent_one() {
+    expect_outage_after_the_limit(DelayedPolicy(Some(Duration::from_millis(600)))).await;
 }
 
-async fn is_out_and_others_fail_fast(server: Late) {
+async fn expect_outage_after_the_limit(server: DelayedPolicy) {
     let server = serve(server).await;
     let route = format!("x=grpc://{}", server.address);
     let spec = RouteSpec {

@@ -46,7 +46,7 @@ impl Coverage {
         for task in TaskRef::all() {
             let problem = TaskFiles::of_task(sources, task).problem()?;
             coverage.add_models(&problem, pack);
-            match coverage.obstacle(&problem, pack, sources)? {
+            match coverage.reason_not_shown(&problem, pack, sources)? {
                 None => coverage.shown.push(task),
                 Some(reason) => coverage.broken.entry(reason).or_default().push(task),
             }
@@ -71,7 +71,7 @@ impl Coverage {
     }
 
     /// Returns the reason why a task cannot be shown; reads after "failed to …".
-    fn obstacle(
+    fn reason_not_shown(
         &mut self,
         problem: &Problem,
         pack: &AssetPack,
@@ -190,7 +190,7 @@ mod tests {
         };
         let built_in = AssetPack::open("primitives", &sources).expect("built in");
         let coverage = Coverage::check(&built_in, &sources).expect("reads");
-        assert!(coverage.is_whole());
+        assert!(coverage.is_complete());
         let description = coverage.to_string();
         assert!(
             description.contains("40 of 40 can be shown"),
@@ -201,7 +201,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         fs::create_dir(folder.path().join("scenes")).expect("makes");
         let arena = "scenes/libero_floor_base_style.xml";
-        fs::copy(whole.dir().join(arena), folder.path().join(arena)).expect("copies");
+        fs::copy(built_in.dir().join(arena), folder.path().join(arena)).expect("copies");
         let path = folder.path().to_string_lossy();
         let part = AssetPack::open(&path, &sources).expect("a pack");
         let description = Coverage::check(&part, &sources).expect("reads").to_string();

@@ -40,13 +40,13 @@ fn available_below(root: &Path) -> Result<u64, MeasureError> {
             let above = folder
                 .ancestors()
                 .take_while(|ancestor| ancestor.starts_with(&base));
-            above.filter_map(left_in).min()
+            above.filter_map(remaining_memory).min()
         });
     Ok(left.fold(machine, u64::min))
 }
 
 /// Returns the bytes that a control group may still take; `None` without a limit.
-fn left_in(group: &Path) -> Option<u64> {
+fn remaining_memory(group: &Path) -> Option<u64> {
     let number = |file: &str| -> Option<u64> {
         let text = fs::read_to_string(group.join(file)).ok()?;
         text.trim().parse().ok()
@@ -99,7 +99,7 @@ mod tests {
     #[test]
     fn the_tightest_parent_group_limits_the_available_memory() {
         let group = "sys/fs/cgroup/batch/memory";
-        let unified = [
+        let cgroup_v2 = [
             ("proc/self/cgroup", "0::/batch/job\n"),
             ("sys/fs/cgroup/batch/job/memory.max", "max\n"),
             ("sys/fs/cgroup/batch/job/memory.current", "900000\n"),
@@ -110,9 +110,9 @@ mod tests {
                 "anon 1\ninactive_file 50000\nactive_file 7\n",
             ),
         ];
-        assert_eq!(machine(&unified), 100_000);
+        assert_eq!(machine(&cgroup_v2), 100_000);
         // The path is the host's, as in a container with cgroup v1.
-        let before = [
+        let cgroup_v1 = [
             ("proc/self/cgroup", "4:memory:/docker/1f\n0::/\n"),
             ("sys/fs/cgroup/memory/memory.limit_in_bytes", "600000\n"),
             ("sys/fs/cgroup/memory/memory.usage_in_bytes", "700000\n"),
@@ -121,7 +121,7 @@ mod tests {
                 "inactive_file 1\ntotal_inactive_file 300000\n",
             ),
         ];
-        assert_eq!(machine(&before), 200_000);
+        assert_eq!(machine(&cgroup_v1), 200_000);
     }
 
     #[test]

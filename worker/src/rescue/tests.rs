@@ -50,11 +50,8 @@ fn run_rollout(
     }
 }
 
-fn after(commands: &[Action], change: Change) -> Option<Resumed<'_>> {
-    Some(Resumed {
-        after: commands,
-        change,
-    })
+fn resumed_after(commands: &[Action], change: Change) -> Option<Resumed<'_>> {
+    Some(Resumed { commands, change })
 }
 
 fn camera_of(observation: &proto::policy::Observation, at: usize) -> Vec<u8> {
@@ -72,7 +69,11 @@ fn lifting_before_the_first_query_gives_the_nominal_rollout() {
     let perturbed = row("object/t0/camera+lighting+sensor+actuation+language/L2/c00");
     let nominal = row(&format!("object/t0/clean/i{:02}", perturbed.init_id));
     let nominal = run_rollout(&mut simulator, nominal, None);
-    let lifted = run_rollout(&mut simulator, perturbed.clone(), after(&[], Change::Lift));
+    let lifted = run_rollout(
+        &mut simulator,
+        perturbed.clone(),
+        resumed_after(&[], Change::Lift),
+    );
     assert!(lifted.pictures == nominal.pictures, "the pictures differ");
     assert_eq!(lifted.path, nominal.path);
     assert!(lifted.instruction_is_canonical && nominal.instruction_is_canonical);
@@ -98,7 +99,7 @@ fn a_resumed_rollout_repeats_the_earlier_steps() {
     let resumed = run_rollout(
         &mut simulator,
         perturbed.clone(),
-        after(commands, Change::Lift),
+        resumed_after(commands, Change::Lift),
     );
     assert_eq!(resumed.path[..=before], whole.path[..=before]);
     assert_eq!(resumed.path.len(), whole.path.len());
@@ -108,7 +109,11 @@ fn a_resumed_rollout_repeats_the_earlier_steps() {
     assert_ne!(resumed.path[STEPS as usize], whole.path[STEPS as usize]);
 
     // The placebo lifts nothing, and the hand stays within 0.1 mm of the unchanged path.
-    let nudged = run_rollout(&mut simulator, perturbed, after(commands, Change::Nudge));
+    let nudged = run_rollout(
+        &mut simulator,
+        perturbed,
+        resumed_after(commands, Change::Nudge),
+    );
     assert!(!nudged.instruction_is_canonical);
     assert!(nudged.pictures[0] == whole.pictures[before]);
     let pairs = nudged.path.iter().zip(&whole.path);

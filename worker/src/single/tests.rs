@@ -374,14 +374,17 @@ fn films_and_pictures_show_what_the_policy_saw_with_the_sensors_corruption() {
     let unperturbed = run_and_film(&mut simulator, &nominal, Realisation::Matched, side);
     for realisation in [Realisation::Matched, Realisation::Reference] {
         let corrupted = run_and_film(&mut simulator, &sensor, realisation, side);
-        for seen in [&unperturbed, &corrupted] {
+        for captured in [&unperturbed, &corrupted] {
             // The video also has the frame after the last action.
-            assert_eq!((seen.by_policy.len(), seen.in_film.len()), (4, 5));
-            assert!(seen.in_film[..4] == seen.by_policy, "{realisation}");
-            assert!(seen.first_pictures == seen.by_policy[0], "{realisation}");
+            assert_eq!((captured.by_policy.len(), captured.in_film.len()), (4, 5));
+            assert!(captured.in_film[..4] == captured.by_policy, "{realisation}");
+            assert!(
+                captured.first_pictures == captured.by_policy[0],
+                "{realisation}"
+            );
         }
-        for (own, nominal) in corrupted.in_film.iter().zip(&unperturbed.in_film) {
-            assert!(own[0] != nominal[0] && own[1] != nominal[1]);
+        for (corrupted, nominal) in corrupted.in_film.iter().zip(&unperturbed.in_film) {
+            assert!(corrupted[0] != nominal[0] && corrupted[1] != nominal[1]);
         }
         assert!(corrupted.film != unperturbed.film);
         // Rendering at another size than the policy's does not change the policy's frames.

@@ -21,7 +21,7 @@ use transport::{
 };
 
 use super::error::SuperviseError;
-use crate::grpc::within;
+use crate::grpc::with_deadline;
 
 /// Longest time that a claim may wait at the coordinator for a job.
 const CLAIM_WAIT: Duration = Duration::from_secs(5);
@@ -140,7 +140,7 @@ impl Link {
         deadline: Duration,
     ) -> Result<HeartbeatResponse, Status> {
         let mut grpc = self.grpc.clone();
-        let answer = within(deadline, grpc.heartbeat(request)).await;
+        let answer = with_deadline(deadline, grpc.heartbeat(request)).await;
         self.record_outcome(answer)
             .await
             .map_err(|failed| failed.status)
@@ -167,7 +167,7 @@ impl Link {
     /// Signs the worker off. Not retried, because nothing depends on it.
     pub(crate) async fn sign_off(&self, request: SignOffRequest) -> Result<(), Status> {
         let mut grpc = self.grpc.clone();
-        let answer = within(SIGN_OFF_DEADLINE, grpc.sign_off(request)).await;
+        let answer = with_deadline(SIGN_OFF_DEADLINE, grpc.sign_off(request)).await;
         answer.map(drop)
     }
 
@@ -197,7 +197,7 @@ impl Link {
         loop {
             let chunks = tokio_stream::iter(chunks.clone());
             let mut grpc = self.grpc.clone();
-            let answer = within(UPLOAD_DEADLINE, grpc.put_artifact(chunks)).await;
+            let answer = with_deadline(UPLOAD_DEADLINE, grpc.put_artifact(chunks)).await;
             let wait = backoff.next_wait();
             match answer {
                 Err(status) if may_succeed_later(&status) && backoff.failures() < UPLOAD_TRIES => {
@@ -220,7 +220,7 @@ impl Link {
     {
         let mut backoff = Backoff::new(Waits::USUAL, self.state.seed);
         loop {
-            let answer = within(deadline, call(self.grpc.clone())).await;
+            let answer = with_deadline(deadline, call(self.grpc.clone())).await;
             match self.record_outcome(answer).await {
                 Err(failed) if failed.is_transient => tokio::select! {
                     () = tokio::time::sleep(backoff.next_wait()) => {}

@@ -72,7 +72,7 @@ pub(super) struct Supervisor {
     idle_since: Instant,
     /// Reason why the worker ends, unless it was asked to.
     fault: Option<SuperviseError>,
-    heartbeat_under_way: bool,
+    is_heartbeat_in_flight: bool,
     /// True if a lease was taken that no heartbeat has named yet: the first heartbeat acknowledges
     /// it.
     has_unacknowledged_lease: bool,
@@ -120,7 +120,7 @@ impl Supervisor {
             shutdown_requested_at: None,
             idle_since: now,
             fault: None,
-            heartbeat_under_way: false,
+            is_heartbeat_in_flight: false,
             has_unacknowledged_lease: false,
             fetches: Backoff::new(Waits::USUAL, seed),
             claims_from: now,
@@ -547,10 +547,10 @@ impl Supervisor {
     }
 
     fn send_heartbeat(&mut self) {
-        if self.heartbeat_under_way || !self.is_registered {
+        if self.is_heartbeat_in_flight || !self.is_registered {
             return;
         }
-        self.heartbeat_under_way = true;
+        self.is_heartbeat_in_flight = true;
         self.has_unacknowledged_lease = false;
         let under_way = self.slots.iter().filter_map(|slot| slot.state.progress());
         let progress = under_way.map(|(attempt, control_steps)| Progress {
@@ -571,7 +571,7 @@ impl Supervisor {
     }
 
     fn renewed(&mut self, answer: Result<HeartbeatResponse, Status>, now: Instant) {
-        self.heartbeat_under_way = false;
+        self.is_heartbeat_in_flight = false;
         // The link logs the failure, and the next heartbeat follows soon.
         let Ok(answer) = answer else { return };
         for lost in &answer.lost_attempts {

@@ -161,8 +161,8 @@ async fn rollouts_of_two_campaigns_have_one_log_line_each() {
         coordinator.lease(campaign_lease);
     }
     let worker = WorkerProcess::start_with(&coordinator.url(), &["--idle-secs", "1"]);
-    for place in [1, 2] {
-        coordinator.message(place).await.commit();
+    for number in [1, 2] {
+        coordinator.message(number).await.commit();
     }
     let log = worker.ended();
     for campaign in ["first", "second"] {

@@ -110,8 +110,8 @@ fn a_slot_that_cannot_be_measured_is_named_with_its_reason() {
 }
 
 #[test]
-fn slots_that_are_counting_end_with_their_parent() {
-    if !ready("slots_that_are_counting_end_with_their_parent") {
+fn measured_slots_end_with_their_parent() {
+    if !ready("measured_slots_end_with_their_parent") {
         return;
     }
     let bench = "bench --assets primitives --slots 1 --secs 600";

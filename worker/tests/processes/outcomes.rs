@@ -81,16 +81,20 @@ async fn a_policy_gets_the_requested_observation_once_per_query() {
         .collect();
     assert_eq!(indices, [0, 1, 2]);
     for query in &received.queries {
-        let shown = query.observation.as_ref().expect("an observation");
-        let frames: Vec<_> = shown.images.iter().map(|image| image.rgb.len()).collect();
+        let sent_observation = query.observation.as_ref().expect("an observation");
+        let frames: Vec<_> = sent_observation
+            .images
+            .iter()
+            .map(|image| image.rgb.len())
+            .collect();
         assert_eq!(frames, [(FRAME_SIDE * FRAME_SIDE * 3) as usize; 2]);
-        let widths: Vec<_> = shown
+        let widths: Vec<_> = sent_observation
             .state
             .iter()
             .map(|reading| reading.values.len())
             .collect();
         assert_eq!(widths, [3, 3, 2]);
-        assert!(shown.privileged.is_none());
+        assert!(sent_observation.privileged.is_none());
     }
 }
 
@@ -212,8 +216,8 @@ async fn an_outcome_is_kept_until_the_coordinator_is_back() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn one_rollout_from_the_command_line_leaves_its_result_and_pictures() {
-    if !ready("one_rollout_from_the_command_line_leaves_its_result_and_pictures") {
+async fn worker_rollout_writes_its_result_and_frames() {
+    if !ready("worker_rollout_writes_its_result_and_frames") {
         return;
     }
     let policy = ScriptedPolicy::start().await;

@@ -318,12 +318,12 @@ impl Service {
     }
 }
 
-struct Waiting<'a> {
+struct WaitingClaim<'a> {
     service: &'a Service,
     is_answered: bool,
 }
 
-impl Drop for Waiting<'_> {
+impl Drop for WaitingClaim<'_> {
     fn drop(&mut self) {
         if !self.is_answered {
             self.service.change(|state| state.claims_withdrawn += 1);
@@ -355,7 +355,7 @@ impl WorkerService for Service {
         let claim = request.into_inner();
         let wait = Duration::from_secs_f64(claim.wait_secs);
         self.change(|state| state.claims.push(claim.clone()));
-        let mut waiting = Waiting {
+        let mut waiting = WaitingClaim {
             service: self,
             is_answered: false,
         };
