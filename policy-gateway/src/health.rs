@@ -45,14 +45,14 @@ pub enum Call<'a> {
     /// A call for the description, which belongs to no session.
     Describe,
     /// A call in this session.
-    Of(&'a str),
+    InSession(&'a str),
 }
 
 /// Kind of an answered call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answered {
     /// Any answer but actions.
-    Something,
+    Other,
     /// An answer to a query, with actions.
     Query,
 }
@@ -110,7 +110,11 @@ impl Health {
         };
         let probe = outage.probe.as_ref().filter(|probe| now < probe.until);
         match (probe, call) {
-            (Some(probe), Call::Of(session)) if probe.session.as_deref() == Some(session) => Ok(()),
+            (Some(probe), Call::InSession(session))
+                if probe.session.as_deref() == Some(session) =>
+            {
+                Ok(())
+            }
             (Some(probe), _) => Err((outage.cause.clone(), probe.until - now)),
             (None, _) if now < outage.probe_at => {
                 Err((outage.cause.clone(), outage.probe_at - now))
@@ -120,7 +124,7 @@ impl Health {
             (None, call) => {
                 let session = match call {
                     Call::Describe => None,
-                    Call::Of(session) => Some(session.to_owned()),
+                    Call::InSession(session) => Some(session.to_owned()),
                 };
                 let until = now + PROBE_TIMEOUT;
                 outage.probe = Some(Probe { session, until });
@@ -134,7 +138,7 @@ impl Health {
     pub fn abandoned(&mut self, call: Call<'_>) {
         let session = match call {
             Call::Describe => None,
-            Call::Of(session) => Some(session),
+            Call::InSession(session) => Some(session),
         };
         if let Self::Out(outage) = self {
             let probe = outage.probe.take();
@@ -145,8 +149,8 @@ impl Health {
     /// Records an answer. Returns true if it shows that the server has recovered from an outage.
     pub fn answered(&mut self, answered: Answered) -> bool {
         match (&*self, answered) {
-            (Self::Up(_), Answered::Something) => false,
-            (Self::Out(outage), Answered::Something) if outage.cause.needs_query() => false,
+            (Self::Up(_), Answered::Other) => false,
+            (Self::Out(outage), Answered::Other) if outage.cause.needs_query() => false,
             (was, _) => {
                 let has_recovered = matches!(was, Self::Out(_));
                 *self = Self::default();
@@ -275,7 +279,7 @@ mod tests {
         ];
         prop_oneof![
             prop::option::of(0..SESSIONS.len()).prop_map(Event::Admit),
-            prop_oneof![Just(Answered::Something), Just(Answered::Query)].prop_map(Event::Answered),
+            prop_oneof![Just(Answered::Other), Just(Answered::Query)].prop_map(Event::Answered),
             cause.prop_map(Event::Failed),
             prop::option::of(0..SESSIONS.len()).prop_map(Event::Abandoned),
             (
@@ -292,7 +296,7 @@ mod tests {
     }
 
     fn call(session: Option<usize>) -> Call<'static> {
-        session.map_or(Call::Describe, |at| Call::Of(SESSIONS[at]))
+        session.map_or(Call::Describe, |at| Call::InSession(SESSIONS[at]))
     }
 
     fn apply(health: &mut Health, event: &Event, now: &mut Instant) {
@@ -316,7 +320,7 @@ mod tests {
                 apply(&mut health, event, &mut now);
             }
             now += SICK_WAITS.longest + PROBE_TIMEOUT;
-            prop_assert!(health.admit(Call::Of("new"), now).is_ok());
+            prop_assert!(health.admit(Call::InSession("new"), now).is_ok());
             health.answered(Answered::Query);
             prop_assert_eq!(health, Health::default());
         }
@@ -330,7 +334,9 @@ mod tests {
                 apply(&mut health, event, &mut now);
                 let Health::Out(_) = &health else { continue };
                 let mut probed = health.clone();
-                let admitted = SESSIONS.iter().filter(|id| probed.admit(Call::Of(id), now).is_ok());
+                let mut is_admitted =
+                    |id: &&str| probed.admit(Call::InSession(id), now).is_ok();
+                let admitted = SESSIONS.iter().filter(|id| is_admitted(id));
                 prop_assert!(admitted.count() <= 1);
             }
         }
@@ -345,9 +351,10 @@ mod tests {
                 apply(&mut health, event, &mut now);
             }
             now += SICK_WAITS.longest + PROBE_TIMEOUT;
-            prop_assert!(health.admit(Call::Of("probe"), now).is_ok());
+            prop_assert!(health.admit(Call::InSession("probe"), now).is_ok());
             health.failed(cause.clone(), now);
-            let (refused, wait) = health.admit(Call::Of("probe"), now).expect_err("a failure");
+            let refusal = health.admit(Call::InSession("probe"), now);
+            let (refused, wait) = refusal.expect_err("a failure");
             let Waits { first, longest } = waits(&cause);
             prop_assert_eq!(refused, cause);
             prop_assert!((first..=longest).contains(&wait), "{:?}", wait);
@@ -361,7 +368,7 @@ mod tests {
             for event in &events {
                 apply(&mut health, event, &mut now);
                 if matches!(&health, Health::Out(outage) if outage.cause.needs_query()) {
-                    prop_assert!(!health.answered(Answered::Something));
+                    prop_assert!(!health.answered(Answered::Other));
                     prop_assert!(matches!(health, Health::Out(_)));
                 }
             }
@@ -408,14 +415,14 @@ mod tests {
         let mut health = Health::default();
         let mut now = Instant::now();
         health.failed(Cause::Silent, now);
-        let (_, wait) = health.admit(Call::Of("a"), now).expect_err("a wait");
+        let (_, wait) = health.admit(Call::InSession("a"), now).expect_err("a wait");
         now += wait;
-        assert_eq!(health.admit(Call::Of("a"), now), Ok(()));
-        health.abandoned(Call::Of("b"));
+        assert_eq!(health.admit(Call::InSession("a"), now), Ok(()));
+        health.abandoned(Call::InSession("b"));
         health.abandoned(Call::Describe);
-        assert!(health.admit(Call::Of("b"), now).is_err());
-        health.abandoned(Call::Of("a"));
-        assert_eq!(health.admit(Call::Of("b"), now), Ok(()));
+        assert!(health.admit(Call::InSession("b"), now).is_err());
+        health.abandoned(Call::InSession("a"));
+        assert_eq!(health.admit(Call::InSession("b"), now), Ok(()));
     }
 
     #[test]
@@ -424,7 +431,7 @@ mod tests {
         let error = "RuntimeError: CUDA error: device-side assert triggered";
         let cause = health.erred(error, "task 1", Instant::now());
         assert_eq!(cause, Some(Cause::Broken(error.to_owned())));
-        assert!(health.admit(Call::Of("s"), Instant::now()).is_err());
+        assert!(health.admit(Call::InSession("s"), Instant::now()).is_err());
     }
 
     #[test]

@@ -57,7 +57,7 @@ struct Session {
     /// Reset of the session; `None` for a session adopted after a restart of the gateway.
     reset: Option<ResetRequest>,
     /// Time of the last call.
-    used: Mutex<Instant>,
+    last_call: Mutex<Instant>,
     /// Locked during a query, so that a retry that overtakes the first attempt waits for its
     /// answer.
     state: tokio::sync::Mutex<SessionState>,
@@ -67,7 +67,7 @@ struct SessionState {
     described: Arc<DescribeResponse>,
     /// Replicas that have received the session's Reset.
     open_on: Vec<Arc<Replica>>,
-    last: Option<Answer>,
+    last_answer: Option<Answer>,
 }
 
 struct Answer {
@@ -80,13 +80,15 @@ impl Session {
         Arc::new(Self {
             pool,
             reset,
-            used: Mutex::new(Instant::now()),
+            last_call: Mutex::new(Instant::now()),
             state: state.into(),
         })
     }
 
-    fn used(&self) -> std::sync::MutexGuard<'_, Instant> {
-        self.used.lock().unwrap_or_else(PoisonError::into_inner)
+    fn last_call(&self) -> std::sync::MutexGuard<'_, Instant> {
+        self.last_call
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -180,7 +182,7 @@ impl Route {
                     let state = SessionState {
                         described,
                         open_on: vec![replica],
-                        last: None,
+                        last_answer: None,
                     };
                     let open = Session::new(Arc::clone(&pool), Some(request.clone()), state);
                     self.sessions().open(session, open);
@@ -212,7 +214,7 @@ impl Route {
             .reserve(&request)
             .ok_or(RouteError::Overloaded)?;
         let session = self.session(&request.session).await?;
-        *session.used() = Instant::now();
+        *session.last_call() = Instant::now();
         let mut state = session.state.lock().await;
         let query_index = request.query_index;
         if let Some(answer) = state
@@ -223,7 +225,7 @@ impl Route {
             return Ok(answer.response.clone());
         }
         let response = self.query_replicas(&session, &mut state, request).await?;
-        state.last = Some(Answer {
+        state.last_answer = Some(Answer {
             query_index,
             response: response.clone(),
         });
@@ -296,13 +298,13 @@ impl Route {
             return Err(self.no_answer(None, name));
         };
         let described = pool
-            .describe(&replica, Call::Of(name))
+            .describe(&replica, Call::InSession(name))
             .await
             .map_err(|error| self.failed(&replica, error))?;
         let state = SessionState {
             described,
             open_on: vec![replica],
-            last: None,
+            last_answer: None,
         };
         let adopted = Session::new(pool, None, state);
         let mut sessions = self.sessions();
@@ -320,7 +322,7 @@ impl Route {
         pool: &Arc<Pool>,
         session: &str,
     ) -> Result<Option<Opening>, RouteError> {
-        let until = Instant::now() + pool.reset_patience();
+        let until = Instant::now() + pool.reset_timeout();
         loop {
             {
                 let mut sessions = self.sessions();
@@ -330,10 +332,10 @@ impl Route {
                 let now = Instant::now();
                 let is_counted = |session: &&Arc<Session>| {
                     session.pool.shares_with(pool)
-                        && now.duration_since(*session.used()) < SESSION_IDLE
+                        && now.duration_since(*session.last_call()) < SESSION_IDLE
                 };
                 let open = sessions.values().filter(is_counted).count();
-                if let Some(opening) = pool.open_one_more(open) {
+                if let Some(opening) = pool.reserve_session(open) {
                     return Ok(Some(opening));
                 }
                 if now >= until {
@@ -408,7 +410,9 @@ async fn open(
     replica: &Replica,
     request: &ResetRequest,
 ) -> Result<Arc<DescribeResponse>, BackendError> {
-    let described = pool.describe(replica, Call::Of(&request.session)).await?;
+    let described = pool
+        .describe(replica, Call::InSession(&request.session))
+        .await?;
     replica.reset(request.clone()).await?;
     Ok(described)
 }

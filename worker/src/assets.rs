@@ -355,7 +355,7 @@ pub fn check(pack: &AssetPack, sources: &Sources) -> Result<Vec<TaskRef>, PackEr
         coverage.summary()
     );
     let mut lacking = Vec::new();
-    for (reason, tasks) in coverage.broken() {
+    for (reason, tasks) in coverage.not_shown() {
         let named = tasks.iter().map(ToString::to_string).collect();
         tracing::warn!(
             "left to other workers, because this pack cannot show them: {}: failed to {reason}",

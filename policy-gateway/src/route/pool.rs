@@ -59,7 +59,7 @@ impl Pool {
 
     /// Reserves a place for a session's Reset if the replicas can answer that session in time, in
     /// addition to the `open` ones. The caller must prevent concurrent calls.
-    pub fn open_one_more(self: &Arc<Self>, open: usize) -> Option<Opening> {
+    pub fn reserve_session(self: &Arc<Self>, open: usize) -> Option<Opening> {
         let sessions = open + self.opening.load(Ordering::Relaxed);
         if self.capacity().is_some_and(|most| sessions >= most) {
             return None;
@@ -69,7 +69,7 @@ impl Pool {
     }
 
     /// Returns the number of sessions that the replicas can answer in time together; `None` if the
-    /// pace of one is unknown, or all are out.
+    /// pace of a replica is unknown, or all are out.
     pub fn capacity(&self) -> Option<usize> {
         let up = self.replicas.iter().filter(|replica| !replica.is_out());
         let capacities = up.map(|replica| replica.capacity());
@@ -79,7 +79,7 @@ impl Pool {
 
     /// Returns the longest wait of a Reset for another session to end: 20 s if answers may take 50
     /// s, so that the Reset completes within a worker's 60 s.
-    pub fn reset_patience(&self) -> Duration {
+    pub fn reset_timeout(&self) -> Duration {
         let longest = self
             .replicas
             .iter()
@@ -149,9 +149,9 @@ impl Pool {
         self.replicas.iter().max_by_key(rank)
     }
 
-    /// Returns the replica with the fewest queries in flight that is not out; among equals, first
-    /// one that knows the session, then the one whose last new session is oldest. If all are out,
-    /// returns the first one, whose error names the cause.
+    /// Returns the replica with the fewest queries in flight that is not out; among equals, a
+    /// replica where the session is open, then the one whose last new session is oldest. If all
+    /// are out, returns the first one, whose error names the cause.
     fn least_loaded(
         &self,
         session: &str,
@@ -163,7 +163,7 @@ impl Pool {
             .iter()
             .filter(|replica| !contains(tried, replica));
         untried.min_by_key(|replica| {
-            let is_out = !replica.would_admit(Call::Of(session));
+            let is_out = !replica.would_admit(Call::InSession(session));
             let is_new = !contains(open_on, replica);
             (is_out, replica.load(), is_new, replica.last_assigned())
         })

@@ -208,7 +208,7 @@ impl Replica {
             self.record_outage(Cause::Disagrees(difference.clone()));
             return Err(BackendError::Disagrees { difference });
         }
-        self.answered(Answered::Something);
+        self.answered(Answered::Other);
         let batch_size = match self.batching {
             Batching::Dynamic => description::batch_size(&described),
             Batching::Single | Batching::Deterministic => 1,
@@ -224,18 +224,18 @@ impl Replica {
     /// If the replica does not answer or refuses.
     pub async fn reset(&self, request: ResetRequest) -> Result<(), BackendError> {
         let session = request.session.clone();
-        self.call_within_limit(Call::Of(&session), self.backend.reset(request))
+        self.call_within_limit(Call::InSession(&session), self.backend.reset(request))
             .await?;
-        self.answered(Answered::Something);
+        self.answered(Answered::Other);
         Ok(())
     }
 
     /// Ends an episode at the server, unless the server is out.
     pub async fn end(&self, session: &str) {
-        if self.would_admit(Call::Of(session)) {
+        if self.would_admit(Call::InSession(session)) {
             let _ = tokio::time::timeout(self.answer_within, self.backend.end(session)).await;
         }
-        self.health().abandoned(Call::Of(session));
+        self.health().abandoned(Call::InSession(session));
     }
 
     /// Answers one observation of `task` with at most `horizon` actions.
@@ -252,7 +252,7 @@ impl Replica {
         self.load.fetch_add(1, Ordering::Relaxed);
         let _under_way = LoadGuard(&self.load);
         let session = request.session.clone();
-        let call = Call::Of(&session);
+        let call = Call::InSession(&session);
         let guard = self.admit(call)?;
         let answer = match self.batch_size.load(Ordering::Relaxed) {
             1 => self.infer_alone(call, request).await,
@@ -377,7 +377,7 @@ impl Replica {
                 self.record_outage(Cause::Distrust(error.to_string()));
             }
             // A temporary refusal also shows that the server is up.
-            Err(error) if error.is_outage() => self.answered(Answered::Something),
+            Err(error) if error.is_outage() => self.answered(Answered::Other),
             _ => {}
         }
         answer

@@ -24,7 +24,7 @@ async fn refusal(answer: Result<InferResponse, Status>) -> Status {
     let status = client
         .infer(infer("bent", "episode-1", 3))
         .await
-        .expect_err("nonsense");
+        .expect_err("a refusal");
     let named = status.message().matches("route bent").count();
     assert_eq!(named, 1, "{status}");
     status

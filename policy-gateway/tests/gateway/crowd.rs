@@ -189,7 +189,7 @@ async fn a_query_whose_caller_has_disconnected_is_never_computed() {
         let server = serve(policy).await;
         let gateway = gateway_for(&server, Duration::from_secs(60)).await;
         let mut client = gateway.client().await;
-        let mut asking = JoinSet::new();
+        let mut callers = JoinSet::new();
         for slot in 0..8 {
             let session = format!("slot {slot}");
             client
@@ -197,10 +197,10 @@ async fn a_query_whose_caller_has_disconnected_is_never_computed() {
                 .await
                 .expect("an episode");
             let mut client = client.clone();
-            asking.spawn(async move { client.infer(infer("slow", &session, 0)).await });
+            callers.spawn(async move { client.infer(infer("slow", &session, 0)).await });
         }
         wait_for_count(&awaited, calls).await;
-        asking.shutdown().await;
+        callers.shutdown().await;
         // Arrives after the ends of the other calls, on the same connection.
         client
             .reset(reset("slow", "last"))

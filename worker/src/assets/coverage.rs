@@ -17,7 +17,7 @@ pub struct Coverage {
     arenas: Models,
     shown: Vec<TaskRef>,
     /// Tasks by the reason why they cannot be shown.
-    broken: BTreeMap<String, Vec<TaskRef>>,
+    not_shown: BTreeMap<String, Vec<TaskRef>>,
     /// Files still to be fetched; `None` for a pack that is not fetched on demand.
     to_fetch: Option<BTreeMap<&'static str, &'static FileFacts>>,
 }
@@ -40,7 +40,7 @@ impl Coverage {
             categories: Models::default(),
             arenas: Models::default(),
             shown: Vec::new(),
-            broken: BTreeMap::new(),
+            not_shown: BTreeMap::new(),
             to_fetch: pack.is_managed().then(BTreeMap::new),
         };
         for task in TaskRef::all() {
@@ -48,7 +48,7 @@ impl Coverage {
             coverage.add_models(&problem, pack);
             match coverage.reason_not_shown(&problem, pack, sources)? {
                 None => coverage.shown.push(task),
-                Some(reason) => coverage.broken.entry(reason).or_default().push(task),
+                Some(reason) => coverage.not_shown.entry(reason).or_default().push(task),
             }
         }
         Ok(coverage)
@@ -94,25 +94,25 @@ impl Coverage {
 
     /// Returns the tasks that cannot be shown, by reason; empty for a pack that is fetched on
     /// demand.
-    pub fn broken(&self) -> Vec<(&str, &[TaskRef])> {
+    pub fn not_shown(&self) -> Vec<(&str, &[TaskRef])> {
         if self.to_fetch.is_some() {
             return Vec::new();
         }
-        let broken = self.broken.iter();
-        broken
+        let not_shown = self.not_shown.iter();
+        not_shown
             .map(|(reason, tasks)| (reason.as_str(), tasks.as_slice()))
             .collect()
     }
 
     /// Returns true if every task can be shown, possibly after a fetch.
     pub fn is_complete(&self) -> bool {
-        self.broken().is_empty()
+        self.not_shown().is_empty()
     }
 
     /// Describes in one line how many tasks can be shown.
     pub fn summary(&self) -> String {
-        let broken: usize = self.broken.values().map(Vec::len).sum();
-        let all = self.shown.len() + broken;
+        let not_shown: usize = self.not_shown.values().map(Vec::len).sum();
+        let all = self.shown.len() + not_shown;
         let shown = self.shown.len();
         match &self.to_fetch {
             Some(files) if !files.is_empty() => {
@@ -159,13 +159,13 @@ impl fmt::Display for Coverage {
         }
         writeln!(f, "  tasks       {}", self.summary())?;
         if self.to_fetch.is_some() {
-            if !self.shown.is_empty() && !self.broken.is_empty() {
+            if !self.shown.is_empty() && !self.not_shown.is_empty() {
                 let shown: Vec<String> = self.shown.iter().map(ToString::to_string).collect();
                 writeln!(f, "    present: {}", shown.join(", "))?;
             }
             return Ok(());
         }
-        for (problem, tasks) in &self.broken {
+        for (problem, tasks) in &self.not_shown {
             let tasks: Vec<String> = tasks.iter().map(ToString::to_string).collect();
             writeln!(f, "    not {}: failed to {problem}", tasks.join(", "))?;
         }

@@ -75,8 +75,8 @@ impl Slots {
         &self.renderer
     }
 
-    /// Measures `slots` slots together for `secs` seconds. Starts missing ones first, and begins
-    /// when the last is ready. Surplus slots wait, which takes memory but no processor time.
+    /// Measures `slots` slots together for `secs` seconds. Starts missing slots first, and begins
+    /// when the last one is ready. Surplus slots wait, which takes memory but no processor time.
     ///
     /// # Errors
     /// If a slot cannot be started, ends, or sends nothing for too long.
@@ -115,11 +115,11 @@ impl Slots {
     }
 
     fn start_one(&mut self) -> Result<(), MeasureError> {
-        let (ours, theirs) = connection()?;
-        let messages = BufReader::new(ours.try_clone()?);
+        let (parent_end, child_end) = connection()?;
+        let messages = BufReader::new(parent_end.try_clone()?);
         let child = Command::new(&self.program.program)
             .args(&self.program.arguments)
-            .stdin(theirs)
+            .stdin(child_end)
             // Native libraries must not write to this program's standard output.
             .stdout(io::stderr().as_fd().try_clone_to_owned()?)
             .spawn()
@@ -131,14 +131,14 @@ impl Slots {
         thread::spawn(move || listen(slot, messages, &sender));
         self.running.push(Running {
             child,
-            connection: ours,
+            connection: parent_end,
         });
         Ok(())
     }
 
     fn receive(&mut self, deadline: Instant) -> Result<SlotReport, MeasureError> {
-        let left = deadline.saturating_duration_since(Instant::now());
-        match self.inbox.recv_timeout(left) {
+        let remaining = deadline.saturating_duration_since(Instant::now());
+        match self.inbox.recv_timeout(remaining) {
             Ok((_, Inbound::Report(message))) => Ok(message),
             Ok((slot, Inbound::End)) => {
                 let status = self.running[slot].child.wait()?;
@@ -165,7 +165,7 @@ fn listen(slot: usize, messages: BufReader<UnixStream>, sender: &Sender<(usize, 
                     return;
                 }
             }
-            Err(_) => eprintln!("slot {slot} sent a line that is not a count: {line}"),
+            Err(_) => eprintln!("slot {slot} sent a line that is not a report: {line}"),
         }
     }
     // If the receiver is gone, no one needs the message.
@@ -265,7 +265,7 @@ mod tests {
             program: "/nonexistent/worker".into(),
             arguments: Vec::new(),
         });
-        let error = slots.start(1).expect_err("nothing to start").to_string();
+        let error = slots.start(1).expect_err("a missing program").to_string();
         assert!(error.contains("/nonexistent/worker"), "{error}");
     }
 

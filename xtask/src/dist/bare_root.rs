@@ -27,9 +27,10 @@ pub(super) const DATA: &str = "/data";
 const ENTER: &str = "mount --rbind /proc \"$0/proc\" && mount --rbind /dev \"$0/dev\" && \
                      exec chroot \"$@\"";
 
-/// Root folder, with the way to enter it.
+/// Root folder that programs enter with `chroot`.
 pub(super) struct BareRoot {
     dir: PathBuf,
+    /// True if this process runs as root; otherwise entering the folder takes a user namespace.
     is_root: bool,
 }
 
@@ -43,8 +44,8 @@ impl BareRoot {
             let path = inside(dir, Path::new(path));
             std::fs::write(&path, text).with_context(|| format!("write {}", path.display()))
         };
-        let everybody = std::fs::Permissions::from_mode(0o1777);
-        std::fs::set_permissions(dir.join("tmp"), everybody)?;
+        let world_writable = std::fs::Permissions::from_mode(0o1777);
+        std::fs::set_permissions(dir.join("tmp"), world_writable)?;
         let entry = "rollout:x";
         write(
             "/etc/passwd",
@@ -112,8 +113,8 @@ impl BareRoot {
         }
     }
 
-    /// Returns the command that starts a program of the archive in the root; for root, as
-    /// [`USER`].
+    /// Returns the command that starts a program of the archive in the root folder; if this
+    /// process runs as root, the program runs as [`USER`].
     pub(super) fn program(&self, name: &str) -> Command {
         let mut command = Command::new("unshare");
         command
