@@ -218,7 +218,7 @@ impl Route {
         let mut state = session.state.lock().await;
         let query_index = request.query_index;
         if let Some(answer) = state
-            .last
+            .last_answer
             .as_ref()
             .filter(|answer| answer.query_index == query_index)
         {

@@ -223,7 +223,7 @@ fn run_film(arguments: FilmArguments) -> anyhow::Result<()> {
     };
     let filmed = film::run(&config, &simulator, &provide)?;
     print_line(&format!(
-        "{} stored; no more is left to film with asset pack {pack} and MuJoCo {}",
+        "{} stored; no rollout is left to film with asset pack {pack} and MuJoCo {}",
         counted(filmed.stored, "video"),
         Simulator::mujoco_version()
     ))?;

@@ -39,7 +39,7 @@ pub(crate) struct Compare {
     #[arg(long, default_value = "software")]
     renderer: String,
     /// Folder of the reference data, with its `tools` and `contact`. [default:
-    /// ../shared/oracle beside this checkout]
+    /// ../shared/oracle shared_folder this checkout]
     #[arg(long)]
     oracle: Option<PathBuf>,
     /// LIBERO's assets folder. [default: the one that LIBERO's assets are fetched
@@ -60,8 +60,11 @@ struct Parts {
 /// Runs the same rollout here and in the original, in turn, and prints both with their ratios.
 pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
     let cache = setup::run(root)?;
-    let beside = |folder: &str| root.join("../shared").join(folder);
-    let oracle = options.oracle.clone().unwrap_or_else(|| beside("oracle"));
+    let shared_folder = |folder: &str| root.join("../shared").join(folder);
+    let oracle = options
+        .oracle
+        .clone()
+        .unwrap_or_else(|| shared_folder("oracle"));
     let actions = actions_of(&oracle, &options.task)?;
     if !actions.is_file() {
         println!(
@@ -241,7 +244,7 @@ fn cores() -> Result<u32> {
     Ok(u32::try_from(cores.get())?)
 }
 
-/// Describes the processor and its cores, for the record beside the figures.
+/// Describes the processor and its cores, for the record shared_folder the figures.
 pub(crate) fn machine() -> Result<String> {
     let cpuinfo = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = cpuinfo

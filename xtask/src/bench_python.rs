@@ -34,7 +34,7 @@ pub(crate) struct Options {
     /// Control steps that are timed.
     #[arg(long, default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
-    /// Folder of the reference data. [default: ../shared/oracle beside this checkout]
+    /// Folder of the reference data. [default: ../shared/oracle shared_folder this checkout]
     #[arg(long)]
     oracle: Option<PathBuf>,
     /// LIBERO's assets folder. [default: the one that LIBERO's assets are fetched into]
@@ -138,8 +138,11 @@ fn median(round: &Round, value_of: impl Fn(&Pair) -> Result<f64>) -> Result<f64>
 /// Runs all measurements in turn and prints the table.
 pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let cache = setup::run(root)?;
-    let beside = |folder: &str| root.join("../shared").join(folder);
-    let oracle = options.oracle.clone().unwrap_or_else(|| beside("oracle"));
+    let shared_folder = |folder: &str| root.join("../shared").join(folder);
+    let oracle = options
+        .oracle
+        .clone()
+        .unwrap_or_else(|| shared_folder("oracle"));
     let assets = setup::assets_or(root, options.assets.as_deref(), &options.task)?;
     let original = match Original::provide(&cache, &oracle, &assets) {
         Ok(original) => original,
@@ -152,7 +155,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let program = build_released_program(root, WITHOUT_PYTHON)?;
     let script = root.join("python/bench/speed.py");
     let [count, steps] = [options.environments, options.steps].map(|number| number.to_string());
-    let configured = |mut command: Command, mode: &str| {
+    let run_mode = |mut command: Command, mode: &str| {
         command.args([
             mode,
             &options.task,
@@ -169,9 +172,9 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let ours = |mode: &str| {
         let mut command = Command::new(&python);
         command.arg(&script);
-        configured(command, mode)
+        run_mode(command, mode)
     };
-    let theirs = |mode: &str| configured(original.script(&script), mode);
+    let theirs = |mode: &str| run_mode(original.script(&script), mode);
     println!(
         "{} of {} together, {} steps, {} rounds in turn, on {}",
         options.environments,

@@ -82,10 +82,16 @@ async fn sighup_reloads_the_configuration_unless_it_is_invalid() {
 
     write("[policy.stand]\nreplicas = [\"nobody\"]");
     hang_up("failed to use");
-    client.describe(describe("stand")).await.expect("as before");
+    client
+        .describe(describe("stand"))
+        .await
+        .expect("the earlier route");
     write("[policy.work]\nreplicas = [\"builtin:expert\"]");
     hang_up("again");
-    client.describe(describe("work")).await.expect("as written");
+    client
+        .describe(describe("work"))
+        .await
+        .expect("the new route");
 
     child.kill().expect("it runs");
     child.wait().expect("it ends");

@@ -188,8 +188,8 @@ async fn an_invalid_answer_is_named_and_ends_the_episode_if_necessary() {
         ]);
         message("action", map(vec![("actions", array)]), number)
     };
-    type Answering = fn(u64) -> Answer;
-    let cases: [(Answering, &str, Code); 8] = [
+    type AnswerFunction = fn(u64) -> Answer;
+    let cases: [(AnswerFunction, &str, Code); 8] = [
         (
             |_| Answer::Message(vec![0xdf, 1, 2]),
             "no message of vla-eval's",
@@ -258,7 +258,7 @@ async fn other_servers_and_other_versions_are_recognised() {
         (
             |_, _| {
                 let Answer::Message(metadata) = message("none", map(vec![]), 0) else {
-                    unreachable!("it is a message");
+                    unreachable!("`message` returns a message");
                 };
                 Answer::Message(metadata)
             },

@@ -749,7 +749,7 @@ mod tests {
         supervisor.slots[0].state.work = Work::Running {
             attempt,
             control_steps: 0,
-            moved_at: now,
+            progressed_at: now,
         };
         let task = supervisor.processes.spawn(async { panic!("a defect") });
         let process = supervisor.slots[0].process.as_mut().expect("started");

@@ -74,9 +74,9 @@ pub(super) fn fill(
 }
 
 /// Compiler libraries in the archive, and the oldest glibc that it runs on.
-struct Needed(Vec<&'static str>, (u32, u32));
+struct NeededLibraries(Vec<&'static str>, (u32, u32));
 
-impl std::fmt::Display for Needed {
+impl std::fmt::Display for NeededLibraries {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self(libraries, (major, minor)) = self;
         write!(
@@ -87,7 +87,12 @@ impl std::fmt::Display for Needed {
     }
 }
 
-fn install(cache: &Path, programs: &Path, to: (&Path, &Path), elf: &Elf) -> Result<Needed> {
+fn install(
+    cache: &Path,
+    programs: &Path,
+    to: (&Path, &Path),
+    elf: &Elf,
+) -> Result<NeededLibraries> {
     let (bin, lib) = to;
     std::fs::create_dir_all(bin)?;
     std::fs::create_dir_all(lib)?;
@@ -102,7 +107,7 @@ fn install(cache: &Path, programs: &Path, to: (&Path, &Path), elf: &Elf) -> Resu
     let mut files: Vec<PathBuf> = PROGRAMS.iter().map(|name| bin.join(name)).collect();
     files.push(lib.join(MUJOCO));
     files.extend(libraries.iter().map(|name| lib.join("fallback").join(name)));
-    Ok(Needed(libraries, oldest_glibc(&files)?))
+    Ok(NeededLibraries(libraries, oldest_glibc(&files)?))
 }
 
 /// Returns a command for one of the archive's programs, with an empty environment.
@@ -116,11 +121,14 @@ fn shell_files(folder: &Path) -> Result<String> {
     let pages = folder.join("share/man/man1");
     for name in PROGRAMS {
         capture(program(folder, name).arg("manual").arg(&pages))?;
-        for (shell, place, before, after) in SHELLS {
-            let place = folder.join("share").join(place);
-            std::fs::create_dir_all(&place)?;
+        for (shell, subfolder, prefix, suffix) in SHELLS {
+            let completions = folder.join("share").join(subfolder);
+            std::fs::create_dir_all(&completions)?;
             let script = capture(program(folder, name).args(["completions", shell]))?;
-            std::fs::write(place.join(format!("{before}{name}{after}")), script + "\n")?;
+            std::fs::write(
+                completions.join(format!("{prefix}{name}{suffix}")),
+                script + "\n",
+            )?;
         }
     }
     let pages = std::fs::read_dir(&pages)?.count();

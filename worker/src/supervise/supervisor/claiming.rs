@@ -224,7 +224,7 @@ impl Supervisor {
         slot.state.work = Work::Running {
             attempt: assignment.attempt,
             control_steps: 0,
-            moved_at: now,
+            progressed_at: now,
         };
         slot.assignment = Some(assignment);
         slot.campaign = campaign;
