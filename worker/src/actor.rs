@@ -146,8 +146,8 @@ pub trait Actor {
     fn end(&mut self, _session: PolicySession<'_>) {}
 
     /// Returns the actions for one observation: between one and `horizon`, finite, not yet clipped.
-    /// `under_way` holds the commands executed until the answer is due; `None` if the actor
-    /// does not receive them.
+    /// `under_way` holds the commands executed while the answer is computed; `None` if the
+    /// actor does not receive them.
     ///
     /// # Errors
     /// If the actor does not answer, or its answer is not a valid chunk of actions.

@@ -127,19 +127,19 @@ fn picture(
 ) -> Result<RgbImage, PreviewError> {
     let mut episode = simulator.begin(row, request.realisation)?;
     episode.settle()?;
-    let moves = matches!(
+    let has_motion = matches!(
         row.id.condition(),
         Condition::Single(Axis::Actuation) | Condition::Combination
     );
-    if moves {
+    if has_motion {
         for step in 0..MOTION_STEPS {
             episode.step(&motion(step))?;
         }
     }
-    Ok(upright(&mut episode)?)
+    Ok(upright_view(&mut episode)?)
 }
 
-fn upright(episode: &mut Episode<'_>) -> Result<RgbImage, SimError> {
+fn upright_view(episode: &mut Episode<'_>) -> Result<RgbImage, SimError> {
     let camera = CameraRequest {
         name: "agentview".to_owned(),
         width: FRAME,

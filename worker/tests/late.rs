@@ -55,10 +55,10 @@ impl Actor for SensitivePolicy {
         }
         self.rtc_queries.extend(under_way.cloned());
         let position = &observation.state[0].values;
-        let action = |place: usize| {
+        let action = |index: usize| {
             let mut action = [0.0; 7];
             for (axis, number) in action.iter_mut().enumerate() {
-                let mixed = position[axis % 3] * 1e4 * (1.0 + axis as f64 + place as f64);
+                let mixed = position[axis % 3] * 1e4 * (1.0 + axis as f64 + index as f64);
                 // Answers are transmitted as 32-bit numbers.
                 *number = f64::from((mixed.fract() * 0.9) as f32);
             }

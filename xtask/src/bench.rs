@@ -39,7 +39,7 @@ pub(crate) struct Compare {
     #[arg(long, default_value = "software")]
     renderer: String,
     /// Folder of the reference data, with its `tools` and `contact`. [default:
-    /// ../shared/oracle shared_folder this checkout]
+    /// ../shared/oracle beside this checkout]
     #[arg(long)]
     oracle: Option<PathBuf>,
     /// LIBERO's assets folder. [default: the one that LIBERO's assets are fetched
@@ -244,7 +244,7 @@ fn cores() -> Result<u32> {
     Ok(u32::try_from(cores.get())?)
 }
 
-/// Describes the processor and its cores, for the record shared_folder the figures.
+/// Describes the processor and its cores, for the record beside the figures.
 pub(crate) fn machine() -> Result<String> {
     let cpuinfo = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = cpuinfo

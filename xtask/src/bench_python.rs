@@ -34,7 +34,7 @@ pub(crate) struct Options {
     /// Control steps that are timed.
     #[arg(long, default_value_t = 30, value_parser = clap::value_parser!(u32).range(1..))]
     steps: u32,
-    /// Folder of the reference data. [default: ../shared/oracle shared_folder this checkout]
+    /// Folder of the reference data. [default: ../shared/oracle beside this checkout]
     #[arg(long)]
     oracle: Option<PathBuf>,
     /// LIBERO's assets folder. [default: the one that LIBERO's assets are fetched into]

@@ -131,9 +131,9 @@ impl Replica {
     /// Returns true if a new replica with these settings would be the same. Never true with access
     /// files, whose content may have changed.
     pub fn has_settings(&self, spec: &BackendSpec, route: &RouteSpec) -> bool {
-        let made = (spec, &self.access, route.answer_within, route.batching);
+        let settings = (spec, &self.access, route.answer_within, route.batching);
         self.access == AccessFiles::default()
-            && made == (&self.spec, &route.access, self.answer_within, self.batching)
+            && settings == (&self.spec, &route.access, self.answer_within, self.batching)
     }
 
     /// Returns the number of queries in flight.
@@ -158,7 +158,7 @@ impl Replica {
 
     /// Returns the longest time of a query in the queue: 55 s if answers may take 50 s, which is
     /// below a worker's 60 s.
-    fn patience(&self) -> Duration {
+    fn queue_timeout(&self) -> Duration {
         self.answer_within * 11 / 10
     }
 
@@ -171,7 +171,7 @@ impl Replica {
     /// known.
     pub fn capacity(&self) -> Option<usize> {
         let execute = self.execute.load(Ordering::Relaxed);
-        Some(capacity(self.patience(), execute, self.per_query()?))
+        Some(capacity(self.queue_timeout(), execute, self.per_query()?))
     }
 
     /// Returns true if only probes are sent to the server.
@@ -256,7 +256,11 @@ impl Replica {
         let guard = self.admit(call)?;
         let answer = match self.batch_size.load(Ordering::Relaxed) {
             1 => self.infer_alone(call, request).await,
-            size => self.batcher.infer(request, size, self.patience()).await,
+            size => {
+                self.batcher
+                    .infer(request, size, self.queue_timeout())
+                    .await
+            }
         };
         let answer = self.record_health(answer);
         if !matches!(&answer, Err(error) if is_no_evidence(error)) {
@@ -305,7 +309,7 @@ impl Replica {
         call: Call<'_>,
         request: InferRequest,
     ) -> Result<InferResponse, BackendError> {
-        let patience = self.patience();
+        let patience = self.queue_timeout();
         let Ok(_turn) = tokio::time::timeout(patience, self.calls.acquire()).await else {
             return Err(BackendError::Crowded {
                 backend: self.to_string(),

@@ -115,7 +115,7 @@ async fn play(batching: Batching) -> (usize, String) {
             for query_index in 0..3 {
                 let answer = client.infer(infer("x", &session, query_index)).await;
                 if number == 3 {
-                    let status = answer.expect_err("it fails alone");
+                    let status = answer.expect_err("an error of this session only");
                     assert_eq!(status.code(), Code::Internal, "{status}");
                     assert!(status.message().contains("KeyError: 3"), "{status}");
                 } else {

@@ -71,7 +71,7 @@ pub(super) struct SlotMemory {
 /// simulated policy is queried every `execute` steps and answers after `answer_after`.
 ///
 /// # Errors
-/// If the task cannot be simulated or drawn, or a report cannot be sent to the parent.
+/// If the task cannot be simulated or rendered, or a report cannot be sent to the parent.
 pub fn count(
     config: SimulatorConfig,
     task: TaskRef,

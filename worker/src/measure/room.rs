@@ -32,17 +32,17 @@ fn available_below(root: &Path) -> Result<u64, MeasureError> {
     let machine = machine.ok_or(MeasureError::Memory { field, file })?;
     let groups = fs::read_to_string(root.join("proc/self/cgroup")).unwrap_or_default();
     let base = root.join("sys/fs/cgroup");
-    let left = group_folders(root, &groups)
+    let limits = group_folders(root, &groups)
         .into_iter()
         .filter_map(|folder| {
             // The limits of all parent groups apply too. In a container, folders below the first
             // may be missing, because the path is the host's.
-            let above = folder
+            let parents = folder
                 .ancestors()
                 .take_while(|ancestor| ancestor.starts_with(&base));
-            above.filter_map(remaining_memory).min()
+            parents.filter_map(remaining_memory).min()
         });
-    Ok(left.fold(machine, u64::min))
+    Ok(limits.fold(machine, u64::min))
 }
 
 /// Returns the bytes that a control group may still take; `None` without a limit.

@@ -123,7 +123,7 @@ impl Audit {
                     case.name(),
                     case.group().unwrap_or_default(),
                     difficulty.as_deref().unwrap_or("-"),
-                    needs(case),
+                    archive_files(case),
                 );
             }
         }
@@ -132,7 +132,7 @@ impl Audit {
 }
 
 /// Lists the files of LIBERO-Plus' archive that a variant needs.
-fn needs(case: &Case) -> String {
+fn archive_files(case: &Case) -> String {
     let Subject::Plus(Entry {
         class: Some(class), ..
     }) = case.subject
