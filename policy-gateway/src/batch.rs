@@ -168,7 +168,7 @@ mod tests {
     #[test]
     fn a_single_query_is_sent_after_the_longest_wait() {
         let (mut queue, now) = (Queue::default(), Instant::now());
-        queue.push("a", now).expect("room");
+        queue.push("a", now).expect("space in the queue");
         assert_eq!(queue.next(2, now), Next::WaitUntil(now + MAX_WAIT));
         assert_eq!(queue.next(2, now + MAX_WAIT), Next::Send(vec!["a"]));
     }
@@ -177,7 +177,7 @@ mod tests {
     fn during_a_batch_only_one_more_full_batch_is_sent() {
         let (mut queue, now) = (Queue::default(), Instant::now());
         for query in 0..7 {
-            queue.push(query, now).expect("room");
+            queue.push(query, now).expect("space in the queue");
         }
         let late = now + 10 * MAX_WAIT;
         assert_eq!(queue.next(3, now), Next::Send(vec![0, 1, 2]));

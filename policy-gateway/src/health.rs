@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use policy_backends::{Cause, told::told};
 use rollout_types::Waits;
 
-/// Waits for a server that could not be reached: one that recovers is in use again within the
+/// Waits for a server that could not be reached: a recovered server is in use again within the
 /// longest wait.
 pub const WAITS: Waits = Waits {
     first: Duration::from_millis(100),
@@ -354,7 +354,7 @@ mod tests {
             prop_assert!(health.admit(Call::InSession("probe"), now).is_ok());
             health.failed(cause.clone(), now);
             let refusal = health.admit(Call::InSession("probe"), now);
-            let (refused, wait) = refusal.expect_err("a failure");
+            let (refused, wait) = refusal.expect_err("a wait");
             let Waits { first, longest } = waits(&cause);
             prop_assert_eq!(refused, cause);
             prop_assert!((first..=longest).contains(&wait), "{:?}", wait);

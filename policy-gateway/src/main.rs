@@ -349,8 +349,8 @@ async fn exit_code_of(
     })
 }
 
-/// Prints a line, without control sequences, because servers choose parts of it. Ignores a closed
-/// pipe (`| head`), because the exit code still reports the outcome.
+/// Prints a line, without control sequences, because parts of the line come from servers. Ignores
+/// a closed pipe (`| head`), because the exit code still reports the outcome.
 fn print_line(line: &dyn Display) {
     drop(terminal::print_line(&line.to_string()));
 }

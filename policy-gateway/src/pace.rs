@@ -2,8 +2,9 @@
 //! pure: callers pass in the time. [`Watch`] applies it to calls.
 //!
 //! A server with a long queue takes long for each query without being silent, because it answers
-//! others meanwhile. So a call has failed only if the server answered no query at all for the
-//! longest allowed time since the call was sent. Time in the gateway's own queue does not count.
+//! other queries meanwhile. So a call has failed only if the server answered no query at all for
+//! the longest allowed time since the call was sent. Time in the gateway's own queue does not
+//! count.
 
 use std::{
     collections::VecDeque,

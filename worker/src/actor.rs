@@ -12,8 +12,8 @@ use transport::{AccessError, EndpointError};
 /// One control step's action, each number in [-1, 1].
 pub type Action = [f64; ACTION_WIDTH];
 
-/// Reason why a policy gave no usable answer. The message is a whole sentence; campaigns show it
-/// beside its rollout, so it names neither rollout nor session.
+/// Reason why a policy gave no usable answer. The message is a whole sentence; campaigns show
+/// the message beside the rollout, so it names neither rollout nor session.
 #[derive(Debug, thiserror::Error)]
 pub enum PolicyError {
     #[error("a policy cannot be called: failed to {0}")]

@@ -37,7 +37,7 @@ use worker::supervise::{self, Config, Identity};
 use worker::{assets, film, measure, preview, rescue, single, slot, variants};
 
 /// Compiled scenes that a slot caches. The coordinator leases jobs of one task together, so two
-/// are enough; with LIBERO's assets each takes some hundred MB unless it is mapped from a file.
+/// are enough; with LIBERO's assets each scene takes some hundred MB unless mapped from a file.
 const CACHED_SCENES: usize = 2;
 /// Capacity of the queue of shutdown requests: a third request has no effect.
 const SHUTDOWN_QUEUE: usize = 2;

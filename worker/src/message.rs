@@ -22,7 +22,7 @@ use crate::actor::{PolicyError, PolicySession};
 pub const MAX_LINE_BYTES: u64 = 1 << 20;
 
 /// Identifies an episode to the policy. The attempt alone makes it unique; rollout and replicate
-/// are there for readers.
+/// are for display.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Session(String);
@@ -162,8 +162,8 @@ pub struct Finished {
 /// hex.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Evidence {
-    /// Name that the renderer reports; campaigns give it even for rollouts without a frame. Empty
-    /// if no renderer was opened.
+    /// Name that the renderer reports, in campaigns even for rollouts without a frame. Empty if no
+    /// renderer was opened.
     pub renderer: String,
     /// See [`sim::fingerprint`]; empty if no renderer was opened.
     pub fingerprint: String,

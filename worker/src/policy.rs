@@ -285,7 +285,7 @@ mod tests {
 
     #[test]
     fn a_description_is_read() {
-        let read = read_description(description()).expect("sound");
+        let read = read_description(description()).expect("a valid description");
         assert_eq!((read.horizon, read.execute), (10, 5));
         assert_eq!(read.state, [StateField::EefPos, StateField::GripperPos]);
     }

@@ -97,7 +97,7 @@ enum Bench {
         #[arg(long)]
         release: bool,
     },
-    /// The simulator on one task, beside MuJoCo alone.
+    /// The simulator on one task, compared with MuJoCo alone.
     Sim {
         /// Passed on: --task SUITE/N [--assets PACK_OR_PATH] [--steps N].
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]

@@ -71,9 +71,9 @@ struct Simulated {
 }
 
 impl Simulated {
-    /// Waits until a batch has been computed. A batch that arrives during another one starts when
-    /// that one ends, even if the timer fires late, since a real server does not compute batches on
-    /// the thread that receives them.
+    /// Waits until a batch has been computed. A batch that arrives during another batch starts at
+    /// the end of the earlier batch, even if the timer fires late, since a real server does not
+    /// compute batches on the thread that receives them.
     async fn compute(&self) {
         if self.options.stalled {
             std::future::pending::<()>().await;

@@ -31,7 +31,7 @@ fn paths() -> Vec<(String, bool)> {
     assert_eq!(
         paths.len(),
         13,
-        "the service's definition is not understood"
+        "the calls of the service definition are incomplete"
     );
     paths
 }

@@ -1,5 +1,6 @@
-//! Policy servers with TLS and tokens: the right credentials let the gateway in, wrong ones are
-//! reported with a remedy, and none is ever logged. The server is the real program.
+//! Policy servers with TLS and tokens: a gateway with valid credentials is accepted, invalid
+//! credentials are reported with a remedy, and no credential is logged. The server is the real
+//! program.
 
 use std::{
     io::{BufRead, BufReader, Read},
@@ -82,8 +83,8 @@ struct Server {
 impl Server {
     /// Stops the server and returns its log.
     fn log(mut self) -> String {
-        self.child.kill().expect("it runs");
-        self.child.wait().expect("it ends");
+        self.child.kill().expect("the program runs");
+        self.child.wait().expect("the program ends");
         let mut log = String::new();
         let stderr = self.child.stderr.take().expect("stderr is piped");
         { stderr }.read_to_string(&mut log).expect("UTF-8");

@@ -26,7 +26,10 @@ struct CommandOutput {
 async fn run_to_end(arguments: &[&str]) -> CommandOutput {
     let mut command = program(arguments);
     let output = tokio::task::spawn_blocking(move || command.output());
-    let output = output.await.expect("it runs").expect("the program starts");
+    let output = output
+        .await
+        .expect("the program runs")
+        .expect("the program starts");
     CommandOutput {
         status: output.status.code(),
         stdout: String::from_utf8(output.stdout).expect("UTF-8"),
@@ -248,7 +251,7 @@ async fn recorded_observations_replace_synthetic_ones() {
     assert!(lacking.stderr.contains("JOINT_POS"), "{}", lacking.stderr);
 }
 
-/// A text that sets the clipboard, and reads backwards, on terminals that obey it.
+/// Text with control sequences that set a terminal's clipboard and reverse the reading direction.
 const HOSTILE: &str = "a\u{202e}b\x1b]52;c;cm0gLXJm\x07c\r\u{9b}2K";
 
 /// Returns a policy whose description and errors contain the text.

@@ -93,8 +93,8 @@ async fn sighup_reloads_the_configuration_unless_it_is_invalid() {
         .await
         .expect("the new route");
 
-    child.kill().expect("it runs");
-    child.wait().expect("it ends");
+    child.kill().expect("the program runs");
+    child.wait().expect("the program ends");
 }
 
 #[test]
@@ -158,9 +158,9 @@ fn a_check_with_a_closed_pipe_exits_with_its_verdict() {
         .spawn()
         .expect("the program starts");
     drop(check.stdout.take());
-    let ended = check.wait().expect("it ends");
-    server.kill().expect("it runs");
-    server.wait().expect("it ends");
+    let ended = check.wait().expect("the program ends");
+    server.kill().expect("the program runs");
+    server.wait().expect("the program ends");
     assert!(ended.success(), "{ended}");
 }
 
@@ -218,8 +218,8 @@ async fn a_gateway_with_tokens_answers_workers_and_all_health_checks() {
         printed.contains("pass  the description can be true"),
         "{printed}"
     );
-    child.kill().expect("it runs");
-    child.wait().expect("it ends");
+    child.kill().expect("the program runs");
+    child.wait().expect("the program ends");
 }
 
 #[test]

@@ -87,8 +87,8 @@ async fn equal_rollouts_of_two_campaigns_get_their_own_answers() {
         }
     })
     .await;
-    gateway.kill().expect("it runs");
-    gateway.wait().expect("it ends");
+    gateway.kill().expect("the program runs");
+    gateway.wait().expect("the program ends");
     rollouts.expect("every rollout got its own answers");
 }
 

@@ -1,5 +1,5 @@
-//! vla-eval model servers with behaviour that real ones cannot be made to show.
-//! `policies/tests/test_vla_eval.py` tests the gateway with real ones.
+//! Scripted vla-eval model servers, with faults that real servers cannot be made to produce.
+//! `policies/tests/test_vla_eval.py` tests the gateway with real model servers.
 
 use std::{sync::Arc, time::Duration};
 
@@ -297,7 +297,9 @@ async fn a_late_answer_is_not_the_answer_to_another_query() {
     let (gateway, _) = reloadable(vec![spec]).await;
     let mut client = gateway.client().await;
     client.reset(reset("x", "s")).await.expect("an episode");
-    let late = query(&mut client, "s", 0).await.expect_err("silence");
+    let late = query(&mut client, "s", 0)
+        .await
+        .expect_err("no answer in time");
     assert_eq!(late.code(), Code::DeadlineExceeded, "{late}");
     // The connection of the query is closed; that of the description stays open.
     let mut events = vec![];

@@ -168,7 +168,9 @@ async fn expect_outage_after_the_limit(server: DelayedPolicy) {
     };
     let (gateway, _) = reloadable(vec![spec]).await;
     let mut client = gateway.client().await;
-    let late = one_query(&mut client, "butter").await.expect_err("silence");
+    let late = one_query(&mut client, "butter")
+        .await
+        .expect_err("no answer in time");
     assert_eq!(late.code(), Code::DeadlineExceeded);
     assert!(late.message().contains("within 0.3 s"), "{late}");
     let refused = one_query(&mut client, "milk").await.expect_err("out");

@@ -126,7 +126,7 @@ fn a_users_task_is_run_from_a_recording_and_again_from_its_trace() {
     };
     let (first, second) = (folder.path().join("first"), folder.path().join("second"));
     let finished = replay(&recording, &first);
-    assert_eq!(finished.result.steps, 6, "the budget, not the recording");
+    assert_eq!(finished.result.steps, 6, "the step budget ends the rollout");
     assert_eq!(finished.result.clipped_actions, 3);
     let expected = GoalProgress {
         predicates: 1,

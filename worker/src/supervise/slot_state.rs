@@ -539,7 +539,11 @@ mod tests {
         let mut slot = filming(now);
         let ended = slot.ended(now);
         assert_eq!((ended.rollout, ended.video), (None, Some(attempt(1))));
-        assert_eq!(slot.progress(), Some((attempt(1), 0)), "still delivered");
+        assert_eq!(
+            slot.progress(),
+            Some((attempt(1), 0)),
+            "the result is still being delivered"
+        );
         assert_eq!(slot.delivered(true), None);
         assert!(slot.is_done());
     }
@@ -553,7 +557,7 @@ mod tests {
         assert_eq!(
             slot.progress(),
             Some((attempt(1), 290)),
-            "nothing is filmed"
+            "no video is being made"
         );
         assert!(slot.rollout_ended(attempt(1), true, now));
         slot.filming_advanced(attempt(1), 300, now);

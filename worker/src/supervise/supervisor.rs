@@ -70,7 +70,7 @@ pub(super) struct Supervisor {
     shutdown_requested_at: Option<Instant>,
     /// Start of the idle time. Outages of the coordinator do not count as idle.
     idle_since: Instant,
-    /// Reason why the worker ends, unless it was asked to.
+    /// Reason why the worker ends, unless it was asked to end.
     fault: Option<SuperviseError>,
     is_heartbeat_in_flight: bool,
     /// True if a lease was taken that no heartbeat has named yet: the first heartbeat acknowledges
@@ -711,7 +711,7 @@ mod tests {
         let now = Instant::now();
         assert!(
             supervisor.carry_out_decisions(now),
-            "more are to be started"
+            "further processes are to be started"
         );
         let is_started = |slot: &&Slot| slot.process.is_some();
         let started = |parent: &Supervisor| parent.slots.iter().filter(is_started).count();

@@ -168,10 +168,10 @@ mod tests {
         let crates = shipped(&crate::root()).expect("cargo's metadata");
         let named = |name: &str| crates.iter().any(|part| part.name == name);
         assert!(named("tokio") && named("openh264-sys2") && named("libsqlite3-sys"));
-        assert!(!named("serde_derive"), "a macro");
-        assert!(!named("cc"), "for build scripts");
-        assert!(!named("proptest"), "for tests");
-        assert!(!named("worker"), "our own");
+        assert!(!named("serde_derive"), "a procedural macro");
+        assert!(!named("cc"), "a build dependency");
+        assert!(!named("proptest"), "a test dependency");
+        assert!(!named("worker"), "a crate of this workspace");
         for part in &crates {
             assert_eq!(
                 part.checksum.as_deref().map(str::len),
