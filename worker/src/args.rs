@@ -15,7 +15,7 @@ use sim::Renderer;
 use terminal::{number, number_from, seconds};
 use transport::{ClientArguments, EndpointError, parse_endpoint};
 
-use crate::variants::{Choice, Manner};
+use crate::variants::{Choice, RunOptions};
 
 /// Longest name of a machine, bytes.
 const MAX_MACHINE_BYTES: usize = 128;
@@ -358,7 +358,7 @@ pub struct VariantsArguments {
     pub choice: Choice,
     /// Protocol and options of the run.
     #[command(flatten)]
-    pub manner: Manner,
+    pub options: RunOptions,
     /// URL of the policy, or of a gateway
     #[arg(long, value_name = "URL", value_parser = server_url, requires = "output")]
     pub endpoint: Option<String>,

@@ -307,10 +307,12 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
 }
 
 fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
-    let VariantsArguments { choice, manner, .. } = &arguments;
+    let VariantsArguments {
+        choice, options, ..
+    } = &arguments;
     let selection = choice.selection();
     let benchmark = selection.benchmark();
-    let protocol = manner.protocol_of(benchmark)?;
+    let protocol = options.protocol_of(benchmark)?;
     let mut simulator = open(&arguments.simulator)?;
     let is_folder = !simulator.pack.is_managed() && simulator.pack.name() == LIBERO;
     if benchmark == Benchmark::Pro && is_folder {
@@ -320,12 +322,12 @@ fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
     let audit = variants::Audit::new(selection.cases()?, &simulator.pack, &simulator.sources)?;
     let print = |text: &str| terminal::print(text).context("print to standard output");
     let (Some(endpoint), Some(output)) = (&arguments.endpoint, &arguments.output) else {
-        return match manner.list {
+        return match options.list {
             true => print(&audit.list()),
             false => print(&audit.report()),
         };
     };
-    if !manner.runnable {
+    if !options.runnable {
         audit.require_all()?;
     }
     print(&audit.report())?;
@@ -334,7 +336,7 @@ fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
     let assign = |row: ManifestRow, folder: &Path| Assignment {
         policy: arguments.policy.clone().unwrap_or_default(),
         policy_endpoint: endpoint.clone(),
-        video: manner.video.then(|| VideoRequest {
+        video: options.video.then(|| VideoRequest {
             file: folder.join("video.mp4"),
             of: VideoOf::Everything,
         }),
@@ -346,7 +348,7 @@ fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
         protocol,
         cases,
         output,
-        video: manner.video,
+        video: options.video,
         assign: &assign,
     };
     let tally = run.run(simulator, &mut actor, &mut |line| tracing::info!("{line}"))?;

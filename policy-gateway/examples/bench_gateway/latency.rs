@@ -38,15 +38,21 @@ pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
     for _ in 0..=measure.rounds {
         let queries = first_query..first_query + measure.rate * measure.secs as u32;
         first_query = queries.end;
-        let alone = open_loop(&direct, measure.rate, secs, queries.start).await?;
-        let with = open_loop(&through, measure.rate, secs, queries.start).await?;
-        rounds.push((alone, with));
+        let direct_latencies = open_loop(&direct, measure.rate, secs, queries.start).await?;
+        let gateway_latencies = open_loop(&through, measure.rate, secs, queries.start).await?;
+        rounds.push((direct_latencies, gateway_latencies));
     }
     let counted = &rounds[1..];
     let percentile_summary = |share: f64| {
-        let at = |latencies: &[Duration]| percentile_millis(latencies, share);
-        let direct: Vec<_> = counted.iter().map(|(alone, _)| at(alone)).collect();
-        let through: Vec<_> = counted.iter().map(|(_, with)| at(with)).collect();
+        let percentile = |latencies: &[Duration]| percentile_millis(latencies, share);
+        let direct: Vec<_> = counted
+            .iter()
+            .map(|(direct_latencies, _)| percentile(direct_latencies))
+            .collect();
+        let through: Vec<_> = counted
+            .iter()
+            .map(|(_, gateway_latencies)| percentile(gateway_latencies))
+            .collect();
         let pairs = direct.iter().zip(&through);
         let added: Vec<_> = pairs.map(|(direct, through)| through - direct).collect();
         json!({
@@ -94,8 +100,8 @@ async fn open_loop(
         });
     }
     let mut latencies = Vec::new();
-    while let Some(asked) = under_way.join_next().await {
-        latencies.push(asked??);
+    while let Some(latency) = under_way.join_next().await {
+        latencies.push(latency??);
     }
     ticker.join().expect("the ticker does not panic");
     Ok(latencies)

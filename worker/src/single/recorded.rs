@@ -130,7 +130,7 @@ impl Actor for RecordedActions {
 fn read_actions(path: &Path) -> Result<Vec<Action>, String> {
     let open = || File::open(path).map(BufReader::new);
     let open = || open().map_err(|error| error.to_string());
-    match path.extension().and_then(|ending| ending.to_str()) {
+    match path.extension().and_then(|extension| extension.to_str()) {
         Some("npz") => {
             let mut archive = ZipArchive::new(open()?).map_err(|error| error.to_string())?;
             let array = archive.by_name("actions.npy");

@@ -97,7 +97,7 @@ async fn tasks_that_a_pack_cannot_show_are_named_and_not_claimed() {
         .args(["--connect", &coordinator.url(), "--assets"])
         .arg(&pack);
     let worker = WorkerProcess::start_command(&mut worker);
-    coordinator.claimed(1).await;
+    coordinator.wait_for_claims(1).await;
     let claim = &coordinator.claims()[0];
     assert_eq!(
         lacking(claim, ""),

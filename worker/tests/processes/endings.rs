@@ -24,7 +24,7 @@ async fn busy_worker_with(
         .replace("\"max_steps\":24", "\"max_steps\":80");
     coordinator.lease(long);
     let worker = WorkerProcess::start_with(&coordinator.url(), arguments);
-    coordinator.progressed(1, 10).await;
+    coordinator.wait_for_progress(1, 10).await;
     (worker, coordinator, policy)
 }
 
@@ -104,9 +104,9 @@ async fn a_draining_worker_withdraws_its_claim() {
     }
     let coordinator = ScriptedCoordinator::start().await;
     let worker = WorkerProcess::start(&coordinator.url());
-    coordinator.claimed(1).await;
+    coordinator.wait_for_claims(1).await;
     worker.signal("TERM");
-    coordinator.claim_withdrawn().await;
+    coordinator.wait_for_withdrawn_claim().await;
     worker.ended();
     assert_eq!(coordinator.claims().len(), 1);
     assert_eq!(
@@ -123,7 +123,7 @@ async fn an_idle_worker_ends_at_once_and_leaves_no_process() {
     }
     let coordinator = ScriptedCoordinator::start().await;
     let worker = WorkerProcess::start(&coordinator.url());
-    coordinator.claimed(1).await;
+    coordinator.wait_for_claims(1).await;
     let slots = worker.slots();
     assert_eq!(coordinator.signed_off(), [""; 0]);
     worker.terminated();

@@ -202,7 +202,7 @@ async fn an_outcome_is_kept_until_the_coordinator_is_back() {
     let policy = ScriptedPolicy::start().await;
     coordinator.lease(lease(1, "slow", &policy.url()));
     let worker = WorkerProcess::start(&coordinator.url());
-    coordinator.progressed(1, 10).await;
+    coordinator.wait_for_progress(1, 10).await;
     coordinator.stop();
     // Three answers take 200 ms each, so the rollout ends during the outage.
     tokio::time::sleep(std::time::Duration::from_secs(3)).await;

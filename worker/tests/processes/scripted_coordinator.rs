@@ -156,7 +156,7 @@ impl ScriptedCoordinator {
     }
 
     /// Waits until this number of videos were refused.
-    pub(crate) async fn refused_artifacts(&self, times: u32) {
+    pub(crate) async fn wait_for_refused_artifacts(&self, times: u32) {
         self.wait_for("videos", |state| {
             (state.refused_artifacts >= times).then_some(())
         })
@@ -187,7 +187,7 @@ impl ScriptedCoordinator {
     }
 
     /// Waits until a claim was withdrawn before it was answered.
-    pub(crate) async fn claim_withdrawn(&self) {
+    pub(crate) async fn wait_for_withdrawn_claim(&self) {
         self.wait_for("a withdrawn claim", |state| {
             (state.claims_withdrawn > 0).then_some(())
         })
@@ -201,7 +201,7 @@ impl ScriptedCoordinator {
     }
 
     /// Waits until a heartbeat reports at least this number of control steps of a job.
-    pub(crate) async fn progressed(&self, job: i64, control_steps: u32) {
+    pub(crate) async fn wait_for_progress(&self, job: i64, control_steps: u32) {
         self.wait_for("progress", |state| {
             let is_far_enough = |progress: &&Progress| {
                 progress.attempt_id == attempt_id(job) && progress.control_steps >= control_steps
@@ -213,7 +213,7 @@ impl ScriptedCoordinator {
     }
 
     /// Waits until the last heartbeat reports that this number of videos are made or sent.
-    pub(crate) async fn films(&self, videos: u32) {
+    pub(crate) async fn wait_for_filming(&self, videos: u32) {
         self.wait_for("a heartbeat about videos", |state| {
             let last = state.heartbeats.last()?;
             (last.filming == videos).then_some(())
@@ -228,7 +228,7 @@ impl ScriptedCoordinator {
     }
 
     /// Waits until the worker has requested work this number of times.
-    pub(crate) async fn claimed(&self, times: usize) {
+    pub(crate) async fn wait_for_claims(&self, times: usize) {
         self.wait_for("claims", |state| {
             (state.claims.len() >= times).then_some(())
         })
@@ -261,7 +261,11 @@ impl ScriptedCoordinator {
         self.service.change(change);
     }
 
-    async fn wait_for<T>(&self, what: &str, mut probe: impl FnMut(&State) -> Option<T>) -> T {
+    async fn wait_for<T>(
+        &self,
+        expectation: &str,
+        mut probe: impl FnMut(&State) -> Option<T>,
+    ) -> T {
         let mut changes = self.service.changed.subscribe();
         let waiting = async {
             loop {
@@ -277,7 +281,7 @@ impl ScriptedCoordinator {
         match tokio::time::timeout(PATIENCE, waiting).await {
             Ok(found) => found,
             Err(_) => panic!(
-                "waited {PATIENCE:?} for {what}; received {:#?}",
+                "waited {PATIENCE:?} for {expectation}; received {:#?}",
                 self.messages()
             ),
         }

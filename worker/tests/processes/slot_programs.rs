@@ -85,7 +85,7 @@ async fn a_crash_while_filming_leaves_the_result_committed_and_charges_nobody() 
         let commit = coordinator.message(job as usize).await.commit();
         assert_eq!(commit.attempt_id, attempt_id(job));
     }
-    coordinator.claimed(3).await;
+    coordinator.wait_for_claims(3).await;
     let log = worker.terminated();
     assert!(log.contains("SIGSEGV"), "{log}");
     assert_eq!(coordinator.messages().len(), 3, "no release");
