@@ -50,7 +50,7 @@ impl Gateway {
         })
     }
 
-    /// Applies `config` to new sessions; open sessions stay where they are.
+    /// Applies `config` to new sessions; open sessions keep their replicas.
     ///
     /// # Errors
     /// See [`UnusableBackend`]; earlier routes may then have changed already.
@@ -63,8 +63,8 @@ impl Gateway {
             }
         }
         for route in routes.iter() {
-            let stays = |spec: &RouteSpec| &spec.name == route.name();
-            if !config.routes().iter().any(stays) {
+            let is_configured = |spec: &RouteSpec| &spec.name == route.name();
+            if !config.routes().iter().any(is_configured) {
                 route.retire();
             }
         }

@@ -293,7 +293,7 @@ impl Replica {
             None => error,
             Some(cause) => {
                 if was_up {
-                    self.log_loss(&cause);
+                    self.log_outage(&cause);
                 }
                 BackendError::Sick {
                     backend: self.to_string(),
@@ -389,18 +389,18 @@ impl Replica {
 
     fn answered(&self, answered: Answered) {
         if self.health().answered(answered) {
-            tracing::info!(backend = %self, "policy server back");
+            tracing::info!(backend = %self, "policy server recovered");
         }
     }
 
     fn record_outage(&self, cause: Cause) {
         let cause = cause.told();
         if self.health().failed(cause.clone(), Instant::now()) {
-            self.log_loss(&cause);
+            self.log_outage(&cause);
         }
     }
 
-    fn log_loss(&self, cause: &Cause) {
+    fn log_outage(&self, cause: &Cause) {
         tracing::warn!(backend = %self, "policy server out, tried again with back-off: it {cause}");
     }
 

@@ -41,11 +41,11 @@ fn url(server: &Running) -> String {
     format!("grpc://{}", server.address)
 }
 
-fn flipping() -> Planted {
-    Planted::sound().preparing(|seen| seen.frames.iter_mut().for_each(upside_down))
+fn policy_with_flipped_frames() -> Planted {
+    Planted::sound().preparing(|input| input.frames.iter_mut().for_each(upside_down))
 }
 
-fn unopened() -> Planted {
+fn policy_with_shifted_gripper() -> Planted {
     Planted::sound().finishing(|actions| {
         actions
             .iter_mut()
@@ -55,8 +55,15 @@ fn unopened() -> Planted {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_exit_code_is_0_or_1_and_the_output_fits_80_columns() {
-    let (sound, flips) = (serve(Planted::sound()).await, serve(flipping()).await);
-    let (sound, flips, unopened) = (url(&sound), url(&flips), serve(unopened()).await);
+    let (sound, flips) = (
+        serve(Planted::sound()).await,
+        serve(policy_with_flipped_frames()).await,
+    );
+    let (sound, flips, unopened) = (
+        url(&sound),
+        url(&flips),
+        serve(policy_with_shifted_gripper()).await,
+    );
     let cases: [(&[&str], i32, &str, &str); 4] = [
         (
             &["compare", &sound, &sound],
@@ -83,7 +90,7 @@ async fn the_exit_code_is_0_or_1_and_the_output_fits_80_columns() {
             "faults found: see FAIL above",
         ),
     ];
-    for (arguments, status, holds, last) in cases {
+    for (arguments, status, expected_line, last) in cases {
         let ended = run_to_end(arguments).await;
         let CommandOutput {
             stdout: printed,
@@ -93,7 +100,7 @@ async fn the_exit_code_is_0_or_1_and_the_output_fits_80_columns() {
         assert_eq!(ended.status, Some(status), "{printed}{stderr}");
         let lines: Vec<&str> = printed.lines().collect();
         assert!(
-            lines.iter().any(|line| line.starts_with(holds)),
+            lines.iter().any(|line| line.starts_with(expected_line)),
             "{printed}"
         );
         assert_eq!(lines.last(), Some(&last), "{printed}");
@@ -104,12 +111,12 @@ async fn the_exit_code_is_0_or_1_and_the_output_fits_80_columns() {
 
 #[tokio::test]
 async fn unreachable_servers_exit_with_1_and_usage_errors_with_2() {
-    let nobody = unused_url().await;
-    let ask = ["compare", "builtin:noop", &nobody];
-    let unreachable = run_to_end(&ask).await;
+    let unused = unused_url().await;
+    let compare = ["compare", "builtin:noop", &unused];
+    let unreachable = run_to_end(&compare).await;
     assert_eq!(unreachable.status, Some(1));
     assert!(unreachable.stdout.is_empty());
-    let words = format!("failed to get an answer of {nobody}");
+    let words = format!("failed to get an answer of {unused}");
     assert!(
         unreachable.stderr.contains(&words),
         "{}",
@@ -163,7 +170,7 @@ fn keys(value: &Value, at: &str, found: &mut BTreeSet<String>) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn json_has_the_keys_that_are_documented() {
-    let mut other = flipping();
+    let mut other = policy_with_flipped_frames();
     other.described.execute = 4;
     let (sound, other) = (serve(Planted::sound()).await, serve(other).await);
     let (sound, other) = (url(&sound), url(&other));
@@ -235,7 +242,10 @@ async fn recorded_observations_replace_synthetic_ones() {
     let folder = tempfile::tempdir().expect("a folder");
     record(folder.path()).await;
     let recorded = folder.path().to_str().expect("UTF-8");
-    let (sound, flips) = (serve(Planted::sound()).await, serve(flipping()).await);
+    let (sound, flips) = (
+        serve(Planted::sound()).await,
+        serve(policy_with_flipped_frames()).await,
+    );
     let (sound, flips) = (url(&sound), url(&flips));
     let compared = run_to_end(&["compare", &sound, &flips, "--recorded", recorded]).await;
     assert_eq!(compared.status, Some(1), "{}", compared.stderr);
