@@ -200,8 +200,8 @@ impl Wheel {
             .collect();
         if found != self.sha256 {
             bail!(
-                "check {}: its SHA-256 is {found}, expected {}; delete the file and run this command \
-                 again",
+                "check {}: its SHA-256 is {found}, expected {}; delete the file and run this \
+                 command again",
                 wheel.display(),
                 self.sha256
             );
