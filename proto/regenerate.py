@@ -1,4 +1,4 @@
-"""Generates the Python code of the .proto files, where packages keep it.
+"""Generates the Python code of the .proto files in the packages that contain it.
 
 The generated files are kept under version control, so that installing a package
 needs no protocol compiler; `python proto/regenerate.py --check` fails if they
@@ -76,7 +76,8 @@ def generate(wanted: Generated, folder: pathlib.Path) -> None:
 
 
 def stale(wanted: Generated, folder: pathlib.Path) -> list[str]:
-    """The kept files, relative to the checkout, that differ from those below `folder`."""
+    """Returns the version-controlled files, relative to the checkout, that differ from those
+    below `folder`."""
     kept = ROOT / wanted.sources
     return [
         f"{wanted.sources}/{name}"

@@ -11,7 +11,7 @@ use std::{
 
 pub mod batcher;
 
-/// Longest wait of a query for companions while its server is idle.
+/// Longest wait of a query for further queries of its batch while its server is idle.
 pub const MAX_WAIT: Duration = Duration::from_millis(5);
 /// Queries in the queue of one replica. Further ones are refused, so that workers wait instead of
 /// the gateway's memory growing.
@@ -31,9 +31,9 @@ pub struct Queue<T> {
 pub enum Next<T> {
     /// Send this batch, and call [`Queue::done`] when it is answered.
     Send(Vec<T>),
-    /// Ask again at this time, or earlier if something changes.
+    /// Call [`Queue::next`] again at this time, or earlier if the queue changes.
     WaitUntil(Instant),
-    /// Ask again when something changes.
+    /// Call [`Queue::next`] again when the queue changes.
     Nothing,
 }
 
@@ -60,8 +60,8 @@ impl<T> Queue<T> {
     }
 
     /// Removes the queries whose callers stopped waiting.
-    pub fn forget(&mut self, is_left: impl Fn(&T) -> bool) {
-        self.waiting.retain(|(_, query)| !is_left(query));
+    pub fn forget(&mut self, is_abandoned: impl Fn(&T) -> bool) {
+        self.waiting.retain(|(_, query)| !is_abandoned(query));
     }
 
     /// Removes and returns all waiting queries.
@@ -75,10 +75,10 @@ impl<T> Queue<T> {
         let Some((oldest, _)) = self.waiting.front() else {
             return Next::Nothing;
         };
-        let ripe = *oldest + MAX_WAIT;
+        let send_at = *oldest + MAX_WAIT;
         let is_full = self.waiting.len() >= size;
         match self.under_way {
-            0 if !is_full && now < ripe => return Next::WaitUntil(ripe),
+            0 if !is_full && now < send_at => return Next::WaitUntil(send_at),
             1..MAX_UNDER_WAY if !is_full => return Next::Nothing,
             MAX_UNDER_WAY.. => return Next::Nothing,
             _ => {}
@@ -166,18 +166,18 @@ mod tests {
     }
 
     #[test]
-    fn a_lone_query_waits_for_companions_and_no_longer() {
+    fn a_single_query_is_sent_after_the_longest_wait() {
         let (mut queue, now) = (Queue::default(), Instant::now());
-        queue.push("a", now).expect("room");
+        queue.push("a", now).expect("space in the queue");
         assert_eq!(queue.next(2, now), Next::WaitUntil(now + MAX_WAIT));
         assert_eq!(queue.next(2, now + MAX_WAIT), Next::Send(vec!["a"]));
     }
 
     #[test]
-    fn while_a_batch_is_computed_only_a_full_one_follows_and_then_none() {
+    fn during_a_batch_only_one_more_full_batch_is_sent() {
         let (mut queue, now) = (Queue::default(), Instant::now());
         for query in 0..7 {
-            queue.push(query, now).expect("room");
+            queue.push(query, now).expect("space in the queue");
         }
         let late = now + 10 * MAX_WAIT;
         assert_eq!(queue.next(3, now), Next::Send(vec![0, 1, 2]));
@@ -187,7 +187,7 @@ mod tests {
         assert_eq!(
             queue.next(3, late),
             Next::Nothing,
-            "a lone one waits for a free server"
+            "a single query waits for a free server"
         );
         queue.done();
         assert_eq!(queue.next(3, late), Next::Send(vec![6]));

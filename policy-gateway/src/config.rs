@@ -60,7 +60,7 @@ pub struct RouteSpec {
     pub batching: Batching,
     /// Longest wait for an answer.
     pub answer_within: Duration,
-    /// Certificate authority and token for its servers.
+    /// Certificate authority and token for the route's servers.
     pub access: AccessFiles,
     /// Destination of recordings, for a route with a single server.
     pub record: Option<RecordInto>,
@@ -216,7 +216,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gateway_needs_a_route_and_each_name_once() {
+    fn a_configuration_needs_a_route_distinct_names_and_distinct_servers() {
         let route = |text: &str| text.parse::<RouteSpec>().expect(text);
         assert!(matches!(Config::new(vec![]), Err(ConfigError::NoRoute)));
         let twice = vec![route("x=builtin:noop"), route("x=grpc://h:1")];

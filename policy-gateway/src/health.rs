@@ -11,7 +11,7 @@ use std::time::{Duration, Instant};
 use policy_backends::{Cause, told::told};
 use rollout_types::Waits;
 
-/// Waits for a server that could not be reached: one that recovers is in use again within the
+/// Waits for a server that could not be reached: a recovered server is in use again within the
 /// longest wait.
 pub const WAITS: Waits = Waits {
     first: Duration::from_millis(100),
@@ -20,7 +20,7 @@ pub const WAITS: Waits = Waits {
 /// Waits for a server that was sick or silent.
 pub const SICK_WAITS: Waits = Waits::USUAL;
 /// Longest time for a probing session to produce an answer before another session may probe.
-pub const PROBE_PATIENCE: Duration = Duration::from_secs(60);
+pub const PROBE_TIMEOUT: Duration = Duration::from_secs(60);
 /// Number of tasks that must get the same error, with no answer in between, before the server
 /// counts as sick. A single task may cause its own error, so its retries count once.
 pub const SAME_ERROR_TASKS: usize = 3;
@@ -28,7 +28,7 @@ pub const SAME_ERROR_TASKS: usize = 3;
 const COMPARED_CHARS: usize = 160;
 /// Phrases in accelerator errors that only a restart cures: from CUDA, cuBLAS, cuDNN, HIP and
 /// PyTorch.
-const BROKEN_WORDS: [&str; 8] = [
+const FATAL_PHRASES: [&str; 8] = [
     "cuda error",
     "cuda runtime error",
     "cublas_status",
@@ -45,14 +45,14 @@ pub enum Call<'a> {
     /// A call for the description, which belongs to no session.
     Describe,
     /// A call in this session.
-    Of(&'a str),
+    InSession(&'a str),
 }
 
 /// Kind of an answered call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answered {
     /// Any answer but actions.
-    Something,
+    Other,
     /// An answer to a query, with actions.
     Query,
 }
@@ -69,7 +69,7 @@ pub enum Health {
 /// Most recent error of a server, and the tasks that got it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Errors {
-    alike: String,
+    comparable_text: String,
     tasks: Vec<String>,
 }
 
@@ -110,7 +110,11 @@ impl Health {
         };
         let probe = outage.probe.as_ref().filter(|probe| now < probe.until);
         match (probe, call) {
-            (Some(probe), Call::Of(session)) if probe.session.as_deref() == Some(session) => Ok(()),
+            (Some(probe), Call::InSession(session))
+                if probe.session.as_deref() == Some(session) =>
+            {
+                Ok(())
+            }
             (Some(probe), _) => Err((outage.cause.clone(), probe.until - now)),
             (None, _) if now < outage.probe_at => {
                 Err((outage.cause.clone(), outage.probe_at - now))
@@ -120,9 +124,9 @@ impl Health {
             (None, call) => {
                 let session = match call {
                     Call::Describe => None,
-                    Call::Of(session) => Some(session.to_owned()),
+                    Call::InSession(session) => Some(session.to_owned()),
                 };
-                let until = now + PROBE_PATIENCE;
+                let until = now + PROBE_TIMEOUT;
                 outage.probe = Some(Probe { session, until });
                 Ok(())
             }
@@ -134,7 +138,7 @@ impl Health {
     pub fn abandoned(&mut self, call: Call<'_>) {
         let session = match call {
             Call::Describe => None,
-            Call::Of(session) => Some(session),
+            Call::InSession(session) => Some(session),
         };
         if let Self::Out(outage) = self {
             let probe = outage.probe.take();
@@ -145,12 +149,12 @@ impl Health {
     /// Records an answer. Returns true if it shows that the server has recovered from an outage.
     pub fn answered(&mut self, answered: Answered) -> bool {
         match (&*self, answered) {
-            (Self::Up(_), Answered::Something) => false,
-            (Self::Out(outage), Answered::Something) if outage.cause.needs_query() => false,
+            (Self::Up(_), Answered::Other) => false,
+            (Self::Out(outage), Answered::Other) if outage.cause.needs_query() => false,
             (was, _) => {
-                let back = matches!(was, Self::Out(_));
+                let has_recovered = matches!(was, Self::Out(_));
                 *self = Self::default();
-                back
+                has_recovered
             }
         }
     }
@@ -163,7 +167,7 @@ impl Health {
         let (failures, was_up) = match self {
             Self::Up(_) => (1, true),
             Self::Out(Outage { probe: None, .. }) => return false,
-            // A failure with another kind of wait starts counting anew.
+            // A failure with another kind of wait restarts the count.
             Self::Out(outage) if waits(&outage.cause) != waits(&cause) => (1, false),
             Self::Out(outage) => (outage.failures.saturating_add(1), false),
         };
@@ -180,19 +184,22 @@ impl Health {
     /// Records at `now` the server's error to a query of `task`. Returns the reason if the server
     /// is out because of it, in which case the error is the server's fault and not the task's.
     pub fn erred(&mut self, error: &str, task: &str, now: Instant) -> Option<Cause> {
-        if is_broken(error) {
+        if is_fatal(error) {
             let cause = Cause::Broken(told(error));
             self.failed(cause.clone(), now);
             return Some(cause);
         }
-        let alike = comparable(&told(error));
+        let comparable_text = comparable(&told(error));
         match self {
             Self::Up(errors) => {
-                if errors.alike != alike {
+                if errors.comparable_text != comparable_text {
                     let tasks = vec![];
-                    *errors = Errors { alike, tasks };
+                    *errors = Errors {
+                        comparable_text,
+                        tasks,
+                    };
                 }
-                if !errors.tasks.iter().any(|known| known == task) {
+                if !errors.tasks.iter().any(|listed| listed == task) {
                     errors.tasks.push(task.to_owned());
                 }
                 if errors.tasks.len() < SAME_ERROR_TASKS {
@@ -203,12 +210,15 @@ impl Health {
                 Some(cause)
             }
             Self::Out(Outage {
-                cause: Cause::Repeats(known),
+                cause: Cause::Repeats(earlier_error),
                 ..
-            }) if comparable(known) != alike => {
+            }) if comparable(earlier_error) != comparable_text => {
                 // A different error shows that the server works again.
                 let tasks = vec![task.to_owned()];
-                *self = Self::Up(Errors { alike, tasks });
+                *self = Self::Up(Errors {
+                    comparable_text,
+                    tasks,
+                });
                 None
             }
             Self::Out(outage) => {
@@ -228,9 +238,9 @@ fn waits(cause: &Cause) -> Waits {
     }
 }
 
-fn is_broken(error: &str) -> bool {
+fn is_fatal(error: &str) -> bool {
     let error = error.to_lowercase();
-    BROKEN_WORDS.iter().any(|words| error.contains(words))
+    FATAL_PHRASES.iter().any(|words| error.contains(words))
 }
 
 /// Replaces the digits of an error, which often belong to a session or query, and truncates it.
@@ -269,7 +279,7 @@ mod tests {
         ];
         prop_oneof![
             prop::option::of(0..SESSIONS.len()).prop_map(Event::Admit),
-            prop_oneof![Just(Answered::Something), Just(Answered::Query)].prop_map(Event::Answered),
+            prop_oneof![Just(Answered::Other), Just(Answered::Query)].prop_map(Event::Answered),
             cause.prop_map(Event::Failed),
             prop::option::of(0..SESSIONS.len()).prop_map(Event::Abandoned),
             (
@@ -286,7 +296,7 @@ mod tests {
     }
 
     fn call(session: Option<usize>) -> Call<'static> {
-        session.map_or(Call::Describe, |at| Call::Of(SESSIONS[at]))
+        session.map_or(Call::Describe, |at| Call::InSession(SESSIONS[at]))
     }
 
     fn apply(health: &mut Health, event: &Event, now: &mut Instant) {
@@ -302,30 +312,32 @@ mod tests {
 
     proptest! {
         #[test]
-        fn whatever_happened_a_server_is_tried_again_and_one_answered_query_brings_it_back(
+        fn after_any_events_a_probe_is_admitted_and_one_answered_query_ends_the_outage(
             events in prop::collection::vec(event(), 0..60),
         ) {
             let (mut health, mut now) = (Health::default(), Instant::now());
             for event in &events {
                 apply(&mut health, event, &mut now);
             }
-            now += SICK_WAITS.longest + PROBE_PATIENCE;
-            prop_assert!(health.admit(Call::Of("new"), now).is_ok());
+            now += SICK_WAITS.longest + PROBE_TIMEOUT;
+            prop_assert!(health.admit(Call::InSession("new"), now).is_ok());
             health.answered(Answered::Query);
             prop_assert_eq!(health, Health::default());
         }
 
         #[test]
-        fn while_a_server_is_out_no_two_sessions_are_let_through_at_once(
+        fn an_outage_admits_one_session_at_a_time(
             events in prop::collection::vec(event(), 0..60),
         ) {
             let (mut health, mut now) = (Health::default(), Instant::now());
             for event in &events {
                 apply(&mut health, event, &mut now);
                 let Health::Out(_) = &health else { continue };
-                let mut asked = health.clone();
-                let through = SESSIONS.iter().filter(|id| asked.admit(Call::Of(id), now).is_ok());
-                prop_assert!(through.count() <= 1);
+                let mut probed = health.clone();
+                let admitted = SESSIONS
+                    .iter()
+                    .filter(|id| probed.admit(Call::InSession(id), now).is_ok());
+                prop_assert!(admitted.count() <= 1);
             }
         }
 
@@ -338,24 +350,25 @@ mod tests {
             for event in &events {
                 apply(&mut health, event, &mut now);
             }
-            now += SICK_WAITS.longest + PROBE_PATIENCE;
-            prop_assert!(health.admit(Call::Of("probe"), now).is_ok());
+            now += SICK_WAITS.longest + PROBE_TIMEOUT;
+            prop_assert!(health.admit(Call::InSession("probe"), now).is_ok());
             health.failed(cause.clone(), now);
-            let (refused, wait) = health.admit(Call::Of("probe"), now).expect_err("it failed just now");
+            let refusal = health.admit(Call::InSession("probe"), now);
+            let (refused, wait) = refusal.expect_err("a wait");
             let Waits { first, longest } = waits(&cause);
             prop_assert_eq!(refused, cause);
             prop_assert!((first..=longest).contains(&wait), "{:?}", wait);
         }
 
         #[test]
-        fn a_sick_server_is_not_brought_back_by_a_description(
+        fn a_description_does_not_end_the_outage_of_a_sick_server(
             events in prop::collection::vec(event(), 0..60),
         ) {
             let (mut health, mut now) = (Health::default(), Instant::now());
             for event in &events {
                 apply(&mut health, event, &mut now);
                 if matches!(&health, Health::Out(outage) if outage.cause.needs_query()) {
-                    prop_assert!(!health.answered(Answered::Something));
+                    prop_assert!(!health.answered(Answered::Other));
                     prop_assert!(matches!(health, Health::Out(_)));
                 }
             }
@@ -398,27 +411,27 @@ mod tests {
     }
 
     #[test]
-    fn an_abandoned_probe_admits_the_next_and_another_call_does_not() {
+    fn only_an_abandoned_probe_admits_the_next_call() {
         let mut health = Health::default();
         let mut now = Instant::now();
         health.failed(Cause::Silent, now);
-        let (_, wait) = health.admit(Call::Of("a"), now).expect_err("a wait");
+        let (_, wait) = health.admit(Call::InSession("a"), now).expect_err("a wait");
         now += wait;
-        assert_eq!(health.admit(Call::Of("a"), now), Ok(()));
-        health.abandoned(Call::Of("b"));
+        assert_eq!(health.admit(Call::InSession("a"), now), Ok(()));
+        health.abandoned(Call::InSession("b"));
         health.abandoned(Call::Describe);
-        assert!(health.admit(Call::Of("b"), now).is_err());
-        health.abandoned(Call::Of("a"));
-        assert_eq!(health.admit(Call::Of("b"), now), Ok(()));
+        assert!(health.admit(Call::InSession("b"), now).is_err());
+        health.abandoned(Call::InSession("a"));
+        assert_eq!(health.admit(Call::InSession("b"), now), Ok(()));
     }
 
     #[test]
-    fn an_error_from_which_no_process_recovers_counts_at_once() {
+    fn a_fatal_accelerator_error_is_an_outage_at_once() {
         let mut health = Health::default();
         let error = "RuntimeError: CUDA error: device-side assert triggered";
         let cause = health.erred(error, "task 1", Instant::now());
         assert_eq!(cause, Some(Cause::Broken(error.to_owned())));
-        assert!(health.admit(Call::Of("s"), Instant::now()).is_err());
+        assert!(health.admit(Call::InSession("s"), Instant::now()).is_err());
     }
 
     #[test]
@@ -435,7 +448,7 @@ mod tests {
     }
 
     #[test]
-    fn an_answered_query_between_errors_shows_that_the_server_is_well() {
+    fn an_answered_query_restarts_the_count_of_equal_errors() {
         let (mut health, now) = (Health::default(), Instant::now());
         for task in ["butter", "milk", "bowl", "plate"] {
             assert_eq!(health.erred("ValueError", task, now), None);

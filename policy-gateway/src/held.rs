@@ -12,18 +12,18 @@ pub const MIN_QUERY_BYTES: usize = 64 << 10;
 
 /// Memory budget of the observations whose queries are unanswered.
 #[derive(Debug)]
-pub struct Held(Semaphore);
+pub struct ObservationBudget(Semaphore);
 
-impl Default for Held {
+impl Default for ObservationBudget {
     fn default() -> Self {
         Self(Semaphore::new(MAX_HELD_BYTES))
     }
 }
 
-impl Held {
+impl ObservationBudget {
     /// Reserves memory for a query's observation until the permit is dropped; `None` if the budget
     /// is exhausted.
-    pub fn hold(&self, query: &InferRequest) -> Option<SemaphorePermit<'_>> {
+    pub fn reserve(&self, query: &InferRequest) -> Option<SemaphorePermit<'_>> {
         let frames = query
             .observation
             .iter()
@@ -57,13 +57,15 @@ mod tests {
 
     #[test]
     fn memory_is_reserved_up_to_the_limit_and_released_after_answers() {
-        let held = Held::default();
+        let budget = ObservationBudget::default();
         let large = query(MAX_HELD_BYTES - MIN_QUERY_BYTES);
-        let first = held.hold(&large).expect("room");
-        let second = held.hold(&query(0)).expect("room for one without frames");
-        assert!(held.hold(&query(0)).is_none());
+        let first = budget.reserve(&large).expect("memory");
+        let second = budget
+            .reserve(&query(0))
+            .expect("memory for a query without frames");
+        assert!(budget.reserve(&query(0)).is_none());
         drop(first);
-        assert!(held.hold(&large).is_some());
+        assert!(budget.reserve(&large).is_some());
         drop(second);
     }
 }

@@ -68,7 +68,7 @@ async fn serve(
             health.set_not_serving::<PolicyServer<Gateway>>().await;
             drop(stopping);
         });
-    let out_of_patience = async {
+    let grace_is_over = async {
         // The sender never sends; its drop ends this wait.
         let _ = stopped.await;
         tokio::time::sleep(SHUTDOWN_GRACE).await;
@@ -77,7 +77,7 @@ async fn serve(
         served = served => served.map_err(|error| RunError::Socket {
             problem: innermost(&error),
         }),
-        () = out_of_patience => {
+        () = grace_is_over => {
             tracing::warn!("stopping with queries still under way after {} s", SHUTDOWN_GRACE.as_secs());
             Ok(())
         }

@@ -196,8 +196,8 @@ fn main() -> ExitCode {
             };
             check(target, access, latency.as_deref())
         }
-        Some(Command::Compare(compare)) => judge(compare.run(&|line| say(&line))),
-        Some(Command::Doctor(doctor)) => judge(doctor.run(&|line| say(&line))),
+        Some(Command::Compare(compare)) => exit_code_of(compare.run(&|line| print_line(&line))),
+        Some(Command::Doctor(doctor)) => exit_code_of(doctor.run(&|line| print_line(&line))),
         Some(Command::Record {
             upstream,
             output,
@@ -306,23 +306,25 @@ async fn check(
     if target.url.starts_with("ws") || target.url.starts_with("vla-eval") {
         let ClientArguments { ca, token_file } = access;
         let started = Front::start(&target.url, AccessFiles { ca, token_file }).await?;
-        say(&"checked as this gateway serves it: its own protocol says less than this one");
+        print_line(
+            &"checked through a gateway: the server's own protocol does not cover every point",
+        );
         target.url = format!("grpc://{}", started.address);
         front = Some(started);
     }
-    let conforms = conformance::check(&target, &mut |finding| say(finding)).await?;
-    say(&if conforms {
+    let conforms = conformance::check(&target, &mut |finding| print_line(finding)).await?;
+    print_line(&if conforms {
         "conforms"
     } else {
         "does not conform"
     });
     if let Some(file) = latency {
         let measured = conformance::latency::measure(&target).await?;
-        say(&measured.in_words());
+        print_line(&measured.in_words());
         let delays = measured.delays()?;
         let text = serde_json::to_string_pretty(&measured)?;
         std::fs::write(file, text + "\n").with_context(|| format!("write {}", file.display()))?;
-        say(&format!(
+        print_line(&format!(
             "`coordinator campaign create --execution overlap:@{}` draws from them: \
              overlap:{delays}",
             file.display()
@@ -338,7 +340,7 @@ async fn check(
 
 /// Runs a comparison or diagnosis. The exit code is 0 if nothing was found, else 1.
 #[tokio::main]
-async fn judge(
+async fn exit_code_of(
     judgement: impl Future<Output = Result<bool, CommandError>>,
 ) -> anyhow::Result<ExitCode> {
     Ok(match judgement.await? {
@@ -347,9 +349,9 @@ async fn judge(
     })
 }
 
-/// Prints a line, without control sequences, because servers choose parts of it. Ignores a closed
-/// pipe (`| head`), because the exit code still reports the outcome.
-fn say(line: &dyn Display) {
+/// Prints a line, without control sequences, because parts of the line come from servers. Ignores
+/// a closed pipe (`| head`), because the exit code still reports the outcome.
+fn print_line(line: &dyn Display) {
     drop(terminal::print_line(&line.to_string()));
 }
 
@@ -403,7 +405,7 @@ async fn serve(
         Some(ended) = reloading.join_next() => tracing::error!(
             "SIGHUP no longer reads the configuration again, because {}; restart the gateway when \
              no rollout is under way",
-            ended.map_or_else(|error| error.to_string(), |()| "no signal comes any more".to_owned())
+            ended.map_or_else(|error| error.to_string(), |()| "no more signals arrive".to_owned())
         ),
     }
     Ok(served.await?)
@@ -420,7 +422,7 @@ async fn reload(gateway: Gateway, file: PathBuf, mut hangups: Signal) {
         match read_again(&file) {
             Ok(policies) => tracing::info!(policies, "read {} again", file.display()),
             Err(error) => tracing::error!(
-                "going on as before: failed to {}",
+                "continuing with the earlier configuration: failed to {}",
                 transport::chain(&*error)
             ),
         }

@@ -2,8 +2,9 @@
 //! pure: callers pass in the time. [`Watch`] applies it to calls.
 //!
 //! A server with a long queue takes long for each query without being silent, because it answers
-//! others meanwhile. So a call has failed only if the server answered no query at all for the
-//! longest allowed time since the call was sent. Time in the gateway's own queue does not count.
+//! other queries meanwhile. So a call has failed only if the server answered no query at all for
+//! the longest allowed time since the call was sent. Time in the gateway's own queue does not
+//! count.
 
 use std::{
     collections::VecDeque,
@@ -79,9 +80,9 @@ impl Pace {
 pub struct Watch(Mutex<Pace>);
 
 /// Guard of a call with queries in flight; dropping it ends the call's count.
-struct Sent<'a>(&'a Watch);
+struct CallInFlight<'a>(&'a Watch);
 
-impl Drop for Sent<'_> {
+impl Drop for CallInFlight<'_> {
     fn drop(&mut self) {
         self.0.pace().ended();
     }
@@ -116,7 +117,7 @@ impl Watch {
     }
 
     /// Waits for the answer to a call with queries. `answered` returns how many of them succeeded,
-    /// which counts as a sign of life.
+    /// which shows that the server is alive.
     ///
     /// # Errors
     /// If the server is silent for `limit`.
@@ -127,7 +128,7 @@ impl Watch {
         answered: impl FnOnce(&T) -> u32,
     ) -> Result<T, Silent> {
         self.pace().sent(Instant::now());
-        let _sent = Sent(self);
+        let _sent = CallInFlight(self);
         let answer = self.answer(limit, call).await?;
         let count = answered(&answer);
         if count > 0 {
@@ -157,7 +158,7 @@ mod tests {
     }
 
     #[test]
-    fn a_server_with_many_queries_before_it_is_silent_only_once_it_answers_none() {
+    fn a_busy_server_is_silent_only_after_answering_no_query_for_the_limit() {
         let (mut pace, began) = (Pace::default(), Instant::now());
         pace.sent(began);
         pace.sent(began);
@@ -166,7 +167,7 @@ mod tests {
         assert_eq!(
             pace.silent_at(began, LIMIT),
             began + millis(400) + LIMIT,
-            "it is at work"
+            "the server is busy"
         );
         let later = began + millis(500);
         assert_eq!(pace.silent_at(later, LIMIT), later + LIMIT);

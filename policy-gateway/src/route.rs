@@ -24,7 +24,7 @@ use self::{
 use crate::{
     config::{RouteName, RouteSpec},
     health::Call,
-    held::Held,
+    held::ObservationBudget,
 };
 
 mod checkpoints;
@@ -38,14 +38,14 @@ pub use error::RouteError;
 /// gone, or simulates for long between queries.
 const SESSION_IDLE: Duration = Duration::from_secs(120);
 /// Interval at which a waiting Reset checks for a free place.
-const RESET_LOOK: Duration = Duration::from_millis(100);
+const RESET_POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Name, checkpoints and open sessions of a route.
 pub struct Route {
     name: RouteName,
     checkpoints: RwLock<Arc<Checkpoints>>,
     sessions: Mutex<SessionTable<Arc<Session>>>,
-    held: Arc<Held>,
+    budget: Arc<ObservationBudget>,
     retired: AtomicBool,
 }
 
@@ -57,7 +57,7 @@ struct Session {
     /// Reset of the session; `None` for a session adopted after a restart of the gateway.
     reset: Option<ResetRequest>,
     /// Time of the last call.
-    used: Mutex<Instant>,
+    last_call: Mutex<Instant>,
     /// Locked during a query, so that a retry that overtakes the first attempt waits for its
     /// answer.
     state: tokio::sync::Mutex<SessionState>,
@@ -67,7 +67,7 @@ struct SessionState {
     described: Arc<DescribeResponse>,
     /// Replicas that have received the session's Reset.
     open_on: Vec<Arc<Replica>>,
-    last: Option<Answer>,
+    last_answer: Option<Answer>,
 }
 
 struct Answer {
@@ -80,28 +80,30 @@ impl Session {
         Arc::new(Self {
             pool,
             reset,
-            used: Mutex::new(Instant::now()),
+            last_call: Mutex::new(Instant::now()),
             state: state.into(),
         })
     }
 
-    fn used(&self) -> std::sync::MutexGuard<'_, Instant> {
-        self.used.lock().unwrap_or_else(PoisonError::into_inner)
+    fn last_call(&self) -> std::sync::MutexGuard<'_, Instant> {
+        self.last_call
+            .lock()
+            .unwrap_or_else(PoisonError::into_inner)
     }
 }
 
 impl Route {
     /// Creates a route without calling its back-ends. The observations of its queries count in
-    /// `held`, which all routes of a gateway share.
+    /// `budget`, which all routes of a gateway share.
     ///
     /// # Errors
     /// See [`UnusableBackend`].
-    pub fn new(spec: &RouteSpec, held: Arc<Held>) -> Result<Self, UnusableBackend> {
+    pub fn new(spec: &RouteSpec, budget: Arc<ObservationBudget>) -> Result<Self, UnusableBackend> {
         Ok(Self {
             name: spec.name.clone(),
             checkpoints: RwLock::new(Arc::new(Checkpoints::new(spec, &[])?)),
             sessions: Mutex::new(SessionTable::new(MAX_SESSIONS)),
-            held,
+            budget,
             retired: AtomicBool::new(false),
         })
     }
@@ -127,8 +129,8 @@ impl Route {
     /// # Errors
     /// See [`UnusableBackend`]; the route is then unchanged.
     pub fn reload(&self, spec: &RouteSpec) -> Result<(), UnusableBackend> {
-        let known = self.checkpoints().replicas();
-        let renewed = Arc::new(Checkpoints::new(spec, &known)?);
+        let existing = self.checkpoints().replicas();
+        let renewed = Arc::new(Checkpoints::new(spec, &existing)?);
         *self
             .checkpoints
             .write()
@@ -150,7 +152,7 @@ impl Route {
                 Ok(described) => return Ok(described),
                 Err(error) => {
                     let error = self.failed(&replica, error);
-                    failure = Some(first_worth_telling(failure, error));
+                    failure = Some(most_informative(failure, error));
                     tried.push(replica);
                 }
             }
@@ -171,7 +173,7 @@ impl Route {
         }
         let pool = self.pool(&request.suite)?;
         let session = request.session.as_str();
-        let _opening = self.place(&pool, session).await?;
+        let _opening = self.reserve_place(&pool, session).await?;
         let mut tried = vec![];
         let mut failure = None;
         while let Some(replica) = pool.for_session(session, request.seed, &tried) {
@@ -180,7 +182,7 @@ impl Route {
                     let state = SessionState {
                         described,
                         open_on: vec![replica],
-                        last: None,
+                        last_answer: None,
                     };
                     let open = Session::new(Arc::clone(&pool), Some(request.clone()), state);
                     self.sessions().open(session, open);
@@ -192,7 +194,7 @@ impl Route {
                     if !is_outage {
                         return Err(error);
                     }
-                    failure = Some(first_worth_telling(failure, error));
+                    failure = Some(most_informative(failure, error));
                     tried.push(replica);
                 }
             }
@@ -207,20 +209,23 @@ impl Route {
     /// [`policy_protocol::actions`]).
     pub async fn infer(&self, request: InferRequest) -> Result<InferResponse, RouteError> {
         check_session(&request.session)?;
-        let _held = self.held.hold(&request).ok_or(RouteError::Overloaded)?;
+        let _reserved = self
+            .budget
+            .reserve(&request)
+            .ok_or(RouteError::Overloaded)?;
         let session = self.session(&request.session).await?;
-        *session.used() = Instant::now();
+        *session.last_call() = Instant::now();
         let mut state = session.state.lock().await;
         let query_index = request.query_index;
         if let Some(answer) = state
-            .last
+            .last_answer
             .as_ref()
             .filter(|answer| answer.query_index == query_index)
         {
             return Ok(answer.response.clone());
         }
         let response = self.query_replicas(&session, &mut state, request).await?;
-        state.last = Some(Answer {
+        state.last_answer = Some(Answer {
             query_index,
             response: response.clone(),
         });
@@ -249,13 +254,13 @@ impl Route {
         let name = request.session.as_str();
         let task = session.reset.as_ref().map_or_else(
             || name.to_owned(),
-            |it| format!("{} {}", it.suite, it.instruction),
+            |reset| format!("{} {}", reset.suite, reset.instruction),
         );
-        let moves = session.reset.is_some() && !session.pool.pins(&state.described);
+        let may_move = session.reset.is_some() && !session.pool.pins(&state.described);
         let mut tried = vec![];
         let mut failure = None;
         loop {
-            let replica = if moves {
+            let replica = if may_move {
                 session.pool.for_query(name, &state.open_on, &tried)
             } else {
                 state.open_on.first().filter(|_| tried.is_empty()).cloned()
@@ -263,7 +268,7 @@ impl Route {
             let Some(replica) = replica else {
                 return Err(self.no_answer(failure, name));
             };
-            let error = match ask_one(session, state, &replica, &request, &task).await {
+            let error = match query_replica(session, state, &replica, &request, &task).await {
                 Ok(response) => return Ok(response),
                 Err(error) => error,
             };
@@ -274,10 +279,10 @@ impl Route {
             if !is_outage || is_late {
                 return Err(error);
             }
-            if moves {
+            if may_move {
                 state.open_on.retain(|open| !Arc::ptr_eq(open, &replica));
             }
-            failure = Some(first_worth_telling(failure, error));
+            failure = Some(most_informative(failure, error));
             tried.push(replica);
         }
     }
@@ -293,13 +298,13 @@ impl Route {
             return Err(self.no_answer(None, name));
         };
         let described = pool
-            .describe(&replica, Call::Of(name))
+            .describe(&replica, Call::InSession(name))
             .await
             .map_err(|error| self.failed(&replica, error))?;
         let state = SessionState {
             described,
             open_on: vec![replica],
-            last: None,
+            last_answer: None,
         };
         let adopted = Session::new(pool, None, state);
         let mut sessions = self.sessions();
@@ -312,8 +317,12 @@ impl Route {
 
     /// Waits until the replicas have capacity for one more session. An open session already has
     /// its place.
-    async fn place(&self, pool: &Arc<Pool>, session: &str) -> Result<Option<Opening>, RouteError> {
-        let until = Instant::now() + pool.reset_patience();
+    async fn reserve_place(
+        &self,
+        pool: &Arc<Pool>,
+        session: &str,
+    ) -> Result<Option<Opening>, RouteError> {
+        let until = Instant::now() + pool.reset_timeout();
         loop {
             {
                 let mut sessions = self.sessions();
@@ -321,11 +330,12 @@ impl Route {
                     return Ok(None);
                 }
                 let now = Instant::now();
-                let waits = |it: &&Arc<Session>| {
-                    it.pool.shares_with(pool) && now.duration_since(*it.used()) < SESSION_IDLE
+                let is_counted = |session: &&Arc<Session>| {
+                    session.pool.shares_with(pool)
+                        && now.duration_since(*session.last_call()) < SESSION_IDLE
                 };
-                let open = sessions.values().filter(waits).count();
-                if let Some(opening) = pool.open_one_more(open) {
+                let open = sessions.values().filter(is_counted).count();
+                if let Some(opening) = pool.reserve_session(open) {
                     return Ok(Some(opening));
                 }
                 if now >= until {
@@ -336,7 +346,7 @@ impl Route {
                     });
                 }
             }
-            tokio::time::sleep(RESET_LOOK).await;
+            tokio::time::sleep(RESET_POLL_INTERVAL).await;
         }
     }
 
@@ -400,13 +410,15 @@ async fn open(
     replica: &Replica,
     request: &ResetRequest,
 ) -> Result<Arc<DescribeResponse>, BackendError> {
-    let described = pool.describe(replica, Call::Of(&request.session)).await?;
+    let described = pool
+        .describe(replica, Call::InSession(&request.session))
+        .await?;
     replica.reset(request.clone()).await?;
     Ok(described)
 }
 
 /// Queries one replica, after opening the session there if necessary.
-async fn ask_one(
+async fn query_replica(
     session: &Session,
     state: &mut SessionState,
     replica: &Arc<Replica>,
@@ -425,7 +437,7 @@ async fn ask_one(
 
 /// Selects the failure of a call to report. A new failure is more informative than a replica that
 /// was already out of service.
-fn first_worth_telling(earlier: Option<RouteError>, now: RouteError) -> RouteError {
+fn most_informative(earlier: Option<RouteError>, now: RouteError) -> RouteError {
     let was_out = |error: &RouteError| {
         matches!(error, RouteError::Replica { source, .. }
             if matches!(**source, BackendError::Out { .. }))

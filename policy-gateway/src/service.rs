@@ -17,7 +17,7 @@ use tonic::{Request, Response, Status};
 
 use crate::{
     config::{Config, RouteSpec},
-    held::Held,
+    held::ObservationBudget,
     route::{Route, RouteError},
 };
 
@@ -29,7 +29,7 @@ pub const MAX_RETIRED_ROUTES: usize = 64;
 #[derive(Clone)]
 pub struct Gateway {
     routes: Arc<RwLock<Vec<Arc<Route>>>>,
-    held: Arc<Held>,
+    budget: Arc<ObservationBudget>,
 }
 
 impl Gateway {
@@ -38,19 +38,19 @@ impl Gateway {
     /// # Errors
     /// See [`UnusableBackend`].
     pub fn new(config: &Config) -> Result<Self, UnusableBackend> {
-        let held = Arc::<Held>::default();
+        let budget = Arc::<ObservationBudget>::default();
         let routes = config
             .routes()
             .iter()
-            .map(|spec| Route::new(spec, Arc::clone(&held)).map(Arc::new));
+            .map(|spec| Route::new(spec, Arc::clone(&budget)).map(Arc::new));
         let routes = routes.collect::<Result<Vec<_>, _>>()?;
         Ok(Self {
             routes: Arc::new(RwLock::new(routes)),
-            held,
+            budget,
         })
     }
 
-    /// Applies `config` to new sessions; open sessions stay where they are.
+    /// Applies `config` to new sessions; open sessions keep their replicas.
     ///
     /// # Errors
     /// See [`UnusableBackend`]; earlier routes may then have changed already.
@@ -59,12 +59,12 @@ impl Gateway {
         for spec in config.routes() {
             match routes.iter().find(|route| route.name() == &spec.name) {
                 Some(route) => route.reload(spec)?,
-                None => routes.push(Arc::new(Route::new(spec, Arc::clone(&self.held))?)),
+                None => routes.push(Arc::new(Route::new(spec, Arc::clone(&self.budget))?)),
             }
         }
         for route in routes.iter() {
-            let stays = |spec: &RouteSpec| &spec.name == route.name();
-            if !config.routes().iter().any(stays) {
+            let is_configured = |spec: &RouteSpec| &spec.name == route.name();
+            if !config.routes().iter().any(is_configured) {
                 route.retire();
             }
         }
@@ -163,7 +163,7 @@ impl Policy for Gateway {
         ))
     }
 
-    /// Queries are sent to their back-ends concurrently, each as if it had come alone. If a
+    /// Queries are sent to their back-ends concurrently, each as if it had been sent alone. If a
     /// back-end is down, the whole call fails, because the error text of a single result has no
     /// status code that would leave its query uncharged.
     async fn infer_batch(

@@ -20,11 +20,11 @@ impl policy::DescribeResponse {
                 "names {count} settings: at most {MAX_SETTINGS} are recorded"
             ));
         }
-        self.settings.iter().enumerate().find_map(|(place, setting)| {
+        self.settings.iter().enumerate().find_map(|(index, setting)| {
             let name = &setting.name;
             if !(1..=MAX_SETTING_NAME_BYTES).contains(&name.len()) {
                 return Some(format!(
-                    "gives setting {place} a name of {} bytes: 1 to {MAX_SETTING_NAME_BYTES} fit",
+                    "gives setting {index} a name of {} bytes: 1 to {MAX_SETTING_NAME_BYTES} fit",
                     name.len()
                 ));
             }
@@ -34,7 +34,7 @@ impl policy::DescribeResponse {
                     setting.value.len()
                 ));
             }
-            let earlier = &self.settings[..place];
+            let earlier = &self.settings[..index];
             let twice = earlier.iter().any(|other| other.name == *name);
             twice.then(|| format!("names setting `{name}` twice"))
         })

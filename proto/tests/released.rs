@@ -13,7 +13,7 @@ const PACKAGE: &str = "rollout.policy.v1";
 
 fn compiled(folder: &Path, file: &str) -> DescriptorPool {
     let files = protox::compile([file], [folder]).expect("a correct file");
-    DescriptorPool::from_file_descriptor_set(files).expect("a whole descriptor")
+    DescriptorPool::from_file_descriptor_set(files).expect("a complete descriptor")
 }
 
 fn folder() -> &'static Path {
@@ -24,7 +24,7 @@ fn released() -> DescriptorPool {
     compiled(&folder().join("released"), "policy_v1.proto")
 }
 
-fn today() -> DescriptorPool {
+fn current_protocol() -> DescriptorPool {
     compiled(folder(), "rollout/policy/v1/policy.proto")
 }
 
@@ -36,7 +36,9 @@ fn promises(pool: &DescriptorPool) -> Vec<String> {
         promises.push(format!("message {}", message.full_name()));
         promises.extend(message.fields().map(|field| {
             let (kind, name, number) = (field.kind(), field.full_name(), field.number());
-            let oneof = field.containing_oneof().map(|it| it.name().to_owned());
+            let oneof = field
+                .containing_oneof()
+                .map(|oneof| oneof.name().to_owned());
             let (cardinality, presence) = (field.cardinality(), field.supports_presence());
             let packed = field.is_packed();
             format!("{name} = {number}: {cardinality:?} {kind:?} {oneof:?} {presence} {packed}")
@@ -50,10 +52,10 @@ fn promises(pool: &DescriptorPool) -> Vec<String> {
     }
     for service in pool.services() {
         promises.extend(service.methods().map(|call| {
-            let (asked, answered) = (call.input(), call.output());
+            let (request, response) = (call.input(), call.output());
             let streams = (call.is_client_streaming(), call.is_server_streaming());
-            let (asked, answered) = (asked.full_name(), answered.full_name());
-            format!("{}({asked}) -> {answered} {streams:?}", call.full_name())
+            let (request, response) = (request.full_name(), response.full_name());
+            format!("{}({request}) -> {response} {streams:?}", call.full_name())
         }));
     }
     promises
@@ -70,7 +72,10 @@ fn broken_promises(released: &DescriptorPool, now: &DescriptorPool) -> Vec<Strin
 
 #[test]
 fn every_released_promise_is_kept() {
-    assert_eq!(broken_promises(&released(), &today()), Vec::<String>::new());
+    assert_eq!(
+        broken_promises(&released(), &current_protocol()),
+        Vec::<String>::new()
+    );
 }
 
 #[test]
@@ -103,7 +108,7 @@ fn incompatible_changes_of_a_released_file_are_detected() {
     check("uint32 horizon = 8;", more, false);
 }
 
-/// A message with something in every field that the descriptor knows.
+/// Returns a message with a value in every field of the descriptor.
 fn filled(message: &MessageDescriptor) -> DynamicMessage {
     let mut full = DynamicMessage::new(message.clone());
     for field in message.fields() {
@@ -142,21 +147,24 @@ fn message(pool: &DescriptorPool, name: &str) -> MessageDescriptor {
 /// Checks that today's types decode an older peer's message completely, and that an
 /// older peer decodes today's message despite its new fields.
 fn check<T: Message + Default>(name: &str) {
-    let (released, today) = (message(&released(), name), message(&today(), name));
-    let theirs = filled(&released);
-    let understood = T::decode(theirs.encode_to_vec().as_slice()).expect("an older message");
-    let back = DynamicMessage::decode(released.clone(), understood.encode_to_vec().as_slice());
-    assert_eq!(back.expect("the same message"), theirs, "{name}");
+    let (released, current_protocol) = (
+        message(&released(), name),
+        message(&current_protocol(), name),
+    );
+    let older = filled(&released);
+    let decoded = T::decode(older.encode_to_vec().as_slice()).expect("an older message");
+    let back = DynamicMessage::decode(released.clone(), decoded.encode_to_vec().as_slice());
+    assert_eq!(back.expect("the same message"), older, "{name}");
 
-    let ours = T::decode(filled(&today).encode_to_vec().as_slice()).expect("a message");
-    let read = DynamicMessage::decode(released, ours.encode_to_vec().as_slice());
+    let newer = T::decode(filled(&current_protocol).encode_to_vec().as_slice()).expect("a message");
+    let read = DynamicMessage::decode(released, newer.encode_to_vec().as_slice());
     let read = read.expect("a newer message");
-    for field in theirs
+    for field in older
         .descriptor()
         .fields()
         .filter(|field| !is_message(field))
     {
-        assert_eq!(read.get_field(&field), theirs.get_field(&field), "{name}");
+        assert_eq!(read.get_field(&field), older.get_field(&field), "{name}");
     }
 }
 

@@ -12,8 +12,8 @@ use transport::{AccessError, EndpointError};
 /// One control step's action, each number in [-1, 1].
 pub type Action = [f64; ACTION_WIDTH];
 
-/// Reason why a policy gave no usable answer. The message is a whole sentence; campaigns show it
-/// beside its rollout, so it names neither rollout nor session.
+/// Reason why a policy gave no usable answer. The message is a whole sentence; campaigns show
+/// the message beside the rollout, so it names neither rollout nor session.
 #[derive(Debug, thiserror::Error)]
 pub enum PolicyError {
     #[error("a policy cannot be called: failed to {0}")]
@@ -123,7 +123,7 @@ pub trait Actor {
     /// Describes the actor and its inputs.
     ///
     /// # Errors
-    /// If the actor does not answer, speaks another protocol version, or its description fits no
+    /// If the actor does not answer, uses another protocol version, or its description fits no
     /// rollout.
     fn describe(&mut self, session: PolicySession<'_>) -> Result<Description, PolicyError>;
 
@@ -146,8 +146,8 @@ pub trait Actor {
     fn end(&mut self, _session: PolicySession<'_>) {}
 
     /// Returns the actions for one observation: between one and `horizon`, finite, not yet clipped.
-    /// `under_way` holds the commands executed meanwhile; `None` if the actor does not receive
-    /// them.
+    /// `under_way` holds the commands executed while the answer is computed; `None` if the
+    /// actor does not receive them.
     ///
     /// # Errors
     /// If the actor does not answer, or its answer is not a valid chunk of actions.

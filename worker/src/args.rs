@@ -15,7 +15,7 @@ use sim::Renderer;
 use terminal::{number, number_from, seconds};
 use transport::{ClientArguments, EndpointError, parse_endpoint};
 
-use crate::variants::{Choice, Manner};
+use crate::variants::{Choice, RunOptions};
 
 /// Longest name of a machine, bytes.
 const MAX_MACHINE_BYTES: usize = 128;
@@ -73,9 +73,9 @@ impl Arguments {
     {
         let words = words.into_iter().map(Into::into).collect();
         let matches = terminal::read(Self::parser(version), words)?;
-        let read = Self::from_arg_matches(&matches)
+        let arguments = Self::from_arg_matches(&matches)
             .map_err(|error| error.format(&mut Self::parser(version)))?;
-        let coordinator = match (&read.command, &read.serve) {
+        let coordinator = match (&arguments.command, &arguments.serve) {
             (Some(Command::Film(film)), _) => Some(&film.connect),
             (None, Some(serve)) => Some(&serve.connect),
             _ => None,
@@ -85,7 +85,7 @@ impl Arguments {
             let problem = format!("--connect, or COORDINATOR_URL without it: {problem}");
             Self::command().error(ErrorKind::ValueValidation, problem)
         })?;
-        Ok(read)
+        Ok(arguments)
     }
 }
 
@@ -358,7 +358,7 @@ pub struct VariantsArguments {
     pub choice: Choice,
     /// Protocol and options of the run.
     #[command(flatten)]
-    pub manner: Manner,
+    pub options: RunOptions,
     /// URL of the policy, or of a gateway
     #[arg(long, value_name = "URL", value_parser = server_url, requires = "output")]
     pub endpoint: Option<String>,
@@ -599,31 +599,34 @@ mod tests {
 
     #[test]
     fn a_worker_needs_a_coordinator_and_simulates_libero() {
-        let read = parse("worker --connect http://h:1 --assets primitives --slots 3");
-        let read = read.expect("complete");
-        let slots = |read: Arguments| read.serve.expect("to serve").slots;
-        let simulator = read.simulator.clone();
+        let arguments = parse("worker --connect http://h:1 --assets primitives --slots 3");
+        let arguments = arguments.expect("a valid command line");
+        let slots = |arguments: Arguments| arguments.serve.expect("serve arguments").slots;
+        let simulator = arguments.simulator.clone();
         let three = NonZeroUsize::new(3).expect("not zero");
-        assert_eq!(slots(read), SlotCount::Given(three));
+        assert_eq!(slots(arguments), SlotCount::Given(three));
         let auto = "worker --connect http://h:1 --assets primitives --slots auto";
-        assert_eq!(slots(parse(auto).expect("complete")), SlotCount::Auto);
+        assert_eq!(
+            slots(parse(auto).expect("a valid command line")),
+            SlotCount::Auto
+        );
         assert_eq!(simulator.renderer, Renderer::default());
         let line = "worker --assets primitives";
         assert_eq!(parse(line).expect_err(line).exit_code(), 2);
-        let read = parse("worker --connect http://h:1").expect("complete");
-        assert_eq!(read.simulator.assets, "libero");
+        let arguments = parse("worker --connect http://h:1").expect("a valid command line");
+        assert_eq!(arguments.simulator.assets, "libero");
     }
 
     #[test]
     fn one_rollout_needs_no_coordinator() {
         let line = "worker rollout --id spatial/t0/nominal/i07 --endpoint grpc://h:1 \
                     --assets primitives --output out --renderer gl:1";
-        let read = parse(line).expect("complete");
-        let Some(Command::Rollout(rollout)) = read.command else {
-            panic!("{read:?}")
+        let arguments = parse(line).expect("a valid command line");
+        let Some(Command::Rollout(rollout)) = arguments.command else {
+            panic!("{arguments:?}")
         };
         assert_eq!(rollout.simulator.renderer, Renderer::Gl(GlDevice::Index(1)));
-        let error = parse(&line.replace("nominal", "clear")).expect_err("no such condition");
+        let error = parse(&line.replace("nominal", "clear")).expect_err("an unknown condition");
         assert!(error.to_string().contains("camera"), "{error}");
     }
 
@@ -631,9 +634,10 @@ mod tests {
     fn a_users_task_needs_initial_states_and_an_actor() {
         let end = "--assets primitives --output out";
         let own = "worker rollout --bddl a.bddl --init a.pruned_init --max-steps 30";
-        let read = parse(&format!("{own} --actions a.npz {end}")).expect("complete");
-        let Some(Command::Rollout(rollout)) = read.command else {
-            panic!("{read:?}")
+        let arguments =
+            parse(&format!("{own} --actions a.npz {end}")).expect("a valid command line");
+        let Some(Command::Rollout(rollout)) = arguments.command else {
+            panic!("{arguments:?}")
         };
         assert_eq!((rollout.id, rollout.own_task.max_steps), (None, Some(30)));
         for line in [
@@ -648,17 +652,17 @@ mod tests {
     }
 
     #[test]
-    fn a_machine_is_measured_with_nothing_but_assets() {
-        let read = parse("worker bench --assets primitives").expect("complete");
-        let Some(Command::Bench(bench)) = read.command else {
-            panic!("{read:?}")
+    fn bench_needs_no_coordinator_and_no_policy() {
+        let arguments = parse("worker bench --assets primitives").expect("a valid command line");
+        let Some(Command::Bench(bench)) = arguments.command else {
+            panic!("{arguments:?}")
         };
         assert_eq!((bench.slots.len(), bench.load.execute), (0, 1));
         assert_eq!(bench.load.policy_secs, 0.0);
         let line = "worker bench --assets primitives --slots 4,1 --secs 0.5 --renderer gl:0";
-        let read = parse(line).expect("complete");
-        let Some(Command::Bench(bench)) = read.command else {
-            panic!("{read:?}")
+        let arguments = parse(line).expect("a valid command line");
+        let Some(Command::Bench(bench)) = arguments.command else {
+            panic!("{arguments:?}")
         };
         assert_eq!((bench.slots.len(), bench.secs), (2, 0.5));
     }
@@ -675,12 +679,12 @@ mod tests {
 
     #[test]
     fn assets_are_fetched_for_all_tasks_or_some_from_one_place() {
-        let read = fetch("worker assets fetch").expect("complete");
-        assert_eq!(read.tasks, [TaskChoice::All]);
-        let read = fetch("worker assets fetch --tasks libero_goal/3,libero_10/0 --hub");
-        let read = read.expect("complete");
-        assert_eq!(read.hub.as_deref(), Some(HUB));
-        assert_eq!(read.tasks.len(), 2);
+        let arguments = fetch("worker assets fetch").expect("a valid command line");
+        assert_eq!(arguments.tasks, [TaskChoice::All]);
+        let arguments = fetch("worker assets fetch --tasks libero_goal/3,libero_10/0 --hub");
+        let arguments = arguments.expect("a valid command line");
+        assert_eq!(arguments.hub.as_deref(), Some(HUB));
+        assert_eq!(arguments.tasks.len(), 2);
         for wrong in [
             "--tasks libero_goal/10",
             "--everything --tasks all",

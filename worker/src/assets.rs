@@ -114,15 +114,15 @@ impl Provider {
             None => TaskFiles::of_task(&self.sources, task),
             Some(_) => self.files_of_variant(row)?,
         };
-        let mut last = None;
+        let mut last_logged = None;
         let mut report = |report| {
-            let news = match report {
+            let (quarter, progress) = match report {
                 Report::WaitingForAnotherFetch => (0, None),
                 Report::Arriving(progress) => (progress.percent() / LOGGED_PERCENT, Some(progress)),
             };
-            if last != Some(news.0) {
-                last = Some(news.0);
-                match news.1 {
+            if last_logged != Some(quarter) {
+                last_logged = Some(quarter);
+                match progress {
                     None => tracing::info!("{task}: another process fetches LIBERO's assets"),
                     Some(progress) => {
                         tracing::info!("{task}: fetching LIBERO's assets: {progress}")
@@ -143,11 +143,12 @@ impl Provider {
         Ok(())
     }
 
-    /// Returns the files of a variant's task, if the variant lacks none but LIBERO's assets.
+    /// Returns the files of a variant's task. Fails if the variant lacks files other than LIBERO's
+    /// assets.
     fn files_of_variant(&self, row: &ManifestRow) -> Result<TaskFiles, String> {
         let id = row.id;
-        let of_row = Case::of_row(row).map_err(|error| transport::chain(&error));
-        let (case, _) = of_row?;
+        let parsed = Case::of_row(row).map_err(|error| transport::chain(&error));
+        let (case, _) = parsed?;
         let lack = variants::lack(&case, &self.pack, &self.sources);
         match lack.map_err(|error| transport::chain(&error))? {
             None => Ok(variants::files(&case, &self.sources)),
@@ -222,7 +223,7 @@ fn verify(pack: &AssetPack, sources: &Sources) -> Result<(), PackError> {
         });
     }
     let description = describe(pack, sources)?;
-    if !pack.is_managed() && !Coverage::check(pack, sources)?.is_whole() {
+    if !pack.is_managed() && !Coverage::check(pack, sources)?.is_complete() {
         return Err(PackError::Incomplete {
             folder,
             description,
@@ -354,7 +355,7 @@ pub fn check(pack: &AssetPack, sources: &Sources) -> Result<Vec<TaskRef>, PackEr
         coverage.summary()
     );
     let mut lacking = Vec::new();
-    for (reason, tasks) in coverage.broken() {
+    for (reason, tasks) in coverage.not_shown() {
         let named = tasks.iter().map(ToString::to_string).collect();
         tracing::warn!(
             "left to other workers, because this pack cannot show them: {}: failed to {reason}",

@@ -83,9 +83,9 @@ pub fn run(
     let scratch = tempfile::tempdir().map_err(FilmError::Room)?;
     // `worker film` never drains: when it is ended, unfinished videos are lost.
     let (_running, draining) = watch::channel(false);
-    let inside = runtime.enter();
+    let runtime_context = runtime.enter();
     let link = Link::new(&config.coordinator, &config.access, config.seed, draining)?;
-    drop(inside);
+    drop(runtime_context);
     let filming = Filming {
         config,
         handle: runtime.handle(),

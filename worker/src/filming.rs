@@ -84,7 +84,7 @@ pub(crate) fn film_again(
 ) -> Result<(), FilmingError> {
     let mut encoder = VideoEncoder::new()?;
     let mut pictures = 0;
-    watch_again(stage, replay, &mut |[left, right]| {
+    render_again(stage, replay, &mut |[left, right]| {
         encoder.add([&left.rgb, &right.rgb])?;
         pictures += 1;
         match progress(pictures) {
@@ -100,7 +100,7 @@ pub(crate) fn film_again(
 
 /// Simulates a rollout from its actions, and passes the frames of [`observe_both`] to `show`, at
 /// rest and after every action.
-pub(crate) fn watch_again(
+pub(crate) fn render_again(
     stage: &mut Stage<'_>,
     replay: Replay<'_>,
     show: &mut dyn FnMut([Frame; 2]) -> Result<(), FilmingError>,
@@ -136,5 +136,7 @@ pub(crate) fn observe_both(episode: &mut Episode<'_>) -> Result<[Frame; 2], SimE
         privileged: false,
     };
     let frames = episode.observe(&request)?.frames;
-    Ok(frames.try_into().expect("as many as were asked for"))
+    Ok(frames
+        .try_into()
+        .expect("one frame for each requested camera"))
 }

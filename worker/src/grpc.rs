@@ -8,7 +8,7 @@ use tonic::{Response, Status};
 ///
 /// # Errors
 /// The call's own errors, and DEADLINE_EXCEEDED.
-pub(crate) async fn within<T>(
+pub(crate) async fn with_deadline<T>(
     deadline: Duration,
     call: impl Future<Output = Result<Response<T>, Status>>,
 ) -> Result<T, Status> {

@@ -37,12 +37,12 @@ use worker::supervise::{self, Config, Identity};
 use worker::{assets, film, measure, preview, rescue, single, slot, variants};
 
 /// Compiled scenes that a slot caches. The coordinator leases jobs of one task together, so two
-/// are enough; with LIBERO's assets each takes some hundred MB unless it is mapped from a file.
+/// are enough; with LIBERO's assets each scene takes some hundred MB unless mapped from a file.
 const CACHED_SCENES: usize = 2;
 /// Capacity of the queue of shutdown requests: a third request has no effect.
 const SHUTDOWN_QUEUE: usize = 2;
 /// Longest wait for a running fetch after the worker has ended.
-const FAREWELL: Duration = Duration::from_secs(1);
+const FETCH_GRACE: Duration = Duration::from_secs(1);
 /// Release and commit, as printed by `--version`.
 const VERSION: &str = version::version!();
 
@@ -66,7 +66,7 @@ fn main() -> ExitCode {
             assets::run(&arguments).map_err(anyhow::Error::from)
         }
         (None, Some(serve)) => run_worker(serve, &arguments.access, &arguments.simulator),
-        (None, _) => unreachable!("clap asks for --connect"),
+        (None, _) => unreachable!("clap requires --connect"),
     };
     warn_of_scene_files();
     match result {
@@ -153,7 +153,7 @@ fn run_bench(arguments: &BenchArguments) -> anyhow::Result<()> {
     let pack = simulator.pack.name();
     let mut slot = program_of(
         "bench-slot",
-        own_program()?,
+        this_program()?,
         &arguments.simulator,
         &simulator,
     );
@@ -223,7 +223,7 @@ fn run_film(arguments: FilmArguments) -> anyhow::Result<()> {
     };
     let filmed = film::run(&config, &simulator, &provide)?;
     print_line(&format!(
-        "{} stored; no more is left to film with asset pack {pack} and MuJoCo {}",
+        "{} stored; no rollout is left to film with asset pack {pack} and MuJoCo {}",
         counted(filmed.stored, "video"),
         Simulator::mujoco_version()
     ))?;
@@ -240,7 +240,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
     let mut row = match (&own_task, arguments.id) {
         (Some(task), _) => task.row()?,
         (None, Some(id)) => libero_ctrl::row_of(id)?,
-        (None, None) => unreachable!("clap asks for --id or --bddl"),
+        (None, None) => unreachable!("clap requires --id or --bddl"),
     };
     if row.id.condition() == Condition::Latency && !arguments.execution.is_wait() {
         bail!(
@@ -262,7 +262,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
             &arguments.access.access(&[Role::Worker, Role::Operator])?,
             OF_ONE_ROLLOUT,
         )?),
-        (None, None) => unreachable!("clap asks for --endpoint or --actions"),
+        (None, None) => unreachable!("clap requires --endpoint or --actions"),
     };
     let simulator = open(&arguments.simulator)?;
     let files = own_task.as_ref().map_or_else(
@@ -307,10 +307,12 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
 }
 
 fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
-    let VariantsArguments { choice, manner, .. } = &arguments;
+    let VariantsArguments {
+        choice, options, ..
+    } = &arguments;
     let selection = choice.selection();
     let benchmark = selection.benchmark();
-    let protocol = manner.protocol_of(benchmark)?;
+    let protocol = options.protocol_of(benchmark)?;
     let mut simulator = open(&arguments.simulator)?;
     let is_folder = !simulator.pack.is_managed() && simulator.pack.name() == LIBERO;
     if benchmark == Benchmark::Pro && is_folder {
@@ -320,12 +322,12 @@ fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
     let audit = variants::Audit::new(selection.cases()?, &simulator.pack, &simulator.sources)?;
     let print = |text: &str| terminal::print(text).context("print to standard output");
     let (Some(endpoint), Some(output)) = (&arguments.endpoint, &arguments.output) else {
-        return match manner.list {
+        return match options.list {
             true => print(&audit.list()),
             false => print(&audit.report()),
         };
     };
-    if !manner.runnable {
+    if !options.runnable {
         audit.require_all()?;
     }
     print(&audit.report())?;
@@ -334,7 +336,7 @@ fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
     let assign = |row: ManifestRow, folder: &Path| Assignment {
         policy: arguments.policy.clone().unwrap_or_default(),
         policy_endpoint: endpoint.clone(),
-        video: manner.video.then(|| VideoRequest {
+        video: options.video.then(|| VideoRequest {
             file: folder.join("video.mp4"),
             of: VideoOf::Everything,
         }),
@@ -346,7 +348,7 @@ fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
         protocol,
         cases,
         output,
-        video: manner.video,
+        video: options.video,
         assign: &assign,
     };
     let tally = run.run(simulator, &mut actor, &mut |line| tracing::info!("{line}"))?;
@@ -383,7 +385,7 @@ fn run_rescue(arguments: RescueArguments) -> anyhow::Result<()> {
         ..standalone_assignment(row, arguments.replicate, arguments.realisation)
     };
     let rescued = rescue::run(&mut simulator, &mut actor, &assignment, &arguments.output)?;
-    let what = match (rescued.saved_until, rescued.lost_from) {
+    let summary = match (rescued.saved_until, rescued.lost_from) {
         (None, _) => "not saved at any tried step at which its perturbations end".to_owned(),
         (Some(step), None) => {
             format!("saved if its perturbations end at step {step}, the policy's last query")
@@ -397,7 +399,7 @@ fn run_rescue(arguments: RescueArguments) -> anyhow::Result<()> {
         false => ", but lost if they end at an earlier tried step",
     };
     print_line(&format!(
-        "{}: {what}{exception} ({} tried); see {}",
+        "{}: {summary}{exception} ({} tried); see {}",
         rescued.rollout_id,
         counted(rescued.tried.len() as u64, "step"),
         arguments.output.display()
@@ -445,7 +447,7 @@ fn run_worker(
     let has_own_slots = arguments.slot_program.is_some();
     let program = match arguments.slot_program {
         Some(program) => program,
-        None => own_program()?,
+        None => this_program()?,
     };
     let slots = match arguments.slots {
         SlotCount::Given(slots) => {
@@ -516,7 +518,7 @@ fn run_worker(
         }
     });
     // A cancelled fetch may still wait for its server.
-    runtime.shutdown_timeout(FAREWELL);
+    runtime.shutdown_timeout(FETCH_GRACE);
     ended
 }
 
@@ -536,7 +538,7 @@ async fn forward(
     }
 }
 
-fn own_program() -> anyhow::Result<PathBuf> {
+fn this_program() -> anyhow::Result<PathBuf> {
     std::env::current_exe().context("find this program's own file")
 }
 

@@ -4,7 +4,7 @@
 //!
 //! Reading order: `open_loop` is that policy, `counting` the process of one measured slot,
 //! `together` the parent of these processes, `room` the available memory, `choice` the rule for
-//! the number of slots, `bench` and `auto` the two users of all of these.
+//! the number of slots, and `bench` and `auto` the two callers of these modules.
 
 mod auto;
 mod bench;

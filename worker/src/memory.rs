@@ -123,32 +123,32 @@ mod tests {
 
     #[test]
     fn the_counter_of_either_hierarchy_is_found() {
-        let unified = tempfile::tempdir().expect("a folder");
-        write(unified.path(), "proc/self/cgroup", "0::/batch/job-7\n");
+        let cgroup_v2 = tempfile::tempdir().expect("a folder");
+        write(cgroup_v2.path(), "proc/self/cgroup", "0::/batch/job-7\n");
         let events = "low 0\noom 3\noom_kill 2\noom_group_kill 0\n";
         write(
-            unified.path(),
+            cgroup_v2.path(),
             "sys/fs/cgroup/batch/job-7/memory.events",
             events,
         );
-        write(unified.path(), "proc/vmstat", "pgfault 9\noom_kill 5\n");
+        write(cgroup_v2.path(), "proc/vmstat", "pgfault 9\noom_kill 5\n");
         let (group, machine) = (Some(2), Some(5));
-        let read = OomKills::read_below(unified.path());
+        let read = OomKills::read_below(cgroup_v2.path());
         assert_eq!(read, OomKills { group, machine });
 
-        let before = tempfile::tempdir().expect("a folder");
+        let cgroup_v1 = tempfile::tempdir().expect("a folder");
         write(
-            before.path(),
+            cgroup_v1.path(),
             "proc/self/cgroup",
             "4:memory:/job\n1:cpu,cpuacct:/job\n0::/\n",
         );
         let control = "oom_kill_disable 0\nunder_oom 0\noom_kill 4\n";
         write(
-            before.path(),
+            cgroup_v1.path(),
             "sys/fs/cgroup/memory/job/memory.oom_control",
             control,
         );
-        let read = OomKills::read_below(before.path());
+        let read = OomKills::read_below(cgroup_v1.path());
         let (group, machine) = (Some(4), None);
         assert_eq!(read, OomKills { group, machine });
     }

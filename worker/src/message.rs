@@ -3,7 +3,7 @@
 //! passed as files, so that lines stay short.
 //!
 //! Every message about a rollout names its attempt: an event that crosses a command in transit may
-//! concern an attempt that is no longer in hand.
+//! concern an attempt that the receiver has already dropped.
 
 use std::collections::BTreeMap;
 use std::fmt;
@@ -22,7 +22,7 @@ use crate::actor::{PolicyError, PolicySession};
 pub const MAX_LINE_BYTES: u64 = 1 << 20;
 
 /// Identifies an episode to the policy. The attempt alone makes it unique; rollout and replicate
-/// are there for readers.
+/// are for display.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Session(String);
@@ -162,8 +162,8 @@ pub struct Finished {
 /// hex.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Evidence {
-    /// Name that the renderer reports; campaigns give it even for rollouts without a frame. Empty
-    /// if no renderer was opened.
+    /// Name that the renderer reports, in campaigns even for rollouts without a frame. Empty if no
+    /// renderer was opened.
     pub renderer: String,
     /// See [`sim::fingerprint`]; empty if no renderer was opened.
     pub fingerprint: String,

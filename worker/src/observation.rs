@@ -102,13 +102,13 @@ mod tests {
             privileged: None,
         };
         let wanted = [StateField::GripperPos, StateField::EefPos];
-        let shown = to_wire(observation, &wanted);
-        let values: Vec<&[f64]> = shown
+        let converted = to_wire(observation, &wanted);
+        let values: Vec<&[f64]> = converted
             .state
             .iter()
             .map(|reading| reading.values.as_slice())
             .collect();
         assert_eq!(values, [&[0.04, -0.04][..], &[1.0, 2.0, 3.0]]);
-        assert_eq!(shown.state[0].field, StateField::GripperPos as i32);
+        assert_eq!(converted.state[0].field, StateField::GripperPos as i32);
     }
 }

@@ -19,7 +19,7 @@ pub struct Parent(UnixStream);
 #[derive(Debug)]
 pub struct FromParent<T> {
     stream: BufReader<UnixStream>,
-    _says: PhantomData<T>,
+    _message: PhantomData<T>,
 }
 
 impl Parent {
@@ -50,7 +50,7 @@ impl Parent {
     pub fn listen<T: DeserializeOwned>(&self) -> io::Result<FromParent<T>> {
         Ok(FromParent {
             stream: BufReader::new(self.0.try_clone()?),
-            _says: PhantomData,
+            _message: PhantomData,
         })
     }
 }

@@ -20,7 +20,7 @@ use transport::{
 };
 
 use crate::actor::{Action, Actor, Description, PolicyError, PolicySession};
-use crate::grpc::within;
+use crate::grpc::with_deadline;
 
 /// Longest wait for one answer. A policy that compiles itself must do so before it serves.
 pub const POLICY_CALL_DEADLINE: Duration = Duration::from_secs(60);
@@ -35,7 +35,7 @@ const WINDOW_BYTES: u32 = 4 << 20;
 #[derive(Debug)]
 pub struct PolicyClient {
     endpoint: String,
-    // The background thread keeps the connection alive while the simulator uses this one.
+    // The background thread keeps the connection alive while the simulator occupies this thread.
     runtime: Runtime,
     grpc: GrpcClient<Connection>,
     peer: Peer,
@@ -72,7 +72,7 @@ impl PolicyClient {
             .build()
             .map_err(PolicyError::Runtime)?;
         let connection = {
-            let _inside = runtime.enter();
+            let _runtime_context = runtime.enter();
             access.connect_lazy(address)
         };
         let grpc = GrpcClient::new(connection.map_err(PolicyError::Access)?)
@@ -94,7 +94,7 @@ impl PolicyClient {
     where
         F: Future<Output = Result<Response<T>, Status>>,
     {
-        self.runtime.block_on(within(deadline, call))
+        self.runtime.block_on(with_deadline(deadline, call))
     }
 
     fn unavailable(
@@ -133,8 +133,8 @@ impl PolicyClient {
 
     /// Describes a failed call: the policy's error, or a diagnosis of the peer.
     fn explain(&self, status: &Status) -> String {
-        let trouble = self.runtime.block_on(self.peer.trouble(status));
-        trouble.map_or_else(|| answer(status), |trouble| trouble.to_string())
+        let diagnosis = self.runtime.block_on(self.peer.trouble(status));
+        diagnosis.map_or_else(|| answer(status), |diagnosis| diagnosis.to_string())
     }
 }
 
@@ -285,7 +285,7 @@ mod tests {
 
     #[test]
     fn a_description_is_read() {
-        let read = read_description(description()).expect("sound");
+        let read = read_description(description()).expect("a valid description");
         assert_eq!((read.horizon, read.execute), (10, 5));
         assert_eq!(read.state, [StateField::EefPos, StateField::GripperPos]);
     }

@@ -27,11 +27,7 @@ pub enum PreviewError {
     #[error(transparent)]
     Simulate(#[from] SimError),
     #[error("write {}: {problem}", path.display())]
-    Write {
-        path: PathBuf,
-        /// Reason of the failure, in words.
-        problem: String,
-    },
+    Write { path: PathBuf, problem: String },
 }
 
 /// Writes all previews into a folder, and returns their paths in order.
@@ -131,19 +127,19 @@ fn picture(
 ) -> Result<RgbImage, PreviewError> {
     let mut episode = simulator.begin(row, request.realisation)?;
     episode.settle()?;
-    let moves = matches!(
+    let has_motion = matches!(
         row.id.condition(),
         Condition::Single(Axis::Actuation) | Condition::Combination
     );
-    if moves {
+    if has_motion {
         for step in 0..MOTION_STEPS {
             episode.step(&motion(step))?;
         }
     }
-    Ok(upright(&mut episode)?)
+    Ok(upright_view(&mut episode)?)
 }
 
-fn upright(episode: &mut Episode<'_>) -> Result<RgbImage, SimError> {
+fn upright_view(episode: &mut Episode<'_>) -> Result<RgbImage, SimError> {
     let camera = CameraRequest {
         name: "agentview".to_owned(),
         width: FRAME,
@@ -155,7 +151,7 @@ fn upright(episode: &mut Episode<'_>) -> Result<RgbImage, SimError> {
     };
     let frame = episode.observe(&request)?.frames.remove(0);
     let mut picture =
-        RgbImage::from_raw(FRAME, FRAME, frame.rgb).expect("a frame of the size asked for");
+        RgbImage::from_raw(FRAME, FRAME, frame.rgb).expect("a frame of the requested size");
     image::imageops::flip_vertical_in_place(&mut picture);
     Ok(picture)
 }

@@ -2,9 +2,10 @@
 //! is brought to a step of the failing rollout by replaying its commands, the perturbations are
 //! lifted there, and the policy continues in the nominal scene. The search finds the policy's last
 //! query from which it still succeeds. At each step that lifting saves, a placebo is tried:
-//! nothing is lifted, and the robot is nudged by a thousandth of a millimetre. A rollout that the
-//! placebo also saves was on an edge, and does not count as rescued. Writes `rescue.json` and
-//! `rescue.mp4`, with the failed rollout on the left and the saved one on the right.
+//! nothing is lifted, and the robot is nudged by a thousandth of a millimetre. If the placebo
+//! also saves the rollout, its outcome was marginal there, and it does not count as rescued. Writes
+//! `rescue.json` and `rescue.mp4`, with the failed rollout on the left and the saved one on the
+//! right.
 
 mod search;
 #[cfg(test)]
@@ -20,7 +21,7 @@ use sim::episode::NUDGE_M;
 use sim::{Episode, Observation, Simulator};
 
 use crate::actor::{Action, Actor};
-use crate::filming::{FilmingError, Replay, watch_again};
+use crate::filming::{FilmingError, Replay, render_again};
 use crate::message::Assignment;
 use crate::rollout::{self, Change, Resumed, RolloutError, Simulated, Step, Watcher};
 use crate::stage::Stage;
@@ -74,7 +75,7 @@ pub struct Rescue {
     pub lost_from: Option<u32>,
     /// True if every trial before `saved_until` also saved the rollout.
     pub is_monotone: bool,
-    /// Steps at which the placebo also saves the rollout, which was on an edge there.
+    /// Steps at which the placebo also saves the rollout: its outcome was marginal there.
     pub saved_by_placebo: Vec<u32>,
     /// Distance by which the placebo moves the robot's hand, m.
     pub nudge_m: f64,
@@ -118,7 +119,7 @@ pub fn run(
     fs::create_dir_all(output).map_err(|source| write(output, source))?;
     let mut stage = Stage::of_the_protocol(simulator);
     let mut query_steps = QuerySteps::default();
-    tracing::info!("simulating {id} to its end, to see whether and where it fails");
+    tracing::info!("simulating {id} to its end, to check that it fails and to find its queries");
     let failed = rollout::run(&mut stage, actor, assignment, &mut query_steps)?;
     if failed.finished.result.success {
         let steps = failed.finished.result.steps;
@@ -134,29 +135,29 @@ pub fn run(
     let mut tried = Vec::new();
     let mut saved: Option<(usize, Simulated)> = None;
     while let Some(query) = search.next() {
-        let before = query_steps[query] as usize;
+        let step = query_steps[query] as usize;
         tracing::info!(
-            "try {}: lifting the perturbations at step {before}",
+            "try {}: lifting the perturbations at step {step}",
             tried.len() + 1
         );
         let mut resume = |change| {
             let resumed = Resumed {
-                after: &failed.actions[..before],
+                commands: &failed.actions[..step],
                 change,
             };
             let mut watcher = QuerySteps::default();
-            rollout::run_after(Some(resumed), &mut stage, actor, assignment, &mut watcher)
+            rollout::run_resumed(Some(resumed), &mut stage, actor, assignment, &mut watcher)
         };
         let simulated = resume(Change::Lift)?;
         let result = &simulated.finished.result;
         tracing::info!(
-            "{id} lifted at step {before}: {}",
+            "{id} lifted at step {step}: {}",
             outcome_word(result.success)
         );
         let mut placebo_success = None;
         if result.success {
             let success = resume(Change::Nudge)?.finished.result.success;
-            tracing::info!("{id} nudged at step {before}: {}", outcome_word(success));
+            tracing::info!("{id} nudged at step {step}: {}", outcome_word(success));
             placebo_success = Some(success);
         }
         let is_saved = placebo_success == Some(false);
@@ -167,14 +168,14 @@ pub fn run(
             steps: result.steps,
             placebo_success,
         });
-        if is_saved && saved.as_ref().is_none_or(|(best, _)| *best < before) {
-            saved = Some((before, simulated));
+        if is_saved && saved.as_ref().is_none_or(|(best, _)| *best < step) {
+            saved = Some((step, simulated));
         }
     }
     tried.sort_by_key(|trial| trial.lifted_at);
-    if let Some((before, simulated)) = &saved {
-        tracing::info!("filming {id}, as it fails and as it is saved at step {before}");
-        let film = side_by_side(&mut stage, assignment, &failed.actions, *before, simulated);
+    if let Some((step, simulated)) = &saved {
+        tracing::info!("filming {id}, as it fails and as it is saved at step {step}");
+        let film = side_by_side(&mut stage, assignment, &failed.actions, *step, simulated);
         let film = film.map_err(|error| RescueError::Film(Box::new(error)))?;
         let path = output.join("rescue.mp4");
         fs::write(&path, film).map_err(|source| write(&path, source))?;
@@ -250,7 +251,7 @@ fn side_by_side(
 ) -> Result<Vec<u8>, FilmingError> {
     let mut pictures = |replay: Replay<'_>| {
         let mut pictures = Vec::new();
-        watch_again(stage, replay, &mut |[front, _]| {
+        render_again(stage, replay, &mut |[front, _]| {
             pictures.push(front.rgb);
             Ok(())
         })?;

@@ -1,7 +1,7 @@
 //! Runs one rollout: the scene settles, the policy is reset, and queries and steps alternate until
 //! the goal holds or the step budget is spent. Keeps the order of section 3 of the protocol, and
 //! renders frames only for the policy's queries. The caller provides assignment and policy and
-//! handles the result; the coordinator is unknown here.
+//! handles the result; this module does not call the coordinator.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -21,7 +21,7 @@ use crate::digest::hex;
 use crate::message::{Assignment, Evidence, Failure, FailureKind, Finished};
 use crate::observation;
 use crate::stage::Stage;
-use crate::stopwatch::{by_clock, processor};
+use crate::stopwatch::{add_elapsed_time, add_processor_time};
 
 /// Control step of the policy.
 pub struct Step {
@@ -102,14 +102,14 @@ pub fn run(
     assignment: &Assignment,
     watcher: &mut dyn Watcher,
 ) -> Result<Simulated, RolloutError> {
-    run_after(None, stage, actor, assignment, watcher)
+    run_resumed(None, stage, actor, assignment, watcher)
 }
 
 /// Start of a rollout in the middle of an earlier one, with a change at that step.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Resumed<'a> {
     /// Commands to the robot up to that step.
-    pub(crate) after: &'a [Action],
+    pub(crate) commands: &'a [Action],
     pub(crate) change: Change,
 }
 
@@ -126,8 +126,8 @@ pub(crate) enum Change {
 /// change applied; the policy is reset there, and the commands count against the step budget.
 ///
 /// # Errors
-/// As [`run`].
-pub(crate) fn run_after(
+/// See [`run`].
+pub(crate) fn run_resumed(
     resumed: Option<Resumed<'_>>,
     stage: &mut Stage<'_>,
     actor: &mut dyn Actor,
@@ -167,7 +167,7 @@ pub(crate) fn run_after(
     // Opens the renderer first, so that a failure to render costs no simulation.
     let draws = !description.about.cameras.is_empty() || assignment.video.is_some();
     let (renderer, fingerprint) = stage
-        .drawing(draws)
+        .renderer_and_fingerprint(draws)
         .map_err(|source| run.simulator_failed(source))?;
     let (result, digests, realised) = run.simulate(stage)?;
     let evidence = Evidence {
@@ -238,16 +238,16 @@ impl Run<'_> {
             Some(Change::Lift) => Cow::Owned(row.id.task().instruction()),
         };
         let physics = &mut self.parts.physics_secs;
-        let begun = processor(physics, || stage.begin(row, *realisation));
+        let begun = add_processor_time(physics, || stage.begin(row, *realisation));
         let mut episode = begun.map_err(|source| self.simulator_failed(source))?;
         continue_unless_abandoned(self.watcher.progress(0))?;
-        processor(&mut self.parts.physics_secs, || episode.settle())
+        add_processor_time(&mut self.parts.physics_secs, || episode.settle())
             .map_err(|source| self.simulator_failed(source))?;
         continue_unless_abandoned(self.watcher.progress(row.settle_steps))?;
         self.path.push(end_effector_position(&mut episode));
         self.goal.record(&episode.environment().goal_truths());
         self.watcher.moved(None, &mut episode);
-        for &command in self.resumed.map_or(&[][..], |resumed| resumed.after) {
+        for &command in self.resumed.map_or(&[][..], |resumed| resumed.commands) {
             self.step(&mut episode, command)?;
         }
         match change {
@@ -257,12 +257,12 @@ impl Run<'_> {
         }
         let suite = row.id.task().suite();
         let session = self.assignment.policy_session();
-        by_clock(&mut self.parts.policy_secs, || {
+        add_elapsed_time(&mut self.parts.policy_secs, || {
             let seed = self.assignment.policy_seed;
             self.actor.reset(session, suite.name(), &instruction, seed)
         })?;
         let outcome = self.act(&mut episode);
-        by_clock(&mut self.parts.policy_secs, || self.actor.end(session));
+        add_elapsed_time(&mut self.parts.policy_secs, || self.actor.end(session));
         let success = outcome?;
         self.watcher.ended(&mut episode);
         let result = RolloutResult {
@@ -278,7 +278,7 @@ impl Run<'_> {
             policy_queries: self.queries,
             parts: Some(self.parts),
             goal: Some(self.goal),
-            prompt: Some(instruction.into_owned()).filter(|it| !it.is_empty()),
+            prompt: Some(instruction.into_owned()).filter(|prompt| !prompt.is_empty()),
         };
         Ok((
             result,
@@ -313,7 +313,7 @@ impl Run<'_> {
     /// Executes one control step; returns true if the goal holds after it.
     fn step(&mut self, episode: &mut Episode<'_>, sent: Action) -> Result<bool, RolloutError> {
         let executed = episode.command(&sent);
-        let stepped = processor(&mut self.parts.physics_secs, || episode.step(&executed));
+        let stepped = add_processor_time(&mut self.parts.physics_secs, || episode.step(&executed));
         let success = stepped.map_err(|source| self.simulator_failed(source))?;
         self.executed.push(executed);
         self.path.push(end_effector_position(episode));
@@ -331,14 +331,15 @@ impl Run<'_> {
         query: &Query,
     ) -> Result<Vec<Action>, RolloutError> {
         let request = observation_request(self.description);
-        let observed = processor(&mut self.parts.drawing_secs, || episode.observe(&request));
+        let observed =
+            add_processor_time(&mut self.parts.drawing_secs, || episode.observe(&request));
         let observation = observed.map_err(|source| self.simulator_failed(source))?;
         self.watcher.observed(self.queries, &observation);
         if self.queries == 0 && !observation.frames.is_empty() {
             self.first_frame_digest = frames_digest(&observation);
         }
         let observation = observation::to_wire(observation, &self.description.state);
-        let actions = by_clock(&mut self.parts.policy_secs, || {
+        let actions = add_elapsed_time(&mut self.parts.policy_secs, || {
             let session = self.assignment.policy_session();
             let horizon = self.description.horizon;
             let under_way = self.assignment.row.execution.is_rtc().then_some(query);

@@ -22,7 +22,7 @@ use crate::rollout::{self, RolloutError, Watcher};
 use crate::stage::Stage;
 use crate::variants::{Prepared, VariantsError};
 
-/// Capacity of the queue of assignments: the parent never sends a second one ahead.
+/// Capacity of the queue of assignments: the parent never queues a second one.
 const ASSIGNMENT_QUEUE: usize = 1;
 /// Adjustment of the out-of-memory score, -1000 to 1000, see proc(5); higher than other
 /// processes'.
@@ -51,7 +51,7 @@ type Abandoned = Mutex<Option<AttemptId>>;
 /// If simulation or rendering fails at the start, or the connection to the parent fails.
 pub fn run(config: SimulatorConfig, access: &Access) -> Result<(), SlotError> {
     leave_signals_to_the_parent().map_err(SlotError::Signals)?;
-    die_first();
+    raise_oom_score();
     let parent = Parent::connect().map_err(SlotError::Parent)?;
     let abandoned = Arc::default();
     let assignments = listen(&parent, Arc::clone(&abandoned)).map_err(SlotError::Parent)?;
@@ -69,7 +69,7 @@ pub fn run(config: SimulatorConfig, access: &Access) -> Result<(), SlotError> {
             abandoned: &abandoned,
             broken: None,
         };
-        work(
+        run_assignment(
             &mut simulator,
             (&mut policy, access),
             &assignment,
@@ -97,7 +97,7 @@ fn leave_signals_to_the_parent() -> io::Result<()> {
     let runtime = tokio::runtime::Builder::new_current_thread()
         .enable_io()
         .build()?;
-    let _inside = runtime.enter();
+    let _runtime_context = runtime.enter();
     drop(signal(SignalKind::terminate())?);
     drop(signal(SignalKind::interrupt())?);
     Ok(())
@@ -105,13 +105,13 @@ fn leave_signals_to_the_parent() -> io::Result<()> {
 
 /// Makes the kernel kill a slot first if memory runs out: a slot can be replaced, its parent or a
 /// coordinator on the same machine cannot. A failure is ignored.
-pub(crate) fn die_first() {
+pub(crate) fn raise_oom_score() {
     let _ = fs::write("/proc/self/oom_score_adj", OOM_SCORE_ADJ);
 }
 
 /// Simulates a rollout, reports its result, and then films it, so that a failure to film cannot
 /// cost the result.
-fn work(
+fn run_assignment(
     simulator: &mut Simulator,
     (policy, access): (&mut Option<PolicyClient>, &Access),
     assignment: &Assignment,
@@ -154,7 +154,7 @@ fn work(
     }
 }
 
-/// Prepares a rollout of LIBERO's family, and completes its row; `None` for any other.
+/// Prepares a rollout of LIBERO's family, and completes its row; `None` for any other rollout.
 fn prepare(
     assignment: &Assignment,
     simulator: &Simulator,
@@ -232,13 +232,13 @@ fn lock(abandoned: &Abandoned) -> std::sync::MutexGuard<'_, Option<AttemptId>> {
 fn listen(parent: &Parent, abandoned: Arc<Abandoned>) -> io::Result<Receiver<Assignment>> {
     let commands = parent.listen()?;
     let (sender, assignments) = sync_channel(ASSIGNMENT_QUEUE);
-    thread::spawn(move || take_commands(commands, &abandoned, &sender));
+    thread::spawn(move || handle_commands(commands, &abandoned, &sender));
     Ok(assignments)
 }
 
 /// Handles the parent's commands, and ends the process when the parent has closed the connection,
 /// even if native code hangs in the main thread.
-fn take_commands(
+fn handle_commands(
     commands: FromParent<SlotCommand>,
     abandoned: &Abandoned,
     assignments: &SyncSender<Assignment>,

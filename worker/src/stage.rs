@@ -58,7 +58,10 @@ impl<'a> Stage<'a> {
 
     /// Returns the renderer's own name and the fingerprint, which covers rendering too; both are
     /// empty if no renderer is needed.
-    pub(crate) fn drawing(&mut self, draws: bool) -> Result<(String, String), SimError> {
+    pub(crate) fn renderer_and_fingerprint(
+        &mut self,
+        draws: bool,
+    ) -> Result<(String, String), SimError> {
         if !draws && !self.always_names_renderer {
             return Ok(Default::default());
         }
@@ -82,16 +85,16 @@ impl<'a> Stage<'a> {
     }
 
     /// Returns the policy's instruction, normally the row's. A policy that accepts only the
-    /// canonical wording gets that one, so that the language axis has no effect on it instead of
-    /// failing every rollout.
+    /// canonical wording gets the canonical instruction, so that the language axis has no effect
+    /// on it instead of failing every rollout.
     pub(crate) fn instruction<'r>(
         &self,
         row: &'r ManifestRow,
         description: &Description,
     ) -> Cow<'r, str> {
         let is_canonical_only = description.about.language() == wire::Language::CanonicalOnly;
-        let is_of_a_benchmark = self.files.is_none() || self.variant.is_some();
-        match is_canonical_only && is_of_a_benchmark {
+        let has_canonical_instruction = self.files.is_none() || self.variant.is_some();
+        match is_canonical_only && has_canonical_instruction {
             true => Cow::Owned(row.id.task().instruction()),
             false => Cow::Borrowed(&row.instruction),
         }

@@ -6,7 +6,7 @@ use std::time::Instant;
 use rustix::time::{ClockId, clock_gettime};
 
 /// Runs `work`, and adds its processor time in this thread to `secs`.
-pub(crate) fn processor<T>(secs: &mut f64, work: impl FnOnce() -> T) -> T {
+pub(crate) fn add_processor_time<T>(secs: &mut f64, work: impl FnOnce() -> T) -> T {
     let before = processor_secs();
     let done = work();
     *secs += (processor_secs() - before).max(0.0);
@@ -14,7 +14,7 @@ pub(crate) fn processor<T>(secs: &mut f64, work: impl FnOnce() -> T) -> T {
 }
 
 /// Runs `work`, and adds its elapsed time to `secs`.
-pub(crate) fn by_clock<T>(secs: &mut f64, work: impl FnOnce() -> T) -> T {
+pub(crate) fn add_elapsed_time<T>(secs: &mut f64, work: impl FnOnce() -> T) -> T {
     let before = Instant::now();
     let done = work();
     *secs += before.elapsed().as_secs_f64();
@@ -36,8 +36,8 @@ mod tests {
     #[test]
     fn a_thread_that_sleeps_takes_time_and_no_processor_time() {
         let (mut busy, mut passed) = (0.0, 0.0);
-        let done = by_clock(&mut passed, || {
-            processor(&mut busy, || sleep(Duration::from_millis(60)));
+        let done = add_elapsed_time(&mut passed, || {
+            add_processor_time(&mut busy, || sleep(Duration::from_millis(60)));
             7
         });
         assert_eq!(done, 7);
@@ -48,7 +48,7 @@ mod tests {
     fn durations_accumulate() {
         let mut busy = 5.0;
         let until = Instant::now() + Duration::from_millis(200);
-        processor(&mut busy, || while Instant::now() < until {});
+        add_processor_time(&mut busy, || while Instant::now() < until {});
         // A spinning thread gets processor time even if many others want the core.
         assert!(busy > 5.005, "{busy} s");
         assert!(busy < 5.3, "{busy} s");

@@ -22,7 +22,7 @@ use crate::single;
 
 pub use audit::{Audit, lack};
 pub use case::{Prepared, files};
-pub use choice::{Choice, Manner};
+pub use choice::{Choice, RunOptions};
 pub use error::VariantsError;
 use results::Results;
 pub use results::{Pin, Row, Tally};

@@ -84,7 +84,7 @@ impl VideoEncoder {
     }
 
     /// Adds a frame: RGB, 8 bits, [`PANE_SIDE`]², row 0 at the bottom, as the simulator renders
-    /// it; the first camera's goes to the left.
+    /// it; the first camera's frame goes to the left.
     ///
     /// # Errors
     /// If a pane has another size, or the encoder fails.

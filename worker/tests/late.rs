@@ -55,10 +55,10 @@ impl Actor for SensitivePolicy {
         }
         self.rtc_queries.extend(under_way.cloned());
         let position = &observation.state[0].values;
-        let action = |place: usize| {
+        let action = |index: usize| {
             let mut action = [0.0; 7];
             for (axis, number) in action.iter_mut().enumerate() {
-                let mixed = position[axis % 3] * 1e4 * (1.0 + axis as f64 + place as f64);
+                let mixed = position[axis % 3] * 1e4 * (1.0 + axis as f64 + index as f64);
                 // Answers are transmitted as 32-bit numbers.
                 *number = f64::from((mixed.fract() * 0.9) as f32);
             }
@@ -68,11 +68,11 @@ impl Actor for SensitivePolicy {
     }
 }
 
-/// Records the executed actions.
+/// Records each control step's action as it was sent.
 #[derive(Default)]
-struct Sent(Vec<Action>);
+struct SentActions(Vec<Action>);
 
-impl Watcher for Sent {
+impl Watcher for SentActions {
     fn progress(&mut self, _control_steps: u32) -> ControlFlow<()> {
         ControlFlow::Continue(())
     }
@@ -82,13 +82,13 @@ impl Watcher for Sent {
     }
 }
 
-struct Ran {
+struct CompletedRollout {
     simulated: Simulated,
     sent: Vec<Action>,
     rtc_queries: Vec<Query>,
 }
 
-impl Ran {
+impl CompletedRollout {
     /// Returns the parts of the result that do not depend on time.
     fn bits(&self) -> (bool, u32, u32, u32, &Motion, &[Action]) {
         let Finished { result, motion, .. } = &self.simulated.finished;
@@ -133,21 +133,21 @@ fn row() -> ManifestRow {
     row
 }
 
-fn run_under(simulator: &mut Simulator, model: &str, answers_slowly: bool) -> Ran {
+fn run_under(simulator: &mut Simulator, model: &str, answers_slowly: bool) -> CompletedRollout {
     run_row(simulator, row().under(&parsed(model)), answers_slowly)
 }
 
-fn run_row(simulator: &mut Simulator, row: ManifestRow, answers_slowly: bool) -> Ran {
+fn run_row(simulator: &mut Simulator, row: ManifestRow, answers_slowly: bool) -> CompletedRollout {
     let mut actor = SensitivePolicy {
         answers_slowly,
         rtc_queries: Vec::new(),
     };
     let mut assignment = assignment(row);
     assignment.keep_actions = true;
-    let mut sent = Sent::default();
+    let mut sent = SentActions::default();
     let mut stage = Stage::of_the_protocol(simulator).with_a_renderer_only_if_needed();
     let simulated = run(&mut stage, &mut actor, &assignment, &mut sent).expect("a result");
-    Ran {
+    CompletedRollout {
         simulated,
         sent: sent.0,
         rtc_queries: actor.rtc_queries,
@@ -202,12 +202,12 @@ fn a_latency_rollout_is_nominal_with_a_delayed_policy() {
     let nominal = short(&format!("spatial/t0/clean/i{:02}", late.init_id));
     // A row of the latency axis keeps its own model, whatever the campaign's.
     let ran = run_row(&mut simulator, late.under(&Execution::Wait), false);
-    let as_it = run_row(
+    let delayed_nominal = run_row(
         &mut simulator,
         nominal.clone().under(&parsed("overlap:4")),
         false,
     );
-    assert_eq!(ran.bits(), as_it.bits());
+    assert_eq!(ran.bits(), delayed_nominal.bits());
     assert_ne!(ran.bits(), run_row(&mut simulator, nominal, false).bits());
     let settings = &ran.simulated.finished.evidence.policy_settings;
     assert_eq!(settings[EXECUTION], "overlap:4");
@@ -267,7 +267,12 @@ fn a_policy_whose_every_action_would_be_dropped_is_not_run() {
         rtc_queries: Vec::new(),
     };
     let mut stage = Stage::of_the_protocol(&mut simulator).with_a_renderer_only_if_needed();
-    let refused = run(&mut stage, &mut actor, &assignment, &mut Sent::default());
+    let refused = run(
+        &mut stage,
+        &mut actor,
+        &assignment,
+        &mut SentActions::default(),
+    );
     let failure = refused.expect_err("too late").failure().expect("a fault");
     assert_eq!(failure.kind, FailureKind::PolicyUnavailable);
     for words in [

@@ -9,7 +9,7 @@ use serde_json::Value;
 
 use crate::cargo::build_program;
 use crate::original::Original;
-use crate::process::{capture, shown};
+use crate::process::{capture, command_line};
 use crate::setup;
 use crate::step::step;
 
@@ -60,8 +60,11 @@ struct Parts {
 /// Runs the same rollout here and in the original, in turn, and prints both with their ratios.
 pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
     let cache = setup::run(root)?;
-    let beside = |folder: &str| root.join("../shared").join(folder);
-    let oracle = options.oracle.clone().unwrap_or_else(|| beside("oracle"));
+    let shared_folder = |folder: &str| root.join("../shared").join(folder);
+    let oracle = options
+        .oracle
+        .clone()
+        .unwrap_or_else(|| shared_folder("oracle"));
     let actions = actions_of(&oracle, &options.task)?;
     if !actions.is_file() {
         println!(
@@ -109,12 +112,12 @@ pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
     );
     let (mut here, mut released, mut with_fewer_frames) = (Vec::new(), Vec::new(), Vec::new());
     for round in 1..=options.rounds {
-        let name = |what: &str| format!("round {round}: {what}");
+        let name = |title: &str| format!("round {round}: {title}");
         here.push(step(&name("here"), || ours().map(RolloutTime))?.0);
         released.push(step(&name("original as released"), || theirs(1).map(RolloutTime))?.0);
         if options.execute > 1 {
-            let what = name("original with fewer frames");
-            with_fewer_frames.push(step(&what, || theirs(options.execute).map(RolloutTime))?.0);
+            let title = name("original with fewer frames");
+            with_fewer_frames.push(step(&title, || theirs(options.execute).map(RolloutTime))?.0);
         }
     }
     print_ratios(
@@ -123,11 +126,11 @@ pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
         &released,
     );
     if options.execute > 1 {
-        let what = format!(
-            "drawing only every {}th step, which it cannot do as released",
+        let title = format!(
+            "drawing only every {}th step, which the released version cannot do",
             options.execute
         );
-        print_ratios(&what, &here, &with_fewer_frames);
+        print_ratios(&title, &here, &with_fewer_frames);
     }
     Ok(())
 }
@@ -175,8 +178,8 @@ pub(crate) fn number(value: &Value, name: &str) -> Result<f64> {
 type Part = fn(&Parts) -> f64;
 
 /// Prints durations and ratios; each ratio is of the two runs of one round.
-fn print_ratios(what: &str, ours: &[Parts], theirs: &[Parts]) {
-    println!("the original {what}:");
+fn print_ratios(title: &str, ours: &[Parts], theirs: &[Parts]) {
+    println!("the original {title}:");
     println!(
         "  {:<8} {:>12} {:>14} {:>8}  spread",
         "", "here, ms", "original, ms", "ratio"
@@ -188,7 +191,7 @@ fn print_ratios(what: &str, ours: &[Parts], theirs: &[Parts]) {
         ("rollout", |parts| parts.whole),
     ];
     for (name, part) in parts {
-        let all = |of: &[Parts]| of.iter().map(part).collect::<Vec<_>>();
+        let all = |runs: &[Parts]| runs.iter().map(part).collect::<Vec<_>>();
         let (ours, theirs) = (all(ours), all(theirs));
         let ratios: Vec<f64> = theirs.iter().zip(&ours).map(|(a, b)| a / b).collect();
         let (middle, least, most) = spread(&ratios);
@@ -232,7 +235,8 @@ impl std::fmt::Display for RolloutTime {
 pub(crate) fn last_json(command: &mut Command) -> Result<Value> {
     let printed = capture(command)?;
     let line = printed.lines().next_back().unwrap_or_default();
-    serde_json::from_str(line).with_context(|| format!("read what `{}` printed", shown(command)))
+    serde_json::from_str(line)
+        .with_context(|| format!("read the output of `{}`", command_line(command)))
 }
 
 fn cores() -> Result<u32> {
@@ -242,8 +246,8 @@ fn cores() -> Result<u32> {
 
 /// Describes the processor and its cores, for the record beside the figures.
 pub(crate) fn machine() -> Result<String> {
-    let about = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let model = about
+    let cpuinfo = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
+    let model = cpuinfo
         .lines()
         .find_map(|line| line.strip_prefix("model name"))
         .map_or("an unnamed processor", |rest| {
@@ -272,11 +276,11 @@ mod tests {
         });
         let parts = their_parts(&theirs).unwrap();
         assert_eq!((parts.settle, parts.whole), (250.0, 3750.0));
-        assert!(their_parts(&ours).is_err(), "the one is not the other");
+        assert!(their_parts(&ours).is_err(), "a report of the other program");
     }
 
     #[test]
-    fn a_spread_has_the_middle_and_both_ends() {
+    fn a_spread_is_median_minimum_and_maximum() {
         assert_eq!(spread(&[3.0, 1.0, 7.0]), (3.0, 1.0, 7.0));
         assert_eq!(spread(&[4.0, 1.0, 2.0, 9.0]), (3.0, 1.0, 9.0));
         assert_eq!(spread(&[5.0]), (5.0, 5.0, 5.0));

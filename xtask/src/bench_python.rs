@@ -44,10 +44,10 @@ pub(crate) struct Options {
 
 /// Row of the table: the measured quantity, its target, and its computation from a round.
 struct Row {
-    what: &'static str,
+    name: &'static str,
     target: &'static str,
     unit: &'static str,
-    of: fn(&Round) -> Result<[f64; 3]>,
+    values_of: fn(&Round) -> Result<[f64; 3]>,
 }
 
 /// Outputs of the programs of one round.
@@ -66,44 +66,44 @@ struct Pair {
 
 const ROWS: [Row; 6] = [
     Row {
-        what: "control step without frames",
+        name: "control step without frames",
         target: ">= 4",
         unit: "ms",
-        of: |round| faster(&round.theirs, &round.ours, "step_ms"),
+        values_of: |round| compare_values(&round.theirs, &round.ours, "step_ms"),
     },
     Row {
-        what: "reset",
+        name: "reset",
         target: ">= 500",
         unit: "ms",
-        of: |round| faster(&round.theirs, &round.ours, "reset_ms"),
+        values_of: |round| compare_values(&round.theirs, &round.ours, "reset_ms"),
     },
     Row {
-        what: "step with both frames",
+        name: "step with both frames",
         target: ">= 8",
         unit: "ms",
-        of: |round| faster(&round.theirs, &round.ours, "frames_ms"),
+        values_of: |round| compare_values(&round.theirs, &round.ours, "frames_ms"),
     },
     Row {
-        what: "environments together",
+        name: "environments together",
         target: ">= 8",
         unit: "obs/s",
-        of: |round| {
+        values_of: |round| {
             let ours = median(round, |pair| rate(&pair.threads))?;
             let theirs = rate(&round.processes)?;
             Ok([ours, theirs, ours / theirs])
         },
     },
     Row {
-        what: "memory of a further environment",
+        name: "memory of a further environment",
         target: "<= 15 MB",
         unit: "MB",
-        of: |round| faster(&round.processes, &round.pairs[0].threads, "further_mb"),
+        values_of: |round| compare_values(&round.processes, &round.pairs[0].threads, "further_mb"),
     },
     Row {
-        what: "the same without Python",
+        name: "the same without Python",
         target: ">= 0.95",
         unit: "obs/s",
-        of: |round| {
+        values_of: |round| {
             Ok([
                 median(round, |pair| rate(&pair.threads))?,
                 median(round, |pair| rate(&pair.without_python))?,
@@ -116,7 +116,7 @@ const ROWS: [Row; 6] = [
 ];
 
 /// Returns our value, the original's, and the original's divided by ours.
-fn faster(theirs: &Value, ours: &Value, name: &str) -> Result<[f64; 3]> {
+fn compare_values(theirs: &Value, ours: &Value, name: &str) -> Result<[f64; 3]> {
     let [ours, theirs] = [number(&ours[name], name)?, number(&theirs[name], name)?];
     Ok([ours, theirs, theirs / ours])
 }
@@ -126,16 +126,23 @@ fn rate(run: &Value) -> Result<f64> {
     number(&run[RATE], RATE)
 }
 
-fn median(round: &Round, of: impl Fn(&Pair) -> Result<f64>) -> Result<f64> {
-    let values = round.pairs.iter().map(of).collect::<Result<Vec<_>>>()?;
+fn median(round: &Round, value_of: impl Fn(&Pair) -> Result<f64>) -> Result<f64> {
+    let values = round
+        .pairs
+        .iter()
+        .map(value_of)
+        .collect::<Result<Vec<_>>>()?;
     Ok(spread(&values).0)
 }
 
 /// Runs all measurements in turn and prints the table.
 pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let cache = setup::run(root)?;
-    let beside = |folder: &str| root.join("../shared").join(folder);
-    let oracle = options.oracle.clone().unwrap_or_else(|| beside("oracle"));
+    let shared_folder = |folder: &str| root.join("../shared").join(folder);
+    let oracle = options
+        .oracle
+        .clone()
+        .unwrap_or_else(|| shared_folder("oracle"));
     let assets = setup::assets_or(root, options.assets.as_deref(), &options.task)?;
     let original = match Original::provide(&cache, &oracle, &assets) {
         Ok(original) => original,
@@ -148,7 +155,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let program = build_released_program(root, WITHOUT_PYTHON)?;
     let script = root.join("python/bench/speed.py");
     let [count, steps] = [options.environments, options.steps].map(|number| number.to_string());
-    let with = |mut command: Command, mode: &str| {
+    let run_mode = |mut command: Command, mode: &str| {
         command.args([
             mode,
             &options.task,
@@ -165,9 +172,9 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let ours = |mode: &str| {
         let mut command = Command::new(&python);
         command.arg(&script);
-        with(command, mode)
+        run_mode(command, mode)
     };
-    let theirs = |mode: &str| with(original.script(&script), mode);
+    let theirs = |mode: &str| run_mode(original.script(&script), mode);
     println!(
         "{} of {} together, {} steps, {} rounds in turn, on {}",
         options.environments,
@@ -208,12 +215,15 @@ fn print(rounds: &[Round]) -> Result<()> {
         "", "here", "there", "", "ratio", "  spread"
     );
     for row in &ROWS {
-        let all = rounds.iter().map(row.of).collect::<Result<Vec<_>>>()?;
+        let all = rounds
+            .iter()
+            .map(row.values_of)
+            .collect::<Result<Vec<_>>>()?;
         let column = |at: usize| all.iter().map(|values| values[at]).collect::<Vec<_>>();
         let (ratio, least, most) = spread(&column(2));
         println!(
             "{:<32} {:>10.2} {:>10.2} {:<6} {ratio:>8.2} {:<13} {}",
-            row.what,
+            row.name,
             spread(&column(0)).0,
             spread(&column(1)).0,
             row.unit,

@@ -1,4 +1,5 @@
-//! Runs reinforcement learning's rollouts here and in the original, in turn.
+//! `cargo xtask bench training`: times rollouts of reinforcement learning here and in the original,
+//! in turn.
 //! `python/bench/training.py` and docs/PYTHON.md describe the measurement.
 
 use std::path::{Path, PathBuf};
@@ -43,7 +44,7 @@ pub(crate) struct Options {
 
 /// A way to run rollouts.
 struct Arm {
-    what: &'static str,
+    name: &'static str,
     is_original: bool,
     arguments: &'static [&'static str],
 }
@@ -54,17 +55,17 @@ const SCENARIOS: [(&str, &[Arm]); 2] = [
         "each environment alone, one observation per chunk",
         &[
             Arm {
-                what: "original",
+                name: "original",
                 is_original: true,
                 arguments: &["alone"],
             },
             Arm {
-                what: "shim, every frame drawn",
+                name: "shim, every frame drawn",
                 is_original: false,
                 arguments: &["alone", "--every-frame"],
             },
             Arm {
-                what: "shim",
+                name: "shim",
                 is_original: false,
                 arguments: &["alone"],
             },
@@ -74,17 +75,17 @@ const SCENARIOS: [(&str, &[Arm]); 2] = [
         "all observations sent to one process",
         &[
             Arm {
-                what: "original",
+                name: "original",
                 is_original: true,
                 arguments: &["sent"],
             },
             Arm {
-                what: "shim",
+                name: "shim",
                 is_original: false,
                 arguments: &["sent"],
             },
             Arm {
-                what: "rows in one process",
+                name: "rows in one process",
                 is_original: false,
                 arguments: &["threads"],
             },
@@ -178,7 +179,7 @@ fn print(measured: &[Vec<Vec<Value>>]) -> Result<()> {
                 let ratio = middle / *first.get_or_insert(middle);
                 println!(
                     "  {:<26} {middle:>10.2} {ratio:>8.2}  {least:.2}-{most:.2}",
-                    arm.what
+                    arm.name
                 );
             }
         }

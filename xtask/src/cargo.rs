@@ -43,17 +43,17 @@ pub(crate) fn build_released_program(root: &Path, name: &str) -> Result<PathBuf>
 pub(crate) fn build_released_programs(root: &Path, names: &[&str]) -> Result<PathBuf> {
     println!("Building the programs with the release profile");
     let bins = names.iter().flat_map(|name| ["--bin", name]);
-    let what: Vec<&str> = std::iter::once("--release").chain(bins).collect();
-    Ok(build(root, &what)?.with_file_name("release"))
+    let arguments: Vec<&str> = std::iter::once("--release").chain(bins).collect();
+    Ok(build(root, &arguments)?.with_file_name("release"))
 }
 
-fn build(root: &Path, what: &[&str]) -> Result<PathBuf> {
+fn build(root: &Path, arguments: &[&str]) -> Result<PathBuf> {
     run(cargo(root)
         .args(["build", "--workspace", "--exclude", "xtask"])
-        .args(what))?;
+        .args(arguments))?;
     // The same cargo built this program into the same folder.
-    let own = std::env::current_exe()?;
-    Ok(own
+    let this_program = std::env::current_exe()?;
+    Ok(this_program
         .parent()
         .map_or_else(|| root.join("target/debug"), Path::to_owned))
 }

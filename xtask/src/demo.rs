@@ -22,9 +22,9 @@ use crate::step::step;
 
 pub(crate) const PROGRAMS: [&str; 3] = ["coordinator", "worker", "policy-gateway"];
 const CAMPAIGN: &str = "demo";
-/// Name of its policy.
+/// Name of the demo's policy.
 const POLICY: &str = "student";
-/// Tasks and configurations that have both kinds of transitions, chosen for that.
+/// Tasks and configurations, chosen because both kinds of transitions occur in them.
 const TASKS: &str = "libero_object/1,libero_object/5";
 const CONFIGURATIONS: &str = "0,1";
 /// Task and configuration with an emergent failure, for the demo's own test.
@@ -41,7 +41,7 @@ pub(crate) struct Options {
     /// `libero`, `primitives`, or the path of a LIBERO assets folder.
     #[arg(long, default_value = "libero")]
     assets: String,
-    /// Tasks, with commas between.
+    /// Tasks, separated by commas.
     #[arg(long, default_value = TASKS)]
     tasks: String,
     /// Configurations of each task, condition by condition.
@@ -92,7 +92,7 @@ fn campaign(programs: &Path, dir: &Path, options: &Options) -> Result<()> {
         "coordinator",
         &["serve", "--data", &data_arg, "--listen", "127.0.0.1:0"],
     )?;
-    // Each of the students was taught on one asset pack.
+    // Each student was trained on one asset pack.
     let builtin = match options.assets.as_str() {
         "primitives" => "builtin:student-boxes",
         _ => "builtin:student",

@@ -53,7 +53,7 @@ enum Profile {
 pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let cache = setup::run(root)?;
     if options.profile == Profile::Release {
-        refuse_what_is_not_committed(root)?;
+        refuse_uncommitted_changes(root)?;
     }
     let programs = match options.profile {
         Profile::Release => build_released_programs(root, &PROGRAMS)?,
@@ -72,7 +72,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
 }
 
 /// Refuses uncommitted changes, because a release names its commit.
-fn refuse_what_is_not_committed(root: &Path) -> Result<()> {
+fn refuse_uncommitted_changes(root: &Path) -> Result<()> {
     let mut git = Command::new("git");
     git.current_dir(root).args(["status", "--porcelain"]);
     let changes = capture(&mut git).context("list uncommitted changes")?;

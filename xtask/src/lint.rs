@@ -5,7 +5,7 @@ use std::process::Command;
 
 use anyhow::{Context, Result, bail};
 
-use crate::process::shown;
+use crate::process::command_line;
 use crate::step::step;
 use crate::venv::environment;
 
@@ -28,7 +28,7 @@ pub(crate) fn run(root: &Path, cache: &Path) -> Result<()> {
     if let Err(error) = outcome {
         return step("Python", || Ok(format!("not checked: {error:#}"))).map(drop);
     }
-    for (what, tool, arguments) in [
+    for (title, tool, arguments) in [
         (
             "Python lints",
             "ruff",
@@ -38,20 +38,20 @@ pub(crate) fn run(root: &Path, cache: &Path) -> Result<()> {
     ] {
         let mut command = Command::new(dir.join("bin").join(tool));
         command.current_dir(root).args(arguments);
-        step(what, || complaints(&mut command))?;
+        step(title, || run_tool(&mut command))?;
     }
     Ok(())
 }
 
 /// Runs a tool; if it reports faults, the error includes its output.
-fn complaints(command: &mut Command) -> Result<&'static str> {
+fn run_tool(command: &mut Command) -> Result<&'static str> {
     let output = command
         .output()
-        .with_context(|| format!("start `{}`", shown(command)))?;
+        .with_context(|| format!("start `{}`", command_line(command)))?;
     if output.status.success() {
         return Ok("in order");
     }
     let printed = [output.stdout, output.stderr].concat();
     let printed = String::from_utf8_lossy(&printed);
-    bail!("run `{}`:\n{}", shown(command), printed.trim_end());
+    bail!("run `{}`:\n{}", command_line(command), printed.trim_end());
 }

@@ -97,7 +97,7 @@ enum Bench {
         #[arg(long)]
         release: bool,
     },
-    /// The simulator on one task, beside MuJoCo alone.
+    /// The simulator on one task, compared with MuJoCo alone.
     Sim {
         /// Passed on: --task SUITE/N [--assets PACK_OR_PATH] [--steps N].
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
@@ -144,7 +144,7 @@ enum Bench {
         arguments: Vec<String>,
     },
     /// A million jobs of four campaigns under 2,000 slots over TLS, with a coordinator that is
-    /// killed and restored: what grows, as a figure. A release build.
+    /// killed and restored; a figure shows what grows. A release build.
     Soak {
         /// Passed on: [--jobs N] [--slots N] [--workers N] [--minutes N] [--figure FILE].
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
@@ -271,7 +271,7 @@ mod tests {
         let pages = pages.map(|page| page.expect("a page").path());
         let others = ["README.md", "policies/README.md", "fuzz/README.md"];
         let all = pages.chain(others.map(|page| root().join(page)));
-        let pages = all.filter(|page| page.extension().is_some_and(|it| it == "md"));
+        let pages = all.filter(|page| page.extension().is_some_and(|extension| extension == "md"));
         let (mut commands, mut mentions) = (Vec::new(), Vec::new());
         for page in pages {
             let text = std::fs::read_to_string(page).expect("a page");
@@ -288,9 +288,9 @@ mod tests {
                 }
             }
             let quoted = sentences.split('`').skip(1).step_by(2);
-            let own = quoted
+            let commands_in_text = quoted
                 .filter(|mention| mention.starts_with("cargo xtask") && !mention.contains('…'));
-            mentions.extend(own.map(str::to_owned));
+            mentions.extend(commands_in_text.map(str::to_owned));
         }
         (commands, mentions)
     }
@@ -319,7 +319,7 @@ mod tests {
     }
 
     #[test]
-    fn names_of_tests_need_no_dashes_before_them() {
+    fn test_filters_need_no_dashes_before_them() {
         for words in [
             &["xtask", "test", "undisturbed"][..],
             &["xtask", "test", "--", "undisturbed"],

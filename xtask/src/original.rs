@@ -126,7 +126,7 @@ fn install(dir: &Path, python: &Path) -> Result<&'static str> {
     Ok("installed")
 }
 
-/// Writes LIBERO's settings with its paths; without them it would ask on standard input.
+/// Writes LIBERO's settings with its paths; without them LIBERO would ask on standard input.
 fn write_settings(package: &Path, settings: &Path) -> Result<()> {
     let folder = |key: &str, name: &str| format!("{key}: {}\n", package.join(name).display());
     let all = [

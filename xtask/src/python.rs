@@ -14,7 +14,7 @@ use crate::wheel::SETUPTOOLS;
 const COMPARED_WITH: [&str; 2] = ["openpi-client==0.1.2", "vla-eval==0.8.0"];
 
 /// Requirement of `docs/PYTHON.md` beyond those of the package.
-const NOTEBOOKS_NEED: &str = "pandas>=2";
+const NOTEBOOK_REQUIREMENT: &str = "pandas>=2";
 
 /// Written into a complete folder of packages; holds the list of its requirements.
 const STAMP: &str = "requirements-of.toml";
@@ -30,8 +30,8 @@ pub(crate) fn environment(root: &Path, cache: &Path) -> Result<String> {
     }
     let package = format!("{}[dev]", root.join("policies").display());
     capture(pip(&python, "install").arg("--editable").arg(package))?;
-    // Without dependencies: one requires NumPy below 2, which newer Pythons lack, the other
-    // packages for videos and rendering; neither is needed.
+    // Without dependencies, which the tests do not need: openpi-client requires NumPy below 2,
+    // which newer Pythons lack, and vla-eval requires packages for videos and rendering.
     capture(pip(&python, "install").arg("--no-deps").args(COMPARED_WITH))?;
     Ok(python.display().to_string())
 }
@@ -44,7 +44,7 @@ pub(crate) fn packages(root: &Path, cache: &Path) -> Result<PathBuf> {
         let manifest = root.join("policies/pyproject.toml");
         let requirements = std::fs::read_to_string(&manifest)
             .with_context(|| format!("read {}", manifest.display()))?;
-        let expected = format!("{requirements}# {NOTEBOOKS_NEED}\n");
+        let expected = format!("{requirements}# {NOTEBOOK_REQUIREMENT}\n");
         let stamp = folder.join(STAMP);
         if std::fs::read_to_string(&stamp).is_ok_and(|installed| installed == expected) {
             return Ok("already there");
@@ -52,7 +52,7 @@ pub(crate) fn packages(root: &Path, cache: &Path) -> Result<PathBuf> {
         let mut download = pip(Path::new("python3"), "download");
         download.arg("--dest").arg(&folder);
         download.arg(root.join("policies"));
-        capture(download.args([SETUPTOOLS, NOTEBOOKS_NEED]))?;
+        capture(download.args([SETUPTOOLS, NOTEBOOK_REQUIREMENT]))?;
         std::fs::write(&stamp, expected).with_context(|| format!("write {}", stamp.display()))?;
         Ok("downloaded")
     })?;

@@ -8,12 +8,12 @@ use std::time::{Duration, Instant};
 
 use anyhow::{Context, Result, bail, ensure};
 
-use crate::process::shown;
+use crate::process::command_line;
 
 /// Longest wait for a program to announce its address.
 const START_LIMIT: Duration = Duration::from_secs(30);
-/// Interval between two looks at a program.
-const PERIOD: Duration = Duration::from_millis(50);
+/// Interval between two checks of a program's state.
+const CHECK_INTERVAL: Duration = Duration::from_millis(50);
 /// Longest wait for a program to end after SIGTERM.
 const END_LIMIT: Duration = Duration::from_secs(20);
 
@@ -55,7 +55,7 @@ impl Running {
                 let log = running.log.display();
                 bail!("start {name}: it does not answer; see {log}");
             }
-            std::thread::sleep(PERIOD);
+            std::thread::sleep(CHECK_INTERVAL);
         }
     }
 
@@ -64,20 +64,24 @@ impl Running {
     /// # Errors
     /// If its exit status is not 0, or if this program ends before it.
     pub(crate) fn run_while_alive(&mut self, command: &mut Command) -> Result<()> {
-        let mut beside = command
+        let mut running_command = command
             .spawn()
-            .with_context(|| format!("start `{}`", shown(command)))?;
+            .with_context(|| format!("start `{}`", command_line(command)))?;
         loop {
-            if let Some(status) = beside.try_wait()? {
-                ensure!(status.success(), "run `{}`: {status}", shown(command));
+            if let Some(status) = running_command.try_wait()? {
+                ensure!(
+                    status.success(),
+                    "run `{}`: {status}",
+                    command_line(command)
+                );
                 return Ok(());
             }
             if let Err(error) = self.check() {
-                let _ = beside.kill();
-                let _ = beside.wait();
+                let _ = running_command.kill();
+                let _ = running_command.wait();
                 return Err(error);
             }
-            std::thread::sleep(PERIOD);
+            std::thread::sleep(CHECK_INTERVAL);
         }
     }
 
@@ -136,7 +140,7 @@ impl Drop for Running {
             if matches!(self.child.try_wait(), Ok(Some(_)) | Err(_)) {
                 return;
             }
-            std::thread::sleep(PERIOD);
+            std::thread::sleep(CHECK_INTERVAL);
         }
         let _ = self.child.kill();
         let _ = self.child.wait();

@@ -62,7 +62,7 @@ pub(crate) fn assets(programs: &Path, tasks: &str) -> Result<PathBuf> {
 /// folder.
 ///
 /// # Errors
-/// As [`assets`].
+/// See [`assets`].
 pub(crate) fn assets_or(root: &Path, given: Option<&Path>, task: &str) -> Result<PathBuf> {
     match given {
         Some(folder) => Ok(folder.to_owned()),
@@ -78,7 +78,7 @@ pub(crate) fn opengl() -> Result<()> {
     step("OpenGL without a screen", gl_packages).map(|_| ())
 }
 
-/// Installs the libraries with which the original LIBERO renders: PyOpenGL needs one more.
+/// Installs the libraries with which the original LIBERO renders: PyOpenGL needs one more library.
 ///
 /// # Errors
 /// If they are missing and cannot be installed.
@@ -108,11 +108,11 @@ pub(crate) fn browser() -> Result<&'static str> {
 /// # Errors
 /// If it is missing and cannot be installed.
 pub(crate) fn slurm() -> Result<&'static str> {
-    let there = |program: &str| {
+    let is_installed = |program: &str| {
         let daemon = Path::new("/usr/sbin").join(program);
         daemon.is_file() || capture(Command::new("which").arg(program)).is_ok()
     };
-    if SLURM_DAEMONS.into_iter().all(there) {
+    if SLURM_DAEMONS.into_iter().all(is_installed) {
         return Ok("already there");
     }
     install(&SLURM_PACKAGES)?;
@@ -186,13 +186,13 @@ fn install(packages: &[&str]) -> Result<()> {
     if !is_root {
         bail!("install missing packages: run `sudo {by_hand}`, then run this command again");
     }
-    let quiet = |arguments: &[&str]| {
+    let apt_get = |arguments: &[&str]| {
         let mut apt = Command::new("apt-get");
         apt.args(arguments).env("DEBIAN_FRONTEND", "noninteractive");
         capture(&mut apt).with_context(|| format!("install packages (by hand: `{by_hand}`)"))
     };
-    quiet(&["update"])?;
-    quiet(&[&["install", "--yes", "--no-install-recommends"], packages].concat())?;
+    apt_get(&["update"])?;
+    apt_get(&[&["install", "--yes", "--no-install-recommends"], packages].concat())?;
     Ok(())
 }
 

@@ -48,17 +48,17 @@ pub(crate) fn check(report: &Path, shared: &Path) -> Result<()> {
             "{n} tests, or parts of them, were skipped because this machine lacks requirements."
         ),
     }
-    let wrongly: Vec<&str> = skipped
+    let missing_reference: Vec<&str> = skipped
         .iter()
         .filter(|(_, why)| shared.exists() && why.contains(REFERENCE))
         .map(|(test, _)| test.as_str())
         .collect();
     ensure!(
-        wrongly.is_empty(),
+        missing_reference.is_empty(),
         "run every test on the reference data: {} exists, but these tests did not find their \
          part of it: {}",
         shared.display(),
-        wrongly.join(", ")
+        missing_reference.join(", ")
     );
     Ok(())
 }
@@ -106,10 +106,10 @@ mod tests {
                 </system-err></testcase>
             <testcase name='a_holds'><system-out>nothing is skipped here</system-out></testcase>
             </testsuite></testsuites>";
-        let of_b = |why: &str| ("b_is_held".to_owned(), why.to_owned());
-        let skipped = [of_b("no npm"), of_b("no reference data at ../shared")];
+        let test_b = |why: &str| ("b_is_held".to_owned(), why.to_owned());
+        let skipped = [test_b("no npm"), test_b("no reference data at ../shared")];
         assert_eq!(list(report, MARK).expect("XML"), skipped);
-        let not_run = [of_b("A.md:7: needs a GPU")];
+        let not_run = [test_b("A.md:7: needs a GPU")];
         assert_eq!(list(report, NOT_RUN).expect("XML"), not_run);
     }
 
@@ -139,6 +139,6 @@ mod tests {
             check(&report, &absent).expect(why);
         }
         write(" a: no chromium");
-        check(&report, here).expect("what is no reference data may lack");
+        check(&report, here).expect("a missing tool is no failure");
     }
 }

@@ -10,11 +10,11 @@ use anyhow::Result;
 const WIDTH: usize = 34;
 
 /// Runs a step, and prints its title, its result in a few words, and its duration.
-pub(crate) fn step<T: Display>(what: &str, work: impl FnOnce() -> Result<T>) -> Result<T> {
+pub(crate) fn step<T: Display>(title: &str, work: impl FnOnce() -> Result<T>) -> Result<T> {
     let mut out = std::io::stdout();
     // A terminal shows the title while the step runs.
     if out.is_terminal() {
-        let _ = write!(out, "  {what:<WIDTH$} …");
+        let _ = write!(out, "  {title:<WIDTH$} …");
         let _ = out.flush();
     }
     let start = Instant::now();
@@ -28,9 +28,9 @@ pub(crate) fn step<T: Display>(what: &str, work: impl FnOnce() -> Result<T>) -> 
             } else {
                 String::new()
             };
-            println!("{begin}  {what:<WIDTH$} {result}{time}");
+            println!("{begin}  {title:<WIDTH$} {result}{time}");
         }
-        Err(_) => println!("{begin}  {what:<WIDTH$} failed"),
+        Err(_) => println!("{begin}  {title:<WIDTH$} failed"),
     }
     outcome
 }

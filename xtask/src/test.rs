@@ -265,18 +265,18 @@ mod tests {
 
     #[test]
     fn opengl_is_installed_only_for_programs_that_use_it() {
-        let asks = |name: &str, arguments: &str| {
+        let installs_opengl = |name: &str, arguments: &str| {
             let arguments: Vec<String> = arguments.split_whitespace().map(str::to_owned).collect();
             draws_through_opengl(name, &arguments)
         };
-        assert!(!asks("parity", "--reference glass --assets gl"));
-        assert!(!asks("parity", "--renderer software"));
-        assert!(asks("parity", "--renderer gl"));
-        assert!(asks("parity", "--renderer=gl:1 --reference DIR"));
-        assert!(!asks("parity", "--renderer"));
-        assert!(asks("worker", "bench --renderer gl"));
-        assert!(!asks("worker", "bench"));
-        assert!(asks("bench_draw", "--tasks all"));
-        assert!(!asks("bench_draw", "--alone"));
+        assert!(!installs_opengl("parity", "--reference glass --assets gl"));
+        assert!(!installs_opengl("parity", "--renderer software"));
+        assert!(installs_opengl("parity", "--renderer gl"));
+        assert!(installs_opengl("parity", "--renderer=gl:1 --reference DIR"));
+        assert!(!installs_opengl("parity", "--renderer"));
+        assert!(installs_opengl("worker", "bench --renderer gl"));
+        assert!(!installs_opengl("worker", "bench"));
+        assert!(installs_opengl("bench_draw", "--tasks all"));
+        assert!(!installs_opengl("bench_draw", "--alone"));
     }
 }

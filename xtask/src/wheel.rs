@@ -187,8 +187,8 @@ mod tests {
 
     /// Returns the `pyproject.toml` files in the repository's folders and their direct subfolders.
     fn projects(root: &Path) -> Vec<PathBuf> {
-        let folders = |of: &Path| {
-            let entries = std::fs::read_dir(of).expect("a folder");
+        let folders = |parent: &Path| {
+            let entries = std::fs::read_dir(parent).expect("a folder");
             let paths = entries.map(|entry| entry.expect("an entry").path());
             let is_source = |path: &PathBuf| path.is_dir() && !path.ends_with("target");
             paths.filter(is_source).collect::<Vec<_>>()
@@ -201,19 +201,19 @@ mod tests {
     }
 
     #[test]
-    fn every_package_is_built_with_the_one_version_that_setup_fetches() {
-        let mut seen = 0;
+    fn build_requirements_are_the_versions_that_setup_installs() {
+        let mut checked = 0;
         for file in projects(&crate::root()) {
             let text = std::fs::read_to_string(&file).expect("a project");
             for line in text.lines().filter(|line| line.starts_with("requires = ")) {
                 for tool in line.split('"').skip(1).step_by(2) {
                     let place = file.display();
                     assert!(BUILT_WITH.contains(&tool), "{place} requires {tool}");
-                    seen += 1;
+                    checked += 1;
                 }
             }
         }
-        assert!(seen >= 3, "few requirements were found: {seen}");
+        assert!(checked >= 3, "few requirements were found: {checked}");
         assert!(BUILT_WITH.iter().all(|tool| tool.contains("==")));
     }
 }

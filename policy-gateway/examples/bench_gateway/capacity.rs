@@ -63,13 +63,13 @@ pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
 pub(crate) async fn run_slots(slots: &Slots) -> Result<Value> {
     let began = Instant::now() + WARM_UP;
     let ends = began + Duration::from_secs(slots.secs);
-    let mut asking = JoinSet::new();
+    let mut running = JoinSet::new();
     for slot in Slot::open_all(&slots.address, &slots.policy, slots.slots).await? {
-        asking.spawn(until(slot, ends));
+        running.spawn(query_until(slot, ends));
     }
     let mut answers = Vec::new();
-    while let Some(asked) = asking.join_next().await {
-        let counted = asked??.into_iter().filter(|(at, _)| *at >= began);
+    while let Some(ended) = running.join_next().await {
+        let counted = ended??.into_iter().filter(|(at, _)| *at >= began);
         answers.extend(counted);
     }
     let mut seconds = vec![0.0; slots.secs as usize];
@@ -92,16 +92,16 @@ pub(crate) async fn run_slots(slots: &Slots) -> Result<Value> {
 }
 
 /// Returns the time and the latency of each answer.
-async fn until(slot: Slot, ends: Instant) -> Result<Vec<(Instant, Duration)>> {
+async fn query_until(slot: Slot, ends: Instant) -> Result<Vec<(Instant, Duration)>> {
     let mut answered = Vec::new();
     for query_index in 0.. {
-        let asked = Instant::now();
-        if asked >= ends {
+        let sent_at = Instant::now();
+        if sent_at >= ends {
             break;
         }
         slot.query(query_index).await?;
-        let at = Instant::now();
-        answered.push((at, at - asked));
+        let answered_at = Instant::now();
+        answered.push((answered_at, answered_at - sent_at));
     }
     Ok(answered)
 }

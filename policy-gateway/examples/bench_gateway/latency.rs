@@ -38,15 +38,21 @@ pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
     for _ in 0..=measure.rounds {
         let queries = first_query..first_query + measure.rate * measure.secs as u32;
         first_query = queries.end;
-        let alone = open_loop(&direct, measure.rate, secs, queries.start).await?;
-        let with = open_loop(&through, measure.rate, secs, queries.start).await?;
-        rounds.push((alone, with));
+        let direct_latencies = open_loop(&direct, measure.rate, secs, queries.start).await?;
+        let gateway_latencies = open_loop(&through, measure.rate, secs, queries.start).await?;
+        rounds.push((direct_latencies, gateway_latencies));
     }
     let counted = &rounds[1..];
-    let of = |share: f64| {
-        let at = |latencies: &[Duration]| percentile_millis(latencies, share);
-        let direct: Vec<_> = counted.iter().map(|(alone, _)| at(alone)).collect();
-        let through: Vec<_> = counted.iter().map(|(_, with)| at(with)).collect();
+    let percentile_summary = |share: f64| {
+        let percentile = |latencies: &[Duration]| percentile_millis(latencies, share);
+        let direct: Vec<_> = counted
+            .iter()
+            .map(|(direct_latencies, _)| percentile(direct_latencies))
+            .collect();
+        let through: Vec<_> = counted
+            .iter()
+            .map(|(_, gateway_latencies)| percentile(gateway_latencies))
+            .collect();
         let pairs = direct.iter().zip(&through);
         let added: Vec<_> = pairs.map(|(direct, through)| through - direct).collect();
         json!({
@@ -59,8 +65,8 @@ pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
         "rate_per_sec": measure.rate,
         "rounds": measure.rounds,
         "secs_per_round": measure.secs,
-        "p50": of(0.5),
-        "p99": of(0.99),
+        "p50": percentile_summary(0.5),
+        "p99": percentile_summary(0.99),
     }))
 }
 
@@ -78,24 +84,24 @@ async fn open_loop(
     let ticker = thread::spawn(move || {
         let began = Instant::now();
         for number in 0..queries {
-            let then = began + Duration::from_secs(1) * number / rate;
-            thread::sleep(then.saturating_duration_since(Instant::now()));
-            if due.send((number, then)).is_err() {
+            let scheduled = began + Duration::from_secs(1) * number / rate;
+            thread::sleep(scheduled.saturating_duration_since(Instant::now()));
+            if due.send((number, scheduled)).is_err() {
                 break;
             }
         }
     });
     let mut under_way = JoinSet::new();
-    while let Some((number, then)) = dues.recv().await {
+    while let Some((number, scheduled)) = dues.recv().await {
         let slot = slots[number as usize % slots.len()].clone();
         under_way.spawn(async move {
             slot.query(first_query + number).await?;
-            anyhow::Ok(then.elapsed())
+            anyhow::Ok(scheduled.elapsed())
         });
     }
     let mut latencies = Vec::new();
-    while let Some(asked) = under_way.join_next().await {
-        latencies.push(asked??);
+    while let Some(latency) = under_way.join_next().await {
+        latencies.push(latency??);
     }
     ticker.join().expect("the ticker does not panic");
     Ok(latencies)

@@ -1,5 +1,5 @@
 //! Simulated slots: each has a connection of its own, like a worker, and one session that sends the
-//! same made-up observation repeatedly.
+//! same synthetic observation repeatedly.
 
 use std::time::Duration;
 
@@ -13,7 +13,7 @@ use tonic::{
     transport::{Channel, Endpoint},
 };
 
-/// The made-up task's suite.
+/// The synthetic task's suite.
 const SUITE: &str = "libero_object";
 
 /// One slot, with its session open.

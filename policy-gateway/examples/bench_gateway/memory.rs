@@ -33,14 +33,16 @@ pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
         );
     }
     let before = gateway.memory_mib("VmRSS")?;
-    let mut asking = JoinSet::new();
+    let mut queries_in_flight = JoinSet::new();
     for slot in waiting {
-        asking.spawn(async move { slot.query(0).await });
+        queries_in_flight.spawn(async move { slot.query(0).await });
     }
     let mut refused = 0;
     let mut most = before;
     loop {
-        while let Ok(Some(answered)) = tokio::time::timeout(QUIET, asking.join_next()).await {
+        while let Ok(Some(answered)) =
+            tokio::time::timeout(QUIET, queries_in_flight.join_next()).await
+        {
             match answered? {
                 Err(status) if status.code() == Code::ResourceExhausted => refused += 1,
                 other => bail!("a query to the stalled server ended otherwise: {other:?}"),
@@ -55,7 +57,7 @@ pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
     Ok(json!({
         "queries": measure.stalled_queries,
         "refused": refused,
-        "waiting": asking.len(),
+        "waiting": queries_in_flight.len(),
         "before_mib": before,
         "with_waiting_mib": gateway.memory_mib("VmRSS")?,
         "most_mib": gateway.memory_mib("VmHWM")?,

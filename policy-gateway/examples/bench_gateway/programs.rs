@@ -20,15 +20,15 @@ pub(crate) struct Running {
 
 impl Running {
     async fn start(mut command: Command) -> Result<Self> {
-        let what = format!("{:?}", command.as_std());
+        let program = format!("{:?}", command.as_std());
         let mut child = command
             .stdout(Stdio::piped())
             .kill_on_drop(true)
             .spawn()
-            .with_context(|| format!("start {what}"))?;
+            .with_context(|| format!("start {program}"))?;
         let stdout = child.stdout.take().context("its output is piped")?;
         let line = BufReader::new(stdout).lines().next_line().await?;
-        let line = line.with_context(|| format!("read an address: {what} ended"))?;
+        let line = line.with_context(|| format!("read an address: {program} ended"))?;
         let address = line.strip_prefix("listening on ").unwrap_or(&line);
         Ok(Self {
             address: address.to_owned(),
@@ -60,7 +60,10 @@ impl Running {
     /// Returns a memory size of the process from `/proc`, MiB: `VmRSS`, the current one, or
     /// `VmHWM`, the peak.
     pub(crate) fn memory_mib(&self, size: &str) -> Result<f64> {
-        let pid = self.child.id().context("it still runs")?;
+        let pid = self
+            .child
+            .id()
+            .context("find the process id: the process has ended")?;
         let path = format!("/proc/{pid}/status");
         let status = std::fs::read_to_string(&path).with_context(|| format!("read {path}"))?;
         let mut lines = status.lines().filter_map(|line| line.split_once(':'));

@@ -71,15 +71,18 @@ struct Simulated {
 }
 
 impl Simulated {
-    /// Waits until a batch has been computed. A batch that arrives during another one starts when
-    /// that one ends, even if the timer fires late, since a real server does not compute batches on
-    /// the thread that receives them.
+    /// Waits until a batch has been computed. A batch that arrives during another batch starts at
+    /// the end of the earlier batch, even if the timer fires late, since a real server does not
+    /// compute batches on the thread that receives them.
     async fn compute(&self) {
         if self.options.stalled {
             std::future::pending::<()>().await;
         }
         let done = {
-            let mut busy_until = self.busy_until.lock().expect("nobody panics with it");
+            let mut busy_until = self
+                .busy_until
+                .lock()
+                .expect("no code panics while it holds the lock");
             let began = Instant::now().max(*busy_until);
             *busy_until = began + Duration::from_millis(self.options.batch_millis);
             *busy_until

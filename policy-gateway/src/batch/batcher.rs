@@ -83,7 +83,7 @@ impl Batcher {
                 .push(query, Instant::now())
                 .map_err(|_| BackendError::QueueFull { queued: MAX_QUEUED })?;
         }
-        self.drive();
+        self.start_task();
         self.shared.changed.notify_one();
         let answer = match tokio::time::timeout(patience, &mut answered).await {
             Ok(answer) => answer,
@@ -99,11 +99,11 @@ impl Batcher {
     }
 
     /// Starts the task unless it is running.
-    fn drive(&self) {
+    fn start_task(&self) {
         let mut driver = self.driver.lock().unwrap_or_else(PoisonError::into_inner);
         while driver.try_join_next().is_some() {}
         if driver.is_empty() {
-            driver.spawn(drive(Arc::clone(&self.shared)));
+            driver.spawn(send_batches(Arc::clone(&self.shared)));
         }
     }
 }
@@ -115,13 +115,13 @@ impl Shared {
 
     fn next(&self) -> Next<Query> {
         let (queue, size) = &mut *self.queue();
-        // A caller that stopped waiting needs no answer and takes no place in a batch.
+        // A caller that stopped waiting needs no answer, and its query is not sent.
         queue.forget(|query| query.answer.is_closed());
         queue.next(*size, Instant::now())
     }
 }
 
-async fn drive(shared: Arc<Shared>) {
+async fn send_batches(shared: Arc<Shared>) {
     let mut under_way = JoinSet::new();
     loop {
         let wait = match shared.next() {
@@ -132,7 +132,7 @@ async fn drive(shared: Arc<Shared>) {
             Next::WaitUntil(then) => Some(then),
             Next::Nothing => None,
         };
-        let ripe = async {
+        let wait_over = async {
             match wait {
                 Some(then) => tokio::time::sleep_until(then.into()).await,
                 None => std::future::pending().await,
@@ -142,7 +142,7 @@ async fn drive(shared: Arc<Shared>) {
             // A batch whose task panicked counts as done; its callers get `BatchLost`.
             Some(_) = under_way.join_next() => shared.queue().0.done(),
             () = shared.changed.notified() => {}
-            () = ripe => {}
+            () = wait_over => {}
         }
     }
 }
@@ -151,11 +151,11 @@ async fn drive(shared: Arc<Shared>) {
 /// which cancels the request at the server.
 async fn send(shared: Arc<Shared>, batch: Vec<Query>) {
     let mut requests = Vec::with_capacity(batch.len());
-    let mut askers = Vec::with_capacity(batch.len());
+    let mut callers = Vec::with_capacity(batch.len());
     for query in batch {
         query.is_sent.store(true, Ordering::Relaxed);
         requests.push(query.request);
-        askers.push(query.answer);
+        callers.push(query.answer);
     }
     let limit = shared.answer_within;
     let call = shared.backend.infer_batch(requests);
@@ -163,23 +163,23 @@ async fn send(shared: Arc<Shared>, batch: Vec<Query>) {
         Ok(answers) => answers.len() as u32,
         Err(error) => u32::from(!error.is_outage()),
     });
-    let all_gone = async {
-        for asker in &mut askers {
-            asker.closed().await;
+    let all_callers_gone = async {
+        for caller in &mut callers {
+            caller.closed().await;
         }
     };
     let answers = tokio::select! {
         answers = call => answers,
-        () = all_gone => return,
+        () = all_callers_gone => return,
     };
     match answers {
         Ok(Ok(answers)) => {
-            for (asker, answer) in askers.into_iter().zip(answers) {
+            for (caller, answer) in callers.into_iter().zip(answers) {
                 // The caller may have stopped waiting.
-                drop(asker.send(answer));
+                drop(caller.send(answer));
             }
         }
-        Ok(Err(error)) => fail(askers, &error),
+        Ok(Err(error)) => fail(callers, &error),
         Err(Silent) => {
             let error = BackendError::TimedOut {
                 backend: shared.backend.to_string(),
@@ -187,17 +187,17 @@ async fn send(shared: Arc<Shared>, batch: Vec<Query>) {
             };
             let waiting = shared.queue().0.drain();
             fail(waiting.into_iter().map(|query| query.answer), &error);
-            fail(askers, &error);
+            fail(callers, &error);
         }
     }
 }
 
 fn fail(
-    askers: impl IntoIterator<Item = oneshot::Sender<Result<InferResponse, BackendError>>>,
+    callers: impl IntoIterator<Item = oneshot::Sender<Result<InferResponse, BackendError>>>,
     error: &BackendError,
 ) {
-    for asker in askers {
-        drop(asker.send(Err(error.clone())));
+    for caller in callers {
+        drop(caller.send(Err(error.clone())));
     }
 }
 
@@ -211,16 +211,16 @@ mod tests {
 
     /// A back-end that panics at its first batch.
     #[derive(Default)]
-    struct Panicking(AtomicBool);
+    struct PanickingBackend(AtomicBool);
 
-    impl fmt::Display for Panicking {
+    impl fmt::Display for PanickingBackend {
         fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
             f.write_str("panicking")
         }
     }
 
     #[tonic::async_trait]
-    impl Backend for Panicking {
+    impl Backend for PanickingBackend {
         async fn describe(&self, _: &str) -> Result<DescribeResponse, BackendError> {
             Ok(DescribeResponse::default())
         }
@@ -237,13 +237,13 @@ mod tests {
 
     #[tokio::test]
     async fn a_batch_whose_task_panics_is_lost_uncharged_and_the_next_one_is_answered() {
-        let backend = Arc::new(Panicking::default());
+        let backend = Arc::new(PanickingBackend::default());
         let patience = Duration::from_secs(60);
         let batcher = Batcher::new(backend, Arc::default(), patience);
         let lost = batcher.infer(InferRequest::default(), 2, patience).await;
         let lost = lost.expect_err("its batch panicked");
         assert!(matches!(lost, BackendError::BatchLost) && lost.is_outage());
         let next = batcher.infer(InferRequest::default(), 2, patience).await;
-        next.expect("the batcher goes on");
+        next.expect("the batcher continues");
     }
 }

@@ -13,15 +13,20 @@ pub(super) enum Checkpoints {
 }
 
 impl Checkpoints {
-    /// Creates the pools of `spec`, reusing the unchanged ones of the `known` replicas.
+    /// Creates the pools of `spec`, reusing the unchanged ones of the `existing` replicas.
     ///
     /// # Errors
     /// See [`UnusableBackend`].
-    pub(super) fn new(spec: &RouteSpec, known: &[Arc<Replica>]) -> Result<Self, UnusableBackend> {
+    pub(super) fn new(
+        spec: &RouteSpec,
+        existing: &[Arc<Replica>],
+    ) -> Result<Self, UnusableBackend> {
         let access = spec.access.read()?;
         let replica = |backend: &BackendSpec| {
-            let stays = known.iter().find(|replica| replica.is(backend, spec));
-            match stays {
+            let unchanged = existing
+                .iter()
+                .find(|replica| replica.has_settings(backend, spec));
+            match unchanged {
                 Some(replica) => Ok(Arc::clone(replica)),
                 None => Replica::new(backend, &access, spec).map(Arc::new),
             }

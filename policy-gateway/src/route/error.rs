@@ -14,7 +14,7 @@ use crate::{config::RouteName, held::MAX_HELD_BYTES};
 #[derive(Debug, Error)]
 pub enum RouteError {
     /// The replica did not answer.
-    #[error("route {route}{}", of_replica(replica, source))]
+    #[error("route {route}{}", replica_problem(replica, source))]
     Replica {
         /// Name of the route.
         route: RouteName,
@@ -101,7 +101,7 @@ pub enum RouteError {
 
 /// Formats the message after the route's name. The replica is named exactly once, here or by its
 /// error.
-fn of_replica(replica: &str, source: &BackendError) -> String {
+fn replica_problem(replica: &str, source: &BackendError) -> String {
     let problem = source.to_string();
     let address = replica.split_once("://").map_or(replica, |(_, rest)| rest);
     let address = address.split('/').next().unwrap_or(address);

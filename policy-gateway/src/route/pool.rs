@@ -25,7 +25,7 @@ pub struct Pool {
     batching: Batching,
     /// Description by the first replica to answer; the others must agree with it.
     agreed: Mutex<Option<Agreed>>,
-    sessions_given: AtomicU64,
+    sessions_assigned: AtomicU64,
     /// Number of sessions whose Reset is in flight.
     opening: AtomicUsize,
 }
@@ -52,14 +52,14 @@ impl Pool {
             replicas,
             batching,
             agreed: Mutex::default(),
-            sessions_given: AtomicU64::new(0),
+            sessions_assigned: AtomicU64::new(0),
             opening: AtomicUsize::new(0),
         }
     }
 
     /// Reserves a place for a session's Reset if the replicas can answer that session in time, in
     /// addition to the `open` ones. The caller must prevent concurrent calls.
-    pub fn open_one_more(self: &Arc<Self>, open: usize) -> Option<Opening> {
+    pub fn reserve_session(self: &Arc<Self>, open: usize) -> Option<Opening> {
         let sessions = open + self.opening.load(Ordering::Relaxed);
         if self.capacity().is_some_and(|most| sessions >= most) {
             return None;
@@ -69,7 +69,7 @@ impl Pool {
     }
 
     /// Returns the number of sessions that the replicas can answer in time together; `None` if the
-    /// pace of one is unknown, or all are out.
+    /// pace of a replica is unknown, or all are out.
     pub fn capacity(&self) -> Option<usize> {
         let up = self.replicas.iter().filter(|replica| !replica.is_out());
         let capacities = up.map(|replica| replica.capacity());
@@ -79,7 +79,7 @@ impl Pool {
 
     /// Returns the longest wait of a Reset for another session to end: 20 s if answers may take 50
     /// s, so that the Reset completes within a worker's 60 s.
-    pub fn reset_patience(&self) -> Duration {
+    pub fn reset_timeout(&self) -> Duration {
         let longest = self
             .replicas
             .iter()
@@ -120,11 +120,13 @@ impl Pool {
         tried: &[Arc<Replica>],
     ) -> Option<Arc<Replica>> {
         let chosen = match self.batching {
-            Batching::Deterministic => self.fixed(seed).filter(|replica| !contains(tried, replica)),
-            Batching::Dynamic | Batching::Single => self.idlest(session, tried, &[]),
+            Batching::Deterministic => self
+                .replica_of_seed(seed)
+                .filter(|replica| !contains(tried, replica)),
+            Batching::Dynamic | Batching::Single => self.least_loaded(session, tried, &[]),
         };
         if let Some(replica) = chosen {
-            replica.give(self.sessions_given.fetch_add(1, Ordering::Relaxed) + 1);
+            replica.record_assignment(self.sessions_assigned.fetch_add(1, Ordering::Relaxed) + 1);
         }
         chosen.cloned()
     }
@@ -137,33 +139,33 @@ impl Pool {
         open_on: &[Arc<Replica>],
         tried: &[Arc<Replica>],
     ) -> Option<Arc<Replica>> {
-        self.idlest(session, tried, open_on).cloned()
+        self.least_loaded(session, tried, open_on).cloned()
     }
 
     /// Returns the replica for all sessions of a seed, by rendezvous hashing: a replica that is
     /// added or removed only moves the seeds that it gains or loses.
-    fn fixed(&self, seed: u64) -> Option<&Arc<Replica>> {
+    fn replica_of_seed(&self, seed: u64) -> Option<&Arc<Replica>> {
         let rank = |replica: &&Arc<Replica>| Sha256::digest(format!("{seed} {replica}"));
         self.replicas.iter().max_by_key(rank)
     }
 
-    /// Returns the replica with the fewest queries in flight that is not out; among equals, first
-    /// one that knows the session, then the one whose last new session is oldest. If all are out,
-    /// returns the first one, whose error names the cause.
-    fn idlest(
+    /// Returns the replica with the fewest queries in flight that is not out; among equals, a
+    /// replica where the session is open, then the one whose last new session is oldest. If all
+    /// are out, returns the first one, whose error names the cause.
+    fn least_loaded(
         &self,
         session: &str,
         tried: &[Arc<Replica>],
         open_on: &[Arc<Replica>],
     ) -> Option<&Arc<Replica>> {
-        let left = self
+        let untried = self
             .replicas
             .iter()
             .filter(|replica| !contains(tried, replica));
-        left.min_by_key(|replica| {
-            let is_out = !replica.would_admit(Call::Of(session));
+        untried.min_by_key(|replica| {
+            let is_out = !replica.would_admit(Call::InSession(session));
             let is_new = !contains(open_on, replica);
-            (is_out, replica.load(), is_new, replica.last_given())
+            (is_out, replica.load(), is_new, replica.last_assigned())
         })
     }
 

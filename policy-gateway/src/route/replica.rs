@@ -36,7 +36,7 @@ pub const MAX_CALLS: usize = 64;
 const MIN_SESSIONS: usize = 4;
 /// Longest time per control step of a rollout: most of the 10 s that a coordinator allows
 /// (`--step-ceiling-secs`).
-const STEP_PATIENCE: Duration = Duration::from_secs(8);
+const MAX_STEP_WAIT: Duration = Duration::from_secs(8);
 
 /// Back-end of a checkpoint, with its load and health.
 pub struct Replica {
@@ -56,13 +56,13 @@ pub struct Replica {
     /// Number of queries in flight.
     load: AtomicUsize,
     /// Sequence number, in the pool, of the last session assigned to this replica.
-    last_given: AtomicU64,
+    last_assigned: AtomicU64,
 }
 
 /// Guard of a query in flight; dropping it ends the query's count.
-struct UnderWay<'a>(&'a AtomicUsize);
+struct LoadGuard<'a>(&'a AtomicUsize);
 
-impl Drop for UnderWay<'_> {
+impl Drop for LoadGuard<'_> {
     fn drop(&mut self) {
         self.0.fetch_sub(1, Ordering::Relaxed);
     }
@@ -70,19 +70,19 @@ impl Drop for UnderWay<'_> {
 
 /// Guard of a call in flight. If the guard is dropped before the call ends and the call was the
 /// probe, the next call may probe the server at once.
-struct Trying<'a> {
+struct CallGuard<'a> {
     replica: &'a Replica,
     call: Call<'a>,
     has_ended: bool,
 }
 
-impl Trying<'_> {
+impl CallGuard<'_> {
     fn end(mut self) {
         self.has_ended = true;
     }
 }
 
-impl Drop for Trying<'_> {
+impl Drop for CallGuard<'_> {
     fn drop(&mut self) {
         if !self.has_ended {
             self.replica.health().abandoned(self.call);
@@ -124,16 +124,16 @@ impl Replica {
             execute: AtomicU32::new(1),
             health: Mutex::default(),
             load: AtomicUsize::new(0),
-            last_given: AtomicU64::new(0),
+            last_assigned: AtomicU64::new(0),
         })
     }
 
     /// Returns true if a new replica with these settings would be the same. Never true with access
     /// files, whose content may have changed.
-    pub fn is(&self, spec: &BackendSpec, route: &RouteSpec) -> bool {
-        let made = (spec, &self.access, route.answer_within, route.batching);
+    pub fn has_settings(&self, spec: &BackendSpec, route: &RouteSpec) -> bool {
+        let settings = (spec, &self.access, route.answer_within, route.batching);
         self.access == AccessFiles::default()
-            && made == (&self.spec, &route.access, self.answer_within, self.batching)
+            && settings == (&self.spec, &route.access, self.answer_within, self.batching)
     }
 
     /// Returns the number of queries in flight.
@@ -142,13 +142,13 @@ impl Replica {
     }
 
     /// Returns the sequence number of the last session assigned to this replica.
-    pub fn last_given(&self) -> u64 {
-        self.last_given.load(Ordering::Relaxed)
+    pub fn last_assigned(&self) -> u64 {
+        self.last_assigned.load(Ordering::Relaxed)
     }
 
     /// Records the assignment of the `number`th session.
-    pub fn give(&self, number: u64) {
-        self.last_given.store(number, Ordering::Relaxed);
+    pub fn record_assignment(&self, number: u64) {
+        self.last_assigned.store(number, Ordering::Relaxed);
     }
 
     /// Returns the longest silence allowed to its server.
@@ -158,7 +158,7 @@ impl Replica {
 
     /// Returns the longest time of a query in the queue: 55 s if answers may take 50 s, which is
     /// below a worker's 60 s.
-    fn patience(&self) -> Duration {
+    fn queue_timeout(&self) -> Duration {
         self.answer_within * 11 / 10
     }
 
@@ -171,7 +171,7 @@ impl Replica {
     /// known.
     pub fn capacity(&self) -> Option<usize> {
         let execute = self.execute.load(Ordering::Relaxed);
-        Some(capacity(self.patience(), execute, self.per_query()?))
+        Some(capacity(self.queue_timeout(), execute, self.per_query()?))
     }
 
     /// Returns true if only probes are sent to the server.
@@ -196,17 +196,19 @@ impl Replica {
         suite: &str,
         agrees: impl FnOnce(&DescribeResponse) -> Result<(), String>,
     ) -> Result<DescribeResponse, BackendError> {
-        let described = self.in_time(call, self.backend.describe(suite)).await?;
+        let described = self
+            .call_within_limit(call, self.backend.describe(suite))
+            .await?;
         policy_protocol::description(&described).map_err(|fault| BackendError::Description {
             policy: described.name.clone(),
             fault,
         })?;
         if let Err(difference) = agrees(&described) {
             let difference = told(&difference);
-            self.lost(Cause::Disagrees(difference.clone()));
+            self.record_outage(Cause::Disagrees(difference.clone()));
             return Err(BackendError::Disagrees { difference });
         }
-        self.answered(Answered::Something);
+        self.answered(Answered::Other);
         let batch_size = match self.batching {
             Batching::Dynamic => description::batch_size(&described),
             Batching::Single | Batching::Deterministic => 1,
@@ -222,18 +224,18 @@ impl Replica {
     /// If the replica does not answer or refuses.
     pub async fn reset(&self, request: ResetRequest) -> Result<(), BackendError> {
         let session = request.session.clone();
-        self.in_time(Call::Of(&session), self.backend.reset(request))
+        self.call_within_limit(Call::InSession(&session), self.backend.reset(request))
             .await?;
-        self.answered(Answered::Something);
+        self.answered(Answered::Other);
         Ok(())
     }
 
     /// Ends an episode at the server, unless the server is out.
     pub async fn end(&self, session: &str) {
-        if self.would_admit(Call::Of(session)) {
+        if self.would_admit(Call::InSession(session)) {
             let _ = tokio::time::timeout(self.answer_within, self.backend.end(session)).await;
         }
-        self.health().abandoned(Call::Of(session));
+        self.health().abandoned(Call::InSession(session));
     }
 
     /// Answers one observation of `task` with at most `horizon` actions.
@@ -248,17 +250,21 @@ impl Replica {
         task: &str,
     ) -> Result<InferResponse, BackendError> {
         self.load.fetch_add(1, Ordering::Relaxed);
-        let _under_way = UnderWay(&self.load);
+        let _under_way = LoadGuard(&self.load);
         let session = request.session.clone();
-        let call = Call::Of(&session);
-        let trying = self.admit(call)?;
+        let call = Call::InSession(&session);
+        let guard = self.admit(call)?;
         let answer = match self.batch_size.load(Ordering::Relaxed) {
             1 => self.infer_alone(call, request).await,
-            size => self.batcher.infer(request, size, self.patience()).await,
+            size => {
+                self.batcher
+                    .infer(request, size, self.queue_timeout())
+                    .await
+            }
         };
-        let answer = self.noted(answer);
-        if !matches!(&answer, Err(error) if says_nothing(error)) {
-            trying.end();
+        let answer = self.record_health(answer);
+        if !matches!(&answer, Err(error) if is_no_evidence(error)) {
+            guard.end();
         }
         let checked =
             answer.and_then(
@@ -273,12 +279,12 @@ impl Replica {
                 Ok(response)
             }
             Err(error) if error.is_outage() => Err(error),
-            Err(error) => Err(self.judge(error, task)),
+            Err(error) => Err(self.attribute_error(error, task)),
         }
     }
 
     /// Attributes the error of a query to the query, or to the server if the server is out.
-    fn judge(&self, error: BackendError, task: &str) -> BackendError {
+    fn attribute_error(&self, error: BackendError, task: &str) -> BackendError {
         let was_up = matches!(*self.health(), Health::Up(_));
         let cause = self
             .health()
@@ -287,7 +293,7 @@ impl Replica {
             None => error,
             Some(cause) => {
                 if was_up {
-                    self.log_loss(&cause);
+                    self.log_outage(&cause);
                 }
                 BackendError::Sick {
                     backend: self.to_string(),
@@ -303,7 +309,7 @@ impl Replica {
         call: Call<'_>,
         request: InferRequest,
     ) -> Result<InferResponse, BackendError> {
-        let patience = self.patience();
+        let patience = self.queue_timeout();
         let Ok(_turn) = tokio::time::timeout(patience, self.calls.acquire()).await else {
             return Err(BackendError::Crowded {
                 backend: self.to_string(),
@@ -321,26 +327,26 @@ impl Replica {
 
     /// Makes one call without queries if the server's health admits it, and records a failure or
     /// timeout.
-    async fn in_time<T>(
+    async fn call_within_limit<T>(
         &self,
         call: Call<'_>,
         answer: impl Future<Output = Result<T, BackendError>>,
     ) -> Result<T, BackendError> {
-        let trying = self.admit(call)?;
+        let guard = self.admit(call)?;
         let answer = self.watch.answer(self.answer_within, answer).await;
-        let answer = self.noted(self.unless_silent(answer));
-        trying.end();
+        let answer = self.record_health(self.unless_silent(answer));
+        guard.end();
         answer
     }
 
-    fn admit<'a>(&'a self, call: Call<'a>) -> Result<Trying<'a>, BackendError> {
+    fn admit<'a>(&'a self, call: Call<'a>) -> Result<CallGuard<'a>, BackendError> {
         let admitted = self.health().admit(call, Instant::now());
-        let trying = admitted.map(|()| Trying {
+        let guard = admitted.map(|()| CallGuard {
             replica: self,
             call,
             has_ended: false,
         });
-        trying.map_err(|(cause, retry_in)| BackendError::Out {
+        guard.map_err(|(cause, retry_in)| BackendError::Out {
             backend: self.to_string(),
             cause,
             retry_in,
@@ -360,22 +366,22 @@ impl Replica {
     }
 
     /// Records what an answer shows about the server's health, and returns the answer.
-    fn noted<T>(&self, answer: Result<T, BackendError>) -> Result<T, BackendError> {
+    fn record_health<T>(&self, answer: Result<T, BackendError>) -> Result<T, BackendError> {
         match &answer {
-            Err(BackendError::TimedOut { .. }) => self.lost(Cause::Silent),
-            Err(error) if says_nothing(error) => {}
+            Err(BackendError::TimedOut { .. }) => self.record_outage(Cause::Silent),
+            Err(error) if is_no_evidence(error) => {}
             Err(BackendError::Unreachable { trouble, .. }) => {
                 let why = trouble.to_string();
-                self.lost(match trouble.found.is_final() {
+                self.record_outage(match trouble.found.is_final() {
                     true => Cause::Misplaced(why),
                     false => Cause::Unreachable(why),
                 });
             }
             Err(error @ BackendError::Barred { .. }) => {
-                self.lost(Cause::Distrust(error.to_string()));
+                self.record_outage(Cause::Distrust(error.to_string()));
             }
             // A temporary refusal also shows that the server is up.
-            Err(error) if error.is_outage() => self.answered(Answered::Something),
+            Err(error) if error.is_outage() => self.answered(Answered::Other),
             _ => {}
         }
         answer
@@ -383,18 +389,18 @@ impl Replica {
 
     fn answered(&self, answered: Answered) {
         if self.health().answered(answered) {
-            tracing::info!(backend = %self, "policy server back");
+            tracing::info!(backend = %self, "policy server recovered");
         }
     }
 
-    fn lost(&self, cause: Cause) {
+    fn record_outage(&self, cause: Cause) {
         let cause = cause.told();
         if self.health().failed(cause.clone(), Instant::now()) {
-            self.log_loss(&cause);
+            self.log_outage(&cause);
         }
     }
 
-    fn log_loss(&self, cause: &Cause) {
+    fn log_outage(&self, cause: &Cause) {
         tracing::warn!(backend = %self, "policy server out, tried again with back-off: it {cause}");
     }
 
@@ -410,7 +416,7 @@ impl fmt::Display for Replica {
 }
 
 /// Returns true if an error is no evidence about the server's health.
-fn says_nothing(error: &BackendError) -> bool {
+fn is_no_evidence(error: &BackendError) -> bool {
     matches!(
         error,
         BackendError::QueueFull { .. }
@@ -423,7 +429,7 @@ fn says_nothing(error: &BackendError) -> bool {
 /// Returns the number of sessions that get their answers in time from a server with `per_query`
 /// per query, if all of them query at once.
 fn capacity(patience: Duration, execute: u32, per_query: Duration) -> usize {
-    let longest = patience.min(STEP_PATIENCE * execute.max(1));
+    let longest = patience.min(MAX_STEP_WAIT * execute.max(1));
     let sessions = longest.as_secs_f64() / per_query.as_secs_f64().max(1e-9);
     // A cast from float to integer saturates.
     (sessions as usize).max(MIN_SESSIONS)
@@ -434,7 +440,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn as_many_sessions_as_are_answered_in_time_and_128_at_four_tenths_of_a_second() {
+    fn capacity_is_the_number_of_sessions_answered_in_time() {
         let at = |execute, millis| {
             let patience = Duration::from_secs(55);
             capacity(patience, execute, Duration::from_millis(millis))

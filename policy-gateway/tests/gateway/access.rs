@@ -1,5 +1,6 @@
-//! Policy servers with TLS and tokens: the right credentials let the gateway in, wrong ones are
-//! reported with a remedy, and none is ever logged. The server is the real program.
+//! Policy servers with TLS and tokens: a gateway with valid credentials is accepted, invalid
+//! credentials are reported with a remedy, and no credential is logged. The server is the real
+//! program.
 
 use std::{
     io::{BufRead, BufReader, Read},
@@ -21,23 +22,23 @@ const TOKEN: &str = "worker-secret-0123456789";
 const WRONG: &str = "wrong-secret-0123456789";
 
 /// Certificates and tokens in a folder.
-struct Papers {
+struct Credentials {
     folder: TempDir,
     issuer: CertifiedIssuer<'static, KeyPair>,
 }
 
-impl Papers {
+impl Credentials {
     fn new() -> Self {
         let mut params = CertificateParams::new(Vec::new()).expect("no names");
         params.is_ca = IsCa::Ca(BasicConstraints::Unconstrained);
         let key = KeyPair::generate().expect("a key");
-        let papers = Self {
+        let credentials = Self {
             folder: tempfile::tempdir().expect("a temporary folder"),
             issuer: CertifiedIssuer::self_signed(params, key).expect("signed"),
         };
-        papers.write("ca.pem", &papers.issuer.pem());
-        papers.write("token", &format!("worker {TOKEN}\n"));
-        papers
+        credentials.write("ca.pem", &credentials.issuer.pem());
+        credentials.write("token", &format!("worker {TOKEN}\n"));
+        credentials
     }
 
     fn path(&self, name: &str) -> PathBuf {
@@ -82,8 +83,8 @@ struct Server {
 impl Server {
     /// Stops the server and returns its log.
     fn log(mut self) -> String {
-        self.child.kill().expect("it runs");
-        self.child.wait().expect("it ends");
+        self.child.kill().expect("the program runs");
+        self.child.wait().expect("the program ends");
         let mut log = String::new();
         let stderr = self.child.stderr.take().expect("stderr is piped");
         { stderr }.read_to_string(&mut log).expect("UTF-8");
@@ -117,21 +118,21 @@ async fn send_query_over(
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn a_tls_server_accepts_valid_credentials_and_invalid_ones_are_named() {
-    let papers = Papers::new();
-    let server = papers.serve(2099);
-    let (ca, token) = (papers.path("ca.pem"), papers.path("token"));
+    let credentials = Credentials::new();
+    let server = credentials.serve(2099);
+    let (ca, token) = (credentials.path("ca.pem"), credentials.path("token"));
     send_query(&server, &ca, &token)
         .await
-        .expect("the right papers");
+        .expect("valid credentials");
 
-    papers.write("other-token", &format!("worker {WRONG}\n"));
-    let stranger = send_query(&server, &ca, &papers.path("other-token")).await;
+    credentials.write("other-token", &format!("worker {WRONG}\n"));
+    let stranger = send_query(&server, &ca, &credentials.path("other-token")).await;
     let stranger = stranger.expect_err("a token that it does not know");
     assert_eq!(stranger.code(), Code::Unavailable);
     assert!(stranger.message().contains("`token_file`"), "{stranger}");
     assert!(!stranger.message().contains(WRONG), "{stranger}");
 
-    let others = Papers::new();
+    let others = Credentials::new();
     let untrusted = send_query(&server, &others.path("ca.pem"), &token).await;
     let untrusted = untrusted.expect_err("another authority");
     assert_eq!(untrusted.code(), Code::Unavailable);
@@ -144,9 +145,14 @@ async fn a_tls_server_accepts_valid_credentials_and_invalid_ones_are_named() {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn an_expired_certificate_is_named() {
-    let papers = Papers::new();
-    let server = papers.serve(2020);
-    let expired = send_query(&server, &papers.path("ca.pem"), &papers.path("token")).await;
+    let credentials = Credentials::new();
+    let server = credentials.serve(2020);
+    let expired = send_query(
+        &server,
+        &credentials.path("ca.pem"),
+        &credentials.path("token"),
+    )
+    .await;
     let expired = expired.expect_err("expired");
     assert_eq!(expired.code(), Code::Unavailable);
     let text = expired.message();
@@ -161,10 +167,10 @@ async fn an_expired_certificate_is_named() {
 /// untrusted one during it.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn over_websocket_too_only_a_server_of_the_given_authority_is_trusted() {
-    let papers = Papers::new();
-    let server = papers.serve(2099);
-    let (ca, token) = (papers.path("ca.pem"), papers.path("token"));
-    let others = Papers::new();
+    let credentials = Credentials::new();
+    let server = credentials.serve(2099);
+    let (ca, token) = (credentials.path("ca.pem"), credentials.path("token"));
+    let others = Credentials::new();
     for scheme in ["wss", "vla-evals"] {
         let untrusted = send_query_over(scheme, &server, &others.path("ca.pem"), &token).await;
         let untrusted = untrusted.expect_err("another authority");
@@ -195,7 +201,7 @@ async fn no_token_is_sent_in_the_clear_to_a_server_of_another_user() {
         println!("skipped: only root starts programs as another user");
         return;
     }
-    let papers = Papers::new();
+    let credentials = Credentials::new();
     let mut child = Command::new("python3")
         .args(["-c", STRANGER])
         .stdout(Stdio::piped())
@@ -213,16 +219,16 @@ async fn no_token_is_sent_in_the_clear_to_a_server_of_another_user() {
         .to_owned();
     let server = Server { child, port };
     for scheme in ["grpc", "ws", "vla-eval"] {
-        let (ca, token) = (papers.path("ca.pem"), papers.path("token"));
+        let (ca, token) = (credentials.path("ca.pem"), credentials.path("token"));
         let refused = send_query_over(scheme, &server, &ca, &token).await;
         let refused = refused.expect_err("another user's server");
         assert_eq!(refused.code(), Code::Unavailable, "{refused}");
         for part in ["another user of this machine listens there", "speak TLS"] {
             assert!(refused.message().contains(part), "{part} in {refused}");
         }
-        let mut got = String::new();
-        stdout.read_line(&mut got).expect("a line");
-        assert_eq!(got.trim_end(), "got 0", "{scheme}");
+        let mut received = String::new();
+        stdout.read_line(&mut received).expect("a line");
+        assert_eq!(received.trim_end(), "got 0", "{scheme}");
     }
     drop(server.log());
 }

@@ -24,7 +24,7 @@ async fn refusal(answer: Result<InferResponse, Status>) -> Status {
     let status = client
         .infer(infer("bent", "episode-1", 3))
         .await
-        .expect_err("nonsense");
+        .expect_err("a refusal");
     let named = status.message().matches("route bent").count();
     assert_eq!(named, 1, "{status}");
     status
@@ -50,7 +50,7 @@ async fn invalid_actions_are_refused_with_route_query_and_remedy() {
 }
 
 #[tokio::test]
-async fn an_error_of_the_policy_keeps_its_words_and_is_no_outage() {
+async fn an_error_of_the_policy_keeps_its_text_and_is_no_outage() {
     let status = refusal(Err(Status::internal("ValueError: bad shape"))).await;
     assert_eq!(status.code(), Code::Internal);
     assert!(
@@ -63,9 +63,9 @@ async fn an_error_of_the_policy_keeps_its_words_and_is_no_outage() {
 }
 
 #[tokio::test]
-async fn a_retry_gets_the_same_actions_and_does_not_ask_the_policy_again() {
-    let asked = Arc::new(AtomicU32::new(0));
-    let count = Arc::clone(&asked);
+async fn a_retry_gets_the_same_actions_without_another_query() {
+    let queries = Arc::new(AtomicU32::new(0));
+    let count = Arc::clone(&queries);
     let answer = move |_| Ok(chunk(&[count.fetch_add(1, Ordering::SeqCst) as f32; 7], 7));
     let server = serve(Scripted::new(description("counter", 1), answer)).await;
     let gateway = gateway(&[&format!("x=grpc://{}", server.address)]).await;
@@ -93,7 +93,7 @@ async fn a_retry_gets_the_same_actions_and_does_not_ask_the_policy_again() {
         ],
         [2.0, 1.0, 2.0]
     );
-    assert_eq!(asked.load(Ordering::SeqCst), 3);
+    assert_eq!(queries.load(Ordering::SeqCst), 3);
 
     // A restarted session has no answers yet.
     gateway
@@ -107,8 +107,8 @@ async fn a_retry_gets_the_same_actions_and_does_not_ask_the_policy_again() {
 
 #[tokio::test]
 async fn invalid_answers_are_not_cached_for_retries() {
-    let asked = AtomicU32::new(0);
-    let answer = move |_| match asked.fetch_add(1, Ordering::SeqCst) {
+    let queries = AtomicU32::new(0);
+    let answer = move |_| match queries.fetch_add(1, Ordering::SeqCst) {
         0 => Ok(chunk(&[f32::INFINITY; 7], 7)),
         _ => Ok(chunk(&[0.5; 7], 7)),
     };
@@ -128,8 +128,8 @@ async fn invalid_answers_are_not_cached_for_retries() {
 
 #[tokio::test]
 async fn concurrent_retries_query_the_policy_once() {
-    let asked = Arc::new(AtomicU32::new(0));
-    let count = Arc::clone(&asked);
+    let queries = Arc::new(AtomicU32::new(0));
+    let count = Arc::clone(&queries);
     let answer = move |_| {
         std::thread::sleep(std::time::Duration::from_millis(50));
         Ok(chunk(&[count.fetch_add(1, Ordering::SeqCst) as f32; 7], 7))
@@ -145,11 +145,11 @@ async fn concurrent_retries_query_the_policy_once() {
         first.expect("an answer").get_ref(),
         second.expect("an answer").get_ref()
     );
-    assert_eq!(asked.load(Ordering::SeqCst), 1);
+    assert_eq!(queries.load(Ordering::SeqCst), 1);
 }
 
 #[tokio::test]
-async fn a_stateful_builtin_is_asked_in_order_and_a_retry_does_not_advance_it() {
+async fn a_stateful_builtin_answers_queries_in_order_only() {
     let gateway = gateway(&["expert=builtin:expert"]).await;
     let mut client = gateway.client().await;
     client.reset(reset("", "s")).await.expect("an episode");

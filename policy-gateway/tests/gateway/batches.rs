@@ -57,9 +57,12 @@ impl Policy for FixedSpeed {
         Ok(Response::new(ResetResponse {}))
     }
 
-    async fn infer(&self, it: Request<InferRequest>) -> Result<Response<InferResponse>, Status> {
+    async fn infer(
+        &self,
+        request: Request<InferRequest>,
+    ) -> Result<Response<InferResponse>, Status> {
         self.largest.fetch_max(1, Ordering::SeqCst);
-        answer(it.get_ref())
+        answer(request.get_ref())
             .map(Response::new)
             .map_err(Status::internal)
     }
@@ -112,7 +115,7 @@ async fn play(batching: Batching) -> (usize, String) {
             for query_index in 0..3 {
                 let answer = client.infer(infer("x", &session, query_index)).await;
                 if number == 3 {
-                    let status = answer.expect_err("it fails alone");
+                    let status = answer.expect_err("an error of this session only");
                     assert_eq!(status.code(), Code::Internal, "{status}");
                     assert!(status.message().contains("KeyError: 3"), "{status}");
                 } else {
@@ -129,7 +132,7 @@ async fn play(batching: Batching) -> (usize, String) {
 }
 
 #[tokio::test]
-async fn queries_go_together_and_each_gets_its_own_answer() {
+async fn queries_are_batched_and_each_gets_its_own_answer() {
     let (largest, batch_mode) = play(Batching::Dynamic).await;
     assert_eq!(batch_mode, format!("up to {LARGEST}"));
     assert!((2..=LARGEST as usize).contains(&largest), "{largest}");
@@ -144,7 +147,7 @@ async fn with_batching_off_queries_are_sent_one_by_one() {
 
 /// An error text that does not fit the response's HTTP/2 header would count as an outage.
 #[tokio::test]
-async fn an_error_of_a_mebibyte_is_the_policys_and_truncated() {
+async fn an_error_of_a_mebibyte_is_truncated_and_no_outage() {
     let server = serve(FixedSpeed {
         computing: Mutex::default(),
         largest: Arc::default(),

@@ -26,7 +26,7 @@ use crate::support::{Scripted, chunk, description, reloadable, serve};
 
 /// Longest chunk of the policy whose answers are judged.
 const HORIZON: u32 = 3;
-const ASKED: PolicySession<'static> = PolicySession {
+const SESSION: PolicySession<'static> = PolicySession {
     policy: "p",
     session: "s",
     suite: "libero_object",
@@ -93,7 +93,7 @@ fn descriptions() -> impl Strategy<Value = DescribeResponse> {
 }
 
 /// Fails if only one of two verdicts is a refusal, or if a refusal does not name the fault.
-fn alike<T: PartialEq + std::fmt::Debug, E: std::fmt::Display>(
+fn compare_verdicts<T: PartialEq + std::fmt::Debug, E: std::fmt::Display>(
     direct: Result<T, E>,
     through: Result<T, E>,
     fault: Option<String>,
@@ -106,9 +106,10 @@ fn alike<T: PartialEq + std::fmt::Debug, E: std::fmt::Display>(
             }
         }
         (direct, through, fault) => {
-            let [direct, through] = [direct, through].map(|it| it.map_err(|it| it.to_string()));
+            let [direct, through] =
+                [direct, through].map(|verdict| verdict.map_err(|error| error.to_string()));
             return Err(TestCaseError::fail(format!(
-                "asked directly: {direct:?}; through a gateway: {through:?}; fault: {fault:?}"
+                "directly: {direct:?}; through a gateway: {through:?}; fault: {fault:?}"
             )));
         }
     }
@@ -121,8 +122,8 @@ fn alike<T: PartialEq + std::fmt::Debug, E: std::fmt::Display>(
 #[test]
 fn a_worker_judges_answers_alike_with_and_without_a_gateway() {
     let runtime = Runtime::new().expect("a runtime");
-    let said = Arc::new(Mutex::new(InferResponse::default()));
-    let answer = Arc::clone(&said);
+    let scripted = Arc::new(Mutex::new(InferResponse::default()));
+    let answer = Arc::clone(&scripted);
     let policy = Scripted::new(description("p", HORIZON), move |_| {
         Ok(answer.lock().expect("no panic").clone())
     });
@@ -132,27 +133,33 @@ fn a_worker_judges_answers_alike_with_and_without_a_gateway() {
 
     let workers = RefCell::new([server.address, gateway.address].map(worker));
     for worker in workers.borrow_mut().iter_mut() {
-        worker.describe(ASKED).expect("a description");
+        worker.describe(SESSION).expect("a description");
         let instruction = "pick up the milk and place it in the basket";
-        let reset = worker.reset(ASKED, ASKED.suite, instruction, 7);
+        let reset = worker.reset(SESSION, SESSION.suite, instruction, 7);
         reset.expect("an episode");
     }
     let query = Cell::new(0);
     let judged = TestRunner::default().run(&answers(), |response| {
         let fault = policy_protocol::actions(&response, HORIZON).err();
-        *said.lock().expect("no panic") = response;
+        *scripted.lock().expect("no panic") = response;
         let index = query.replace(query.get() + 1);
         let [direct, through] = workers.borrow_mut().each_mut().map(|worker| {
-            worker.infer(ASKED, index, Observation::default(), HORIZON as usize, None)
+            worker.infer(
+                SESSION,
+                index,
+                Observation::default(),
+                HORIZON as usize,
+                None,
+            )
         });
         for error in [&direct, &through]
             .into_iter()
-            .filter_map(|it| it.as_ref().err())
+            .filter_map(|verdict| verdict.as_ref().err())
         {
             let kind = FailureKind::from(error);
             prop_assert_eq!(kind, FailureKind::PolicyMisbehaved, "{}", error);
         }
-        alike(direct, through, fault.map(|it| it.to_string()))
+        compare_verdicts(direct, through, fault.map(|fault| fault.to_string()))
     });
     judged.expect("the same verdict");
 }
@@ -160,8 +167,8 @@ fn a_worker_judges_answers_alike_with_and_without_a_gateway() {
 #[test]
 fn a_worker_judges_descriptions_alike_with_and_without_a_gateway() {
     let runtime = Runtime::new().expect("a runtime");
-    let said = Arc::new(Mutex::new(description("p", 1)));
-    let described = Arc::clone(&said);
+    let scripted = Arc::new(Mutex::new(description("p", 1)));
+    let described = Arc::clone(&scripted);
     let policy = Scripted::new(description("p", 1), |_| Ok(chunk(&[0.0; 7], 7)))
         .describing(move || described.lock().expect("no panic").clone());
     let server = runtime.block_on(serve(policy));
@@ -174,16 +181,16 @@ fn a_worker_judges_descriptions_alike_with_and_without_a_gateway() {
     let workers = RefCell::new([server.address, gateway.address].map(worker));
     let judged = TestRunner::default().run(&descriptions(), |about| {
         let fault = policy_protocol::description(&about).err();
-        *said.lock().expect("no panic") = about;
+        *scripted.lock().expect("no panic") = about;
         // Drops the previous description, which the policy would otherwise have to match.
         handle.reload(&config).expect("the same route");
         let [direct, through] = workers
             .borrow_mut()
             .each_mut()
-            .map(|worker| worker.describe(ASKED));
+            .map(|worker| worker.describe(SESSION));
         for error in [&direct, &through]
             .into_iter()
-            .filter_map(|it| it.as_ref().err())
+            .filter_map(|verdict| verdict.as_ref().err())
         {
             let kind = FailureKind::from(error);
             prop_assert_eq!(kind, FailureKind::PolicyUnavailable, "{}", error);
@@ -193,7 +200,7 @@ fn a_worker_judges_descriptions_alike_with_and_without_a_gateway() {
             description.about.batch_mode.clear();
             description
         });
-        alike(direct, through, fault.map(|it| it.to_string()))
+        compare_verdicts(direct, through, fault.map(|fault| fault.to_string()))
     });
     judged.expect("the same verdict");
 }

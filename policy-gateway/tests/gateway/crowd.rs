@@ -56,8 +56,8 @@ impl SlowServer {
         }
     }
 
-    /// Computes this number of queries in turn, unless the caller has gone by then. A computation
-    /// that has begun runs to its end.
+    /// Computes this number of queries in turn, unless the caller has disconnected by then. A
+    /// computation that has begun runs to its end.
     async fn compute(&self, queries: usize) {
         self.awaited.fetch_add(1, Ordering::SeqCst);
         let _awaited = Awaited(Arc::clone(&self.awaited));
@@ -66,7 +66,7 @@ impl SlowServer {
         let (gate, per_query) = (Arc::clone(&self.gate), self.per_query);
         #[expect(
             clippy::disallowed_methods,
-            reason = "a computation goes on although its caller has gone"
+            reason = "a computation continues after its caller has disconnected"
         )]
         let computed = tokio::spawn(async move {
             let _open = gate.acquire().await;
@@ -114,7 +114,7 @@ impl Policy for SlowServer {
 }
 
 /// Starts a gateway in front of a server, with this time limit for an answer.
-async fn before(server: &Running, answer_within: Duration) -> Running {
+async fn gateway_for(server: &Running, answer_within: Duration) -> Running {
     let route = format!("slow=grpc://{}", server.address);
     let spec = RouteSpec {
         answer_within,
@@ -148,7 +148,7 @@ fn end(session: &str) -> EndRequest {
 #[tokio::test(flavor = "multi_thread")]
 async fn many_slots_at_a_slow_server_finish_their_episodes() {
     let server = serve(SlowServer::new(Duration::from_millis(16))).await;
-    let gateway = before(&server, Duration::from_secs(2)).await;
+    let gateway = gateway_for(&server, Duration::from_secs(2)).await;
     let mut slots = vec![];
     for slot in 0..128 {
         let (mut client, session) = (client(gateway.address).await, format!("slot {slot}"));
@@ -169,14 +169,14 @@ async fn many_slots_at_a_slow_server_finish_their_episodes() {
 }
 
 /// Waits until a count has the expected value.
-async fn until(count: &AtomicUsize, expected: usize) {
+async fn wait_for_count(count: &AtomicUsize, expected: usize) {
     while count.load(Ordering::SeqCst) != expected {
         tokio::time::sleep(Duration::from_millis(1)).await;
     }
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn a_query_whose_caller_has_gone_is_never_computed() {
+async fn a_query_whose_caller_has_disconnected_is_never_computed() {
     // Of eight queries, all or only two batches are at the server; the others wait in the gateway.
     for (max_batch, calls) in [(1, 8), (2, 2)] {
         let policy = SlowServer {
@@ -187,9 +187,9 @@ async fn a_query_whose_caller_has_gone_is_never_computed() {
         let (gate, begun) = (Arc::clone(&policy.gate), Arc::clone(&policy.begun));
         let awaited = Arc::clone(&policy.awaited);
         let server = serve(policy).await;
-        let gateway = before(&server, Duration::from_secs(60)).await;
+        let gateway = gateway_for(&server, Duration::from_secs(60)).await;
         let mut client = gateway.client().await;
-        let mut asking = JoinSet::new();
+        let mut callers = JoinSet::new();
         for slot in 0..8 {
             let session = format!("slot {slot}");
             client
@@ -197,10 +197,10 @@ async fn a_query_whose_caller_has_gone_is_never_computed() {
                 .await
                 .expect("an episode");
             let mut client = client.clone();
-            asking.spawn(async move { client.infer(infer("slow", &session, 0)).await });
+            callers.spawn(async move { client.infer(infer("slow", &session, 0)).await });
         }
-        until(&awaited, calls).await;
-        asking.shutdown().await;
+        wait_for_count(&awaited, calls).await;
+        callers.shutdown().await;
         // Arrives after the ends of the other calls, on the same connection.
         client
             .reset(reset("slow", "last"))
@@ -208,12 +208,12 @@ async fn a_query_whose_caller_has_gone_is_never_computed() {
             .expect("an episode");
         // The gateway ends the streams of a connection in separate tasks, so that a caller that
         // gave up may still be in the server's queue for a moment after the Reset.
-        let mut quiet = 0;
-        while quiet < 50 {
-            until(&awaited, 0).await;
+        let mut quiet_checks = 0;
+        while quiet_checks < 50 {
+            wait_for_count(&awaited, 0).await;
             tokio::time::sleep(Duration::from_millis(2)).await;
-            quiet = if awaited.load(Ordering::SeqCst) == 0 {
-                quiet + 1
+            quiet_checks = if awaited.load(Ordering::SeqCst) == 0 {
+                quiet_checks + 1
             } else {
                 0
             };
@@ -228,10 +228,10 @@ async fn a_query_whose_caller_has_gone_is_never_computed() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn sessions_beyond_what_is_answered_in_time_wait_for_another_to_end() {
+async fn sessions_beyond_the_capacity_wait_for_another_to_end() {
     // At this speed, four sessions get their answers in time.
     let server = serve(SlowServer::new(Duration::from_millis(250))).await;
-    let gateway = before(&server, Duration::from_secs(1)).await;
+    let gateway = gateway_for(&server, Duration::from_secs(1)).await;
     let mut client = gateway.client().await;
     // From these answers, the gateway learns the server's speed.
     client
@@ -247,15 +247,15 @@ async fn sessions_beyond_what_is_answered_in_time_wait_for_another_to_end() {
         client
             .reset(reset("slow", &session))
             .await
-            .expect("a place");
+            .expect("capacity");
     }
     // An open session keeps its place.
     client
         .reset(reset("slow", "slot 0"))
         .await
-        .expect("its place");
+        .expect("an open session");
     let refused = client.reset(reset("slow", "fifth")).await;
-    let refused = refused.expect_err("there is no place");
+    let refused = refused.expect_err("no capacity");
     assert_eq!(refused.code(), Code::ResourceExhausted, "{refused}");
     for part in ["route slow has 4 rollouts under way", "run fewer slots"] {
         assert!(refused.message().contains(part), "{part} in {refused}");
@@ -269,5 +269,5 @@ async fn sessions_beyond_what_is_answered_in_time_wait_for_another_to_end() {
     });
     client.end(end("slot 1")).await.expect("an end");
     let waited = waiting.join_next().await.expect("a task");
-    waited.expect("it gets the place");
+    waited.expect("the waiting session is opened");
 }

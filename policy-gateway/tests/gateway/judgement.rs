@@ -16,21 +16,24 @@ use crate::{
     support::{Running, Scripted, description, infer, reloadable, reset, serve},
 };
 
-struct Ended {
+struct CommandOutput {
     status: Option<i32>,
-    printed: String,
-    complained: String,
+    stdout: String,
+    stderr: String,
 }
 
 /// Runs a command to its end while the servers of this test run.
-async fn ended(arguments: &[&str]) -> Ended {
+async fn run_to_end(arguments: &[&str]) -> CommandOutput {
     let mut command = program(arguments);
     let output = tokio::task::spawn_blocking(move || command.output());
-    let output = output.await.expect("it runs").expect("the program starts");
-    Ended {
+    let output = output
+        .await
+        .expect("the program runs")
+        .expect("the program starts");
+    CommandOutput {
         status: output.status.code(),
-        printed: String::from_utf8(output.stdout).expect("UTF-8"),
-        complained: String::from_utf8(output.stderr).expect("UTF-8"),
+        stdout: String::from_utf8(output.stdout).expect("UTF-8"),
+        stderr: String::from_utf8(output.stderr).expect("UTF-8"),
     }
 }
 
@@ -38,11 +41,11 @@ fn url(server: &Running) -> String {
     format!("grpc://{}", server.address)
 }
 
-fn flipping() -> Planted {
-    Planted::sound().preparing(|seen| seen.frames.iter_mut().for_each(upside_down))
+fn policy_with_flipped_frames() -> Planted {
+    Planted::sound().preparing(|input| input.frames.iter_mut().for_each(upside_down))
 }
 
-fn unopened() -> Planted {
+fn policy_with_shifted_gripper() -> Planted {
     Planted::sound().finishing(|actions| {
         actions
             .iter_mut()
@@ -51,9 +54,16 @@ fn unopened() -> Planted {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn a_judgement_is_0_or_1_and_fits_80_columns() {
-    let (sound, flips) = (serve(Planted::sound()).await, serve(flipping()).await);
-    let (sound, flips, unopened) = (url(&sound), url(&flips), serve(unopened()).await);
+async fn the_exit_code_is_0_or_1_and_the_output_fits_80_columns() {
+    let (sound, flips) = (
+        serve(Planted::sound()).await,
+        serve(policy_with_flipped_frames()).await,
+    );
+    let (sound, flips, unopened) = (
+        url(&sound),
+        url(&flips),
+        serve(policy_with_shifted_gripper()).await,
+    );
     let cases: [(&[&str], i32, &str, &str); 4] = [
         (
             &["compare", &sound, &sound],
@@ -80,17 +90,17 @@ async fn a_judgement_is_0_or_1_and_fits_80_columns() {
             "faults found: see FAIL above",
         ),
     ];
-    for (arguments, status, holds, last) in cases {
-        let ended = ended(arguments).await;
-        let Ended {
-            printed,
-            complained,
+    for (arguments, status, expected_line, last) in cases {
+        let ended = run_to_end(arguments).await;
+        let CommandOutput {
+            stdout: printed,
+            stderr,
             ..
         } = &ended;
-        assert_eq!(ended.status, Some(status), "{printed}{complained}");
+        assert_eq!(ended.status, Some(status), "{printed}{stderr}");
         let lines: Vec<&str> = printed.lines().collect();
         assert!(
-            lines.iter().any(|line| line.starts_with(holds)),
+            lines.iter().any(|line| line.starts_with(expected_line)),
             "{printed}"
         );
         assert_eq!(lines.last(), Some(&last), "{printed}");
@@ -101,16 +111,16 @@ async fn a_judgement_is_0_or_1_and_fits_80_columns() {
 
 #[tokio::test]
 async fn unreachable_servers_exit_with_1_and_usage_errors_with_2() {
-    let nobody = url_of_nobody().await;
-    let ask = ["compare", "builtin:noop", &nobody];
-    let unreachable = ended(&ask).await;
+    let unused = unused_url().await;
+    let compare = ["compare", "builtin:noop", &unused];
+    let unreachable = run_to_end(&compare).await;
     assert_eq!(unreachable.status, Some(1));
-    assert!(unreachable.printed.is_empty());
-    let words = format!("failed to get an answer of {nobody}");
+    assert!(unreachable.stdout.is_empty());
+    let words = format!("failed to get an answer of {unused}");
     assert!(
-        unreachable.complained.contains(&words),
+        unreachable.stderr.contains(&words),
         "{}",
-        unreachable.complained
+        unreachable.stderr
     );
     let wrong: [&[&str]; 4] = [
         &["compare", "builtin:noop"],
@@ -119,11 +129,11 @@ async fn unreachable_servers_exit_with_1_and_usage_errors_with_2() {
         &["doctor", "builtin:noop", "--answer-within", "0"],
     ];
     for arguments in wrong {
-        assert_eq!(ended(arguments).await.status, Some(2), "{arguments:?}");
+        assert_eq!(run_to_end(arguments).await.status, Some(2), "{arguments:?}");
     }
 }
 
-async fn url_of_nobody() -> String {
+async fn unused_url() -> String {
     format!("grpc://{}", crate::support::unused_address().await)
 }
 
@@ -160,7 +170,7 @@ fn keys(value: &Value, at: &str, found: &mut BTreeSet<String>) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn json_has_the_keys_that_are_documented() {
-    let mut other = flipping();
+    let mut other = policy_with_flipped_frames();
     other.described.execute = 4;
     let (sound, other) = (serve(Planted::sound()).await, serve(other).await);
     let (sound, other) = (url(&sound), url(&other));
@@ -170,8 +180,8 @@ async fn json_has_the_keys_that_are_documented() {
         (&compare[..], "policy-gateway compare", "is_same"),
         (&doctor[..], "policy-gateway doctor", "is_sound"),
     ] {
-        let ended = ended(arguments).await;
-        let printed: Value = serde_json::from_str(&ended.printed).expect("JSON");
+        let ended = run_to_end(arguments).await;
+        let printed: Value = serde_json::from_str(&ended.stdout).expect("JSON");
         let mut found = BTreeSet::new();
         keys(&printed, "", &mut found);
         assert_eq!(found, documented(command));
@@ -232,27 +242,26 @@ async fn recorded_observations_replace_synthetic_ones() {
     let folder = tempfile::tempdir().expect("a folder");
     record(folder.path()).await;
     let recorded = folder.path().to_str().expect("UTF-8");
-    let (sound, flips) = (serve(Planted::sound()).await, serve(flipping()).await);
+    let (sound, flips) = (
+        serve(Planted::sound()).await,
+        serve(policy_with_flipped_frames()).await,
+    );
     let (sound, flips) = (url(&sound), url(&flips));
-    let compared = ended(&["compare", &sound, &flips, "--recorded", recorded]).await;
-    assert_eq!(compared.status, Some(1), "{}", compared.complained);
-    let words: Vec<&str> = compared.printed.split_whitespace().collect();
+    let compared = run_to_end(&["compare", &sound, &flips, "--recorded", recorded]).await;
+    assert_eq!(compared.status, Some(1), "{}", compared.stderr);
+    let words: Vec<&str> = compared.stdout.split_whitespace().collect();
     let words = words.join(" ");
     for expected in ["frames flipped vertically", "to 6 observations"] {
         assert!(words.contains(expected), "{words}");
     }
 
     let joints = serve(Planted::sound().with_state(&[StateField::JointPos])).await;
-    let lacking = ended(&["doctor", &url(&joints), "--recorded", recorded]).await;
+    let lacking = run_to_end(&["doctor", &url(&joints), "--recorded", recorded]).await;
     assert_eq!(lacking.status, Some(1));
-    assert!(
-        lacking.complained.contains("JOINT_POS"),
-        "{}",
-        lacking.complained
-    );
+    assert!(lacking.stderr.contains("JOINT_POS"), "{}", lacking.stderr);
 }
 
-/// A text that sets the clipboard, and reads backwards, on terminals that obey it.
+/// Text with control sequences that set a terminal's clipboard and reverse the reading direction.
 const HOSTILE: &str = "a\u{202e}b\x1b]52;c;cm0gLXJm\x07c\r\u{9b}2K";
 
 /// Returns a policy whose description and errors contain the text.
@@ -280,16 +289,16 @@ async fn no_command_prints_control_sequences() {
     ];
     let mut printed = String::new();
     for arguments in cases {
-        let ended = ended(arguments).await;
-        assert_eq!(ended.status, Some(1), "{arguments:?}: {}", ended.complained);
-        for text in [&ended.printed, &ended.complained] {
+        let ended = run_to_end(arguments).await;
+        assert_eq!(ended.status, Some(1), "{arguments:?}: {}", ended.stderr);
+        for text in [&ended.stdout, &ended.stderr] {
             let obeyed = |c: char| (c.is_control() && c != '\n') || c == '\u{202e}';
             assert!(!text.contains(obeyed), "{arguments:?}: {text:?}");
         }
-        printed += &ended.printed;
+        printed += &ended.stdout;
     }
     assert!(
         printed.contains("\u{fffd}]52;c;"),
-        "it was asked: {printed}"
+        "the server's text is printed: {printed}"
     );
 }

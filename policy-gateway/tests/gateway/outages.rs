@@ -10,7 +10,7 @@ use tonic::{Code, Status, transport::Channel};
 use crate::support::{describe, gateway, gateway_at, infer, reset, unused_address};
 
 /// Sends queries until one is answered, for as long as the back-off may take.
-async fn until_it_answers(client: &mut PolicyClient<Channel>) -> Result<(), Status> {
+async fn query_until_answered(client: &mut PolicyClient<Channel>) -> Result<(), Status> {
     let deadline = Instant::now() + 2 * WAITS.longest;
     loop {
         match client.describe(describe("")).await {
@@ -55,13 +55,13 @@ async fn a_policy_that_is_down_is_unavailable_and_named_until_it_comes_up() {
     assert_eq!(batch.code(), Code::Unavailable);
 
     let _inner = gateway_at(address, &["noop=builtin:noop"]).await;
-    until_it_answers(&mut client)
+    query_until_answered(&mut client)
         .await
         .expect("the policy came up");
 }
 
 #[tokio::test]
-async fn a_policy_that_restarts_is_found_again() {
+async fn a_restarted_policy_is_used_again() {
     let inner = gateway(&["noop=builtin:noop"]).await;
     let address = inner.address;
     let outer = gateway(&[&format!("noop=grpc://{address}")]).await;
@@ -73,11 +73,11 @@ async fn a_policy_that_restarts_is_found_again() {
     let down = client
         .infer(infer("", "s", 1))
         .await
-        .expect_err("it stopped");
+        .expect_err("the server has stopped");
     assert_eq!(down.code(), Code::Unavailable, "{down}");
 
     let _inner = gateway_at(address, &["noop=builtin:noop"]).await;
-    until_it_answers(&mut client)
+    query_until_answered(&mut client)
         .await
         .expect("the policy came back");
     // The server has lost the session, but keeps no state between queries: the gateway repeats the
@@ -97,23 +97,23 @@ async fn a_caller_that_disconnects_during_a_probe_lets_the_next_caller_probe() {
     client
         .infer(infer("", "s", 0))
         .await
-        .expect_err("it stopped");
+        .expect_err("the server has stopped");
 
     // A server that accepts connections and never sends anything.
-    let mute = tokio::net::TcpListener::bind(address).await.expect("free");
+    let silent_listener = tokio::net::TcpListener::bind(address).await.expect("free");
     tokio::time::sleep(WAITS.longest / 10).await;
     let probe = client.reset(reset("", "gone"));
     let patience = Duration::from_millis(300);
-    let went = tokio::time::timeout(patience, probe).await;
-    went.expect_err("nothing answers, and the caller goes");
+    let cut_off = tokio::time::timeout(patience, probe).await;
+    cut_off.expect_err("no answer before the caller disconnects");
 
-    drop(mute);
+    drop(silent_listener);
     let _inner = gateway_at(address, &["noop=builtin:noop"]).await;
-    let came_back = Instant::now();
-    until_it_answers(&mut client)
+    let restarted_at = Instant::now();
+    query_until_answered(&mut client)
         .await
         .expect("the policy is tried again");
-    assert!(came_back.elapsed() < WAITS.longest);
+    assert!(restarted_at.elapsed() < WAITS.longest);
 }
 
 #[tokio::test]

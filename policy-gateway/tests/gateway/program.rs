@@ -82,17 +82,23 @@ async fn sighup_reloads_the_configuration_unless_it_is_invalid() {
 
     write("[policy.stand]\nreplicas = [\"nobody\"]");
     hang_up("failed to use");
-    client.describe(describe("stand")).await.expect("as before");
+    client
+        .describe(describe("stand"))
+        .await
+        .expect("the earlier route");
     write("[policy.work]\nreplicas = [\"builtin:expert\"]");
     hang_up("again");
-    client.describe(describe("work")).await.expect("as written");
+    client
+        .describe(describe("work"))
+        .await
+        .expect("the new route");
 
-    child.kill().expect("it runs");
-    child.wait().expect("it ends");
+    child.kill().expect("the program runs");
+    child.wait().expect("the program ends");
 }
 
 #[test]
-fn usage_errors_exit_with_2_and_say_what_to_write() {
+fn usage_errors_exit_with_2_and_name_the_remedy() {
     let cases: [(&[&str], &str); 5] = [
         (&[], "--route"),
         (&["--route", "x"], "NAME=BACKEND"),
@@ -152,9 +158,9 @@ fn a_check_with_a_closed_pipe_exits_with_its_verdict() {
         .spawn()
         .expect("the program starts");
     drop(check.stdout.take());
-    let ended = check.wait().expect("it ends");
-    server.kill().expect("it runs");
-    server.wait().expect("it ends");
+    let ended = check.wait().expect("the program ends");
+    server.kill().expect("the program runs");
+    server.wait().expect("the program ends");
     assert!(ended.success(), "{ended}");
 }
 
@@ -207,14 +213,17 @@ async fn a_gateway_with_tokens_answers_workers_and_all_health_checks() {
         .env("ROLLOUT_TOKEN_FILE", path)
         .output()
         .expect("the program runs");
-    let said = String::from_utf8_lossy(&checked.stdout);
-    assert!(said.contains("pass  the description can be true"), "{said}");
-    child.kill().expect("it runs");
-    child.wait().expect("it ends");
+    let printed = String::from_utf8_lossy(&checked.stdout);
+    assert!(
+        printed.contains("pass  the description can be true"),
+        "{printed}"
+    );
+    child.kill().expect("the program runs");
+    child.wait().expect("the program ends");
 }
 
 #[test]
-fn other_machines_are_listened_to_only_with_guards() {
+fn listening_to_other_machines_requires_tls_or_insecure() {
     let output = program(&["--listen", "0.0.0.0:0", "--route", "x=builtin:noop"])
         .output()
         .expect("the program runs");
@@ -227,7 +236,7 @@ fn other_machines_are_listened_to_only_with_guards() {
 
 /// Regression: the default was 7071, but every page says 7412.
 #[test]
-fn the_default_port_is_the_pages() {
+fn the_default_port_is_the_documented_one() {
     let help = program(&["--help"]).output().expect("the program runs");
     let help = String::from_utf8(help.stdout).expect("text");
     assert!(help.contains("[default: 127.0.0.1:7412]"), "{help}");

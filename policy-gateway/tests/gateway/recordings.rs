@@ -86,24 +86,24 @@ async fn a_recorded_session_is_answered_again_and_the_first_difference_is_named(
     other.images[0].rgb = [[0; 3], [0; 3], [0, 9, 9], [0; 3]].concat().into();
     let refused = send_query(&mut client, 0, other)
         .await
-        .expect_err("it differs");
+        .expect_err("another observation");
     assert_eq!(refused.code(), Code::Internal);
     let named = "2 of 12 numbers of \"agentview\" differ, first at column 0 of row 1 (0 was \
                  recorded, 9 came)";
     assert!(refused.message().contains(named), "{refused}");
 
-    let longer = send_query(&mut client, 2, observation(2)).await;
-    let longer = longer.expect_err("it was not asked a third time");
+    let third_query = send_query(&mut client, 2, observation(2)).await;
+    let third_query = third_query.expect_err("no third query was recorded");
     assert!(
-        longer.message().contains("ends after 2 queries"),
-        "{longer}"
+        third_query.message().contains("ends after 2 queries"),
+        "{third_query}"
     );
-    let stranger = proto::policy::ResetRequest {
+    let unrecorded = proto::policy::ResetRequest {
         seed: 8,
         ..reset("x", "t")
     };
-    let stranger = client.reset(stranger).await.expect_err("another seed");
-    assert!(stranger.message().contains("with seed 8"), "{stranger}");
+    let unrecorded = client.reset(unrecorded).await.expect_err("another seed");
+    assert!(unrecorded.message().contains("with seed 8"), "{unrecorded}");
 }
 
 #[tokio::test]
@@ -112,5 +112,5 @@ async fn sessions_beyond_the_size_limit_are_served_unrecorded() {
     assert_eq!(record(folder.path(), 60).await.len(), 2);
     assert!(recording::files(folder.path()).is_err());
     let left = std::fs::read_dir(folder.path()).expect("a folder").count();
-    assert_eq!(left, 0, "not even a part of it");
+    assert_eq!(left, 0, "no part of a recording");
 }

@@ -18,7 +18,7 @@ use crate::support::{
 };
 
 /// Starts a server whose answers consist of `number`.
-async fn numbered(described: DescribeResponse, number: f32) -> Running {
+async fn server_answering(described: DescribeResponse, number: f32) -> Running {
     serve(Scripted::new(described, move |_| {
         Ok(chunk(&[number; 7], 7))
     }))
@@ -46,30 +46,39 @@ fn replicas(servers: &[&Running]) -> String {
 }
 
 #[tokio::test]
-async fn sessions_of_a_stateful_policy_are_shared_out_and_stay_where_they_are() {
-    let one = numbered(stateful(), 0.1).await;
-    let two = numbered(stateful(), 0.2).await;
+async fn sessions_of_a_stateful_policy_are_distributed_and_stay_on_their_replica() {
+    let one = server_answering(stateful(), 0.1).await;
+    let two = server_answering(stateful(), 0.2).await;
     let gateway = gateway(&[&replicas(&[&one, &two])]).await;
     let mut client = gateway.client().await;
-    let mut places = vec![];
+    let mut replica_numbers = vec![];
     for session in ["a", "b", "c", "d"] {
         client.reset(reset("x", session)).await.expect("an episode");
-        places.push(number(&mut client, session, 0).await);
+        replica_numbers.push(number(&mut client, session, 0).await);
     }
-    assert_eq!(places.iter().filter(|number| **number == 0.1).count(), 2);
+    assert_eq!(
+        replica_numbers
+            .iter()
+            .filter(|number| **number == 0.1)
+            .count(),
+        2
+    );
     for query_index in 1..4 {
-        for (session, place) in ["a", "b", "c", "d"].iter().zip(&places) {
-            assert_eq!(number(&mut client, session, query_index).await, *place);
+        for (session, expected) in ["a", "b", "c", "d"].iter().zip(&replica_numbers) {
+            assert_eq!(number(&mut client, session, query_index).await, *expected);
         }
     }
     // A session of a stateful policy may not move to another replica.
-    let (fallen, victim) = (one, places.iter().position(|number| *number == 0.1));
-    fallen.stop().await;
-    let victim = ["a", "b", "c", "d"][victim.expect("one of them")];
+    let (stopped, lost_session) = (
+        one,
+        replica_numbers.iter().position(|number| *number == 0.1),
+    );
+    stopped.stop().await;
+    let lost_session = ["a", "b", "c", "d"][lost_session.expect("a session on the first replica")];
     let lost = client
-        .infer(infer("x", victim, 4))
+        .infer(infer("x", lost_session, 4))
         .await
-        .expect_err("its replica is gone");
+        .expect_err("the session's replica has stopped");
     assert_eq!(lost.code(), Code::Unavailable, "{lost}");
 }
 
@@ -102,8 +111,8 @@ async fn a_replica_with_other_weights_is_refused_by_name_and_the_others_serve() 
         checkpoint_digest: digest.to_owned(),
         ..description("p", 1)
     };
-    let one = numbered(digest("aaaa"), 0.1).await;
-    let two = numbered(digest("bbbb"), 0.2).await;
+    let one = server_answering(digest("aaaa"), 0.1).await;
+    let two = server_answering(digest("bbbb"), 0.2).await;
     let route = replicas(&[&one, &two]);
     let gateway = gateway(&[&route]).await;
     let mut client = gateway.client().await;
@@ -115,14 +124,14 @@ async fn a_replica_with_other_weights_is_refused_by_name_and_the_others_serve() 
     let refused = client
         .reset(reset("x", "d"))
         .await
-        .expect_err("nobody with these weights is left");
+        .expect_err("no replica with these weights");
     assert_eq!(refused.code(), Code::Unavailable, "{refused}");
 }
 
 #[tokio::test]
-async fn the_only_replica_that_changes_its_description_is_refused_by_what_it_changed() {
-    let asked = Arc::new(AtomicU32::new(0));
-    let count = Arc::clone(&asked);
+async fn a_changed_description_of_the_only_replica_is_refused_with_the_difference() {
+    let digest_number = Arc::new(AtomicU32::new(0));
+    let count = Arc::clone(&digest_number);
     let server = serve(
         Scripted::new(description("p", 1), |_| Ok(chunk(&[0.5; 7], 7))).describing(move || {
             DescribeResponse {
@@ -135,7 +144,7 @@ async fn the_only_replica_that_changes_its_description_is_refused_by_what_it_cha
     let gateway = gateway(&[&replicas(&[&server])]).await;
     let mut client = gateway.client().await;
     client.reset(reset("x", "s")).await.expect("an episode");
-    asked.store(1, Ordering::SeqCst);
+    digest_number.store(1, Ordering::SeqCst);
     let changed = client
         .reset(reset("x", "t"))
         .await
@@ -165,9 +174,9 @@ fn route(text: &str) -> RouteSpec {
 }
 
 #[tokio::test]
-async fn a_suite_is_answered_by_its_own_checkpoint_and_an_unknown_one_by_none() {
-    let goal = numbered(description("oft goal", 1), 0.1).await;
-    let object = numbered(description("oft object", 1), 0.2).await;
+async fn a_suite_is_answered_by_its_own_checkpoint_and_an_unknown_suite_is_refused() {
+    let goal = server_answering(description("oft goal", 1), 0.1).await;
+    let object = server_answering(description("oft object", 1), 0.2).await;
     let (gateway, _) = reloadable(vec![per_suite(&goal, &object)]).await;
     let mut client = gateway.client().await;
     for (suite, expected) in [("libero_goal", 0.1), ("libero_object", 0.2)] {
@@ -196,9 +205,9 @@ async fn a_suite_is_answered_by_its_own_checkpoint_and_an_unknown_one_by_none() 
 }
 
 #[tokio::test]
-async fn a_reload_moves_new_sessions_and_leaves_open_ones_where_they_are() {
-    let old = numbered(stateful(), 0.1).await;
-    let new = numbered(stateful(), 0.2).await;
+async fn a_reload_applies_to_new_sessions_only() {
+    let old = server_answering(stateful(), 0.1).await;
+    let new = server_answering(stateful(), 0.2).await;
     let (running, gateway) = reloadable(vec![route(&replicas(&[&old]))]).await;
     let mut client = running.client().await;
     client
@@ -228,9 +237,9 @@ async fn a_reload_moves_new_sessions_and_leaves_open_ones_where_they_are() {
 #[tokio::test]
 async fn a_deterministic_policy_sends_each_seed_to_one_replica() {
     let servers = [
-        numbered(description("p", 1), 0.0).await,
-        numbered(description("p", 1), 1.0).await,
-        numbered(description("p", 1), 2.0).await,
+        server_answering(description("p", 1), 0.0).await,
+        server_answering(description("p", 1), 1.0).await,
+        server_answering(description("p", 1), 2.0).await,
     ];
     let spec = RouteSpec {
         batching: Batching::Deterministic,
@@ -238,9 +247,9 @@ async fn a_deterministic_policy_sends_each_seed_to_one_replica() {
     };
     let (gateway, _) = reloadable(vec![spec]).await;
     let mut client = gateway.client().await;
-    let mut places = BTreeSet::new();
+    let mut replica_numbers = BTreeSet::new();
     for seed in 0..24 {
-        let mut of_seed = BTreeSet::new();
+        let mut replicas_of_seed = BTreeSet::new();
         for attempt in 0..3 {
             let session = format!("{seed} {attempt}");
             let request = ResetRequest {
@@ -248,22 +257,25 @@ async fn a_deterministic_policy_sends_each_seed_to_one_replica() {
                 ..reset("x", &session)
             };
             client.reset(request).await.expect("an episode");
-            of_seed.insert(number(&mut client, &session, 0).await as u32);
+            replicas_of_seed.insert(number(&mut client, &session, 0).await as u32);
         }
-        assert_eq!(of_seed.len(), 1);
-        places.extend(of_seed);
+        assert_eq!(replicas_of_seed.len(), 1);
+        replica_numbers.extend(replicas_of_seed);
     }
-    assert_eq!(places.len(), 3, "24 seeds find all of three replicas");
+    assert_eq!(replica_numbers.len(), 3, "24 seeds use all three replicas");
 }
 
 #[tokio::test]
-async fn of_two_replicas_one_may_be_down_from_the_start() {
+async fn a_replica_that_is_down_from_the_start_is_skipped() {
     let nowhere = unused_address().await;
-    let one = numbered(description("p", 1), 0.1).await;
+    let one = server_answering(description("p", 1), 0.1).await;
     let route = format!("x=grpc://{nowhere},grpc://{}", one.address);
     let gateway = gateway(&[&route]).await;
     let mut client = gateway.client().await;
-    client.describe(describe("x")).await.expect("the other one");
+    client
+        .describe(describe("x"))
+        .await
+        .expect("the other replica");
     client.reset(reset("x", "s")).await.expect("an episode");
     assert_eq!(number(&mut client, "s", 0).await, 0.1);
 }

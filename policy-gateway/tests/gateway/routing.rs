@@ -82,7 +82,7 @@ async fn the_only_policy_needs_no_name_and_several_are_listed() {
     let unnamed = client
         .describe(describe(""))
         .await
-        .expect_err("which of the two?");
+        .expect_err("no policy is named");
     assert_eq!(unnamed.code(), Code::InvalidArgument);
     for part in [
         "several policies (stand, work)",
@@ -151,7 +151,7 @@ async fn one_query_of_a_batch_fails_alone_and_results_keep_their_order() {
         .into_iter()
         .map(|result| result.result)
         .collect();
-    let answered = |result: &_| matches!(result, Some(infer_result::Result::Response(it)) if it.actions == NOOP_ACTION);
+    let answered = |result: &_| matches!(result, Some(infer_result::Result::Response(answer)) if answer.actions == NOOP_ACTION);
     assert!(
         answered(&results[0]) && answered(&results[2]),
         "{results:?}"
@@ -194,7 +194,7 @@ async fn a_session_name_of_a_million_characters_is_refused() {
         .await
         .reset(reset("", &name))
         .await
-        .expect_err("a book");
+        .expect_err("an overlong name");
     assert_eq!(refused.code(), Code::InvalidArgument);
     assert!(refused.message().len() < 200, "{refused}");
 }

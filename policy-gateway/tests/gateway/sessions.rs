@@ -87,15 +87,15 @@ async fn equal_rollouts_of_two_campaigns_get_their_own_answers() {
         }
     })
     .await;
-    gateway.kill().expect("it runs");
-    gateway.wait().expect("it ends");
+    gateway.kill().expect("the program runs");
+    gateway.wait().expect("the program ends");
     rollouts.expect("every rollout got its own answers");
 }
 
 /// A server that records the starts and ends of sessions, or does not implement End.
 struct RecordingPolicy {
     events: mpsc::UnboundedSender<String>,
-    knows_end: bool,
+    implements_end: bool,
 }
 
 #[tonic::async_trait]
@@ -119,7 +119,7 @@ impl Policy for RecordingPolicy {
     async fn end(&self, request: Request<EndRequest>) -> Result<Response<EndResponse>, Status> {
         let session = request.into_inner().session;
         self.events.send(format!("end {session}")).expect("heard");
-        match self.knows_end {
+        match self.implements_end {
             true => Ok(Response::new(EndResponse {})),
             false => Err(Status::unimplemented("a server of the first release")),
         }
@@ -132,9 +132,13 @@ impl Policy for RecordingPolicy {
 
 #[tokio::test]
 async fn the_end_of_an_episode_reaches_its_server_and_closes_its_session() {
-    for knows_end in [true, false] {
+    for implements_end in [true, false] {
         let (events, mut heard) = mpsc::unbounded_channel();
-        let server = serve(RecordingPolicy { events, knows_end }).await;
+        let server = serve(RecordingPolicy {
+            events,
+            implements_end,
+        })
+        .await;
         let route = format!("x=grpc://{}", server.address);
         let (gateway, _handle) = reloadable(vec![route.parse().expect("a route")]).await;
         let mut client = gateway.client().await;
@@ -146,13 +150,16 @@ async fn the_end_of_an_episode_reaches_its_server_and_closes_its_session() {
             policy: "x".to_owned(),
             session: session.to_owned(),
         };
-        client.end(end("one")).await.expect("noted");
-        client.end(end("one")).await.expect("noted already");
+        client.end(end("one")).await.expect("an end");
+        client
+            .end(end("one"))
+            .await
+            .expect("a repeated end is accepted");
         client.end(end("never opened")).await.expect("no error");
-        client.end(end("two")).await.expect("noted");
+        client.end(end("two")).await.expect("an end");
         let mut all = vec![];
         while !all.contains(&"end two".to_owned()) || !all.contains(&"end one".to_owned()) {
-            all.push(heard.recv().await.expect("the server lives"));
+            all.push(heard.recv().await.expect("the server runs"));
         }
         all.sort();
         assert_eq!(all, ["begin one", "begin two", "end one", "end two"]);

@@ -1,5 +1,5 @@
-//! vla-eval model servers with behaviour that real ones cannot be made to show.
-//! `policies/tests/test_vla_eval.py` tests the gateway with real ones.
+//! Scripted vla-eval model servers, with faults that real servers cannot be made to produce.
+//! `policies/tests/test_vla_eval.py` tests the gateway with real model servers.
 
 use std::{sync::Arc, time::Duration};
 
@@ -33,20 +33,20 @@ enum Answer {
     Nothing,
 }
 
-/// Event that a server noticed.
+/// Event of a server.
 #[derive(Debug, PartialEq)]
-enum Noticed {
+enum ServerEvent {
     /// A connection, with the value of its `Authorization` header.
     Connected(Option<String>),
     /// Type of a received message.
-    Asked(String),
-    Gone,
+    Received(String),
+    Disconnected,
 }
 
 /// A server whose answers a function computes from a message's type and number.
 struct Server {
     port: u16,
-    noticed: UnboundedReceiver<Noticed>,
+    events: UnboundedReceiver<ServerEvent>,
     _task: JoinSet<()>,
 }
 
@@ -55,33 +55,34 @@ impl Server {
         let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
         let port = listener.local_addr().expect("a bound address").port();
         let answer = Arc::new(answer);
-        let (notices, noticed) = unbounded_channel();
+        let (event_sender, events) = unbounded_channel();
         let mut task = JoinSet::new();
         task.spawn(async move {
             let mut connections = JoinSet::new();
             while let Ok((stream, _)) = listener.accept().await {
-                let (answer, notices) = (Arc::clone(&answer), notices.clone());
+                let (answer, event_sender) = (Arc::clone(&answer), event_sender.clone());
                 connections.spawn(async move {
-                    let note = notices.clone();
+                    let note = event_sender.clone();
                     // The closure's type is fixed by the library.
                     #[allow(clippy::result_large_err)]
-                    let see = |request: &Request, response: Response| {
-                        let shown = request.headers().get("authorization");
-                        let shown = shown.map(|header| header.to_str().expect("ASCII").to_owned());
-                        drop(note.send(Noticed::Connected(shown)));
+                    let record_header = |request: &Request, response: Response| {
+                        let header = request.headers().get("authorization");
+                        let header =
+                            header.map(|header| header.to_str().expect("ASCII").to_owned());
+                        drop(note.send(ServerEvent::Connected(header)));
                         Ok(response)
                     };
-                    // The probe after a failure does not speak WebSocket.
-                    if let Ok(socket) = accept_hdr_async(stream, see).await {
-                        serve(socket, &*answer, &notices).await;
-                        drop(notices.send(Noticed::Gone));
+                    // The probe after a failure is no WebSocket handshake.
+                    if let Ok(socket) = accept_hdr_async(stream, record_header).await {
+                        serve(socket, &*answer, &event_sender).await;
+                        drop(event_sender.send(ServerEvent::Disconnected));
                     }
                 });
             }
         });
         Self {
             port,
-            noticed,
+            events,
             _task: task,
         }
     }
@@ -98,16 +99,16 @@ impl Server {
 async fn serve(
     mut socket: WebSocketStream<tokio::net::TcpStream>,
     answer: &(impl Fn(&str, u64) -> Answer + Sync),
-    notices: &UnboundedSender<Noticed>,
+    event_sender: &UnboundedSender<ServerEvent>,
 ) {
     while let Some(Ok(message)) = socket.next().await {
         let Message::Binary(bytes) = message else {
             continue;
         };
-        let asked = rmpv::decode::read_value(&mut &*bytes).expect("msgpack");
-        let kind = asked["type"].as_str().expect("text").to_owned();
-        let number = asked["seq"].as_u64().expect("a number");
-        drop(notices.send(Noticed::Asked(kind.clone())));
+        let received = rmpv::decode::read_value(&mut &*bytes).expect("msgpack");
+        let kind = received["type"].as_str().expect("text").to_owned();
+        let number = received["seq"].as_u64().expect("a number");
+        drop(event_sender.send(ServerEvent::Received(kind.clone())));
         let sent = match answer(&kind, number) {
             Answer::Message(bytes) => socket.send(Message::binary(bytes)).await,
             Answer::Text(text) => socket.send(Message::text(text)).await,
@@ -187,8 +188,8 @@ async fn an_invalid_answer_is_named_and_ends_the_episode_if_necessary() {
         ]);
         message("action", map(vec![("actions", array)]), number)
     };
-    type Answering = fn(u64) -> Answer;
-    let cases: [(Answering, &str, Code); 8] = [
+    type AnswerFunction = fn(u64) -> Answer;
+    let cases: [(AnswerFunction, &str, Code); 8] = [
         (
             |_| Answer::Message(vec![0xdf, 1, 2]),
             "no message of vla-eval's",
@@ -242,7 +243,9 @@ async fn a_connection_that_breaks_in_a_query_is_an_outage() {
     let gateway = server.behind_a_gateway().await;
     let mut client = gateway.client().await;
     client.reset(reset("x", "s")).await.expect("an episode");
-    let broken = query(&mut client, "s", 0).await.expect_err("it hung up");
+    let broken = query(&mut client, "s", 0)
+        .await
+        .expect_err("the connection was closed");
     assert_eq!(broken.code(), Code::Unavailable, "{broken}");
     assert!(broken.message().contains("cannot reach"), "{broken}");
 }
@@ -255,7 +258,7 @@ async fn other_servers_and_other_versions_are_recognised() {
         (
             |_, _| {
                 let Answer::Message(metadata) = message("none", map(vec![]), 0) else {
-                    unreachable!("it is a message");
+                    unreachable!("`message` returns a message");
                 };
                 Answer::Message(metadata)
             },
@@ -285,7 +288,7 @@ async fn other_servers_and_other_versions_are_recognised() {
 }
 
 #[tokio::test]
-async fn a_late_answer_is_given_to_no_other_query() {
+async fn a_late_answer_is_not_the_answer_to_another_query() {
     let mut server = Server::start(answering(|_| Answer::Nothing)).await;
     let spec = RouteSpec {
         answer_within: Duration::from_millis(300),
@@ -294,19 +297,21 @@ async fn a_late_answer_is_given_to_no_other_query() {
     let (gateway, _) = reloadable(vec![spec]).await;
     let mut client = gateway.client().await;
     client.reset(reset("x", "s")).await.expect("an episode");
-    let late = query(&mut client, "s", 0).await.expect_err("silence");
+    let late = query(&mut client, "s", 0)
+        .await
+        .expect_err("no answer in time");
     assert_eq!(late.code(), Code::DeadlineExceeded, "{late}");
     // The connection of the query is closed; that of the description stays open.
-    let mut noticed = vec![];
-    while noticed.last() != Some(&Noticed::Gone) {
-        noticed.push(server.noticed.recv().await.expect("a server"));
+    let mut events = vec![];
+    while events.last() != Some(&ServerEvent::Disconnected) {
+        events.push(server.events.recv().await.expect("a server"));
     }
-    let asked = Noticed::Asked("observation".to_owned());
-    assert!(noticed.contains(&asked), "{noticed:?}");
+    let asked = ServerEvent::Received("observation".to_owned());
+    assert!(events.contains(&asked), "{events:?}");
 }
 
 #[tokio::test]
-async fn queries_of_an_episode_are_asked_in_order() {
+async fn queries_of_an_episode_are_answered_in_order_only() {
     let server = Server::start(answering(|number| action(vec![0.5.into(); 7], number))).await;
     let gateway = server.behind_a_gateway().await;
     let mut client = gateway.client().await;
@@ -338,5 +343,8 @@ async fn a_token_is_sent_to_a_proxy_in_front_of_the_server() {
     let mut client = gateway.client().await;
     client.describe(describe("x")).await.expect("a description");
     let shown = Some("Bearer secret-of-the-proxy-0123".to_owned());
-    assert_eq!(server.noticed.recv().await, Some(Noticed::Connected(shown)));
+    assert_eq!(
+        server.events.recv().await,
+        Some(ServerEvent::Connected(shown))
+    );
 }

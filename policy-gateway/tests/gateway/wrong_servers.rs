@@ -37,8 +37,8 @@ async fn behind_a_gateway(server: &Running) -> Running {
 #[tokio::test]
 async fn a_broken_accelerator_is_out_with_its_first_error_until_a_query_is_answered() {
     let broken = Arc::new(AtomicBool::new(true));
-    let asked = Arc::new(AtomicU32::new(0));
-    let (is_broken, count) = (Arc::clone(&broken), Arc::clone(&asked));
+    let queries = Arc::new(AtomicU32::new(0));
+    let (is_broken, count) = (Arc::clone(&broken), Arc::clone(&queries));
     let answer = move |_| {
         count.fetch_add(1, Ordering::SeqCst);
         match is_broken.load(Ordering::SeqCst) {
@@ -61,9 +61,9 @@ async fn a_broken_accelerator_is_out_with_its_first_error_until_a_query_is_answe
         assert!(refused.message().contains("tried again in"), "{refused}");
     }
     assert_eq!(
-        asked.load(Ordering::SeqCst),
+        queries.load(Ordering::SeqCst),
         1,
-        "the others did not reach it"
+        "refused queries do not reach the server"
     );
 
     broken.store(false, Ordering::SeqCst);
@@ -73,11 +73,13 @@ async fn a_broken_accelerator_is_out_with_its_first_error_until_a_query_is_answe
         assert!(Instant::now() < deadline, "{status}");
         tokio::time::sleep(SICK_WAITS.first / 10).await;
     }
-    one_query(&mut client, "milk").await.expect("it is back");
+    one_query(&mut client, "milk")
+        .await
+        .expect("an answer after the outage");
 }
 
 #[tokio::test]
-async fn the_same_error_to_three_tasks_is_the_servers_and_to_one_task_is_the_tasks() {
+async fn the_same_error_to_three_tasks_is_an_outage_and_to_one_task_is_an_error() {
     let answer = |_| Err::<InferResponse, _>(Status::internal("ValueError: shape (3, 4)"));
     let server = serve(Scripted::new(description("p", 1), answer)).await;
     let gateway = behind_a_gateway(&server).await;
@@ -93,20 +95,22 @@ async fn the_same_error_to_three_tasks_is_the_servers_and_to_one_task_is_the_tas
 }
 
 #[tokio::test]
-async fn answers_of_no_use_to_three_tasks_are_an_outage_of_the_policy() {
-    for nonsense in [
+async fn invalid_answers_to_three_tasks_are_an_outage_of_the_policy() {
+    for invalid_answer in [
         chunk(&[f32::NAN; 7], 7),
         chunk(&[1e9; 7], 7),
         chunk(&[0.0; 18], 6),
         chunk(&[], 7),
     ] {
-        let answer = move |_| Ok(nonsense.clone());
+        let answer = move |_| Ok(invalid_answer.clone());
         let server = serve(Scripted::new(description("p", 1), answer)).await;
         let gateway = behind_a_gateway(&server).await;
         let mut client = gateway.client().await;
         let mut codes = vec![];
         for task in ["butter", "milk", "bowl"] {
-            let status = one_query(&mut client, task).await.expect_err("nonsense");
+            let status = one_query(&mut client, task)
+                .await
+                .expect_err("an invalid answer");
             codes.push(status.code());
         }
         assert_eq!(codes, [Code::Internal, Code::Internal, Code::Unavailable]);
@@ -114,10 +118,10 @@ async fn answers_of_no_use_to_three_tasks_are_an_outage_of_the_policy() {
 }
 
 /// A server that opens sessions, and answers queries after this delay, or never.
-struct Late(Option<Duration>);
+struct DelayedPolicy(Option<Duration>);
 
 #[tonic::async_trait]
-impl Policy for Late {
+impl Policy for DelayedPolicy {
     async fn describe(
         &self,
         _: Request<DescribeRequest>,
@@ -146,16 +150,16 @@ impl Policy for Late {
 }
 
 #[tokio::test]
-async fn a_server_that_never_answers_is_out_after_its_time_and_others_fail_fast() {
-    is_out_and_others_fail_fast(Late(None)).await;
+async fn a_silent_server_is_out_after_the_limit_and_later_queries_fail_at_once() {
+    expect_outage_after_the_limit(DelayedPolicy(None)).await;
 }
 
 #[tokio::test]
-async fn a_server_that_answers_after_its_time_is_out_like_one_that_never_does() {
-    is_out_and_others_fail_fast(Late(Some(Duration::from_millis(600)))).await;
+async fn a_server_that_answers_after_the_limit_is_out_like_a_silent_one() {
+    expect_outage_after_the_limit(DelayedPolicy(Some(Duration::from_millis(600)))).await;
 }
 
-async fn is_out_and_others_fail_fast(server: Late) {
+async fn expect_outage_after_the_limit(server: DelayedPolicy) {
     let server = serve(server).await;
     let route = format!("x=grpc://{}", server.address);
     let spec = RouteSpec {
@@ -164,7 +168,9 @@ async fn is_out_and_others_fail_fast(server: Late) {
     };
     let (gateway, _) = reloadable(vec![spec]).await;
     let mut client = gateway.client().await;
-    let late = one_query(&mut client, "butter").await.expect_err("silence");
+    let late = one_query(&mut client, "butter")
+        .await
+        .expect_err("no answer in time");
     assert_eq!(late.code(), Code::DeadlineExceeded);
     assert!(late.message().contains("within 0.3 s"), "{late}");
     let refused = one_query(&mut client, "milk").await.expect_err("out");

@@ -13,18 +13,18 @@ use scene::{AssetPack, Problem, SceneError, Sources, TaskFiles, compose, needed_
 /// Part of the protocol's 40 tasks that a pack has the files for.
 #[derive(Debug)]
 pub struct Coverage {
-    categories: Shelf,
-    arenas: Shelf,
+    categories: Models,
+    arenas: Models,
     shown: Vec<TaskRef>,
     /// Tasks by the reason why they cannot be shown.
-    broken: BTreeMap<String, Vec<TaskRef>>,
+    not_shown: BTreeMap<String, Vec<TaskRef>>,
     /// Files still to be fetched; `None` for a pack that is not fetched on demand.
     to_fetch: Option<BTreeMap<&'static str, &'static FileFacts>>,
 }
 
 /// Present and missing models of one kind.
 #[derive(Debug, Default)]
-struct Shelf {
+struct Models {
     present: BTreeSet<String>,
     missing: BTreeSet<String>,
 }
@@ -37,18 +37,18 @@ impl Coverage {
     /// If the task files cannot be read.
     pub fn check(pack: &AssetPack, sources: &Sources) -> Result<Self, SceneError> {
         let mut coverage = Self {
-            categories: Shelf::default(),
-            arenas: Shelf::default(),
+            categories: Models::default(),
+            arenas: Models::default(),
             shown: Vec::new(),
-            broken: BTreeMap::new(),
+            not_shown: BTreeMap::new(),
             to_fetch: pack.is_managed().then(BTreeMap::new),
         };
         for task in TaskRef::all() {
             let problem = TaskFiles::of_task(sources, task).problem()?;
             coverage.add_models(&problem, pack);
-            match coverage.obstacle(&problem, pack, sources)? {
+            match coverage.reason_not_shown(&problem, pack, sources)? {
                 None => coverage.shown.push(task),
-                Some(reason) => coverage.broken.entry(reason).or_default().push(task),
+                Some(reason) => coverage.not_shown.entry(reason).or_default().push(task),
             }
         }
         Ok(coverage)
@@ -64,14 +64,14 @@ impl Coverage {
             let workspace = arena.as_ref().map(|arena| arena.workspace_category);
             let model = category(&declaration.category);
             if workspace != Some(&*declaration.category) {
-                let is_there = model.is_some_and(|model| has(model.file));
-                self.categories.add(&declaration.category, is_there);
+                let is_present = model.is_some_and(|model| has(model.file));
+                self.categories.add(&declaration.category, is_present);
             }
         }
     }
 
     /// Returns the reason why a task cannot be shown; reads after "failed to …".
-    fn obstacle(
+    fn reason_not_shown(
         &mut self,
         problem: &Problem,
         pack: &AssetPack,
@@ -94,25 +94,25 @@ impl Coverage {
 
     /// Returns the tasks that cannot be shown, by reason; empty for a pack that is fetched on
     /// demand.
-    pub fn broken(&self) -> Vec<(&str, &[TaskRef])> {
+    pub fn not_shown(&self) -> Vec<(&str, &[TaskRef])> {
         if self.to_fetch.is_some() {
             return Vec::new();
         }
-        let broken = self.broken.iter();
-        broken
+        let not_shown = self.not_shown.iter();
+        not_shown
             .map(|(reason, tasks)| (reason.as_str(), tasks.as_slice()))
             .collect()
     }
 
     /// Returns true if every task can be shown, possibly after a fetch.
-    pub fn is_whole(&self) -> bool {
-        self.broken().is_empty()
+    pub fn is_complete(&self) -> bool {
+        self.not_shown().is_empty()
     }
 
     /// Describes in one line how many tasks can be shown.
     pub fn summary(&self) -> String {
-        let broken: usize = self.broken.values().map(Vec::len).sum();
-        let all = self.shown.len() + broken;
+        let not_shown: usize = self.not_shown.values().map(Vec::len).sum();
+        let all = self.shown.len() + not_shown;
         let shown = self.shown.len();
         match &self.to_fetch {
             Some(files) if !files.is_empty() => {
@@ -128,18 +128,18 @@ impl Coverage {
     }
 }
 
-impl Shelf {
-    fn add(&mut self, name: &str, is_there: bool) {
-        let shelf = if is_there {
+impl Models {
+    fn add(&mut self, name: &str, is_present: bool) {
+        let names = if is_present {
             &mut self.present
         } else {
             &mut self.missing
         };
-        shelf.insert(name.to_owned());
+        names.insert(name.to_owned());
     }
 }
 
-impl fmt::Display for Shelf {
+impl fmt::Display for Models {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let all = self.present.len() + self.missing.len();
         write!(f, "{} of {all}", self.present.len())?;
@@ -159,13 +159,13 @@ impl fmt::Display for Coverage {
         }
         writeln!(f, "  tasks       {}", self.summary())?;
         if self.to_fetch.is_some() {
-            if !self.shown.is_empty() && !self.broken.is_empty() {
+            if !self.shown.is_empty() && !self.not_shown.is_empty() {
                 let shown: Vec<String> = self.shown.iter().map(ToString::to_string).collect();
                 writeln!(f, "    present: {}", shown.join(", "))?;
             }
             return Ok(());
         }
-        for (problem, tasks) in &self.broken {
+        for (problem, tasks) in &self.not_shown {
             let tasks: Vec<String> = tasks.iter().map(ToString::to_string).collect();
             writeln!(f, "    not {}: failed to {problem}", tasks.join(", "))?;
         }
@@ -188,9 +188,9 @@ mod tests {
                 return;
             }
         };
-        let whole = AssetPack::open("primitives", &sources).expect("built in");
-        let coverage = Coverage::check(&whole, &sources).expect("reads");
-        assert!(coverage.is_whole());
+        let built_in = AssetPack::open("primitives", &sources).expect("built in");
+        let coverage = Coverage::check(&built_in, &sources).expect("reads");
+        assert!(coverage.is_complete());
         let description = coverage.to_string();
         assert!(
             description.contains("40 of 40 can be shown"),
@@ -201,7 +201,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         fs::create_dir(folder.path().join("scenes")).expect("makes");
         let arena = "scenes/libero_floor_base_style.xml";
-        fs::copy(whole.dir().join(arena), folder.path().join(arena)).expect("copies");
+        fs::copy(built_in.dir().join(arena), folder.path().join(arena)).expect("copies");
         let path = folder.path().to_string_lossy();
         let part = AssetPack::open(&path, &sources).expect("a pack");
         let description = Coverage::check(&part, &sources).expect("reads").to_string();

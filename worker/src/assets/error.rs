@@ -42,6 +42,6 @@ pub enum PackError {
         folder.display()
     )]
     Primitives { folder: PathBuf },
-    #[error("print what was found")]
+    #[error("print the result")]
     Print(#[source] io::Error),
 }

@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::num::NonZeroUsize;
 
-use super::choice::{ENOUGH, Throughput, choose, fit, numbers};
+use super::choice::{ENOUGH_SHARE, Throughput, choose, fitting_slots, numbers_to_measure};
 use super::together::Slots;
 use super::{MeasureError, cores, room};
 use crate::child::SlotProgram;
@@ -32,18 +32,19 @@ pub struct Chosen {
 pub fn choose_slots(program: SlotProgram, scenes: usize) -> Result<Chosen, MeasureError> {
     let cores = cores()?;
     let available = room::available()?;
-    let times = ROUNDS * numbers(cores).len();
+    let times = ROUNDS * numbers_to_measure(cores).len();
     let secs = (ALL_SECS / times as f64).min(ONE_SECS);
     let mut slots = Slots::new(program);
-    // Uses only the memory: a third measurement of one slot would favour it over larger numbers.
+    // Uses only the measured memory: a third throughput of one slot would favour that number over
+    // larger ones.
     let per_slot = slots.measure(1, secs)?.per_slot(scenes);
-    let fitting = fit(available, per_slot);
+    let fitting = fitting_slots(available, per_slot);
     let most = cores.min(fitting);
     // Starts all slots at once, which takes about as long as starting one.
     slots.start(most)?;
     let mut best = BTreeMap::new();
     for _ in 0..ROUNDS {
-        for number in numbers(most) {
+        for number in numbers_to_measure(most) {
             let rate = slots.measure(number, secs)?.throughput.steps_per_sec;
             let best_rate: &mut f64 = best.entry(number).or_insert(rate);
             *best_rate = best_rate.max(rate);
@@ -67,7 +68,7 @@ pub fn choose_slots(program: SlotProgram, scenes: usize) -> Result<Chosen, Measu
             "the fewest that reach {:.0} % of the most control steps per second \
              ({}); there are {cores} cores, and memory for {fitting} slots in {} MiB available, \
              of {} MiB each and {} MiB a scene that slots share",
-            ENOUGH * 100.0,
+            ENOUGH_SHARE * 100.0,
             rates.join(", "),
             available / MIB,
             per_slot.own / MIB,

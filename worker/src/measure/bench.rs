@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 use std::fs;
 use std::io::Write;
 
-use super::choice::{ENOUGH, choose, fit, numbers, to_fill};
+use super::choice::{ENOUGH_SHARE, choose, fitting_slots, numbers_to_measure, slots_to_fill_cores};
 use super::together::{Measured, Slots};
 use super::{MeasureError, cores, room};
 use crate::child::SlotProgram;
@@ -47,7 +47,7 @@ pub fn bench(plan: Plan, out: &mut dyn Write) -> Result<(), MeasureError> {
          {:.0} MiB of memory available; drawn by {}\n\
          {}, {} s for each number\n\
          {}\n",
-        processor(),
+        processor_model(),
         available as f64 / MIB,
         slots.renderer(),
         plan.title,
@@ -69,12 +69,12 @@ pub fn bench(plan: Plan, out: &mut dyn Write) -> Result<(), MeasureError> {
         out.flush()?;
         if is_default && number == 1 {
             let alone = row.throughput.steps_per_sec;
-            let filling = to_fill(cores, alone, plan.execute, plan.policy_secs);
-            pending = &numbers(filling) | &numbers(2 * filling);
+            let filling = slots_to_fill_cores(cores, alone, plan.execute, plan.policy_secs);
+            pending = &numbers_to_measure(filling) | &numbers_to_measure(2 * filling);
             pending.remove(&1);
         }
         measured.push(row);
-        most = fit(available, row.per_slot(plan.scenes));
+        most = fitting_slots(available, row.per_slot(plan.scenes));
     }
     writeln!(
         out,
@@ -91,7 +91,7 @@ pub fn bench(plan: Plan, out: &mut dyn Write) -> Result<(), MeasureError> {
             out,
             "recommended: --slots {}, the fewest with {:.0} % of the best throughput",
             chosen.slots,
-            ENOUGH * 100.0,
+            ENOUGH_SHARE * 100.0,
         )?,
         None => writeln!(
             out,
@@ -131,7 +131,7 @@ fn line(row: &Measured) -> String {
 }
 
 /// Returns the processor's model name for the table's heading.
-fn processor() -> String {
+fn processor_model() -> String {
     let about = fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = about
         .lines()

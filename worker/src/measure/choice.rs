@@ -5,22 +5,22 @@ use std::collections::BTreeSet;
 use libero_ctrl::TaskRef;
 
 /// Share of the best throughput that a number of slots must reach. Further slots would take memory
-/// and cores from others for the remaining few per cent.
-pub(super) const ENOUGH: f64 = 0.95;
+/// and cores from other processes for the remaining few per cent.
+pub(super) const ENOUGH_SHARE: f64 = 0.95;
 /// Share of the available memory that slots may take. The rest is for videos and for tasks whose
 /// scenes are larger than the measured one.
-const SHARE: f64 = 0.8;
+const MEMORY_SHARE: f64 = 0.8;
 
 /// Combined throughput of a number of slots.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(super) struct Throughput {
     pub(super) slots: usize,
-    /// Control steps per second of all of them.
+    /// Control steps per second of all these slots together.
     pub(super) steps_per_sec: f64,
 }
 
-/// Returns the smallest number of slots that reaches [`ENOUGH`] of the best throughput. Numbers
-/// above `most` are ignored, also for the best throughput. None if no number is left.
+/// Returns the smallest number of slots that reaches [`ENOUGH_SHARE`] of the best throughput.
+/// Numbers above `most` are ignored, also for the best throughput. None if no number is left.
 pub(super) fn choose(measured: &[Throughput], most: usize) -> Option<Throughput> {
     let fitting = || {
         measured
@@ -32,14 +32,19 @@ pub(super) fn choose(measured: &[Throughput], most: usize) -> Option<Throughput>
         .map(|throughput| throughput.steps_per_sec)
         .fold(0.0, f64::max);
     fitting()
-        .filter(|throughput| throughput.steps_per_sec >= ENOUGH * best)
+        .filter(|throughput| throughput.steps_per_sec >= ENOUGH_SHARE * best)
         .min_by_key(|throughput| throughput.slots)
 }
 
 /// Returns the number of slots that should keep `cores` cores busy, if one slot alone makes
 /// `steps_per_sec` control steps, queries the policy every `execute` of them and waits
 /// `policy_secs` for each answer. At most 100 per core.
-pub(super) fn to_fill(cores: usize, steps_per_sec: f64, execute: u32, policy_secs: f64) -> usize {
+pub(super) fn slots_to_fill_cores(
+    cores: usize,
+    steps_per_sec: f64,
+    execute: u32,
+    policy_secs: f64,
+) -> usize {
     const LEAST_BUSY: f64 = 0.01;
     let waiting = policy_secs * steps_per_sec / f64::from(execute.max(1));
     let busy = (1.0 - waiting).clamp(LEAST_BUSY, 1.0);
@@ -48,7 +53,7 @@ pub(super) fn to_fill(cores: usize, steps_per_sec: f64, execute: u32, policy_sec
 }
 
 /// Returns the numbers of slots to measure: 1, 2, 4, … below `most`, and `most`.
-pub(super) fn numbers(most: usize) -> BTreeSet<usize> {
+pub(super) fn numbers_to_measure(most: usize) -> BTreeSet<usize> {
     let powers = (0..usize::BITS).map(|power| 1 << power);
     powers
         .take_while(|number| *number < most)
@@ -67,16 +72,17 @@ pub(super) struct PerSlot {
     pub(super) scene_files: u64,
 }
 
-/// Returns the number of slots that fit into [`SHARE`] of `available` bytes of memory, at least
-/// one. Assumes that no two slots share a scene until the slots hold the scenes of all tasks.
-pub(super) fn fit(available: u64, per_slot: PerSlot) -> usize {
-    let room = available as f64 * SHARE;
+/// Returns the number of slots that fit into [`MEMORY_SHARE`] of `available` bytes of memory, at
+/// least one. Assumes that no two slots share a scene until the slots hold the scenes of all
+/// tasks.
+pub(super) fn fitting_slots(available: u64, per_slot: PerSlot) -> usize {
+    let room = available as f64 * MEMORY_SHARE;
     let tasks = TaskRef::all().count() as f64;
     let (own, files) = (per_slot.own.max(1) as f64, per_slot.scene_files as f64);
     let scenes = per_slot.scenes as f64;
-    let apart = room / (own + scenes * files);
-    let slots = match apart * scenes <= tasks {
-        true => apart,
+    let unshared = room / (own + scenes * files);
+    let slots = match unshared * scenes <= tasks {
+        true => unshared,
         false => (room - tasks * files) / own,
     };
     // A cast from float to integer saturates.
@@ -116,8 +122,8 @@ mod tests {
     }
 
     #[test]
-    fn one_core_has_one_number_to_choose_from() {
-        assert_eq!(numbers(1), BTreeSet::from([1]));
+    fn one_core_gets_one_slot() {
+        assert_eq!(numbers_to_measure(1), BTreeSet::from([1]));
         assert_eq!(chosen(&[(1, 28.0)], 1), Some(1));
     }
 
@@ -157,16 +163,16 @@ mod tests {
 
     #[test]
     fn slots_leave_spare_memory_and_one_always_fits() {
-        let own = |own| PerSlot {
+        let per_slot = |own| PerSlot {
             own,
             scenes: 2,
             scene_files: 0,
         };
-        assert_eq!(fit(10 * GIB, own(GIB)), 8);
-        assert_eq!(fit(10 * GIB, own(3 * GIB)), 2);
-        assert_eq!(fit(GIB, own(3 * GIB)), 1);
-        assert_eq!(fit(0, own(GIB)), 1);
-        assert!(fit(GIB, own(0)) > 1000);
+        assert_eq!(fitting_slots(10 * GIB, per_slot(GIB)), 8);
+        assert_eq!(fitting_slots(10 * GIB, per_slot(3 * GIB)), 2);
+        assert_eq!(fitting_slots(GIB, per_slot(3 * GIB)), 1);
+        assert_eq!(fitting_slots(0, per_slot(GIB)), 1);
+        assert!(fitting_slots(GIB, per_slot(0)) > 1000);
     }
 
     #[test]
@@ -177,24 +183,24 @@ mod tests {
             scene_files: GIB,
         };
         // Slots of 3 GiB each, until all 40 tasks' scenes are in memory.
-        assert_eq!(fit(10 * GIB, per_slot), 2);
-        assert_eq!(fit(75 * GIB, per_slot), 20);
-        assert_eq!(fit(100 * GIB, per_slot), 40);
+        assert_eq!(fitting_slots(10 * GIB, per_slot), 2);
+        assert_eq!(fitting_slots(75 * GIB, per_slot), 20);
+        assert_eq!(fitting_slots(100 * GIB, per_slot), 40);
     }
 
     #[test]
-    fn slots_that_wait_for_a_policy_leave_room_for_others() {
+    fn more_slots_keep_the_cores_busy_if_the_policy_is_slower() {
         // Ten steps take 0.4 s; the policy takes no time, half and all of that.
-        assert_eq!(to_fill(8, 25.0, 10, 0.0), 8);
-        assert_eq!(to_fill(8, 25.0, 10, 0.2), 16);
-        assert_eq!(to_fill(8, 25.0, 10, 0.4), 800);
-        assert_eq!(to_fill(1, 25.0, 10, 0.1), 2);
+        assert_eq!(slots_to_fill_cores(8, 25.0, 10, 0.0), 8);
+        assert_eq!(slots_to_fill_cores(8, 25.0, 10, 0.2), 16);
+        assert_eq!(slots_to_fill_cores(8, 25.0, 10, 0.4), 800);
+        assert_eq!(slots_to_fill_cores(1, 25.0, 10, 0.1), 2);
     }
 
     #[test]
-    fn numbers_double_up_to_the_most() {
-        assert_eq!(numbers(2), BTreeSet::from([1, 2]));
-        assert_eq!(numbers(6), BTreeSet::from([1, 2, 4, 6]));
-        assert_eq!(numbers(64).len(), 7);
+    fn measured_numbers_double_up_to_the_most() {
+        assert_eq!(numbers_to_measure(2), BTreeSet::from([1, 2]));
+        assert_eq!(numbers_to_measure(6), BTreeSet::from([1, 2, 4, 6]));
+        assert_eq!(numbers_to_measure(64).len(), 7);
     }
 }

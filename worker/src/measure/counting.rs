@@ -19,7 +19,7 @@ use crate::actor::{Action, Actor, Description, PolicyError, PolicySession};
 use crate::message::Assignment;
 use crate::parent::{FromParent, Parent};
 use crate::rollout::{self, RolloutError, Step, Watcher};
-use crate::slot::die_first;
+use crate::slot::raise_oom_score;
 use crate::stage::Stage;
 
 /// Control steps of a measured rollout: about as many as a successful rollout takes. The next
@@ -71,16 +71,16 @@ pub(super) struct SlotMemory {
 /// simulated policy is queried every `execute` steps and answers after `answer_after`.
 ///
 /// # Errors
-/// If the task cannot be simulated or drawn, or the parent stops listening.
+/// If the task cannot be simulated or rendered, or a report cannot be sent to the parent.
 pub fn count(
     config: SimulatorConfig,
     task: TaskRef,
     execute: u32,
     answer_after: Duration,
 ) -> Result<(), MeasureError> {
-    die_first();
+    raise_oom_score();
     let parent = Parent::connect()?;
-    let mut slot = Counting {
+    let mut slot = MeasuredSlot {
         simulator: Simulator::new(config),
         actor: OpenLoop {
             description: description(execute),
@@ -93,10 +93,10 @@ pub fn count(
             Perturbation::default(),
         )),
     };
-    let without_scene = SlotMemory::now()?;
+    let without_scene = SlotMemory::read()?;
     let mut first = Counter::until(Instant::now());
     slot.roll_out(1, &mut first)?;
-    let with_scene = SlotMemory::now()?;
+    let with_scene = SlotMemory::read()?;
     let renderer = slot.simulator.renderer_name();
     parent.send(&SlotReport::Ready {
         renderer: renderer.map_err(|source| RolloutError::Simulator {
@@ -119,7 +119,7 @@ pub fn count(
             memory: SlotMemory {
                 scene: with_scene.own.saturating_sub(without_scene.own),
                 scene_files: with_scene.files.saturating_sub(without_scene.files),
-                ..SlotMemory::now()?
+                ..SlotMemory::read()?
             },
         }))?;
     }
@@ -141,13 +141,13 @@ fn receive_periods(requests: FromParent<f64>) -> Receiver<f64> {
     periods
 }
 
-struct Counting {
+struct MeasuredSlot {
     simulator: Simulator,
     actor: OpenLoop,
     assignment: Assignment,
 }
 
-impl Counting {
+impl MeasuredSlot {
     /// Simulates one rollout, or the part of it that fits into the counter's time.
     fn roll_out(&mut self, max_steps: u32, counter: &mut Counter) -> Result<(), RolloutError> {
         self.assignment.row.max_steps = max_steps;
@@ -228,7 +228,7 @@ impl Watcher for Counter {
 
 impl SlotMemory {
     /// Reads the memory use of this process; the scene's part is left at zero.
-    fn now() -> Result<Self, MeasureError> {
+    fn read() -> Result<Self, MeasureError> {
         let read = |file: &'static str, fields: &[&'static str]| {
             let file = Path::new(file);
             let text = fs::read_to_string(file)?;

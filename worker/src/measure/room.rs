@@ -32,21 +32,21 @@ fn available_below(root: &Path) -> Result<u64, MeasureError> {
     let machine = machine.ok_or(MeasureError::Memory { field, file })?;
     let groups = fs::read_to_string(root.join("proc/self/cgroup")).unwrap_or_default();
     let base = root.join("sys/fs/cgroup");
-    let left = group_folders(root, &groups)
+    let limits = group_folders(root, &groups)
         .into_iter()
         .filter_map(|folder| {
             // The limits of all parent groups apply too. In a container, folders below the first
             // may be missing, because the path is the host's.
-            let above = folder
+            let parents = folder
                 .ancestors()
                 .take_while(|ancestor| ancestor.starts_with(&base));
-            above.filter_map(left_in).min()
+            parents.filter_map(remaining_memory).min()
         });
-    Ok(left.fold(machine, u64::min))
+    Ok(limits.fold(machine, u64::min))
 }
 
 /// Returns the bytes that a control group may still take; `None` without a limit.
-fn left_in(group: &Path) -> Option<u64> {
+fn remaining_memory(group: &Path) -> Option<u64> {
     let number = |file: &str| -> Option<u64> {
         let text = fs::read_to_string(group.join(file)).ok()?;
         text.trim().parse().ok()
@@ -64,8 +64,8 @@ fn left_in(group: &Path) -> Option<u64> {
 
 /// Reads a field of `/proc/meminfo` or `/proc/PID/status`, converted from kibibytes to bytes.
 pub(super) fn bytes(text: &str, field: &str) -> Option<u64> {
-    let behind = text.lines().find_map(|line| line.strip_prefix(field))?;
-    let number: u64 = behind.split_whitespace().next()?.parse().ok()?;
+    let value = text.lines().find_map(|line| line.strip_prefix(field))?;
+    let number: u64 = value.split_whitespace().next()?.parse().ok()?;
     Some(number << 10)
 }
 
@@ -82,7 +82,7 @@ mod tests {
             fs::create_dir_all(path.parent().expect("a folder")).expect("made");
             fs::write(path, text).expect("written");
         }
-        available_below(root.path()).expect("it says")
+        available_below(root.path()).expect("readable statistics")
     }
 
     #[test]
@@ -99,7 +99,7 @@ mod tests {
     #[test]
     fn the_tightest_parent_group_limits_the_available_memory() {
         let group = "sys/fs/cgroup/batch/memory";
-        let unified = [
+        let cgroup_v2 = [
             ("proc/self/cgroup", "0::/batch/job\n"),
             ("sys/fs/cgroup/batch/job/memory.max", "max\n"),
             ("sys/fs/cgroup/batch/job/memory.current", "900000\n"),
@@ -110,9 +110,9 @@ mod tests {
                 "anon 1\ninactive_file 50000\nactive_file 7\n",
             ),
         ];
-        assert_eq!(machine(&unified), 100_000);
+        assert_eq!(machine(&cgroup_v2), 100_000);
         // The path is the host's, as in a container with cgroup v1.
-        let before = [
+        let cgroup_v1 = [
             ("proc/self/cgroup", "4:memory:/docker/1f\n0::/\n"),
             ("sys/fs/cgroup/memory/memory.limit_in_bytes", "600000\n"),
             ("sys/fs/cgroup/memory/memory.usage_in_bytes", "700000\n"),
@@ -121,11 +121,11 @@ mod tests {
                 "inactive_file 1\ntotal_inactive_file 300000\n",
             ),
         ];
-        assert_eq!(machine(&before), 200_000);
+        assert_eq!(machine(&cgroup_v1), 200_000);
     }
 
     #[test]
     fn the_available_memory_of_this_machine_is_read() {
-        assert!(available().expect("it says") > 1 << 20);
+        assert!(available().expect("readable statistics") > 1 << 20);
     }
 }

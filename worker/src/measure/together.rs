@@ -17,7 +17,7 @@ use crate::memory::OomKills;
 
 /// Longest silence of a slot beyond the measured period: it may hash an asset pack, compile a
 /// scene, render it, or finish a control step.
-const PATIENCE: Duration = Duration::from_secs(120);
+const MAX_SILENCE: Duration = Duration::from_secs(120);
 
 /// Processes of measured slots. Dropping them kills the processes.
 pub(super) struct Slots {
@@ -46,7 +46,7 @@ enum Inbound {
 pub(super) struct Measured {
     /// Control steps per second, with the number of slots.
     pub(super) throughput: Throughput,
-    /// Frames per second of all of them.
+    /// Frames per second of all slots together.
     pub(super) frames_per_sec: f64,
     /// Control steps per second of the slowest slot.
     pub(super) slowest: f64,
@@ -75,8 +75,8 @@ impl Slots {
         &self.renderer
     }
 
-    /// Measures `slots` slots together for `secs` seconds. Starts missing ones first, and begins
-    /// when the last is ready. Surplus slots wait, which takes memory but no processor time.
+    /// Measures `slots` slots together for `secs` seconds. Starts missing slots first, and begins
+    /// when the last one is ready. Surplus slots wait, which takes memory but no processor time.
     ///
     /// # Errors
     /// If a slot cannot be started, ends, or sends nothing for too long.
@@ -87,7 +87,7 @@ impl Slots {
             // A failed write means that the slot has ended, which `receive` reports.
             let _ = writeln!(self.running[slot].connection, "{request}");
         }
-        let deadline = Instant::now() + Duration::from_secs_f64(secs) + PATIENCE;
+        let deadline = Instant::now() + Duration::from_secs_f64(secs) + MAX_SILENCE;
         let mut counts = Vec::new();
         while counts.len() < slots {
             if let SlotReport::Counted(count) = self.receive(deadline)? {
@@ -99,7 +99,7 @@ impl Slots {
 
     /// Starts slots until there are `slots`, and waits until all are ready.
     pub(super) fn start(&mut self, slots: usize) -> Result<(), MeasureError> {
-        let deadline = Instant::now() + PATIENCE;
+        let deadline = Instant::now() + MAX_SILENCE;
         let mut missing = 0;
         while self.running.len() < slots {
             self.start_one()?;
@@ -115,11 +115,11 @@ impl Slots {
     }
 
     fn start_one(&mut self) -> Result<(), MeasureError> {
-        let (ours, theirs) = connection()?;
-        let messages = BufReader::new(ours.try_clone()?);
+        let (parent_end, child_end) = connection()?;
+        let messages = BufReader::new(parent_end.try_clone()?);
         let child = Command::new(&self.program.program)
             .args(&self.program.arguments)
-            .stdin(theirs)
+            .stdin(child_end)
             // Native libraries must not write to this program's standard output.
             .stdout(io::stderr().as_fd().try_clone_to_owned()?)
             .spawn()
@@ -131,14 +131,14 @@ impl Slots {
         thread::spawn(move || listen(slot, messages, &sender));
         self.running.push(Running {
             child,
-            connection: ours,
+            connection: parent_end,
         });
         Ok(())
     }
 
     fn receive(&mut self, deadline: Instant) -> Result<SlotReport, MeasureError> {
-        let left = deadline.saturating_duration_since(Instant::now());
-        match self.inbox.recv_timeout(left) {
+        let remaining = deadline.saturating_duration_since(Instant::now());
+        match self.inbox.recv_timeout(remaining) {
             Ok((_, Inbound::Report(message))) => Ok(message),
             Ok((slot, Inbound::End)) => {
                 let status = self.running[slot].child.wait()?;
@@ -149,7 +149,7 @@ impl Slots {
             Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {
                 Err(MeasureError::Silent {
                     slots: self.running.len(),
-                    secs: PATIENCE.as_secs_f64(),
+                    secs: MAX_SILENCE.as_secs_f64(),
                 })
             }
         }
@@ -165,7 +165,7 @@ fn listen(slot: usize, messages: BufReader<UnixStream>, sender: &Sender<(usize, 
                     return;
                 }
             }
-            Err(_) => eprintln!("slot {slot} sent a line that is not a count: {line}"),
+            Err(_) => eprintln!("slot {slot} sent a line that is not a report: {line}"),
         }
     }
     // If the receiver is gone, no one needs the message.
@@ -265,7 +265,7 @@ mod tests {
             program: "/nonexistent/worker".into(),
             arguments: Vec::new(),
         });
-        let error = slots.start(1).expect_err("nothing to start").to_string();
+        let error = slots.start(1).expect_err("a missing program").to_string();
         assert!(error.contains("/nonexistent/worker"), "{error}");
     }
 

@@ -96,7 +96,7 @@ fn view(
     let high = [0, 1].map(|axis| bound(axis, f64::max, f64::NEG_INFINITY));
     let span = (high[0] - low[0]).max(high[1] - low[1]).max(1e-6) * 1.1;
     let middle = [0, 1].map(|axis| (low[axis] + high[axis]) / 2.0);
-    let place = |point: [f64; 2]| {
+    let to_pixels = |point: [f64; 2]| {
         [
             left + ((point[0] - middle[0]) / span + 0.5) * VIEW,
             MARGIN + (0.5 - (point[1] - middle[1]) / span) * VIEW,
@@ -129,7 +129,7 @@ fn view(
         let (colour, dash) = STYLES[index % STYLES.len()];
         let line: Vec<String> = path
             .iter()
-            .map(|point| place(project(point)))
+            .map(|point| to_pixels(project(point)))
             .map(|[x, y]| format!("{x:.1},{y:.1}"))
             .collect();
         let _ = writeln!(

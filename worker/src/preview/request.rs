@@ -19,8 +19,8 @@ pub struct Request {
     pub realisation: Realisation,
 }
 
-/// Returns a condition's row. Without a level it is unperturbed, but has the same initial state
-/// and id, so that only the perturbation differs.
+/// Returns a condition's row. Without a level the row is unperturbed, but has the same
+/// initial state and id, so that only the perturbation differs.
 pub(super) fn row(
     task: TaskRef,
     condition: Condition,

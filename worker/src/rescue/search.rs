@@ -3,8 +3,8 @@
 
 use std::collections::BTreeMap;
 
-/// Evenly spread queries that are tried before the bracket is narrowed. They reveal rollouts for
-/// which an earlier lift fails and a later one succeeds.
+/// Number of evenly spread queries that are tried before the bracket is narrowed. They reveal
+/// rollouts for which an earlier lift fails and a later one succeeds.
 const SPREAD: usize = 8;
 
 /// Trials so far: for each tried query, from 0, whether lifting the perturbations there saves the

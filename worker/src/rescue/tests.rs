@@ -38,8 +38,9 @@ fn run_rollout(
     let assignment = assignment(row, None);
     let mut stage = Stage::of_the_protocol(simulator);
     let mut watcher = QuerySteps::default();
-    let simulated = rollout::run_after(resumed, &mut stage, &mut actor, &assignment, &mut watcher)
-        .expect("an outcome");
+    let simulated =
+        rollout::run_resumed(resumed, &mut stage, &mut actor, &assignment, &mut watcher)
+            .expect("an outcome");
     let both = |query: usize| [0, 1].map(|at| camera_of(&actor.observations[query], at));
     Observed {
         pictures: (0..actor.observations.len()).map(both).collect(),
@@ -49,11 +50,8 @@ fn run_rollout(
     }
 }
 
-fn after(commands: &[Action], change: Change) -> Option<Resumed<'_>> {
-    Some(Resumed {
-        after: commands,
-        change,
-    })
+fn resumed_after(commands: &[Action], change: Change) -> Option<Resumed<'_>> {
+    Some(Resumed { commands, change })
 }
 
 fn camera_of(observation: &proto::policy::Observation, at: usize) -> Vec<u8> {
@@ -71,15 +69,19 @@ fn lifting_before_the_first_query_gives_the_nominal_rollout() {
     let perturbed = row("object/t0/camera+lighting+sensor+actuation+language/L2/c00");
     let nominal = row(&format!("object/t0/clean/i{:02}", perturbed.init_id));
     let nominal = run_rollout(&mut simulator, nominal, None);
-    let lifted = run_rollout(&mut simulator, perturbed.clone(), after(&[], Change::Lift));
+    let lifted = run_rollout(
+        &mut simulator,
+        perturbed.clone(),
+        resumed_after(&[], Change::Lift),
+    );
     assert!(lifted.pictures == nominal.pictures, "the pictures differ");
     assert_eq!(lifted.path, nominal.path);
     assert!(lifted.instruction_is_canonical && nominal.instruction_is_canonical);
 
     let perturbed = run_rollout(&mut simulator, perturbed, None);
     assert!(!perturbed.instruction_is_canonical);
-    for (ours, nominal) in perturbed.pictures[0].iter().zip(&nominal.pictures[0]) {
-        assert!(ours != nominal, "the perturbation is invisible");
+    for (perturbed, nominal) in perturbed.pictures[0].iter().zip(&nominal.pictures[0]) {
+        assert!(perturbed != nominal, "the perturbation is invisible");
     }
 }
 
@@ -91,29 +93,39 @@ fn a_resumed_rollout_repeats_the_earlier_steps() {
     };
     let mut simulator = simulator(sources);
     let perturbed = row("object/t0/combination/L2/c00");
-    let whole = run_rollout(&mut simulator, perturbed.clone(), None);
-    let before = 5;
-    let commands = &whole.actions[..before];
+    let uninterrupted = run_rollout(&mut simulator, perturbed.clone(), None);
+    let step = 5;
+    let commands = &uninterrupted.actions[..step];
     let resumed = run_rollout(
         &mut simulator,
         perturbed.clone(),
-        after(commands, Change::Lift),
+        resumed_after(commands, Change::Lift),
     );
-    assert_eq!(resumed.path[..=before], whole.path[..=before]);
-    assert_eq!(resumed.path.len(), whole.path.len());
-    assert_eq!(resumed.pictures.len(), STEPS as usize - before);
+    assert_eq!(resumed.path[..=step], uninterrupted.path[..=step]);
+    assert_eq!(resumed.path.len(), uninterrupted.path.len());
+    assert_eq!(resumed.pictures.len(), STEPS as usize - step);
     // The camera is nominal again, and actions are no longer distorted.
-    assert!(resumed.pictures[0] != whole.pictures[before]);
-    assert_ne!(resumed.path[STEPS as usize], whole.path[STEPS as usize]);
+    assert!(resumed.pictures[0] != uninterrupted.pictures[step]);
+    assert_ne!(
+        resumed.path[STEPS as usize],
+        uninterrupted.path[STEPS as usize]
+    );
 
     // The placebo lifts nothing, and the hand stays within 0.1 mm of the unchanged path.
-    let nudged = run_rollout(&mut simulator, perturbed, after(commands, Change::Nudge));
+    let nudged = run_rollout(
+        &mut simulator,
+        perturbed,
+        resumed_after(commands, Change::Nudge),
+    );
     assert!(!nudged.instruction_is_canonical);
-    assert!(nudged.pictures[0] == whole.pictures[before]);
-    let pairs = nudged.path.iter().zip(&whole.path);
-    for (nudged, whole) in pairs {
-        for (nudged, whole) in nudged.iter().zip(whole) {
-            assert!((nudged - whole).abs() <= 1, "{nudged} {whole}");
+    assert!(nudged.pictures[0] == uninterrupted.pictures[step]);
+    let pairs = nudged.path.iter().zip(&uninterrupted.path);
+    for (nudged, uninterrupted) in pairs {
+        for (nudged, uninterrupted) in nudged.iter().zip(uninterrupted) {
+            assert!(
+                (nudged - uninterrupted).abs() <= 1,
+                "{nudged} {uninterrupted}"
+            );
         }
     }
 }

@@ -84,7 +84,7 @@ mod tests {
     use super::instruction_in;
 
     #[test]
-    fn the_instruction_is_what_the_bddl_file_says() {
+    fn the_instruction_is_read_from_the_bddl_file() {
         let check = |text: &str, expected: Option<&str>| {
             assert_eq!(instruction_in(text).as_deref(), expected, "{text}");
         };

@@ -46,10 +46,10 @@ impl RecordedActions {
         };
         let actions = read_actions(path).map_err(failed)?;
         for (row, action) in actions.iter().enumerate() {
-            if let Some(place) = action.iter().position(|number| !number.is_finite()) {
-                let number = action[place];
+            if let Some(index) = action.iter().position(|number| !number.is_finite()) {
+                let number = action[index];
                 return Err(failed(format!(
-                    "number {place} of action {row} is {number}"
+                    "number {index} of action {row} is {number}"
                 )));
             }
         }
@@ -130,15 +130,15 @@ impl Actor for RecordedActions {
 fn read_actions(path: &Path) -> Result<Vec<Action>, String> {
     let open = || File::open(path).map(BufReader::new);
     let open = || open().map_err(|error| error.to_string());
-    match path.extension().and_then(|ending| ending.to_str()) {
+    match path.extension().and_then(|extension| extension.to_str()) {
         Some("npz") => {
             let mut archive = ZipArchive::new(open()?).map_err(|error| error.to_string())?;
             let array = archive.by_name("actions.npy");
-            rows_of(array_of(
+            read_rows(open_array(
                 array.map_err(|_| "it has no array `actions`".to_owned())?,
             )?)
         }
-        Some("npy") => rows_of(array_of(open()?)?),
+        Some("npy") => read_rows(open_array(open()?)?),
         Some("jsonl" | "json") => read_lines(open()?),
         _ => Err("its name must end in .npz, .npy or .jsonl".to_owned()),
     }
@@ -146,7 +146,7 @@ fn read_actions(path: &Path) -> Result<Vec<Action>, String> {
 
 /// Reads an array's header. Rejects deeply nested brackets, because the parser's time doubles with
 /// each level.
-fn array_of(mut file: impl Read) -> Result<NpyFile<impl Read>, String> {
+fn open_array(mut file: impl Read) -> Result<NpyFile<impl Read>, String> {
     let mut start = Vec::new();
     let read = file.by_ref().take(MAX_HEADER_BYTES).read_to_end(&mut start);
     read.map_err(|error| error.to_string())?;
@@ -173,7 +173,7 @@ fn array_of(mut file: impl Read) -> Result<NpyFile<impl Read>, String> {
     NpyFile::new(Cursor::new(start).chain(file)).map_err(|error| error.to_string())
 }
 
-fn rows_of(array: NpyFile<impl Read>) -> Result<Vec<Action>, String> {
+fn read_rows(array: NpyFile<impl Read>) -> Result<Vec<Action>, String> {
     let shape = array.shape().to_vec();
     let [rows, width] = shape[..] else {
         return Err(format!("its shape is {shape:?}, not [n, {ACTION_WIDTH}]"));

@@ -12,7 +12,7 @@ use sim::{Renderer, SimulatorConfig};
 
 use super::*;
 use crate::actor::{Description, PolicyError, PolicySession};
-use crate::filming::{Replay, watch_again};
+use crate::filming::{Replay, render_again};
 use crate::ids::random_id;
 use crate::message::{Session, VideoOf, VideoRequest};
 use crate::video::PANE_SIDE;
@@ -91,16 +91,16 @@ fn array<T: npyz::Deserialize>(trace: &Path, name: &str) -> (Vec<u64>, Vec<T>) {
     let file = fs::File::open(trace).expect("a trace");
     let mut archive = zip::ZipArchive::new(file).expect("an NPZ file");
     let member = archive.by_name(&format!("{name}.npy"));
-    let array = npyz::NpyFile::new(member.expect("is there")).expect("an array");
+    let array = npyz::NpyFile::new(member.expect("a member of the archive")).expect("an array");
     (
         array.shape().to_vec(),
-        array.into_vec().expect("of this type"),
+        array.into_vec().expect("values of this type"),
     )
 }
 
 #[test]
-fn a_users_task_is_replayed_and_its_trace_replays_again() {
-    let test = "a_users_task_is_replayed_and_its_trace_replays_again";
+fn a_users_task_is_run_from_a_recording_and_again_from_its_trace() {
+    let test = "a_users_task_is_run_from_a_recording_and_again_from_its_trace";
     let Some(sources) = sources(test) else {
         return;
     };
@@ -126,7 +126,7 @@ fn a_users_task_is_replayed_and_its_trace_replays_again() {
     };
     let (first, second) = (folder.path().join("first"), folder.path().join("second"));
     let finished = replay(&recording, &first);
-    assert_eq!(finished.result.steps, 6, "the budget, not the recording");
+    assert_eq!(finished.result.steps, 6, "the step budget ends the rollout");
     assert_eq!(finished.result.clipped_actions, 3);
     let expected = GoalProgress {
         predicates: 1,
@@ -338,7 +338,7 @@ fn run_and_film(
     };
     let mut in_film = Vec::new();
     let mut stage = Stage::of_the_protocol(simulator);
-    watch_again(&mut stage, replay, &mut |pictures| {
+    render_again(&mut stage, replay, &mut |pictures| {
         in_film.push(pictures.map(|picture| picture.rgb));
         Ok(())
     })
@@ -374,14 +374,17 @@ fn films_and_pictures_show_what_the_policy_saw_with_the_sensors_corruption() {
     let unperturbed = run_and_film(&mut simulator, &nominal, Realisation::Matched, side);
     for realisation in [Realisation::Matched, Realisation::Reference] {
         let corrupted = run_and_film(&mut simulator, &sensor, realisation, side);
-        for seen in [&unperturbed, &corrupted] {
+        for captured in [&unperturbed, &corrupted] {
             // The video also has the frame after the last action.
-            assert_eq!((seen.by_policy.len(), seen.in_film.len()), (4, 5));
-            assert!(seen.in_film[..4] == seen.by_policy, "{realisation}");
-            assert!(seen.first_pictures == seen.by_policy[0], "{realisation}");
+            assert_eq!((captured.by_policy.len(), captured.in_film.len()), (4, 5));
+            assert!(captured.in_film[..4] == captured.by_policy, "{realisation}");
+            assert!(
+                captured.first_pictures == captured.by_policy[0],
+                "{realisation}"
+            );
         }
-        for (own, nominal) in corrupted.in_film.iter().zip(&unperturbed.in_film) {
-            assert!(own[0] != nominal[0] && own[1] != nominal[1]);
+        for (corrupted, nominal) in corrupted.in_film.iter().zip(&unperturbed.in_film) {
+            assert!(corrupted[0] != nominal[0] && corrupted[1] != nominal[1]);
         }
         assert!(corrupted.film != unperturbed.film);
         // Rendering at another size than the policy's does not change the policy's frames.
@@ -393,7 +396,7 @@ fn films_and_pictures_show_what_the_policy_saw_with_the_sensors_corruption() {
 }
 
 #[test]
-fn invalid_recordings_are_named() {
+fn invalid_recordings_are_refused_with_the_reason() {
     let folder = tempfile::tempdir().expect("a folder");
     let check = |name: &str, content: &str, expected: &str| {
         let path = folder.path().join(name);

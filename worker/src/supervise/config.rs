@@ -25,7 +25,7 @@ pub struct Config {
     pub slots: usize,
     /// Command line of a slot's process.
     pub slot_program: SlotProgram,
-    /// Provides the files of jobs; without it, they are taken to be there.
+    /// Provides the files of jobs; without a provider, the files are assumed to exist.
     pub provider: Option<Provider>,
     /// Tasks that the asset pack cannot show; they are not claimed.
     pub lacking_tasks: Vec<TaskRef>,

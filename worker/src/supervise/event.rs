@@ -14,18 +14,18 @@ pub(crate) struct ProcessEnd {
     /// Description of the end, such as "was killed by signal 9".
     pub(crate) how: String,
     /// The last lines that the process printed; the worker has relayed them already.
-    pub(crate) last_words: Vec<String>,
+    pub(crate) last_lines: Vec<String>,
 }
 
 impl ProcessEnd {
     /// Describes the end with the last lines, for readers who do not see the worker's log.
-    pub(crate) fn with_last_words(&self) -> String {
-        match self.last_words.is_empty() {
+    pub(crate) fn with_last_lines(&self) -> String {
+        match self.last_lines.is_empty() {
             true => self.how.clone(),
             false => format!(
                 "{}; its last output: {}",
                 self.how,
-                self.last_words.join(" | ")
+                self.last_lines.join(" | ")
             ),
         }
     }
@@ -33,8 +33,8 @@ impl ProcessEnd {
 
 impl From<String> for ProcessEnd {
     fn from(how: String) -> Self {
-        let last_words = vec![];
-        Self { how, last_words }
+        let last_lines = vec![];
+        Self { how, last_lines }
     }
 }
 
@@ -44,12 +44,12 @@ pub(crate) struct ProcessKey {
     /// Number of the slot, from 0.
     pub(crate) slot: usize,
     /// Number of the process within the slot, from 1.
-    pub(crate) life: u64,
+    pub(crate) number: u64,
 }
 
 #[derive(Debug)]
 pub(crate) enum Event {
-    /// Time has passed.
+    /// The interval between checks for timeouts has passed.
     Tick,
     /// The coordinator answered the worker's registration.
     Registered(Result<RegisterResponse, Status>),

@@ -21,7 +21,7 @@ use transport::{
 };
 
 use super::error::SuperviseError;
-use crate::grpc::within;
+use crate::grpc::with_deadline;
 
 /// Longest time that a claim may wait at the coordinator for a job.
 const CLAIM_WAIT: Duration = Duration::from_secs(5);
@@ -73,7 +73,7 @@ struct LinkState {
 /// Failed call, with an explanation in the status.
 struct Failed {
     status: Status,
-    may_pass: bool,
+    is_transient: bool,
 }
 
 impl Link {
@@ -140,8 +140,10 @@ impl Link {
         deadline: Duration,
     ) -> Result<HeartbeatResponse, Status> {
         let mut grpc = self.grpc.clone();
-        let answer = within(deadline, grpc.heartbeat(request)).await;
-        self.recorded(answer).await.map_err(|failed| failed.status)
+        let answer = with_deadline(deadline, grpc.heartbeat(request)).await;
+        self.record_outcome(answer)
+            .await
+            .map_err(|failed| failed.status)
     }
 
     /// Reports a result; retries until the coordinator answers.
@@ -165,7 +167,7 @@ impl Link {
     /// Signs the worker off. Not retried, because nothing depends on it.
     pub(crate) async fn sign_off(&self, request: SignOffRequest) -> Result<(), Status> {
         let mut grpc = self.grpc.clone();
-        let answer = within(SIGN_OFF_DEADLINE, grpc.sign_off(request)).await;
+        let answer = with_deadline(SIGN_OFF_DEADLINE, grpc.sign_off(request)).await;
         answer.map(drop)
     }
 
@@ -195,13 +197,13 @@ impl Link {
         loop {
             let chunks = tokio_stream::iter(chunks.clone());
             let mut grpc = self.grpc.clone();
-            let answer = within(UPLOAD_DEADLINE, grpc.put_artifact(chunks)).await;
+            let answer = with_deadline(UPLOAD_DEADLINE, grpc.put_artifact(chunks)).await;
             let wait = backoff.next_wait();
             match answer {
                 Err(status) if may_succeed_later(&status) && backoff.failures() < UPLOAD_TRIES => {
                     tokio::time::sleep(wait).await;
                 }
-                Err(status) => return Err(self.explained(status).await.status),
+                Err(status) => return Err(self.explain(status).await.status),
                 Ok(stored) => return Ok(stored),
             }
         }
@@ -218,9 +220,9 @@ impl Link {
     {
         let mut backoff = Backoff::new(Waits::USUAL, self.state.seed);
         loop {
-            let answer = within(deadline, call(self.grpc.clone())).await;
-            match self.recorded(answer).await {
-                Err(failed) if failed.may_pass => tokio::select! {
+            let answer = with_deadline(deadline, call(self.grpc.clone())).await;
+            match self.record_outcome(answer).await {
+                Err(failed) if failed.is_transient => tokio::select! {
                     () = tokio::time::sleep(backoff.next_wait()) => {}
                     () = self.state.outage_ended.notified() => {}
                 },
@@ -230,7 +232,7 @@ impl Link {
     }
 
     /// Records the outcome of a call for the outage log, and explains a failure.
-    async fn recorded<T>(&self, answer: Result<T, Status>) -> Result<T, Failed> {
+    async fn record_outcome<T>(&self, answer: Result<T, Status>) -> Result<T, Failed> {
         let answer = match answer {
             Ok(answer) => {
                 self.state.has_answered.store(true, Ordering::Relaxed);
@@ -238,10 +240,13 @@ impl Link {
             }
             // The start of the outage was diagnosed and logged already.
             Err(status) if self.lock_outage().is_some() && self.has_answered() => {
-                let may_pass = may_succeed_later(&status);
-                Err(Failed { status, may_pass })
+                let is_transient = may_succeed_later(&status);
+                Err(Failed {
+                    status,
+                    is_transient,
+                })
             }
-            Err(status) => Err(self.explained(status).await),
+            Err(status) => Err(self.explain(status).await),
         };
         self.log_outage(&answer);
         answer
@@ -249,13 +254,16 @@ impl Link {
 
     /// Explains a failure by a diagnosis of the peer. A mistake in the settings is never
     /// transient.
-    async fn explained(&self, status: Status) -> Failed {
-        let may_pass = may_succeed_later(&status);
+    async fn explain(&self, status: Status) -> Failed {
+        let is_transient = may_succeed_later(&status);
         match self.state.peer.trouble(&status).await {
-            None => Failed { status, may_pass },
-            Some(trouble) => Failed {
-                status: Status::new(status.code(), trouble.to_string()),
-                may_pass: may_pass && (self.has_answered() || !trouble.found.is_final()),
+            None => Failed {
+                status,
+                is_transient,
+            },
+            Some(diagnosis) => Failed {
+                status: Status::new(status.code(), diagnosis.to_string()),
+                is_transient: is_transient && (self.has_answered() || !diagnosis.found.is_final()),
             },
         }
     }
@@ -269,7 +277,7 @@ impl Link {
         let url = &self.state.url;
         let mut outage = self.lock_outage();
         match (answer, *outage) {
-            (Err(failed), None) if failed.may_pass => {
+            (Err(failed), None) if failed.is_transient => {
                 *outage = Some(Instant::now());
                 tracing::warn!(
                     "coordinator {url} cannot be reached: {}; trying again every {} to {} s, \
@@ -279,7 +287,7 @@ impl Link {
                     Waits::USUAL.longest.as_secs()
                 );
             }
-            (Err(failed), Some(_)) if failed.may_pass => {}
+            (Err(failed), Some(_)) if failed.is_transient => {}
             // The returned error describes the failure and ends the program.
             (Err(_), Some(_)) if !self.has_answered() => {}
             (_, Some(since)) => {
@@ -307,7 +315,7 @@ impl Link {
 async fn chunks_of(attempt: AttemptId, file: &Path) -> std::io::Result<Vec<ArtifactChunk>> {
     let size = tokio::fs::metadata(file).await?.len();
     if size > MAX_VIDEO_BYTES {
-        let text = format!("{size} bytes are more than the {MAX_VIDEO_BYTES} that are sent");
+        let text = format!("{size} bytes exceed the limit of {MAX_VIDEO_BYTES} bytes");
         return Err(std::io::Error::other(text));
     }
     let bytes = tokio::fs::read(file).await?;
@@ -330,7 +338,7 @@ mod tests {
     use super::*;
 
     #[tokio::test]
-    async fn only_the_first_piece_of_a_video_names_it() {
+    async fn only_the_first_chunk_of_a_video_names_its_attempt() {
         let file = tempfile::NamedTempFile::new().expect("a file");
         std::fs::write(file.path(), vec![7; CHUNK_BYTES + 1]).expect("written");
         let chunks = chunks_of(AttemptId::from_random([7; 16]), file.path())

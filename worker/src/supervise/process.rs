@@ -20,7 +20,7 @@ use crate::message::{MAX_LINE_BYTES, SlotCommand, SlotEvent};
 /// Capacity of a process's command queue; a run and its abandonment need two.
 const COMMAND_QUEUE: usize = 4;
 /// Lines of a process's standard error that explain its end.
-const LAST_WORDS: usize = 5;
+const LAST_LINES: usize = 5;
 /// Longest relayed line, bytes; longer ones are split.
 const MAX_RELAYED_LINE_BYTES: u64 = 4096;
 
@@ -61,7 +61,7 @@ impl SlotProcess {
             .kill_on_drop(true)
             .spawn()?;
         let (sender, requests) = mpsc::channel(COMMAND_QUEUE);
-        let task = tasks.spawn(attend(child, connection, key, requests, events));
+        let task = tasks.spawn(run_process(child, connection, key, requests, events));
         Ok(Self {
             requests: sender,
             key,
@@ -81,7 +81,7 @@ impl SlotProcess {
 }
 
 /// Owns a process until it has ended and all its output is forwarded.
-async fn attend(
+async fn run_process(
     mut child: Child,
     connection: UnixStream,
     key: ProcessKey,
@@ -91,11 +91,11 @@ async fn attend(
     let kills_before = OomKills::read();
     let (events_socket, commands) = connection.into_split();
     let (stdout, stderr) = (child.stdout.take(), child.stderr.take());
-    let ((), _, last_words, status) = tokio::join!(
+    let ((), _, last_lines, status) = tokio::join!(
         forward_events(events_socket, key, &events),
         relay(stdout, key.slot),
         relay(stderr, key.slot),
-        carry_out(child, commands, requests)
+        handle_requests(child, commands, requests)
     );
     let kills = OomKills::read().since(kills_before);
     let how = match status {
@@ -104,13 +104,13 @@ async fn attend(
     };
     let end = ProcessEnd {
         how,
-        last_words: last_words.into(),
+        last_lines: last_lines.into(),
     };
     // The receiver may be gone if the supervisor has ended.
     let _ = events.send(Event::Ended { key, end }).await;
 }
 
-async fn carry_out(
+async fn handle_requests(
     mut child: Child,
     commands: OwnedWriteHalf,
     mut requests: mpsc::Receiver<Request>,
@@ -173,7 +173,7 @@ async fn relay(output: Option<impl AsyncRead + Unpin>, slot: usize) -> VecDeque<
     while let Some(line) = next_line(&mut output, MAX_RELAYED_LINE_BYTES).await {
         let line = String::from_utf8_lossy(&line).into_owned();
         terminal::complain(&format!("[slot {slot}] {line}"));
-        if last.len() == LAST_WORDS {
+        if last.len() == LAST_LINES {
             last.pop_front();
         }
         last.push_back(line);
@@ -221,11 +221,11 @@ mod tests {
         check(9, "SIGKILL: out of memory");
         check(11, "signal 11 (SIGSEGV");
         check(1 << 8, "exited with code 1");
-        let last_words = VecDeque::from(["one".to_owned(), "two".to_owned()]);
+        let last_lines = VecDeque::from(["one".to_owned(), "two".to_owned()]);
         let end = ProcessEnd {
             how: "aborted".to_owned(),
-            last_words: last_words.into(),
+            last_lines: last_lines.into(),
         };
-        assert_eq!(end.with_last_words(), "aborted; its last output: one | two");
+        assert_eq!(end.with_last_lines(), "aborted; its last output: one | two");
     }
 }

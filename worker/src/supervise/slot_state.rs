@@ -65,7 +65,7 @@ pub(crate) enum Work {
         /// Control steps so far.
         control_steps: u32,
         /// Time of the last reported progress.
-        moved_at: Instant,
+        progressed_at: Instant,
     },
     /// The rollout made no progress and its process was killed.
     Stuck {
@@ -94,18 +94,18 @@ pub(crate) enum Video {
     None,
     /// The slot's process makes the video, and does no other work meanwhile.
     Filming {
-        /// Attempt whose video it is.
+        /// Attempt that the video shows.
         attempt: AttemptId,
         /// Frames of the video so far.
         pictures: u32,
         /// Time of the last reported progress.
-        moved_at: Instant,
+        progressed_at: Instant,
         /// State of the result that the video belongs to.
         result: ResultState,
     },
     /// The video is finished, and its result is still being delivered.
     Made {
-        /// Attempt whose video it is.
+        /// Attempt that the video shows.
         attempt: AttemptId,
     },
 }
@@ -183,25 +183,28 @@ impl SlotState {
         progress_timeout: Duration,
         now: Instant,
     ) -> Option<Decision> {
-        let serving = mode == Mode::Serving;
-        let stands_still = |moved_at: Instant| now.duration_since(moved_at) >= progress_timeout;
+        let is_serving = mode == Mode::Serving;
+        let is_stuck =
+            |progressed_at: Instant| now.duration_since(progressed_at) >= progress_timeout;
         match (&self.process, &self.work, &self.video) {
-            (ProcessState::Down { until }, Work::Nothing, _) if serving && now >= *until => {
+            (ProcessState::Down { until }, Work::Nothing, _) if is_serving && now >= *until => {
                 Some(Decision::Start)
             }
             (ProcessState::Starting { deadline }, ..) if now >= *deadline => {
                 Some(Decision::Kill(Kill::NotReady))
             }
-            (ProcessState::Up, Work::Running { moved_at, .. }, _) if stands_still(*moved_at) => {
+            (ProcessState::Up, Work::Running { progressed_at, .. }, _)
+                if is_stuck(*progressed_at) =>
+            {
                 Some(Decision::Kill(Kill::Stuck))
             }
             (ProcessState::Up, Work::Abandoning { deadline, .. }, _) if now >= *deadline => {
                 Some(Decision::Kill(Kill::NotAbandoned))
             }
-            (ProcessState::Up, _, Video::Filming { moved_at, .. }) => {
-                stands_still(*moved_at).then_some(Decision::Kill(Kill::StuckFilming))
+            (ProcessState::Up, _, Video::Filming { progressed_at, .. }) => {
+                is_stuck(*progressed_at).then_some(Decision::Kill(Kill::StuckFilming))
             }
-            (ProcessState::Up, Work::Nothing, _) if serving => Some(Decision::Claim),
+            (ProcessState::Up, Work::Nothing, _) if is_serving => Some(Decision::Claim),
             _ => None,
         }
     }
@@ -249,13 +252,13 @@ impl SlotState {
         if let Work::Running {
             attempt,
             control_steps,
-            moved_at,
+            progressed_at,
         } = &mut self.work
             && *attempt == id
             && steps > *control_steps
         {
             *control_steps = steps;
-            *moved_at = now;
+            *progressed_at = now;
         }
     }
 
@@ -264,14 +267,14 @@ impl SlotState {
         if let Video::Filming {
             attempt,
             pictures,
-            moved_at,
+            progressed_at,
             ..
         } = &mut self.video
             && *attempt == id
             && frames > *pictures
         {
             *pictures = frames;
-            *moved_at = now;
+            *progressed_at = now;
         }
     }
 
@@ -354,7 +357,7 @@ impl SlotState {
             self.video = Video::Filming {
                 attempt: id,
                 pictures: 0,
-                moved_at: now,
+                progressed_at: now,
                 result,
             };
         }
@@ -459,7 +462,7 @@ mod tests {
         slot.work = Work::Running {
             attempt: attempt(1),
             control_steps: 0,
-            moved_at: now,
+            progressed_at: now,
         };
         slot
     }
@@ -536,7 +539,11 @@ mod tests {
         let mut slot = filming(now);
         let ended = slot.ended(now);
         assert_eq!((ended.rollout, ended.video), (None, Some(attempt(1))));
-        assert_eq!(slot.progress(), Some((attempt(1), 0)), "still delivered");
+        assert_eq!(
+            slot.progress(),
+            Some((attempt(1), 0)),
+            "the result is still being delivered"
+        );
         assert_eq!(slot.delivered(true), None);
         assert!(slot.is_done());
     }
@@ -550,7 +557,7 @@ mod tests {
         assert_eq!(
             slot.progress(),
             Some((attempt(1), 290)),
-            "nothing is filmed"
+            "no video is being made"
         );
         assert!(slot.rollout_ended(attempt(1), true, now));
         slot.filming_advanced(attempt(1), 300, now);

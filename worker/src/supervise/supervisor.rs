@@ -45,7 +45,7 @@ const END_DEADLINE: Duration = Duration::from_secs(5);
 struct Slot {
     state: SlotState,
     process: Option<SlotProcess>,
-    lives: u64,
+    starts: u64,
     /// Current assignment, or the last one, whose scene is compiled.
     assignment: Option<Assignment>,
     campaign: String,
@@ -62,7 +62,7 @@ pub(super) struct Supervisor {
     /// Registration of the worker; `None` until a slot reports its renderer, which this process
     /// cannot determine without native code.
     registration: Option<RegisterRequest>,
-    /// True once registered; no job is claimed before.
+    /// True once the worker is registered; jobs are claimed only then.
     is_registered: bool,
     mode: Mode,
     /// Signals the link to drop its claims.
@@ -70,9 +70,9 @@ pub(super) struct Supervisor {
     shutdown_requested_at: Option<Instant>,
     /// Start of the idle time. Outages of the coordinator do not count as idle.
     idle_since: Instant,
-    /// Reason why the worker ends, unless it was asked to.
+    /// Reason why the worker ends, unless it was asked to end.
     fault: Option<SuperviseError>,
-    heartbeat_under_way: bool,
+    is_heartbeat_in_flight: bool,
     /// True if a lease was taken that no heartbeat has named yet: the first heartbeat acknowledges
     /// it.
     has_unacknowledged_lease: bool,
@@ -101,7 +101,7 @@ impl Supervisor {
         let slots = (0..config.slots).map(|slot| Slot {
             state: SlotState::new(now, config.seed.wrapping_add(slot as u64)),
             process: None,
-            lives: 0,
+            starts: 0,
             assignment: None,
             campaign: String::new(),
             preparing: None,
@@ -120,7 +120,7 @@ impl Supervisor {
             shutdown_requested_at: None,
             idle_since: now,
             fault: None,
-            heartbeat_under_way: false,
+            is_heartbeat_in_flight: false,
             has_unacknowledged_lease: false,
             fetches: Backoff::new(Waits::USUAL, seed),
             claims_from: now,
@@ -306,18 +306,18 @@ impl Supervisor {
     }
 
     fn start_process(&mut self, slot: usize, now: Instant) {
-        let slots = &mut self.slots[slot];
-        slots.lives += 1;
+        let entry = &mut self.slots[slot];
+        entry.starts += 1;
         let key = ProcessKey {
             slot,
-            life: slots.lives,
+            number: entry.starts,
         };
         let program = &self.config.slot_program;
         let started = SlotProcess::start(program, key, &mut self.processes, self.events.clone());
         match started {
             Ok(process) => {
-                slots.process = Some(process);
-                slots.state.process = ProcessState::Starting {
+                entry.process = Some(process);
+                entry.state.process = ProcessState::Starting {
                     deadline: now + START_DEADLINE,
                 };
             }
@@ -328,7 +328,7 @@ impl Supervisor {
     /// Handles a failed start of a process. The worker stops if a slot's first process exceeds the
     /// machine's limits, because later starts would too.
     fn start_failed(&mut self, slot: usize, error: io::Error, now: Instant) {
-        if self.slots[slot].lives == 1 && is_exhaustion(&error) {
+        if self.slots[slot].starts == 1 && is_exhaustion(&error) {
             return self.stop(SuperviseError::Exhausted { slot, error });
         }
         let program = self.config.slot_program.program.display();
@@ -462,7 +462,7 @@ impl Supervisor {
             self.carry_out_video(slot, Some(VideoDecision::Drop(attempt)));
         }
         if let Some((attempt, kind)) = loss.rollout {
-            let error = self.explain_loss(kind, &end.with_last_words());
+            let error = self.explain_loss(kind, &end.with_last_lines());
             let label = self.label(slot);
             let ending = Ending::Failed(Failure { kind, error });
             self.send_delivery(slot, attempt, label, ending);
@@ -541,16 +541,16 @@ impl Supervisor {
 
     /// Returns the number of videos that are being made, wait for their results, or are being
     /// sent.
-    fn videos_in_hand(&self) -> u32 {
+    fn unfinished_videos(&self) -> u32 {
         let made = self.slots.iter().filter(|slot| slot.state.has_video());
         u32::try_from(made.count() + self.uploads.len()).unwrap_or(u32::MAX)
     }
 
     fn send_heartbeat(&mut self) {
-        if self.heartbeat_under_way || !self.is_registered {
+        if self.is_heartbeat_in_flight || !self.is_registered {
             return;
         }
-        self.heartbeat_under_way = true;
+        self.is_heartbeat_in_flight = true;
         self.has_unacknowledged_lease = false;
         let under_way = self.slots.iter().filter_map(|slot| slot.state.progress());
         let progress = under_way.map(|(attempt, control_steps)| Progress {
@@ -560,7 +560,7 @@ impl Supervisor {
         let request = HeartbeatRequest {
             worker_id: self.config.identity.worker.to_string(),
             progress: progress.collect(),
-            filming: self.videos_in_hand(),
+            filming: self.unfinished_videos(),
         };
         let (link, events) = (self.link.clone(), self.events.clone());
         let deadline = self.timing.heartbeat.max(Duration::from_secs(1));
@@ -571,7 +571,7 @@ impl Supervisor {
     }
 
     fn renewed(&mut self, answer: Result<HeartbeatResponse, Status>, now: Instant) {
-        self.heartbeat_under_way = false;
+        self.is_heartbeat_in_flight = false;
         // The link logs the failure, and the next heartbeat follows soon.
         let Ok(answer) = answer else { return };
         for lost in &answer.lost_attempts {
@@ -656,10 +656,10 @@ mod tests {
     /// Returns a supervisor with one slot, whose process waits for its parent to end, and an
     /// unreachable coordinator.
     fn supervisor(events: mpsc::Sender<Event>) -> Supervisor {
-        supervisor_of(1, events)
+        supervisor_with(1, events)
     }
 
-    fn supervisor_of(slots: usize, events: mpsc::Sender<Event>) -> Supervisor {
+    fn supervisor_with(slots: usize, events: mpsc::Sender<Event>) -> Supervisor {
         let config = Config {
             coordinator: "http://127.0.0.1:9".to_owned(),
             access: Access::none(),
@@ -700,36 +700,39 @@ mod tests {
         let (_requests, shutdown) = mpsc::channel(1);
         let serving = supervisor.serve(inbox, shutdown);
         let ended = tokio::time::timeout(Duration::from_secs(20), serving).await;
-        let error = ended.expect("it ends").expect_err("with a fault");
+        let error = ended.expect("an end in time").expect_err("a fault");
         assert!(error.to_string().contains("a defect"), "{error}");
     }
 
     #[tokio::test]
     async fn a_shutdown_request_is_handled_while_slots_start() {
         let (events, _inbox) = mpsc::channel(8);
-        let mut supervisor = supervisor_of(3 * STARTS_AT_ONCE, events);
+        let mut supervisor = supervisor_with(3 * STARTS_AT_ONCE, events);
         let now = Instant::now();
         assert!(
             supervisor.carry_out_decisions(now),
-            "more are to be started"
+            "further processes are to be started"
         );
         let is_started = |slot: &&Slot| slot.process.is_some();
         let started = |parent: &Supervisor| parent.slots.iter().filter(is_started).count();
         assert_eq!(started(&supervisor), STARTS_AT_ONCE);
         supervisor.handle(Event::Shutdown, now);
         assert!(!supervisor.carry_out_decisions(now));
-        assert_eq!(started(&supervisor), STARTS_AT_ONCE, "no further one");
+        assert_eq!(started(&supervisor), STARTS_AT_ONCE, "no further process");
     }
 
     #[tokio::test]
     async fn exhausted_resources_end_the_worker_at_once() {
         let (events, _inbox) = mpsc::channel(8);
-        let mut supervisor = supervisor_of(1_000, events);
+        let mut supervisor = supervisor_with(1_000, events);
         let now = Instant::now();
-        supervisor.slots[7].lives = 1;
+        supervisor.slots[7].starts = 1;
         let too_many_files = rustix::io::Errno::MFILE;
         supervisor.start_failed(7, too_many_files.into(), now);
-        assert!(!supervisor.carry_out_decisions(now), "it starts no other");
+        assert!(
+            !supervisor.carry_out_decisions(now),
+            "no further process may start"
+        );
         assert_eq!(supervisor.mode, Mode::Draining);
         let fault = supervisor.fault.expect("a fault").to_string();
         assert!(fault.contains("slot 7"), "{fault}");
@@ -746,7 +749,7 @@ mod tests {
         supervisor.slots[0].state.work = Work::Running {
             attempt,
             control_steps: 0,
-            moved_at: now,
+            progressed_at: now,
         };
         let task = supervisor.processes.spawn(async { panic!("a defect") });
         let process = supervisor.slots[0].process.as_mut().expect("started");
@@ -757,7 +760,7 @@ mod tests {
         let state = &supervisor.slots[0].state;
         assert!(matches!(state.work, Work::Delivering { attempt: id, .. } if id == attempt));
         assert!(matches!(state.process, ProcessState::Down { .. }));
-        assert_eq!(supervisor.mode, Mode::Serving, "another is started");
+        assert_eq!(supervisor.mode, Mode::Serving, "the worker keeps serving");
         assert!(inbox.try_recv().is_err());
     }
 }

@@ -14,8 +14,8 @@ use super::link::Link;
 
 /// Videos that are sent in parallel.
 const UPLOADS_AT_A_TIME: usize = 3;
-/// Longest wait for a video's upload, including the queue.
-const PATIENCE: Duration = Duration::from_secs(120);
+/// Longest wait for a video's upload, including its time in the queue.
+const UPLOAD_TIMEOUT: Duration = Duration::from_secs(120);
 
 /// Video of a committed result, to be uploaded.
 #[derive(Debug)]
@@ -30,14 +30,14 @@ pub(crate) struct Upload {
 #[derive(Clone, Debug)]
 pub(crate) struct Uploader {
     link: Link,
-    places: Arc<Semaphore>,
+    permits: Arc<Semaphore>,
 }
 
 impl Uploader {
     pub(crate) fn new(link: Link) -> Self {
         Self {
             link,
-            places: Arc::new(Semaphore::new(UPLOADS_AT_A_TIME)),
+            permits: Arc::new(Semaphore::new(UPLOADS_AT_A_TIME)),
         }
     }
 
@@ -45,11 +45,12 @@ impl Uploader {
     pub(crate) async fn upload(self, upload: Upload) {
         let sending = async {
             // The semaphore is never closed.
-            let _place = self.places.acquire().await;
+            let _permit = self.permits.acquire().await;
             self.link.put_video(upload.attempt, &upload.file).await
         };
-        let sent = tokio::time::timeout(PATIENCE, sending).await;
-        let sent = sent.unwrap_or_else(|_| Err(Status::deadline_exceeded("out of patience")));
+        let sent = tokio::time::timeout(UPLOAD_TIMEOUT, sending).await;
+        let sent =
+            sent.unwrap_or_else(|_| Err(Status::deadline_exceeded("the upload took too long")));
         if let Err(status) = sent {
             let (label, problem) = (&upload.label, chain(&status));
             tracing::warn!("the video of {label} is dropped: {problem}");

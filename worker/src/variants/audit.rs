@@ -123,7 +123,7 @@ impl Audit {
                     case.name(),
                     case.group().unwrap_or_default(),
                     difficulty.as_deref().unwrap_or("-"),
-                    needs(case),
+                    archive_files(case),
                 );
             }
         }
@@ -132,7 +132,7 @@ impl Audit {
 }
 
 /// Lists the files of LIBERO-Plus' archive that a variant needs.
-fn needs(case: &Case) -> String {
+fn archive_files(case: &Case) -> String {
     let Subject::Plus(Entry {
         class: Some(class), ..
     }) = case.subject
@@ -175,11 +175,11 @@ pub fn lack(
             let problem = files.problem()?;
             let declared = problem.objects.iter().chain(&problem.fixtures);
             let mut models = declared.filter_map(|model| category(&model.category));
-            let is_there = |file: &str| {
+            let is_present = |file: &str| {
                 (pack.is_managed() && Table::libero().get(file).is_some())
                     || pack.dir().join(file).is_file()
             };
-            Ok((!models.all(|model| is_there(model.file)))
+            Ok((!models.all(|model| is_present(model.file)))
                 .then_some(Lack::Further(Further::Models)))
         }
         _ => Ok(None),
@@ -190,7 +190,7 @@ pub fn lack(
 fn assets_lack(entry: &Entry, pack: &AssetPack) -> Option<Lack> {
     let assets = entry.assets();
     let is_in_pack = |file: &str| pack.dir().join(file).is_file();
-    let is_there = match (assets, &entry.class) {
+    let is_present = match (assets, &entry.class) {
         (Assets::Libero, _) => true,
         (Assets::FloorTextures, Some(class)) => {
             let mut styles = [&class.floor, &class.wall].into_iter().flatten();
@@ -199,5 +199,5 @@ fn assets_lack(entry: &Entry, pack: &AssetPack) -> Option<Lack> {
         (Assets::Scenes, Some(class)) => class.scene.as_deref().is_some_and(is_in_pack),
         (Assets::Lights | Assets::NewObjects, _) | (_, None) => false,
     };
-    (!is_there).then_some(Lack::Further(Further::Assets(assets)))
+    (!is_present).then_some(Lack::Further(Further::Assets(assets)))
 }

@@ -36,7 +36,7 @@ pub struct Choice {
 
 /// Protocol and options of a run of variants.
 #[derive(Clone, Debug, Args)]
-pub struct Manner {
+pub struct RunOptions {
     /// The protocol: plus-official, plus-openpi, plus-lerobot, plus-rlinf, plus-stripped,
     /// pro-official, pro-openpi or pro-bddl; docs/FAMILY.md describes each [default: plus-official,
     /// or pro-official]
@@ -71,7 +71,7 @@ impl Choice {
     }
 }
 
-impl Manner {
+impl RunOptions {
     /// Returns the protocol for a benchmark.
     ///
     /// # Errors
@@ -131,24 +131,24 @@ mod tests {
             cases[1].name(),
             "libero_goal_swap/open_the_middle_drawer_of_the_cabinet/e01"
         );
-        let mut manner = Manner {
+        let mut options = RunOptions {
             protocol: None,
             runnable: false,
             video: false,
             list: false,
         };
-        let protocol = |manner: &Manner, benchmark| manner.protocol_of(benchmark);
+        let protocol = |options: &RunOptions, benchmark| options.protocol_of(benchmark);
         assert_eq!(
-            protocol(&manner, Benchmark::Pro).unwrap().name,
+            protocol(&options, Benchmark::Pro).unwrap().name,
             "pro-official"
         );
         assert_eq!(
-            protocol(&manner, Benchmark::Plus).unwrap().name,
+            protocol(&options, Benchmark::Plus).unwrap().name,
             "plus-official"
         );
-        manner.protocol = Some("plus-rlinf".parse().unwrap());
+        options.protocol = Some("plus-rlinf".parse().unwrap());
         assert!(matches!(
-            protocol(&manner, Benchmark::Pro),
+            protocol(&options, Benchmark::Pro),
             Err(SelectionError::Foreign { .. })
         ));
     }

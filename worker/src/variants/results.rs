@@ -268,7 +268,7 @@ impl Results {
 /// Successes by dimension or suite, paired with the unperturbed rollouts of the same tasks.
 #[derive(Debug, Default, PartialEq, Eq)]
 pub struct Tally {
-    /// Counts of each group with results, followed by those of all.
+    /// Counts of each group with results, followed by the counts of all groups together.
     pub lines: Vec<(String, Count)>,
 }
 
@@ -305,9 +305,12 @@ impl Tally {
         let mut all = Count::default();
         for row in rows {
             let Some(group) = &row.group else { continue };
-            let beside = unperturbed.get(&(row.task, row.trial)).copied();
-            groups.entry(group).or_default().add(row.success, beside);
-            all.add(row.success, beside);
+            let unperturbed_success = unperturbed.get(&(row.task, row.trial)).copied();
+            groups
+                .entry(group)
+                .or_default()
+                .add(row.success, unperturbed_success);
+            all.add(row.success, unperturbed_success);
         }
         let groups = groups.into_iter();
         let groups = groups.map(|(name, count)| (name.to_owned(), count));

@@ -39,14 +39,15 @@ fn copy_of_primitives(folder: &Path) -> PathBuf {
     copy
 }
 
-/// Returns the keys of tasks that a claim excludes: of LIBERO's files (""), or of a benchmark's.
+/// Returns the keys of tasks that a claim excludes: those that need LIBERO's own files only, if
+/// `files` is empty, or those that end with `files`, the key of a benchmark's task files.
 fn lacking(claim: &ClaimRequest, files: &str) -> Vec<String> {
     let keys = claim.lacking_tasks.iter();
-    let of_files = |key: &&String| match files {
+    let needs_files = |key: &&String| match files {
         "" => !key.contains('+'),
         files => key.ends_with(files),
     };
-    keys.filter(of_files).cloned().collect()
+    keys.filter(needs_files).cloned().collect()
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -89,14 +90,14 @@ async fn tasks_that_a_pack_cannot_show_are_named_and_not_claimed() {
     }
     let folder = tempfile::tempdir().expect("a folder");
     let pack = copy_of_primitives(folder.path());
-    fs::remove_file(pack.join("articulated_objects/microwave.xml")).expect("was there");
+    fs::remove_file(pack.join("articulated_objects/microwave.xml")).expect("the model exists");
     let coordinator = ScriptedCoordinator::start().await;
     let mut worker = program();
     worker
         .args(["--connect", &coordinator.url(), "--assets"])
         .arg(&pack);
     let worker = WorkerProcess::start_command(&mut worker);
-    coordinator.claimed(1).await;
+    coordinator.wait_for_claims(1).await;
     let claim = &coordinator.claims()[0];
     assert_eq!(
         lacking(claim, ""),

@@ -24,7 +24,7 @@ async fn busy_worker_with(
         .replace("\"max_steps\":24", "\"max_steps\":80");
     coordinator.lease(long);
     let worker = WorkerProcess::start_with(&coordinator.url(), arguments);
-    coordinator.progressed(1, 10).await;
+    coordinator.wait_for_progress(1, 10).await;
     (worker, coordinator, policy)
 }
 
@@ -88,7 +88,11 @@ async fn a_worker_without_work_for_long_enough_ends_and_a_busy_one_does_not() {
     assert_eq!(result.expect("a result").steps, 80);
     let log = worker.ended();
     assert!(log.contains("no work for 1 s"), "{log}");
-    assert_eq!(coordinator.signed_off().len(), 1, "it signed off");
+    assert_eq!(
+        coordinator.signed_off().len(),
+        1,
+        "the worker signed off once"
+    );
 }
 
 /// Regression: a worker that was shutting down leased once more and gave the job back, which pinned
@@ -100,12 +104,16 @@ async fn a_draining_worker_withdraws_its_claim() {
     }
     let coordinator = ScriptedCoordinator::start().await;
     let worker = WorkerProcess::start(&coordinator.url());
-    coordinator.claimed(1).await;
+    coordinator.wait_for_claims(1).await;
     worker.signal("TERM");
-    coordinator.claim_withdrawn().await;
+    coordinator.wait_for_withdrawn_claim().await;
     worker.ended();
     assert_eq!(coordinator.claims().len(), 1);
-    assert_eq!(coordinator.messages().len(), 1, "it registered only");
+    assert_eq!(
+        coordinator.messages().len(),
+        1,
+        "the worker sent only its registration"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -115,7 +123,7 @@ async fn an_idle_worker_ends_at_once_and_leaves_no_process() {
     }
     let coordinator = ScriptedCoordinator::start().await;
     let worker = WorkerProcess::start(&coordinator.url());
-    coordinator.claimed(1).await;
+    coordinator.wait_for_claims(1).await;
     let slots = worker.slots();
     assert_eq!(coordinator.signed_off(), [""; 0]);
     worker.terminated();
@@ -148,13 +156,13 @@ async fn rollouts_of_two_campaigns_have_one_log_line_each() {
     let policy = ScriptedPolicy::start().await;
     let coordinator = ScriptedCoordinator::start().await;
     for (job, campaign) in [(1, "first"), (2, "second")] {
-        let mut of_campaign = lease(job, "still", &policy.url());
-        campaign.clone_into(&mut of_campaign.campaign);
-        coordinator.lease(of_campaign);
+        let mut campaign_lease = lease(job, "still", &policy.url());
+        campaign.clone_into(&mut campaign_lease.campaign);
+        coordinator.lease(campaign_lease);
     }
     let worker = WorkerProcess::start_with(&coordinator.url(), &["--idle-secs", "1"]);
-    for place in [1, 2] {
-        coordinator.message(place).await.commit();
+    for number in [1, 2] {
+        coordinator.message(number).await.commit();
     }
     let log = worker.ended();
     for campaign in ["first", "second"] {

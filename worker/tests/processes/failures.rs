@@ -116,7 +116,7 @@ async fn a_slot_that_dies_costs_its_rollout_and_is_replaced() {
     let coordinator = ScriptedCoordinator::start().await;
     coordinator.lease(lease(1, "slow", &policy.url()));
     let worker = WorkerProcess::start(&coordinator.url());
-    coordinator.progressed(1, 10).await;
+    coordinator.wait_for_progress(1, 10).await;
     for slot in worker.slots() {
         signal(slot, "KILL");
     }
@@ -140,7 +140,7 @@ async fn a_slot_without_progress_is_killed_and_replaced() {
     let coordinator = ScriptedCoordinator::with_progress_timeout(Duration::from_secs(8)).await;
     coordinator.lease(lease(1, "slow", &policy.url()));
     let worker = WorkerProcess::start(&coordinator.url());
-    coordinator.progressed(1, 10).await;
+    coordinator.wait_for_progress(1, 10).await;
     let slots = worker.slots();
     for &slot in &slots {
         signal(slot, "STOP");
@@ -154,7 +154,7 @@ async fn a_slot_without_progress_is_killed_and_replaced() {
     for slot in slots {
         wait_for_the_end_of(slot);
     }
-    coordinator.claimed(2).await;
+    coordinator.wait_for_claims(2).await;
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -166,17 +166,13 @@ async fn a_lost_lease_abandons_the_rollout_without_a_report() {
     let coordinator = ScriptedCoordinator::start().await;
     coordinator.lease(lease(1, "slow", &policy.url()));
     let worker = WorkerProcess::start(&coordinator.url());
-    coordinator.progressed(1, 10).await;
+    coordinator.wait_for_progress(1, 10).await;
     let slots = worker.slots();
-    coordinator.lose(1);
+    coordinator.lose_lease(1);
     coordinator.lease(lease(2, "still", &policy.url()));
     let commit = coordinator.message(1).await.commit();
     assert_eq!(commit.attempt_id, attempt_id(2));
-    assert_eq!(
-        worker.slots(),
-        slots,
-        "the slot need not be replaced for that"
-    );
+    assert_eq!(worker.slots(), slots, "the slot's process is not replaced");
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -20,12 +20,12 @@ async fn filmable_rollout(coordinator: &ScriptedCoordinator) -> Film {
     film_of(coordinator, lease(1, "still", "")).await
 }
 
-async fn film_of(coordinator: &ScriptedCoordinator, mut kept: Lease) -> Film {
+async fn film_of(coordinator: &ScriptedCoordinator, mut job_lease: Lease) -> Film {
     let policy = ScriptedPolicy::start().await;
-    kept.policy_endpoint = policy.url();
-    kept.keep_actions = true;
-    coordinator.lease(kept.clone());
-    let has_video = kept.record_video;
+    job_lease.policy_endpoint = policy.url();
+    job_lease.keep_actions = true;
+    coordinator.lease(job_lease.clone());
+    let has_video = job_lease.record_video;
     let mut serve = program();
     serve.env("COORDINATOR_URL", coordinator.url());
     let _worker = WorkerProcess::start_command(serve.args(["--assets", "primitives"]));
@@ -38,10 +38,10 @@ async fn film_of(coordinator: &ScriptedCoordinator, mut kept: Lease) -> Film {
     assert_eq!(motion.actions.len(), MAX_STEPS as usize * ACTION_BYTES);
     Film {
         attempt_id: commit.attempt_id,
-        campaign: kept.campaign,
-        replicate: kept.replicate,
-        manifest_row: kept.manifest_row,
-        realisation: kept.realisation,
+        campaign: job_lease.campaign,
+        replicate: job_lease.replicate,
+        manifest_row: job_lease.manifest_row,
+        realisation: job_lease.realisation,
         actions: motion.actions,
         success: commit.result.expect("a result").success,
     }
@@ -76,7 +76,7 @@ async fn a_rollout_is_filmed_from_its_actions_without_its_policy() {
     let summary = String::from_utf8(output.stdout).expect("text");
     assert_eq!(
         summary,
-        "1 video stored; no more is left to film with asset pack primitives and MuJoCo 3.3.7\n"
+        "1 video stored; no rollout is left to film with asset pack primitives and MuJoCo 3.3.7\n"
     );
     let (attempt, bytes) = video(&coordinator, 2).await;
     assert_eq!((attempt, &bytes[4..8]), (attempt_id(1), &b"ftyp"[..]));
@@ -162,11 +162,8 @@ async fn a_later_film_equals_the_slots_film_and_shows_sensor_corruption() {
     let sensor = row("object/t0/sensor/L3/c03".to_owned());
     let nominal = row(format!("object/t0/clean/i{:02}", sensor.init_id));
     let [by_the_slot, afterwards] = films_of(&sensor).await;
-    assert!(
-        by_the_slot == afterwards,
-        "the same pictures, the same bytes"
-    );
+    assert!(by_the_slot == afterwards, "equal pictures give equal bytes");
     let [unperturbed, again] = films_of(&nominal).await;
-    assert!(unperturbed == again, "the same pictures, the same bytes");
-    assert!(by_the_slot != unperturbed, "the corruption is to be seen");
+    assert!(unperturbed == again, "equal pictures give equal bytes");
+    assert!(by_the_slot != unperturbed, "the corruption is visible");
 }

@@ -25,7 +25,7 @@ async fn a_claim_whose_answer_is_lost_is_repeated_with_the_same_id() {
     let claims = coordinator.claims().into_iter();
     let names: Vec<String> = claims.map(|claim| claim.claim_id).collect();
     assert_eq!(names[0], names[1], "the repeated claim has the same id");
-    assert_ne!(names[1], names[2], "another claim");
+    assert_ne!(names[1], names[2], "the next claim has a new id");
     assert!(names.iter().all(|name| name.len() == 32), "{names:?}");
 }
 
@@ -38,12 +38,12 @@ async fn a_lease_is_acknowledged_long_before_the_next_heartbeat_is_due() {
     let coordinator = ScriptedCoordinator::with_times(rare, never).await;
     let policy = ScriptedPolicy::start().await;
     let _worker = WorkerProcess::start(&coordinator.url());
-    coordinator.claimed(1).await;
+    coordinator.wait_for_claims(1).await;
     // By then, the heartbeat after the registration has been sent.
     tokio::time::sleep(Duration::from_secs(1)).await;
     let leased_at = Instant::now();
     coordinator.lease(lease(1, "silent", &policy.url()));
-    coordinator.progressed(1, 0).await;
+    coordinator.wait_for_progress(1, 0).await;
     let waited = leased_at.elapsed();
     assert!(waited < Duration::from_secs(5), "{waited:?}");
 }

@@ -16,8 +16,8 @@ fn bench_adds_up_slots_and_recommends_a_number() {
     }
     let measured = "bench --assets primitives --slots 2,1 --secs 0.3 --execute 4";
     let ran = run(&measured.split(' ').collect::<Vec<_>>());
-    let complaint = String::from_utf8_lossy(&ran.stderr);
-    assert!(ran.status.success(), "{complaint}");
+    let stderr = String::from_utf8_lossy(&ran.stderr);
+    assert!(ran.status.success(), "{stderr}");
     let table = String::from_utf8(ran.stdout).expect("UTF-8");
     println!("{table}");
     assert!(
@@ -64,8 +64,8 @@ fn bench_tries_more_slots_for_a_slow_policy() {
     }
     let measured = "bench --assets primitives --secs 1 --execute 20 --policy-secs 0.3";
     let ran = run(&measured.split(' ').collect::<Vec<_>>());
-    let complaint = String::from_utf8_lossy(&ran.stderr);
-    assert!(ran.status.success(), "{complaint}");
+    let stderr = String::from_utf8_lossy(&ran.stderr);
+    assert!(ran.status.success(), "{stderr}");
     let table = String::from_utf8(ran.stdout).expect("UTF-8");
     println!("{table}");
     assert!(table.contains("The policy answers after 0.3 s"), "{table}");
@@ -84,7 +84,7 @@ fn bench_tries_more_slots_for_a_slow_policy() {
     assert!(alone <= 67.0, "{table}");
     // A single slot keeps no core busy, so more slots than twice the cores are tried, unless memory
     // is too small.
-    let cores = available_parallelism().expect("it says").get();
+    let cores = available_parallelism().expect("a number of cores").get();
     let tried = table
         .lines()
         .filter_map(|line| line.split_whitespace().next()?.parse().ok());
@@ -110,8 +110,8 @@ fn a_slot_that_cannot_be_measured_is_named_with_its_reason() {
 }
 
 #[test]
-fn slots_that_are_counting_end_with_their_parent() {
-    if !ready("slots_that_are_counting_end_with_their_parent") {
+fn measured_slots_end_with_their_parent() {
+    if !ready("measured_slots_end_with_their_parent") {
         return;
     }
     let bench = "bench --assets primitives --slots 1 --secs 600";

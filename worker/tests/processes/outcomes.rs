@@ -81,16 +81,20 @@ async fn a_policy_gets_the_requested_observation_once_per_query() {
         .collect();
     assert_eq!(indices, [0, 1, 2]);
     for query in &received.queries {
-        let shown = query.observation.as_ref().expect("an observation");
-        let frames: Vec<_> = shown.images.iter().map(|image| image.rgb.len()).collect();
+        let sent_observation = query.observation.as_ref().expect("an observation");
+        let frames: Vec<_> = sent_observation
+            .images
+            .iter()
+            .map(|image| image.rgb.len())
+            .collect();
         assert_eq!(frames, [(FRAME_SIDE * FRAME_SIDE * 3) as usize; 2]);
-        let widths: Vec<_> = shown
+        let widths: Vec<_> = sent_observation
             .state
             .iter()
             .map(|reading| reading.values.len())
             .collect();
         assert_eq!(widths, [3, 3, 2]);
-        assert!(shown.privileged.is_none());
+        assert!(sent_observation.privileged.is_none());
     }
 }
 
@@ -198,12 +202,12 @@ async fn an_outcome_is_kept_until_the_coordinator_is_back() {
     let policy = ScriptedPolicy::start().await;
     coordinator.lease(lease(1, "slow", &policy.url()));
     let worker = WorkerProcess::start(&coordinator.url());
-    coordinator.progressed(1, 10).await;
-    coordinator.go_down();
+    coordinator.wait_for_progress(1, 10).await;
+    coordinator.stop();
     // Three answers take 200 ms each, so the rollout ends during the outage.
     tokio::time::sleep(std::time::Duration::from_secs(3)).await;
     assert_eq!(coordinator.messages().len(), 1);
-    coordinator.come_back().await;
+    coordinator.restart().await;
     coordinator.message(1).await.commit();
 
     let log = worker.terminated();
@@ -212,8 +216,8 @@ async fn an_outcome_is_kept_until_the_coordinator_is_back() {
 }
 
 #[tokio::test(flavor = "multi_thread")]
-async fn one_rollout_from_the_command_line_leaves_its_result_and_pictures() {
-    if !ready("one_rollout_from_the_command_line_leaves_its_result_and_pictures") {
+async fn worker_rollout_writes_its_result_and_frames() {
+    if !ready("worker_rollout_writes_its_result_and_frames") {
         return;
     }
     let policy = ScriptedPolicy::start().await;
@@ -281,7 +285,7 @@ fn a_replay_without_pictures_opens_no_renderer() {
     assert_eq!(
         ran.status.code(),
         Some(1),
-        "a video takes a renderer: {stderr}"
+        "a video needs a renderer: {stderr}"
     );
     let ran = run(&[&line[..], &["--no-video"]].concat());
     let stderr = String::from_utf8_lossy(&ran.stderr);
@@ -303,9 +307,9 @@ async fn an_unreadable_row_is_released_with_the_reason() {
         return;
     }
     let coordinator = ScriptedCoordinator::start().await;
-    let mut strange = lease(1, "still", "http://127.0.0.1:9");
-    strange.manifest_row = strange.manifest_row.replace("object/t0", "object/t1");
-    coordinator.lease(strange);
+    let mut unreadable = lease(1, "still", "http://127.0.0.1:9");
+    unreadable.manifest_row = unreadable.manifest_row.replace("object/t0", "object/t1");
+    coordinator.lease(unreadable);
     let _worker = WorkerProcess::start(&coordinator.url());
     let release = coordinator.message(1).await.release(Reason::SimulatorError);
     assert!(

@@ -61,7 +61,7 @@ struct State {
     claims: Vec<ClaimRequest>,
     /// Number of claims that were withdrawn before they were answered.
     claims_withdrawn: u32,
-    /// Number of answers to claims that are still to be lost.
+    /// Number of further claims whose answers are lost.
     answers_to_lose: u32,
     /// Leases granted to claims whose answers were lost.
     leased: HashMap<String, Lease>,
@@ -89,7 +89,7 @@ pub(crate) struct ScriptedCoordinator {
 
 impl Drop for ScriptedCoordinator {
     fn drop(&mut self) {
-        self.go_down();
+        self.stop();
     }
 }
 
@@ -136,7 +136,7 @@ impl ScriptedCoordinator {
     }
 
     /// Reports the lease of this job's attempt as lost from now on.
-    pub(crate) fn lose(&self, job: i64) {
+    pub(crate) fn lose_lease(&self, job: i64) {
         self.change(|state| state.lost_attempts.push(attempt_id(job)));
     }
 
@@ -156,7 +156,7 @@ impl ScriptedCoordinator {
     }
 
     /// Waits until this number of videos were refused.
-    pub(crate) async fn refused_artifacts(&self, times: u32) {
+    pub(crate) async fn wait_for_refused_artifacts(&self, times: u32) {
         self.wait_for("videos", |state| {
             (state.refused_artifacts >= times).then_some(())
         })
@@ -168,14 +168,14 @@ impl ScriptedCoordinator {
     }
 
     /// Closes the server with all connections, as if it were killed.
-    pub(crate) fn go_down(&mut self) {
+    pub(crate) fn stop(&mut self) {
         if let Some(runtime) = self.runtime.take() {
             runtime.shutdown_background();
         }
     }
 
     /// Listens at the same address again.
-    pub(crate) async fn come_back(&mut self) {
+    pub(crate) async fn restart(&mut self) {
         // The port becomes free a moment after the runtime has ended.
         let listener = loop {
             match TcpListener::bind(self.address).await {
@@ -187,7 +187,7 @@ impl ScriptedCoordinator {
     }
 
     /// Waits until a claim was withdrawn before it was answered.
-    pub(crate) async fn claim_withdrawn(&self) {
+    pub(crate) async fn wait_for_withdrawn_claim(&self) {
         self.wait_for("a withdrawn claim", |state| {
             (state.claims_withdrawn > 0).then_some(())
         })
@@ -201,7 +201,7 @@ impl ScriptedCoordinator {
     }
 
     /// Waits until a heartbeat reports at least this number of control steps of a job.
-    pub(crate) async fn progressed(&self, job: i64, control_steps: u32) {
+    pub(crate) async fn wait_for_progress(&self, job: i64, control_steps: u32) {
         self.wait_for("progress", |state| {
             let is_far_enough = |progress: &&Progress| {
                 progress.attempt_id == attempt_id(job) && progress.control_steps >= control_steps
@@ -213,7 +213,7 @@ impl ScriptedCoordinator {
     }
 
     /// Waits until the last heartbeat reports that this number of videos are made or sent.
-    pub(crate) async fn films(&self, videos: u32) {
+    pub(crate) async fn wait_for_filming(&self, videos: u32) {
         self.wait_for("a heartbeat about videos", |state| {
             let last = state.heartbeats.last()?;
             (last.filming == videos).then_some(())
@@ -228,7 +228,7 @@ impl ScriptedCoordinator {
     }
 
     /// Waits until the worker has requested work this number of times.
-    pub(crate) async fn claimed(&self, times: usize) {
+    pub(crate) async fn wait_for_claims(&self, times: usize) {
         self.wait_for("claims", |state| {
             (state.claims.len() >= times).then_some(())
         })
@@ -261,7 +261,11 @@ impl ScriptedCoordinator {
         self.service.change(change);
     }
 
-    async fn wait_for<T>(&self, what: &str, mut probe: impl FnMut(&State) -> Option<T>) -> T {
+    async fn wait_for<T>(
+        &self,
+        expectation: &str,
+        mut probe: impl FnMut(&State) -> Option<T>,
+    ) -> T {
         let mut changes = self.service.changed.subscribe();
         let waiting = async {
             loop {
@@ -277,7 +281,7 @@ impl ScriptedCoordinator {
         match tokio::time::timeout(PATIENCE, waiting).await {
             Ok(found) => found,
             Err(_) => panic!(
-                "waited {PATIENCE:?} for {what}; received {:#?}",
+                "waited {PATIENCE:?} for {expectation}; received {:#?}",
                 self.messages()
             ),
         }
@@ -318,12 +322,12 @@ impl Service {
     }
 }
 
-struct Waiting<'a> {
+struct WaitingClaim<'a> {
     service: &'a Service,
     is_answered: bool,
 }
 
-impl Drop for Waiting<'_> {
+impl Drop for WaitingClaim<'_> {
     fn drop(&mut self) {
         if !self.is_answered {
             self.service.change(|state| state.claims_withdrawn += 1);
@@ -355,7 +359,7 @@ impl WorkerService for Service {
         let claim = request.into_inner();
         let wait = Duration::from_secs_f64(claim.wait_secs);
         self.change(|state| state.claims.push(claim.clone()));
-        let mut waiting = Waiting {
+        let mut waiting = WaitingClaim {
             service: self,
             is_answered: false,
         };
@@ -369,7 +373,10 @@ impl WorkerService for Service {
                 if let Some(lease) = lease {
                     return lease;
                 }
-                changes.changed().await.expect("this holds the sender");
+                changes
+                    .changed()
+                    .await
+                    .expect("the service holds the sender");
             }
         };
         let lease = tokio::time::timeout(wait, leasing).await.ok();
@@ -383,7 +390,7 @@ impl WorkerService for Service {
             is_lost
         });
         match is_lost {
-            true => Err(Status::unavailable("lost on its way")),
+            true => Err(Status::unavailable("the answer was lost")),
             false => Ok(Response::new(ClaimResponse {
                 lease,
                 idle_reason: String::new(),

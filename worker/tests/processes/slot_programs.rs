@@ -1,5 +1,4 @@
-//! Slots that are other programs: the test determines their messages, their output and the way in
-//! which they exit.
+//! Slots that are other programs: the test determines their messages, their output and their exit.
 
 use std::path::Path;
 
@@ -86,7 +85,7 @@ async fn a_crash_while_filming_leaves_the_result_committed_and_charges_nobody() 
         let commit = coordinator.message(job as usize).await.commit();
         assert_eq!(commit.attempt_id, attempt_id(job));
     }
-    coordinator.claimed(3).await;
+    coordinator.wait_for_claims(3).await;
     let log = worker.terminated();
     assert!(log.contains("SIGSEGV"), "{log}");
     assert_eq!(coordinator.messages().len(), 3, "no release");

@@ -53,9 +53,9 @@ async fn heartbeats_report_filming_and_never_count_it_as_steps() {
     coordinator.lease(filmed);
     let _worker = WorkerProcess::start(&coordinator.url());
     coordinator.message(1).await.commit();
-    coordinator.films(1).await;
+    coordinator.wait_for_filming(1).await;
     coordinator.message(2).await;
-    coordinator.films(0).await;
+    coordinator.wait_for_filming(0).await;
     let heartbeats = coordinator.heartbeats();
     let steps = heartbeats.iter().flat_map(|heartbeat| &heartbeat.progress);
     let most = steps.map(|progress| progress.control_steps).max();
@@ -101,8 +101,8 @@ async fn a_coordinator_that_cannot_store_videos_gets_every_result() {
         assert_eq!(commit.attempt_id, attempt_id(job));
     }
     // Sending each of the two videos is tried again.
-    coordinator.refused_artifacts(4).await;
-    coordinator.claimed(3).await;
+    coordinator.wait_for_refused_artifacts(4).await;
+    coordinator.wait_for_claims(3).await;
     let log = worker.terminated();
     assert!(!log.contains("cannot be reached"), "{log}");
     assert_eq!(coordinator.messages().len(), 3);
@@ -142,14 +142,14 @@ async fn a_slot_that_dies_before_its_result_is_committed_is_not_charged() {
         .replace("\"max_steps\":160", "\"max_steps\":24");
     coordinator.lease(slow);
     let worker = WorkerProcess::start(&coordinator.url());
-    coordinator.progressed(1, 10).await;
-    coordinator.go_down();
+    coordinator.wait_for_progress(1, 10).await;
+    coordinator.stop();
     // The rollout and its video end during the outage.
     tokio::time::sleep(Duration::from_secs(3)).await;
     for slot in worker.slots() {
         signal(slot, "KILL");
     }
-    coordinator.come_back().await;
+    coordinator.restart().await;
     let commit = coordinator.message(1).await.commit();
     assert_eq!(commit.attempt_id, attempt_id(1));
     let messages = coordinator.messages();

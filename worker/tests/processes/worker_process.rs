@@ -156,7 +156,10 @@ pub(crate) fn wait_for_the_end_of(pid: u32) {
     let started = Instant::now();
     // A process that exited and was not reaped is a zombie, whose `exe` is empty.
     while fs::read_link(format!("/proc/{pid}/exe")).is_ok() {
-        assert!(started.elapsed() < PATIENCE, "process {pid} lives on");
+        assert!(
+            started.elapsed() < PATIENCE,
+            "process {pid} is still running"
+        );
         sleep(Duration::from_millis(20));
     }
 }

@@ -27,10 +27,11 @@ pub(super) const DATA: &str = "/data";
 const ENTER: &str = "mount --rbind /proc \"$0/proc\" && mount --rbind /dev \"$0/dev\" && \
                      exec chroot \"$@\"";
 
-/// Root folder, with the way to enter it.
+/// Root folder that programs enter with `chroot`.
 pub(super) struct BareRoot {
     dir: PathBuf,
-    as_root: bool,
+    /// True if this process runs as root; otherwise entering the folder takes a user namespace.
+    is_root: bool,
 }
 
 impl BareRoot {
@@ -43,8 +44,8 @@ impl BareRoot {
             let path = inside(dir, Path::new(path));
             std::fs::write(&path, text).with_context(|| format!("write {}", path.display()))
         };
-        let everybody = std::fs::Permissions::from_mode(0o1777);
-        std::fs::set_permissions(dir.join("tmp"), everybody)?;
+        let world_writable = std::fs::Permissions::from_mode(0o1777);
+        std::fs::set_permissions(dir.join("tmp"), world_writable)?;
         let entry = "rollout:x";
         write(
             "/etc/passwd",
@@ -75,7 +76,7 @@ impl BareRoot {
         let id = capture(Command::new("id").arg("-u"))?;
         Ok(Self {
             dir: dir.to_owned(),
-            as_root: id == "0",
+            is_root: id == "0",
         })
     }
 
@@ -87,39 +88,43 @@ impl BareRoot {
     pub(super) fn add_data(&self) -> Result<()> {
         let data = inside(&self.dir, Path::new(DATA));
         std::fs::create_dir_all(&data)?;
-        if self.as_root {
+        if self.is_root {
             std::os::unix::fs::chown(&data, Some(USER), Some(USER))?;
         }
         Ok(())
     }
 
     /// Returns the reason why the root cannot be entered on this machine; `None` if it can.
-    pub(super) fn closed(&self) -> Option<String> {
-        capture(Command::new("unshare").args(self.spaces()).arg("true"))
-            .err()
-            .map(|error| format!("{error:#}").replace('\n', ": "))
+    pub(super) fn entry_problem(&self) -> Option<String> {
+        capture(
+            Command::new("unshare")
+                .args(self.namespace_options())
+                .arg("true"),
+        )
+        .err()
+        .map(|error| format!("{error:#}").replace('\n', ": "))
     }
 
     /// Returns `unshare`'s options for namespaces in which mounts and `chroot` are allowed.
-    fn spaces(&self) -> &'static [&'static str] {
-        match self.as_root {
+    fn namespace_options(&self) -> &'static [&'static str] {
+        match self.is_root {
             true => &["--mount"],
             false => &["--user", "--map-root-user", "--mount"],
         }
     }
 
-    /// Returns the command that starts a program of the archive in the root; for root, as
-    /// [`USER`].
+    /// Returns the command that starts a program of the archive in the root folder; if this
+    /// process runs as root, the program runs as [`USER`].
     pub(super) fn program(&self, name: &str) -> Command {
         let mut command = Command::new("unshare");
         command
             .env_clear()
             .env("PATH", std::env::var_os("PATH").unwrap_or_default());
         command
-            .args(self.spaces())
+            .args(self.namespace_options())
             .args(["sh", "-c", ENTER])
             .arg(&self.dir);
-        if self.as_root {
+        if self.is_root {
             command.arg(format!("--userspec={USER}:{USER}"));
         }
         command.arg(&self.dir).arg(format!("{PREFIX}/bin/{name}"));

@@ -56,13 +56,13 @@ pub(super) fn archive(root: &Path, archive: &Archive, schemas: Option<&Path>) ->
     let bare = BareRoot::make(&folder.path().join("root"), archive)?;
     bare.add_data()?;
     let unpacked = bare.dir().join(PREFIX.trim_start_matches('/'));
-    step("digests of all files", || whole(&unpacked))?;
+    step("digests of all files", || verify_digests(&unpacked))?;
     step("documents", || documents(root, &unpacked))?;
     step("bill of materials as CycloneDX", || match schemas {
-        Some(python) => valid(python, &unpacked.join(stage::DOCUMENTS).join(stage::BILL)),
+        Some(python) => validate(python, &unpacked.join(stage::DOCUMENTS).join(stage::BILL)),
         None => Ok("skipped: no schema"),
     })?;
-    if let Some(why) = bare.closed() {
+    if let Some(why) = bare.entry_problem() {
         println!("  skipped the programs in a bare root: {why}");
         return Ok(());
     }
@@ -70,11 +70,13 @@ pub(super) fn archive(root: &Path, archive: &Archive, schemas: Option<&Path>) ->
     step("a campaign in a bare root", || {
         campaign(&bare, folder.path())
     })?;
-    step("unpacked archive", || whole(&unpacked).map(|_| "as it was"))?;
+    step("unpacked archive", || {
+        verify_digests(&unpacked).map(|_| "unchanged")
+    })?;
     Ok(())
 }
 
-fn whole(unpacked: &Path) -> Result<String> {
+fn verify_digests(unpacked: &Path) -> Result<String> {
     let mut sums = Command::new("sha256sum");
     sums.current_dir(unpacked)
         .args(["--check", "--strict", "--quiet", archive::SUMS]);
@@ -82,11 +84,11 @@ fn whole(unpacked: &Path) -> Result<String> {
     let listed = std::fs::read_to_string(unpacked.join(archive::SUMS))?
         .lines()
         .count();
-    let there = stage::files(unpacked)?.len();
+    let present = stage::files(unpacked)?.len();
     // The list of digests does not include itself.
     ensure!(
-        there == listed + 1,
-        "find {listed} files: there are {there}"
+        present == listed + 1,
+        "find {listed} listed files: the archive has {present}, with the list"
     );
     Ok(format!("{listed} files"))
 }
@@ -105,7 +107,11 @@ fn documents(root: &Path, unpacked: &Path) -> Result<&'static str> {
     }
     for file in ["policies/pyproject.toml", "examples/openvla_oft/about.json"] {
         let path = unpacked.join(stage::FOR_USERS).join(file);
-        ensure!(path.is_file(), "find {}: it is not there", path.display());
+        ensure!(
+            path.is_file(),
+            "find {}: the archive lacks it",
+            path.display()
+        );
     }
     let documents = unpacked.join(stage::DOCUMENTS);
     let licences = std::fs::read_to_string(documents.join(stage::LICENCES))?;
@@ -124,11 +130,11 @@ fn documents(root: &Path, unpacked: &Path) -> Result<&'static str> {
             "find {name} in the bill of materials"
         );
     }
-    Ok("whole")
+    Ok("complete")
 }
 
 /// Validates the bill of materials against the schema.
-fn valid(python: &Path, bill: &Path) -> Result<&'static str> {
+fn validate(python: &Path, bill: &Path) -> Result<&'static str> {
     let mut validate = Command::new(python);
     capture(validate.args(["-c", VALIDATE]).arg(bill)).map(|_| "valid")
 }

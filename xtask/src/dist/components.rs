@@ -19,11 +19,11 @@ pub(super) struct Component {
 }
 
 /// Licences of [`WHEELS`], in their order, as named in the packages.
-const OF_WHEELS: [&str; 3] = ["Apache-2.0", "MIT", "MIT"];
+const WHEEL_LICENCES: [&str; 3] = ["Apache-2.0", "MIT", "MIT"];
 
 /// Describes MuJoCo, the robot's models and LIBERO's task files, from PyPI.
-pub(super) fn of_wheels(cache: &Path) -> Result<Vec<Component>> {
-    let described = WHEELS.iter().zip(OF_WHEELS);
+pub(super) fn from_wheels(cache: &Path) -> Result<Vec<Component>> {
+    let described = WHEELS.iter().zip(WHEEL_LICENCES);
     let described = described.map(|(wheel, licence)| {
         let (name, version) = wheel
             .requirement
@@ -40,7 +40,7 @@ pub(super) fn of_wheels(cache: &Path) -> Result<Vec<Component>> {
 }
 
 /// Describes the compiler's runtime libraries.
-pub(super) fn of_compiler(libraries: &[&str]) -> Result<Vec<Component>> {
+pub(super) fn from_compiler(libraries: &[&str]) -> Result<Vec<Component>> {
     if libraries.is_empty() {
         return Ok(Vec::new());
     }
@@ -50,8 +50,8 @@ pub(super) fn of_compiler(libraries: &[&str]) -> Result<Vec<Component>> {
         version: version.clone(),
         licence: "GPL-3.0-or-later WITH GCC-exception-3.1",
         texts: vec![
-            "Part of GCC, by the Free Software Foundation, unaltered as this system has it. The \
-             GCC Runtime Library Exception 3.1 lets programs of any licence be handed out with \
+            "Part of GCC, by the Free Software Foundation, in this system's unaltered version. The \
+             GCC Runtime Library Exception 3.1 lets programs of any licence be distributed with \
              it. The texts: https://www.gnu.org/licenses/gpl-3.0.txt and \
              https://www.gnu.org/licenses/gcc-exception-3.1.txt. The source: \
              https://gcc.gnu.org."

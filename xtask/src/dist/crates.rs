@@ -89,8 +89,9 @@ pub(super) fn shipped(root: &Path) -> Result<Vec<Crate>> {
     let checksums = checksums(&lock);
     let used = used(&metadata);
     let packages = metadata.packages.into_iter();
-    let foreign = packages.filter(|package| package.source.is_some() && used.contains(&package.id));
-    let mut crates: Vec<Crate> = foreign
+    let third_party =
+        packages.filter(|package| package.source.is_some() && used.contains(&package.id));
+    let mut crates: Vec<Crate> = third_party
         .map(|package| Crate {
             checksum: checksums
                 .get(&(package.name.as_str(), package.version.as_str()))
@@ -126,19 +127,19 @@ fn used(metadata: &Metadata) -> BTreeSet<String> {
         .collect();
     let programs = metadata.packages.iter();
     let programs = programs.filter(|package| PROGRAMS.contains(&package.name.as_str()));
-    let mut open: Vec<&String> = programs.map(|package| &package.id).collect();
-    let mut seen = BTreeSet::new();
-    while let Some(id) = open.pop() {
+    let mut pending: Vec<&String> = programs.map(|package| &package.id).collect();
+    let mut visited = BTreeSet::new();
+    while let Some(id) = pending.pop() {
         let mut kinds = packages[id].targets.iter().flat_map(|target| &target.kind);
-        if kinds.any(|kind| kind == "proc-macro") || !seen.insert(id.clone()) {
+        if kinds.any(|kind| kind == "proc-macro") || !visited.insert(id.clone()) {
             continue;
         }
         let normal = nodes[id].deps.iter();
         let normal =
             normal.filter(|dependency| dependency.dep_kinds.iter().any(|kind| kind.kind.is_none()));
-        open.extend(normal.map(|dependency| &dependency.pkg));
+        pending.extend(normal.map(|dependency| &dependency.pkg));
     }
-    seen
+    visited
 }
 
 /// Reads the checksums from `Cargo.lock`, by name and version.
@@ -167,10 +168,10 @@ mod tests {
         let crates = shipped(&crate::root()).expect("cargo's metadata");
         let named = |name: &str| crates.iter().any(|part| part.name == name);
         assert!(named("tokio") && named("openh264-sys2") && named("libsqlite3-sys"));
-        assert!(!named("serde_derive"), "a macro");
-        assert!(!named("cc"), "for build scripts");
-        assert!(!named("proptest"), "for tests");
-        assert!(!named("worker"), "our own");
+        assert!(!named("serde_derive"), "a procedural macro");
+        assert!(!named("cc"), "a build dependency");
+        assert!(!named("proptest"), "a test dependency");
+        assert!(!named("worker"), "a crate of this workspace");
         for part in &crates {
             assert_eq!(
                 part.checksum.as_deref().map(str::len),

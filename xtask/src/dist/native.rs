@@ -24,7 +24,7 @@ const GLIBC: [&str; 8] = [
 
 /// Compiler runtime libraries, which nearly every machine has. They come last in the search path:
 /// OpenGL drivers are built for the machine's own, and a process can load only one of each.
-const OF_COMPILER: [&str; 2] = ["libgcc_s.so.1", "libstdc++.so.6"];
+const COMPILER_LIBRARIES: [&str; 2] = ["libgcc_s.so.1", "libstdc++.so.6"];
 
 /// Search path of the programs for libraries: the archive's `lib`, the machine's folders, then
 /// `lib/fallback` for those that the machine lacks.
@@ -80,7 +80,10 @@ impl Elf {
         let fallback = lib.join("fallback");
         let mut provided = Vec::new();
         for name in needed {
-            if let Some(name) = OF_COMPILER.into_iter().find(|library| library == name) {
+            if let Some(name) = COMPILER_LIBRARIES
+                .into_iter()
+                .find(|library| library == name)
+            {
                 std::fs::create_dir_all(&fallback)?;
                 let found = installed(name)?;
                 std::fs::copy(&found, fallback.join(name))

@@ -25,9 +25,9 @@ const SHELLS: [(&str, &str, &str, &str); 3] = [
     ("fish", "fish/vendor_completions.d", "", ".fish"),
 ];
 
-/// Extensions of the files that scenes are made from. The robot's models include others of twice
-/// their size, which nothing reads.
-const OF_SCENES: [&str; 5] = ["bddl", "obj", "pruned_init", "stl", "xml"];
+/// Extensions of the files that scenes are made from. The robot's models also include files of
+/// twice that size that no program reads.
+const SCENE_EXTENSIONS: [&str; 5] = ["bddl", "obj", "pruned_init", "stl", "xml"];
 
 /// Folders of the archive for documents, and for the files that scenes are made from.
 pub(super) const DOCUMENTS: &str = "share/doc/rollout";
@@ -56,8 +56,8 @@ pub(super) fn fill(
     step("manual pages, completions", || shell_files(folder))?;
     step("files of scenes", || scenes(cache, folder))?;
     step("documents, licences, bill of materials", || {
-        let mut parts = components::of_wheels(cache)?;
-        parts.extend(components::of_compiler(&compilers.0)?);
+        let mut parts = components::from_wheels(cache)?;
+        parts.extend(components::from_compiler(&compilers.0)?);
         let crates = crates::shipped(root)?;
         let to = folder.join(DOCUMENTS);
         documents(root, folder, &to)?;
@@ -74,9 +74,9 @@ pub(super) fn fill(
 }
 
 /// Compiler libraries in the archive, and the oldest glibc that it runs on.
-struct Needed(Vec<&'static str>, (u32, u32));
+struct NeededLibraries(Vec<&'static str>, (u32, u32));
 
-impl std::fmt::Display for Needed {
+impl std::fmt::Display for NeededLibraries {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
         let Self(libraries, (major, minor)) = self;
         write!(
@@ -87,7 +87,12 @@ impl std::fmt::Display for Needed {
     }
 }
 
-fn install(cache: &Path, programs: &Path, to: (&Path, &Path), elf: &Elf) -> Result<Needed> {
+fn install(
+    cache: &Path,
+    programs: &Path,
+    to: (&Path, &Path),
+    elf: &Elf,
+) -> Result<NeededLibraries> {
     let (bin, lib) = to;
     std::fs::create_dir_all(bin)?;
     std::fs::create_dir_all(lib)?;
@@ -102,7 +107,7 @@ fn install(cache: &Path, programs: &Path, to: (&Path, &Path), elf: &Elf) -> Resu
     let mut files: Vec<PathBuf> = PROGRAMS.iter().map(|name| bin.join(name)).collect();
     files.push(lib.join(MUJOCO));
     files.extend(libraries.iter().map(|name| lib.join("fallback").join(name)));
-    Ok(Needed(libraries, oldest_glibc(&files)?))
+    Ok(NeededLibraries(libraries, oldest_glibc(&files)?))
 }
 
 /// Returns a command for one of the archive's programs, with an empty environment.
@@ -116,11 +121,14 @@ fn shell_files(folder: &Path) -> Result<String> {
     let pages = folder.join("share/man/man1");
     for name in PROGRAMS {
         capture(program(folder, name).arg("manual").arg(&pages))?;
-        for (shell, place, before, after) in SHELLS {
-            let place = folder.join("share").join(place);
-            std::fs::create_dir_all(&place)?;
+        for (shell, subfolder, prefix, suffix) in SHELLS {
+            let completions = folder.join("share").join(subfolder);
+            std::fs::create_dir_all(&completions)?;
             let script = capture(program(folder, name).args(["completions", shell]))?;
-            std::fs::write(place.join(format!("{before}{name}{after}")), script + "\n")?;
+            std::fs::write(
+                completions.join(format!("{prefix}{name}{suffix}")),
+                script + "\n",
+            )?;
         }
     }
     let pages = std::fs::read_dir(&pages)?.count();
@@ -138,7 +146,7 @@ fn scenes(cache: &Path, folder: &Path) -> Result<String> {
                 .extension()
                 .and_then(|name| name.to_str())
                 .unwrap_or_default();
-            if OF_SCENES.contains(&ending) {
+            if SCENE_EXTENSIONS.contains(&ending) {
                 copy(&from.join(&file), &to.join(part).join(&file))?;
             }
         }
@@ -154,7 +162,7 @@ fn documents(root: &Path, folder: &Path, to: &Path) -> Result<()> {
     }
     let pages = root.join("docs");
     for page in files(&pages)? {
-        if page.extension().is_some_and(|it| it == "md") {
+        if page.extension().is_some_and(|extension| extension == "md") {
             copy(&pages.join(&page), &to.join("docs").join(&page))?;
         }
     }
@@ -173,8 +181,11 @@ fn documents(root: &Path, folder: &Path, to: &Path) -> Result<()> {
 
 /// Returns true if a file is a source, not one of Python's by-products.
 fn is_source(file: &Path) -> bool {
-    let of_python = |part: &str| part == "__pycache__" || part.ends_with(".egg-info");
-    !file.iter().filter_map(|part| part.to_str()).any(of_python)
+    let is_by_product = |part: &str| part == "__pycache__" || part.ends_with(".egg-info");
+    !file
+        .iter()
+        .filter_map(|part| part.to_str())
+        .any(is_by_product)
 }
 
 fn copy(from: &Path, to: &Path) -> Result<()> {

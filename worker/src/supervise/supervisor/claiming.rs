@@ -74,13 +74,13 @@ impl Supervisor {
         let job = lease.job_id;
         let campaign = lease.campaign.clone();
         let failed = |kind, error: String| Ending::Failed(Failure { kind, error });
-        let up = self.slots[slot].state.process == ProcessState::Up;
+        let is_up = self.slots[slot].state.process == ProcessState::Up;
         let ending = match self.assignment(attempt, lease) {
             _ if self.mode != Mode::Serving => {
                 let text = "the rollout did not begin: its worker is shutting down";
                 failed(FailureKind::Draining, text.to_owned())
             }
-            _ if !up => {
+            _ if !is_up => {
                 let text = "the rollout did not begin: its slot's process had just ended";
                 failed(FailureKind::Draining, text.to_owned())
             }
@@ -224,7 +224,7 @@ impl Supervisor {
         slot.state.work = Work::Running {
             attempt: assignment.attempt,
             control_steps: 0,
-            moved_at: now,
+            progressed_at: now,
         };
         slot.assignment = Some(assignment);
         slot.campaign = campaign;

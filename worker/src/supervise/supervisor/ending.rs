@@ -63,11 +63,11 @@ impl Supervisor {
             );
             self.give_up(now);
         }
-        let waits = |slot: &Slot| {
+        let is_idle = |slot: &Slot| {
             slot.state.process == ProcessState::Up && slot.state.work == Work::Claiming
         };
         // While the coordinator is unreachable, the worker cannot know that there is no work.
-        if !self.is_registered || self.link.is_down() || !self.slots.iter().all(waits) {
+        if !self.is_registered || self.link.is_down() || !self.slots.iter().all(is_idle) {
             self.idle_since = now;
         }
         if self.mode == Mode::Serving
