@@ -31,7 +31,7 @@ const _: () = assert!(
 
 /// A serialised compiled model.
 pub(crate) struct ModelImage<'a> {
-    /// MuJoCo's structure with offsets in target of pointers.
+    /// MuJoCo's structure, with offsets in place of pointers.
     pub(crate) structure: Vec<u8>,
     /// The arrays, split where the textures' texels were removed.
     pub(crate) arrays: [&'a [u8]; 2],

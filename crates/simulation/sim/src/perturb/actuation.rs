@@ -6,9 +6,9 @@ use libero_ctrl::numpy::DefaultRng;
 use libero_ctrl::streams::{MatchedStream, Randomness};
 use nalgebra::{Rotation3, Unit, Vector3};
 
-/// Shorter lags are ignored, control steps.
+/// Shortest lag that is applied, control steps.
 const SHORTEST_LAG: f64 = 1e-9;
-/// Weaker noise is ignored, action units.
+/// Weakest noise that is applied, action units.
 const LEAST_NOISE: f64 = 1e-12;
 /// Number of action components for the arm: translation and rotation.
 const ARM: usize = 6;

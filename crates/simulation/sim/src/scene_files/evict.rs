@@ -90,7 +90,7 @@ impl SceneFolder {
     }
 
     /// Returns the names of the textures of scenes. A scene that cannot be read counts as having
-    /// none: it is compiled again when needed.
+    /// no textures, and is compiled again when needed.
     fn textures_of(&self, scenes: &[&str]) -> HashSet<String> {
         let sections = |name: &&str| {
             let file = File::open(self.scene(name)).ok()?;

@@ -90,7 +90,7 @@ struct Opened {
 }
 
 impl SceneFolder {
-    /// Names a folder, which is created when the first scene is stored.
+    /// Describes a folder, which is created when the first scene is stored.
     pub fn new(dir: &Path) -> Self {
         let gib = std::env::var("ROLLOUT_SCENES_GIB").ok();
         let gib = gib.and_then(|text| text.parse().ok()).unwrap_or(LIMIT_GIB);
@@ -222,14 +222,14 @@ impl SceneFolder {
             .custom_flags(no_links())
             .open(&path)
             .map_err(|source| failure("write", &path, source))?;
-        let begun = Instant::now();
+        let started = Instant::now();
         loop {
             match file.try_lock() {
                 Ok(()) => return Ok(file),
                 // A file system without locks never evicts files in use, since eviction requires a
                 // lock; and two processes that write one scene write identical files.
                 Err(TryLockError::Error(_)) => return Ok(file),
-                Err(TryLockError::WouldBlock) if begun.elapsed() < self.max_wait => {
+                Err(TryLockError::WouldBlock) if started.elapsed() < self.max_wait => {
                     thread::sleep(POLL);
                 }
                 Err(TryLockError::WouldBlock) => {
@@ -387,8 +387,8 @@ impl SceneFolder {
         drop(written);
     }
 
-    /// Returns the path of the record that this machine has checked a file since it booted; other
-    /// machines that share the folder have their own records.
+    /// Returns the path of the file that records a check of the scene by this machine since it
+    /// booted. Other machines that share the folder have their own records.
     fn check_record_path(&self, name: &Name) -> Option<PathBuf> {
         let boot = fs::read_to_string("/proc/sys/kernel/random/boot_id").ok()?;
         let file = format!("{}.{}.checked", name_text(name), boot.trim());
