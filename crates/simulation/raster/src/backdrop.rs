@@ -51,7 +51,7 @@ impl Backdrop {
     /// Compares a scene with the previous one.
     pub(crate) fn compare(&mut self, scene: &Scene, size: [usize; 2]) -> Start {
         let count = scene.geoms.len();
-        let same = self.last.as_ref().is_some_and(|(last, last_size)| {
+        let is_same_view = self.last.as_ref().is_some_and(|(last, last_size)| {
             *last_size == size
                 && camera_bits(&last.camera) == camera_bits(&scene.camera)
                 && last.lights.len() == scene.lights.len()
@@ -60,7 +60,7 @@ impl Backdrop {
                 && (last.sky, last.reflections) == (scene.sky, scene.reflections)
                 && last.geoms.len() == count
         });
-        if !same {
+        if !is_same_view {
             self.rested = vec![0; count];
             self.needed = vec![FIRST_REST; count];
             self.is_cached = vec![false; count];

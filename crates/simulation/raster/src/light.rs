@@ -313,7 +313,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn powers_are_near_the_true_ones() {
+    fn approximate_powers_are_near_the_exact_powers() {
         let bases = [0.0, 1e-3, 0.1, 0.5, 0.9, 0.99, 1.0, 1.5];
         for exponent in [0.5f32, 1.0, 10.0, 64.0] {
             let found = power(F::new(bases), F::splat(exponent)).to_array();

@@ -122,10 +122,10 @@ impl MeshBuilder {
         let bits = |corner: &Corner| corner.pos.map(f32::to_bits);
         let is_visible = |corners: &[Corner; 3]| {
             let [a, b, c] = corners.each_ref().map(bits);
-            let finite = corners
+            let is_finite = corners
                 .iter()
                 .all(|corner| corner.pos.iter().all(|x| x.is_finite()));
-            finite && a != b && b != c && c != a
+            is_finite && a != b && b != c && c != a
         };
         let all = self.triangles.iter().enumerate();
         let mut pieces: Vec<Piece> = all
@@ -330,13 +330,13 @@ impl Mesh {
             ],
             bounds,
         };
-        let lies_inside = |cluster: &Cluster| {
+        let is_within_arrays = |cluster: &Cluster| {
             let end = |first: u32, count: u32| first as usize + count as usize;
             end(cluster.first_position, cluster.positions) <= positions
                 && end(cluster.first_vertex, cluster.vertices) <= vertices
                 && end(cluster.first_triangle, cluster.triangles) <= triangles
         };
-        (blob.is_empty() && mesh.clusters.iter().all(lies_inside)).then_some(mesh)
+        (blob.is_empty() && mesh.clusters.iter().all(is_within_arrays)).then_some(mesh)
     }
 
     /// Returns the number of triangles.
@@ -499,7 +499,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mesh_is_restored_from_its_bytes_only() {
+    fn only_the_complete_bytes_restore_a_mesh() {
         let mut builder = MeshBuilder::default();
         for index in 0..200 {
             let x = index as f32;
@@ -513,9 +513,9 @@ mod tests {
         // Vectors of bytes may be misaligned; mapped files are aligned.
         let words: Vec<u32> = bytemuck::pod_collect_to_vec(&bytes);
         let aligned = Bytes::from_owner(Aligned(words)).slice(..bytes.len());
-        let back = Mesh::from_bytes(aligned.clone()).expect("a mesh");
-        assert_eq!(back.triangles(), 200);
-        assert!(back.to_bytes() == bytes);
+        let restored = Mesh::from_bytes(aligned.clone()).expect("a mesh");
+        assert_eq!(restored.triangles(), 200);
+        assert!(restored.to_bytes() == bytes);
         for length in [0, 4, 30, bytes.len() / 2, bytes.len() - 1] {
             let truncated = Mesh::from_bytes(aligned.slice(..length));
             assert_eq!(truncated.err(), Some(ModelError::Bytes), "{length} bytes");

@@ -46,7 +46,7 @@ pub(crate) fn cube(texels: Texels<'_>, place: Place, [beside, over]: [Place; 2])
     let (face, changes) = Face::new(&place, &changes);
     let levels = Levels::choose(texels, footprint(texels, changes));
     let first = sample_cube_level(texels, &levels.first, &face);
-    if levels.is_one {
+    if levels.is_single {
         return first;
     }
     between(
@@ -74,7 +74,8 @@ struct Levels {
     second: [u8; LANES],
     /// Weight of the second level, 0 to 1.
     share: F,
-    is_one: bool,
+    /// True if no place needs the second level.
+    is_single: bool,
 }
 
 impl Levels {
@@ -101,7 +102,7 @@ impl Levels {
         Self {
             first: narrow(first),
             second: narrow(second),
-            is_one: !share.gt(F::splat(0.0)).any(),
+            is_single: !share.gt(F::splat(0.0)).any(),
             share,
         }
     }
@@ -212,7 +213,7 @@ fn flat_in_bytes(texels: Texels<'_>, levels: &Levels, s: F, t: F) -> Colour {
         top.blended(&Bytes::new(c).blended(&Bytes::new(d), u), v)
     };
     let mut colour = sample_level(&levels.first);
-    if !levels.is_one {
+    if !levels.is_single {
         let share: I = (levels.share * F::splat(256.0)).whole();
         colour = colour.blended(&sample_level(&levels.second), Share::new(share));
     }
@@ -294,7 +295,7 @@ fn flat_in_floats(texels: Texels<'_>, levels: &Levels, s: F, t: F) -> Colour {
         mix_four(texels, shares, true)
     };
     let first = sample_level(&levels.first);
-    if levels.is_one {
+    if levels.is_single {
         return first;
     }
     between(first, sample_level(&levels.second), levels.share)
@@ -462,9 +463,9 @@ struct EdgePlace<'a> {
 #[inline(never)]
 fn blend_over_edge(cube: Texels<'_>, at: &EdgePlace<'_>) -> [f32; CHANNELS] {
     let side = at.level.width as i32;
-    let off = |index: i32| index < 0 || index >= side;
+    let is_beyond_edge = |index: i32| index < 0 || index >= side;
     let places = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| (at.x + dx, at.y + dy));
-    let texels = places.map(|(x, y)| match (off(x), off(y)) {
+    let texels = places.map(|(x, y)| match (is_beyond_edge(x), is_beyond_edge(y)) {
         (true, true) => None,
         (false, false) => Some(texel(cube, at.level, at.face, x, y)),
         _ => {
@@ -547,12 +548,12 @@ mod tests {
                     let (other, ox, oy) = neighbour(side, face, x, y);
                     assert_ne!(other / 2, face / 2, "a neighbour is on another axis");
                     let inside = (x.clamp(0, side - 1), y.clamp(0, side - 1));
-                    let back = [(ox - 1, oy), (ox + 1, oy), (ox, oy - 1), (ox, oy + 1)]
+                    let returns = [(ox - 1, oy), (ox + 1, oy), (ox, oy - 1), (ox, oy + 1)]
                         .into_iter()
                         .filter(|(x, y)| !(0..side).contains(x) || !(0..side).contains(y))
                         .map(|(x, y)| neighbour(side, other, x, y))
                         .any(|place| place == (face, inside.0, inside.1));
-                    assert!(back, "face {face}, {x} {y} to {other}, {ox} {oy}");
+                    assert!(returns, "face {face}, {x} {y} to {other}, {ox} {oy}");
                 }
             }
         }

@@ -134,7 +134,7 @@ pub(crate) fn list_fragments(
     listing.close();
 }
 
-/// Matches no record, and differs from [`NOTHING`].
+/// Id that matches no record and differs from [`NOTHING`].
 const NO_RECORD: u32 = NOTHING - 1;
 
 /// Appends fragments to the lists. Optimised for runs of fragments of the same triangle and list.

@@ -99,12 +99,12 @@ impl Visible {
         self.blocks_in_row = self.width.div_ceil(BLOCK as usize);
         let blocks = self.blocks_in_row * self.height.div_ceil(BLOCK as usize);
         self.blocks.clear();
-        let nothing = Block {
+        let cleared = Block {
             parts: [0.0; LANES],
             whole: 0.0,
             writes,
         };
-        self.blocks.resize(blocks, nothing);
+        self.blocks.resize(blocks, cleared);
     }
 
     /// Returns the index of a pixel's block in `blocks`.

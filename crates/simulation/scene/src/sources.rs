@@ -127,7 +127,7 @@ impl Sources {
     }
 }
 
-/// Asset folder that contains a file.
+/// Kind of asset folder: the asset pack, or robosuite's models.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum RootKind {
     Pack,

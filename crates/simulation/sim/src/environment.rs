@@ -172,7 +172,7 @@ impl Environment {
         self.step_in(action, ActionFrame::Relative)
     }
 
-    /// As [`step`](Self::step), with a displacement or a pose as the action, as `frame` says.
+    /// As [`step`](Self::step). Depending on `frame`, the action is a displacement or a pose.
     pub fn step_in(&mut self, action: &[f64; 7], frame: ActionFrame) -> Result<bool, SimError> {
         // Discards warnings of a failed step of any environment on this thread.
         mujoco::take_warnings();

@@ -21,7 +21,7 @@ use crate::verify::{VerifiedFolder, hex};
 pub(super) const MAX_TRIES: u32 = 5;
 /// Files with gaps up to this size between them are requested together.
 const MAX_GAP_BYTES: u64 = 1 << 18;
-/// Size of a read.
+/// Size of a read, bytes.
 const BLOCK_BYTES: usize = 1 << 16;
 
 /// Callback with the progress; returns whether to continue.
@@ -32,7 +32,7 @@ pub(super) struct Receiver<'a> {
     parcel: &'a Parcel<'a>,
     into: &'a VerifiedFolder,
     incoming: &'a Path,
-    /// Number of files in place.
+    /// Number of files that were verified and have their final names.
     done: usize,
     /// False once the server has answered a range request with the whole parcel.
     supports_ranges: bool,

@@ -63,8 +63,8 @@ mod tests {
         let value = Rc::new(());
         let [moved, kept] = [(); 2].map(|()| ThreadBound::new(Rc::clone(&value)));
         assert!(kept.get().is_some());
-        let is_unreachable = thread::spawn(move || moved.get().is_none());
-        assert!(is_unreachable.join().expect("a thread that ends"));
+        let other_thread = thread::spawn(move || moved.get().is_none());
+        assert!(other_thread.join().expect("a thread that ends"));
         assert_eq!(
             Rc::strong_count(&value),
             3,
