@@ -218,8 +218,8 @@ fn mean(samples: &[u32; SAMPLES]) -> [u8; 4] {
         parts.round_float() * f32x4::splat(1.0 / 255.0)
     });
     let mean = (((a + b) + c) + d) * f32x4::splat(0.25);
-    let whole = (mean * f32x4::splat(255.0)).round_int();
-    whole.to_array().map(|part| part as u8)
+    let rounded = (mean * f32x4::splat(255.0)).round_int();
+    rounded.to_array().map(|part| part as u8)
 }
 
 /// Checks the frame size, the camera, and the references of geoms and sky.

@@ -299,8 +299,8 @@ pub(crate) fn is_plane(geom: &Geom) -> bool {
 
 /// Returns true if the camera is below the geom's xy plane.
 pub(crate) fn is_behind(head: Vec3, geom: &Geom) -> bool {
-    let off = minus(head, geom.pos);
-    off[0] * geom.mat[2] + off[1] * geom.mat[5] + off[2] * geom.mat[8] < 0.0
+    let offset = minus(head, geom.pos);
+    offset[0] * geom.mat[2] + offset[1] * geom.mat[5] + offset[2] * geom.mat[8] < 0.0
 }
 
 fn mapping(geom: &Geom, used: &TextureUse, model: &Model) -> Mapping {

@@ -70,7 +70,8 @@ pub(crate) struct Sphere {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Cluster {
     pub(crate) bounds: Sphere,
-    /// Axis of the normal cone; see [`Cluster::faces_away_from`].
+    /// Axis of the cone that contains all normals, and the sine of the angle between the axis and
+    /// the farthest normal; see [`Cluster::faces_away_from`].
     axis: Vec3,
     sine: f32,
     pub(crate) first_position: u32,
@@ -155,6 +156,7 @@ struct Piece {
     pos: [Vec3; 3],
     /// Unit normal of its plane; zero if degenerate.
     facing: Vec3,
+    /// Centre, and normal times a weight: the dimensions along which triangles are split.
     key: [f32; 6],
 }
 
@@ -416,8 +418,8 @@ fn bounding_sphere(points: impl Iterator<Item = Vec3> + Clone) -> Sphere {
     let center: Vec3 = std::array::from_fn(|axis| low[axis] * 0.5 + high[axis] * 0.5);
     let furthest = points
         .map(|point| {
-            let off = minus(point, center);
-            dot(off, off)
+            let offset = minus(point, center);
+            dot(offset, offset)
         })
         .fold(0.0, f32::max);
     Sphere {

@@ -406,7 +406,7 @@ fn colour_eight(
     }
     let [r, g, b, a] = colour.map(|part| {
         let part = part.max(splat(0.0)).min(one) * splat(255.0);
-        let part: I = part.nearest();
+        let part: I = part.round_to_int();
         part
     });
     let packed = r | (g << 8i32) | (b << 16i32) | (a << 24i32);

@@ -392,11 +392,14 @@ fn gaussian_kernel(sigma_px: f64) -> Vec<f64> {
     let radius = (TRUNCATE_SIGMAS * sigma_px + 0.5) as usize;
     let exponent = -0.5 / (sigma_px * sigma_px);
     let weight = |x: usize| (exponent * (x * x) as f64).exp();
-    let whole: Vec<f64> = (0..=2 * radius)
+    let weights: Vec<f64> = (0..=2 * radius)
         .map(|i| weight(i.abs_diff(radius)))
         .collect();
-    let sum = numpy_sum(&whole);
-    whole[radius..].iter().map(|weight| weight / sum).collect()
+    let sum = numpy_sum(&weights);
+    weights[radius..]
+        .iter()
+        .map(|weight| weight / sum)
+        .collect()
 }
 
 /// Sums in NumPy's order, which for 8 to 128 values is eight parallel sums. A uniform patch of a

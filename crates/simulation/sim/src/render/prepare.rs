@@ -310,18 +310,18 @@ mod tests {
             ))
             .expect("a model")
         };
-        let [one, other] = [2.5, 3.5].map(|height| {
+        let [first, second] = [2.5, 3.5].map(|height| {
             Prepared::from_model(&scene(height))
                 .expect("prepared")
                 .model
         });
-        assert!(Arc::ptr_eq(&one.meshes[0], &other.meshes[0]));
-        assert!(!Arc::ptr_eq(&one.meshes[1], &other.meshes[1]));
-        assert!(Arc::ptr_eq(&one.textures[0], &other.textures[0]));
-        let wedge = Arc::downgrade(&one.meshes[0]);
-        drop(one);
+        assert!(Arc::ptr_eq(&first.meshes[0], &second.meshes[0]));
+        assert!(!Arc::ptr_eq(&first.meshes[1], &second.meshes[1]));
+        assert!(Arc::ptr_eq(&first.textures[0], &second.textures[0]));
+        let wedge = Arc::downgrade(&first.meshes[0]);
+        drop(first);
         assert_eq!(wedge.strong_count(), 1);
-        drop(other);
+        drop(second);
         assert_eq!(wedge.strong_count(), 0);
     }
 }
