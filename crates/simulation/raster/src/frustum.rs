@@ -6,6 +6,7 @@ use crate::matrix::Vec3;
 
 /// Planes of the view frustum, in a mesh's frame.
 pub(crate) struct Frustum {
+    /// Planes of the window, with a margin of one pixel, and the lengths of their normals.
     sides: [[f32; 4]; 6],
     lengths: [f32; 6],
     /// Planes of the whole picture, without a margin.
@@ -22,7 +23,6 @@ impl Frustum {
         let sum = |a: [f32; 4], b: [f32; 4], sign: f32| -> [f32; 4] {
             std::array::from_fn(|at| a[at] + sign * b[at])
         };
-        // Planes of the window, with a margin of half a pixel.
         let (half_width, half_height) = (
             drawing.visible.width as f32 * 0.5,
             drawing.visible.height as f32 * 0.5,

@@ -11,7 +11,7 @@ use crate::lanes::LANES;
 use crate::matrix::{Vec3, cross, dot, minus};
 use crate::values::{Blob, Values};
 
-/// Most triangles in a cluster, so that indices of their corners fit a byte.
+/// Maximum number of triangles in a cluster, so that the indices of their corners fit in a byte.
 pub(crate) const CLUSTER: usize = 64;
 /// Weight of the difference in normals against distance when clusters are split, in radii of the
 /// mesh.

@@ -22,7 +22,7 @@ pub struct SimulatorConfig {
     /// Asset pack with models of objects and arenas.
     pub pack: AssetPack,
     pub renderer: Renderer,
-    /// Compiled scenes kept in memory; each takes some 100 MB with the real assets, unless it is in
+    /// Compiled scenes kept in memory; each takes some 100 MB with LIBERO's assets, unless it is in
     /// a scene file.
     pub cached_scenes: usize,
 }

@@ -11,6 +11,8 @@ use sim::{Environment, Reset, SimError};
 
 use files::{compile, crowded, packs};
 
+/// Rounds of joint samplers at a first hard reset, before which the original has loaded its model
+/// at construction.
 const LOADED_TWICE: u32 = 2;
 
 #[test]
@@ -32,7 +34,7 @@ fn loading_a_state_after_a_reset_restores_the_campaign_fixtures() {
     assert_eq!(poses(&environment), campaign);
 }
 
-/// MuJoCo keeps its warnings per thread, not per environment.
+/// MuJoCo's warnings are stored per thread, not per environment.
 #[test]
 fn a_diverging_environment_does_not_stop_others_on_its_thread() {
     let pack = &packs()[0];
