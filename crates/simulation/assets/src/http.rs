@@ -300,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_is_an_http_url() {
+    fn only_http_urls_are_addresses() {
         for text in ["mirror:80", "ftp://h/x", "https://", "simple"] {
             assert!(Address::parse(text).is_err(), "{text}");
         }

@@ -260,7 +260,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn file_names_become_independent_of_the_folder() {
+    fn file_names_are_resolved_inside_the_asset_folder() {
         let resolve = |folder: &str, name: &str| {
             FileRef::resolve(RootKind::Pack, Path::new(folder), name).map(|file| file.to_string())
         };

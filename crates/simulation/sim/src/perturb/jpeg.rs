@@ -224,7 +224,7 @@ mod tests {
     use sha2::{Digest, Sha256};
 
     #[test]
-    fn grey_survives_any_quality() {
+    fn a_grey_picture_is_unchanged_at_any_quality() {
         for quality in [1, 10, 50, 75, 100] {
             let mut rgb = vec![128; 20 * 12 * 3];
             round_trip(&mut rgb, 20, 12, quality);

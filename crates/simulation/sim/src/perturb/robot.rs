@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn no_displacement_leaves_the_arm_where_it_is() {
+    fn without_displacement_the_arm_keeps_its_posture() {
         let shift = RobotShift::default();
         let solution = solve_shifted_pose(arm, &nominal_arm(), &WIDE, &shift);
         assert_eq!(solution.joints, nominal_arm());

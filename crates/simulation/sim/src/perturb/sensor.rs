@@ -490,7 +490,7 @@ mod tests {
     }
 
     #[test]
-    fn kernels_keep_brightness() {
+    fn gaussian_kernels_have_unit_sum() {
         for sigma in [0.2, 0.5, 2.386, 9.0] {
             let kernel = gaussian_kernel(sigma);
             let sum = kernel[0] + 2.0 * kernel[1..].iter().sum::<f64>();

@@ -206,7 +206,7 @@ fn a_scene_is_compiled_once_and_its_file_gives_the_same_behaviour() {
 }
 
 #[test]
-fn writers_that_begin_together_compile_once() {
+fn concurrent_writers_compile_a_scene_once() {
     let fixture = Fixture::new();
     let (compiled, ready) = (AtomicUsize::new(0), Barrier::new(4));
     std::thread::scope(|scope| {

@@ -11,8 +11,7 @@ use sim::{Environment, Reset, SimError};
 
 use files::{compile, crowded, packs};
 
-/// Rounds of joint samplers at a first hard reset, before which the original has loaded its model
-/// at construction.
+/// Number of times that the original has loaded its model: at construction, and in one hard reset.
 const LOADED_TWICE: u32 = 2;
 
 #[test]
