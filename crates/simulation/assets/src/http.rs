@@ -78,7 +78,7 @@ impl Address {
             return Err(REMEDY);
         }
         let authorization = authorization(&url);
-        // Cannot fail for a URL with a host.
+        // These calls cannot fail for a URL with a host.
         let _ = url.set_username("");
         let _ = url.set_password(None);
         Ok(Self { url, authorization })

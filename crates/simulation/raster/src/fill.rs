@@ -220,7 +220,7 @@ impl LongEdge {
         let owned = i64::from(dx < 0 || dx == 0 && dy > 0);
         let block = i64::from(BLOCK * POINTS_PER_PIXEL);
         Self {
-            // Rounded down, which preserves the sign.
+            // The value is rounded down, which preserves its sign.
             value: (value + owned - 1).div_euclid(i64::from(LATTICE)),
             along: [-dx * block, dy * block],
         }

@@ -212,7 +212,7 @@ fn split(pieces: &mut [Piece], emit: &mut impl FnMut(&mut [Piece])) {
 
 impl Mesh {
     fn add_cluster(&mut self, pieces: &mut [Piece], triangles: &[[Corner; 3]]) {
-        // Sorted by drawing order: a later triangle wins at equal depth.
+        // The triangles are sorted by drawing order: at equal depth, the later triangle is visible.
         pieces.sort_unstable_by_key(|piece| piece.order);
         let (first_position, first_vertex) = (self.xs.len() as u32, self.vertices.len() as u32);
         let first_triangle = self.order.len() as u32;

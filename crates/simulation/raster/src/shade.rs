@@ -25,7 +25,7 @@ pub(crate) struct Fragment {
 
 /// Longest side of a frame, pixels.
 pub(crate) const MAX_SIDE: usize = 4096;
-/// Bits of a column or row number, which is below [`MAX_SIDE`].
+/// Number of bits of a column or row number, which is below [`MAX_SIDE`].
 const SIDE_BITS: u32 = MAX_SIDE.ilog2();
 const SIDE_MASK: u32 = (1 << SIDE_BITS) - 1;
 const _: () = assert!(
@@ -63,7 +63,7 @@ impl Fragment {
     }
 }
 
-/// Lists that are reused from frame to frame.
+/// Lists of fragments and surfaces, reused from frame to frame.
 #[derive(Debug, Default)]
 pub(crate) struct Lists {
     /// Per record from `first` on: its surface, if listed.

@@ -304,8 +304,8 @@ fn send_progress(
     }
 }
 
-/// Refuses symbolic links: another user with write access to the folder could make a link point to
-/// a file of this user.
+/// Returns the flag that refuses symbolic links: another user with write access to the folder could
+/// make a link point to a file of this user.
 pub(super) fn no_links() -> i32 {
     OFlags::NOFOLLOW.bits() as i32
 }

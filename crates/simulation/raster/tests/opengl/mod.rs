@@ -76,7 +76,7 @@ fn samples_on_left_and_lower_edges_are_inside_and_those_on_other_edges_are_outsi
             [0, 0, 0, 0, 0, 0, 0, 0],
         ]
     );
-    // Extends from 0.375 to 42.875: large triangles are filled block by block.
+    // The box extends from 0.375 to 42.875. Large triangles are filled block by block.
     let large = red(48, vec![white_box(21.625, 21.625, 21.25)]);
     let mut line = vec![255; 48];
     (line[0], line[42]) = (191, 191);

@@ -15,7 +15,7 @@ use super::{LoadedScene, Name, Preparation, digits, layout, name_text};
 use crate::mujoco::Model;
 use crate::render::{Prepared, PreparedBytes, digest_of_texture};
 
-/// Limit of the files' total size, unless `$ROLLOUT_SCENES_GIB` is set.
+/// Limit of the files' total size, GiB, unless `$ROLLOUT_SCENES_GIB` sets another.
 const LIMIT_GIB: u64 = 16;
 /// Longest wait for another process that compiles or writes a scene. Compiling takes seconds, and a
 /// worker treats a slot without progress for minutes as stuck.
@@ -30,7 +30,7 @@ const OTHERS_WRITE: u32 = 0o022;
 const ROOT: u32 = 0;
 /// Prefix of the names of files being written.
 pub(super) const TEMPORARY_PREFIX: &str = ".aside-";
-/// Sections of a scene file before its meshes.
+/// Indices of the sections of a scene file. From [`MESHES`] on, each section is a mesh.
 const TEXTURES: usize = 0;
 const STRUCTURE: usize = 1;
 const ARRAYS: usize = 2;
@@ -271,7 +271,8 @@ impl SceneFolder {
         [self.user, ROOT].contains(&metadata.uid()) && metadata.mode() & OTHERS_WRITE == 0
     }
 
-    /// Opens a file; `None` if it is missing, not trusted, or has another length.
+    /// Opens a file; `None` if it is missing or not trusted, or if its header has another name or
+    /// length.
     fn open(&self, path: &Path, name: &Name) -> Result<Option<Opened>, SceneFileError> {
         let options = OpenOptions::new()
             .read(true)
@@ -353,7 +354,8 @@ impl SceneFolder {
             return false;
         };
         if fs::read_to_string(&record).is_ok_and(|recorded| recorded == stamps) {
-            // Eviction uses the time of last use. Folders of other users are read-only.
+            // Sets the modification time, which eviction uses as the time of last use. In a folder
+            // of another user, the time cannot be set.
             if let Ok(file) = OpenOptions::new().write(true).open(record) {
                 let now = Timespec {
                     tv_sec: 0,
@@ -431,7 +433,7 @@ fn failure(doing: &'static str, path: &Path, source: io::Error) -> SceneFileErro
     }
 }
 
-/// Refuses symbolic links, which could lead to a file that changes.
+/// Returns the flag that refuses symbolic links, which could lead to a file that changes.
 fn no_links() -> i32 {
     OFlags::NOFOLLOW.bits() as i32
 }
