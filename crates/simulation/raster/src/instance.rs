@@ -66,7 +66,7 @@ impl View {
     fn plane_in_clip_space(&self, [a, b, c, d]: [f32; 4]) -> Option<[f32; 4]> {
         let view = &self.world_to_eye;
         let inverse = view.inverse_of_linear_part()?;
-        // The normal is rotated; the offset follows from a point.
+        // The inverse transforms the normal; the offset follows from the view's translation.
         let normal: Vec3 = std::array::from_fn(|row| {
             inverse[row] * a + inverse[3 + row] * b + inverse[6 + row] * c
         });

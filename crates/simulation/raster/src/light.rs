@@ -199,7 +199,8 @@ pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x
             false => attenuated(light, to_light, over_distance),
         };
         let (is_lit, lit) = (facing.gt(zero), facing.max(zero));
-        // Without shininess, Mesa's program uses the register of the dot product `facing`.
+        // Without shininess, Mesa's program takes base and exponent of the power from the register
+        // that holds the dot product `facing`.
         let (near, exponent) = if has_highlights && products[2] != [0.0; 3] {
             let half = normalize8(subtract8(to_light, towards_pos));
             (

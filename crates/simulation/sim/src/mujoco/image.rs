@@ -54,7 +54,8 @@ impl Model {
             0 => length,
             _ => (compiled.tex_data as usize).checked_sub(start)?,
         };
-        // A multiple of the alignment, so that the following arrays stay aligned.
+        // The removed length is a multiple of the alignment, so that the arrays behind it stay
+        // aligned.
         let removed = texels / ALIGNMENT * ALIGNMENT;
         if cut + removed > length {
             return None;
