@@ -1,11 +1,11 @@
-//! Digests this crate's sources, which decide how models are prepared.
+//! Computes a digest of this crate's sources, which determine how models are prepared.
 
 use std::path::Path;
 use std::{env, fs, io};
 
 fn main() -> io::Result<()> {
     let sources =
-        Path::new(&env::var_os("CARGO_MANIFEST_DIR").expect("cargo names the folder")).join("src");
+        Path::new(&env::var_os("CARGO_MANIFEST_DIR").expect("cargo sets the variable")).join("src");
     println!("cargo:rerun-if-changed={}", sources.display());
     let mut files: Vec<_> = fs::read_dir(sources)?
         .map(|entry| entry.map(|entry| entry.path()))

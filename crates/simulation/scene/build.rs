@@ -4,7 +4,7 @@ use std::fmt::Write as _;
 use std::path::{Path, PathBuf};
 
 fn main() -> std::io::Result<()> {
-    let pack = Path::new(&std::env::var_os("CARGO_MANIFEST_DIR").expect("cargo names the folder"))
+    let pack = Path::new(&std::env::var_os("CARGO_MANIFEST_DIR").expect("cargo sets the variable"))
         .join("../../../assets/primitives");
     println!("cargo:rerun-if-changed={}", pack.display());
     let mut files = Vec::new();
@@ -27,7 +27,7 @@ fn main() -> std::io::Result<()> {
     for path in &files {
         let inside = path
             .strip_prefix(&pack)
-            .expect("listed below it")
+            .expect("the file was listed below the folder")
             .to_string_lossy();
         let _ = writeln!(
             table,

@@ -85,7 +85,7 @@ impl Fetch<'_> {
             let parcel = self.retry(progress, || origin.locate(table, &group))?;
             self.receive(&parcel, &incoming, &mut progress)?;
         }
-        // Fails if an interrupted fetch has left files in the folder.
+        // The removal fails if an interrupted fetch has left files in the folder.
         let _ = fs::remove_dir(&incoming);
         Ok(Fetched {
             present: wanted.len() - to_fetch.len(),
@@ -150,9 +150,9 @@ impl Fetch<'_> {
         let mut receiver = receive::Receiver::new(self.origin, parcel, self.into, incoming);
         let mut tries = Tries::default();
         while !receiver.is_done() {
-            let before = receiver.received_bytes();
+            let received_before = receiver.received_bytes();
             let outcome = receiver.stream(progress, self.progress);
-            if receiver.received_bytes() - before >= GAIN_BYTES {
+            if receiver.received_bytes() - received_before >= GAIN_BYTES {
                 tries = Tries::default();
             }
             match outcome {

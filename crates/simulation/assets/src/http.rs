@@ -78,7 +78,7 @@ impl Address {
             return Err(REMEDY);
         }
         let authorization = authorization(&url);
-        // Cannot fail for a URL with a host.
+        // These calls cannot fail for a URL with a host.
         let _ = url.set_username("");
         let _ = url.set_password(None);
         Ok(Self { url, authorization })
@@ -162,8 +162,8 @@ impl Client {
     pub(crate) fn reader(&self, response: Response<Body>) -> impl Read + use<> {
         MinimumRateReader {
             reader: response.into_body().into_reader(),
-            within: self.deadlines.gain,
-            since: Instant::now(),
+            period: self.deadlines.gain,
+            period_start: Instant::now(),
             gained: 0,
         }
     }
@@ -229,9 +229,9 @@ impl Client {
 /// timeout per read only, a server could occupy the reader by sending single bytes.
 struct MinimumRateReader<R> {
     reader: R,
-    within: Duration,
+    period: Duration,
     /// Start of the current period.
-    since: Instant,
+    period_start: Instant,
     /// Bytes that arrived in the current period.
     gained: u64,
 }
@@ -241,9 +241,9 @@ impl<R: Read> Read for MinimumRateReader<R> {
         let read = self.reader.read(block)?;
         self.gained += read as u64;
         if self.gained >= GAIN_BYTES {
-            (self.since, self.gained) = (Instant::now(), 0);
-        } else if read > 0 && self.since.elapsed() > self.within {
-            let (gained, secs) = (self.gained, self.within.as_secs_f64());
+            (self.period_start, self.gained) = (Instant::now(), 0);
+        } else if read > 0 && self.period_start.elapsed() > self.period {
+            let (gained, secs) = (self.gained, self.period.as_secs_f64());
             return Err(io::Error::new(
                 io::ErrorKind::TimedOut,
                 format!("the server is too slow: it sent {gained} bytes in {secs} s"),
@@ -300,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn an_address_is_an_http_url() {
+    fn only_http_urls_are_addresses() {
         for text in ["mirror:80", "ftp://h/x", "https://", "simple"] {
             assert!(Address::parse(text).is_err(), "{text}");
         }

@@ -21,10 +21,10 @@ const ACCEPT: &str = "application/vnd.pypi.simple.v1+json, \
 
 /// Returns the index that is set in the environment variables, or [`INDEX`].
 pub fn index_of_environment() -> String {
-    let set = VARIABLES.iter().filter_map(|name| std::env::var(name).ok());
-    let named = set.map(|value| value.trim().to_owned());
-    let found = named.into_iter().find(|value| !value.is_empty());
-    let url = found.unwrap_or_else(|| INDEX.to_owned());
+    let values = VARIABLES.iter().filter_map(|name| std::env::var(name).ok());
+    let trimmed = values.map(|value| value.trim().to_owned());
+    let first = trimmed.into_iter().find(|value| !value.is_empty());
+    let url = first.unwrap_or_else(|| INDEX.to_owned());
     // uv allows a name before the URL: `NAME=URL`.
     match url.split_once('=') {
         Some((name, url)) if !name.contains("://") => url.to_owned(),

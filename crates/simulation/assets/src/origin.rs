@@ -34,7 +34,7 @@ pub(crate) struct Parcel<'a> {
     location: Location,
     /// Size of the resource, bytes.
     pub(crate) bytes: u64,
-    /// Sorted by position.
+    /// Requested files in the resource, sorted by position.
     pub(crate) members: Vec<Member<'a>>,
 }
 

@@ -51,12 +51,15 @@ impl Progress {
         if elapsed < RATE_DELAY || rate < 1.0 || self.bytes >= self.of_bytes {
             return None;
         }
-        let left = ((self.of_bytes - self.bytes) as f64 / rate).ceil() as u64;
-        let left = match left {
-            0..60 => format!("{left} s"),
-            _ => format!("{} min {} s", left / 60, left % 60),
+        let remaining_secs = ((self.of_bytes - self.bytes) as f64 / rate).ceil() as u64;
+        let remaining = match remaining_secs {
+            0..60 => format!("{remaining_secs} s"),
+            _ => format!("{} min {} s", remaining_secs / 60, remaining_secs % 60),
         };
-        Some(format!("{}/s, {left} left", size_in_words(rate as u64)))
+        Some(format!(
+            "{}/s, {remaining} left",
+            size_in_words(rate as u64)
+        ))
     }
 }
 
@@ -129,8 +132,8 @@ impl Bar {
             true => (line.clone(), line),
             false => {
                 let step = progress.percent() / QUIET_STEP_PERCENT;
-                let is_whole = progress.files == progress.of_files;
-                (format!("{step} {is_whole}"), line)
+                let is_complete = progress.files == progress.of_files;
+                (format!("{step} {is_complete}"), line)
             }
         }
     }

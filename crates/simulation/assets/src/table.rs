@@ -217,7 +217,7 @@ mod tests {
         let files = "path\tbytes\tsha256\twheel\toffset\tstored\na\t1\tx\t6\t0\t1\n";
         assert!(
             Table::parse(Text { files, ..LIBERO }).is_none(),
-            "there is no sixth wheel"
+            "the table refers to a sixth wheel, and there are five"
         );
         let files = "path\tbytes\na\t1\n";
         assert!(Table::parse(Text { files, ..LIBERO }).is_none());

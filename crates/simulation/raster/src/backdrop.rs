@@ -10,11 +10,11 @@ use crate::scene::{Camera, Geom, Light, LightKind, Scene, TextureUse};
 use crate::visible::{Record, SAMPLES};
 use crate::window::Window;
 
-/// Frames for which a geom must be at rest before it is cached, at first and at most: the number is
-/// multiplied by four whenever a cached geom moves.
+/// Number of frames for which a geom must be at rest before it is cached: initial and largest
+/// value. The number is multiplied by four whenever a cached geom moves.
 const FIRST_REST: u16 = 1;
 const LONGEST_REST: u16 = 256;
-/// Frames at rest after which a further geom justifies redrawing the whole cached picture.
+/// Number of frames at rest after which an uncached geom justifies redrawing the cached picture.
 const REST_BEFORE_REDRAW: u16 = 8;
 
 /// Way to begin the drawing of a frame.
@@ -32,7 +32,7 @@ pub(crate) enum Start {
 #[derive(Default)]
 pub(crate) struct Backdrop {
     last: Option<(Scene, [usize; 2])>,
-    /// Per geom: frames that it has rested, and frames that it must rest.
+    /// Per geom: number of frames at rest so far, and number required for caching.
     rested: Vec<u16>,
     needed: Vec<u16>,
     /// True per geom if it is in the cached picture.
@@ -51,7 +51,7 @@ impl Backdrop {
     /// Compares a scene with the previous one.
     pub(crate) fn compare(&mut self, scene: &Scene, size: [usize; 2]) -> Start {
         let count = scene.geoms.len();
-        let same = self.last.as_ref().is_some_and(|(last, last_size)| {
+        let is_same_view = self.last.as_ref().is_some_and(|(last, last_size)| {
             *last_size == size
                 && camera_bits(&last.camera) == camera_bits(&scene.camera)
                 && last.lights.len() == scene.lights.len()
@@ -60,7 +60,7 @@ impl Backdrop {
                 && (last.sky, last.reflections) == (scene.sky, scene.reflections)
                 && last.geoms.len() == count
         });
-        if !same {
+        if !is_same_view {
             self.rested = vec![0; count];
             self.needed = vec![FIRST_REST; count];
             self.is_cached = vec![false; count];

@@ -70,7 +70,8 @@ impl Candidates {
             }
             let (x, y) = corners.snapped();
             let ([x0, x1], [y0, y1]) = (extent(&x), extent(&y));
-            // Samples lie at every fourth of a pixel, one per row and column.
+            // Columns and rows of samples are a quarter of a pixel (64 subpixel units) apart, from
+            // 32 units on. Each row of a pixel contains one sample, and so does each column.
             let (column0, column1) = (
                 ((x0 + splat(31)) >> 6i32).max(left),
                 ((x1 - splat(32)) >> 6i32).min(right),
@@ -82,7 +83,9 @@ impl Candidates {
             let mut selected = column0.le(column1) & row0.le(row1);
             let three = splat(3);
             let column_of_row = sample_column(row0);
+            // The constant has two bits per column of a pixel: the row of the column's sample.
             let row_of_column = (splat(0x72) >> ((column0 & three) << 1i32)) & three;
+            // Discards triangles within one row or column of samples that miss its samples.
             let one_row =
                 row0.equals(row1) & ((column_of_row - column0) & three).gt(column1 - column0);
             let one_column =
@@ -117,14 +120,14 @@ impl Candidates {
 /// column of a pixel, and each row, contains one sample.
 const SMALL: [i32; 2] = [8, 4];
 
-/// Returns the column of a row's sample within a pixel.
+/// Returns the column of a row's sample within a pixel. The constant has two bits per row.
 #[inline(always)]
 fn sample_column(row: I) -> I {
     (I::splat(0x8d) >> ((row & I::splat(3)) << 1i32)) & I::splat(3)
 }
 
-/// Returns the mask of the triangles, of eight small ones, that cover a sample. `columns` and
-/// `rows` are the first and last that they may cover.
+/// Returns the mask of those of eight small triangles that cover a sample. `columns` and `rows` are
+/// the first and last columns and rows of samples that each triangle may cover.
 #[inline(always)]
 fn small_triangles_with_samples(x: &[I; 3], y: &[I; 3], [columns, rows]: [[I; 2]; 2]) -> Mask {
     let splat = |value: i32| I::splat(value);
@@ -143,13 +146,13 @@ fn small_triangles_with_samples(x: &[I; 3], y: &[I; 3], [columns, rows]: [[I; 2]
     let mut covers = Mask::from_bits(0);
     for row in 0..SMALL[1] {
         let row = rows[0] + splat(row);
-        let off = (sample_column(row) - columns[0]) & splat(3);
-        let near = [0, 1, 2].map(|edge| edges[edge] - per_column[edge] * off);
+        let offset = (sample_column(row) - columns[0]) & splat(3);
+        let near = [0, 1, 2].map(|edge| edges[edge] - per_column[edge] * offset);
         let far = [0, 1, 2].map(|edge| near[edge] - (per_column[edge] << 2i32));
         let covered = |values: [I; 3], column: I| {
             (values[0] | values[1] | values[2]).ge(splat(0)) & column.le(columns[1])
         };
-        let column = columns[0] + off;
+        let column = columns[0] + offset;
         let either = covered(near, column) | covered(far, column + splat(4));
         covers = covers | either & row.le(rows[1]);
         edges = [0, 1, 2].map(|edge| edges[edge] + per_row[edge]);

@@ -218,8 +218,8 @@ fn mean(samples: &[u32; SAMPLES]) -> [u8; 4] {
         parts.round_float() * f32x4::splat(1.0 / 255.0)
     });
     let mean = (((a + b) + c) + d) * f32x4::splat(0.25);
-    let whole = (mean * f32x4::splat(255.0)).round_int();
-    whole.to_array().map(|part| part as u8)
+    let rounded = (mean * f32x4::splat(255.0)).round_int();
+    rounded.to_array().map(|part| part as u8)
 }
 
 /// Checks the frame size, the camera, and the references of geoms and sky.
@@ -242,19 +242,19 @@ pub(crate) fn check(
         }),
     };
     let (near, far) = (camera.near, camera.far);
-    let needed = "it must be finite, positive and below the far plane's";
+    let needed = "it must be finite, positive and nearer than the far plane";
     require(near > 0.0 && near.is_finite(), "near plane", near, needed)?;
     require(
         far > near && far.is_finite(),
         "far plane",
         far,
-        "it must be finite and above the near plane's",
+        "it must be finite and farther than the near plane",
     )?;
-    let height_seen = camera.top - camera.bottom;
+    let frustum_height = camera.top - camera.bottom;
     require(
-        height_seen != 0.0 && height_seen.is_finite(),
+        frustum_height != 0.0 && frustum_height.is_finite(),
         "height",
-        height_seen,
+        frustum_height,
         "its lower and upper ends must differ",
     )?;
     let finite = [camera.half_width, camera.center]

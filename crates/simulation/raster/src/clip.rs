@@ -68,7 +68,7 @@ struct Corner<V> {
     is_original: bool,
 }
 
-/// Planes of the view frustum and a mirror's plane.
+/// Number of clip planes: the six of the view frustum, and a mirror's plane.
 const SIDES: usize = 7;
 const SIDE_PLANES: [[f32; 4]; SIDES - 1] = [
     [-1.0, 0.0, 0.0, 1.0],
@@ -172,7 +172,7 @@ fn clip_by_plane<V: Values>(
             push(*last)?;
         }
         if (last_distance >= 0.0) != (corner_distance >= 0.0) {
-            // Interpolates from the nearer corner, for precision.
+            // Interpolates from the corner nearer to the plane, for precision.
             let between = corner_distance - last_distance;
             let from_corner = match corner_distance < 0.0 {
                 true => -corner_distance < last_distance,

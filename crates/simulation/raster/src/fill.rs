@@ -7,8 +7,8 @@ use crate::positions::SUBPIXELS;
 use crate::setup::Setup;
 use crate::visible::{BLOCK, Layer, PART, Ranks, Record, SAMPLES, Visible};
 
-/// Sample positions of two pixels side by side, in lattice points from the first one's
-/// corner.
+/// Sample positions of two pixels side by side, in lattice points along x and along y from the
+/// corner of the first pixel.
 const LANE_X: [i32; LANES] = [3, 7, 1, 5, 11, 15, 9, 13];
 const LANE_Y: [i32; LANES] = [1, 3, 5, 7, 1, 3, 5, 7];
 /// Position of the first pixel's first sample, in pixels along x and y.
@@ -17,11 +17,12 @@ pub(crate) const FIRST_SAMPLE: [f32; 2] = [0.375, 0.125];
 const LATTICE: i32 = 32;
 const POINTS_PER_PIXEL: i32 = SUBPIXELS / LATTICE;
 
-/// Shifts that multiply by the number of lattice points across a pair of pixels, and across a row.
+/// Shifts that multiply by the number of lattice points across a pair of pixels, and by the number
+/// across a row of pixels.
 const PAIR_SHIFT: i32 = (2 * POINTS_PER_PIXEL).ilog2() as i32;
 const ROW_SHIFT: i32 = POINTS_PER_PIXEL.ilog2() as i32;
 
-/// Offsets of the parts of a block, in lattice points from its corner, and in pixels.
+/// Offsets of the parts of a block from its corner, in lattice points along x and along y.
 const PART_X: [i32; LANES] = [0, 64, 0, 64, 0, 64, 0, 64];
 const PART_Y: [i32; LANES] = [0, 0, 32, 32, 64, 64, 96, 96];
 /// Triangles that span more pairs of pixels than this are filled part by part.
@@ -56,7 +57,8 @@ pub(crate) fn fill(lane: usize, setup: &Setup, record: Record, drawing: &mut Dra
 /// Inclusive ranges of pixels along x and y, and the triangle in them.
 type Area = ([i32; 2], [i32; 2], (Record, u32));
 
-/// Returns the first pixels and the indices of the blocks that contain a range of pixels.
+/// Returns the blocks that overlap a range of pixels: the first pixel of each block, and its column
+/// and row among these blocks.
 fn blocks(x: [i32; 2], y: [i32; 2]) -> impl Iterator<Item = ([i32; 2], [i64; 2])> {
     let [left, low] = [x[0], y[0]].map(|first| first / BLOCK);
     (low..=y[1] / BLOCK).flat_map(move |row| {
@@ -101,10 +103,11 @@ fn fill_medium(lane: usize, setup: &Setup, area: Area, drawing: &mut Drawing<'_>
     let (x, y, _) = area;
     let mut touched = false;
     for (block, _) in blocks(x, y) {
-        let off = [block[0] - (x[0] & !1), block[1] - y[0]].map(|off| off * POINTS_PER_PIXEL);
+        let offset =
+            [block[0] - (x[0] & !1), block[1] - y[0]].map(|offset| offset * POINTS_PER_PIXEL);
         let at = [0, 1, 2].map(|edge| {
             let (dx, dy) = (setup.along_x[edge][lane], setup.along_y[edge][lane]);
-            setup.edge[edge][lane] + dx * off[0] + dy * off[1]
+            setup.edge[edge][lane] + dx * offset[0] + dy * offset[1]
         });
         touched |= fill_parts::<false>(lane, setup, (block, at), area, drawing);
     }
@@ -121,22 +124,22 @@ fn fill_parts<const INSIDE: bool>(
     (x, y, triangle): Area,
     drawing: &mut Drawing<'_>,
 ) -> bool {
-    let (parts, whole) = drawing.visible.depth_bounds(block);
-    let most = max_depths(lane, setup, block);
-    if most.lt(F::splat(whole)).all() {
+    let (parts, whole_block) = drawing.visible.depth_bounds(block);
+    let max_depths = max_depths(lane, setup, block);
+    if max_depths.lt(F::splat(whole_block)).all() {
         return false;
     }
-    let mut reached = !most.lt(parts);
+    let mut reached = !max_depths.lt(parts);
     let mut inside = !0;
     if !INSIDE {
         let zero = I::splat(0);
-        let [wide, high] = PART.map(|side| side * POINTS_PER_PIXEL);
+        let [width, height] = PART.map(|side| side * POINTS_PER_PIXEL);
         let mut is_inside = Mask::from_bits(0xff);
         for (edge, &start) in at.iter().enumerate() {
             let (dx, dy) = (setup.along_x[edge][lane], setup.along_y[edge][lane]);
             let corners =
                 I::splat(start) + I::splat(dx) * I::new(PART_X) + I::splat(dy) * I::new(PART_Y);
-            let (across, up) = (dx * wide, dy * high);
+            let (across, up) = (dx * width, dy * height);
             reached = reached & (corners + I::splat(across.max(0) + up.max(0))).ge(zero);
             is_inside = is_inside & (corners + I::splat(across.min(0) + up.min(0))).ge(zero);
         }
@@ -157,13 +160,13 @@ fn fill_parts<const INSIDE: bool>(
             continue;
         }
         // Offset of the part's first pixel from the block's corner, in lattice points.
-        let off =
-            [(part_x[0] & !1) - block[0], part_y[0] - block[1]].map(|off| off * POINTS_PER_PIXEL);
+        let offset = [(part_x[0] & !1) - block[0], part_y[0] - block[1]]
+            .map(|offset| offset * POINTS_PER_PIXEL);
         let at = [0, 1, 2].map(|edge| {
             let (dx, dy) = (setup.along_x[edge][lane], setup.along_y[edge][lane]);
             at[edge]
-                .wrapping_add(dx.wrapping_mul(off[0]))
-                .wrapping_add(dy.wrapping_mul(off[1]))
+                .wrapping_add(dx.wrapping_mul(offset[0]))
+                .wrapping_add(dy.wrapping_mul(offset[1]))
         });
         let pixels = (part_x, part_y, triangle);
         if INSIDE || inside & (1 << part) != 0 {
@@ -217,7 +220,7 @@ impl LongEdge {
         let owned = i64::from(dx < 0 || dx == 0 && dy > 0);
         let block = i64::from(BLOCK * POINTS_PER_PIXEL);
         Self {
-            // Rounded down, which preserves the sign.
+            // The value is rounded down, which preserves its sign.
             value: (value + owned - 1).div_euclid(i64::from(LATTICE)),
             along: [-dx * block, dy * block],
         }

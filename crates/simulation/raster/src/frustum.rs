@@ -6,6 +6,7 @@ use crate::matrix::Vec3;
 
 /// Planes of the view frustum, in a mesh's frame.
 pub(crate) struct Frustum {
+    /// Planes of the window, with a margin of one pixel, and the lengths of their normals.
     sides: [[f32; 4]; 6],
     lengths: [f32; 6],
     /// Planes of the whole picture, without a margin.
@@ -22,8 +23,7 @@ impl Frustum {
         let sum = |a: [f32; 4], b: [f32; 4], sign: f32| -> [f32; 4] {
             std::array::from_fn(|at| a[at] + sign * b[at])
         };
-        // Planes of the window, with a margin of half a pixel.
-        let (wide, high) = (
+        let (half_width, half_height) = (
             drawing.visible.width as f32 * 0.5,
             drawing.visible.height as f32 * 0.5,
         );
@@ -34,10 +34,10 @@ impl Frustum {
         };
         let window = &drawing.window;
         let sides = [
-            side(x, window.x[0] - 1, wide, 1.0),
-            side(x, window.x[1] + 2, wide, -1.0),
-            side(y, window.y[0] - 1, high, 1.0),
-            side(y, window.y[1] + 2, high, -1.0),
+            side(x, window.x[0] - 1, half_width, 1.0),
+            side(x, window.x[1] + 2, half_width, -1.0),
+            side(y, window.y[0] - 1, half_height, 1.0),
+            side(y, window.y[1] + 2, half_height, -1.0),
             z,
             sum(w, z, -1.0),
         ];

@@ -32,8 +32,8 @@ pub(crate) fn translucent_geoms(scene: &Scene, view: &View) -> Vec<usize> {
         let distance = match is_plane(geom) {
             true => PLANE_DISTANCE,
             false => {
-                let off = minus(geom.pos, view.head);
-                dot(off, off).sqrt() - reach(geom)
+                let offset = minus(geom.pos, view.head);
+                dot(offset, offset).sqrt() - reach(geom)
             }
         };
         found.push((distance, index));

@@ -65,10 +65,11 @@ impl View {
     /// Transforms a plane from the world into clip space.
     fn plane_in_clip_space(&self, [a, b, c, d]: [f32; 4]) -> Option<[f32; 4]> {
         let view = &self.world_to_eye;
-        let turn = view.inverse_of_linear_part()?;
-        // The normal is rotated; the offset follows from a point.
-        let normal: Vec3 =
-            std::array::from_fn(|row| turn[row] * a + turn[3 + row] * b + turn[6 + row] * c);
+        let inverse = view.inverse_of_linear_part()?;
+        // The inverse transforms the normal; the offset follows from the view's translation.
+        let normal: Vec3 = std::array::from_fn(|row| {
+            inverse[row] * a + inverse[3 + row] * b + inverse[6 + row] * c
+        });
         let shift = [view.0[12], view.0[13], view.0[14]];
         let offset = d - (normal[0] * shift[0] + normal[1] * shift[1] + normal[2] * shift[2]);
         let p = &self.projection.0;
@@ -178,19 +179,19 @@ pub(crate) fn add(
         .translated(geom.pos)
         .times(&Matrix::rotation(&geom.mat));
     let [x, y, z] = geom.size;
-    let behind = is_plane(geom) && is_behind(view.head, geom);
+    let shows_back = is_plane(geom) && is_behind(view.head, geom);
     let mut parts = 0;
     let mut add = |mesh: MeshRef, to_eye: Matrix| {
         let Some(mut instance) = Instance::new(mesh, geom_index, to_eye, view, model) else {
             return;
         };
-        instance.counter_clockwise = view.mirrored == behind;
-        instance.inside_out = behind;
+        instance.counter_clockwise = view.mirrored == shows_back;
+        instance.inside_out = shows_back;
         instance.rank = geom_index as u32 * MAX_PARTS + parts;
         parts += 1;
         instance.rgba = geom.rgba;
-        if behind {
-            // In double precision, as C multiplies by such a constant.
+        if shows_back {
+            // The product is in double precision, like C's product with a `double` constant.
             instance.rgba[3] = (f64::from(instance.rgba[3]) * 0.3) as f32;
         }
         instance.emission = geom.emission;
@@ -226,7 +227,7 @@ pub(crate) fn add(
 
 /// Returns the sky: a cylinder around the camera, seen from inside.
 pub(crate) fn sky(texture: usize, view: &View, model: &Model) -> Option<Instance> {
-    // Just below the reciprocal of √2, so that no corner is beyond the far plane.
+    // The factor is just below the reciprocal of √2, so that no corner is beyond the far plane.
     let size = (f64::from(view.far) * f64::from(0.70f32)) as f32;
     let placed = view.world_to_eye.translated(view.head).scaled([size; 3]);
     let mut sky = Instance::new(MeshRef::Cylinder, usize::MAX, placed, view, model)?;
@@ -243,8 +244,8 @@ impl Instance {
     /// Returns `None` if no part of the mesh can be visible.
     fn new(mesh: MeshRef, geom: usize, to_eye: Matrix, view: &View, model: &Model) -> Option<Self> {
         let bounds = mesh.resolve(model).bounds;
-        let finite = to_eye.0.iter().all(|value| value.is_finite());
-        if bounds.radius == 0.0 || !finite {
+        let is_finite = to_eye.0.iter().all(|value| value.is_finite());
+        if bounds.radius == 0.0 || !is_finite {
             return None;
         }
         // Mesa uses the identity as the inverse of a singular matrix.
@@ -257,7 +258,7 @@ impl Instance {
                 normals[3 * row] * v[0] + normals[3 * row + 1] * v[1] + normals[3 * row + 2] * v[2]
             })
         };
-        // A NaN eye culls nothing.
+        // With a NaN eye, no triangle is culled.
         let eye = match (inverse, view.orthographic) {
             (None, _) => [f32::NAN; 3],
             (_, true) => back([0.0, 0.0, -1.0]),
@@ -298,8 +299,8 @@ pub(crate) fn is_plane(geom: &Geom) -> bool {
 
 /// Returns true if the camera is below the geom's xy plane.
 pub(crate) fn is_behind(head: Vec3, geom: &Geom) -> bool {
-    let off = minus(head, geom.pos);
-    off[0] * geom.mat[2] + off[1] * geom.mat[5] + off[2] * geom.mat[8] < 0.0
+    let offset = minus(head, geom.pos);
+    offset[0] * geom.mat[2] + offset[1] * geom.mat[5] + offset[2] * geom.mat[8] < 0.0
 }
 
 fn mapping(geom: &Geom, used: &TextureUse, model: &Model) -> Mapping {

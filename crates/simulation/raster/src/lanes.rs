@@ -95,9 +95,9 @@ pub(crate) trait Floats: Sized {
     fn ge(self, other: Self) -> Mask;
     fn equals(self, other: Self) -> Mask;
     /// Rounds to the nearest integer, ties to even.
-    fn nearest(self) -> I;
+    fn round_to_int(self) -> I;
     /// Truncates towards zero.
-    fn whole(self) -> I;
+    fn truncate_to_int(self) -> I;
     fn to_signed_bits(self) -> I;
     fn from_signed_bits(bits: I) -> Self;
 }
@@ -157,12 +157,12 @@ impl Floats for F {
     }
 
     #[inline(always)]
-    fn nearest(self) -> I {
+    fn round_to_int(self) -> I {
         self.round_int()
     }
 
     #[inline(always)]
-    fn whole(self) -> I {
+    fn truncate_to_int(self) -> I {
         self.trunc_int()
     }
 

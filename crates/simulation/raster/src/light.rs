@@ -199,7 +199,8 @@ pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x
             false => attenuated(light, to_light, over_distance),
         };
         let (is_lit, lit) = (facing.gt(zero), facing.max(zero));
-        // Without shininess, Mesa's program uses the register of the dot product `facing`.
+        // Without shininess, Mesa's program takes base and exponent of the power from the register
+        // that holds the dot product `facing`.
         let (near, exponent) = if has_highlights && products[2] != [0.0; 3] {
             let half = normalize8(subtract8(to_light, towards_pos));
             (
@@ -278,11 +279,11 @@ const EXP2: [f32; 6] = [
 #[inline(always)]
 fn power(base: F, exponent: F) -> F {
     let splat = |value: f32| F::splat(value);
-    let whole = |value: i32| I::splat(value);
+    let int = |value: i32| I::splat(value);
     let (zero, one) = (splat(0.0), splat(1.0));
     let bits = base.to_signed_bits();
-    let base_exponent = ((bits & whole(0x7f80_0000)) >> 23i32) - whole(127);
-    let mantissa = F::from_signed_bits((bits & whole(0x007f_ffff)) | whole(0x3f80_0000));
+    let base_exponent = ((bits & int(0x7f80_0000)) >> 23i32) - int(127);
+    let mantissa = F::from_signed_bits((bits & int(0x007f_ffff)) | int(0x3f80_0000));
     let y = (mantissa - one) / (mantissa + one);
     let z = y * y;
     let zz = z * z;
@@ -297,8 +298,8 @@ fn power(base: F, exponent: F) -> F {
         .max(splat(-126.999_99));
     let floor = x.floor();
     let fraction = x - floor;
-    let floor: I = floor.whole();
-    let scale = F::from_signed_bits((floor + whole(127)) << 23i32);
+    let floor: I = floor.truncate_to_int();
+    let scale = F::from_signed_bits((floor + int(127)) << 23i32);
     let square = fraction * fraction;
     let even = square.fused(splat(EXP2[4]), splat(EXP2[2]));
     let even = square.fused(even, splat(EXP2[0]));
@@ -313,7 +314,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn powers_are_near_the_true_ones() {
+    fn approximate_powers_are_near_the_exact_powers() {
         let bases = [0.0, 1e-3, 0.1, 0.5, 0.9, 0.99, 1.0, 1.5];
         for exponent in [0.5f32, 1.0, 10.0, 64.0] {
             let found = power(F::new(bases), F::splat(exponent)).to_array();

@@ -189,8 +189,8 @@ impl Matrix {
             && near(squares[0] - squares[2])
             && near(squares[0] - 1.0);
         let third = cross(c1, c2);
-        let off: Vec3 = std::array::from_fn(|axis| third[axis] - c3[axis]);
-        if unit && near(dot(c1, c2)) && dot(off, off) < SMALL * SMALL {
+        let offset: Vec3 = std::array::from_fn(|axis| third[axis] - c3[axis]);
+        if unit && near(dot(c1, c2)) && dot(offset, offset) < SMALL * SMALL {
             return Some([m[0], m[1], m[2], m[4], m[5], m[6], m[8], m[9], m[10]]);
         }
         general_inverse(|row, column| m[row + 4 * column])

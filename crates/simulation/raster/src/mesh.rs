@@ -11,7 +11,7 @@ use crate::lanes::LANES;
 use crate::matrix::{Vec3, cross, dot, minus};
 use crate::values::{Blob, Values};
 
-/// Most triangles in a cluster, so that indices of their corners fit a byte.
+/// Maximum number of triangles in a cluster, so that the indices of their corners fit in a byte.
 pub(crate) const CLUSTER: usize = 64;
 /// Weight of the difference in normals against distance when clusters are split, in radii of the
 /// mesh.
@@ -70,7 +70,8 @@ pub(crate) struct Sphere {
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Cluster {
     pub(crate) bounds: Sphere,
-    /// Axis of the normal cone; see [`Cluster::faces_away_from`].
+    /// Axis of the cone that contains all normals, and the sine of the angle between the axis and
+    /// the farthest normal; see [`Cluster::faces_away_from`].
     axis: Vec3,
     sine: f32,
     pub(crate) first_position: u32,
@@ -122,10 +123,10 @@ impl MeshBuilder {
         let bits = |corner: &Corner| corner.pos.map(f32::to_bits);
         let is_visible = |corners: &[Corner; 3]| {
             let [a, b, c] = corners.each_ref().map(bits);
-            let finite = corners
+            let is_finite = corners
                 .iter()
                 .all(|corner| corner.pos.iter().all(|x| x.is_finite()));
-            finite && a != b && b != c && c != a
+            is_finite && a != b && b != c && c != a
         };
         let all = self.triangles.iter().enumerate();
         let mut pieces: Vec<Piece> = all
@@ -155,6 +156,7 @@ struct Piece {
     pos: [Vec3; 3],
     /// Unit normal of its plane; zero if degenerate.
     facing: Vec3,
+    /// Centre, and normal times a weight: the dimensions along which triangles are split.
     key: [f32; 6],
 }
 
@@ -210,7 +212,7 @@ fn split(pieces: &mut [Piece], emit: &mut impl FnMut(&mut [Piece])) {
 
 impl Mesh {
     fn add_cluster(&mut self, pieces: &mut [Piece], triangles: &[[Corner; 3]]) {
-        // Sorted by drawing order: a later triangle wins at equal depth.
+        // The triangles are sorted by drawing order: at equal depth, the later triangle is visible.
         pieces.sort_unstable_by_key(|piece| piece.order);
         let (first_position, first_vertex) = (self.xs.len() as u32, self.vertices.len() as u32);
         let first_triangle = self.order.len() as u32;
@@ -330,13 +332,13 @@ impl Mesh {
             ],
             bounds,
         };
-        let lies_inside = |cluster: &Cluster| {
+        let is_within_arrays = |cluster: &Cluster| {
             let end = |first: u32, count: u32| first as usize + count as usize;
             end(cluster.first_position, cluster.positions) <= positions
                 && end(cluster.first_vertex, cluster.vertices) <= vertices
                 && end(cluster.first_triangle, cluster.triangles) <= triangles
         };
-        (blob.is_empty() && mesh.clusters.iter().all(lies_inside)).then_some(mesh)
+        (blob.is_empty() && mesh.clusters.iter().all(is_within_arrays)).then_some(mesh)
     }
 
     /// Returns the number of triangles.
@@ -416,8 +418,8 @@ fn bounding_sphere(points: impl Iterator<Item = Vec3> + Clone) -> Sphere {
     let center: Vec3 = std::array::from_fn(|axis| low[axis] * 0.5 + high[axis] * 0.5);
     let furthest = points
         .map(|point| {
-            let off = minus(point, center);
-            dot(off, off)
+            let offset = minus(point, center);
+            dot(offset, offset)
         })
         .fold(0.0, f32::max);
     Sphere {
@@ -499,7 +501,7 @@ mod tests {
     }
 
     #[test]
-    fn a_mesh_is_restored_from_its_bytes_only() {
+    fn only_the_complete_bytes_restore_a_mesh() {
         let mut builder = MeshBuilder::default();
         for index in 0..200 {
             let x = index as f32;
@@ -513,9 +515,9 @@ mod tests {
         // Vectors of bytes may be misaligned; mapped files are aligned.
         let words: Vec<u32> = bytemuck::pod_collect_to_vec(&bytes);
         let aligned = Bytes::from_owner(Aligned(words)).slice(..bytes.len());
-        let back = Mesh::from_bytes(aligned.clone()).expect("a mesh");
-        assert_eq!(back.triangles(), 200);
-        assert!(back.to_bytes() == bytes);
+        let restored = Mesh::from_bytes(aligned.clone()).expect("a mesh");
+        assert_eq!(restored.triangles(), 200);
+        assert!(restored.to_bytes() == bytes);
         for length in [0, 4, 30, bytes.len() / 2, bytes.len() - 1] {
             let truncated = Mesh::from_bytes(aligned.slice(..length));
             assert_eq!(truncated.err(), Some(ModelError::Bytes), "{length} bytes");

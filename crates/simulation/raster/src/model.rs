@@ -30,9 +30,9 @@ impl Model {
             stacks,
             quads,
         } = quality;
-        let possible =
+        let is_in_range =
             (3..=512).contains(&slices) && (4..=512).contains(&stacks) && (1..=64).contains(&quads);
-        if !possible {
+        if !is_in_range {
             return Err(ModelError::Quality {
                 slices,
                 stacks,

@@ -49,8 +49,8 @@ pub(crate) fn transform(
                 | bit(cz.gt(cw), 32);
             if let Some(plane) = drawing.plane {
                 let [a, b, c, d] = plane.map(F::splat);
-                let off = d.fused(cw, c.fused(cz, b.fused(cy, a * cx)));
-                beyond |= bit(off.lt(zero), 64);
+                let distance = d.fused(cw, c.fused(cz, b.fused(cy, a * cx)));
+                beyond |= bit(distance.lt(zero), 64);
             }
             any |= beyond;
         }
@@ -61,7 +61,7 @@ pub(crate) fn transform(
         let wz = cz * over_w;
         let subpixels = F::splat(SUBPIXELS as f32);
         let snapped = [wx, wy].map(|at| {
-            let at: I = (at * subpixels).nearest();
+            let at: I = (at * subpixels).round_to_int();
             at.max(I::splat(-MAX_COORDINATE))
                 .min(I::splat(MAX_COORDINATE))
         });

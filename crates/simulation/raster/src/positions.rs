@@ -67,7 +67,7 @@ impl Positions {
     #[inline(always)]
     pub(crate) fn corners(&self, ids: &[[u8; LANES]; 3]) -> EightTriangles {
         let mut rows = [[F::splat(0.0); LANES]; 3];
-        // Loops are used because closures of `map` become calls.
+        // Loops are used, because the closures of `map` would not be inlined.
         for (rows, ids) in rows.iter_mut().zip(ids) {
             for (row, id) in rows.iter_mut().zip(ids) {
                 *row = F::new(self.rows[usize::from(*id)]);

@@ -46,7 +46,7 @@ pub(crate) fn cube(texels: Texels<'_>, place: Place, [beside, over]: [Place; 2])
     let (face, changes) = Face::new(&place, &changes);
     let levels = Levels::choose(texels, footprint(texels, changes));
     let first = sample_cube_level(texels, &levels.first, &face);
-    if levels.is_one {
+    if levels.is_single {
         return first;
     }
     between(
@@ -74,26 +74,27 @@ struct Levels {
     second: [u8; LANES],
     /// Weight of the second level, 0 to 1.
     share: F,
-    is_one: bool,
+    /// True if no place needs the second level.
+    is_single: bool,
 }
 
 impl Levels {
     /// Chooses levels from the squared size of a pixel in texels of the largest level.
     #[inline(always)]
     fn choose(texels: Texels<'_>, square: F) -> Self {
-        let whole = |value: i32| I::splat(value);
+        let int = |value: i32| I::splat(value);
         let bits = square.to_signed_bits();
-        let exponent = ((bits >> 23i32) & whole(255)) - whole(128);
-        let mantissa = F::from_signed_bits((bits & whole(0x007f_ffff)) | whole(0x3f80_0000));
+        let exponent = ((bits >> 23i32) & int(255)) - int(128);
+        let mantissa = F::from_signed_bits((bits & int(0x007f_ffff)) | int(0x3f80_0000));
         let exponent: F = exponent.float();
         let detail = (exponent + mantissa) * F::splat(0.5);
         let floor = detail.floor();
-        let level: I = floor.whole();
-        let last = whole(texels.texture.levels.len() as i32 - 1);
-        let between = level.ge(whole(0)) & level.lt(last);
-        let first = level.max(whole(0)).min(last);
+        let level: I = floor.truncate_to_int();
+        let last = int(texels.texture.levels.len() as i32 - 1);
+        let between = level.ge(int(0)) & level.lt(last);
+        let first = level.max(int(0)).min(last);
         let share = between.select(detail - floor, F::splat(0.0));
-        let second = between.select_ints(first + whole(1), first);
+        let second = between.select_ints(first + int(1), first);
         let narrow = |values: I| -> [u8; LANES] {
             let values: [i32; LANES] = values.into();
             values.map(|value| value as u8)
@@ -101,7 +102,7 @@ impl Levels {
         Self {
             first: narrow(first),
             second: narrow(second),
-            is_one: !share.gt(F::splat(0.0)).any(),
+            is_single: !share.gt(F::splat(0.0)).any(),
             share,
         }
     }
@@ -118,9 +119,9 @@ struct Sizes {
 impl Sizes {
     #[inline(always)]
     fn new(texels: Texels<'_>, levels: &[u8; LANES]) -> Self {
-        let one = levels[0];
-        if levels.iter().all(|level| *level == one) {
-            let level = &texels.texture.levels[usize::from(one)];
+        let first = levels[0];
+        if levels.iter().all(|level| *level == first) {
+            let level = &texels.texture.levels[usize::from(first)];
             let splat = |value: usize| I::splat(value as i32);
             return Self {
                 width: splat(level.width),
@@ -212,8 +213,8 @@ fn flat_in_bytes(texels: Texels<'_>, levels: &Levels, s: F, t: F) -> Colour {
         top.blended(&Bytes::new(c).blended(&Bytes::new(d), u), v)
     };
     let mut colour = sample_level(&levels.first);
-    if !levels.is_one {
-        let share: I = (levels.share * F::splat(256.0)).whole();
+    if !levels.is_single {
+        let share: I = (levels.share * F::splat(256.0)).truncate_to_int();
         colour = colour.blended(&sample_level(&levels.second), Share::new(share));
     }
     let Bytes([even, odd]) = colour;
@@ -266,21 +267,21 @@ impl Bytes {
 /// Returns the texel before a place of a repeating texture, and the distance from it in 256ths.
 #[inline(always)]
 fn texel_in_256ths(at: F, size: I, is_power_of_two: bool) -> (I, I) {
-    let whole = |value: i32| I::splat(value);
+    let int = |value: i32| I::splat(value);
     if is_power_of_two {
         let scale: F = (size << 8i32).float();
-        let place: I = (at * scale).nearest();
-        let place = place - whole(128);
-        return ((place >> 8i32) & (size - whole(1)), place & whole(255));
+        let place: I = (at * scale).round_to_int();
+        let place = place - int(128);
+        return ((place >> 8i32) & (size - int(1)), place & int(255));
     }
     let size_as_float: F = size.float();
     let fraction = at - at.floor();
     let place = fraction * size_as_float * F::splat(256.0);
-    let place: I = place.nearest();
-    let place = place - whole(128);
+    let place: I = place.round_to_int();
+    let place = place - int(128);
     let texel = place >> 8i32;
-    let texel = texel.lt(whole(0)).select_ints(size - whole(1), texel);
-    (texel.min(size - whole(1)).max(whole(0)), place & whole(255))
+    let texel = texel.lt(int(0)).select_ints(size - int(1), texel);
+    (texel.min(size - int(1)).max(int(0)), place & int(255))
 }
 
 #[inline(always)]
@@ -294,7 +295,7 @@ fn flat_in_floats(texels: Texels<'_>, levels: &Levels, s: F, t: F) -> Colour {
         mix_four(texels, shares, true)
     };
     let first = sample_level(&levels.first);
-    if levels.is_one {
+    if levels.is_single {
         return first;
     }
     between(first, sample_level(&levels.second), levels.share)
@@ -341,18 +342,18 @@ fn linear(value: F) -> F {
 /// Like [`texel_in_256ths`], with the distance as a fraction.
 #[inline(always)]
 fn texel_and_share(at: F, size: I, is_power_of_two: bool) -> (I, F) {
-    let whole = |value: i32| I::splat(value);
+    let int = |value: i32| I::splat(value);
     let size_as_float: F = size.float();
     let half = F::splat(0.5);
     let at = if is_power_of_two { at } else { at - at.floor() };
     let place = at * size_as_float - half;
     let floor = place.floor();
-    let texel: I = floor.whole();
+    let texel: I = floor.truncate_to_int();
     let texel = if is_power_of_two {
-        texel & (size - whole(1))
+        texel & (size - int(1))
     } else {
-        let texel = texel.lt(whole(0)).select_ints(size - whole(1), texel);
-        texel.min(size - whole(1)).max(whole(0))
+        let texel = texel.lt(int(0)).select_ints(size - int(1), texel);
+        texel.min(size - int(1)).max(int(0))
     };
     (texel, place - floor)
 }
@@ -391,9 +392,9 @@ impl Face {
                 (dt - along * t) * half_over_major,
             ]
         });
-        let number = |value: i32| I::splat(value);
-        let axis = is_z.select_ints(number(4), widest_is_x.select_ints(number(0), number(2)));
-        let is_negative = (major.to_signed_bits() >> 31i32) & number(1);
+        let int = |value: i32| I::splat(value);
+        let axis = is_z.select_ints(int(4), widest_is_x.select_ints(int(0), int(2)));
+        let is_negative = (major.to_signed_bits() >> 31i32) & int(1);
         let face = Self {
             number: axis | is_negative,
             s: s * half_over_major.abs() + half,
@@ -406,27 +407,27 @@ impl Face {
 #[inline(always)]
 fn sample_cube_level(cube: Texels<'_>, level: &[u8; LANES], face: &Face) -> Colour {
     let sizes = Sizes::new(cube, level);
-    let whole = |value: i32| I::splat(value);
+    let int = |value: i32| I::splat(value);
     let side: F = sizes.width.float();
     let place = |at: F| {
         let place = at.max(F::splat(0.0)) * side - F::splat(0.5);
         let floor = place.floor();
-        let texel: I = floor.whole();
+        let texel: I = floor.truncate_to_int();
         // Directions too short for a valid face are clamped.
-        let texel = texel.max(whole(-1)).min(sizes.width);
+        let texel = texel.max(int(-1)).min(sizes.width);
         (texel, place - floor)
     };
     let ((x, u), (y, v)) = (place(face.s), place(face.t));
-    let last = sizes.width - whole(1);
-    let inside = |at: I| at.ge(whole(0)) & at.lt(last);
+    let last = sizes.width - int(1);
+    let inside = |at: I| at.ge(int(0)) & at.lt(last);
     let is_inside: Mask = inside(x) & inside(y);
     // Places that extend over an edge are clamped here and resampled below.
-    let clamped = |at: I| at.max(whole(0)).min(last);
-    let (x0, x1) = (clamped(x), clamped(x + whole(1)));
-    let (y0, y1) = (clamped(y), clamped(y + whole(1)));
+    let clamped = |at: I| at.max(int(0)).min(last);
+    let (x0, x1) = (clamped(x), clamped(x + int(1)));
+    let (y0, y1) = (clamped(y), clamped(y + int(1)));
     let start = sizes.start + face.number * sizes.image;
     let (row0, row1) = (start + y0 * sizes.width, start + y1 * sizes.width);
-    let is_beside = x1.equals(x0 + whole(1)).all();
+    let is_beside = x1.equals(x0 + int(1)).all();
     let [a, b] = fetch_two(cube, row0, [x0, x1], is_beside);
     let [c, d] = fetch_two(cube, row1, [x0, x1], is_beside);
     let mut colour = mix_four([a, b, c, d], [u, v], false);
@@ -462,9 +463,9 @@ struct EdgePlace<'a> {
 #[inline(never)]
 fn blend_over_edge(cube: Texels<'_>, at: &EdgePlace<'_>) -> [f32; CHANNELS] {
     let side = at.level.width as i32;
-    let off = |index: i32| index < 0 || index >= side;
+    let is_beyond_edge = |index: i32| index < 0 || index >= side;
     let places = [(0, 0), (1, 0), (0, 1), (1, 1)].map(|(dx, dy)| (at.x + dx, at.y + dy));
-    let texels = places.map(|(x, y)| match (off(x), off(y)) {
+    let texels = places.map(|(x, y)| match (is_beyond_edge(x), is_beyond_edge(y)) {
         (true, true) => None,
         (false, false) => Some(texel(cube, at.level, at.face, x, y)),
         _ => {
@@ -511,14 +512,14 @@ fn texel(cube: Texels<'_>, level: &Level, face: i32, x: i32, y: i32) -> [f32; CH
 fn neighbour(side: i32, face: i32, x: i32, y: i32) -> (i32, i32, i32) {
     // Coordinates across each face from -`side` to `side`, in half texels, clamped to the edge.
     let on_face = |index: i32| (2 * index + 1 - side).clamp(-side, side);
-    let (s, t, one) = (on_face(x), on_face(y), side);
+    let (s, t, edge) = (on_face(x), on_face(y), side);
     let [dx, dy, dz] = match face {
-        0 => [one, -t, -s],
-        1 => [-one, -t, s],
-        2 => [s, one, t],
-        3 => [s, -one, -t],
-        4 => [s, -t, one],
-        _ => [-s, -t, -one],
+        0 => [edge, -t, -s],
+        1 => [-edge, -t, s],
+        2 => [s, edge, t],
+        3 => [s, -edge, -t],
+        4 => [s, -t, edge],
+        _ => [-s, -t, -edge],
     };
     // The neighbouring face is on the axis, other than this face's own, whose coordinate is at the
     // edge.
@@ -547,12 +548,12 @@ mod tests {
                     let (other, ox, oy) = neighbour(side, face, x, y);
                     assert_ne!(other / 2, face / 2, "a neighbour is on another axis");
                     let inside = (x.clamp(0, side - 1), y.clamp(0, side - 1));
-                    let back = [(ox - 1, oy), (ox + 1, oy), (ox, oy - 1), (ox, oy + 1)]
+                    let returns = [(ox - 1, oy), (ox + 1, oy), (ox, oy - 1), (ox, oy + 1)]
                         .into_iter()
                         .filter(|(x, y)| !(0..side).contains(x) || !(0..side).contains(y))
                         .map(|(x, y)| neighbour(side, other, x, y))
                         .any(|place| place == (face, inside.0, inside.1));
-                    assert!(back, "face {face}, {x} {y} to {other}, {ox} {oy}");
+                    assert!(returns, "face {face}, {x} {y} to {other}, {ox} {oy}");
                 }
             }
         }

@@ -30,8 +30,8 @@ pub(crate) fn extent([a, b, c]: &[I; 3]) -> [I; 2] {
 /// Returns the mask of triangles that are large enough to be split into blocks.
 #[inline(always)]
 pub(crate) fn is_large(x: [I; 2], y: [I; 2]) -> Mask {
-    let [wide, high] = [x, y].map(|[least, most]| (most - least).ge(I::splat(LARGE)));
-    wide | high
+    let [is_wide, is_high] = [x, y].map(|[least, most]| (most - least).ge(I::splat(LARGE)));
+    is_wide | is_high
 }
 
 /// Returns the mask of the edges that own the samples exactly on them: true for left and lower

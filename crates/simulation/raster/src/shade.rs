@@ -25,7 +25,7 @@ pub(crate) struct Fragment {
 
 /// Longest side of a frame, pixels.
 pub(crate) const MAX_SIDE: usize = 4096;
-/// Bits of a column or row number, which is below [`MAX_SIDE`].
+/// Number of bits of a column or row number, which is below [`MAX_SIDE`].
 const SIDE_BITS: u32 = MAX_SIDE.ilog2();
 const SIDE_MASK: u32 = (1 << SIDE_BITS) - 1;
 const _: () = assert!(
@@ -63,7 +63,7 @@ impl Fragment {
     }
 }
 
-/// Lists that are reused from frame to frame.
+/// Lists of fragments and surfaces, reused from frame to frame.
 #[derive(Debug, Default)]
 pub(crate) struct Lists {
     /// Per record from `first` on: its surface, if listed.
@@ -134,7 +134,7 @@ pub(crate) fn list_fragments(
     listing.close();
 }
 
-/// Matches no record, and differs from [`NOTHING`].
+/// Id that matches no record and differs from [`NOTHING`].
 const NO_RECORD: u32 = NOTHING - 1;
 
 /// Appends fragments to the lists. Optimised for runs of fragments of the same triangle and list.
@@ -406,7 +406,7 @@ fn colour_eight(
     }
     let [r, g, b, a] = colour.map(|part| {
         let part = part.max(splat(0.0)).min(one) * splat(255.0);
-        let part: I = part.nearest();
+        let part: I = part.round_to_int();
         part
     });
     let packed = r | (g << 8i32) | (b << 16i32) | (a << 24i32);

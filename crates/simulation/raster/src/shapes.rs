@@ -257,7 +257,7 @@ fn open_cylinder(builder: &mut MeshBuilder, slices: usize, stacks: usize) {
     }
 }
 
-/// Positions of the lines of a plane's grid along one direction.
+/// Returns the positions of the lines of a plane's grid along one direction.
 ///
 /// `half` is half the plane's length, 0 for an infinite plane; `spacing` is the distance of its
 /// lines; `period` is the repeat length of its texture, if any; `far` is the viewing distance.
@@ -322,11 +322,11 @@ pub fn mesh_triangle(pos: [Vec3; 3], normals: [Vec3; 3], st: Option<[[f32; 2]; 3
     let face = normalized(crate::matrix::cross(u, v));
     std::array::from_fn(|index| {
         let normal = normals[index];
-        // In double precision, as C compares with such a constant.
-        let sharp = st.is_none() && f64::from(crate::matrix::dot(normal, face)) < 0.8;
+        // The comparison is in double precision, like C's comparison with a `double` constant.
+        let is_sharp = st.is_none() && f64::from(crate::matrix::dot(normal, face)) < 0.8;
         Corner {
             pos: pos[index],
-            normal: if sharp { face } else { normal },
+            normal: if is_sharp { face } else { normal },
             st: st.map_or([0.0; 2], |st| st[index]),
         }
     })
@@ -337,7 +337,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn shapes_have_as_many_triangles_as_mujocos() {
+    fn shapes_have_as_many_triangles_as_mujocos_shapes() {
         let quality = Quality {
             slices: 28,
             stacks: 16,

@@ -47,7 +47,7 @@ pub(crate) struct Vertices {
 const CAPACITY: usize = 256;
 const _: () = assert!(
     3 * CLUSTER + LANES <= CAPACITY,
-    "a byte indexes every vertex, and UNLIT"
+    "a byte holds the index of every vertex, and UNLIT"
 );
 /// Marks a vertex that no triangle has needed so far.
 const UNLIT: u8 = u8::MAX;
@@ -236,7 +236,10 @@ pub(crate) fn compute_clipped(
     visible: &Visible,
     record: &Record,
 ) -> Surface {
-    debug_assert_eq!(record.vertices, CLIPPED, "a piece of a triangle");
+    debug_assert_eq!(
+        record.vertices, CLIPPED,
+        "the record is a piece of a clipped triangle"
+    );
     let piece = &visible.clipped[record.triangle as usize];
     let ids = mesh
         .corners

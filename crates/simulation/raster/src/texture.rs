@@ -370,9 +370,9 @@ pub(crate) const SRGB_POLYNOMIAL: [f32; 4] = [
     0.6935 / (255.0 * 255.0),
     0.3012 / (255.0 * 255.0 * 255.0),
 ];
-/// Values up to this one are decoded linearly, with the following factor.
+/// Largest sRGB value that is decoded linearly, with [`SRGB_LINEAR_FACTOR`].
 pub(crate) const SRGB_LINEAR_TO: f32 = 15.0;
-/// See [`SRGB_LINEAR_TO`].
+/// Factor of sRGB values up to [`SRGB_LINEAR_TO`].
 pub(crate) const SRGB_LINEAR_FACTOR: f32 = 1.0 / (12.6 * 255.0);
 
 fn linear(value: u8) -> f32 {
@@ -422,7 +422,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn estimated_roots_are_within_a_two_thousandth() {
+    fn estimated_reciprocal_roots_have_errors_below_one_in_two_thousand() {
         for value in [
             0.0032f32, 0.01, 0.2499, 0.25, 0.3, 0.5, 0.99, 1.0, 2.0, 17.3,
         ] {
@@ -439,7 +439,7 @@ mod tests {
     fn levels_halve_down_to_one_texel() {
         let bytes: Vec<u8> = (0..12 * 5 * 3).map(|byte| byte as u8).collect();
         let flat = TextureKind::Flat { srgb: false };
-        let texture = Texture::new(flat, 12, 5, 3, &bytes).expect("it fits");
+        let texture = Texture::new(flat, 12, 5, 3, &bytes).expect("a texture");
         let sizes = texture
             .levels
             .iter()
@@ -452,7 +452,7 @@ mod tests {
     }
 
     #[test]
-    fn one_colour_stays_that_colour_on_every_level() {
+    fn a_texture_of_one_colour_has_that_colour_on_every_level() {
         for kind in [
             TextureKind::Flat { srgb: false },
             TextureKind::Flat { srgb: true },
@@ -460,7 +460,7 @@ mod tests {
         ] {
             for value in [0u8, 1, 15, 16, 100, 254, 255] {
                 let bytes = vec![value; 8 * 8 * 3];
-                let texture = Texture::new(kind, 8, 8, 3, &bytes).expect("it fits");
+                let texture = Texture::new(kind, 8, 8, 3, &bytes).expect("a texture");
                 let expected = u32::from_le_bytes([value, value, value, 255]);
                 let texels = Texels::new(&texture, &bytes);
                 let all = texture

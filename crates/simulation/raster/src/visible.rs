@@ -31,7 +31,7 @@ pub(crate) struct Record {
     pub(crate) vertices: u32,
 }
 
-/// See [`Record::vertices`].
+/// Value of [`Record::vertices`] that marks a piece of a clipped triangle.
 pub(crate) const CLIPPED: u32 = u32::MAX;
 
 /// Depth bounds of a block of the picture. Depths only grow while a picture is drawn, so bounds
@@ -99,12 +99,12 @@ impl Visible {
         self.blocks_in_row = self.width.div_ceil(BLOCK as usize);
         let blocks = self.blocks_in_row * self.height.div_ceil(BLOCK as usize);
         self.blocks.clear();
-        let nothing = Block {
+        let cleared = Block {
             parts: [0.0; LANES],
             whole: 0.0,
             writes,
         };
-        self.blocks.resize(blocks, nothing);
+        self.blocks.resize(blocks, cleared);
     }
 
     /// Returns the index of a pixel's block in `blocks`.
@@ -149,11 +149,11 @@ impl Visible {
     #[inline(never)]
     fn bounds(&self, [x, y]: [usize; 2]) -> Block {
         let mut parts = [F::splat(f32::INFINITY); LANES];
-        let [wide, high] = PART.map(|side| side as usize);
+        let [width, height] = PART.map(|side| side as usize);
         for row in 0..(self.height - y).min(BLOCK as usize) {
             for column in 0..2 {
-                let left = x + column * wide;
-                let right = (left + wide).min(self.width);
+                let left = x + column * width;
+                let right = (left + width).min(self.width);
                 if left >= right {
                     continue;
                 }
@@ -161,7 +161,7 @@ impl Visible {
                 let pixels = (right - left).next_multiple_of(2);
                 let first = ((y + row) * self.stride + left) * SAMPLES;
                 let samples = &self.depths[first..first + pixels * SAMPLES];
-                let least = &mut parts[row / high * 2 + column];
+                let least = &mut parts[row / height * 2 + column];
                 for eight in samples.chunks_exact(LANES) {
                     *least = least.min(F::load(eight));
                 }

@@ -76,7 +76,7 @@ fn every_part_of_the_room_changes_the_frame() {
 enum Change {
     Move(usize, [i8; 3]),
     Recolour(usize, u8),
-    Look([i8; 3]),
+    TurnCamera([i8; 3]),
     Dim(u8),
     Rest,
 }
@@ -85,7 +85,7 @@ fn change() -> impl Strategy<Value = Change> {
     prop_oneof![
         4 => (0..10usize, any::<[i8; 3]>()).prop_map(|(geom, by)| Change::Move(geom, by)),
         1 => (0..10usize, any::<u8>()).prop_map(|(geom, to)| Change::Recolour(geom, to)),
-        1 => any::<[i8; 3]>().prop_map(Change::Look),
+        1 => any::<[i8; 3]>().prop_map(Change::TurnCamera),
         1 => any::<u8>().prop_map(Change::Dim),
         4 => Just(Change::Rest),
     ]
@@ -99,7 +99,7 @@ impl Change {
         match *self {
             Self::Move(geom, by) => scene.geoms[geom].pos = moved(scene.geoms[geom].pos, by),
             Self::Recolour(geom, to) => scene.geoms[geom].rgba[3] = f32::from(to) / 255.0,
-            Self::Look(by) => scene.camera.forward = moved(scene.camera.forward, by),
+            Self::TurnCamera(by) => scene.camera.forward = moved(scene.camera.forward, by),
             Self::Dim(to) => scene.lights[1].diffuse = [f32::from(to) / 255.0; 3],
             Self::Rest => {}
         }
@@ -110,14 +110,14 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(24))]
 
     #[test]
-    fn earlier_frames_change_no_bit(changes in prop::collection::vec(change(), 1..24)) {
+    fn frames_do_not_depend_on_earlier_ones(changes in prop::collection::vec(change(), 1..24)) {
         let model = model();
         let mut scene = room();
         let mut canvas = Canvas::new();
         for (frame, change) in changes.iter().enumerate() {
             change.apply(&mut scene);
-            let mut fresh = Canvas::new();
-            let expected = fresh.draw(&model, &largest(), &scene, [64, 48]).expect("a frame");
+            let mut new_canvas = Canvas::new();
+            let expected = new_canvas.draw(&model, &largest(), &scene, [64, 48]).expect("a frame");
             let drawn = canvas.draw(&model, &largest(), &scene, [64, 48]).expect("a frame");
             prop_assert!(drawn == expected, "frame {frame} after {changes:?}");
         }
@@ -126,13 +126,13 @@ proptest! {
     #[test]
     fn every_scene_gives_a_frame_or_an_error(
         numbers in prop::collection::vec(any::<f32>(), 64),
-        near_numbers in prop::collection::vec(-2.0f32..2.0, 64),
+        bounded_numbers in prop::collection::vec(-2.0f32..2.0, 64),
         shapes in prop::collection::vec(0..7usize, 6),
-        is_wild in any::<bool>(),
+        is_unbounded in any::<bool>(),
         size in (prop_oneof![1..40usize, Just(0), Just(4097)], 1..40usize),
     ) {
         let mut model = model();
-        let numbers = if is_wild { numbers } else { near_numbers };
+        let numbers = if is_unbounded { numbers } else { bounded_numbers };
         let mut next = numbers.iter().copied().cycle();
         let mut number = || next.next().expect("endless");
         let mut builder = MeshBuilder::default();
@@ -160,7 +160,7 @@ proptest! {
             light.dir = std::array::from_fn(|_| number());
             light.diffuse = std::array::from_fn(|_| number());
         }
-        if is_wild {
+        if is_unbounded {
             scene.camera.pos = std::array::from_fn(|_| number());
             scene.camera.forward = std::array::from_fn(|_| number());
         }
@@ -224,21 +224,21 @@ fn a_scene_that_cannot_be_drawn_is_refused_with_the_reason() {
     assert_eq!(draw(&empty, 8), Ok(8 * 8 * 3));
 }
 
-/// Draws scenes one after the other on one canvas, each often enough to be cached, and compares the
-/// frames with those of new canvases.
+/// Draws the scenes in order on one canvas, each often enough to be cached, and compares every
+/// frame with one that a new canvas draws.
 fn assert_equal_to_new_canvases(scenes: &[Scene], size: [usize; 2]) {
     let model = model();
     let mut canvas = Canvas::new();
     for (number, scene) in scenes.iter().enumerate() {
-        let mut fresh = Canvas::new();
-        let expected = fresh
+        let mut new_canvas = Canvas::new();
+        let expected = new_canvas
             .draw(&model, &largest(), scene, size)
             .expect("a frame");
-        for time in 0..4 {
+        for repetition in 0..4 {
             let drawn = canvas
                 .draw(&model, &largest(), scene, size)
                 .expect("a frame");
-            assert!(drawn == expected, "scene {number}, time {time}");
+            assert!(drawn == expected, "scene {number}, repetition {repetition}");
         }
     }
 }
@@ -324,7 +324,7 @@ fn a_cube_sampled_in_very_short_directions_gives_a_frame() {
     let ball = &mut scene.geoms[6];
     ball.size = [1e-39; 3];
     ball.mat = scenes::UPRIGHT.map(|part| part * 3e38);
-    let texture = ball.texture.as_mut().expect("it has one");
+    let texture = ball.texture.as_mut().expect("a texture");
     (texture.texture, texture.uniform) = (3, true);
     let mut canvas = Canvas::new();
     let frame = canvas.draw(&model(), &largest(), &scene, [64, 48]);

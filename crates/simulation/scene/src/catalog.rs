@@ -27,9 +27,9 @@ pub enum Articulation {
     None,
     /// Drawers and doors.
     OpenClose {
-        /// Threshold beyond which it counts as open.
+        /// Threshold beyond which a drawer or door counts as open.
         open: Threshold,
-        /// Threshold beyond which it counts as closed.
+        /// Threshold beyond which a drawer or door counts as closed.
         close: Threshold,
         /// Range of the initial position if it starts open, m or rad.
         open_range: [f64; 2],
@@ -52,9 +52,9 @@ pub enum Articulation {
 /// One side of a joint's range.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub enum Threshold {
-    /// `q` strictly above.
+    /// Positions `q` strictly above the limit.
     Above(f64),
-    /// `q` strictly below.
+    /// Positions `q` strictly below the limit.
     Below(f64),
 }
 
@@ -99,7 +99,8 @@ const fn articulated(
     }
 }
 
-// Named for the axis and the angle in degrees. Those with `TO` draw the angle from a range.
+// The constants are named for the axis and the angle in degrees. Constants with `TO` draw the angle
+// from a range.
 const X_0: Rotation = Rotation::About(Axis::X, [0.0, 0.0]);
 const Y_0: Rotation = Rotation::About(Axis::Y, [0.0, 0.0]);
 const X_90: Rotation = Rotation::About(Axis::X, [FRAC_PI_2, FRAC_PI_2]);

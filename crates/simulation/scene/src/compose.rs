@@ -282,7 +282,7 @@ fn find_regions(
 ) -> Result<Vec<RegionSite>, SceneError> {
     let mut sites: Vec<RegionSite> = Vec::new();
     for region in &problem.regions {
-        // Of two regions with the same name, the last definition counts, at the first one's place.
+        // Of regions with the same name, the last definition is used, at the position of the first.
         let region = problem
             .region(&region.name)
             .expect("the problem has the region");

@@ -165,7 +165,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn files_that_libero_lacks_are_unpacked() {
+    fn the_required_files_are_those_that_libero_lacks() {
         for (benchmark, expected) in [
             (Benchmark::Plus, (5280, 1525)),
             (Benchmark::Pro, (160, 160)),

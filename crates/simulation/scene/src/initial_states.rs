@@ -161,14 +161,17 @@ mod tests {
         let read = read_npy(&npy(header, &values)).unwrap();
         assert_eq!((read.rows, read.columns), (2, 3));
         assert_eq!(read.values, values);
-        for wrong in [
+        for invalid_header in [
             header.replace("<f8", "|O"),
             header.replace("False", "True"),
             header.replace("(2, 3)", "(6,)"),
             header.replace("(2, 3)", "(2, 4)"),
             header.replace("(2, 3)", "(18446744073709551615, 2)"),
         ] {
-            assert!(read_npy(&npy(&wrong, &values)).is_err(), "{wrong}");
+            assert!(
+                read_npy(&npy(&invalid_header, &values)).is_err(),
+                "{invalid_header}"
+            );
         }
         let whole = npy(header, &values);
         for end in 0..whole.len() {

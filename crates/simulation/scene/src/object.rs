@@ -88,11 +88,11 @@ pub(crate) fn build(
     add_prefix(&mut body, &prefix);
     add_prefix(&mut part.root, &prefix);
 
-    let names = |keep: &dyn Fn(&Element) -> bool| -> Vec<String> {
+    let names = |is_selected: &dyn Fn(&Element) -> bool| -> Vec<String> {
         let elements = body
             .descendants()
             .into_iter()
-            .filter(|element| keep(element));
+            .filter(|element| is_selected(element));
         elements
             .filter_map(|element| element.name().map(str::to_owned))
             .collect()
@@ -122,11 +122,11 @@ fn filter_and_name_geoms(body: &mut Element) {
     fn visit(element: &mut Element, count: &mut usize) {
         element.children.retain_mut(|child| {
             if child.tag == "geom" {
-                let keep = matches!(child.get("group"), None | Some("0" | "1"));
+                let is_kept = matches!(child.get("group"), None | Some("0" | "1"));
                 let name = format!("g{count}");
                 *count += 1;
                 child.set_default("name", &name);
-                return keep;
+                return is_kept;
             }
             visit(child, count);
             true
@@ -196,6 +196,6 @@ impl ObjectPart {
 }
 
 fn half_size(site: &Element) -> [f64; 3] {
-    let given = site.get("size").and_then(parse_numbers).unwrap_or_default();
-    std::array::from_fn(|axis| given.get(axis).copied().unwrap_or_default())
+    let size = site.get("size").and_then(parse_numbers).unwrap_or_default();
+    std::array::from_fn(|axis| size.get(axis).copied().unwrap_or_default())
 }

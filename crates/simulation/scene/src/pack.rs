@@ -171,8 +171,8 @@ impl AssetPack {
         let digest = hex(&hash.finalize());
         let dir = packs.join(format!("{PRIMITIVES}-{}", &digest[..12]));
         if !dir.is_dir() {
-            // Written to a temporary folder and renamed, so that slots that start together never
-            // see an incomplete pack.
+            // The pack is written to a temporary folder, which is then renamed, so that slots that
+            // start together never see an incomplete pack.
             let temporary = packs.join(format!(".{PRIMITIVES}-{}", std::process::id()));
             for (inside, bytes) in builtin::FILES {
                 let path = temporary.join(inside);
@@ -185,7 +185,7 @@ impl AssetPack {
             {
                 return Err(write_error(&dir, source));
             }
-            // Removes the copy if another process was faster; its pack is identical.
+            // Removes the temporary folder if another process was faster; its pack is identical.
             let _ = std::fs::remove_dir_all(&temporary);
         }
         Ok(Self {

@@ -255,7 +255,7 @@ mod tests {
     }
 
     #[test]
-    fn prefixing_twice_changes_nothing() {
+    fn a_prefix_is_added_only_once() {
         let mut root =
             Element::parse(r#"<body name="a"><geom mesh="m" pos="0 0 0"/></body>"#).unwrap();
         add_prefix(&mut root, "x_");

@@ -350,7 +350,7 @@ mod tests {
     }
 
     #[test]
-    fn a_small_file_cannot_become_a_large_value() {
+    fn a_small_file_cannot_use_much_memory() {
         // Each round nests the previous tuple twice.
         let mut bytes = b"\x80\x02)q\x00".to_vec();
         for _ in 0..40 {

@@ -221,7 +221,7 @@ impl JointSampler {
 
 impl PoseSampler {
     /// Samples a pose around `origin` + `site` that overlaps no instance placed before. `placed`
-    /// are the poses of the first of `samplers`.
+    /// holds the poses that the first samplers in `samplers` have sampled.
     fn sample(
         &self,
         rng: &mut LegacyRng,
@@ -261,9 +261,9 @@ impl PoseSampler {
 
     fn is_clear(&self, pos: [f64; 3], other_pos: [f64; 3], other: Footprint) -> bool {
         let distance = (pos[0] - other_pos[0]).hypot(pos[1] - other_pos[1]);
-        let beside = distance > other.radius + self.footprint.radius;
-        let above = pos[2] - other_pos[2] > other.top - self.footprint.bottom;
-        beside || above
+        let is_beside = distance > other.radius + self.footprint.radius;
+        let is_above = pos[2] - other_pos[2] > other.top - self.footprint.bottom;
+        is_beside || is_above
     }
 }
 

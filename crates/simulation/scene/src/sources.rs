@@ -20,7 +20,7 @@ pub struct Sources {
 impl Sources {
     /// Opens the folder after checking that its parts exist.
     pub fn open(dir: &Path) -> Result<Self, SceneError> {
-        // Made absolute, since MuJoCo resolves relative file names differently.
+        // The path is made absolute, since MuJoCo resolves relative file names differently.
         let sources = Self {
             dir: std::path::absolute(dir).unwrap_or_else(|_| dir.to_owned()),
         };
@@ -127,7 +127,7 @@ impl Sources {
     }
 }
 
-/// Asset folder that contains a file.
+/// Kind of asset folder: the asset pack, or robosuite's models.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub(crate) enum RootKind {
     Pack,
@@ -260,7 +260,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn file_names_become_independent_of_the_folder() {
+    fn file_names_are_resolved_inside_the_asset_folder() {
         let resolve = |folder: &str, name: &str| {
             FileRef::resolve(RootKind::Pack, Path::new(folder), name).map(|file| file.to_string())
         };

@@ -40,7 +40,7 @@ pub struct CompiledScene {
 #[derive(Clone)]
 pub(crate) struct Burner {
     pub(crate) site: usize,
-    /// Position coordinates of the stove's joints.
+    /// Indices of the stove's joint positions in qpos.
     pub(crate) knobs: Vec<usize>,
     pub(crate) on_threshold: f64,
     /// Current opacity, and the opacity that the last observation shows.
@@ -91,7 +91,7 @@ impl CompiledScene {
         &self.scene
     }
 
-    /// Returns the model as every rollout starts with it.
+    /// Returns the unperturbed model, with which every rollout starts.
     pub fn model(&self) -> &Model {
         &self.model
     }

@@ -144,9 +144,10 @@ impl Controller {
     /// velocities are up to date).
     pub fn set_goal(&mut self, model: &Model, data: &Data, action: &[f64; 7], frame: ActionFrame) {
         if frame == ActionFrame::Absolute {
-            let [x, y, z, turns @ ..] = *action;
+            let [x, y, z, axis_angle @ ..] = *action;
             self.goal_pos = Vector3::new(x, y, z);
-            self.goal_orientation = match Vector3::new(turns[0], turns[1], turns[2]) {
+            self.goal_orientation = match Vector3::new(axis_angle[0], axis_angle[1], axis_angle[2])
+            {
                 zero if zero == Vector3::zeros() => Matrix3::identity(),
                 rotation => rotation_of(rotation),
             };
@@ -319,7 +320,7 @@ mod tests {
         assert!(difference < 2e-7, "{difference}");
         assert!(
             difference > 1e-12,
-            "the original is not double precision: {difference}"
+            "the rotation is not in single precision like the original's: {difference}"
         );
     }
 

@@ -12,9 +12,9 @@ use crate::mujoco::{self, Data, Model, ObjectKind, Segment};
 use crate::observation::{Frame, RobotState, axis_angle_of};
 use crate::render::{Canvas, Drawer, View};
 
-/// First position coordinate of the fingers.
+/// Index of the fingers' first position in qpos.
 const FINGERS: usize = ARM_JOINTS;
-/// Substep whose kinematics an observation shows, once a state has been loaded after a reset.
+/// Substep of a control step whose kinematics an observation shows after a state was loaded.
 const OBSERVED_SUBSTEP: usize = SUBSTEPS - 2;
 /// Smallest size of frame buffers, pixels.
 const CANVAS_SIZE: u32 = 256;
@@ -25,9 +25,11 @@ pub struct Environment {
     canvas: Option<Canvas>,
     pub(crate) model: Model,
     pub(crate) data: Data,
-    /// Positions at the observed instant; no velocities.
+    /// Positions at the observed instant, which is the instant that observations show; without
+    /// velocities.
     pub(crate) observed: Data,
-    pub(crate) observed_is_posed: bool,
+    /// True if the poses in `observed` were computed from its positions.
+    pub(crate) has_observed_poses: bool,
     pub(crate) observed_joints: JointReadings,
     /// Substep of a control step whose kinematics the observation shows.
     pub(crate) observed_substep: usize,
@@ -72,7 +74,7 @@ impl Environment {
             controller: Controller::new(&model, &data)?,
             burners: compiled.burners.clone(),
             observed: Data::new(&model)?,
-            observed_is_posed: false,
+            has_observed_poses: false,
             observed_joints: JointReadings::default(),
             observed_substep: OBSERVED_SUBSTEP,
             canvas: None,
@@ -158,10 +160,10 @@ impl Environment {
 
     /// Restores the cameras and lights of the scene; moving parts stay in place.
     pub(crate) fn restore_appearance(&mut self) {
-        let glow = self.model.site_rgba().to_vec();
+        let site_rgba = self.model.site_rgba().to_vec();
         self.model.copy_own(&self.compiled.model);
-        self.model.site_rgba_mut().copy_from_slice(&glow);
-        self.observed_is_posed = false;
+        self.model.site_rgba_mut().copy_from_slice(&site_rgba);
+        self.has_observed_poses = false;
     }
 
     /// Simulates one control step: 50 ms in 25 simulation steps. Returns true if the goal holds
@@ -170,7 +172,7 @@ impl Environment {
         self.step_in(action, ActionFrame::Relative)
     }
 
-    /// As [`step`](Self::step), with an action that is a displacement or a pose.
+    /// As [`step`](Self::step). Depending on `frame`, the action is a displacement or a pose.
     pub fn step_in(&mut self, action: &[f64; 7], frame: ActionFrame) -> Result<bool, SimError> {
         // Discards warnings of a failed step of any environment on this thread.
         mujoco::take_warnings();
@@ -310,18 +312,18 @@ impl Environment {
     ) -> Result<T, SimError> {
         let id = self.model.id(ObjectKind::Camera, camera)?;
         self.pose_observed();
-        let [wide, high] = size.map(|side| side.max(CANVAS_SIZE));
+        let [width, height] = size.map(|side| side.max(CANVAS_SIZE));
         if self
             .canvas
             .as_ref()
-            .is_none_or(|canvas| !canvas.is_usable_for(drawer, wide, high))
+            .is_none_or(|canvas| !canvas.is_usable_for(drawer, width, height))
         {
             self.canvas = None;
             self.canvas = Some(Canvas::new(
                 drawer,
                 &mut self.model,
                 |_| self.compiled.prepared(),
-                [wide, high],
+                [width, height],
             )?);
         }
         self.show_burners(|burner| burner.observed_opacity);
@@ -332,9 +334,9 @@ impl Environment {
             camera: id,
             size,
         };
-        let drawn = draw(canvas, view);
+        let output = draw(canvas, view);
         self.show_burners(|burner| burner.opacity);
-        drawn
+        output
     }
 
     /// Sets the observed state to the current one.
@@ -349,7 +351,7 @@ impl Environment {
     fn record_positions(&mut self) {
         let qpos = self.observed.qpos_mut(&self.model);
         qpos.copy_from_slice(self.data.qpos(&self.model));
-        self.observed_is_posed = false;
+        self.has_observed_poses = false;
     }
 
     fn record_joints(&mut self) {
@@ -365,11 +367,11 @@ impl Environment {
     /// Computes the observed poses, at most once per control step and only if an observation is
     /// requested.
     fn pose_observed(&mut self) {
-        if !self.observed_is_posed {
+        if !self.has_observed_poses {
             self.observed.kinematics(&self.model);
             self.observed.com_pos(&self.model);
             self.observed.camlight(&self.model);
-            self.observed_is_posed = true;
+            self.has_observed_poses = true;
         }
     }
 
@@ -393,11 +395,11 @@ impl Environment {
     pub(crate) fn update_burners(&mut self) {
         let qpos = self.data.qpos(&self.model);
         for burner in &mut self.burners {
-            let on = burner
+            let is_on = burner
                 .knobs
                 .iter()
                 .any(|knob| qpos[*knob] >= burner.on_threshold);
-            if on != (burner.opacity > 0.0) {
+            if is_on != (burner.opacity > 0.0) {
                 burner.opacity = 1.0 - burner.opacity;
             }
         }

@@ -138,8 +138,8 @@ impl Conditions {
         })
     }
 
-    /// Begins a LIBERO-family variant. Only the row's initial state and waits are used; its
-    /// perturbation is ignored.
+    /// Resets the environment to the start of a LIBERO-family variant. Uses only the row's initial
+    /// state and number of settling steps, and ignores its perturbation.
     ///
     /// # Errors
     /// If there is no such initial state, or the scene cannot be reset.
@@ -247,7 +247,7 @@ impl<'a> Episode<'a> {
         let init_id = usize::from(row.init_id);
         let digests = Digests {
             scene: ready.digest.clone(),
-            init_state: ready.states.digest(init_id).expect("it was loaded"),
+            init_state: ready.states.digest(init_id).expect("the state was loaded"),
         };
         Ok(Self {
             environment,
@@ -310,8 +310,8 @@ impl<'a> Episode<'a> {
         let (model, data) = self.environment.model_and_data();
         let jacobian = arm_state(model, data, site).jacobian;
         let jacobian = jacobian.fixed_rows::<3>(0).into_owned();
-        // Large enough to make the matrix invertible in every posture, and negligible beside its
-        // elements.
+        // The damping makes the matrix invertible in every posture, and is negligible beside the
+        // matrix's elements.
         let damped = jacobian * jacobian.transpose() + Matrix3::identity() * NUDGE_DAMPING;
         let inverse = damped.try_inverse().expect("positive definite");
         let change = jacobian.transpose() * inverse * nalgebra::Vector3::new(0.0, 0.0, NUDGE_M);
@@ -385,7 +385,7 @@ fn apply_lighting(
 ) -> Vec<f64> {
     let look_at = ready.look_at;
     let model = environment.model_mut();
-    let wide = |values: &[f32], light: usize| -> [f64; 3] {
+    let to_doubles = |values: &[f32], light: usize| -> [f64; 3] {
         std::array::from_fn(|channel| f64::from(values[light * 3 + channel]))
     };
     let triple = |values: &[f64], light: usize| -> [f64; 3] {
@@ -394,8 +394,8 @@ fn apply_lighting(
     let lights = (0..model.count(ObjectKind::Light)).map(|light| Light {
         position: triple(model.light_pos(), light),
         direction: triple(model.light_dir(), light),
-        diffuse: wide(model.light_diffuse(), light),
-        specular: wide(model.light_specular(), light),
+        diffuse: to_doubles(model.light_diffuse(), light),
+        specular: to_doubles(model.light_specular(), light),
     });
     let nominal = Lighting {
         lights: lights.collect(),
@@ -408,9 +408,9 @@ fn apply_lighting(
         let at = index * 3;
         model.light_pos_mut()[at..][..3].copy_from_slice(&light.position);
         model.light_dir_mut()[at..][..3].copy_from_slice(&light.direction);
-        let narrow = |colour: [f64; 3]| colour.map(|channel| channel as f32);
-        model.light_diffuse_mut()[at..][..3].copy_from_slice(&narrow(light.diffuse));
-        model.light_specular_mut()[at..][..3].copy_from_slice(&narrow(light.specular));
+        let to_singles = |colour: [f64; 3]| colour.map(|channel| channel as f32);
+        model.light_diffuse_mut()[at..][..3].copy_from_slice(&to_singles(light.diffuse));
+        model.light_specular_mut()[at..][..3].copy_from_slice(&to_singles(light.specular));
         for part in [
             light.position,
             light.direction,

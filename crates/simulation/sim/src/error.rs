@@ -2,8 +2,8 @@
 
 use crate::mujoco::ObjectKind;
 
-/// Reason why a rollout could not be simulated. None of these is a failure of the policy:
-/// the rollout is retried.
+/// Reason why a rollout could not be simulated. None of these errors is a failure of the policy,
+/// so the rollout is retried.
 #[derive(Debug, thiserror::Error)]
 pub enum SimError {
     #[error(transparent)]
@@ -48,7 +48,7 @@ pub enum SimError {
          command displacements (control=\"relative\"), or leave the actuation axis out"
     )]
     DistortedPose,
-    #[error("look through camera `{0}`: policies have agentview and robot0_eye_in_hand")]
+    #[error("draw a frame of camera `{0}`: policies receive agentview and robot0_eye_in_hand")]
     Camera(String),
     #[error(transparent)]
     Corruption(#[from] libero_family::corruption::UnsuitedPicture),

@@ -17,7 +17,7 @@ use crate::render::{Canvas, Drawer, Prepared, View};
 
 /// Scene: an arm of seven joints that pushes objects.
 const SCENE: &str = include_str!("fingerprint.mjcf");
-/// Simulation steps of 2 ms.
+/// Number of simulation steps, 2 ms each.
 const STEPS: u32 = 150;
 const ARM_JOINTS: usize = 7;
 /// Amplitude of the motors' torques, Nm, and the increase of frequency from one motor to the next,
@@ -107,8 +107,8 @@ fn functions(secs: f64) -> [f64; 11] {
 }
 
 fn frames(drawer: &Drawer, model: &mut Model, data: &mut Data) -> Result<Vec<Vec<u8>>, SimError> {
-    let (width, height) = FRAMES.iter().fold((0, 0), |(wide, high), frame| {
-        (frame.1.max(wide), frame.2.max(high))
+    let (width, height) = FRAMES.iter().fold((0, 0), |(width, height), frame| {
+        (frame.1.max(width), frame.2.max(height))
     });
     let prepare = |model: &Model| Prepared::from_model(model).map(Arc::new);
     let mut canvas = Canvas::new(drawer, model, prepare, [width, height])?;
@@ -157,12 +157,12 @@ mod tests {
     fn a_fingerprint_is_repeatable_and_takes_less_than_three_seconds() {
         let drawer = Drawer::open(Renderer::default()).expect("a renderer");
         let started = Instant::now();
-        let one = fingerprint(&drawer).expect("a fingerprint");
+        let first = fingerprint(&drawer).expect("a fingerprint");
         let took = started.elapsed();
-        println!("{one} in {took:?}");
-        assert_eq!(one.len(), 64);
-        assert_eq!(one, fingerprint(&drawer).expect("a fingerprint"));
-        // Ten times the duration on two old cores.
+        println!("{first} in {took:?}");
+        assert_eq!(first.len(), 64);
+        assert_eq!(first, fingerprint(&drawer).expect("a fingerprint"));
+        // The limit is ten times the duration on two old cores.
         assert!(took < Duration::from_secs(3), "{took:?}");
     }
 
@@ -185,11 +185,11 @@ mod tests {
         let (model, data, numbers) = simulated();
         assert!(numbers.iter().all(|number| number.is_finite()));
         assert_eq!(data.instabilities(), 0);
-        let touching: BTreeSet<i32> = data.contacts().flat_map(|touch| touch.geoms).collect();
+        let touching: BTreeSet<i32> = data.contacts().flat_map(|contact| contact.geoms).collect();
         assert!(touching.len() >= 5, "{touching:?}");
         let travel: Vec<f64> = data.qpos(&model)[..ARM_JOINTS].to_vec();
         assert!(travel.iter().all(|angle| angle.abs() > 1e-3), "{travel:?}");
-        // All three inverses must exist in every step.
+        // The result holds the elements of three inverse matrices if all three exist.
         let arm = operational_space(&model, &data, 0);
         assert_eq!(arm.len(), 49 + 36 + 9);
     }

@@ -1,6 +1,8 @@
 //! LIBERO in MuJoCo: compiled scenes, robot controllers, success, offscreen rendering, and the
 //! perturbations of LIBERO-CTRL.
 //!
+//! Comments call hf-libero 0.1.4 with robosuite 1.4.0 the original.
+//!
 //! The only crate of the workspace with `unsafe` code: in [`mujoco`], in the OpenGL calls of
 //! [`render`], and in the mapping of scene files. It is behind safe types, with a reason at every
 //! block.

@@ -42,6 +42,6 @@ impl Environment {
         for (burner, opacity) in self.burners.iter_mut().zip(&look.burner_opacities) {
             burner.observed_opacity = *opacity;
         }
-        self.observed_is_posed = false;
+        self.has_observed_poses = false;
     }
 }

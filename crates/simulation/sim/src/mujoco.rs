@@ -29,7 +29,8 @@ pub(crate) use visual_scene::VisualScene;
 /// error handler must not return, and C frames cannot be unwound.
 pub const FATAL_EXIT_STATUS: i32 = 86;
 
-/// Most warnings kept between two calls of `take_warnings`; even one ends the rollout.
+/// Maximum number of warnings stored between two calls of [`take_warnings`]. A single warning
+/// already ends the rollout.
 const MAX_WARNINGS: usize = 8;
 
 thread_local! {

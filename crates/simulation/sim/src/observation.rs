@@ -82,7 +82,7 @@ mod tests {
     use super::axis_angle_of;
 
     #[test]
-    fn antipodes_are_not_flipped() {
+    fn axis_angles_may_exceed_half_a_turn() {
         let half = std::f64::consts::FRAC_1_SQRT_2;
         let near = axis_angle_of([half, 0.0, 0.0, half]);
         assert!((near[0] - std::f64::consts::FRAC_PI_2).abs() < 1e-12);

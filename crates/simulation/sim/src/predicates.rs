@@ -103,9 +103,9 @@ impl Goal {
         match check {
             Check::OnObject { upper, lower } => {
                 let (above, below) = (position(upper), position(lower));
-                let apart = (below[0] - above[0]).hypot(below[1] - above[1]);
+                let distance = (below[0] - above[0]).hypot(below[1] - above[1]);
                 below[2] <= above[2]
-                    && apart < STACKED_DISTANCE
+                    && distance < STACKED_DISTANCE
                     && self.are_touching(data, upper.instance, lower.instance)
             }
             Check::OnSite {
@@ -265,7 +265,7 @@ impl<'a> Resolver<'a> {
                     articulation_check(&predicate.name, instance.category.articulation)
                         .ok_or_else(|| {
                             problem(&format!(
-                                "a {} does not support `{}`",
+                                "category `{}` does not support `{}`",
                                 instance.category.name, predicate.name
                             ))
                         })?;

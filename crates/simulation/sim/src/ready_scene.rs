@@ -57,7 +57,7 @@ impl ReadyScene {
                 needed,
             });
         }
-        environment.load(states.get(0).expect("there is at least one"));
+        environment.load(states.get(0).expect("a file holds at least one state"));
         let camera = nominal_camera(&environment)?;
         let look_at = look_at_point(&camera, &movable_centres(&environment));
         Ok(Self {

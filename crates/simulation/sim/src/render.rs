@@ -256,7 +256,7 @@ mod tests {
         assert!(before.iter().any(|channel| *channel != before[0]));
         drop(drawer);
         let after = canvas.draw(view(&model, &mut data)).expect("a picture");
-        assert!(before == after, "the picture changed");
+        assert!(before == after, "the picture has changed");
         drop(model);
         drop(canvas);
     }
@@ -274,13 +274,13 @@ mod tests {
         for _ in 0..2 {
             for canvas in [&mut first, &mut second] {
                 let again = canvas.draw(view(&model, &mut data)).expect("a picture");
-                assert!(again == picture, "the picture changed");
+                assert!(again == picture, "the picture has changed");
             }
         }
         drop(second);
         drop(other);
         let again = first.draw(view(&model, &mut data)).expect("a picture");
-        assert!(again == picture, "the picture changed");
+        assert!(again == picture, "the picture has changed");
     }
 
     #[test]
@@ -311,7 +311,7 @@ mod tests {
             let (other, mut foreign) = scene();
             let mut canvas = canvas(drawer, &mut own);
             canvas.draw(view(&own, &mut data)).expect("a picture");
-            let mut refused = |model: &Model, data: &mut Data| {
+            let mut panic_message = |model: &Model, data: &mut Data| {
                 let drawn = AssertUnwindSafe(|| canvas.draw(view(model, data)));
                 let message = catch_unwind(drawn).expect_err("another model");
                 message
@@ -321,10 +321,10 @@ mod tests {
                     .to_owned()
             };
             let scene = "this scene was made for another model";
-            assert_eq!(refused(&other, &mut foreign), scene);
-            assert_eq!(refused(&other, &mut data), scene);
+            assert_eq!(panic_message(&other, &mut foreign), scene);
+            assert_eq!(panic_message(&other, &mut data), scene);
             let state = "this is a state of another model";
-            assert_eq!(refused(&own, &mut foreign), state);
+            assert_eq!(panic_message(&own, &mut foreign), state);
         }
     }
 
@@ -338,8 +338,8 @@ mod tests {
             assert_eq!(text.parse(), Ok(renderer));
             assert_eq!(renderer.to_string(), text);
         }
-        for wrong in ["", "opengl", "gl:", "gl:x", "Software"] {
-            let error = wrong.parse::<Renderer>().expect_err(wrong);
+        for invalid in ["", "opengl", "gl:", "gl:x", "Software"] {
+            let error = invalid.parse::<Renderer>().expect_err(invalid);
             assert!(error.contains("`gl:N`"), "{error}");
         }
     }

@@ -24,7 +24,7 @@ pub enum Reset {
 
 /// The samplers, resolved to indices in MuJoCo's arrays.
 pub(crate) struct Resets {
-    /// Per joint sampler: the first position coordinates of its joints.
+    /// Per joint sampler: indices in qpos of its joints' first positions.
     joints: Vec<Vec<usize>>,
     targets: Vec<Target>,
     sites: Vec<usize>,
@@ -33,7 +33,7 @@ pub(crate) struct Resets {
 }
 
 enum Target {
-    /// First position coordinate of a free joint.
+    /// Index in qpos of a free joint's first position.
     FreeJoint(usize),
     Body(usize),
 }

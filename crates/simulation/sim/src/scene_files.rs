@@ -153,9 +153,9 @@ pub(crate) fn name_of_scene(scene: &Scene, pack: &AssetPack, sources: &Sources) 
     let mut hash = Sha256::new();
     hash.update(layout());
     hash.update(pack.digest());
-    // Unlike the pack's files, the robot's have no stored digest, and reading them would take
-    // longer than everything else. Size and modification time suffice, since they are written only
-    // at installation.
+    // Unlike the pack's files, the robot's files have no stored digest, and reading them would take
+    // longer than everything else. Size and modification time suffice, since the robot's files are
+    // written only at installation.
     for file in scene.robot_files(sources) {
         if let Ok(metadata) = fs::metadata(&file) {
             for number in [

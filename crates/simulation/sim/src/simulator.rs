@@ -22,7 +22,7 @@ pub struct SimulatorConfig {
     /// Asset pack with models of objects and arenas.
     pub pack: AssetPack,
     pub renderer: Renderer,
-    /// Compiled scenes kept in memory; each takes some 100 MB with the real assets, unless it is in
+    /// Compiled scenes kept in memory; each takes some 100 MB with LIBERO's assets, unless it is in
     /// a scene file.
     pub cached_scenes: usize,
 }
@@ -52,7 +52,7 @@ impl Simulator {
         &self.config.sources
     }
 
-    /// Returns the library's version, for example `3.3.7`.
+    /// Returns MuJoCo's version, for example `3.3.7`.
     pub fn mujoco_version() -> String {
         mujoco::version()
     }
@@ -62,10 +62,10 @@ impl Simulator {
         Ok(self.drawer.open()?.name().to_owned())
     }
 
-    /// Returns the fingerprint of this process and its renderer, opening it if necessary.
+    /// Returns the fingerprint of this process and its renderer, opening the renderer if necessary.
     pub fn fingerprint(&mut self) -> Result<String, SimError> {
-        if let Some(known) = &self.fingerprint {
-            return Ok(known.clone());
+        if let Some(cached) = &self.fingerprint {
+            return Ok(cached.clone());
         }
         let fingerprint = fingerprint(self.drawer.open()?)?;
         self.fingerprint = Some(fingerprint.clone());
@@ -92,8 +92,8 @@ impl Simulator {
         self.begin_episode(files, row, realisation, None)
     }
 
-    /// Prepares a rollout of a LIBERO-family variant up to the state in which its waits begin. Only
-    /// the row's initial state and waits are used.
+    /// Prepares a rollout of a LIBERO-family variant up to the state in which it starts to settle.
+    /// Uses only the row's initial state and number of settling steps.
     pub fn begin_variant(
         &mut self,
         files: TaskFiles,
@@ -122,7 +122,7 @@ impl Simulator {
         )
     }
 
-    /// Moves the scene of these files to the front, compiling it if necessary.
+    /// Moves the scene of these files to the front of the cache, compiling it if necessary.
     fn make_ready(&mut self, files: TaskFiles) -> Result<(), SimError> {
         if let Some(index) = self
             .scenes

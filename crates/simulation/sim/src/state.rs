@@ -71,7 +71,7 @@ impl Environment {
             rounds += u32::from(reset == Reset::Hard);
         }
         data.forward(model);
-        // A burner that is on glows only from the first step on.
+        // A burner that is turned on becomes visible only in the first step.
         hide_marker_sites(&compiled.scene, model);
         for burner in &mut self.burners {
             burner.opacity = model.site_rgba()[burner.site * 4 + 3];
@@ -164,7 +164,7 @@ impl Environment {
         self.model.copy_own(&snapshot.model);
         self.data.copy_from(&self.model, &snapshot.data);
         self.observed.copy_from(&self.model, &snapshot.observed);
-        self.observed_is_posed = false;
+        self.has_observed_poses = false;
         self.observed_joints = snapshot.observed_joints;
         self.observed_substep = snapshot.observed_substep;
         self.controller.clone_from(&snapshot.controller);

@@ -19,11 +19,11 @@ const ROUNDS: u32 = 2;
 /// glass blur draws from the generator.
 const DRAWN_SIDE: usize = 256;
 
-/// State in which a rollout's waits begin.
+/// State in which a rollout starts to settle, with the protocol's number of waits (no-op actions).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Start {
     /// The row's initial state, loaded after a reset. The controllers stay as the reset left them,
-    /// so the waits turn the hand back to its orientation at the reset.
+    /// so the hand turns back to its orientation at the reset while the scene settles.
     InitialState,
     /// The state after the reset.
     Reset,
@@ -31,15 +31,15 @@ pub enum Start {
 
 #[derive(Debug, Clone, PartialEq)]
 pub struct VariantStart {
-    /// Pose of `agentview`; `None` for LIBERO's, unrounded.
+    /// Pose of `agentview`; `None` for LIBERO's pose, which is not rounded.
     pub view: Option<View>,
     /// Angles of the arm's joints at the reset, rad; `None` for LIBERO's.
     pub posture: Option<[f64; ARM_JOINTS]>,
     pub seed: u32,
-    /// Number of resets with the same generator before the actual one: that of the preceding
-    /// trials, since harnesses seed only once.
+    /// Number of resets with the same generator before the reset of this rollout: the resets of the
+    /// preceding trials, since harnesses seed only once.
     pub earlier_resets: u32,
-    /// State in which the waits begin.
+    /// State in which the rollout starts to settle.
     pub start: Start,
     /// Corruption of pictures from `agentview`.
     pub corruption: Option<Corruption>,

@@ -47,7 +47,7 @@ fn realise(row: &ManifestRow, mode: Realisation) -> Realised {
         realised.add(Axis::Camera, &shift.values(), &values, &[]);
     }
     if let Some(shift) = &perturbation.lighting {
-        let values = numbers(&shift_lighting(&nominal_lighting(), look_at, shift));
+        let values = lighting_values(&shift_lighting(&nominal_lighting(), look_at, shift));
         realised.add(Axis::Lighting, &shift.values(), &values, &[]);
     }
     if let Some(shift) = &perturbation.robot {
@@ -132,30 +132,30 @@ fn nominal_lighting() -> Lighting {
     }
 }
 
-fn numbers(lighting: &Lighting) -> Vec<f64> {
+fn lighting_values(lighting: &Lighting) -> Vec<f64> {
     let lights = lighting.lights.iter();
     let lights = lights.flat_map(|l| [l.position, l.direction, l.diffuse, l.specular]);
     lights.flatten().chain(lighting.headlight_ambient).collect()
 }
 
 fn any_level() -> impl Strategy<Value = Level> {
-    let other = (1..=20_000_u32).prop_map(|millis| {
+    let radius = (1..=20_000_u32).prop_map(|millis| {
         let text = format!("r{}.{:03}", millis / 1_000, millis % 1_000);
         text.parse().expect("a level")
     });
-    prop_oneof![select(Level::PERTURBED.to_vec()), other]
+    prop_oneof![select(Level::PERTURBED.to_vec()), radius]
 }
 
 prop_compose! {
-    /// Generates one configuration and axes to combine in it.
-    fn any_unit()(
+    /// Generates a design with one task, one configuration, and the axes to combine in it.
+    fn any_design()(
         axes in subsequence(Axis::METRIC.to_vec(), 2..=5),
         task in select(TaskRef::all().collect::<Vec<_>>()),
         level in any_level(),
         config in prop_oneof![0..10_u16, 0..MAX_CONFIGS],
         seed in any::<u64>(),
     ) -> Design {
-        // With three axes or more, also tests the pair of the first two.
+        // A design with three axes or more also has a condition with its first two axes.
         let pair = axes[..2].iter().copied().collect();
         let subsets = if axes.len() > 2 { vec![pair] } else { Vec::new() };
         Design {
@@ -171,7 +171,8 @@ prop_compose! {
     }
 }
 
-/// Calls `compare` with every axis alone or in a pair, and with the combination.
+/// Calls `compare` for each axis of every condition with one or two axes. Its arguments are the
+/// axis, the perturbation realised in that condition, and the one realised in the combination.
 fn each_axis(
     design: &Design,
     mode: Realisation,
@@ -196,7 +197,7 @@ proptest! {
     })]
 
     #[test]
-    fn an_axis_alone_and_in_any_combination_is_realised_bit_for_bit_alike(design in any_unit()) {
+    fn an_axis_has_the_same_bits_alone_and_in_any_combination(design in any_design()) {
         let mut compared = 0;
         each_axis(&design, Realisation::Matched, |axis, alone, combined| {
             assert_eq!(alone.bits[&axis], combined.bits[&axis], "{axis}");
@@ -207,10 +208,10 @@ proptest! {
         prop_assert_eq!(compared, design.axes.len() + 2 * design.subsets.len());
     }
 
-    /// This difference is the reason for the `matched` mode: in `reference` mode, each condition
-    /// draws its random elements anew.
+    /// In `reference` mode, each condition draws its own random elements, so an axis differs
+    /// between conditions. The `matched` mode exists for this reason.
     #[test]
-    fn in_reference_mode_each_condition_draws_anew(
+    fn in_reference_mode_the_random_elements_differ_between_conditions(
         task in select(TaskRef::all().collect::<Vec<_>>()),
         config in 0..10_u16,
     ) {

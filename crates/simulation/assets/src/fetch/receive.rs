@@ -21,18 +21,18 @@ use crate::verify::{VerifiedFolder, hex};
 pub(super) const MAX_TRIES: u32 = 5;
 /// Files with gaps up to this size between them are requested together.
 const MAX_GAP_BYTES: u64 = 1 << 18;
-/// Size of a read.
+/// Size of a read, bytes.
 const BLOCK_BYTES: usize = 1 << 16;
 
 /// Callback with the progress; returns whether to continue.
-type Show<'a> = dyn FnMut(Report) -> ControlFlow<()> + 'a;
+type ProgressCallback<'a> = dyn FnMut(Report) -> ControlFlow<()> + 'a;
 
 pub(super) struct Receiver<'a> {
     origin: &'a Origin,
     parcel: &'a Parcel<'a>,
     into: &'a VerifiedFolder,
     incoming: &'a Path,
-    /// Number of files in place.
+    /// Number of files that were verified and have their final names.
     done: usize,
     /// False once the server has answered a range request with the whole parcel.
     supports_ranges: bool,
@@ -74,13 +74,13 @@ impl<'a> Receiver<'a> {
     pub(super) fn stream(
         &mut self,
         progress: &mut Progress,
-        show: &mut Show<'_>,
+        on_progress: &mut ProgressCallback<'_>,
     ) -> Result<(), RequestError> {
         let first = self.parcel.members[self.done];
         let present = received(&self.partial_path(&first));
         if present >= first.stored {
             // An earlier fetch ended between the last byte and the rename.
-            return self.finish(&first, progress, show);
+            return self.finish(&first, progress, on_progress);
         }
         let end = self.end_of_contiguous_range();
         let from = first.offset + present;
@@ -95,8 +95,8 @@ impl<'a> Receiver<'a> {
             && member.offset + member.stored <= end
         {
             let member = *member;
-            self.fill(&member, &mut stream, progress, show)?;
-            self.finish(&member, progress, show)?;
+            self.fill(&member, &mut stream, progress, on_progress)?;
+            self.finish(&member, progress, on_progress)?;
         }
         Ok(())
     }
@@ -124,14 +124,16 @@ impl<'a> Receiver<'a> {
         member: &Member<'_>,
         stream: &mut Stream,
         progress: &Progress,
-        show: &mut Show<'_>,
+        on_progress: &mut ProgressCallback<'_>,
     ) -> Result<(), RequestError> {
         let path = self.partial_path(member);
         let mut present = received(&path);
         let failed = |source| RequestError::Permanent(write_error(&path, source));
         let mut block = vec![0; BLOCK_BYTES];
         let skip = (member.offset + present).saturating_sub(stream.position);
-        self.read(stream, skip, &mut block, |_| send_progress(show, *progress))?;
+        self.read(stream, skip, &mut block, |_| {
+            send_progress(on_progress, *progress)
+        })?;
         let file = OpenOptions::new()
             .create(true)
             .append(true)
@@ -145,7 +147,7 @@ impl<'a> Receiver<'a> {
             present += bytes.len() as u64;
             received_bytes += bytes.len() as u64;
             let bytes = progress.bytes + present;
-            send_progress(show, Progress { bytes, ..*progress })
+            send_progress(on_progress, Progress { bytes, ..*progress })
         });
         self.received_bytes += received_bytes;
         outcome
@@ -192,7 +194,7 @@ impl<'a> Receiver<'a> {
         &mut self,
         member: &Member<'_>,
         progress: &mut Progress,
-        show: &mut Show<'_>,
+        on_progress: &mut ProgressCallback<'_>,
     ) -> Result<(), RequestError> {
         let part = self.partial_path(member);
         let whole = part.with_extension("whole");
@@ -215,7 +217,7 @@ impl<'a> Receiver<'a> {
         self.done += 1;
         progress.files += 1;
         progress.bytes += member.stored;
-        send_progress(show, *progress)
+        send_progress(on_progress, *progress)
     }
 
     /// Counts a corrupted reception of a file; the error is permanent after [`MAX_TRIES`].
@@ -292,15 +294,18 @@ fn unpack(member: &Member<'_>, part: &Path, whole: &Path) -> Result<Option<Strin
     Ok(differs.then(|| format!("the SHA-256 is {found} and should be {expected}")))
 }
 
-fn send_progress(show: &mut Show<'_>, progress: Progress) -> Result<(), RequestError> {
-    match show(Report::Arriving(progress)) {
+fn send_progress(
+    on_progress: &mut ProgressCallback<'_>,
+    progress: Progress,
+) -> Result<(), RequestError> {
+    match on_progress(Report::Arriving(progress)) {
         ControlFlow::Continue(()) => Ok(()),
         ControlFlow::Break(()) => Err(RequestError::Permanent(AssetsError::Interrupted)),
     }
 }
 
-/// Refuses symbolic links: another user with write access to the folder could make a link point to
-/// a file of this user.
+/// Returns the flag that refuses symbolic links: another user with write access to the folder could
+/// make a link point to a file of this user.
 pub(super) fn no_links() -> i32 {
     OFlags::NOFOLLOW.bits() as i32
 }

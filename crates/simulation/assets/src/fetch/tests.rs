@@ -23,7 +23,7 @@ const WANTED: [&str; 3] = [LARGE, SMALL, OTHER];
 const INDEX_VARIABLE: &str = "FETCH_TEST_INDEX";
 const FOLDER_VARIABLE: &str = "FETCH_TEST_FOLDER";
 
-/// Outcome of a fetch, and its reports.
+/// Outcome of a fetch, the number of its pauses, and its last progress report.
 struct Done {
     outcome: Result<Fetched, AssetsError>,
     pauses: usize,
@@ -113,12 +113,12 @@ fn files(folder: &Path) -> Vec<String> {
     found
 }
 
-fn check_whole(into: &Path) {
+fn check_complete(into: &Path) {
     for path in WANTED {
         let found = fs::read(into.join(path)).expect("is there");
         assert!(found == content(path), "{path}");
     }
-    assert_eq!(files(into), WANTED, "and nothing is left over");
+    assert_eq!(files(into), WANTED, "the folder holds other files, too");
 }
 
 /// Checks that every file under its final name is complete.
@@ -144,7 +144,7 @@ fn only_wanted_members_are_requested_and_only_once() {
         panic!("{:?}", done.last)
     };
     assert_eq!((last.files, last.bytes), (3, last.of_bytes));
-    check_whole(&into);
+    check_complete(&into);
     let table = index.table();
     let range = |path: &str| {
         let file = table.get(path).expect("in the table");
@@ -153,7 +153,7 @@ fn only_wanted_members_are_requested_and_only_once() {
     let (large, other, small) = (range(LARGE), range(OTHER), range(SMALL));
     assert!(
         small.0 - large.1 > 262_144,
-        "the file between is not asked for"
+        "the unwanted file between them is larger than a gap within one request"
     );
     let requests = [
         format!("/files/{} {}-{}", Wheels::name(0), large.0, large.1),
@@ -165,7 +165,11 @@ fn only_wanted_members_are_requested_and_only_once() {
     let requests = index.requests().len();
     let again = fetch(&index, &into).outcome.expect("the files");
     assert_eq!((again.fetched, again.present), (0, 3));
-    assert_eq!(index.requests().len(), requests, "nothing is asked for");
+    assert_eq!(
+        index.requests().len(),
+        requests,
+        "the second fetch sends no request"
+    );
 }
 
 #[test]
@@ -173,7 +177,7 @@ fn html_pages_of_a_mirror_are_read() {
     let (_folder, into) = temporary_pack();
     let index = TestIndex::start(Fault::HtmlPages);
     fetch(&index, &into).outcome.expect("the files");
-    check_whole(&into);
+    check_complete(&into);
 }
 
 #[test]
@@ -187,7 +191,7 @@ fn credentials_are_sent_to_the_index_and_kept_out_of_messages() {
     assert!(!origin.name().contains("secret"), "{}", origin.name());
     let done = fetch_from(&origin, index.table(), &into);
     done.outcome.expect("the files");
-    check_whole(&into);
+    check_complete(&into);
 
     let refusing = TestIndex::start(Fault::Forbidden);
     let url = refusing.url_with_credentials();
@@ -205,7 +209,7 @@ fn received_bytes_are_not_requested_again_after_a_disconnect() {
     let index = TestIndex::start(Fault::CutsMidway);
     let done = fetch(&index, &into);
     done.outcome.expect("the files");
-    check_whole(&into);
+    check_complete(&into);
     let file = index.table().get(LARGE).expect("in the table");
     let first = index.wheel_requests()[..2].to_vec();
     let half = file.offset + file.stored / 2;
@@ -216,11 +220,11 @@ fn received_bytes_are_not_requested_again_after_a_disconnect() {
 }
 
 #[test]
-fn without_ranges_whole_wheels_are_read() {
+fn whole_wheels_are_read_from_a_server_without_ranges() {
     let (_folder, into) = temporary_pack();
     let index = TestIndex::start(Fault::NoRanges);
     fetch(&index, &into).outcome.expect("the files");
-    check_whole(&into);
+    check_complete(&into);
     assert_eq!(index.wheel_requests().len(), 2, "each wheel once");
 
     let (_folder, into) = temporary_pack();
@@ -228,7 +232,7 @@ fn without_ranges_whole_wheels_are_read() {
     let done = fetch(&index, &into);
     done.outcome.expect("the files");
     assert_eq!(done.pauses, 1);
-    check_whole(&into);
+    check_complete(&into);
 }
 
 #[test]
@@ -238,17 +242,17 @@ fn a_stalled_answer_times_out_and_a_slow_one_does_not() {
     let done = fetch(&index, &into);
     done.outcome.expect("the files");
     assert_eq!(done.pauses, 1);
-    check_whole(&into);
+    check_complete(&into);
 
     let (_folder, into) = temporary_pack();
     let done = fetch(&TestIndex::start(Fault::Slow), &into);
     done.outcome.expect("the files");
     assert_eq!(done.pauses, 0);
-    check_whole(&into);
+    check_complete(&into);
 }
 
 #[test]
-fn an_index_that_sends_byte_by_byte_is_given_up() {
+fn a_fetch_from_an_index_that_sends_byte_by_byte_fails() {
     for fault in [Fault::SlowPages, Fault::SlowWheels] {
         let (_folder, into) = temporary_pack();
         let index = TestIndex::start(fault);
@@ -258,19 +262,19 @@ fn an_index_that_sends_byte_by_byte_is_given_up() {
             ..deadlines()
         };
         let origin = Origin::index(&index.url(), short).expect("a URL");
-        let begun = Instant::now();
+        let started = Instant::now();
         let done = fetch_from(&origin, index.table(), &into);
         assert_eq!(done.pauses, 4, "{fault:?}");
         // Receiving a whole page or wheel byte by byte would take longer than these five tries.
-        let took = begun.elapsed();
+        let took = started.elapsed();
         assert!(took < Duration::from_secs(10), "{fault:?}: {took:?}");
         let error = done.error();
         assert!(error.contains("tried 5 times"), "{error}");
-        let why = match fault {
+        let expected = match fault {
             Fault::SlowPages => "the server does not answer in time",
             _ => "the server is too slow",
         };
-        assert!(error.contains(why), "{error}");
+        assert!(error.contains(expected), "{error}");
         check_no_incomplete_file(&into);
     }
 }
@@ -285,7 +289,7 @@ fn links_in_the_folder_of_received_files_are_not_followed() {
     fs::create_dir_all(&incoming).expect("a folder");
     for ending in ["part", "whole"] {
         let other = folder.path().join(ending);
-        fs::write(&other, "of somebody").expect("writes");
+        fs::write(&other, "of another user").expect("writes");
         let link = incoming.join(format!("{sha256}-deflated.{ending}"));
         symlink(&other, link).expect("a link");
     }
@@ -294,10 +298,10 @@ fn links_in_the_folder_of_received_files_are_not_followed() {
     let made = Command::new("mkfifo").arg(pipe).status();
     assert!(made.expect("mkfifo runs").success());
     fetch(&index, &into).outcome.expect("the files");
-    check_whole(&into);
+    check_complete(&into);
     for ending in ["part", "whole"] {
         let found = fs::read_to_string(folder.path().join(ending)).expect("reads");
-        assert_eq!(found, "of somebody", "{ending}");
+        assert_eq!(found, "of another user", "{ending}");
     }
 
     let lock = into.join(LOCK);
@@ -310,7 +314,7 @@ fn links_in_the_folder_of_received_files_are_not_followed() {
 }
 
 #[test]
-fn a_file_that_is_swapped_is_noticed_even_if_its_time_is_set_back() {
+fn a_changed_file_is_detected_even_if_its_modification_time_is_restored() {
     let (_folder, into) = temporary_pack();
     let index = TestIndex::start(Fault::None);
     fetch(&index, &into).outcome.expect("the files");
@@ -322,22 +326,22 @@ fn a_file_that_is_swapped_is_noticed_even_if_its_time_is_set_back() {
     let modified = modified.expect("a time");
     let mut other = content(SMALL);
     other[3] ^= 1;
-    // Times of files have a coarse resolution; without the pause they could be equal.
+    // File times have a coarse resolution: without the pause, the change times could be equal.
     thread::sleep(Duration::from_millis(50));
-    let swap = |into: &Path| {
+    let write_changed = |into: &Path| {
         fs::write(into, &other).expect("writes");
         let file = File::options().write(true).open(into).expect("opens");
         file.set_modified(modified).expect("sets it");
     };
-    swap(&path);
+    write_changed(&path);
     let found = verified.verify(small);
     assert!(matches!(found, Err(Difference::Content)), "{found:?}");
 
     fs::write(&path, content(SMALL)).expect("writes");
     verified.verify(small).expect("sound again");
-    let aside = into.join("aside");
-    swap(&aside);
-    fs::rename(&aside, &path).expect("renames");
+    let replacement = into.join("replacement");
+    write_changed(&replacement);
+    fs::rename(&replacement, &path).expect("renames");
     let found = verified.verify(small);
     assert!(matches!(found, Err(Difference::Content)), "{found:?}");
 }
@@ -356,7 +360,7 @@ fn an_altered_file_never_gets_its_final_name() {
     let (_folder, into) = temporary_pack();
     let index = TestIndex::start(Fault::WrongBytesOnce);
     fetch(&index, &into).outcome.expect("the files");
-    check_whole(&into);
+    check_complete(&into);
 }
 
 #[test]
@@ -382,7 +386,7 @@ fn an_altered_file_of_the_pack_is_replaced() {
         (fetched.fetched, fetched.replaced, fetched.present),
         (1, 1, 2)
     );
-    check_whole(&into);
+    check_complete(&into);
 }
 
 #[test]
@@ -391,16 +395,16 @@ fn a_cancelled_fetch_keeps_received_bytes() {
     let index = TestIndex::start(Fault::None);
     let origin = Origin::index(&index.url(), deadlines()).expect("a URL");
     let mut arrived = 0;
-    let stopped = fetch_while(&origin, index.table(), &into, |report| {
+    let cancelled = fetch_while(&origin, index.table(), &into, |report| {
         if let Report::Arriving(progress) = report {
             arrived = progress.bytes;
         }
         arrived < 100_000
     });
-    assert!(matches!(stopped.outcome, Err(AssetsError::Interrupted)));
+    assert!(matches!(cancelled.outcome, Err(AssetsError::Interrupted)));
     check_no_incomplete_file(&into);
     fetch(&index, &into).outcome.expect("the files");
-    check_whole(&into);
+    check_complete(&into);
     let offset = index.table().get(LARGE).expect("in the table").offset;
     let rest = format!("/files/{} {}-", Wheels::name(0), offset + arrived);
     let requests = index.wheel_requests();
@@ -411,7 +415,7 @@ fn a_cancelled_fetch_keeps_received_bytes() {
 }
 
 #[test]
-fn a_busy_index_is_retried_and_one_that_refuses_is_not() {
+fn a_busy_index_is_retried_and_a_refusing_index_is_not() {
     let (_folder, into) = temporary_pack();
     let done = fetch(&TestIndex::start(Fault::BusyAtFirst), &into);
     done.outcome.expect("the files");
@@ -466,7 +470,7 @@ fn a_folder_of_wheels_needs_no_network() {
     wheels.write(folder.path());
     let done = fetch_from(&origin, wheels.table, &into);
     done.outcome.expect("the files");
-    check_whole(&into);
+    check_complete(&into);
 
     let wheel = folder.path().join(Wheels::name(1));
     let mut bytes = fs::read(&wheel).expect("reads");
@@ -474,7 +478,7 @@ fn a_folder_of_wheels_needs_no_network() {
     fs::write(&wheel, bytes).expect("writes");
     fs::remove_file(into.join(OTHER)).expect("was there");
     let done = fetch_from(&origin, wheels.table, &into);
-    assert_eq!(done.pauses, 0, "the folder does not change by itself");
+    assert_eq!(done.pauses, 0, "a folder is not read again");
     let error = done.error();
     assert!(error.contains(OTHER), "{error}");
     check_no_incomplete_file(&into);
@@ -497,8 +501,8 @@ fn start_fetching(before: &str, index: &str, into: &Path) -> Command {
 }
 
 fn output_text(output: &Output) -> String {
-    let both = [&output.stdout[..], &output.stderr].concat();
-    String::from_utf8_lossy(&both).into_owned()
+    let bytes = [&output.stdout[..], &output.stderr].concat();
+    String::from_utf8_lossy(&bytes).into_owned()
 }
 
 #[test]
@@ -526,11 +530,16 @@ fn two_processes_at_once_fetch_each_file_once() {
         let mut command = start_fetching("", &index.url(), &into);
         thread::spawn(move || command.output().expect("runs"))
     };
-    let both = [start(), start()].map(|running| output_text(&running.join().expect("ends")));
-    check_whole(&into);
-    let count = |words: &str| both.iter().filter(|output| output.contains(words)).count();
-    assert_eq!(count("fetched 3, present 0"), 1, "{both:?}");
-    assert_eq!(count("present 3"), 1, "{both:?}");
+    let outputs = [start(), start()].map(|thread| output_text(&thread.join().expect("ends")));
+    check_complete(&into);
+    let count = |words: &str| {
+        outputs
+            .iter()
+            .filter(|output| output.contains(words))
+            .count()
+    };
+    assert_eq!(count("fetched 3, present 0"), 1, "{outputs:?}");
+    assert_eq!(count("present 3"), 1, "{outputs:?}");
     assert_eq!(index.wheel_requests().len(), 3, "{:?}", index.requests());
 }
 
@@ -548,7 +557,7 @@ fn a_full_disk_is_reported_and_leaves_no_incomplete_file() {
     }
     check_no_incomplete_file(&into);
     fetch(&index, &into).outcome.expect("there is room now");
-    check_whole(&into);
+    check_complete(&into);
 }
 
 #[test]

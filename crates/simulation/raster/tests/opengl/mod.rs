@@ -1,5 +1,5 @@
 //! Small scenes whose pixels were recorded from MuJoCo 3.3.7 through Mesa 22.3.6's
-//! llvmpipe. Each isolates one rule that decides whole pixels.
+//! llvmpipe. Each scene tests one rule of rasterisation or texturing that changes whole pixels.
 
 use std::ops::Range;
 
@@ -53,10 +53,10 @@ fn part(picture: &[Vec<u8>], x: Range<usize>, y: Range<usize>) -> Vec<Vec<u8>> {
     y.map(|y| picture[y][x.clone()].to_vec()).collect()
 }
 
-/// Mesa draws into a frame buffer object by the top-left rule with its first row as the top row;
-/// MuJoCo's first row is the lowest.
+/// Mesa applies the top-left rule and takes the first row of a frame buffer object as the top row;
+/// in MuJoCo, the first row is the lowest.
 #[test]
-fn samples_on_left_and_lower_edges_are_inside_and_others_not() {
+fn samples_on_left_and_lower_edges_are_inside_and_those_on_other_edges_are_outside() {
     // The first box extends from 0.375 to 2.875 along both axes, the second from 4.875 to 7.375
     // along x and from 4.625 to 7.125 along y. Every edge lies on samples.
     let small = red(
@@ -76,7 +76,7 @@ fn samples_on_left_and_lower_edges_are_inside_and_others_not() {
             [0, 0, 0, 0, 0, 0, 0, 0],
         ]
     );
-    // Extends from 0.375 to 42.875: large triangles are filled block by block.
+    // The box extends from 0.375 to 42.875. Large triangles are filled block by block.
     let large = red(48, vec![white_box(21.625, 21.625, 21.25)]);
     let mut line = vec![255; 48];
     (line[0], line[42]) = (191, 191);

@@ -172,8 +172,8 @@ impl<'a> Plan<'a> {
         let radius = part.footprint.radius;
         let (base, ranges, z_offset) = match place {
             Place::Workspace(region) => {
-                let whole = !is_fixture && arena.whole_object_in_region;
-                let inset = if whole { radius } else { 0.0 };
+                let must_fit_whole = !is_fixture && arena.whole_object_in_region;
+                let inset = if must_fit_whole { radius } else { 0.0 };
                 (
                     Base::Point(arena.workspace_offset),
                     region.ranges.iter().map(|r| bounds(r, inset)).collect(),
@@ -265,7 +265,7 @@ impl<'a> Plan<'a> {
         self.index(name).ok_or_else(|| {
             inconsistent(
                 predicate,
-                &format!("`{name}` is not placed; state its own place first"),
+                &format!("`{name}` is not placed; add a statement that places `{name}`"),
             )
         })
     }
@@ -277,5 +277,5 @@ fn bounds(rectangle: &Rectangle, inset: f64) -> [[f64; 2]; 2] {
 }
 
 fn inconsistent(predicate: &Predicate, problem: &str) -> SceneError {
-    SceneError::Inconsistent(format!("`:init` says {predicate}, but {problem}"))
+    SceneError::Inconsistent(format!("`:init` states {predicate}, but {problem}"))
 }

@@ -1,6 +1,6 @@
-//! Every numeric array of a compiled model by name, for comparing models. Names and sizes follow
-//! MuJoCo 3.3.7's `mjxmacro.h`; excluded are the contents of meshes, textures, height fields and
-//! their search trees.
+//! All numeric arrays of a compiled model by name, for comparing models, except the contents of
+//! meshes, textures, height fields and their search trees. Names and sizes follow MuJoCo 3.3.7's
+//! `mjxmacro.h`.
 
 use mujoco_rs::mujoco_c::mjModel;
 
@@ -95,11 +95,14 @@ macro_rules! arrays {
     };
 }
 
-/// Every array.
+/// Returns all arrays.
 pub(super) fn all(model: &mjModel) -> Vec<NamedArray> {
     let named = |name: &&'static str| NamedArray {
         name,
-        values: one(model, name).expect("in the table").values.widen(),
+        values: one(model, name)
+            .expect("an array of the table")
+            .values
+            .widen(),
     };
     NAMES.iter().map(named).collect()
 }

@@ -101,7 +101,7 @@ mod tests {
     #[test]
     #[should_panic(expected = "another compilation")]
     fn copying_own_arrays_from_another_compilation_panics() {
-        let [mut one, other] = [SCENE; 2].map(|scene| Model::compile(scene).expect("a model"));
-        one.copy_own(&other);
+        let [mut first, second] = [SCENE; 2].map(|scene| Model::compile(scene).expect("a model"));
+        first.copy_own(&second);
     }
 }

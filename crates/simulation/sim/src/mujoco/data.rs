@@ -268,7 +268,7 @@ mod tests {
     }
 
     #[test]
-    fn no_method_takes_a_state_of_another_model() {
+    fn methods_panic_if_given_a_state_of_another_model() {
         // With the larger model's sizes, accesses would exceed the state's arrays.
         let (own, other) = (chain(2), chain(40));
         let foreign = Data::new(&other).expect("a state");

@@ -31,7 +31,7 @@ const _: () = assert!(
 
 /// A serialised compiled model.
 pub(crate) struct ModelImage<'a> {
-    /// MuJoCo's structure with offsets in target of pointers.
+    /// MuJoCo's structure, with offsets in place of pointers.
     pub(crate) structure: Vec<u8>,
     /// The arrays, split where the textures' texels were removed.
     pub(crate) arrays: [&'a [u8]; 2],
@@ -54,7 +54,8 @@ impl Model {
             0 => length,
             _ => (compiled.tex_data as usize).checked_sub(start)?,
         };
-        // A multiple of the alignment, so that the following arrays stay aligned.
+        // The removed length is a multiple of the alignment, so that the arrays behind it stay
+        // aligned.
         let removed = texels / ALIGNMENT * ALIGNMENT;
         if cut + removed > length {
             return None;

@@ -20,7 +20,7 @@ use crate::error::SimError;
 pub struct Model {
     /// MuJoCo's structure: a copy of the compilation's, except for the pointers to `own` arrays.
     raw: Box<c::mjModel>,
-    /// Referenced by pointers in `raw`.
+    /// Arrays that pointers in `raw` point to.
     _own: OwnArrays,
     compilation: Arc<Compilation>,
 }
@@ -54,7 +54,7 @@ impl Compilation {
     }
 
     pub(super) fn structure(&self) -> &c::mjModel {
-        // SAFETY: alive for as long as this is, and nobody writes to it.
+        // SAFETY: the structure lives as long as `self`, and nobody writes to it.
         unsafe { self.raw.as_ref() }
     }
 }
@@ -157,8 +157,8 @@ impl Model {
     }
 
     pub(super) fn from_compilation(compilation: Arc<Compilation>) -> Self {
-        // SAFETY: compiled, and alive for as long as the compilation is shared. The
-        // copy frees nothing.
+        // SAFETY: the structure is initialised, and lives as long as the shared compilation.
+        // Dropping the copy frees nothing.
         let mut raw = Box::new(unsafe { compilation.raw.read() });
         Self {
             _own: OwnArrays::copy_of(&mut raw),
@@ -455,9 +455,9 @@ impl<'a> Meshes<'a> {
 impl Drop for Compilation {
     fn drop(&mut self) {
         match self.owner {
-            // SAFETY: owned, freed once, with the last model of it.
+            // SAFETY: owned, freed once, with the last model of this compilation.
             MemoryOwner::Compiled => unsafe { c::mj_deleteModel(self.raw.as_ptr()) },
-            // SAFETY: leaked from a box, freed once, with the last model of it.
+            // SAFETY: leaked from a box, freed once, with the last model of this compilation.
             MemoryOwner::Shared(_) => drop(unsafe { Box::from_raw(self.raw.as_ptr()) }),
         }
     }

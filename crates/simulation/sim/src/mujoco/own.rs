@@ -133,9 +133,9 @@ mod tests {
 
     each_own_array!(fill);
 
-    /// Also meant for Miri, which detects pointers that a move has invalidated.
+    /// Under Miri, this test also detects pointers that a move has invalidated.
     #[test]
-    fn pointers_outlive_moves_of_the_owner_and_lead_to_copies() {
+    fn pointers_stay_valid_when_the_owner_moves_and_lead_to_copies() {
         let mut shared = Arrays::with_rows(2);
         let mut model = shared.model(2);
         let arrays = OwnArrays::copy_of(&mut model);
@@ -145,10 +145,10 @@ mod tests {
         add_one(&model);
         let [last] = <[OwnArrays; 1]>::try_from(moved).ok().expect("one");
         let mut expected = Arrays::with_rows(2);
-        let plain = expected.model(2);
-        add_one(&plain);
-        add_one(&plain);
-        assert_eq!(read(&model), read(&plain));
+        let expected_model = expected.model(2);
+        add_one(&expected_model);
+        add_one(&expected_model);
+        assert_eq!(read(&model), read(&expected_model));
         assert_eq!(
             shared,
             Arrays::with_rows(2),

@@ -8,7 +8,7 @@ use mujoco_rs::mujoco_c as c;
 
 use super::{Data, Model};
 
-/// Most geoms in one picture, as in robosuite; further ones are not drawn.
+/// Maximum number of geoms in a picture, as in robosuite; further geoms are not drawn.
 const MAX_GEOMS: i32 = 1000;
 /// Geom group of collision geometry, which is not drawn.
 const COLLISION_GROUP: usize = 0;

@@ -6,9 +6,9 @@ use libero_ctrl::numpy::DefaultRng;
 use libero_ctrl::streams::{MatchedStream, Randomness};
 use nalgebra::{Rotation3, Unit, Vector3};
 
-/// Shorter lags are ignored, control steps.
+/// Shortest lag that is applied, control steps.
 const SHORTEST_LAG: f64 = 1e-9;
-/// Weaker noise is ignored, action units.
+/// Weakest noise that is applied, action units.
 const LEAST_NOISE: f64 = 1e-12;
 /// Number of action components for the arm: translation and rotation.
 const ARM: usize = 6;
@@ -170,7 +170,7 @@ mod tests {
     const ACTION: [f64; 7] = [0.3, -0.2, 0.1, 0.05, 0.0, -0.05, -1.0];
 
     #[test]
-    fn no_distortion_changes_nothing() {
+    fn zero_distortion_changes_no_action() {
         let mut stage = stage("goal/t0/actuation/L1/c00", &ActuationDistortion::default());
         let output = stage.apply(&ACTION);
         for (value, expected) in output.into_iter().zip(ACTION) {
@@ -179,7 +179,7 @@ mod tests {
     }
 
     #[test]
-    fn lag_starts_from_rest() {
+    fn lagged_actions_start_from_zero() {
         let distortion = ActuationDistortion {
             lag_tau: -1.0,
             ..ActuationDistortion::default()
@@ -201,7 +201,7 @@ mod tests {
     }
 
     #[test]
-    fn single_axis_and_combination_distort_alike_at_every_step() {
+    fn single_axis_and_combination_distort_actions_equally_at_every_step() {
         let distortion = ActuationDistortion::from([0.1, 0.2, 3.0, 1.0, 0.3]);
         let mut alone = stage("goal/t0/actuation/L3/c07", &distortion);
         let mut combined = stage("goal/t0/combination/L3/c07", &distortion);

@@ -6,7 +6,7 @@ use nalgebra::{Matrix3, Quaternion, Rotation3, UnitQuaternion, Vector3};
 
 /// Distance of the look-at point if the scene does not determine it, m.
 const FALLBACK_DISTANCE_M: f64 = 1.1;
-/// Least distance of a valid look-at point; it must also be in front of the camera, m.
+/// Least distance of a valid look-at point, which must lie in front of the camera, m.
 const NEAREST_DISTANCE_M: f64 = 0.2;
 
 /// Pose of a fixed camera, world frame. The camera looks along −z, and y is up in the picture.
@@ -30,8 +30,8 @@ pub fn look_at_point(nominal: &CameraPose, centres_of_mass: &[[f64; 3]]) -> [f64
     let mean = sum / centres_of_mass.len() as f64;
     let distance = (mean - position).dot(&forward);
     // Without movable objects the mean is 0/0, and the distance is NaN.
-    let usable = distance.is_finite() && distance >= NEAREST_DISTANCE_M;
-    let distance = if usable {
+    let is_usable = distance.is_finite() && distance >= NEAREST_DISTANCE_M;
+    let distance = if is_usable {
         distance
     } else {
         FALLBACK_DISTANCE_M

@@ -53,7 +53,7 @@ pub(super) fn inverse(coefficients: &Block) -> Block {
     block
 }
 
-/// Transforms one line of a block and rounds away `shift` bits.
+/// Transforms one row or column of a block, and divides by 2 to the power of `shift`, rounded.
 fn transform_line(
     block: &mut Block,
     start: usize,
@@ -67,7 +67,7 @@ fn transform_line(
     }
 }
 
-/// Transforms a line; results have 13 fractional bits.
+/// Transforms a row or column; the results have 13 fractional bits.
 fn forward_line(x: [i32; 8]) -> [i32; 8] {
     let sum: [i32; 4] = std::array::from_fn(|i| x[i] + x[7 - i]);
     let [d7, d6, d5, d4]: [i32; 4] = std::array::from_fn(|i| x[i] - x[7 - i]);
@@ -87,7 +87,7 @@ fn forward_line(x: [i32; 8]) -> [i32; 8] {
     ]
 }
 
-/// Inverse-transforms a line of integers; results have 13 fractional bits.
+/// Inverts the transform of a row or column of integers; the results have 13 fractional bits.
 fn inverse_line(x: [i32; 8]) -> [i32; 8] {
     let even = (x[2] + x[6]) * F_0_541;
     let (e2, e3) = (even - x[6] * F_1_847, even + x[2] * F_0_765);
@@ -104,7 +104,7 @@ fn inverse_line(x: [i32; 8]) -> [i32; 8] {
     })
 }
 
-/// Rotations that both directions share.
+/// Rotations that the transform and its inverse share.
 fn odd_part([a, b, c, d]: [i32; 4]) -> [i32; 4] {
     let common = (a + c + b + d) * F_1_175;
     let ad = -(a + d) * F_0_899;

@@ -142,12 +142,12 @@ impl Plane {
                 .map(|(&near, &far)| 3 * i32::from(near) + i32::from(far))
                 .collect();
             for x in 0..width {
-                let this = x / 2;
+                let nearest = x / 2;
                 let (next, rounding) = match x % 2 {
-                    0 => (this.saturating_sub(1), 8),
-                    _ => ((this + 1).min(self.width - 1), 7),
+                    0 => (nearest.saturating_sub(1), 8),
+                    _ => ((nearest + 1).min(self.width - 1), 7),
                 };
-                samples.push(((3 * columns[this] + columns[next] + rounding) >> 4) as u8);
+                samples.push(((3 * columns[nearest] + columns[next] + rounding) >> 4) as u8);
             }
         }
         Self {
@@ -178,7 +178,7 @@ fn quantised(coefficient: i32, step: i32) -> i32 {
     coefficient.signum() * magnitude * step
 }
 
-/// Converts a factor to 16 fractional bits.
+/// Converts a number to fixed point with 16 fractional bits.
 const fn fixed(value: f64) -> i32 {
     (value * 65536.0 + 0.5) as i32
 }
@@ -224,7 +224,7 @@ mod tests {
     use sha2::{Digest, Sha256};
 
     #[test]
-    fn grey_survives_any_quality() {
+    fn a_grey_picture_is_unchanged_at_any_quality() {
         for quality in [1, 10, 50, 75, 100] {
             let mut rgb = vec![128; 20 * 12 * 3];
             round_trip(&mut rgb, 20, 12, quality);
@@ -244,10 +244,10 @@ mod tests {
         assert!(loss(90) < loss(50) && loss(50) < loss(10));
     }
 
-    /// SHA-256 (first eight bytes) of Pillow 13's results for the same pictures, whose sides are
-    /// not multiples of the block size.
+    /// The expected digests are the first eight bytes of the SHA-256 of Pillow 13's results for the
+    /// same pictures, most of whose sides are not multiples of the block size.
     #[test]
-    fn borders_equal_pillows() {
+    fn pictures_with_incomplete_blocks_equal_pillows() {
         let check = |width: usize, height: usize, quality, expected: &str| {
             let mut rgb: Vec<u8> = (0..width * height * 3)
                 .map(|i| (i * i % 251) as u8)

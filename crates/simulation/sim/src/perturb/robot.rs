@@ -68,8 +68,8 @@ pub fn solve_shifted_pose(
     let mut iterations = 0;
     while iterations < MAX_ITERATIONS {
         let error = target.error(&state);
-        let position_met = error.fixed_rows::<3>(0).norm() < POSITION_TOLERANCE_M;
-        if position_met && error.fixed_rows::<3>(3).norm() < ROTATION_TOLERANCE_RAD {
+        let is_position_met = error.fixed_rows::<3>(0).norm() < POSITION_TOLERANCE_M;
+        if is_position_met && error.fixed_rows::<3>(3).norm() < ROTATION_TOLERANCE_RAD {
             break;
         }
         let step = joints + damped_step(&state.jacobian, &error);
@@ -78,14 +78,14 @@ pub fn solve_shifted_pose(
         iterations += 1;
     }
     let error = target.error(&state);
-    let at_limit = |&(q, range): &(&f64, &JointRange)| {
+    let is_at_limit = |&(q, range): &(&f64, &JointRange)| {
         range.iter().any(|limit| (q - limit).abs() < CLAMPED_RAD)
     };
     IkSolution {
         joints,
         residual_mm: error.fixed_rows::<3>(0).norm() * 1e3,
         residual_deg: error.fixed_rows::<3>(3).norm().to_degrees(),
-        clamped_joints: joints.iter().zip(ranges).filter(at_limit).count() as u32,
+        clamped_joints: joints.iter().zip(ranges).filter(is_at_limit).count() as u32,
         iterations,
     }
 }
@@ -152,7 +152,7 @@ mod tests {
     }
 
     #[test]
-    fn no_displacement_leaves_the_arm_where_it_is() {
+    fn without_displacement_the_arm_keeps_its_posture() {
         let shift = RobotShift::default();
         let solution = solve_shifted_pose(arm, &nominal_arm(), &WIDE, &shift);
         assert_eq!(solution.joints, nominal_arm());

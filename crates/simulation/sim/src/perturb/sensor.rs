@@ -14,13 +14,13 @@ use super::jpeg;
 
 /// Picture size at which the parameters' lengths in pixels apply.
 const REFERENCE_PX: f64 = 128.0;
-/// Shorter motion blurs are ignored, pixels.
+/// Shortest motion blur that is applied, pixels.
 const SHORTEST_MOTION_PX: f64 = 1.5;
-/// Narrower Gaussian blurs are ignored, pixels.
+/// Narrowest Gaussian blur that is applied, pixels.
 const LEAST_BLUR_PX: f64 = 1e-3;
-/// Weaker compression is ignored.
+/// Weakest compression that is applied, log2 of 100 over the quality.
 const LEAST_JPEG_LOG2: f64 = 1e-3;
-/// Weaker noise is ignored, for values in [0, 1].
+/// Weakest noise that is applied, for values in [0, 1].
 const LEAST_NOISE: f64 = 1e-5;
 /// Cut-off of the Gaussian, standard deviations.
 const TRUNCATE_SIGMAS: f64 = 4.0;
@@ -392,11 +392,14 @@ fn gaussian_kernel(sigma_px: f64) -> Vec<f64> {
     let radius = (TRUNCATE_SIGMAS * sigma_px + 0.5) as usize;
     let exponent = -0.5 / (sigma_px * sigma_px);
     let weight = |x: usize| (exponent * (x * x) as f64).exp();
-    let whole: Vec<f64> = (0..=2 * radius)
+    let weights: Vec<f64> = (0..=2 * radius)
         .map(|i| weight(i.abs_diff(radius)))
         .collect();
-    let sum = numpy_sum(&whole);
-    whole[radius..].iter().map(|weight| weight / sum).collect()
+    let sum = numpy_sum(&weights);
+    weights[radius..]
+        .iter()
+        .map(|weight| weight / sum)
+        .collect()
 }
 
 /// Sums in NumPy's order, which for 8 to 128 values is eight parallel sums. A uniform patch of a
@@ -457,10 +460,16 @@ mod tests {
             (FrameSource::Agentview, 4),
         ];
         let pictures = requests.map(|(source, step)| corrupted(&mut alone, source, step));
-        let late = corrupted(&mut combined, FrameSource::Agentview, 4);
-        assert_eq!(pictures[2], late);
-        assert_ne!(pictures[1], late, "noise changes from step to step");
-        assert_ne!(pictures[0], late, "cameras have noise of their own");
+        let expected = corrupted(&mut combined, FrameSource::Agentview, 4);
+        assert_eq!(pictures[2], expected);
+        assert_ne!(
+            pictures[1], expected,
+            "different steps have different noise"
+        );
+        assert_ne!(
+            pictures[0], expected,
+            "different cameras have different noise"
+        );
     }
 
     #[test]
@@ -481,7 +490,7 @@ mod tests {
     }
 
     #[test]
-    fn kernels_keep_brightness() {
+    fn gaussian_kernels_have_unit_sum() {
         for sigma in [0.2, 0.5, 2.386, 9.0] {
             let kernel = gaussian_kernel(sigma);
             let sum = kernel[0] + 2.0 * kernel[1..].iter().sum::<f64>();

@@ -58,16 +58,17 @@ impl GlCanvas {
         Ok(canvas)
     }
 
-    /// Returns true if this was made in the context, and a picture of this size fits the buffers.
+    /// Returns true if this canvas was made in the context, and its buffers have room for a picture
+    /// of this size.
     pub(crate) fn is_usable_for(&self, opengl: &Rc<GlContext>, size: [u32; 2]) -> bool {
         Rc::ptr_eq(&self.opengl, opengl) && self.fits(size)
     }
 
     fn fits(&self, size: [u32; 2]) -> bool {
-        let room = [self.context.offWidth, self.context.offHeight];
+        let buffer_size = [self.context.offWidth, self.context.offHeight];
         size.into_iter()
-            .zip(room)
-            .all(|(side, room)| i64::from(side) <= i64::from(room))
+            .zip(buffer_size)
+            .all(|(side, limit)| i64::from(side) <= i64::from(limit))
     }
 
     /// Renders a camera of the model; rows from bottom to top.
@@ -148,8 +149,8 @@ impl GlCanvas {
 
 impl Drop for GlCanvas {
     fn drop(&mut self) {
-        // In another context the same names would refer to other objects. If the context is lost,
-        // so are its objects.
+        // In another context, the same names would refer to other objects. A lost context has
+        // already lost its objects.
         if self.opengl.make_current().is_ok() {
             // SAFETY: made in `new`, freed once, in its OpenGL context.
             unsafe { c::mjr_freeContext(&mut *self.context) }

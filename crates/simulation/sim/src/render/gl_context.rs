@@ -27,7 +27,7 @@ const PLATFORM_DEVICE: egl::Enum = 0x313F;
 const PLATFORM_SURFACELESS: egl::Enum = 0x31DD;
 /// `GL_RENDERER`.
 const GL_RENDERER: u32 = 0x1F01;
-/// Most devices that are listed; more than any machine has.
+/// Maximum number of listed devices, more than any machine has.
 const MAX_DEVICES: usize = 32;
 
 const REMEDY: &str = "install what drawing through OpenGL needs with `cargo xtask setup --gl` (Debian: `apt-get \
@@ -111,7 +111,7 @@ fn candidates(egl: &Egl, device: GlDevice) -> Result<Vec<egl::Display>, SimError
     if let GlDevice::Index(index) = device {
         let native = *devices.get(index).ok_or_else(|| {
             graphics(format!(
-                "there is no EGL device {index}, only {}",
+                "there is no EGL device {index}; the driver lists {} devices",
                 devices.len()
             ))
         })?;

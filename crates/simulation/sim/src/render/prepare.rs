@@ -17,7 +17,7 @@ use crate::mujoco::{MeshData, Model, TextureData};
 
 /// Remedy for scenes that the software renderer cannot draw.
 const REMEDY: &str = "draw it with --renderer gl";
-/// Number of texture roles in `mat_texid`, and the role of colour.
+/// Number of texture roles per material in `mat_texid`, and the role of the colour texture.
 const TEXTURE_ROLES: usize = c::mjtTextureRole::mjNTEXROLE as usize;
 const COLOUR_ROLE: usize = c::mjtTextureRole::mjTEXROLE_RGB as usize;
 
@@ -42,12 +42,12 @@ pub(crate) struct Prepared {
     pub(super) materials: Vec<Option<Material>>,
     /// Index of the first sky texture.
     pub(super) sky: Option<usize>,
-    /// Largest level of each texture.
+    /// Largest mipmap level of each texture.
     pub(super) largest: Vec<Bytes>,
 }
 
-/// Serialised rendering data of a model: each mesh, and for each texture the largest level and the
-/// smaller ones.
+/// Serialised rendering data of a model: each mesh, and for each texture the largest mipmap level
+/// and the smaller ones.
 pub(crate) struct PreparedBytes {
     pub(crate) meshes: Vec<Bytes>,
     pub(crate) textures: Vec<[Bytes; 2]>,
@@ -108,7 +108,7 @@ impl Prepared {
         self.model.meshes.iter().map(|mesh| mesh.to_bytes())
     }
 
-    /// Returns the largest level and the smaller ones of each texture.
+    /// Returns the largest mipmap level and the smaller levels of each texture.
     pub(crate) fn textures(&self) -> impl Iterator<Item = [&[u8]; 2]> {
         let textures = self.largest.iter().zip(&self.model.textures);
         textures.map(|(largest, texture)| [largest, texture.smaller()])
@@ -147,7 +147,8 @@ fn share_part<T>(part: Result<T, ModelError>) -> Result<Arc<T>, SimError> {
         .map_err(|error| graphics(error.to_string()))
 }
 
-/// Creates a model with shapes and planes, which are computed faster than loaded.
+/// Creates a model with the built-in shapes and the planes, which are computed faster than they
+/// could be loaded from a file.
 fn with_planes(model: &Model) -> Result<raster::Model, SimError> {
     let raw = model.raw();
     let quality = &raw.vis.quality;
@@ -309,18 +310,18 @@ mod tests {
             ))
             .expect("a model")
         };
-        let [one, other] = [2.5, 3.5].map(|height| {
+        let [first, second] = [2.5, 3.5].map(|height| {
             Prepared::from_model(&scene(height))
                 .expect("prepared")
                 .model
         });
-        assert!(Arc::ptr_eq(&one.meshes[0], &other.meshes[0]));
-        assert!(!Arc::ptr_eq(&one.meshes[1], &other.meshes[1]));
-        assert!(Arc::ptr_eq(&one.textures[0], &other.textures[0]));
-        let wedge = Arc::downgrade(&one.meshes[0]);
-        drop(one);
+        assert!(Arc::ptr_eq(&first.meshes[0], &second.meshes[0]));
+        assert!(!Arc::ptr_eq(&first.meshes[1], &second.meshes[1]));
+        assert!(Arc::ptr_eq(&first.textures[0], &second.textures[0]));
+        let wedge = Arc::downgrade(&first.meshes[0]);
+        drop(first);
         assert_eq!(wedge.strong_count(), 1);
-        drop(other);
+        drop(second);
         assert_eq!(wedge.strong_count(), 0);
     }
 }

@@ -112,16 +112,18 @@ impl SoftwareCanvas {
             .prepared
             .sky
             .filter(|_| flag(c::mjtRndFlag::mjRND_SKYBOX));
-        let shadows = flag(c::mjtRndFlag::mjRND_SHADOW);
+        let has_shadows = flag(c::mjtRndFlag::mjRND_SHADOW);
         self.scene.lights.clear();
         for light in &visual.lights[..visual.nlight as usize] {
-            self.scene.lights.push(read_light(light, shadows)?);
+            self.scene.lights.push(read_light(light, has_shadows)?);
         }
         let is_endless =
             |geom: &c::mjvGeom| geom.type_ == PLANE && geom.size[0] == 0.0 && geom.size[1] == 0.0;
-        let hazy = self.scene.sky.is_some() && flag(c::mjtRndFlag::mjRND_HAZE);
-        if hazy && self.visual_scene.geoms().iter().any(is_endless) {
-            return Err(graphics("an endless plane below a sky is hazy".to_owned()));
+        let has_haze = self.scene.sky.is_some() && flag(c::mjtRndFlag::mjRND_HAZE);
+        if has_haze && self.visual_scene.geoms().iter().any(is_endless) {
+            return Err(graphics(
+                "the scene has haze between an endless plane and the sky".to_owned(),
+            ));
         }
         self.scene.geoms.clear();
         for geom in self.visual_scene.geoms() {
@@ -133,8 +135,8 @@ impl SoftwareCanvas {
     }
 }
 
-fn read_light(light: &c::mjvLight, shadows: bool) -> Result<Light, SimError> {
-    if shadows && light.castshadow != 0 {
+fn read_light(light: &c::mjvLight, has_shadows: bool) -> Result<Light, SimError> {
+    if has_shadows && light.castshadow != 0 {
         return Err(graphics("a light casts shadows".to_owned()));
     }
     let kind = match light.type_ {
@@ -146,7 +148,7 @@ fn read_light(light: &c::mjvLight, shadows: bool) -> Result<Light, SimError> {
         },
         kind => {
             return Err(graphics(format!(
-                "a light is of kind {kind} (mjtLightType)"
+                "a light has the unsupported type {kind} (mjtLightType)"
             )));
         }
     };
@@ -167,7 +169,7 @@ fn read_geom(geom: &c::mjvGeom, materials: &[Option<Material>]) -> Result<Geom, 
     const CYLINDER: i32 = c::mjtGeom::mjGEOM_CYLINDER as i32;
     const BOX: i32 = c::mjtGeom::mjGEOM_BOX as i32;
     const MESH: i32 = c::mjtGeom::mjGEOM_MESH as i32;
-    // Even numbers are meshes, odd ones their convex hulls.
+    // Even values of `dataid` are meshes, odd values are their convex hulls.
     let shape = match (geom.type_, usize::try_from(geom.dataid).ok()) {
         (PLANE, Some(index)) => Shape::Plane(index),
         (PLANE, None) => Shape::Rectangle,
@@ -176,7 +178,11 @@ fn read_geom(geom: &c::mjvGeom, materials: &[Option<Material>]) -> Result<Geom, 
         (CYLINDER, _) => Shape::Cylinder,
         (BOX, _) => Shape::Box,
         (MESH, Some(index)) if index % 2 == 0 => Shape::Mesh(index / 2),
-        (kind, _) => return Err(graphics(format!("a geom is of kind {kind} (mjtGeom)"))),
+        (kind, _) => {
+            return Err(graphics(format!(
+                "a geom has the unsupported type {kind} (mjtGeom)"
+            )));
+        }
     };
     let material = usize::try_from(geom.matid).ok();
     let material = material.and_then(|index| materials.get(index).copied().flatten());

@@ -61,12 +61,16 @@ mod tests {
     #[test]
     fn other_threads_can_neither_access_nor_drop_the_value() {
         let value = Rc::new(());
-        let [there, here] = [(); 2].map(|()| ThreadBound::new(Rc::clone(&value)));
-        assert!(here.get().is_some());
-        let unreachable = thread::spawn(move || there.get().is_none());
-        assert!(unreachable.join().expect("a thread that ends"));
-        assert_eq!(Rc::strong_count(&value), 3, "it was dropped there");
-        drop(here);
+        let [moved, kept] = [(); 2].map(|()| ThreadBound::new(Rc::clone(&value)));
+        assert!(kept.get().is_some());
+        let other_thread = thread::spawn(move || moved.get().is_none());
+        assert!(other_thread.join().expect("a thread that ends"));
+        assert_eq!(
+            Rc::strong_count(&value),
+            3,
+            "the other thread has dropped the value"
+        );
+        drop(kept);
         assert_eq!(Rc::strong_count(&value), 2);
     }
 }

@@ -121,8 +121,8 @@ impl AsRef<[u8]> for Mapped {
 /// section table is invalid.
 pub(super) fn map(file: &File, lock: Option<File>) -> io::Result<Option<Vec<Bytes>>> {
     // SAFETY: the pages are never written to, neither through this mapping, which is read-only,
-    // nor in the file: programs of this project write a file once, before it has its name, and
-    // its owner has no right to write to it.
+    // nor in the file: programs of this project write a file once, before it gets its final name,
+    // and even its owner has no right to write to it afterwards.
     #[allow(unsafe_code, reason = "mapping a file")]
     let map = unsafe { Mmap::map(file)? };
     let bytes = Bytes::from_owner(Mapped { map, _lock: lock });

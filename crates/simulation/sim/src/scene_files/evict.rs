@@ -12,18 +12,18 @@ use super::name_text;
 struct Scene {
     name: String,
     bytes: u64,
-    used: SystemTime,
+    last_used: SystemTime,
 }
 
 impl SceneFolder {
-    /// Removes remains of crashed writers, and scenes until the rest is within the limit, but never
-    /// the scene `keep` or a mapped one. The caller holds the folder's lock.
+    /// Removes temporary files of crashed writers. Then removes scenes until the others are within
+    /// the limit, except the scene `keep` and mapped scenes. The caller holds the folder's lock.
     pub(super) fn make_room(&self, keep: &str) -> io::Result<()> {
         let (mut total, mut scenes, mut textures) = (0, Vec::<Scene>::new(), Vec::new());
         let mut records = Vec::new();
         for entry in fs::read_dir(&self.dir)? {
             let entry = entry?;
-            // The file is already gone: a replaced check record or a temporary file.
+            // Another process has removed the file: a replaced check record or a temporary file.
             let Ok(metadata) = entry.metadata() else {
                 continue;
             };
@@ -38,15 +38,15 @@ impl SceneFolder {
                 continue;
             };
             total += metadata.len();
-            let used = metadata.modified()?;
+            let last_used = metadata.modified()?;
             match kind {
                 "scene" => scenes.push(Scene {
                     name: name.to_owned(),
                     bytes: metadata.len(),
-                    used,
+                    last_used,
                 }),
                 "texture" => textures.push((name.to_owned(), metadata.len())),
-                _ if kind.ends_with(".checked") => records.push((name.to_owned(), used, file)),
+                _ if kind.ends_with(".checked") => records.push((name.to_owned(), last_used, file)),
                 _ => {}
             }
         }
@@ -55,11 +55,11 @@ impl SceneFolder {
         }
         for scene in &mut scenes {
             let own_records = records.iter().filter(|(name, ..)| *name == scene.name);
-            scene.used = own_records
-                .map(|(_, used, _)| *used)
-                .fold(scene.used, SystemTime::max);
+            scene.last_used = own_records
+                .map(|(_, last_used, _)| *last_used)
+                .fold(scene.last_used, SystemTime::max);
         }
-        scenes.sort_by_key(|scene| scene.used);
+        scenes.sort_by_key(|scene| scene.last_used);
         let mut remaining: Vec<&str> = scenes.iter().map(|scene| &*scene.name).collect();
         let mut candidates = scenes.iter().filter(|scene| scene.name != keep);
         loop {
@@ -90,7 +90,7 @@ impl SceneFolder {
     }
 
     /// Returns the names of the textures of scenes. A scene that cannot be read counts as having
-    /// none: it is compiled again when needed.
+    /// no textures, and is compiled again when needed.
     fn textures_of(&self, scenes: &[&str]) -> HashSet<String> {
         let sections = |name: &&str| {
             let file = File::open(self.scene(name)).ok()?;

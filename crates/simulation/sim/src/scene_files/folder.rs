@@ -15,7 +15,7 @@ use super::{LoadedScene, Name, Preparation, digits, layout, name_text};
 use crate::mujoco::Model;
 use crate::render::{Prepared, PreparedBytes, digest_of_texture};
 
-/// Limit of the files' total size, unless `$ROLLOUT_SCENES_GIB` is set.
+/// Limit of the files' total size, GiB, unless `$ROLLOUT_SCENES_GIB` sets another.
 const LIMIT_GIB: u64 = 16;
 /// Longest wait for another process that compiles or writes a scene. Compiling takes seconds, and a
 /// worker treats a slot without progress for minutes as stuck.
@@ -30,7 +30,7 @@ const OTHERS_WRITE: u32 = 0o022;
 const ROOT: u32 = 0;
 /// Prefix of the names of files being written.
 pub(super) const TEMPORARY_PREFIX: &str = ".aside-";
-/// Sections of a scene file before its meshes.
+/// Indices of the sections of a scene file. From [`MESHES`] on, each section is a mesh.
 const TEXTURES: usize = 0;
 const STRUCTURE: usize = 1;
 const ARRAYS: usize = 2;
@@ -90,7 +90,7 @@ struct Opened {
 }
 
 impl SceneFolder {
-    /// Names a folder, which is created when the first scene is stored.
+    /// Describes a folder, which is created when the first scene is stored.
     pub fn new(dir: &Path) -> Self {
         let gib = std::env::var("ROLLOUT_SCENES_GIB").ok();
         let gib = gib.and_then(|text| text.parse().ok()).unwrap_or(LIMIT_GIB);
@@ -222,14 +222,14 @@ impl SceneFolder {
             .custom_flags(no_links())
             .open(&path)
             .map_err(|source| failure("write", &path, source))?;
-        let begun = Instant::now();
+        let started = Instant::now();
         loop {
             match file.try_lock() {
                 Ok(()) => return Ok(file),
                 // A file system without locks never evicts files in use, since eviction requires a
                 // lock; and two processes that write one scene write identical files.
                 Err(TryLockError::Error(_)) => return Ok(file),
-                Err(TryLockError::WouldBlock) if begun.elapsed() < self.max_wait => {
+                Err(TryLockError::WouldBlock) if started.elapsed() < self.max_wait => {
                     thread::sleep(POLL);
                 }
                 Err(TryLockError::WouldBlock) => {
@@ -271,7 +271,8 @@ impl SceneFolder {
         [self.user, ROOT].contains(&metadata.uid()) && metadata.mode() & OTHERS_WRITE == 0
     }
 
-    /// Opens a file; `None` if it is missing, not trusted, or has another length.
+    /// Opens a file; `None` if it is missing or not trusted, or if its header has another name or
+    /// length.
     fn open(&self, path: &Path, name: &Name) -> Result<Option<Opened>, SceneFileError> {
         let options = OpenOptions::new()
             .read(true)
@@ -353,7 +354,8 @@ impl SceneFolder {
             return false;
         };
         if fs::read_to_string(&record).is_ok_and(|recorded| recorded == stamps) {
-            // Eviction uses the time of last use. Folders of other users are read-only.
+            // Sets the modification time, which eviction uses as the time of last use. In a folder
+            // of another user, the time cannot be set.
             if let Ok(file) = OpenOptions::new().write(true).open(record) {
                 let now = Timespec {
                     tv_sec: 0,
@@ -387,8 +389,8 @@ impl SceneFolder {
         drop(written);
     }
 
-    /// Returns the path of the record that this machine has checked a file since it booted; other
-    /// machines that share the folder have their own records.
+    /// Returns the path of the file that records a check of the scene by this machine since it
+    /// booted. Other machines that share the folder have their own records.
     fn check_record_path(&self, name: &Name) -> Option<PathBuf> {
         let boot = fs::read_to_string("/proc/sys/kernel/random/boot_id").ok()?;
         let file = format!("{}.{}.checked", name_text(name), boot.trim());
@@ -431,7 +433,7 @@ fn failure(doing: &'static str, path: &Path, source: io::Error) -> SceneFileErro
     }
 }
 
-/// Refuses symbolic links, which could lead to a file that changes.
+/// Returns the flag that refuses symbolic links, which could lead to a file that changes.
 fn no_links() -> i32 {
     OFlags::NOFOLLOW.bits() as i32
 }

@@ -21,11 +21,12 @@ use crate::render::{Canvas, Drawer, View};
 const NAME: Name = [b'a'; NAME_DIGITS];
 const OTHER: Name = [b'b'; NAME_DIGITS];
 
-/// Environment variables of a writer that is killed: its folder, and the bytes written until then.
+/// Environment variables of the child process that is killed while it writes a scene: the scene
+/// folder, and the number of bytes after which the process is killed.
 const KILLED_IN: &str = "ROLLOUT_TEST_KILLED_IN";
 const KILLED_AT: &str = "ROLLOUT_TEST_KILLED_AT";
 
-/// Sets the user as whom the calling thread accesses files.
+/// Sets the id of the user whose rights the calling thread has when it accesses files.
 #[allow(unsafe_code, reason = "a call of the C library")]
 fn access_files_as(user: u32) {
     unsafe extern "C" {
@@ -35,7 +36,8 @@ fn access_files_as(user: u32) {
     unsafe { setfsuid(user) };
 }
 
-/// A file on a simulated disk that fills up, or whose writer is killed instead.
+/// A file on a simulated disk. When the disk is full, a write fails, or kills the process if
+/// [`KILLED_AT`] is set.
 pub(super) struct Disk<'a> {
     pub(super) file: &'a mut File,
     /// Remaining bytes on the disk.
@@ -67,8 +69,8 @@ impl Seek for Disk<'_> {
     }
 }
 
-/// Compiles a scene with meshes that collide and fall, textures of three kinds, and shapes with
-/// neither. `size` distinguishes scenes, which share two of the textures.
+/// Compiles a scene with a falling mesh, a falling box, a plane, and textures of three kinds.
+/// Scenes of different `size` share two of the textures.
 fn compile(size: f64) -> Result<Model, SimError> {
     Model::compile(&format!(
         r#"<mujoco><asset>
@@ -89,7 +91,7 @@ fn compile(size: f64) -> Result<Model, SimError> {
     ))
 }
 
-/// Returns the positions after half a second, and a frame of them.
+/// Simulates half a second. Returns the final positions and a frame that shows them.
 fn behaviour(obtained: LoadedScene) -> (Vec<f64>, Vec<u8>) {
     let LoadedScene {
         model: shared,
@@ -135,8 +137,8 @@ impl Fixture {
         }
     }
 
-    /// Obtains the scene and checks its behaviour. Returns true if the scene was compiled, and true
-    /// if it is mapped.
+    /// Obtains the scene and checks its behaviour. The first returned value is true if the scene
+    /// was compiled, the second if the scene is mapped from a file.
     fn obtain(&self) -> (bool, bool) {
         let mut compiled = false;
         let obtained = self.folder.obtain(&NAME, || {
@@ -145,7 +147,10 @@ impl Fixture {
         });
         let obtained = obtained.expect("a scene");
         let mapped = matches!(obtained.prepared, Preparation::InFile(_));
-        assert!(behaviour(obtained) == self.expected, "it behaves otherwise");
+        assert!(
+            behaviour(obtained) == self.expected,
+            "the obtained scene behaves differently"
+        );
         (compiled, mapped)
     }
 
@@ -177,7 +182,7 @@ fn tamper(file: &Path, change: impl FnOnce(&mut Vec<u8>)) {
 }
 
 #[test]
-fn a_scene_is_compiled_once_and_behaves_alike_from_its_file() {
+fn a_scene_is_compiled_once_and_its_file_gives_the_same_behaviour() {
     let fixture = Fixture::new();
     assert_eq!(fixture.obtain(), (true, true));
     assert_eq!(fixture.obtain(), (false, true));
@@ -189,28 +194,30 @@ fn a_scene_is_compiled_once_and_behaves_alike_from_its_file() {
         let mode = fs::metadata(file).expect("there").permissions().mode();
         assert_eq!(mode & 0o7777, 0o444, "{}", file.display());
     }
-    let [compiled, kept] = [compile(0.1).expect("a model"), {
-        let kept = fixture.folder.obtain(&NAME, || unreachable!("kept"));
-        kept.expect("a scene").model
+    let [compiled, mapped] = [compile(0.1).expect("a model"), {
+        let obtained = fixture
+            .folder
+            .obtain(&NAME, || unreachable!("the file exists"));
+        obtained.expect("a scene").model
     }];
-    for (one, other) in compiled.arrays().iter().zip(&kept.arrays()) {
+    for (one, other) in compiled.arrays().iter().zip(&mapped.arrays()) {
         assert!(one.values == other.values, "{}", one.name);
     }
 }
 
 #[test]
-fn writers_that_begin_together_compile_once() {
+fn concurrent_writers_compile_a_scene_once() {
     let fixture = Fixture::new();
     let (compiled, ready) = (AtomicUsize::new(0), Barrier::new(4));
     std::thread::scope(|scope| {
         for _ in 0..4 {
             scope.spawn(|| {
                 ready.wait();
-                let kept = fixture.folder.obtain(&NAME, || {
+                let obtained = fixture.folder.obtain(&NAME, || {
                     compiled.fetch_add(1, Ordering::Relaxed);
                     compile(0.1)
                 });
-                assert!(behaviour(kept.expect("a scene")) == fixture.expected);
+                assert!(behaviour(obtained.expect("a scene")) == fixture.expected);
             });
         }
     });
@@ -243,7 +250,7 @@ fn a_reader_that_locks_a_scene_blocks_no_other_reader() {
         sender.send(behaviour(obtained)).expect("awaited");
     });
     let behaviour = loaded.recv_timeout(Duration::from_secs(10));
-    assert!(behaviour.expect("it waits for the lock") == fixture.expected);
+    assert!(behaviour.expect("loading does not wait for the lock") == fixture.expected);
 }
 
 #[test]
@@ -253,7 +260,7 @@ fn a_full_disk_leaves_no_incomplete_file() {
     loop {
         fixture.folder.room.store(full_at, Ordering::Relaxed);
         let (compiled, mapped) = fixture.obtain();
-        assert!(compiled, "{full_at} bytes are no scene");
+        assert!(compiled, "a disk of {full_at} bytes holds a whole scene");
         assert_eq!(fixture.temporary_files(), 0, "full at {full_at}");
         if mapped {
             break;
@@ -261,7 +268,10 @@ fn a_full_disk_leaves_no_incomplete_file() {
         assert!(fixture.files(".scene").is_empty(), "full at {full_at}");
         full_at += 6000;
     }
-    assert!(full_at > 12_000, "it was full {full_at} bytes at the most");
+    assert!(
+        full_at > 12_000,
+        "the disk was full only below {full_at} bytes"
+    );
     let message = SceneFolder::take_problem().expect("a problem");
     assert!(
         message.contains(".texture") && message.contains("ROLLOUT_SCENES=off"),
@@ -300,7 +310,10 @@ fn a_killed_writer_leaves_no_incomplete_file() {
         fs::remove_dir_all(&fixture.folder.dir).expect("removed");
         killed_at += 6000;
     }
-    assert!(killed_at > 12_000, "it wrote {killed_at} bytes at the most");
+    assert!(
+        killed_at > 12_000,
+        "the writer was killed only below {killed_at} bytes"
+    );
     assert_eq!(fixture.obtain(), (false, true));
 }
 
@@ -336,13 +349,18 @@ fn a_truncated_or_changed_file_is_compiled_again() {
             assert_eq!(
                 fixture.obtain(),
                 (true, true),
-                "{cut} of {}",
+                "truncated to {cut} bytes: {}",
                 file.display()
             );
         }
         for at in [0, 17, 50, 70, 90, 200, length / 2, length - 1] {
             tamper(&file, |bytes| bytes[at] ^= 0x81);
-            assert_eq!(fixture.obtain(), (true, true), "{at} in {}", file.display());
+            assert_eq!(
+                fixture.obtain(),
+                (true, true),
+                "byte {at} changed in {}",
+                file.display()
+            );
         }
         fs::remove_file(&file).expect("removed");
         assert_eq!(fixture.obtain(), (true, true), "{} removed", file.display());
@@ -351,7 +369,7 @@ fn a_truncated_or_changed_file_is_compiled_again() {
 }
 
 #[test]
-fn a_check_is_recorded_and_repeated_without_the_record() {
+fn a_checksum_check_is_recorded_and_repeated_if_the_record_is_missing() {
     let fixture = Fixture::new();
     fixture.obtain();
     let [record] = &fixture.files(".checked")[..] else {
@@ -365,9 +383,9 @@ fn a_check_is_recorded_and_repeated_without_the_record() {
 }
 
 #[test]
-fn without_a_folder_scenes_stay_in_memory_and_the_error_names_it() {
+fn scenes_stay_in_memory_if_the_folder_cannot_be_created() {
     let mut fixture = Fixture::new();
-    // Not even root can create folders there, as in a read-only folder.
+    // Not even root can create a folder in `/proc`.
     fixture.folder.dir = "/proc/rollout-scenes".into();
     assert_eq!(fixture.obtain(), (true, false));
     let error = fixture.folder.check().expect_err("no folder").to_string();
@@ -385,7 +403,7 @@ fn a_read_only_folder_is_read_and_never_written() {
     std::thread::scope(|scope| {
         let reader = scope.spawn(|| {
             if fixture.folder.user == 0 {
-                // Root may write everywhere. The test as a whole stays root.
+                // Root may write everywhere, so this thread reads with the rights of another user.
                 access_files_as(12_345);
             }
             assert_eq!(fixture.obtain(), (false, true));
@@ -416,11 +434,15 @@ fn a_folder_that_others_own_or_may_write_to_is_not_used() {
     fs::set_permissions(&dir, Permissions::from_mode(0o700)).expect("rights");
     assert_eq!(fixture.obtain(), (false, true));
     match fixture.folder.user {
-        0 => chown(&dir, Some(12_345), None).expect("another owner"),
+        0 => chown(&dir, Some(12_345), None).expect("a changed owner"),
         user => fixture.folder.user = user + 1,
     }
     assert_eq!(fixture.obtain(), (true, false));
-    let error = fixture.folder.check().expect_err("another's").to_string();
+    let error = fixture
+        .folder
+        .check()
+        .expect_err("owned by another user")
+        .to_string();
     assert!(
         error.contains("user ") && error.contains("owns it"),
         "{error}"
@@ -438,7 +460,7 @@ fn a_file_that_others_may_write_to_is_replaced() {
 }
 
 #[test]
-fn another_program_has_its_own_texture_files() {
+fn programs_with_different_layouts_use_separate_texture_files() {
     let mut fixture = Fixture::new();
     fixture.obtain();
     let before = fixture.files(".texture");
@@ -454,8 +476,8 @@ fn another_program_has_its_own_texture_files() {
 fn eviction_removes_the_oldest_scene_that_is_not_mapped() {
     let mut fixture = Fixture::new();
     let obtain = |fixture: &Fixture, name, size| {
-        let kept = fixture.folder.obtain(name, || compile(size));
-        kept.expect("a scene")
+        let obtained = fixture.folder.obtain(name, || compile(size));
+        obtained.expect("a scene")
     };
     let first = obtain(&fixture, &NAME, 0.1);
     fixture.folder.limit = 0;
@@ -468,14 +490,26 @@ fn eviction_removes_the_oldest_scene_that_is_not_mapped() {
         names
     };
     drop(obtain(&fixture, &OTHER, 0.2));
-    assert_eq!(names(&fixture), ["a", "b"], "one is mapped, one is new");
+    assert_eq!(
+        names(&fixture),
+        ["a", "b"],
+        "the first scene is mapped, the second is new"
+    );
     drop(obtain(&fixture, &[b'c'; NAME_DIGITS], 0.3));
-    assert_eq!(names(&fixture), ["a", "c"], "nobody maps the second");
-    // Each scene shares two of its three textures with the other one.
+    assert_eq!(
+        names(&fixture),
+        ["a", "c"],
+        "the second scene is not mapped"
+    );
+    // The two scenes share two of their three textures.
     assert_eq!(fixture.files(".texture").len(), 4);
     assert!(behaviour(first) == fixture.expected);
     drop(obtain(&fixture, &[b'd'; NAME_DIGITS], 0.4));
     assert_eq!(names(&fixture), ["d"]);
     assert_eq!(fixture.files(".checked").len(), 1);
-    assert_eq!(fixture.obtain(), (true, true), "it was removed");
+    assert_eq!(
+        fixture.obtain(),
+        (true, true),
+        "the first scene was evicted"
+    );
 }

@@ -96,14 +96,14 @@ pub(crate) fn models(folder: &Path) -> Vec<(String, PathBuf)> {
 /// Returns the `index`-th group of `N` values.
 pub(crate) fn group<const N: usize>(values: &[f64], index: usize) -> [f64; N] {
     let group = &values[N * index..N * (index + 1)];
-    group.try_into().expect("as many as asked for")
+    group.try_into().expect("a group of N values")
 }
 
 /// Panics if a value differs from the expected one by more than `tolerance`.
 pub(crate) fn check_close(values: &[f64], expected: &[f64], tolerance: f64, what: &str) {
     assert_eq!(values.len(), expected.len(), "{what}");
     for (value, expected) in values.iter().zip(expected) {
-        let off = (value - expected).abs();
-        assert!(off <= tolerance, "{what}: {value} is not {expected}");
+        let difference = (value - expected).abs();
+        assert!(difference <= tolerance, "{what}: {value} is not {expected}");
     }
 }

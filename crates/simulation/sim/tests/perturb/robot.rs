@@ -18,8 +18,8 @@ struct Arm {
 
 struct Link {
     offset: Vector3<f64>,
-    turn: UnitQuaternion<f64>,
-    /// Joint and axis, in the link's frame.
+    rotation: UnitQuaternion<f64>,
+    /// Index of the joint, and its axis in the link's frame; `None` for a fixed link.
     hinge: Option<(usize, Vector3<f64>)>,
 }
 
@@ -37,15 +37,15 @@ impl Arm {
 
         let mut links = vec![Link {
             offset: group::<3>(&model["site_pos"], site).into(),
-            turn: quaternion(&model, "site_quat", site),
+            rotation: quaternion(&model, "site_quat", site),
             hinge: None,
         }];
         let mut body = integers(&path, "site_bodyid")[site] as usize;
         while body != 0 {
-            let joint = hinges.iter().position(|&other| other as usize == body);
+            let joint = hinges.iter().position(|&owner| owner as usize == body);
             links.push(Link {
                 offset: group::<3>(&model["body_pos"], body).into(),
-                turn: quaternion(&model, "body_quat", body),
+                rotation: quaternion(&model, "body_quat", body),
                 hinge: joint.map(|joint| (joint, group::<3>(&model["jnt_axis"], joint).into())),
             });
             body = parents[body] as usize;
@@ -63,7 +63,7 @@ impl Arm {
         let mut pivots = Vec::new();
         for link in &self.links {
             position += rotation * link.offset;
-            rotation *= link.turn;
+            rotation *= link.rotation;
             if let Some((joint, axis)) = link.hinge {
                 pivots.push((position, rotation * axis));
                 rotation *= UnitQuaternion::from_scaled_axis(axis * joints[joint]);

@@ -64,9 +64,9 @@ fn lights_of_all_presets_equal_the_reference() {
     }
 }
 
-/// Two parameters of the thirty presets lie on a decimal tie. Python's `round`, which the protocol
-/// and the published manifest use, and NumPy's, which made these arrays, differ there in the sixth
-/// decimal.
+/// Returns a preset's shift as rounded in the reference. Two values of the thirty presets lie on a
+/// decimal tie, for which Python's `round`, used by the protocol and the published manifest, and
+/// NumPy's `round`, used for the reference, give different sixth decimals.
 fn rounded_like_the_reference(shift: LightingShift, level: Level, config: u16) -> LightingShift {
     let (by_python, by_numpy) = match (level, config) {
         (Level::L2, 1) => (-0.617393, -0.617392),
@@ -80,7 +80,8 @@ fn rounded_like_the_reference(shift: LightingShift, level: Level, config: u16) -
     }
 }
 
-/// Returns the `index`-th set of lights, from arrays whose names `column` gives.
+/// Returns the `index`-th set of lights. `column` converts the name of a quantity to the name of
+/// its array.
 fn lighting(model: &Arrays, column: impl Fn(&str) -> String, index: usize) -> Lighting {
     let count = model["light_pos0"].len() / 3;
     let of_light = |array: &str, light: usize| {

@@ -52,7 +52,7 @@ fn corrupted(
 fn check_equal(picture: &[u8], expected: &[u8], what: &str) {
     let differing = picture.iter().zip(expected).filter(|(a, b)| a != b);
     assert_eq!(picture.len(), expected.len(), "{what}");
-    assert_eq!(differing.count(), 0, "channels of {what} differ");
+    assert_eq!(differing.count(), 0, "{what} differs from the reference");
 }
 
 #[test]
@@ -73,7 +73,7 @@ fn blur_and_compression_of_all_presets_equal_the_reference() {
     }
 }
 
-/// Two cameras and two steps, requested in another order than the reference's.
+/// Requests the pictures of two cameras and two steps in another order than the reference.
 #[test]
 fn noise_of_both_cameras_and_steps_equals_the_reference_in_any_order() {
     let Some(folder) = folder("perturb") else {
@@ -81,17 +81,17 @@ fn noise_of_both_cameras_and_steps_equals_the_reference_in_any_order() {
     };
     let agentview = read(&folder, "sensor_in_agentview.png");
     let wrist = read(&folder, "sensor_in_wrist.png");
-    let orders = [
+    let requests = [
         (FrameSource::Wrist, &wrist, "wrist", 1),
         (FrameSource::Agentview, &agentview, "agentview", 0),
         (FrameSource::Agentview, &agentview, "agentview", 1),
         (FrameSource::Wrist, &wrist, "wrist", 0),
     ];
     // The reference holds noisy pictures of every third preset.
-    let kept = presets(Axis::Sensor).filter(|&(_, config, _)| config % 3 == 0);
-    for (level, config, perturbation) in kept {
+    let noisy_presets = presets(Axis::Sensor).filter(|&(_, config, _)| config % 3 == 0);
+    for (level, config, perturbation) in noisy_presets {
         let mut stage = stage(&perturbation.sensor.expect("set"), level, config);
-        for (source, picture, camera, step) in orders {
+        for (source, picture, camera, step) in requests {
             let output = corrupted(&mut stage, picture, source, step);
             let name = format!("sensor_{level}_c{config:02}_step{step}_{camera}.png");
             check_equal(&output, &read(&folder, &name).rgb, &name);

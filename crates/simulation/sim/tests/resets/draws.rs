@@ -22,17 +22,18 @@ const SEED: u32 = 0;
 struct Recorded {
     /// Position and orientation of each placed fixture.
     body_pos_seed0: BTreeMap<String, ([f64; 3], [f64; 4])>,
-    /// Function, arguments as printed by Python, and two values that are not used here.
+    /// Name of the function, its arguments as printed by Python, and two values that the test
+    /// ignores.
     rng_calls_seed0: Vec<(String, String, serde_json::Value, serde_json::Value)>,
 }
 
 /// Repeats a recorded call.
 fn replay(rng: &mut LegacyRng, function: &str, arguments: &str) {
-    let first = || -> u32 {
+    let first_argument = || -> u32 {
         let digits = arguments.trim_start_matches('(').split(',').next();
         digits.and_then(|digits| digits.parse().ok()).unwrap()
     };
-    let named = |name: &str| -> f64 {
+    let keyword_argument = |name: &str| -> f64 {
         let (_, value) = arguments.split_once(&format!("'{name}': ")).unwrap();
         let value = value.trim_start_matches("np.float64(");
         let end = value.find([',', '}', ')']).unwrap();
@@ -40,17 +41,17 @@ fn replay(rng: &mut LegacyRng, function: &str, arguments: &str) {
     };
     match function {
         "randn" => {
-            for _ in 0..first() {
+            for _ in 0..first_argument() {
                 rng.randn();
             }
         }
         "randint" => {
-            rng.randint(first());
+            rng.randint(first_argument());
         }
         "uniform" => {
-            rng.uniform(named("low"), named("high"));
+            rng.uniform(keyword_argument("low"), keyword_argument("high"));
         }
-        _ => panic!("a call of {function}"),
+        _ => panic!("the record has a call of the unknown function {function}"),
     }
 }
 
@@ -74,22 +75,22 @@ fn check_suite(suite: &str) {
 }
 
 #[test]
-fn resets_of_libero_spatial_draw_what_the_original_draws() {
+fn resets_of_libero_spatial_draw_the_same_numbers_as_the_original() {
     check_suite("libero_spatial/");
 }
 
 #[test]
-fn resets_of_libero_object_draw_what_the_original_draws() {
+fn resets_of_libero_object_draw_the_same_numbers_as_the_original() {
     check_suite("libero_object/");
 }
 
 #[test]
-fn resets_of_libero_goal_draw_what_the_original_draws() {
+fn resets_of_libero_goal_draw_the_same_numbers_as_the_original() {
     check_suite("libero_goal/");
 }
 
 #[test]
-fn resets_of_libero_10_draw_what_the_original_draws() {
+fn resets_of_libero_10_draw_the_same_numbers_as_the_original() {
     check_suite("libero_10/");
 }
 

@@ -11,6 +11,7 @@ use sim::{Environment, Reset, SimError};
 
 use files::{compile, crowded, packs};
 
+/// Number of times that the original has loaded its model: at construction, and in one hard reset.
 const LOADED_TWICE: u32 = 2;
 
 #[test]
@@ -32,7 +33,7 @@ fn loading_a_state_after_a_reset_restores_the_campaign_fixtures() {
     assert_eq!(poses(&environment), campaign);
 }
 
-/// MuJoCo keeps its warnings per thread, not per environment.
+/// MuJoCo's warnings are stored per thread, not per environment.
 #[test]
 fn a_diverging_environment_does_not_stop_others_on_its_thread() {
     let pack = &packs()[0];
@@ -53,7 +54,7 @@ fn a_diverging_environment_does_not_stop_others_on_its_thread() {
 #[test]
 fn a_hard_reset_removes_perturbations_and_a_soft_one_keeps_them() {
     let mut environment = compile(&crowded(), &packs()[0]).unwrap();
-    let lit = environment.model().light_diffuse().to_vec();
+    let nominal_diffuse = environment.model().light_diffuse().to_vec();
     let mut rng = LegacyRng::seed(2);
     environment.model_mut().light_diffuse_mut().fill(0.1);
     environment
@@ -69,7 +70,7 @@ fn a_hard_reset_removes_perturbations_and_a_soft_one_keeps_them() {
     environment
         .reset(&mut rng, Reset::Hard, LOADED_TWICE)
         .unwrap();
-    assert_eq!(environment.model().light_diffuse(), lit);
+    assert_eq!(environment.model().light_diffuse(), nominal_diffuse);
 }
 
 #[test]
@@ -95,14 +96,14 @@ fn a_reset_updates_the_observation() {
     assert_eq!(environment.data().time_secs(), 0.0);
 }
 
-/// The second bowl of this scene never finds room.
+/// No attempt finds room for the second bowl of this scene.
 #[test]
 fn a_scene_without_room_is_refused_with_the_object_named() {
     let text = crowded().replace("(0.0 -0.301 0.06 -0.3)", "(0.0 -0.301 0.001 -0.3)");
     let Err(SimError::Scene(SceneError::NoRoom { object, region, .. })) =
         compile(&text, &packs()[0]).map(drop)
     else {
-        panic!("there is no room");
+        panic!("the scene is composed although a bowl has no room");
     };
     assert_eq!(object, "akita_black_bowl_2");
     assert_eq!(region, "kitchen_table_narrow_region");
@@ -140,8 +141,8 @@ fn an_inconsistent_initial_state_is_refused_with_the_statement() {
     ];
     for (from, to, expected) in cases {
         let text = crowded().replace(from, to);
-        let refused = compile(&text, &packs()[0]).map(drop).unwrap_err();
-        let message = refused.to_string();
+        let error = compile(&text, &packs()[0]).map(drop).unwrap_err();
+        let message = error.to_string();
         assert!(message.contains(expected), "{to}: {message}");
     }
 }

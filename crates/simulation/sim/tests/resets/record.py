@@ -71,7 +71,7 @@ def fixtures(env):
 
 
 def construct(file, seed, hard):
-    """Returns the first seed from `seed` on with which all objects find room, and the environment."""
+    """Returns the first seed, from `seed` up, that places all objects, and the environment."""
     while True:
         np.random.seed(seed)
         try:
@@ -90,13 +90,13 @@ def record(name, seed, hard, resets):
     folder = HERE if name == CROWDED else pathlib.Path(get_libero_path("bddl_files"))
     seed, env = construct(folder / name, seed, hard)
     scenario = {"file": name, "seed": seed, "hard": hard, "constructed": generator(), "resets": []}
-    inner, attempts = env.env.reset, [0]
+    original_reset, attempts = env.env.reset, [0]
 
-    def counted():
+    def count_and_reset():
         attempts[0] += 1
-        return inner()
+        return original_reset()
 
-    env.env.reset = counted
+    env.env.reset = count_and_reset
     for _ in range(resets):
         attempts[0] = 0
         env.reset()

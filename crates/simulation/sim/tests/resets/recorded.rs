@@ -13,9 +13,9 @@ use crate::fixtures;
 
 /// Tolerance of positions right after a reset, m or rad: sines and matrix products differ in the
 /// last digit.
-const PLACED_WITHIN: f64 = 1e-15;
+const PLACEMENT_TOLERANCE: f64 = 1e-15;
 /// Tolerance of the robot's positions after some steps, m or rad.
-const MOVED_WITHIN: f64 = 1e-12;
+const MOTION_TOLERANCE: f64 = 1e-12;
 
 #[derive(Deserialize)]
 struct Recorded {
@@ -75,22 +75,31 @@ fn check(scenario: &Scenario, environment: &mut Environment, action: &[f64; 7], 
     };
     let mut rng = LegacyRng::seed(scenario.seed);
     let mut rounds = environment.reset(&mut rng, Reset::Hard, 1).unwrap();
-    assert_eq!(rounds, 1, "construction finds room at once");
+    assert_eq!(rounds, 1, "the first attempt places everything");
     assert_eq!(Generator::from_rng(&rng), scenario.constructed);
     for (index, expected) in scenario.resets.iter().enumerate() {
-        let place = format!("{} from {}, reset {index}", scenario.file, scenario.seed);
+        let reset_name = format!("{} from {}, reset {index}", scenario.file, scenario.seed);
         let before = rounds;
         rounds += u32::from(scenario.hard);
         rounds = environment.reset(&mut rng, kind, rounds).unwrap();
         let loads = if scenario.hard { expected.attempts } else { 0 };
-        assert_eq!(rounds, before + loads, "{place}");
-        assert_eq!(Generator::from_rng(&rng), expected.generator, "{place}");
+        assert_eq!(rounds, before + loads, "{reset_name}");
+        assert_eq!(
+            Generator::from_rng(&rng),
+            expected.generator,
+            "{reset_name}"
+        );
 
         let (model, data) = (environment.model(), environment.data());
-        assert_close(data.qpos(model), &expected.qpos, PLACED_WITHIN, &place);
-        assert!(data.qvel(model).iter().all(|v| *v == 0.0), "{place}");
+        assert_close(
+            data.qpos(model),
+            &expected.qpos,
+            PLACEMENT_TOLERANCE,
+            &reset_name,
+        );
+        assert!(data.qvel(model).iter().all(|v| *v == 0.0), "{reset_name}");
         let names = fixtures(environment.scene());
-        assert_eq!(names.len(), expected.fixtures.len(), "{place}");
+        assert_eq!(names.len(), expected.fixtures.len(), "{reset_name}");
         for name in names {
             let body = model.id(ObjectKind::Body, name).unwrap();
             let pose = [
@@ -98,7 +107,12 @@ fn check(scenario: &Scenario, environment: &mut Environment, action: &[f64; 7], 
                 &model.body_quat()[body * 4..][..4],
             ]
             .concat();
-            assert_close(&pose, &expected.fixtures[name], PLACED_WITHIN, &place);
+            assert_close(
+                &pose,
+                &expected.fixtures[name],
+                PLACEMENT_TOLERANCE,
+                &reset_name,
+            );
         }
 
         if let Some(robot_qpos) = expected.robot_qpos {
@@ -107,18 +121,18 @@ fn check(scenario: &Scenario, environment: &mut Environment, action: &[f64; 7], 
             }
             let (model, data) = (environment.model(), environment.data());
             let robot = &data.qpos(model)[..9];
-            assert_close(robot, &robot_qpos, MOVED_WITHIN, &place);
+            assert_close(robot, &robot_qpos, MOTION_TOLERANCE, &reset_name);
         }
     }
 }
 
-fn assert_close(ours: &[f64], theirs: &[f64], within: f64, place: &str) {
-    assert_eq!(ours.len(), theirs.len(), "{place}");
-    for (index, (ours, theirs)) in ours.iter().zip(theirs).enumerate() {
-        let difference = (ours - theirs).abs();
+fn assert_close(values: &[f64], expected: &[f64], tolerance: f64, reset_name: &str) {
+    assert_eq!(values.len(), expected.len(), "{reset_name}");
+    for (index, (value, expected)) in values.iter().zip(expected).enumerate() {
+        let difference = (value - expected).abs();
         assert!(
-            difference <= within,
-            "{place}: number {index} is {ours}, off by {difference:e}"
+            difference <= tolerance,
+            "{reset_name}: number {index} is {value}, off by {difference:e}"
         );
     }
 }

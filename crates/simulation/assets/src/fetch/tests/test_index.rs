@@ -16,11 +16,11 @@ use crate::verify::hex;
 
 /// A large file, the first one in the first wheel.
 pub(super) const LARGE: &str = "scenes/large texture.png";
-/// A small file after the other two in the first wheel.
+/// A small file, the last one in the first wheel.
 pub(super) const SMALL: &str = "scenes/room.xml";
 /// A file in the second wheel.
 pub(super) const OTHER: &str = "textures/wall.png";
-/// A file between the first two that no test requests.
+/// A file between [`LARGE`] and [`SMALL`] in the first wheel; no test requests the file.
 pub(super) const UNWANTED: &str = "scenes/unwanted.stl";
 
 /// Fault that the index simulates.
@@ -46,7 +46,7 @@ pub(super) enum Fault {
     NoProject,
     /// The project lacks the requested wheel.
     NoWheel,
-    /// The second half of a wheel's first answer is never sent.
+    /// The first answer with a wheel stops half-way, and the connection stays open.
     Stalls,
     /// Bytes arrive slowly but steadily.
     Slow,
