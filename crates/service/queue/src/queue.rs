@@ -51,7 +51,7 @@ pub struct Queue {
 }
 
 /// Checkpoints the write-ahead log outside the writer, so that transactions do not wait for it.
-async fn keep_log_short(shared: Arc<Shared>) {
+async fn checkpoint_log(shared: Arc<Shared>) {
     loop {
         tokio::time::sleep(CHECKPOINT_INTERVAL).await;
         // A full disk may have room later; the log stays readable in any case.
@@ -95,13 +95,16 @@ impl Queue {
                 removals::remove(&shared, &folder).await?;
             }
         }
-        let (operations, asked) = mpsc::channel(MAX_WAITING);
-        let left = passages::left(&shared).await?;
+        let (operations, received) = mpsc::channel(MAX_WAITING);
+        let interrupted = passages::interrupted(&shared).await?;
         let mut tasks = Tasks::default();
-        let removal = passages::run(shared.clone(), left);
-        tasks.spawn("the removal of what was left on the way", removal);
-        tasks.spawn("the database's writer", writer::run(shared.clone(), asked));
-        tasks.spawn("the checkpointer", keep_log_short(shared.clone()));
+        let removal = passages::run(shared.clone(), interrupted);
+        tasks.spawn("the deletion of incomplete campaigns", removal);
+        tasks.spawn(
+            "the database's writer",
+            writer::run(shared.clone(), received),
+        );
+        tasks.spawn("the checkpointer", checkpoint_log(shared.clone()));
         tasks.spawn("the derivation of rollouts", derive::run(shared.clone()));
         tasks.spawn("the early stop", stop::run(shared.clone()));
         Ok(Arc::new(Queue {

@@ -196,7 +196,7 @@ const WRITER_CACHE_KIB: &str = "-65536";
 const INSERTED_ROWS: [usize; 4] = [64, 16, 4, 1];
 
 /// Splits rows into batches of these sizes.
-pub(crate) fn in_few_statements<T>(mut rows: &[T]) -> impl Iterator<Item = &[T]> {
+pub(crate) fn insert_batches<T>(mut rows: &[T]) -> impl Iterator<Item = &[T]> {
     std::iter::from_fn(move || {
         let size = INSERTED_ROWS.into_iter().find(|size| *size <= rows.len())?;
         let (piece, others) = rows.split_at(size);
@@ -534,7 +534,7 @@ pub(crate) async fn schema_version(
 }
 
 /// Creates the temporary table `known_schema` with this program's schema in the open database.
-pub(crate) async fn know_schema(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
+pub(crate) async fn load_schema(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     let mut fresh = SqliteConnection::connect("sqlite::memory:").await?;
     MIGRATIONS
         .run_direct(None, &mut fresh, false)

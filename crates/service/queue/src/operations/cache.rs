@@ -54,7 +54,7 @@ impl Cache {
             *self = Cache::default();
         }
         self.is_open = true;
-        self.forget_campaigns();
+        self.clear_campaigns();
         self.live = None;
         if self.siblings.len() > MAX_INITIAL_STATES {
             self.siblings.clear();
@@ -175,7 +175,7 @@ impl Cache {
     }
 
     /// Counts a turn of the campaign, which has received leases.
-    pub(super) fn had_turn(&mut self, campaign: CampaignId) {
+    pub(super) fn count_turn(&mut self, campaign: CampaignId) {
         self.turns += 1;
         self.last_turns.insert(campaign, self.turns);
     }
@@ -186,13 +186,13 @@ impl Cache {
     }
 
     /// Clears the cached campaigns, policies and waiting jobs, which may have changed.
-    pub(super) fn forget_campaigns(&mut self) {
+    pub(super) fn clear_campaigns(&mut self) {
         self.campaigns.clear();
         self.waiting = None;
     }
 
     /// Clears everything after a campaign was deleted.
-    pub(super) fn forget(&mut self) {
+    pub(super) fn clear(&mut self) {
         *self = Cache {
             is_open: self.is_open,
             ..Cache::default()

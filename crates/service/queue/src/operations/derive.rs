@@ -82,7 +82,7 @@ pub(crate) async fn run(shared: Arc<Shared>) {
             tokio::time::sleep(PAUSE_AFTER_FAILURE).await;
             continue;
         }
-        shared.settled.look_ended(ended);
+        shared.settled.mark_processed(ended);
         tokio::time::sleep(pause_after(began.elapsed())).await;
         // Never closes: the sender belongs to the same queue.
         let _ = settled.changed().await;
@@ -106,7 +106,7 @@ async fn pass(shared: &Shared, passes: &mut Passes) -> Result<(), StoreError> {
             continue;
         }
         let source = source_records(&mut view, &campaign, &mut passes.sources).await?;
-        let jobs = following(&mut view, &campaign, source).await?;
+        let jobs = derived_jobs(&mut view, &campaign, source).await?;
         match jobs.is_empty() {
             true => drop(passes.complete.insert(campaign.campaign, inputs)),
             false => additions.push((campaign, jobs)),
@@ -123,15 +123,15 @@ async fn pass(shared: &Shared, passes: &mut Passes) -> Result<(), StoreError> {
 /// since they were computed; the next pass then computes them for its new state.
 async fn add(shared: &Shared, campaign: &Derived, jobs: &[NewJob]) -> Result<(), StoreError> {
     let mut context = Context::begin(shared, vec![Step::Derive]).await?;
-    if !derivations::is_as_it_was(&mut context.tx, campaign).await? {
+    if !derivations::is_unchanged(&mut context.tx, campaign).await? {
         return Ok(());
     }
     let id = campaign.campaign;
     derivations::append(&mut context.tx, id, jobs).await?;
     let name = context.campaign(id).await?.name.clone();
-    context.cache.forget_campaigns();
+    context.cache.clear_campaigns();
     context.commit().await?;
-    tracing::info!(campaign = %name, jobs = jobs.len(), "further rollouts follow");
+    tracing::info!(campaign = %name, jobs = jobs.len(), "added derived rollouts");
     shared.work.notify_waiters();
     Ok(())
 }
@@ -140,7 +140,7 @@ async fn add(shared: &Shared, campaign: &Derived, jobs: &[NewJob]) -> Result<(),
 type Rollout = (ManifestRow, u32);
 
 /// Computes the jobs that derive from the known outcomes.
-async fn following(
+async fn derived_jobs(
     tx: &mut SqliteConnection,
     campaign: &Derived,
     source: Arc<Vec<Record>>,
@@ -159,12 +159,13 @@ async fn following(
         NewJob::new(&row.under(&spec.execution), replicate, place)
     });
     let jobs: Result<_, _> = jobs.collect();
-    jobs.map_err(undecodable).doing("write a rollout's row")
+    jobs.map_err(undecodable)
+        .doing("write a derived rollout's row")
 }
 
 pub(super) fn specification(text: &str) -> Result<CampaignSpec, StoreError> {
     let spec = CampaignSpec::from_json(text).map_err(undecodable);
-    spec.doing("read the specification of what follows from outcomes")
+    spec.doing("read the specification of a derived campaign")
 }
 
 /// Computes the subsets of axes to run in order to explain a transition.
@@ -174,8 +175,9 @@ async fn subsets(
     [source, own]: [Arc<Vec<Record>>; 2],
     explanation: Explanation,
 ) -> Result<Vec<Rollout>, StoreError> {
-    let wanted = aside(move || explanation::wanted(&source, &own, &explanation)).await;
-    let ids: BTreeSet<String> = wanted
+    let additions =
+        on_blocking_thread(move || explanation::additions(&source, &own, &explanation)).await;
+    let ids: BTreeSet<String> = additions
         .iter()
         .map(|rollouts| rollouts.simultaneous.to_string())
         .collect();
@@ -192,7 +194,7 @@ async fn subsets(
         simultaneous,
         axes,
         replicates,
-    } in wanted
+    } in additions
     {
         let row = rows.get(&simultaneous).copied();
         let row = row
@@ -203,7 +205,7 @@ async fn subsets(
             false => row
                 .only(axes)
                 .map_err(undecodable)
-                .doing("perturb some axes only")?,
+                .doing("restrict a row to some axes")?,
         };
         rollouts.extend(replicates.map(|replicate| (row.clone(), replicate)));
     }
@@ -221,7 +223,7 @@ async fn radii(
     let Rollouts::Design(design) = specification(&spec)?.rollouts else {
         return Ok(Vec::new());
     };
-    let rollouts = aside(move || {
+    let rollouts = on_blocking_thread(move || {
         let plan = Measurement::of(&source, &own, &thresholds).plan();
         let rollout = |(ray, level): (Ray, Level)| {
             let row = design.row_at(ray.task, ray.condition, level, ray.config);
@@ -230,7 +232,7 @@ async fn radii(
         plan.into_iter().map(rollout).collect::<Result<_, _>>()
     });
     let rollouts = rollouts.await.map_err(undecodable);
-    rollouts.doing("perturb at another radius")
+    rollouts.doing("derive rows at other radii")
 }
 
 /// Returns the records of a campaign's source, all of whose rollouts are settled. The records are
@@ -275,14 +277,14 @@ pub(super) async fn records(
 ) -> Result<Vec<Record>, StoreError> {
     let rows = derivations::outcomes(tx, campaign).await?;
     let read = move || rows.iter().map(OutcomeRow::record).collect();
-    let records: Result<_, UnknownName> = aside(read).await;
+    let records: Result<_, UnknownName> = on_blocking_thread(read).await;
     let records = records.map_err(undecodable);
-    records.doing("read the outcomes that a campaign follows from")
+    records.doing("read the outcomes of a source campaign")
 }
 
 /// Runs a computation on a blocking thread, not on one that answers calls: a computation over a
 /// whole campaign takes tens of milliseconds or more.
-pub(super) async fn aside<T: Send + 'static>(
+pub(super) async fn on_blocking_thread<T: Send + 'static>(
     computation: impl FnOnce() -> T + Send + 'static,
 ) -> T {
     match tokio::task::spawn_blocking(computation).await {
@@ -347,7 +349,7 @@ mod tests {
         assert!(after.campaign > before.campaign, "no number is given twice");
 
         let added = add(&queue.shared, &before, &source.jobs).await;
-        added.expect("nothing to do");
+        added.expect("no job is added");
         assert_eq!(derived().await.jobs, 0);
         add(&queue.shared, &after, &source.jobs)
             .await
@@ -357,7 +359,7 @@ mod tests {
         // Adds the same jobs again, as if a concurrent pass had added them first.
         add(&queue.shared, &after, &source.jobs)
             .await
-            .expect("nothing to do");
+            .expect("no job is added");
         assert_eq!(derived().await.jobs, jobs);
     }
 }

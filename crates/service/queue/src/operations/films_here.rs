@@ -39,7 +39,7 @@ impl Queue {
     /// If the folder or the database cannot be read.
     pub async fn films_here(&self) -> Result<Vec<FilmHere>, StoreError> {
         let found = walk(self.store().folder()).map_err(sqlx::Error::Io);
-        let found = found.doing("list the films in the data folder")?;
+        let found = found.doing("list the videos in the data folder")?;
         if found.is_empty() {
             return Ok(found);
         }
@@ -73,9 +73,9 @@ impl Queue {
         let _alone = self.removing.lock().await;
         // A campaign being imported has its folder marked for removal until it is complete. This
         // lock excludes imports, and no campaign ever gets a folder that is marked.
-        let arriving = self.campaigns.lock().await;
+        let no_imports = self.campaigns.lock().await;
         let pending = removals::pending(&self.shared).await?;
-        drop(arriving);
+        drop(no_imports);
         for folder in pending {
             removals::remove(&self.shared, &folder).await?;
         }

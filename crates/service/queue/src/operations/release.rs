@@ -110,7 +110,7 @@ impl Context<'_> {
             let last = jobs::last_without_policy(&mut self.tx, job).await?;
             contact.is_back = last.is_some_and(|last| campaign.health.available_since > last);
             let (policy, losses) = (campaign.policy_id, LOSSES_UNTIL_ALONE);
-            contact.is_last = !jobs::others_wait(&mut self.tx, policy, job, losses).await?;
+            contact.is_last = !jobs::has_other_waiting(&mut self.tx, policy, job, losses).await?;
         }
         Ok(contact.was_lost())
     }

@@ -167,7 +167,7 @@ impl View {
             _ if campaign.state.is_over() => false,
             None => false,
             Some(source) if source.awaited > 0 => !source.is_cancelled,
-            Some(_) => !self.settled.is_all(self.looked_at),
+            Some(_) => !self.settled.is_current(self.processed),
         };
         let is_waiting = counts.queued > 0 && counts.leased == 0 && campaign.state.may_lease();
         let waiting_reason = match (is_waiting, &self.held, &policy_pause_reason) {

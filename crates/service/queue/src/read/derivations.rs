@@ -57,6 +57,6 @@ impl View {
         .bind(json(ids))
         .fetch_all(self.tx())
         .await
-        .doing("read what is known of a configuration's subsets")
+        .doing("read the outcomes of a configuration's subsets")
     }
 }

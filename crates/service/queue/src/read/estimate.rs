@@ -89,22 +89,22 @@ pub(super) fn forecast(workers: &[Live], measured: &[Measured], planned: &Planne
             None => kinds.push((&worker.pin, vec![worker])),
         }
     }
-    let of_kinds = kinds.iter().map(|(pin, alike)| {
+    let by_kind = kinds.iter().map(|(pin, alike)| {
         let drawn = measured
             .iter()
             .filter(|results| results.renderer == pin.renderer);
-        of_kind(alike, &drawn.collect::<Vec<_>>(), planned)
+        forecast_for_kind(alike, &drawn.collect::<Vec<_>>(), planned)
     });
     let least = |a: &Forecast, b: &Forecast| {
         let secs = |it: &Forecast| it.secs.unwrap_or(f64::INFINITY);
         secs(a).total_cmp(&secs(b)).then(b.slots.cmp(&a.slots))
     };
-    of_kinds.min_by(least).unwrap_or_default()
+    by_kind.min_by(least).unwrap_or_default()
 }
 
 /// Returns the forecast for workers of one kind, from results of the same renderer.
-fn of_kind(alike: &[&Live], drawn: &[&Measured], planned: &Planned<'_>) -> Forecast {
-    let slots = all_of(alike.iter().map(|worker| worker.slots));
+fn forecast_for_kind(alike: &[&Live], drawn: &[&Measured], planned: &Planned<'_>) -> Forecast {
+    let slots = saturating_sum(alike.iter().map(|worker| worker.slots));
     let machine = |it: &&Live| {
         it.cores.map(|cores| Machine {
             slots: it.slots,
@@ -121,7 +121,7 @@ fn of_kind(alike: &[&Live], drawn: &[&Measured], planned: &Planned<'_>) -> Forec
         slots,
         cores: machines
             .as_ref()
-            .map(|all| all_of(all.iter().map(|worker| worker.cores))),
+            .map(|all| saturating_sum(all.iter().map(|worker| worker.cores))),
         ..Forecast::default()
     };
     let duration: Figure = (|row| row.secs, |row| row.results);
@@ -167,7 +167,7 @@ fn of_kind(alike: &[&Live], drawn: &[&Measured], planned: &Planned<'_>) -> Forec
 }
 
 /// Sums numbers reported by workers. Saturates, since a worker may report any number.
-fn all_of(numbers: impl Iterator<Item = u32>) -> u32 {
+fn saturating_sum(numbers: impl Iterator<Item = u32>) -> u32 {
     numbers.fold(0, u32::saturating_add)
 }
 

@@ -21,7 +21,7 @@ pub(crate) struct Wanted {
 
 /// Returns the rollouts to add, given the records of the explained campaign and `own`, those of the
 /// explaining campaign; empty if everything is explained or already requested.
-pub(crate) fn wanted(
+pub(crate) fn additions(
     explained: &[Record],
     own: &[Record],
     explanation: &Explanation,
@@ -49,7 +49,7 @@ pub(crate) fn wanted(
 /// the minimal subsets of axes, and those under the largest subsets of each minimal subset that do
 /// not flip the outcome. For each of these subsets, returns the first replicate with the majority's
 /// outcome.
-pub(crate) fn telling(
+pub(crate) fn illustrative(
     explained: &[Record],
     own: &[Record],
     explanation: &Explanation,
@@ -74,7 +74,7 @@ pub(crate) fn telling(
             }
         }
     }
-    let mut telling = BTreeMap::new();
+    let mut illustrative = BTreeMap::new();
     for &Record {
         id,
         replicate,
@@ -83,9 +83,9 @@ pub(crate) fn telling(
     } in own
     {
         if outcome.success().is_some() && outcome.success() == verdicts.get(&id).copied() {
-            let least = telling.entry(id).or_insert(replicate);
+            let least = illustrative.entry(id).or_insert(replicate);
             *least = replicate.min(*least);
         }
     }
-    telling.into_iter().collect()
+    illustrative.into_iter().collect()
 }

@@ -50,7 +50,7 @@ impl Known {
     ///
     /// # Errors
     /// If both halves have an outcome and the outcomes differ. The error holds both.
-    pub fn beside(&self, other: &Known) -> Result<Kept, (OutcomeKey, OutcomeKey)> {
+    pub fn choose(&self, other: &Known) -> Result<Kept, (OutcomeKey, OutcomeKey)> {
         if let (Standing::Committed(first), Standing::Committed(second)) =
             (self.standing, other.standing)
             && first != second
@@ -93,7 +93,7 @@ pub fn merge<N: Clone + Ord>(
     for (of, known) in first {
         match second
             .get(of)
-            .map_or(Ok(Kept::First), |second| known.beside(second))
+            .map_or(Ok(Kept::First), |second| known.choose(second))
         {
             Ok(half) => {
                 kept.insert(of.clone(), half);

@@ -88,7 +88,7 @@ pub(crate) async fn known(
     .bind(campaign)
     .fetch_all(tx)
     .await
-    .doing("read what is known of a campaign")?;
+    .doing("read the records of a campaign's rollouts")?;
     let known = rows.into_iter().map(|row| {
         let (rollout, replicate, state, charged_attempts, attempts, success, steps, ..) = row;
         let outcome = success.zip(steps);
@@ -126,7 +126,7 @@ pub(crate) async fn other_rollout(
     .bind(source)
     .fetch_optional(tx)
     .await
-    .doing("compare the rollouts of two halves")
+    .doing("compare the rollouts of the halves")
 }
 
 /// Returns the results of one half, by rollout.
@@ -152,7 +152,7 @@ pub(crate) async fn results(
 }
 
 /// Copies the other half's pin to a campaign without results.
-pub(crate) async fn take_pin(
+pub(crate) async fn copy_pin(
     tx: &mut SqliteConnection,
     (main, source): (CampaignId, CampaignId),
 ) -> Result<(), StoreError> {

@@ -12,7 +12,7 @@ use crate::ids::{CampaignId, CampaignName, JobId};
 
 /// Name and specification of a copied campaign in its new database.
 #[derive(Clone, Debug)]
-pub(crate) struct Called {
+pub(crate) struct CopyTarget {
     pub(crate) name: CampaignName,
     /// Specification under the new name, JSON.
     pub(crate) spec: String,
@@ -202,11 +202,11 @@ const LEFT: [&str; 9] = [
 pub(crate) async fn copy(
     tx: &mut SqliteConnection,
     old: CampaignId,
-    called: &Called,
+    target: &CopyTarget,
     now: UnixMillis,
 ) -> Result<CampaignId, StoreError> {
     begin(tx, old).await?;
-    let new = copy_row(tx, old, called, now).await?;
+    let new = copy_row(tx, old, target, now).await?;
     run(
         tx,
         "INSERT INTO temp.moved_job
@@ -220,15 +220,15 @@ pub(crate) async fn copy(
     Ok(new)
 }
 
-/// As [`copy`], but without jobs, which [`copy_piece`] and [`copy_rest`] complete.
+/// As [`copy`], but without jobs, which [`copy_batch`] and [`copy_rest`] complete.
 pub(crate) async fn copy_without_jobs(
     tx: &mut SqliteConnection,
     old: CampaignId,
-    called: &Called,
+    target: &CopyTarget,
     now: UnixMillis,
 ) -> Result<CampaignId, StoreError> {
     begin(tx, old).await?;
-    let new = copy_row(tx, old, called, now).await?;
+    let new = copy_row(tx, old, target, now).await?;
     rows(tx, new, |table| OF_CAMPAIGN.contains(&table)).await?;
     end(tx).await?;
     Ok(new)
@@ -236,7 +236,7 @@ pub(crate) async fn copy_without_jobs(
 
 /// Copies some jobs with their dependent rows. Their new numbers follow this order and come after
 /// those of all jobs that ever existed here.
-pub(crate) async fn copy_piece(
+pub(crate) async fn copy_batch(
     tx: &mut SqliteConnection,
     (campaign, old): (CampaignId, CampaignId),
     folder: &str,
@@ -272,7 +272,7 @@ pub(crate) async fn jobs(
         .bind(campaign)
         .fetch_all(tx)
         .await
-        .doing("list the jobs of a campaign that is copied")
+        .doing("list the jobs of the campaign to copy")
 }
 
 /// Copies what depends on all jobs being present: the early stop and the state of the campaign.
@@ -302,7 +302,7 @@ pub(crate) async fn copy_rest(
 async fn copy_row(
     tx: &mut SqliteConnection,
     old: CampaignId,
-    called: &Called,
+    target: &CopyTarget,
     now: UnixMillis,
 ) -> Result<CampaignId, StoreError> {
     let (endpoint, policy): (String, String) = sqlx::query_as(
@@ -312,16 +312,16 @@ async fn copy_row(
     .bind(old)
     .fetch_one(&mut *tx)
     .await
-    .doing("read which policy a campaign measures")?;
+    .doing("read the policy of a campaign")?;
     let policy = policies::find_or_insert(tx, &endpoint, &policy, now).await?;
     sqlx::query(
         "UPDATE temp.moved SET policy = ?, name = ?, spec = ?, spec_digest = ?, folder = ?",
     )
     .bind(policy)
-    .bind(&called.name)
-    .bind(&called.spec)
-    .bind(&called.spec_digest)
-    .bind(&called.folder)
+    .bind(&target.name)
+    .bind(&target.spec)
+    .bind(&target.spec_digest)
+    .bind(&target.folder)
     .execute(&mut *tx)
     .await
     .doing("copy a campaign")?;
@@ -530,7 +530,7 @@ async fn run(tx: &mut SqliteConnection, statements: &str) -> Result<(), StoreErr
 
 /// Removes the differences between two databases of equal content: instants of their creation and
 /// the history of their counters.
-pub(crate) async fn forget_when(tx: &mut SqliteConnection) -> Result<(), StoreError> {
+pub(crate) async fn erase_history(tx: &mut SqliteConnection) -> Result<(), StoreError> {
     run(
         tx,
         "UPDATE _sqlx_migrations SET installed_on = '1970-01-01 00:00:00', execution_time = 0;
@@ -550,7 +550,7 @@ pub(crate) async fn forget_artifacts(
         .bind(super::json(missing))
         .execute(tx)
         .await
-        .doing("leave out files that are gone")
+        .doing("remove the rows of missing videos")
         .map(drop)
 }
 
