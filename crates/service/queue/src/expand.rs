@@ -36,7 +36,7 @@ pub struct NewCampaign {
     pub wanted: Wanted,
     /// Rollouts that this campaign derives from another campaign's outcomes, if it does.
     pub derived: Option<Rollouts>,
-    /// Number of configurations, if the campaign may stop early; its jobs then follow the drawn
+    /// Number of configurations, if the campaign may stop early; its jobs then follow a random
     /// order of the configurations.
     pub stops_among: Option<usize>,
     /// Jobs in paired-unit order; empty at first if they derive from outcomes.
@@ -161,7 +161,7 @@ impl NewCampaign {
     }
 }
 
-/// Sorts rows into the drawn order of their configurations, each with its nominal rollout; the
+/// Sorts rows into a random order of their configurations, each with its nominal rollout; the
 /// remaining nominal rollouts come last. Returns the number of configurations.
 fn draw(rows: &mut [ManifestRow], stop: &Stop) -> usize {
     let unit = |row: &ManifestRow| -> Option<Unit> { Some((row.id.task(), row.id.config()?)) };

@@ -36,7 +36,7 @@ pub struct Merged {
 #[derive(Debug, thiserror::Error)]
 pub enum MergeError {
     #[error(
-        "merge `{campaign}`: its rollouts follow from the outcomes of another campaign; merge that one, and explain or measure it once more"
+        "merge `{campaign}`: its rollouts are derived from the outcomes of another campaign; merge that campaign, and derive from it again"
     )]
     Derived { campaign: CampaignName },
     #[error(
@@ -48,17 +48,17 @@ pub enum MergeError {
         differs: String,
     },
     #[error(
-        "merge them: rollout `{rollout}` has a different manifest row in each; only halves of one \
+        "merge the halves: rollout `{rollout}` has a different manifest row in each; only halves of one \
          design, expanded by one version of the program, can be merged"
     )]
     Rollout { rollout: JobName },
     /// The halves have different pins: asset packs, simulators or renderers.
-    #[error("merge them: the first is pinned to {first} and the second to {second}")]
+    #[error("merge the halves: the first is pinned to {first} and the second to {second}")]
     Pin { first: String, second: String },
-    #[error("merge them: in {suite} they measured different policies, whose {difference}")]
+    #[error("merge the halves: in {suite} they measured different policies, whose {difference}")]
     Policy { suite: Suite, difference: String },
     #[error(
-        "merge them: {count} of their rollouts contradict each other\n{examples}\ncompare where these came from, and merge only halves that were run alike"
+        "merge the halves: {count} of their rollouts contradict each other\n{examples}\ncompare the origins of these outcomes, and merge only halves that were run alike"
     )]
     Contradictions {
         count: usize,
@@ -268,7 +268,7 @@ fn contradictions(
         format!("{word} after {} steps{origin}", outcome.steps)
     };
     let texts = found.iter().map(|contradiction| {
-        let rollout = &contradiction.of;
+        let rollout = &contradiction.rollout;
         let name = JobName {
             rollout_id: rollout.0.clone(),
             replicate: rollout.1,

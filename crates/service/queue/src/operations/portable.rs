@@ -64,11 +64,11 @@ pub enum PortableError {
     #[error(transparent)]
     Store(#[from] StoreError),
     /// The database holds no campaign, or several.
-    #[error("find the campaign in it: it holds {count} campaigns, not one")]
+    #[error("find one campaign in the database: it holds {count}")]
     NotOne { count: usize },
     #[error("use the specification of campaign `{campaign}`: it does not match its digest")]
     SpecDigest { campaign: CampaignName },
-    #[error("verify its database: the invariant `{invariant}` is violated ({example})")]
+    #[error("verify the database: the invariant `{invariant}` is violated ({example})")]
     Violated {
         invariant: &'static str,
         example: String,
@@ -375,21 +375,21 @@ pub enum AdoptError {
     )]
     Exists { campaign: CampaignName },
     #[error(
-        "add campaign `{campaign}`: it follows from `{source_campaign}`, which is not here; import that one first"
+        "add campaign `{campaign}`: it is derived from `{source_campaign}`, which this coordinator does not have; import that one first"
     )]
     NoSource {
         campaign: CampaignName,
         source_campaign: CampaignName,
     },
     #[error(
-        "add campaign `{campaign}`: it follows from outcomes of `{source_campaign}` that are others here; archive and import both as they are now"
+        "add campaign `{campaign}`: its source campaign `{source_campaign}` has other outcomes here; archive and import both in their current state"
     )]
     OtherSource {
         campaign: CampaignName,
         source_campaign: CampaignName,
     },
     #[error(
-        "add campaign `{campaign}`: its rollouts have other step budgets than those of the campaign that it follows from; archive it again"
+        "add campaign `{campaign}`: its rollouts have other step budgets than those of its source campaign; archive it again"
     )]
     OtherBudgets { campaign: CampaignName },
     #[error("move film {}: is there room on the disk, and may this user write there?", path.display())]

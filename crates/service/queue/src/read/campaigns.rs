@@ -149,7 +149,7 @@ impl View {
             | CampaignState::Cancelled { .. }
             | CampaignState::Stopped { .. } => None,
         };
-        let left = (counts.queued + counts.leased) as f64;
+        let remaining = (counts.queued + counts.leased) as f64;
         let policy_pause_reason = match &campaign.health.state {
             PolicyState::Available => None,
             PolicyState::Paused { reason, .. } | PolicyState::Probing { reason, .. } => {
@@ -191,7 +191,7 @@ impl View {
             policy_pause_reason,
             policy_retry,
             rate_per_sec,
-            eta_secs: rate_per_sec.map(|rate| left / rate),
+            eta_secs: rate_per_sec.map(|rate| remaining / rate),
             live_workers,
             waiting_reason,
             fingerprints,
@@ -243,19 +243,20 @@ fn awaited_reason(source: &Source) -> String {
         n => format!("{n} rollouts"),
     };
     match is_cancelled {
-        false => format!("it goes on once campaign `{name}` is finished, {rollouts} from now"),
+        false => format!("it waits for campaign `{name}`, which has {rollouts} left"),
         true => format!(
-            "nothing follows from campaign `{name}`, which was cancelled with {rollouts} to go"
+            "no rollout can be derived from campaign `{name}`, which was cancelled with {rollouts} \
+             left"
         ),
     }
 }
 
 fn no_worker_reason(demand: &str, live: Option<&Pin>) -> String {
     match (demand, live) {
-        ("", _) => "no worker is here; start one with `worker --connect`".to_owned(),
-        (_, None) => format!("no worker is here, and the campaign {demand}"),
+        ("", _) => "no worker is connected; start one with `worker --connect`".to_owned(),
+        (_, None) => format!("no worker is connected, and the campaign {demand}"),
         (_, Some(other)) => {
-            format!("no worker suits: the campaign {demand}; one that is here runs on {other}")
+            format!("no worker suits: the campaign {demand}; a connected worker runs on {other}")
         }
     }
 }

@@ -257,7 +257,7 @@ impl View {
         let results = results.into_iter();
         Ok(Some(Fingerprints {
             results: results
-                .map(|(of, count)| (of, count.unsigned_abs()))
+                .map(|(fingerprint, count)| (fingerprint, count.unsigned_abs()))
                 .collect(),
             mixed,
         }))

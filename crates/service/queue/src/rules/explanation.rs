@@ -59,7 +59,7 @@ pub(crate) fn illustrative(
     };
     let mut verdicts = BTreeMap::new();
     for (simultaneous, lattice) in &lattices {
-        let answers = explain(lattice).map_or_else(|_| Vec::new(), |found| found.answers);
+        let answers = explain(lattice).map_or_else(|_| Vec::new(), |result| result.answers);
         let minimal = answers.iter().flat_map(|answer| &answer.minimal);
         let sets = minimal.flat_map(|minimum| minimum.below.iter().copied().chain([minimum.set]));
         for set in sets {

@@ -374,13 +374,14 @@ impl FailureReason {
     pub fn explained(self, error: &str, losses: u32, silences: u32) -> String {
         match self {
             FailureReason::TakesPolicyDown => format!(
-                "this rollout takes its policy down: {losses} attempts had the policy and lost \
-                 it, the last {} while no other rollout asked it; the last error was: {error}",
+                "this rollout takes its policy down: {losses} attempts reached the policy and \
+                 lost it, the last {} while no other rollout queried it; the last error was: \
+                 {error}",
                 MAX_LOSSES - LOSSES_UNTIL_ALONE
             ),
             FailureReason::TakesWorkerDown => format!(
                 "this rollout takes its workers down: {silences} attempts ended because their \
-                 worker fell silent and never came back; the last error was: {error}"
+                 worker fell silent and did not reconnect; the last error was: {error}"
             ),
             _ => error.to_owned(),
         }
@@ -452,10 +453,10 @@ mod tests {
     }
 
     #[test]
-    fn a_lease_expires_for_a_reason_and_only_a_worker_that_still_calls_is_charged() {
-        const LASTS: Duration = Duration::from_millis(40);
-        let check = |lease: Lease, heard, expected: FailureReason, is_charged| {
-            let reason = lease.why_expired(heard, LASTS);
+    fn an_expired_lease_is_charged_only_if_its_worker_still_sends_heartbeats() {
+        const LEASE_DURATION: Duration = Duration::from_millis(40);
+        let check = |lease: Lease, last_heartbeat, expected: FailureReason, is_charged| {
+            let reason = lease.why_expired(last_heartbeat, LEASE_DURATION);
             assert_eq!((reason, reason.is_charged()), (expected, is_charged));
         };
         let late = |is_acknowledged| Lease {
@@ -502,7 +503,7 @@ mod tests {
         assert_eq!(
             waits.resumes(&cut_off, UnixMillis(100)),
             None,
-            "its ceiling"
+            "the ceiling is reached"
         );
         let was_leased_since = job(3, JobState::Queued { not_before });
         assert_eq!(was_leased_since.resumes(&cut_off, UnixMillis(50)), None);

@@ -11,10 +11,10 @@ use crate::ids::WorkerId;
 
 /// Axes that affect the first observation. The others change later observations, actions or the
 /// instruction.
-const SEEN_AT_FIRST: [Axis; 4] = [Axis::Camera, Axis::Lighting, Axis::Robot, Axis::Sensor];
+const IN_FIRST_FRAME: [Axis; 4] = [Axis::Camera, Axis::Lighting, Axis::Robot, Axis::Sensor];
 /// Axes realised without random values: their realisation follows from the parameters and the
 /// initial state alone, in either mode.
-const DRAWING_NOTHING: [Axis; 3] = [Axis::Camera, Axis::Lighting, Axis::Robot];
+const WITHOUT_RANDOM_VALUES: [Axis; 3] = [Axis::Camera, Axis::Lighting, Axis::Robot];
 
 /// Requirements of a campaign on one of its results.
 #[derive(Clone, Debug)]
@@ -92,17 +92,17 @@ fn difference_in_row(row: &ManifestRow, realised: &Realised) -> Option<String> {
     };
     let here = names(&mut realised.axes().map(|(axis, _)| axis));
     let there = names(&mut row.perturbation.axes().into_iter());
-    let what = "set of perturbed axes";
-    differs(what, &here, &there, "in its manifest row")
+    let value = "set of perturbed axes";
+    differs(value, &here, &there, "in its manifest row")
 }
 
 /// Compares with one sibling only: the others were compared before they were stored.
 fn difference_in_scene(siblings: &[Sibling], digests: &Digests) -> Option<String> {
     let sibling = siblings.first()?;
-    let (there, whose) = (&sibling.digests, named(sibling));
-    differs("scene digest", &digests.scene, &there.scene, &whose).or_else(|| {
+    let (there, place) = (&sibling.digests, sibling_place(sibling));
+    differs("scene digest", &digests.scene, &there.scene, &place).or_else(|| {
         let (here, there) = (&digests.init_state, &there.init_state);
-        differs("initial-state digest", here, there, &whose)
+        differs("initial-state digest", here, there, &place)
     })
 }
 
@@ -113,29 +113,29 @@ fn difference_in_perturbation(
 ) -> Option<String> {
     siblings.iter().find_map(|sibling| {
         realised.axes().find_map(|(axis, here)| {
-            if !shares(axis, demand.realisation, &demand.row.id, &sibling.rollout) {
+            if !must_share(axis, demand.realisation, &demand.row.id, &sibling.rollout) {
                 return None;
             }
             let difference = here.difference(sibling.realised.of(axis)?)?;
-            let whose = named(sibling);
-            Some(format!("realisation of axis {axis}: {difference} {whose}"))
+            let place = sibling_place(sibling);
+            Some(format!("realisation of axis {axis}: {difference} {place}"))
         })
     })
 }
 
 /// Returns true if two rollouts of one initial state that both perturb an axis must have the same
 /// realisation of it.
-fn shares(axis: Axis, mode: Realisation, one: &RolloutId, other: &RolloutId) -> bool {
-    let of_one_configuration = one.level() == other.level() && one.config() == other.config();
+fn must_share(axis: Axis, mode: Realisation, one: &RolloutId, other: &RolloutId) -> bool {
+    let is_same_configuration = one.level() == other.level() && one.config() == other.config();
     match mode {
-        Realisation::Matched => of_one_configuration,
+        Realisation::Matched => is_same_configuration,
         // Random values are seeded with the rollout's id.
-        Realisation::Reference if DRAWING_NOTHING.contains(&axis) => of_one_configuration,
+        Realisation::Reference if WITHOUT_RANDOM_VALUES.contains(&axis) => is_same_configuration,
         Realisation::Reference => one == other,
     }
 }
 
-/// Compares first frames. For one scene and initial state, the axes in `SEEN_AT_FIRST` determine
+/// Compares first frames. For one scene and initial state, the axes in `IN_FIRST_FRAME` determine
 /// the policy's first observation, so replicates share it, as do the nominal rollout and those that
 /// perturb only actions or words. Frames are compared bit by bit, and only between results whose
 /// fingerprint and realised values have the same bits.
@@ -147,11 +147,11 @@ fn difference_in_first_frame(siblings: &[Sibling], result: &Sibling) -> Option<S
         let same_values = |axis: &Axis| sibling.realised.of(*axis) == result.realised.of(*axis);
         !sibling.digests.first_frame.is_empty()
             && has_same_frames(&sibling.origin, &result.origin)
-            && SEEN_AT_FIRST.iter().all(same_values)
+            && IN_FIRST_FRAME.iter().all(same_values)
     };
     let sibling = siblings.iter().find(has_same_view)?;
     let (here, there) = (&result.digests.first_frame, &sibling.digests.first_frame);
-    differs("first-frame digest", here, there, &named(sibling))
+    differs("first-frame digest", here, there, &sibling_place(sibling))
 }
 
 /// Returns true if the same scene must give the same frames to the same policy.
@@ -163,15 +163,15 @@ fn has_same_frames(one: &Provenance, other: &Provenance) -> bool {
         && one.policy_checkpoint_digest == other.policy_checkpoint_digest
 }
 
-fn named(sibling: &Sibling) -> String {
+fn sibling_place(sibling: &Sibling) -> String {
     format!(
         "in its sibling `{}` (worker `{}`)",
         sibling.rollout, sibling.worker
     )
 }
 
-fn differs(what: &str, here: &str, there: &str, whose: &str) -> Option<String> {
-    (here != there).then(|| format!("{what} is `{here}` here and `{there}` {whose}"))
+fn differs(value: &str, here: &str, there: &str, place: &str) -> Option<String> {
+    (here != there).then(|| format!("{value} is `{here}` here and `{there}` {place}"))
 }
 
 #[cfg(test)]
@@ -201,7 +201,7 @@ mod tests {
         let rows = Design::v0_1().expand().expect("rows");
         let id: RolloutId = id.parse().expect("an id");
         let mut rows = rows.into_iter();
-        rows.find(|row| row.id == id).expect("one of the design")
+        rows.find(|row| row.id == id).expect("a row of the design")
     }
 
     fn origin(mode: Realisation) -> Arc<Provenance> {
@@ -284,7 +284,7 @@ mod tests {
     }
 
     #[test]
-    fn last_bits_of_another_processor_agree_and_another_perturbation_does_not() {
+    fn realised_values_agree_within_rounding_errors_and_differ_beyond() {
         let matched = (COMBINATION, Realisation::Matched);
         for (off_by, agrees) in [(1e-16, true), (1e-9, true), (1e-6, false)] {
             let other = sibling("goal/t0/robot/L2/c01", &[(Axis::Robot, 3.0 + off_by)], "");
@@ -295,7 +295,7 @@ mod tests {
 
     #[test]
     fn reference_mode_draws_sensor_and_actuation_anew_in_every_rollout() {
-        for axis in DRAWING_NOTHING {
+        for axis in WITHOUT_RANDOM_VALUES {
             let difference = difference_from_single(Realisation::Reference, axis);
             check(difference, &[&format!("realisation of axis {axis}")]);
         }

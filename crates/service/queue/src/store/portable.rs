@@ -579,7 +579,7 @@ mod tests {
         for copied in COPIED.iter().chain([&CAMPAIGN_ROW]) {
             let columns = columns(&mut view, copied.table).await.expect("columns");
             for (column, _) in copied.values {
-                assert!(columns.iter().any(|it| it == column), "{column}");
+                assert!(columns.iter().any(|name| name == column), "{column}");
             }
         }
     }

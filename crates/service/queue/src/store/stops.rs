@@ -26,7 +26,7 @@ pub(crate) struct FirstUnsettled {
 /// Early stop of a campaign: its rule, and the point at which the campaign stopped, if it has.
 #[derive(Clone, Debug, PartialEq, sqlx_macros::FromRow)]
 pub struct EarlyStop {
-    /// The rule, with the seed of the drawn order.
+    /// The stop rule, with the seed of the random order of configurations.
     #[sqlx(json)]
     pub stop: Stop,
     pub configurations: u32,
