@@ -18,9 +18,9 @@ const UNSET: [&str; 3] = ["GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE"];
 /// mentioned.
 #[proc_macro]
 pub fn version(_: TokenStream) -> TokenStream {
-    let of_package = |name| std::env::var(name).expect("cargo describes the package");
-    let version = of_package("CARGO_PKG_VERSION");
-    let code = match Commit::of(Path::new(&of_package("CARGO_MANIFEST_DIR"))) {
+    let cargo_variable = |name| std::env::var(name).expect("a variable that cargo sets");
+    let version = cargo_variable("CARGO_PKG_VERSION");
+    let code = match Commit::of(Path::new(&cargo_variable("CARGO_MANIFEST_DIR"))) {
         // Including the log makes the compiler notice a new commit.
         Some(Commit { name, log }) => {
             format!("{{ const _: &[u8] = include_bytes!({log:?}); \"{version} ({name})\" }}")
@@ -75,7 +75,7 @@ mod tests {
     }
 
     #[test]
-    fn a_package_is_of_the_commit_that_it_is_checked_out_from() {
+    fn the_version_names_the_checked_out_commit() {
         let folder = tempfile::tempdir().expect("a folder");
         let package = folder.path().join("package");
         std::fs::create_dir(&package).expect("a package");
@@ -84,7 +84,7 @@ mod tests {
 
         git(folder.path(), "init --quiet");
         git(folder.path(), "commit --quiet --allow-empty -m somebody's");
-        assert_eq!(Commit::of(&package), None, "in another's repository");
+        assert_eq!(Commit::of(&package), None, "inside another repository");
 
         git(folder.path(), "add .");
         git(folder.path(), "commit --quiet -m ours");
