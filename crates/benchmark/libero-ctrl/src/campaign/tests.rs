@@ -215,7 +215,7 @@ fn latency_is_a_further_axis_that_combinations_exclude() {
     let text = manifest::to_text(&rows);
     assert_eq!(manifest::parse(&text), Ok(rows.clone()));
     let wrong = text.replace(r#""execution":"overlap:4""#, r#""execution":"overlap:2""#);
-    let error = manifest::parse(&wrong).expect_err("a delay other than that of its level");
+    let error = manifest::parse(&wrong).expect_err("a delay that differs from its level's");
     assert!(
         error.to_string().contains("its level: overlap:4"),
         "{error}"
@@ -320,7 +320,7 @@ fn imported_rows_are_checked_like_those_of_a_file() {
         assert!(error.to_string().contains(expected), "{error}");
     };
     let rows = Design::v0_1().expand().expect("rows");
-    check(&[], "it has no rows");
+    check(&[], "the manifest has no rows");
     check(
         &[rows[0].clone(), rows[0].clone()],
         "line 2: spatial/t0/clean/i43 is already",
