@@ -276,7 +276,10 @@ async fn unmeasurable_thresholds_are_refused_before_creation() {
     succeed(serve.command(&["thresholds", "final", "--name", "first-thresholds"]));
     let of_derived = serve.command(&["thresholds", "first-thresholds", "--create"]);
     let error = text(&of_derived.stderr);
-    assert!(error.contains("its rows are not expanded from a design"), "{error}");
+    assert!(
+        error.contains("its rows are not expanded from a design"),
+        "{error}"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]

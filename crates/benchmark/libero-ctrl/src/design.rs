@@ -123,8 +123,8 @@ pub enum DesignError {
     /// The latency axis has no whole number of control steps at a level.
     #[error(
         "axis `latency` delays responses by whole control steps, half as many as the radius, which \
-         is impossible at {level}: write L1, L2, L3 (1, 2 and 4 steps) or an even radius, or remove \
-         it from `axes`"
+         is impossible at {level}: write L1, L2, L3 (1, 2 and 4 steps) or an even radius, or \
+         remove it from `axes`"
     )]
     Delay {
         /// The level.

@@ -4,7 +4,7 @@ use libero_ctrl::{CampaignSpec, Realisation, Rollouts};
 
 use super::context::Context;
 use super::error::{QueueError, unknown_campaign};
-use super::passages::{self as moves, JOBS_PER_BATCH, remove as remove_hidden};
+use super::passages::{self as batches, JOBS_PER_BATCH, remove as remove_hidden};
 use super::shared::Shared;
 use super::{artifacts, removals};
 use crate::expand::{NewCampaign, differing_fields};
@@ -58,7 +58,7 @@ impl Queue {
         if new.jobs.len() > JOBS_PER_BATCH {
             // Never a derived campaign, which is created without jobs.
             drop(context);
-            moves::insert(shared, new, &folder).await?;
+            batches::insert(shared, new, &folder).await?;
             return Ok(created(shared, new));
         }
         let source = context.source_of(new).await?;

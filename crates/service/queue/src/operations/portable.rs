@@ -13,7 +13,7 @@ use super::artifacts::campaign_folder;
 use super::context::Context;
 use super::error::QueueError;
 use super::imported::{self, RowsError};
-use super::passages::{self as moves, JOBS_PER_BATCH};
+use super::passages::{self as batches, JOBS_PER_BATCH};
 use super::removals;
 use super::settled::Settled;
 use crate::expand::altered;
@@ -304,7 +304,7 @@ impl Queue {
         attached.detach().await?;
         let copied = self.fill(from, (id, old), target, follows).await;
         if copied.is_err()
-            && let Err(error) = moves::remove(shared, id, policy).await
+            && let Err(error) = batches::remove(shared, id, policy).await
         {
             tracing::warn!(
                 "failed to {}; the next start deletes the incomplete campaign",
