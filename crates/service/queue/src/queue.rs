@@ -207,7 +207,7 @@ impl Queue {
     pub fn note_filming(&self, worker: &WorkerId, videos: u32) {
         let now = self.now();
         let alive_since = now.minus(self.timing().worker_alive);
-        self.filming.heard(worker, videos, now, alive_since);
+        self.filming.record(worker, videos, now, alive_since);
     }
 
     /// Stores a result and ends its lease, or answers with the reason for refusing it.
@@ -278,9 +278,9 @@ impl Queue {
             changed
         });
         match reason {
-            Some(reason) if changed => tracing::error!("leasing nothing: {reason}"),
+            Some(reason) if changed => tracing::error!("leasing is suspended: {reason}"),
             None if changed => {
-                tracing::info!("leasing again");
+                tracing::info!("leasing is resumed");
                 self.shared.work.notify_waiters();
             }
             _ => {}

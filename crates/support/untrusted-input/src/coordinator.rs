@@ -39,7 +39,7 @@ pub(crate) fn messages(input: &[u8]) -> bool {
         let folder = tempfile::tempdir().expect("a temporary folder");
         std::fs::write(folder.path().join(DATABASE_FILE), database).expect("a file");
         let mut coordinator = TestCoordinator::in_folder(folder.path()).await;
-        let mut detector = ChangeDetector::of(folder.path()).await;
+        let mut detector = ChangeDetector::open(folder.path()).await;
         let mut all_accepted = true;
         for call in script::read(input) {
             let before = detector.snapshot().await;
@@ -68,7 +68,7 @@ pub(crate) fn messages(input: &[u8]) -> bool {
 struct ChangeDetector(SqliteConnection, PathBuf);
 
 impl ChangeDetector {
-    async fn of(data: &Path) -> ChangeDetector {
+    async fn open(data: &Path) -> ChangeDetector {
         let file = data.join(DATABASE_FILE);
         let options = SqliteConnectOptions::new().filename(file).read_only(true);
         let connection = options.connect().await.expect("a database");

@@ -41,7 +41,7 @@ impl Queue {
         name: &CampaignName,
         to: &Alteration,
     ) -> Result<u64, QueueError> {
-        let _alone = self.campaigns.lock().await;
+        let _guard = self.campaigns.lock().await;
         let shared = &*self.shared;
         let mut context = Context::begin(shared, vec![Step::ChangeCampaign]).await?;
         let campaign = context.campaign_named(name).await?;
@@ -73,7 +73,7 @@ impl Context<'_> {
         policy: &str,
     ) -> Result<u64, QueueError> {
         check_not_ended(campaign)?;
-        let results = Counts::of(&mut self.tx, campaign.id).await?.committed;
+        let results = Counts::read(&mut self.tx, campaign.id).await?.committed;
         if policy != campaign.policy && results > 0 {
             return Err(QueueError::PolicyMeasured {
                 campaign: campaign.name.clone(),
@@ -112,7 +112,7 @@ impl Context<'_> {
             .await?;
         campaigns::set_spec(&mut self.tx, campaign.id, &spec, &digest).await?;
         campaigns::rename(&mut self.tx, campaign, name).await?;
-        for derived in derivations::of(&mut self.tx, campaign.id).await? {
+        for derived in derivations::derived_names(&mut self.tx, campaign.id).await? {
             let derived = self.campaign_named(&derived).await?;
             let (spec, digest) = self
                 .altered_spec(&derived, |spec| spec.rollouts.set_source(name.as_str()))

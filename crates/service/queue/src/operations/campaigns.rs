@@ -36,7 +36,7 @@ impl Queue {
     /// If another specification has this name; if the source campaign does not exist, measures
     /// another policy or cannot be derived from; or if the database fails.
     pub async fn create_campaign(&self, new: &NewCampaign) -> Result<Created, QueueError> {
-        let _alone = self.campaigns.lock().await;
+        let _guard = self.campaigns.lock().await;
         let shared = &*self.shared;
         let mut context = Context::begin(shared, vec![Step::CreateCampaign]).await?;
         let jobs = new.jobs.len() as u64;
@@ -59,7 +59,7 @@ impl Queue {
             // Never a derived campaign, which is created without jobs.
             drop(context);
             batches::insert(shared, new, &folder).await?;
-            return Ok(created(shared, new));
+            return Ok(report_created(shared, new));
         }
         let source = context.source_of(new).await?;
         let id = campaigns::insert(&mut context.tx, new, &folder, context.now).await?;
@@ -71,7 +71,7 @@ impl Queue {
             stops::insert(&mut context.tx, id, configurations).await?;
         }
         context.commit().await?;
-        Ok(created(shared, new))
+        Ok(report_created(shared, new))
     }
 
     /// Pauses, resumes or cancels a campaign. Resuming also ends the back-off of its policy, which
@@ -89,7 +89,7 @@ impl Queue {
         let mut context = Context::begin(shared, vec![Step::ChangeCampaign]).await?;
         let campaign = context.campaign_named(name).await?;
         let after = campaign.state.after(change, context.now);
-        let after = after.map_err(|EndedIsFinal| ended(&campaign))?;
+        let after = after.map_err(|EndedIsFinal| ended_error(&campaign))?;
         let health = match change {
             Change::Resume => campaign.health.due_at_once(context.now),
             Change::Pause | Change::Cancel => campaign.health.clone(),
@@ -116,18 +116,18 @@ impl Queue {
     /// it, or the database fails. Local files that cannot be removed now are removed at the next
     /// start; remote ones by [`finish_removals`](Self::finish_removals).
     pub async fn delete_campaign(&self, name: &CampaignName) -> Result<Counts, QueueError> {
-        let _alone = self.campaigns.lock().await;
+        let _guard = self.campaigns.lock().await;
         let shared = &*self.shared;
         let mut context = Context::begin(shared, vec![Step::DeleteCampaign]).await?;
         let campaign = context.campaign_named(name).await?;
-        let counts = Counts::of(&mut context.tx, campaign.id).await?;
+        let counts = Counts::read(&mut context.tx, campaign.id).await?;
         if counts.leased > 0 {
             return Err(QueueError::CampaignInUse {
                 campaign: name.clone(),
                 leased: counts.leased,
             });
         }
-        let derived = derivations::of(&mut context.tx, campaign.id).await?;
+        let derived = derivations::derived_names(&mut context.tx, campaign.id).await?;
         if let Some(derived) = derived.first() {
             return Err(QueueError::GoneOnWith {
                 campaign: name.clone(),
@@ -156,7 +156,7 @@ impl Queue {
 }
 
 /// Wakes waiting claims and logs a campaign that was added with its jobs.
-fn created(shared: &Shared, new: &NewCampaign) -> Created {
+fn report_created(shared: &Shared, new: &NewCampaign) -> Created {
     let jobs = new.jobs.len() as u64;
     tracing::info!(campaign = %new.name, jobs, "campaign created");
     shared.work.notify_waiters();
@@ -168,7 +168,7 @@ fn created(shared: &Shared, new: &NewCampaign) -> Created {
 }
 
 /// Returns the error for changing a campaign that is cancelled or stopped.
-fn ended(campaign: &Campaign) -> QueueError {
+fn ended_error(campaign: &Campaign) -> QueueError {
     let name = campaign.name.clone();
     match campaign.state {
         CampaignState::Stopped { .. } => QueueError::Stopped { campaign: name },

@@ -144,7 +144,7 @@ impl Context<'_> {
         let new = requests.iter().filter(|(_, is_new)| *is_new);
         let new: Vec<_> = new.map(|(request, _)| &request.worker).collect();
         if !new.is_empty() {
-            workers::seen(&mut self.tx, &new, self.now).await?;
+            workers::record_calls(&mut self.tx, &new, self.now).await?;
         }
         Ok(standings)
     }

@@ -59,7 +59,7 @@ impl Context<'_> {
             return Ok(Vec::new());
         }
         let attempts: Vec<AttemptId> = reports.iter().map(|report| report.attempt).collect();
-        let mut named = jobs::named(&mut self.tx, &attempts).await?;
+        let mut named = jobs::attempts_by_id(&mut self.tx, &attempts).await?;
         let mut accepted = Vec::new();
         let mut replies = Vec::with_capacity(reports.len());
         for report in reports {
@@ -84,7 +84,7 @@ impl Context<'_> {
             let attempts: Vec<_> = accepted.iter().map(|new| new.attempt).collect();
             jobs::mark_committed(&mut self.tx, &attempts).await?;
             let reporters: Vec<_> = accepted.iter().map(|new| &new.worker).collect();
-            workers::succeeded(&mut self.tx, &reporters, self.now).await?;
+            workers::record_successes(&mut self.tx, &reporters, self.now).await?;
             self.settles = true;
         }
         Ok(replies)

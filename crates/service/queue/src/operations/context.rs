@@ -40,8 +40,8 @@ pub(crate) struct Context<'a> {
 /// Rewrites an error for use after the name of its policy: replaces a leading "policy `bad` at
 /// ADDRESS" by "it".
 fn without_policy_name<'e>(policy: &str, error: &'e str) -> Cow<'e, str> {
-    let named = error.strip_prefix(&format!("policy `{policy}` at "));
-    match named.and_then(|rest| rest.split_once(' ')) {
+    let address_first = error.strip_prefix(&format!("policy `{policy}` at "));
+    match address_first.and_then(|rest| rest.split_once(' ')) {
         Some((_, rest)) => format!("it {rest}").into(),
         None => error.into(),
     }
@@ -113,7 +113,8 @@ impl<'a> Context<'a> {
         }
         let expires = self.now.plus(self.shared.timing.lease);
         jobs::resume(&mut self.tx, attempt.job.id, lease, expires).await?;
-        tracing::info!(attempt = %attempt.id.0, "worker `{}` has reconnected and resumes the attempt", lease.owner);
+        let owner = &lease.owner;
+        tracing::info!(attempt = %attempt.id.0, "worker `{owner}` resumes the attempt");
         Ok(Some(Lease {
             expires: expires.min(lease.ceiling),
             ..lease.clone()

@@ -55,7 +55,7 @@ struct Inputs {
 }
 
 impl Inputs {
-    fn at(campaign: &Derived) -> Self {
+    fn of_campaign(campaign: &Derived) -> Self {
         Self {
             jobs: campaign.jobs,
             revision: campaign.revision,
@@ -96,10 +96,10 @@ async fn pass(shared: &Shared, passes: &mut Passes) -> Result<(), StoreError> {
     let campaigns = derivations::all(&mut view).await?;
     let is_source = |id: &CampaignId| campaigns.iter().any(|campaign| campaign.source == *id);
     passes.sources.retain(|id, _| is_source(id));
-    let is_here = |id: &CampaignId| campaigns.iter().any(|campaign| campaign.campaign == *id);
-    passes.complete.retain(|id, _| is_here(id));
+    let is_derived = |id: &CampaignId| campaigns.iter().any(|campaign| campaign.campaign == *id);
+    passes.complete.retain(|id, _| is_derived(id));
     for campaign in campaigns {
-        let inputs = Inputs::at(&campaign);
+        let inputs = Inputs::of_campaign(&campaign);
         // Transitions and known radii are final only when every rollout of the source that will
         // ever have an outcome has one.
         if campaign.unsettled > 0 || passes.complete.get(&campaign.campaign) == Some(&inputs) {
@@ -243,8 +243,8 @@ async fn source_records(
     sources: &mut BTreeMap<CampaignId, (SourceEdition, Arc<Vec<Record>>)>,
 ) -> Result<Arc<Vec<Record>>, StoreError> {
     let edition = campaign.source_edition;
-    if let Some((of, records)) = sources.get(&campaign.source)
-        && *of == edition
+    if let Some((cached, records)) = sources.get(&campaign.source)
+        && *cached == edition
     {
         return Ok(records.clone());
     }
@@ -259,7 +259,7 @@ async fn read_source(
     campaign: &Derived,
 ) -> Result<Vec<Record>, StoreError> {
     let all = records(tx, campaign.source).await?;
-    let counted = match stops::of(tx, campaign.source).await? {
+    let counted = match stops::early_stop(tx, campaign.source).await? {
         Some(EarlyStop {
             stop,
             used: Some(_),
@@ -276,8 +276,8 @@ pub(super) async fn records(
     campaign: CampaignId,
 ) -> Result<Vec<Record>, StoreError> {
     let rows = derivations::outcomes(tx, campaign).await?;
-    let read = move || rows.iter().map(OutcomeRow::record).collect();
-    let records: Result<_, UnknownName> = on_blocking_thread(read).await;
+    let parse = move || rows.iter().map(OutcomeRow::record).collect();
+    let records: Result<_, UnknownName> = on_blocking_thread(parse).await;
     let records = records.map_err(undecodable);
     records.doing("read the outcomes of a source campaign")
 }

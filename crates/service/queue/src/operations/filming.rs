@@ -14,7 +14,7 @@ pub(crate) struct Filming(Mutex<BTreeMap<WorkerId, (u32, UnixMillis)>>);
 impl Filming {
     /// Records the number of videos that a worker's heartbeat reports. Drops workers whose last
     /// report is older than `alive_since`.
-    pub(crate) fn heard(
+    pub(crate) fn record(
         &self,
         worker: &WorkerId,
         videos: u32,
@@ -47,7 +47,7 @@ mod tests {
         let filming = Filming::default();
         let id = |name: &str| WorkerId(name.to_owned());
         let hear = |name: &str, videos, now| {
-            filming.heard(&id(name), videos, UnixMillis(now), UnixMillis(now - 30));
+            filming.record(&id(name), videos, UnixMillis(now), UnixMillis(now - 30));
             filming.by_worker()
         };
         hear("a", 2, 100);

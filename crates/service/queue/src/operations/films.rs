@@ -33,16 +33,14 @@ impl Queue {
         films.scan_begins();
         let mut view = self.shared.store.read().await?;
         let campaigns = films::filmed_campaigns(&mut view, pin).await?;
-        for of in films.outdated(&campaigns, Instant::now()) {
-            let began = Instant::now();
-            let rows = films::filmable(&mut view, of.campaign).await?;
-            let unfilmed = match of.source {
-                Some(source) => {
-                    unfilmed_illustrations(&mut view, [source, of.campaign], rows).await?
-                }
+        for outdated in films.outdated(&campaigns, Instant::now()) {
+            let (began, campaign) = (Instant::now(), outdated.campaign);
+            let rows = films::filmable(&mut view, campaign).await?;
+            let unfilmed = match outdated.source {
+                Some(source) => unfilmed_illustrations(&mut view, [source, campaign], rows).await?,
                 None => on_blocking_thread(move || unfilmed_transitions(&rows)).await?,
             };
-            films.scanned(of, unfilmed, began, began.elapsed());
+            films.scanned(outdated, unfilmed, began, began.elapsed());
         }
         drop(scanning);
         let Some((job, unfilmed)) = films.take(&campaigns, self.now()) else {

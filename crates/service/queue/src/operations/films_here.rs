@@ -55,7 +55,7 @@ impl Queue {
     /// # Errors
     /// If the film cannot be removed.
     pub async fn forget_film(&self, film: &FilmHere) -> io::Result<Forgotten> {
-        let _alone = self.shared.files.lock().await;
+        let _guard = self.shared.files.lock().await;
         match identity(&film.file) {
             Ok(now) if now == film.identity => {
                 std::fs::remove_file(&film.file).map(|()| Forgotten::Gone)
@@ -70,7 +70,7 @@ impl Queue {
     /// created and deleted meanwhile, because remote storage may be slow or unavailable. Concurrent
     /// calls run one after the other.
     pub async fn finish_removals(&self) -> Result<(), StoreError> {
-        let _alone = self.removing.lock().await;
+        let _guard = self.removing.lock().await;
         // A campaign being imported has its folder marked for removal until it is complete. This
         // lock excludes imports, and no campaign ever gets a folder that is marked.
         let no_imports = self.campaigns.lock().await;

@@ -77,7 +77,7 @@ impl Context<'_> {
             return Ok(false);
         }
         let ids: Vec<AttemptId> = lost.iter().map(|(attempt, _)| *attempt).collect();
-        let named = jobs::named(&mut self.tx, &ids).await?;
+        let named = jobs::attempts_by_id(&mut self.tx, &ids).await?;
         let mut has_resumed = false;
         for (attempt, worker) in lost {
             let named = named.get(&attempt);

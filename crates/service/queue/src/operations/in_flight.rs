@@ -37,9 +37,9 @@ struct Known {
 /// Rollouts of a campaign that are still to be filmed.
 #[derive(Debug)]
 struct Unfilmed {
-    of: Filmed,
+    campaign: Filmed,
     jobs: Vec<JobId>,
-    at: Instant,
+    scanned_at: Instant,
     cost: Duration,
 }
 
@@ -49,11 +49,11 @@ impl Films {
         let mut known = self.lock();
         let is_filmed = |id: &CampaignId| campaigns.iter().any(|campaign| campaign.campaign == *id);
         known.unfilmed.retain(|id, _| is_filmed(id));
-        let is_outdated = |of: &&Filmed| match known.unfilmed.get(&of.campaign) {
-            Some(known) => {
-                let age = now.saturating_duration_since(known.at);
-                let is_due = known.cost < CHEAP_SCAN || age >= known.cost * AGE_PER_COST;
-                known.of != **of && is_due
+        let is_outdated = |campaign: &&Filmed| match known.unfilmed.get(&campaign.campaign) {
+            Some(cached) => {
+                let age = now.saturating_duration_since(cached.scanned_at);
+                let is_due = cached.cost < CHEAP_SCAN || age >= cached.cost * AGE_PER_COST;
+                cached.campaign != **campaign && is_due
             }
             None => true,
         };
@@ -66,12 +66,23 @@ impl Films {
     }
 
     /// Stores the result of a scan that began at `at` and took `cost`.
-    pub(super) fn scanned(&self, of: Filmed, mut jobs: Vec<JobId>, at: Instant, cost: Duration) {
+    pub(super) fn scanned(
+        &self,
+        campaign: Filmed,
+        mut jobs: Vec<JobId>,
+        at: Instant,
+        cost: Duration,
+    ) {
         let mut known = self.lock();
         jobs.retain(|job| !known.filmed.contains(job));
-        let campaign = of.campaign;
-        let unfilmed = Unfilmed { of, jobs, at, cost };
-        known.unfilmed.insert(campaign, unfilmed);
+        let id = campaign.campaign;
+        let unfilmed = Unfilmed {
+            campaign,
+            jobs,
+            scanned_at: at,
+            cost,
+        };
+        known.unfilmed.insert(id, unfilmed);
     }
 
     /// Records that the video of a rollout was stored.
@@ -89,7 +100,7 @@ impl Films {
     pub(super) fn take(&self, campaigns: &[Filmed], now: UnixMillis) -> Option<(JobId, u64)> {
         let known = &mut *self.lock();
         known.in_flight.retain(|_, until| *until > now);
-        let unfilmed = |of: &Filmed| known.unfilmed.get(&of.campaign);
+        let unfilmed = |campaign: &Filmed| known.unfilmed.get(&campaign.campaign);
         let jobs = || {
             campaigns
                 .iter()

@@ -138,7 +138,7 @@ pub async fn merge(
             (false, false) => merged.open += 1,
         }
     }
-    let whole = Portable::of(whole.store).await?;
+    let whole = Portable::from_store(whole.store).await?;
     Ok((whole, merged))
 }
 

@@ -26,7 +26,7 @@ pub(super) async fn insert(
     let id = campaigns::insert_without_jobs(&mut context.tx, new, folder, now).await?;
     passages::hide_new(&mut context.tx, id).await?;
     context.commit().await?;
-    let inserted = fill(shared, new, id, folder).await;
+    let inserted = insert_jobs(shared, new, id, folder).await;
     if inserted.is_err() {
         // The incomplete campaign is hidden; if its removal fails, the next start repeats it.
         let policy = policy_of(shared, id).await;
@@ -40,7 +40,7 @@ pub(super) async fn insert(
     inserted
 }
 
-async fn fill(
+async fn insert_jobs(
     shared: &Shared,
     new: &NewCampaign,
     id: CampaignId,

@@ -104,7 +104,7 @@ impl Portable {
             let example = examples.into_iter().next().unwrap_or_default();
             return Err(PortableError::Violated { invariant, example });
         }
-        let portable = Portable::of(store).await?;
+        let portable = Portable::from_store(store).await?;
         let mut view = portable.store.read().await?;
         let of = portable.campaign.id;
         match imported::contradiction(&mut view, of, &portable.spec).await? {
@@ -113,7 +113,7 @@ impl Portable {
         }
     }
 
-    pub(super) async fn of(store: Store) -> Result<Portable, PortableError> {
+    pub(super) async fn from_store(store: Store) -> Result<Portable, PortableError> {
         let mut view = store.read().await?;
         let all = campaigns::all(&mut view).await?;
         let [campaign] = all.as_slice() else {
@@ -234,7 +234,7 @@ impl Queue {
         source: Option<&SourceOutcomes>,
         name: Option<&CampaignName>,
     ) -> Result<(CampaignName, Counts), AdoptError> {
-        let _alone = self.campaigns.lock().await;
+        let _guard = self.campaigns.lock().await;
         let shared = &*self.shared;
         let mut target = from.copy_target(name)?;
         let films = from.films().await?;
@@ -247,8 +247,8 @@ impl Queue {
                 campaign: target.name,
             });
         }
-        let follows = context.local_source(&target, source).await?;
-        if let Some(source) = follows {
+        let local_source = context.local_source(&target, source).await?;
+        if let Some(source) = local_source {
             // Releases the writer while many rows are read. The lock on `campaigns` prevents
             // creations and deletions meanwhile, and the rows of a campaign never change.
             drop(context);
@@ -267,7 +267,7 @@ impl Queue {
         context.commit().await?;
         let moved = move_films(from.folder(), &films, &shared.store.folder().join(&folder)).await;
         let adopted = match moved {
-            Ok(()) => self.copy_in(from, &target, follows).await,
+            Ok(()) => self.copy_rows(from, &target, local_source).await,
             Err(error) => Err(error),
         };
         if adopted.is_err() {
@@ -283,11 +283,11 @@ impl Queue {
 
     /// Copies a campaign in batches, so that workers are served in between; it stays hidden until
     /// it is complete.
-    async fn copy_in(
+    async fn copy_rows(
         &self,
         from: &Portable,
         target: &CopyTarget,
-        follows: Option<CampaignId>,
+        local_source: Option<CampaignId>,
     ) -> Result<Counts, AdoptError> {
         let shared = &*self.shared;
         let old = from.campaign.id;
@@ -302,7 +302,7 @@ impl Queue {
         context.cache.clear_campaigns();
         context.commit().await?;
         attached.detach().await?;
-        let copied = self.fill(from, (id, old), target, follows).await;
+        let copied = self.copy_jobs(from, (id, old), target, local_source).await;
         if copied.is_err()
             && let Err(error) = batches::remove(shared, id, policy).await
         {
@@ -314,12 +314,12 @@ impl Queue {
         copied
     }
 
-    async fn fill(
+    async fn copy_jobs(
         &self,
         from: &Portable,
         both: (CampaignId, CampaignId),
         target: &CopyTarget,
-        follows: Option<CampaignId>,
+        local_source: Option<CampaignId>,
     ) -> Result<Counts, AdoptError> {
         let (shared, id) = (&*self.shared, both.0);
         let database = &from.folder().join(DATABASE_FILE);
@@ -344,13 +344,13 @@ impl Queue {
         // The exporting coordinator's clock may be ahead of this one.
         let latest = now.plus(rollout_types::Waits::USUAL.longest);
         instants::set_back(&mut context.tx, now, latest).await?;
-        if let Some(source) = follows {
+        if let Some(source) = local_source {
             derivations::insert(&mut context.tx, id, source).await?;
         }
         context.settles = true;
         context.cache.clear_campaigns();
         pending::done(&mut context.tx, &campaign_folder(&target.folder)).await?;
-        let counts = Counts::of(&mut context.tx, id).await?;
+        let counts = Counts::read(&mut context.tx, id).await?;
         context.commit().await?;
         attached.detach().await?;
         Ok(counts)
@@ -476,7 +476,7 @@ pub(super) async fn copy_into(
     tx.commit().await?;
     drop(attached);
     store.compact().await?;
-    Portable::of(store).await
+    Portable::from_store(store).await
 }
 
 /// Returns the name of the campaign that a specification derives from.

@@ -47,7 +47,7 @@ impl Context<'_> {
         release: &Release,
     ) -> Result<Result<ReleaseReply, QueueError>, StoreError> {
         let id = release.attempt;
-        let mut named = jobs::named(&mut self.tx, &[id]).await?;
+        let mut named = jobs::attempts_by_id(&mut self.tx, &[id]).await?;
         let Some(attempt) = named.get_mut(&id) else {
             return Ok(Err(QueueError::UnknownAttempt { attempt: id }));
         };

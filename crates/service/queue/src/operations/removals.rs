@@ -16,7 +16,7 @@ pub(crate) async fn pending(shared: &Shared) -> Result<Vec<String>, StoreError> 
 
 /// Removes a folder or file below the data folder. It stays marked for removal from remote storage.
 pub(crate) async fn remove_locally(shared: &Shared, below: &str) -> Result<(), StoreError> {
-    match is_removed_locally(shared, below).await && shared.elsewhere.is_none() {
+    match try_remove_locally(shared, below).await && shared.elsewhere.is_none() {
         true => note_done(shared, below).await,
         false => Ok(()),
     }
@@ -24,7 +24,7 @@ pub(crate) async fn remove_locally(shared: &Shared, below: &str) -> Result<(), S
 
 /// Removes a folder or file below the data folder and from remote storage.
 pub(crate) async fn remove(shared: &Shared, below: &str) -> Result<(), StoreError> {
-    if !is_removed_locally(shared, below).await {
+    if !try_remove_locally(shared, below).await {
         return Ok(());
     }
     if let Some(elsewhere) = &shared.elsewhere
@@ -36,7 +36,7 @@ pub(crate) async fn remove(shared: &Shared, below: &str) -> Result<(), StoreErro
     note_done(shared, below).await
 }
 
-async fn is_removed_locally(shared: &Shared, below: &str) -> bool {
+async fn try_remove_locally(shared: &Shared, below: &str) -> bool {
     let path = shared.store.folder().join(below);
     let removed = match path.is_dir() {
         true => tokio::fs::remove_dir_all(&path).await,

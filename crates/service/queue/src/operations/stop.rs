@@ -100,11 +100,11 @@ async fn stop(
     let mut context = Context::begin(shared, vec![Step::Stop]).await?;
     let stoppable = stops::stoppable(&mut context.tx).await?;
     let first = stops::first_unsettled(&mut context.tx, campaign).await?;
-    let holds = stoppable
+    let is_valid = stoppable
         .iter()
         .any(|stoppable| stoppable.campaign == campaign)
         && first.is_none_or(|first| first.unit_order >= order);
-    if !holds {
+    if !is_valid {
         return Ok(false);
     }
     let name = context.campaign(campaign).await?.name.clone();

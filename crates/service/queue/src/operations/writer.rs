@@ -97,11 +97,11 @@ async fn transact(
     }
     let reports: Vec<_> = commits.iter().map(|commit| &*commit.request).collect();
     answer(context.store_results(&reports).await?, commits);
-    let beats: Vec<_> = heartbeats
+    let requests: Vec<_> = heartbeats
         .iter()
         .map(|heartbeat| &heartbeat.request)
         .collect();
-    answer(context.heartbeat(&beats).await?, heartbeats);
+    answer(context.heartbeat(&requests).await?, heartbeats);
     let requests: Vec<_> = claims
         .iter()
         .map(|claim| (&claim.request.0, claim.request.1))

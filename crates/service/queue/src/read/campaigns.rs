@@ -64,7 +64,7 @@ impl Counts {
     }
 
     /// Reads the counts of a campaign from its tally: one row, however large the campaign is.
-    pub(crate) async fn of(
+    pub(crate) async fn read(
         tx: &mut SqliteConnection,
         campaign: CampaignId,
     ) -> Result<Counts, StoreError> {
@@ -108,7 +108,7 @@ impl View {
         &mut self,
         campaign: &Campaign,
     ) -> Result<Option<EarlyStop>, StoreError> {
-        stops::of(self.tx(), campaign.id).await
+        stops::early_stop(self.tx(), campaign.id).await
     }
 
     /// Returns the status of all campaigns, oldest first.
@@ -140,7 +140,7 @@ impl View {
         live: &[Pin],
     ) -> Result<CampaignStatus, StoreError> {
         let now = self.now;
-        let counts = Counts::of(self.tx(), campaign.id).await?;
+        let counts = Counts::read(self.tx(), campaign.id).await?;
         let rate_per_sec = match campaign.state {
             CampaignState::Running { since: resumed } => {
                 rate(self.tx(), campaign.id, resumed, now).await?
@@ -184,7 +184,7 @@ impl View {
             (true, None, None) => no_worker_reason(&campaign.demand(), live.first()),
         };
         let fingerprints = self.fingerprints(campaign.id).await?;
-        let stop = stops::of(self.tx(), campaign.id).await?;
+        let stop = stops::early_stop(self.tx(), campaign.id).await?;
         Ok(CampaignStatus {
             campaign,
             counts,

@@ -89,11 +89,11 @@ pub(super) fn rate(machines: &[Machine], spent: &Spent, policy_rate: Option<f64>
         () => Bottleneck::Cores,
     };
     // Slots in use at a rate; the factor keeps a rounding error from adding a slot.
-    let under_way = |per_sec: f64| (per_sec * alone * (1.0 - 1e-12)).ceil();
-    let to_fill = |machine: &Machine| under_way(by_cores(machine));
+    let slots_in_use = |per_sec: f64| (per_sec * alone * (1.0 - 1e-12)).ceil();
+    let slots_to_fill = |machine: &Machine| slots_in_use(by_cores(machine));
     let enough = match answered < full {
-        true => under_way(answered),
-        false => machines.iter().map(to_fill).sum(),
+        true => slots_in_use(answered),
+        false => machines.iter().map(slots_to_fill).sum(),
     };
     Some(Rate {
         per_sec: simulated.min(answered),

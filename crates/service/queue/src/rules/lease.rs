@@ -283,8 +283,9 @@ impl Job {
 }
 
 impl Lease {
-    /// Returns the reason why this lease expired. `lasts` is the duration of a lease without a
-    /// heartbeat; `last_heartbeat` is the worker's last one, even if it did not name this attempt.
+    /// Returns the reason why this lease expired. `lease_duration` is the duration of a lease
+    /// without a heartbeat; `last_heartbeat` is the worker's last one, even if it did not name
+    /// this attempt.
     ///
     /// If the worker's heartbeats stopped, all its leases expired together and nothing is known
     /// about the rollout: the network may be cut. If its heartbeats continued but omitted the
@@ -294,13 +295,17 @@ impl Lease {
     pub fn why_expired(
         &self,
         last_heartbeat: Option<UnixMillis>,
-        lasts: Duration,
+        lease_duration: Duration,
     ) -> FailureReason {
         let is_silent_for = |span| last_heartbeat.is_none_or(|at| at <= self.expires.minus(span));
         let is_overdue = self.expires >= self.ceiling;
         if !self.is_acknowledged {
             FailureReason::NeverAcknowledged
-        } else if is_silent_for(if is_overdue { lasts } else { lasts / 2 }) {
+        } else if is_silent_for(if is_overdue {
+            lease_duration
+        } else {
+            lease_duration / 2
+        }) {
             FailureReason::WorkerSilent
         } else if is_overdue {
             FailureReason::Overdue

@@ -138,7 +138,7 @@ pub(crate) async fn awaited(
 }
 
 /// Returns the names of the campaigns that derive from this one.
-pub(crate) async fn of(
+pub(crate) async fn derived_names(
     tx: &mut SqliteConnection,
     source: CampaignId,
 ) -> Result<Vec<CampaignName>, StoreError> {

@@ -96,7 +96,7 @@ macro_rules! job {
 }
 
 /// Returns the attempts with these ids that exist, whether or not they still hold their leases.
-pub(crate) async fn named(
+pub(crate) async fn attempts_by_id(
     tx: &mut SqliteConnection,
     attempts: &[AttemptId],
 ) -> Result<BTreeMap<AttemptId, NamedAttempt>, StoreError> {

@@ -73,7 +73,7 @@ const COPIED: [Copied; 10] = [
     Copied {
         table: "job",
         from: "temp.moved_job m CROSS JOIN source.job s ON s.id = m.old
-               LEFT JOIN source.result r ON r.job_id = s.id WHERE TRUE",
+               NOT_COPIED JOIN source.result r ON r.job_id = s.id WHERE TRUE",
         values: &[
             ("id", "m.new"),
             CAMPAIGN,
@@ -166,7 +166,7 @@ const COPIED: [Copied; 10] = [
 
 /// Tables with rows per campaign rather than per job. Their rows must exist before the first job is
 /// copied.
-const OF_CAMPAIGN: [&str; 2] = ["campaign_task", "worker"];
+const PER_CAMPAIGN: [&str; 2] = ["campaign_task", "worker"];
 
 /// The campaign's own row, which all others refer to.
 const CAMPAIGN_ROW: Copied = Copied {
@@ -186,7 +186,7 @@ const CAMPAIGN_ROW: Copied = Copied {
 /// Tables that are not copied. A policy's health and pending removals are this coordinator's own;
 /// the specification names the source of a derived campaign; triggers count the copied rows.
 #[cfg(test)]
-const LEFT: [&str; 9] = [
+const NOT_COPIED: [&str; 9] = [
     "_sqlx_migrations",
     "policy",
     "removal",
@@ -229,7 +229,7 @@ pub(crate) async fn copy_without_jobs(
 ) -> Result<CampaignId, StoreError> {
     begin(tx, old).await?;
     let new = copy_row(tx, old, target, now).await?;
-    rows(tx, new, |table| OF_CAMPAIGN.contains(&table)).await?;
+    rows(tx, new, |table| PER_CAMPAIGN.contains(&table)).await?;
     end(tx).await?;
     Ok(new)
 }
@@ -258,8 +258,8 @@ pub(crate) async fn copy_batch(
     .execute(&mut *tx)
     .await
     .doing("copy a campaign")?;
-    let is_of_jobs = |table: &str| !OF_CAMPAIGN.contains(&table) && table != "stop";
-    rows(tx, campaign, is_of_jobs).await?;
+    let is_per_job = |table: &str| !PER_CAMPAIGN.contains(&table) && table != "stop";
+    rows(tx, campaign, is_per_job).await?;
     end(tx).await
 }
 
@@ -275,7 +275,7 @@ pub(crate) async fn jobs(
         .doing("list the jobs of the campaign to copy")
 }
 
-/// Copies what depends on all jobs being present: the early stop and the state of the campaign.
+/// Copies the early stop and the state of the campaign, which require that all jobs are present.
 pub(crate) async fn copy_rest(
     tx: &mut SqliteConnection,
     (campaign, old): (CampaignId, CampaignId),
@@ -421,7 +421,7 @@ async fn rows(
 }
 
 /// Assigns ids to the copied attempts: the original id, or a new one if the original id exists in
-/// this database, beside which the campaign is then a copy.
+/// this database, which then holds the original campaign as well.
 async fn name_attempts(tx: &mut SqliteConnection) -> Result<(), StoreError> {
     run(
         tx,
@@ -572,10 +572,10 @@ mod tests {
         .expect("tables");
         let copied = COPIED.iter().chain([&CAMPAIGN_ROW]);
         let mut known: Vec<&str> = copied.map(|copied| copied.table).collect();
-        known.extend(LEFT);
+        known.extend(NOT_COPIED);
         known.sort_unstable();
         tables.sort_unstable();
-        assert_eq!(tables, known, "name new tables in COPIED or LEFT");
+        assert_eq!(tables, known, "name new tables in COPIED or NOT_COPIED");
         for copied in COPIED.iter().chain([&CAMPAIGN_ROW]) {
             let columns = columns(&mut view, copied.table).await.expect("columns");
             for (column, _) in copied.values {

@@ -99,7 +99,7 @@ pub(crate) async fn stop(
 }
 
 /// Returns the early stop of a campaign; `None` for a campaign that always runs to its end.
-pub(crate) async fn of(
+pub(crate) async fn early_stop(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
 ) -> Result<Option<EarlyStop>, StoreError> {

@@ -143,7 +143,7 @@ pub(crate) async fn standings(
     Ok(standings.into_iter().map(by_id).collect())
 }
 
-pub(crate) async fn seen(
+pub(crate) async fn record_calls(
     tx: &mut SqliteConnection,
     ids: &[&WorkerId],
     now: UnixMillis,
@@ -200,7 +200,7 @@ pub(crate) async fn set_strike(
 
 /// Notes that workers reported results that were committed: they are alive, and their failures in a
 /// row are reset.
-pub(crate) async fn succeeded(
+pub(crate) async fn record_successes(
     tx: &mut SqliteConnection,
     ids: &[&WorkerId],
     now: UnixMillis,
