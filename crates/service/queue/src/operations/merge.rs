@@ -107,16 +107,16 @@ pub async fn merge(
         };
         return Err(MergeError::Rollout { rollout });
     }
-    let known_first = halves::known(&mut tx, Schema::Main, both.0).await?;
-    let known_second = halves::known(&mut tx, Schema::Source, both.1).await?;
-    let stored_first = halves::results(&mut tx, Schema::Main, both.0).await?;
-    let stored_second = halves::results(&mut tx, Schema::Source, both.1).await?;
-    check_same_policy(&stored_first, &stored_second)?;
-    let kept = match merge::merge(&known_first, &known_second) {
+    let first_records = halves::records(&mut tx, Schema::Main, both.0).await?;
+    let second_records = halves::records(&mut tx, Schema::Source, both.1).await?;
+    let first_results = halves::results(&mut tx, Schema::Main, both.0).await?;
+    let second_results = halves::results(&mut tx, Schema::Source, both.1).await?;
+    check_same_policy(&first_results, &second_results)?;
+    let kept = match merge::merge(&first_records, &second_records) {
         Ok(kept) => kept,
-        Err(found) => return Err(contradictions(&found, &stored_first, &stored_second)),
+        Err(found) => return Err(contradictions(&found, &first_results, &second_results)),
     };
-    check_consistency(whole.campaign.mode()?, &stored_first, &stored_second)?;
+    check_consistency(whole.campaign.mode()?, &first_results, &second_results)?;
     let of_second = kept.iter().filter(|(_, kept)| **kept == Kept::Second);
     let of_second: Vec<Rollout> = of_second.map(|(rollout, _)| rollout.clone()).collect();
     portable::replace(&mut tx, both, &of_second).await?;
@@ -126,8 +126,8 @@ pub async fn merge(
     drop(attached);
     whole.store.compact().await?;
     let mut merged = Merged::default();
-    for (rollout, one) in &known_first {
-        let other = known_second.get(rollout).copied().unwrap_or_default();
+    for (rollout, one) in &first_records {
+        let other = second_records.get(rollout).copied().unwrap_or_default();
         let is_committed = |standing| matches!(standing, Standing::Committed(_));
         let is_quarantined = [one.standing, other.standing].contains(&Standing::Quarantined);
         match (is_committed(one.standing), is_committed(other.standing)) {

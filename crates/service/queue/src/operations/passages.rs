@@ -223,17 +223,17 @@ pub(super) mod tests {
             drop(view);
             queue.close().await.expect("closed");
 
-            let again = start(folder.path()).await;
-            let mut left = part;
+            let restarted = start(folder.path()).await;
+            let mut remaining = part;
             for _ in 0..1_000 {
-                left = count(&again, "SELECT count(*) FROM campaign").await;
-                if left == 0 {
+                remaining = count(&restarted, "SELECT count(*) FROM campaign").await;
+                if remaining == 0 {
                     break;
                 }
                 tokio::time::sleep(Duration::from_millis(10)).await;
             }
-            assert_eq!(left, 0, "no campaign is left");
-            queue = again;
+            assert_eq!(remaining, 0, "no campaign remains");
+            queue = restarted;
         }
         queue.close().await.expect("closed");
     }

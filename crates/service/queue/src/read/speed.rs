@@ -199,13 +199,13 @@ mod tests {
             let cores: u32 = machines.iter().map(|machine| machine.cores).sum();
             let by_slots = f64::from(slots) / spent.alone();
             let by_cores = f64::from(cores) / spent.busy();
-            let asked = found.per_sec * spent.queries;
+            let queries_per_sec = found.per_sec * spent.queries;
             prop_assert!(found.per_sec <= by_slots * (1.0 + 1e-9));
             prop_assert!(found.per_sec <= by_cores * (1.0 + 1e-9));
-            prop_assert!(policy.is_none_or(|rate| asked <= rate * (1.0 + 1e-9)));
+            prop_assert!(policy.is_none_or(|rate| queries_per_sec <= rate * (1.0 + 1e-9)));
             prop_assert!(found.per_sec <= found.most_per_sec * (1.0 + 1e-9));
             match found.bottleneck {
-                Bottleneck::Policy => prop_assert!(close(asked, policy.expect("one"))),
+                Bottleneck::Policy => prop_assert!(close(queries_per_sec, policy.expect("a rate"))),
                 Bottleneck::Cores => prop_assert!(close(found.per_sec, by_cores)),
                 Bottleneck::Slots => prop_assert!(found.per_sec < found.most_per_sec),
             }

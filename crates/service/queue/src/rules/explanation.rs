@@ -34,11 +34,11 @@ pub(crate) fn additions(
     for (&simultaneous, requests) in plan(&lattices, &Sample::of(explanation)) {
         for request in requests {
             let lattice = &lattices[&simultaneous];
-            let asked = lattice.outcomes().both(request.set).asked();
+            let requested = lattice.outcomes().both(request.set).asked();
             all.push(Wanted {
                 simultaneous,
                 axes: request.set,
-                replicates: asked..asked + request.rollouts,
+                replicates: requested..requested + request.rollouts,
             });
         }
     }
