@@ -28,7 +28,7 @@ pub struct ClaimRequest {
 
 impl ClaimRequest {
     pub(super) fn has_files_of(&self, task: &str) -> bool {
-        !self.lacking_tclaim.contains(task)
+        !self.lacking_tasks.contains(task)
     }
 }
 
