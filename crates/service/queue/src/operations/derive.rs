@@ -21,7 +21,7 @@ use super::context::Context;
 use super::shared::Shared;
 use crate::expand::NewJob;
 use crate::ids::CampaignId;
-use crate::rules::explanation::{self, Wanted};
+use crate::rules::explanation::{self, Addition};
 use crate::store::campaigns;
 use crate::store::derivations::{self, Derived, SourceEdition};
 use crate::store::failpoint::Step;
@@ -190,7 +190,7 @@ async fn subsets(
         .doing("read the rollouts to explain")?;
     let rows: BTreeMap<_, _> = rows.iter().map(|row| (row.id, row)).collect();
     let mut rollouts = Vec::new();
-    for Wanted {
+    for Addition {
         simultaneous,
         axes,
         replicates,

@@ -23,11 +23,11 @@ const AGE_PER_COST: u32 = 20;
 pub(crate) struct Films {
     /// Held while a campaign is scanned, so that concurrent callers share the result.
     pub(super) scanning: tokio::sync::Mutex<()>,
-    known: Mutex<Known>,
+    state: Mutex<FilmState>,
 }
 
 #[derive(Debug, Default)]
-struct Known {
+struct FilmState {
     unfilmed: BTreeMap<CampaignId, Unfilmed>,
     /// Jobs filmed since the last scan began, which may have missed them.
     filmed: BTreeSet<JobId>,
@@ -46,10 +46,10 @@ struct Unfilmed {
 impl Films {
     /// Drops cached campaigns that are not in `campaigns`. Returns those that must be scanned.
     pub(super) fn outdated(&self, campaigns: &[Filmed], now: Instant) -> Vec<Filmed> {
-        let mut known = self.lock();
+        let mut state = self.lock();
         let is_filmed = |id: &CampaignId| campaigns.iter().any(|campaign| campaign.campaign == *id);
-        known.unfilmed.retain(|id, _| is_filmed(id));
-        let is_outdated = |campaign: &&Filmed| match known.unfilmed.get(&campaign.campaign) {
+        state.unfilmed.retain(|id, _| is_filmed(id));
+        let is_outdated = |campaign: &&Filmed| match state.unfilmed.get(&campaign.campaign) {
             Some(cached) => {
                 let age = now.saturating_duration_since(cached.scanned_at);
                 let is_due = cached.cost < CHEAP_SCAN || age >= cached.cost * AGE_PER_COST;
@@ -73,8 +73,8 @@ impl Films {
         at: Instant,
         cost: Duration,
     ) {
-        let mut known = self.lock();
-        jobs.retain(|job| !known.filmed.contains(job));
+        let mut state = self.lock();
+        jobs.retain(|job| !state.filmed.contains(job));
         let id = campaign.campaign;
         let unfilmed = Unfilmed {
             campaign,
@@ -82,15 +82,15 @@ impl Films {
             scanned_at: at,
             cost,
         };
-        known.unfilmed.insert(id, unfilmed);
+        state.unfilmed.insert(id, unfilmed);
     }
 
     /// Records that the video of a rollout was stored.
     pub(super) fn filmed(&self, campaign: CampaignId, job: JobId) {
-        let mut known = self.lock();
-        known.filmed.insert(job);
-        known.in_flight.remove(&job);
-        if let Some(unfilmed) = known.unfilmed.get_mut(&campaign) {
+        let mut state = self.lock();
+        state.filmed.insert(job);
+        state.in_flight.remove(&job);
+        if let Some(unfilmed) = state.unfilmed.get_mut(&campaign) {
             unfilmed.jobs.retain(|other| *other != job);
         }
     }
@@ -98,9 +98,9 @@ impl Films {
     /// Returns the first rollout of these campaigns that is not being filmed, and the number of
     /// rollouts without a video.
     pub(super) fn take(&self, campaigns: &[Filmed], now: UnixMillis) -> Option<(JobId, u64)> {
-        let known = &mut *self.lock();
-        known.in_flight.retain(|_, until| *until > now);
-        let unfilmed = |campaign: &Filmed| known.unfilmed.get(&campaign.campaign);
+        let state = &mut *self.lock();
+        state.in_flight.retain(|_, until| *until > now);
+        let unfilmed = |campaign: &Filmed| state.unfilmed.get(&campaign.campaign);
         let jobs = || {
             campaigns
                 .iter()
@@ -108,13 +108,13 @@ impl Films {
                 .flat_map(|rollouts| &rollouts.jobs)
         };
         let count = jobs().count() as u64;
-        let job = *jobs().find(|job| !known.in_flight.contains_key(job))?;
-        known.in_flight.insert(job, now.plus(FILMING_TIMEOUT));
+        let job = *jobs().find(|job| !state.in_flight.contains_key(job))?;
+        state.in_flight.insert(job, now.plus(FILMING_TIMEOUT));
         Some((job, count))
     }
 
-    fn lock(&self) -> std::sync::MutexGuard<'_, Known> {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> std::sync::MutexGuard<'_, FilmState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 

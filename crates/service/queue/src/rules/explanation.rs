@@ -10,7 +10,7 @@ use paired::Record;
 
 /// Rollouts to add.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Wanted {
+pub(crate) struct Addition {
     /// The simultaneous rollout of the configuration in the explained campaign.
     pub(crate) simultaneous: RolloutId,
     /// The axes to perturb.
@@ -25,7 +25,7 @@ pub(crate) fn additions(
     explained: &[Record],
     own: &[Record],
     explanation: &Explanation,
-) -> Vec<Wanted> {
+) -> Vec<Addition> {
     // A single axis leaves nothing to explain.
     let Ok(lattices) = configurations(explained, own, explanation.repeats) else {
         return Vec::new();
@@ -35,7 +35,7 @@ pub(crate) fn additions(
         for request in requests {
             let lattice = &lattices[&simultaneous];
             let requested = lattice.outcomes().both(request.set).asked();
-            all.push(Wanted {
+            all.push(Addition {
                 simultaneous,
                 axes: request.set,
                 replicates: requested..requested + request.rollouts,
