@@ -64,7 +64,7 @@ pub enum PortableError {
     #[error(transparent)]
     Store(#[from] StoreError),
     /// The database holds no campaign, or several.
-    #[error("find one campaign in the database: it holds {count}")]
+    #[error("find the campaign of the database: it holds {count} campaigns, not one")]
     NotOne { count: usize },
     #[error("use the specification of campaign `{campaign}`: it does not match its digest")]
     SpecDigest { campaign: CampaignName },
