@@ -270,7 +270,7 @@ fn an_invalid_variable_stops_servers_and_no_other_command() {
         let output = run(name, arguments, &[(variable, value)]);
         let stderr = String::from_utf8_lossy(&output.stderr);
         assert_eq!(output.status.code(), Some(2), "{stderr}");
-        let named = format!("it stands in the environment, as {variable}");
+        let named = format!("the value comes from the environment variable {variable}");
         assert!(
             stderr.contains(&named) && stderr.contains(value),
             "{stderr}"

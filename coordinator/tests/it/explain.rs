@@ -225,7 +225,7 @@ async fn invalid_explanations_and_deletion_of_their_source_are_refused() {
         "they differ in `explains`",
     );
     let delete = ["campaign", "delete", "first", "--confirm", "first"];
-    refused(&delete, "campaign `first-explained` follows from it");
+    refused(&delete, "campaign `first-explained` is derived from it");
 
     succeed(serve.command(&["campaign", "rename", "first", "final"]));
     succeed(serve.command(&["explain", "final", "--name", "first-explained"]));

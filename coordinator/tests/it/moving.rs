@@ -550,7 +550,7 @@ async fn a_derived_campaign_is_imported_after_its_source() {
     let target = Bench::empty().await;
     let path = file.display().to_string();
     let message = target.refused(&["campaign", "import", &path]);
-    assert!(message.contains("follows from `moved`") && message.contains("import that one first"));
+    assert!(message.contains("derived from `moved`") && message.contains("import that one first"));
     target.import(&source_archive);
     target.import(&file);
     target.assert_invariants().await;
@@ -562,5 +562,5 @@ async fn a_derived_campaign_is_imported_after_its_source() {
     let mut other = Bench::with(&with(spec(), json!({"levels": ["L2"]}))).await;
     other.run(3, "").await;
     let message = other.refused(&["campaign", "import", &path]);
-    assert!(message.contains("others here"), "{message}");
+    assert!(message.contains("other outcomes here"), "{message}");
 }

@@ -243,7 +243,8 @@ async fn unmeasurable_thresholds_are_refused_before_creation() {
             "write axes such as camera,robot",
         );
     }
-    let others = "it does not run the condition sensor; its own are camera, robot, simultaneous";
+    let others =
+        "it does not run the condition sensor; its conditions are camera, robot, simultaneous";
     refused(&first(&["--axes", "sensor"]), others);
     refused(&first(&["--budget", "20"]), "may take 24 rollouts");
     #[rustfmt::skip]
@@ -276,7 +277,10 @@ async fn unmeasurable_thresholds_are_refused_before_creation() {
     succeed(serve.command(&["thresholds", "final", "--name", "first-thresholds"]));
     let output_for_derived = serve.command(&["thresholds", "first-thresholds", "--create"]);
     let error = text(&output_for_derived.stderr);
-    assert!(error.contains("its rows come from no design"), "{error}");
+    assert!(
+        error.contains("its rows are not expanded from a design"),
+        "{error}"
+    );
 }
 
 #[tokio::test(flavor = "multi_thread")]

@@ -61,7 +61,7 @@ async fn an_explaining_campaign_names_its_source_and_finishes_after_it() {
     assert_eq!(status(&serve, "first")["follows_from"], Value::Null);
     assert_eq!(waiting["rollouts"]["total"], 0);
     assert_eq!(waiting["is_finished"], false);
-    let why = "campaign `first` is finished, 5 rollouts from now";
+    let why = "campaign `first`, which has 5 rollouts left";
     let reason = waiting["waiting_reason"].as_str().expect("a reason");
     assert!(reason.contains(why), "{reason}");
     let output = serve.command(&["campaign", "status", "first-explained"]);
@@ -102,7 +102,7 @@ async fn campaigns_that_are_cancelled_or_without_transitions_derive_no_rollouts(
     assert_eq!(over["is_finished"], true);
     let why = over["waiting_reason"].as_str().expect("a reason");
     assert!(
-        why.contains("which was cancelled with 8 rollouts to go"),
+        why.contains("which was cancelled with 8 rollouts left"),
         "{why}"
     );
 

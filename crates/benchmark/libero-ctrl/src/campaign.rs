@@ -176,7 +176,7 @@ pub enum SpecError {
     /// The execution model differs from that of the manifest's rows.
     #[error(
         "read campaign specification: `execution` is {given}, but the rows of its manifest have \
-         `{of_rows}`: leave `execution` out, or take it out of the rows"
+         `{of_rows}`: remove `execution` from the specification or from the rows"
     )]
     Execution {
         /// The campaign's model.
@@ -187,7 +187,7 @@ pub enum SpecError {
     /// The latency axis in a campaign whose execution model is not `wait`.
     #[error(
         "read campaign specification: axis `latency` with `execution` {given}: its rollouts are \
-         compared with rollouts without delay; leave `execution` out, or take the axis out"
+         compared with rollouts without delay; remove `execution` or the axis"
     )]
     Latency {
         /// The campaign's model.
@@ -211,7 +211,7 @@ pub enum SpecError {
     /// A row of LIBERO's family in a manifest.
     #[error(
         "read campaign specification: row {id} of its manifest is of LIBERO's family, whose \
-         campaigns are specified with `variants`: take it out"
+         campaigns are specified with `variants`: remove the row"
     )]
     VariantRow {
         /// The row's id.
@@ -265,7 +265,7 @@ impl CampaignSpec {
             return empty("name", "name the campaign");
         }
         if self.policy.name.is_empty() {
-            return empty("policy.name", "name the policy as its endpoint does");
+            return empty("policy.name", "write the policy's name at its endpoint");
         }
         if !self.policy.endpoint.contains("://") {
             let given = self.policy.endpoint.clone();
@@ -427,7 +427,7 @@ enum TextError {
          `levels`, or one of `manifest`, `explains`, `thresholds` and `variants` instead"
     )]
     Missing(&'static str),
-    #[error("`{other}` beside `{field}`, which alone sets the rollouts: take one of them out")]
+    #[error("`{other}` and `{field}` both define the rollouts: remove one of them")]
     Beside {
         other: &'static str,
         field: &'static str,

@@ -92,7 +92,7 @@ pub enum DesignError {
         axes: AxisSet,
     },
     /// A placebo option is set, but L0 is not among the levels.
-    #[error("`{field}` is about the placebo level: add L0 to `levels`, or take `{field}` out")]
+    #[error("`{field}` applies to the placebo level only: add L0 to `levels`, or remove `{field}`")]
     NoPlacebo {
         /// The field.
         field: &'static str,
@@ -106,7 +106,7 @@ pub enum DesignError {
         given: f64,
     },
     /// A configuration of the placebo is not in the design.
-    #[error("`placebo_configs` has {given}, which is none of `configs`")]
+    #[error("`placebo_configs` has {given}, which is not in `configs`")]
     PlaceboConfig {
         /// The configuration.
         given: u16,
@@ -114,7 +114,7 @@ pub enum DesignError {
     /// The language axis has no paraphrases at a level of the design.
     #[error(
         "axis `language` has paraphrases at L1, L2 and L3 and not at {level}: \
-         take it out of `axes`, or import a manifest with its own instructions"
+         remove it from `axes`, or import a manifest with its own instructions"
     )]
     NoParaphrase {
         /// The level.
@@ -123,15 +123,15 @@ pub enum DesignError {
     /// The latency axis has no whole number of control steps at a level.
     #[error(
         "axis `latency` delays responses by whole control steps, half as many as the radius, which \
-         is impossible at {level}: write L1, L2, L3 (1, 2 and 4 steps) or an even radius, or take \
-         it out of `axes`"
+         is impossible at {level}: write L1, L2, L3 (1, 2 and 4 steps) or an even radius, or \
+         remove it from `axes`"
     )]
     Delay {
         /// The level.
         level: Level,
     },
     /// The design has more than [`MAX_ROWS`] rows.
-    #[error("the design has {rows} rollouts, at most {MAX_ROWS} are possible: divide it")]
+    #[error("the design has {rows} rollouts, at most {MAX_ROWS} are possible: divide the design")]
     TooLarge {
         /// Number of rows.
         rows: usize,
@@ -410,7 +410,7 @@ mod tests {
     }
 
     #[test]
-    fn only_the_whole_design_is_v0_1() {
+    fn only_the_full_design_of_v0_1_has_that_version() {
         let whole = Design::v0_1();
         assert_eq!(whole.version().as_str(), "v0.1");
         // The seed does not change the version, because the design draws nothing from it.

@@ -262,13 +262,13 @@ impl FromStr for Execution {
     fn from_str(text: &str) -> Result<Self, ExecutionError> {
         let error = |problem: String| ExecutionError { problem };
         if text.is_empty() {
-            return Err(error("none is named".to_owned()));
+            return Err(error("no model is given".to_owned()));
         }
         if text == "wait" {
             return Ok(Self::Wait);
         }
         let Some((model, rest)) = text.split_once(':') else {
-            return Err(error(format!("`{text}` names no delay")));
+            return Err(error(format!("`{text}` lacks a delay")));
         };
         match model {
             "hold" => Ok(Self::Hold(delays(rest).map_err(error)?)),
@@ -292,7 +292,7 @@ fn delays(text: &str) -> Result<Delays, String> {
         let value = digits.and_then(|digits| digits.parse().ok());
         value.ok_or_else(|| match text {
             "" => "a number is missing".to_owned(),
-            _ => format!("`{text}` is no number"),
+            _ => format!("`{text}` is not a number"),
         })
     };
     let steps =

@@ -200,10 +200,10 @@ pub enum LineProblem {
         first: usize,
     },
     /// The manifest has more than [`MAX_ROWS`] rows.
-    #[error("more than {MAX_ROWS} rows: divide it")]
+    #[error("more than {MAX_ROWS} rows: divide the manifest")]
     TooMany,
     /// The manifest has no rows.
-    #[error("it has no rows")]
+    #[error("the manifest has no rows")]
     NoRows,
     /// The parameters do not have the radius of the row's level.
     #[error("{id}: parameters of axis {axis} have radius {given:.3}, at {level} it is {expected}")]
@@ -227,7 +227,7 @@ impl ManifestErrors {
         &self.listed
     }
 
-    /// Returns the number of bad lines, listed or not.
+    /// Returns the number of refused lines, listed or not.
     pub fn count(&self) -> usize {
         self.count
     }
@@ -242,12 +242,12 @@ impl ManifestErrors {
 
 impl fmt::Display for ManifestErrors {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let lines_are = if self.count == 1 {
+        let subject = if self.count == 1 {
             "line is"
         } else {
             "lines are"
         };
-        write!(f, "read manifest: {} {lines_are} refused", self.count)?;
+        write!(f, "read manifest: {} {subject} refused", self.count)?;
         for LineError { line, problem } in &self.listed {
             write!(f, "\n  line {line}: {problem}")?;
         }
@@ -404,8 +404,8 @@ mod tests {
     }
 
     fn check_refused(line: &str, expected: &str) {
-        let good = to_text(&rows()[..1]);
-        let errors = parse(&format!("{good}\n{line}\n")).expect_err(expected);
+        let valid = to_text(&rows()[..1]);
+        let errors = parse(&format!("{valid}\n{line}\n")).expect_err(expected);
         assert_eq!(errors.count(), 1);
         assert_eq!(errors.listed()[0].line, 3);
         let message = errors.to_string();

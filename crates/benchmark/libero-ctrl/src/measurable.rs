@@ -10,8 +10,8 @@ use crate::thresholds::Thresholds;
 pub enum NotMeasurable {
     /// The rows are imported, or derived from the outcomes of another campaign.
     #[error(
-        "its rows come from no design, so that their values at another radius are unknown; \
-         create a campaign with `tasks`, `axes` and `levels`"
+        "its rows are not expanded from a design, so that their values at another radius are \
+         unknown; create a campaign with `tasks`, `axes` and `levels`"
     )]
     NoDesign,
     /// The campaign has no nominal rollouts, from which thresholds are measured.
@@ -26,7 +26,7 @@ pub enum NotMeasurable {
     )]
     NoCondition,
     /// The campaign does not run the condition.
-    #[error("it does not run the condition {given}; its own are {valid}")]
+    #[error("it does not run the condition {given}; its conditions are {valid}")]
     OtherCondition {
         /// The requested condition.
         given: &'static str,
@@ -106,7 +106,7 @@ mod tests {
         for other in [Condition::Single(Axis::Sensor), Condition::Clean, subset] {
             let error =
                 check(|_| (), &[other]).expect_err("a condition that the campaign does not run");
-            let valid = "its own are camera, robot, simultaneous";
+            let valid = "its conditions are camera, robot, simultaneous";
             assert!(error.to_string().contains(valid), "{error}");
         }
         let result = check(|design| design.nominal = Nominal::None, &[]);

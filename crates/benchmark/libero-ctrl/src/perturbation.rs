@@ -261,7 +261,7 @@ pub enum PerturbError {
     },
     /// The parameters are for different axes than the condition's.
     #[error(
-        "read `perturb` of condition {condition}: it has parameters of {given}, give those of its own axes"
+        "read `perturb` of condition {condition}: it has parameters of {given}, give the parameters of its own axes"
     )]
     OtherAxes {
         /// The row's condition.
@@ -314,7 +314,7 @@ mod tests {
     fn a_parameter_of_another_axis_is_refused_by_name() {
         let camera = preset(&[Axis::Camera]).to_manifest(Condition::Single(Axis::Camera));
         let error = Perturbation::from_manifest(Condition::Single(Axis::Sensor), camera)
-            .expect_err("a camera is no sensor");
+            .expect_err("parameters of another axis");
         assert!(error.to_string().contains("d_azimuth_deg"), "{error}");
     }
 

@@ -406,7 +406,7 @@ mod tests {
 
     /// The reference's clean file omits empty columns.
     #[test]
-    fn the_references_clean_rows_are_read() {
+    fn rows_of_the_references_clean_file_are_parsed() {
         let read: ManifestRow = serde_json::from_value(json!({
             "rollout_id": "goal/t0/clean/i06", "split": "clean",
             "suite": "libero_goal", "task_id": 0, "axis": "clean", "level": "L0",
@@ -420,12 +420,12 @@ mod tests {
 
     #[test]
     fn a_column_that_contradicts_the_id_is_named() {
-        let good = serde_json::to_value(row("goal/t0/sensor/L3/c09", &[Axis::Sensor]));
-        let good = good.expect("JSON");
+        let valid = serde_json::to_value(row("goal/t0/sensor/L3/c09", &[Axis::Sensor]));
+        let valid = valid.expect("JSON");
         let check = |column: &str, value: Value, expected: &str| {
-            let mut bad = good.clone();
-            bad[column] = value;
-            let error = serde_json::from_value::<ManifestRow>(bad).expect_err(column);
+            let mut invalid = valid.clone();
+            invalid[column] = value;
+            let error = serde_json::from_value::<ManifestRow>(invalid).expect_err(column);
             assert!(error.to_string().contains(expected), "{error}");
         };
         check("level", json!("L2"), "`level` is L2, but the id says L3");
@@ -436,7 +436,7 @@ mod tests {
         check("colour", json!("red"), "unknown field `colour`");
         check("perturb", json!({"blur_sigma": 1.0}), "is not there");
         check("placebo_radius", json!(0.02), "leave it out of others");
-        let mut placebo = good.clone();
+        let mut placebo = valid.clone();
         placebo["level"] = json!("L0");
         placebo["rollout_id"] = json!("goal/t0/sensor/L0/c09");
         let error = serde_json::from_value::<ManifestRow>(placebo).expect_err("no radius");

@@ -1,4 +1,4 @@
-//! Early stop of a campaign: the stop rule, and the drawn order of configurations.
+//! Early stop of a campaign: the stop rule, and the random order of configurations.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -28,7 +28,7 @@ pub struct Stop {
     pub strata: Strata,
 }
 
-/// Strata of a drawn order: each round of the order has one configuration of each stratum.
+/// Strata of the random order: each round of the order has one configuration of each stratum.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Strata {
@@ -70,7 +70,7 @@ pub enum StopError {
     /// The campaign has fewer than two axes.
     #[error(
         "`stop` needs simultaneous rollouts, and those of each axis alone: name two axes or more, \
-         or take `stop` out"
+         or remove `stop`"
     )]
     NotSimultaneous,
     /// The rule has both clauses about new tasks and other clauses.
@@ -92,14 +92,14 @@ pub enum StopError {
     /// The campaign has several replicates.
     #[error(
         "`stop` with {given} `replicates`: its intervals assume one replicate; write 1, \
-         or take `stop` out"
+         or remove `stop`"
     )]
     Replicates {
         /// The number of replicates given.
         given: u32,
     },
     /// The rollouts of the campaign are derived from the outcomes of another campaign.
-    #[error("`stop` beside `{field}`, which ends by itself: take `stop` out")]
+    #[error("`stop` with `{field}`, whose campaigns end without a stop rule: remove `stop`")]
     Follows {
         /// The field that names the source campaign.
         field: &'static str,
@@ -107,7 +107,7 @@ pub enum StopError {
     /// An imported configuration lacks a rollout that others have.
     #[error(
         "`stop` needs every configuration under the same conditions at every level: {rollout} is \
-         not in the manifest; add it, or take `stop` out"
+         not in the manifest; add it, or remove `stop`"
     )]
     Missing {
         /// The first missing rollout.

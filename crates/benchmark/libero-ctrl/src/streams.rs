@@ -118,7 +118,7 @@ mod tests {
         let id = id.parse().expect("an id");
         match Randomness::of(&id, axis, Realisation::Matched) {
             Randomness::Matched(stream) => stream,
-            Randomness::Reference { .. } => unreachable!("matched was asked for"),
+            Randomness::Reference { .. } => unreachable!("the realisation is matched"),
         }
     }
 

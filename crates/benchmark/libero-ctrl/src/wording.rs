@@ -52,29 +52,29 @@ impl std::error::Error for JsonError {}
 /// Rewords a message of a JSON or TOML parser in plain words; returns other messages
 /// unchanged.
 pub fn plain_words(message: &str) -> String {
-    let about = |prefix: &str| message.strip_prefix(prefix);
-    if let Some(field) = about("missing field ") {
+    let after = |prefix: &str| message.strip_prefix(prefix);
+    if let Some(field) = after("missing field ") {
         return format!("the field {field} is not there");
     }
-    if let Some(field) = about("duplicate field ") {
+    if let Some(field) = after("duplicate field ") {
         return format!("the field {field} occurs twice");
     }
-    if let Some(rest) = about("unknown field ") {
+    if let Some(rest) = after("unknown field ") {
         return match rest.split_once(", expected ") {
             Some((field, known)) => {
                 format!("there is no field {field}; {}", choice("the field", known))
             }
-            None => format!("there is no field {}", first(rest)),
+            None => format!("there is no field {}", before_comma(rest)),
         };
     }
-    if let Some(rest) = about("unknown variant ") {
+    if let Some(rest) = after("unknown variant ") {
         return match rest.split_once(", expected ") {
             Some((given, known)) => format!("{given} is not valid; {}", choice("write", known)),
-            None => format!("{} is not valid", first(rest)),
+            None => format!("{} is not valid", before_comma(rest)),
         };
     }
     for prefix in ["invalid type: ", "invalid value: ", "invalid length "] {
-        if let Some((given, wanted)) = about(prefix).and_then(|rest| rest.split_once(", expected "))
+        if let Some((given, wanted)) = after(prefix).and_then(|rest| rest.split_once(", expected "))
         {
             let count = if prefix == "invalid length " {
                 "length "
@@ -97,7 +97,7 @@ pub fn plain_words(message: &str) -> String {
 }
 
 /// Returns the text before the first comma.
-fn first(text: &str) -> &str {
+fn before_comma(text: &str) -> &str {
     text.split(',').next().unwrap_or(text)
 }
 

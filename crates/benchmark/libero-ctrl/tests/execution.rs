@@ -28,14 +28,14 @@ fn invalid_texts_are_refused_with_the_problem_and_the_valid_forms() {
     let long: Vec<String> = (0..33).map(|steps| format!("{steps}*1")).collect();
     let long = format!("hold:{}", long.join("+"));
     for (text, problem) in [
-        ("", "none is named"),
-        ("hold", "`hold` names no delay"),
+        ("", "no model is given"),
+        ("hold", "`hold` lacks a delay"),
         ("dawdle:3", "no model `dawdle`"),
         ("hold:", "a number is missing"),
-        ("hold:+3", "`+3` is no number"),
+        ("hold:+3", "`+3` is not a number"),
         ("hold:201", "a delay of 201"),
         ("hold:99999999999", "no number"),
-        ("hold:3,rtc", "`3,rtc` is no number"),
+        ("hold:3,rtc", "`3,rtc` is not a number"),
         ("overlap:3*0", "weight 0"),
         ("overlap:3*1001", "weight 1001"),
         ("overlap:3*1+4", "`4` has no weight"),
@@ -73,17 +73,17 @@ fn drawn_delays_have_the_frequencies_of_the_distribution() {
 
 #[test]
 fn measured_latencies_are_converted_to_weights_in_thousandths() {
-    let read = |text: &str| Delays::from_json(text).map(|delays| delays.to_string());
+    let parse = |text: &str| Delays::from_json(text).map(|delays| delays.to_string());
     let text = r#"{"server": "pi05", "delay_steps": {"3": 8120, "4": 1879, "30": 1, "5": 0}}"#;
-    assert_eq!(read(text).expect("delays"), "3*812+4*188+30*1");
-    assert_eq!(read(r#"{"delay_steps": {"2": 5}}"#).expect("one"), "2");
+    assert_eq!(parse(text).expect("delays"), "3*812+4*188+30*1");
+    assert_eq!(parse(r#"{"delay_steps": {"2": 5}}"#).expect("one"), "2");
     for (text, problem) in [
         ("{", "line 1"),
         (r#"{"delay_steps": {}}"#, "no delay"),
         (r#"{"delay_steps": {"3": 0}}"#, "no delay"),
         (r#"{"delay_steps": {"300": 1}}"#, "300 control steps"),
     ] {
-        let error = read(text).expect_err(text).to_string();
+        let error = parse(text).expect_err(text).to_string();
         assert!(error.contains(problem), "{text}: {error}");
     }
 }

@@ -61,7 +61,7 @@ proptest! {
             let matched = |row: &ManifestRow| {
                 let randomness = Randomness::of(&row.id, axis, Realisation::Matched);
                 let Randomness::Matched(stream) = randomness else {
-                    panic!("matched was asked for");
+                    panic!("the realisation is matched");
                 };
                 let mut noise = stream.at(step, 0);
                 (stream.fixed().line_angle(), noise.standard_normal(), noise.standard_normal())

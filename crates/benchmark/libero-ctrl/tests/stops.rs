@@ -83,7 +83,7 @@ fn a_rule_that_cannot_end_the_campaign_is_refused_with_the_remedy() {
         explains[field] = Value::Null;
     }
     let error = read(&explains).expect_err("it explains").to_string();
-    assert!(error.contains("`stop` beside `explains`"), "{error}");
+    assert!(error.contains("`stop` with `explains`"), "{error}");
 }
 
 #[test]

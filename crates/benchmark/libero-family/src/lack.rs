@@ -51,7 +51,7 @@ pub struct Lacking(pub Vec<(Lack, Vec<Case>)>);
 impl Lacking {
     /// Adds a rollout.
     pub fn add(&mut self, lack: Lack, case: Case) {
-        match self.0.iter_mut().find(|(listed, _)| *listed == lack) {
+        match self.0.iter_mut().find(|(other, _)| *other == lack) {
             Some((_, cases)) => cases.push(case),
             None => self.0.push((lack, vec![case])),
         }

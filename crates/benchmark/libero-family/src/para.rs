@@ -18,10 +18,10 @@ pub fn pride(outcomes: &[Paraphrased], alpha: f64) -> Option<f64> {
     let distance = |outcome: &Paraphrased| {
         1.0 - (alpha * outcome.keywords + (1.0 - alpha) * outcome.structure)
     };
-    let all: f64 = outcomes.iter().map(distance).sum();
+    let total: f64 = outcomes.iter().map(distance).sum();
     let successes = outcomes.iter().filter(|outcome| outcome.success);
     let reached: f64 = successes.map(distance).sum();
-    (all > 0.0).then(|| 100.0 * reached / all)
+    (total > 0.0).then(|| 100.0 * reached / total)
 }
 
 #[cfg(test)]

@@ -298,8 +298,11 @@ mod tests {
         );
         let text = libero_ctrl::manifest::to_text(&rows[..1]);
         assert!(text.contains("\"protocol\":\"plus-official\""), "{text}");
-        let one = "put_the_bowl_on_the_plate_view_0_0_100_0_0_initstate_0_noise_30";
-        assert_eq!(count(&format!("{{{plus},\"variants\":[\"{one}\"]}}")), 2);
+        let variant = "put_the_bowl_on_the_plate_view_0_0_100_0_0_initstate_0_noise_30";
+        assert_eq!(
+            count(&format!("{{{plus},\"variants\":[\"{variant}\"]}}")),
+            2
+        );
         let pro = r#"{"benchmark":"libero-pro","protocol":"pro-bddl","suites":["libero_goal_swap",
                      "libero_goal_lan"],"trials":3}"#;
         assert_eq!(count(pro), 2 * 10 * 3 + 10 * 3);
@@ -311,8 +314,8 @@ mod tests {
                         "dimensions":["light","camera"]}"#;
         check_refused(lights, "whose shadows are not drawn yet: ");
         check_refused(lights, "--runnable");
-        let left = r#"{"benchmark":"libero-plus","protocol":"plus-official","runnable":true}"#;
-        let Rollouts::Variants(variants) = spec(left).rollouts else {
+        let runnable = r#"{"benchmark":"libero-plus","protocol":"plus-official","runnable":true}"#;
+        let Rollouts::Variants(variants) = spec(runnable).rollouts else {
             panic!("variants");
         };
         assert_eq!(

@@ -97,9 +97,9 @@ mod tests {
             let key = TaskKey::of_rollout(id.parse().expect("an id"));
             assert_eq!(key.to_string(), expected, "{id}");
             assert_eq!(TaskKey::files_of(expected), key.files);
-            assert!(TaskKey::of_task(key.task).any(|it| it == key));
+            assert!(TaskKey::of_task(key.task).any(|other| other == key));
             if let Some(benchmark) = key.files {
-                assert!(TaskKey::needing(benchmark).any(|it| it == key));
+                assert!(TaskKey::needing(benchmark).any(|other| other == key));
             }
         }
     }

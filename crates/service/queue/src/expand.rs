@@ -36,7 +36,7 @@ pub struct NewCampaign {
     pub wanted: Wanted,
     /// Rollouts that this campaign derives from another campaign's outcomes, if it does.
     pub derived: Option<Rollouts>,
-    /// Number of configurations, if the campaign may stop early; its jobs then follow the drawn
+    /// Number of configurations, if the campaign may stop early; its jobs then follow a random
     /// order of the configurations.
     pub stops_among: Option<usize>,
     /// Jobs in paired-unit order; empty at first if they derive from outcomes.
@@ -120,7 +120,10 @@ impl NewCampaign {
     pub fn from_spec(spec: &CampaignSpec) -> Result<NewCampaign, ExpandError> {
         let name = CampaignName::parse(&spec.name)?;
         let mut rows = libero_family::expand(spec)?;
-        let stops_among = spec.stop.as_ref().map(|stop| draw(&mut rows, stop));
+        let stops_among = spec
+            .stop
+            .as_ref()
+            .map(|stop| order_randomly(&mut rows, stop));
         let budgets = rows.iter().map(|row| u64::from(row.max_steps));
         let step_budget = budgets.sum::<u64>() * u64::from(spec.replicates);
         let mut jobs = Vec::with_capacity(rows.len() * spec.replicates as usize);
@@ -161,16 +164,16 @@ impl NewCampaign {
     }
 }
 
-/// Sorts rows into the drawn order of their configurations, each with its nominal rollout; the
+/// Sorts rows into a random order of their configurations, each with its nominal rollout; the
 /// remaining nominal rollouts come last. Returns the number of configurations.
-fn draw(rows: &mut [ManifestRow], stop: &Stop) -> usize {
+fn order_randomly(rows: &mut [ManifestRow], stop: &Stop) -> usize {
     let unit = |row: &ManifestRow| -> Option<Unit> { Some((row.id.task(), row.id.config()?)) };
     let order = drawn_order(stop, rows.iter().filter_map(unit));
     let places: BTreeMap<Unit, usize> = order.units().copied().zip(0..).collect();
-    let mut of_states = BTreeMap::new();
+    let mut first_places = BTreeMap::new();
     for row in rows.iter() {
         if let Some(unit) = unit(row) {
-            let first = of_states.entry((row.id.task(), row.init_id));
+            let first = first_places.entry((row.id.task(), row.init_id));
             let first = first.or_insert(usize::MAX);
             *first = places[&unit].min(*first);
         }
@@ -178,7 +181,7 @@ fn draw(rows: &mut [ManifestRow], stop: &Stop) -> usize {
     rows.sort_by_key(|row| match unit(row) {
         Some(unit) => (places[&unit], true),
         None => {
-            let paired = of_states.get(&(row.id.task(), row.init_id));
+            let paired = first_places.get(&(row.id.task(), row.init_id));
             (paired.copied().unwrap_or(usize::MAX), false)
         }
     });

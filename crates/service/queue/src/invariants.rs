@@ -323,7 +323,7 @@ async fn open(file: &Path) -> Result<SqliteConnection, sqlx::Error> {
 pub(crate) async fn violations(
     connection: &mut SqliteConnection,
 ) -> Result<Vec<Violation>, sqlx::Error> {
-    store::know_schema(connection).await?;
+    store::load_schema(connection).await?;
     let mut view = connection.begin().await?;
     let mut violations = Vec::new();
     for Invariant { name, query } in INVARIANTS {

@@ -51,7 +51,7 @@ pub struct Queue {
 }
 
 /// Checkpoints the write-ahead log outside the writer, so that transactions do not wait for it.
-async fn keep_log_short(shared: Arc<Shared>) {
+async fn checkpoint_log(shared: Arc<Shared>) {
     loop {
         tokio::time::sleep(CHECKPOINT_INTERVAL).await;
         // A full disk may have room later; the log stays readable in any case.
@@ -95,13 +95,16 @@ impl Queue {
                 removals::remove(&shared, &folder).await?;
             }
         }
-        let (operations, asked) = mpsc::channel(MAX_WAITING);
-        let left = passages::left(&shared).await?;
+        let (operations, received) = mpsc::channel(MAX_WAITING);
+        let interrupted = passages::interrupted(&shared).await?;
         let mut tasks = Tasks::default();
-        let removal = passages::run(shared.clone(), left);
-        tasks.spawn("the removal of what was left on the way", removal);
-        tasks.spawn("the database's writer", writer::run(shared.clone(), asked));
-        tasks.spawn("the checkpointer", keep_log_short(shared.clone()));
+        let removal = passages::run(shared.clone(), interrupted);
+        tasks.spawn("the deletion of incomplete campaigns", removal);
+        tasks.spawn(
+            "the database's writer",
+            writer::run(shared.clone(), received),
+        );
+        tasks.spawn("the checkpointer", checkpoint_log(shared.clone()));
         tasks.spawn("the derivation of rollouts", derive::run(shared.clone()));
         tasks.spawn("the early stop", stop::run(shared.clone()));
         Ok(Arc::new(Queue {
@@ -204,7 +207,7 @@ impl Queue {
     pub fn note_filming(&self, worker: &WorkerId, videos: u32) {
         let now = self.now();
         let alive_since = now.minus(self.timing().worker_alive);
-        self.filming.heard(worker, videos, now, alive_since);
+        self.filming.record(worker, videos, now, alive_since);
     }
 
     /// Stores a result and ends its lease, or answers with the reason for refusing it.
@@ -275,9 +278,9 @@ impl Queue {
             changed
         });
         match reason {
-            Some(reason) if changed => tracing::error!("leasing nothing: {reason}"),
+            Some(reason) if changed => tracing::error!("leasing is suspended: {reason}"),
             None if changed => {
-                tracing::info!("leasing again");
+                tracing::info!("leasing is resumed");
                 self.shared.work.notify_waiters();
             }
             _ => {}

@@ -59,7 +59,7 @@ pub struct View {
     filming: BTreeMap<WorkerId, u32>,
     /// Counts of settling transactions, and how many had been processed when the view began.
     settled: Arc<Settled>,
-    looked_at: u64,
+    processed: u64,
 }
 
 impl View {
@@ -71,7 +71,7 @@ impl View {
         held: Option<String>,
         filming: BTreeMap<WorkerId, u32>,
     ) -> Result<View, StoreError> {
-        let looked_at = settled.looked_at();
+        let processed = settled.processed();
         Ok(View {
             transaction: store.read().await?,
             now,
@@ -79,7 +79,7 @@ impl View {
             held,
             filming,
             settled,
-            looked_at,
+            processed,
         })
     }
 

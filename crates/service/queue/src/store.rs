@@ -196,7 +196,7 @@ const WRITER_CACHE_KIB: &str = "-65536";
 const INSERTED_ROWS: [usize; 4] = [64, 16, 4, 1];
 
 /// Splits rows into batches of these sizes.
-pub(crate) fn in_few_statements<T>(mut rows: &[T]) -> impl Iterator<Item = &[T]> {
+pub(crate) fn insert_batches<T>(mut rows: &[T]) -> impl Iterator<Item = &[T]> {
     std::iter::from_fn(move || {
         let size = INSERTED_ROWS.into_iter().find(|size| *size <= rows.len())?;
         let (piece, others) = rows.split_at(size);
@@ -312,8 +312,8 @@ impl Store {
 
     /// Returns true if the data folder still has the file that was opened.
     pub(crate) fn is_in_place(&self) -> bool {
-        let there = identity(&self.folder.join(DATABASE_FILE));
-        there.is_ok_and(|there| there == self.file)
+        let current = identity(&self.folder.join(DATABASE_FILE));
+        current.is_ok_and(|current| current == self.file)
     }
 
     /// Begins a read transaction, to which commits after this instant are invisible.
@@ -534,7 +534,7 @@ pub(crate) async fn schema_version(
 }
 
 /// Creates the temporary table `known_schema` with this program's schema in the open database.
-pub(crate) async fn know_schema(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
+pub(crate) async fn load_schema(connection: &mut SqliteConnection) -> Result<(), sqlx::Error> {
     let mut fresh = SqliteConnection::connect("sqlite::memory:").await?;
     MIGRATIONS
         .run_direct(None, &mut fresh, false)
@@ -564,32 +564,32 @@ pub(crate) async fn know_schema(connection: &mut SqliteConnection) -> Result<(),
 ///
 /// Reads only the schema table, so that nothing in the database is executed.
 pub(crate) async fn foreign_schema(path: &Path) -> Result<Option<String>, sqlx::Error> {
-    let mut known = SqliteConnection::connect("sqlite::memory:").await?;
+    let mut model = SqliteConnection::connect("sqlite::memory:").await?;
     let options = SqliteConnectOptions::new().filename(path).read_only(true);
-    let mut found = options
+    let mut database = options
         .immutable(true)
         .pragma("trusted_schema", "OFF")
         .connect()
         .await?;
-    let found_objects = objects(&mut found).await?;
-    found.close().await?;
-    let mut known_objects = Vec::new();
+    let found = objects(&mut database).await?;
+    database.close().await?;
+    let mut known = Vec::new();
     for version in 1..=newest_known_schema() {
         MIGRATIONS
-            .run_direct(Some(version), &mut known, false)
+            .run_direct(Some(version), &mut model, false)
             .await
             .map_err(|error| sqlx::Error::Migrate(Box::new(error)))?;
-        known_objects = objects(&mut known).await?;
-        if known_objects == found_objects {
+        known = objects(&mut model).await?;
+        if known == found {
             return Ok(None);
         }
     }
-    let foreign = found_objects.iter().find(|it| !known_objects.contains(it));
-    let missing = known_objects.iter().find(|it| !found_objects.contains(it));
+    let foreign = found.iter().find(|object| !known.contains(object));
+    let missing = known.iter().find(|object| !found.contains(object));
     Ok(Some(match (foreign, missing) {
         (Some((kind, name, _)), _) => format!("{kind} {name} is foreign or was altered"),
         (None, Some((kind, name, _))) => format!("{kind} {name} is missing"),
-        (None, None) => "it holds something twice".to_owned(),
+        (None, None) => "an object occurs twice".to_owned(),
     }))
 }
 

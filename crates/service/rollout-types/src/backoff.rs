@@ -76,7 +76,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn waits_double_up_to_a_minute_and_start_again_after_a_success() {
+    fn the_backoff_doubles_up_to_a_minute_and_restarts_after_a_success() {
         for seed in 0..200 {
             let mut backoff = Backoff::new(Waits::USUAL, seed);
             for expected in [1.0, 2.0, 4.0, 8.0, 16.0, 32.0, 60.0, 60.0, 60.0] {
@@ -96,7 +96,7 @@ mod tests {
     }
 
     #[test]
-    fn without_jitter_the_waits_have_full_length() {
+    fn without_jitter_the_backoff_has_its_full_length() {
         assert_eq!(Waits::USUAL.after(3, 0), Duration::from_secs(4));
         assert_eq!(Waits::USUAL.after(u32::MAX, 0), Duration::from_secs(60));
     }

@@ -70,7 +70,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_id_reads_back_from_its_text_and_nothing_else_does() {
+    fn an_id_is_parsed_only_from_its_own_text() {
         let id = AttemptId::from_random([0, 1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 13, 14, 255]);
         let text = id.to_string();
         assert_eq!(text, "000102030405060708090a0b0c0d0eff");

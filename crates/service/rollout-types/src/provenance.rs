@@ -119,7 +119,7 @@ impl Provenance {
         settings.join(", ")
     }
 
-    /// Returns the text of the execution model: the robot's conduct while an answer was under way.
+    /// Returns the text of the execution model: the robot's conduct while a response was pending.
     pub fn execution(&self) -> &str {
         self.policy_settings
             .get(EXECUTION)
@@ -143,8 +143,8 @@ impl Provenance {
     /// training assets: neither affects the policy's actions, and a server may begin to report them
     /// later.
     pub fn other_policy(&self, pinned: &Provenance) -> Option<String> {
-        let differs = |what: &str, here: &str, there: &str| {
-            (here != there).then(|| format!("{what} is `{here}` now and was `{there}`"))
+        let differs = |value: &str, now: &str, before: &str| {
+            (now != before).then(|| format!("{value} is `{now}` now and was `{before}`"))
         };
         let digests = [self, pinned].map(|provenance| provenance.policy_checkpoint_digest.as_str());
         let settings = &pinned.policy_settings;
@@ -163,9 +163,9 @@ impl Provenance {
                     settings.keys().chain(self.policy_settings.keys()).collect();
                 names.retain(|name| ![TAUGHT_ON, EXECUTION].contains(&name.as_str()));
                 names.into_iter().find_map(|name| {
-                    let [here, there] = [&self.policy_settings, settings]
-                        .map(|of| of.get(name).map_or("not given", String::as_str));
-                    differs(name, here, there)
+                    let [now, before] = [&self.policy_settings, settings]
+                        .map(|settings| settings.get(name).map_or("not given", String::as_str));
+                    differs(name, now, before)
                 })
             })
     }
@@ -216,8 +216,9 @@ mod tests {
 
     #[test]
     fn newly_declared_training_assets_do_not_change_the_policy() {
-        let [silent, telling] = [None, Some("libero")].map(|assets| measured_on("libero", assets));
-        assert_eq!(telling.other_policy(&silent), None);
-        assert_eq!(silent.other_policy(&telling), None);
+        let [undeclared, declared] =
+            [None, Some("libero")].map(|assets| measured_on("libero", assets));
+        assert_eq!(declared.other_policy(&undeclared), None);
+        assert_eq!(undeclared.other_policy(&declared), None);
     }
 }

@@ -77,16 +77,16 @@ impl RealisedAxis {
     }
 }
 
-fn differing(what: &str, here: &[f64], there: &[f64]) -> Option<String> {
+fn differing(value: &str, here: &[f64], there: &[f64]) -> Option<String> {
     if here.len() != there.len() {
         let (here, there) = (here.len(), there.len());
-        return Some(format!("it has {here} {what}s here and {there}"));
+        return Some(format!("it has {here} {value}s here and {there}"));
     }
-    // NaN is equal to nothing.
+    // NaN differs from every value.
     let agree = |(a, b): (&f64, &f64)| (a - b).abs() <= TOLERANCE || a == b;
     let place = here.iter().zip(there).position(|pair| !agree(pair))?;
     let (here, there) = (here[place], there[place]);
-    Some(format!("{what} {place} is {here} here and {there}"))
+    Some(format!("{value} {place} is {here} here and {there}"))
 }
 
 #[cfg(test)]
@@ -101,7 +101,7 @@ mod tests {
     }
 
     #[test]
-    fn values_a_billionth_apart_agree_wherever_they_lie_and_a_millionth_apart_differ() {
+    fn values_1e_9_apart_agree_and_values_1e_6_apart_differ_at_any_magnitude() {
         // Includes values that lie on a rounding edge at any number of digits.
         for at in [0.0, 0.5e-9, 0.3, 1.0 - 0.5e-9, -2.5, 4.999_999_999_5, 1e3] {
             for direction in [1.0, -1.0] {
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn other_lengths_and_nan_differ() {
+    fn lists_of_different_length_and_nan_differ() {
         let difference = values(&[1.0]).difference(&values(&[1.0, 2.0]));
         assert_eq!(
             difference.as_deref(),
@@ -129,7 +129,7 @@ mod tests {
     }
 
     #[test]
-    fn a_digest_of_an_earlier_release_reads_back_and_agrees_with_everything() {
+    fn a_digest_of_an_earlier_release_round_trips_and_agrees_with_any_values() {
         let stored =
             r#"{"camera":"ab","sensor":{"parameters":[0.1],"elements":[0.30000000000000004]}}"#;
         let realised: Realised = serde_json::from_str(stored).expect("JSON");

@@ -137,7 +137,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn progress_is_what_holds_at_the_end_and_the_most_that_held_together() {
+    fn progress_records_the_last_and_the_largest_number_of_true_predicates() {
         let mut goal = GoalProgress::default();
         for truths in [[false, false], [true, false], [false, true], [false, false]] {
             goal.record(&truths);
@@ -150,7 +150,7 @@ mod tests {
     }
 
     #[test]
-    fn a_motion_unpacks_to_what_was_packed() {
+    fn a_packed_motion_round_trips() {
         let (path, actions) = (
             [[1, -2, 3], [i16::MIN, 0, i16::MAX]],
             [[0.1, -1.0, 0.0, 1.0, 0.5, 0.25, -0.3]],
@@ -161,10 +161,10 @@ mod tests {
             (path.to_vec(), actions.to_vec())
         );
         assert!(motion.is_whole());
-        let cut = Motion {
+        let truncated = Motion {
             path: motion.path[1..].to_vec(),
             ..motion
         };
-        assert!(!cut.is_whole());
+        assert!(!truncated.is_whole());
     }
 }

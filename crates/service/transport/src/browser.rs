@@ -78,18 +78,18 @@ pub(crate) fn check_call<B>(request: &Request<B>) -> Result<(), Status> {
     let headers = request.headers();
     if headers.contains_key(header::ORIGIN) || headers.contains_key(FETCH_SITE) {
         return Err(Status::permission_denied(
-            "take a call from a page in a browser: use `coordinator` or the Python client",
+            "accept a call from a page in a browser: use `coordinator` or the Python client",
         ));
     }
     if request.version() != Version::HTTP_2 {
         return Err(Status::invalid_argument(
-            "take a call over HTTP/1: gRPC is HTTP/2",
+            "accept a call over HTTP/1: gRPC is HTTP/2",
         ));
     }
     match is_grpc(headers) && request.method() == Method::POST {
         true => Ok(()),
         false => Err(Status::invalid_argument(
-            "take a call that is no gRPC: it must be a POST of application/grpc",
+            "accept a call that is not gRPC: it must be a POST of application/grpc",
         )),
     }
 }
@@ -104,7 +104,7 @@ pub(crate) fn check_page<B>(request: &Request<B>, asks_for_tokens: bool) -> Resu
     let may_be_rebound = request.version() < Version::HTTP_2 && !asks_for_tokens;
     if may_be_rebound && !is_private_name(host) {
         return Err(Status::permission_denied(
-            "answer under this name without asking for tokens: use the address in numbers or a \
+            "answer under this host name without requiring tokens: use the numeric address or a \
              name without dots, or give the server a --token-file",
         ));
     }
@@ -140,16 +140,16 @@ fn is_own_origin(headers: &HeaderMap, host: &str) -> bool {
 /// Returns true if the browser reports a request by a page of another origin, which includes
 /// another port, other than a link that the user followed.
 fn is_foreign_fetch<B>(request: &Request<B>) -> bool {
-    let says = |name: HeaderName, value: &str| {
-        let said = request.headers().get(name);
-        said.is_some_and(|said| said.as_bytes() == value.as_bytes())
+    let has_value = |name: HeaderName, value: &str| {
+        let sent = request.headers().get(name);
+        sent.is_some_and(|sent| sent.as_bytes() == value.as_bytes())
     };
     let is_foreign = request.headers().contains_key(FETCH_SITE)
-        && !says(FETCH_SITE, "same-origin")
-        && !says(FETCH_SITE, "none");
+        && !has_value(FETCH_SITE, "same-origin")
+        && !has_value(FETCH_SITE, "none");
     let is_link = matches!(*request.method(), Method::GET | Method::HEAD)
-        && says(FETCH_MODE, "navigate")
-        && says(FETCH_DEST, "document");
+        && has_value(FETCH_MODE, "navigate")
+        && has_value(FETCH_DEST, "document");
     is_foreign && !is_link
 }
 
@@ -297,7 +297,7 @@ mod tests {
     }
 
     #[test]
-    fn an_origin_is_a_servers_own_under_the_name_that_the_browser_used() {
+    fn an_origin_is_own_if_its_host_is_the_requested_host() {
         let is_own = |origin: &str| {
             let headers = [(header::HOST, "Keeper:7411"), (header::ORIGIN, origin)];
             check_page(&request(Version::HTTP_11, &headers), true).is_ok()

@@ -161,24 +161,24 @@ impl Access {
     /// If the endpoint's host is not a name or address that a certificate can contain.
     pub fn connect_lazy(&self, endpoint: Endpoint) -> Result<Connection, AccessError> {
         let bearer = self.bearer(endpoint.uri());
-        let channel = match self.shows_token_in_clear(endpoint.uri()) {
+        let channel = match self.sends_token_unencrypted(endpoint.uri()) {
             true => endpoint.connect_with_connector_lazy(LocalConnector),
-            false => self.guarded(endpoint)?.connect_lazy(),
+            false => self.with_tls(endpoint)?.connect_lazy(),
         };
         Ok(InterceptedService::new(channel, bearer))
     }
 
-    fn guarded(&self, endpoint: Endpoint) -> Result<Endpoint, AccessError> {
+    fn with_tls(&self, endpoint: Endpoint) -> Result<Endpoint, AccessError> {
         if !Access::is_encrypted(endpoint.uri()) {
             return Ok(endpoint);
         }
         let host = endpoint.uri().host().unwrap_or_default().to_owned();
         let tls = ClientTlsConfig::new().timeout(HANDSHAKE_TIMEOUT);
-        let guarded = endpoint.tls_config(match &self.ca {
+        let endpoint = endpoint.tls_config(match &self.ca {
             Some(ca) => tls.ca_certificate(Certificate::from_pem(ca)),
             None => tls,
         });
-        guarded.map_err(|_| AccessError::Host { host })
+        endpoint.map_err(|_| AccessError::Host { host })
     }
 
     /// Checks a new connection to `uri`, for protocols other than gRPC, before the token is sent
@@ -188,7 +188,7 @@ impl Access {
     /// If the token would be sent unencrypted to another user of this machine; the error is the
     /// finding.
     pub async fn check_connection(&self, uri: &Uri, connection: &TcpStream) -> Result<(), Found> {
-        match self.shows_token_in_clear(uri) {
+        match self.sends_token_unencrypted(uri) {
             true => check_server(connection).await.map_err(Found::from),
             false => Ok(()),
         }
@@ -212,14 +212,14 @@ impl Access {
     /// Returns the TLS connector for connections that use one of these protocols, or any protocol
     /// if the list is empty.
     pub(crate) fn tls(&self, protocols: &[&[u8]]) -> std::io::Result<TlsConnector> {
-        let wrong = std::io::Error::other;
+        let io_error = std::io::Error::other;
         // The certificates were checked when their file was read.
         let roots =
             roots(self.ca.as_deref().unwrap_or_default()).unwrap_or_else(RootCertStore::empty);
         let provider = Arc::new(crypto::ring::default_provider());
         let mut config = ClientConfig::builder_with_provider(provider)
             .with_safe_default_protocol_versions()
-            .map_err(|error| wrong(error.to_string()))?
+            .map_err(|error| io_error(error.to_string()))?
             .with_root_certificates(roots)
             .with_no_client_auth();
         config.alpn_protocols = protocols.iter().map(|name| name.to_vec()).collect();
@@ -228,9 +228,9 @@ impl Access {
 
     /// Opens a connection now, without a token.
     pub(crate) async fn channel(&self, endpoint: Endpoint) -> Option<Channel> {
-        match self.shows_token_in_clear(endpoint.uri()) {
+        match self.sends_token_unencrypted(endpoint.uri()) {
             true => endpoint.connect_with_connector(LocalConnector).await.ok(),
-            false => self.guarded(endpoint).ok()?.connect().await.ok(),
+            false => self.with_tls(endpoint).ok()?.connect().await.ok(),
         }
     }
 
@@ -260,7 +260,7 @@ impl Access {
         Bearer { value }
     }
 
-    fn shows_token_in_clear(&self, uri: &Uri) -> bool {
+    fn sends_token_unencrypted(&self, uri: &Uri) -> bool {
         !Access::is_encrypted(uri) && self.token_for(uri).is_some()
     }
 
@@ -323,7 +323,7 @@ mod tests {
 
     use super::*;
 
-    fn shows_its_token(url: &str) -> bool {
+    fn sends_token(url: &str) -> bool {
         let access = Access {
             token: Some(Token::parse("0123456789abcdef").expect("a token")),
             ca: None,
@@ -340,7 +340,7 @@ mod tests {
             "http://localhost:1",
             "wss://h:1",
         ] {
-            assert!(shows_its_token(url), "{url}");
+            assert!(sends_token(url), "{url}");
         }
         for url in [
             "http://h:1",
@@ -348,12 +348,12 @@ mod tests {
             "http://10.0.0.7:1",
             "http://localhost.evil:1",
         ] {
-            assert!(!shows_its_token(url), "{url}");
+            assert!(!sends_token(url), "{url}");
         }
     }
 
     /// Program of another user that listens on a port and prints the number of bytes received.
-    const STRANGER: &str = "
+    const FOREIGN_SERVER: &str = "
 import os, socket, sys
 os.setuid(4242)
 listener = socket.create_server(('127.0.0.1', int(sys.argv[1])))
@@ -368,9 +368,9 @@ print('got', len(listener.accept()[0].recv(1000)), flush=True)
             println!("skipped: only root starts programs as another user");
             return;
         }
-        let own = tokio::net::TcpListener::bind("127.0.0.1:0").await;
-        let own = own.expect("a free port");
-        let port = own.local_addr().expect("an address").port();
+        let listener = tokio::net::TcpListener::bind("127.0.0.1:0").await;
+        let listener = listener.expect("a free port");
+        let port = listener.local_addr().expect("an address").port();
         let access = Access {
             token: Some(Token::parse("0123456789abcdef").expect("a token")),
             ca: None,
@@ -384,23 +384,24 @@ print('got', len(listener.accept()[0].recv(1000)), flush=True)
             ready.expect("a lazy channel takes calls");
             let request = http::Request::post(&url).body(Body::empty());
             let answer = connection.call(request.expect("a request")).await;
-            crate::chain(&answer.expect_err("no server of gRPC"))
+            crate::chain(&answer.expect_err("no gRPC server"))
         };
         let accepting = async {
-            let (stream, _) = own.accept().await.expect("a connection");
+            let (stream, _) = listener.accept().await.expect("a connection");
             drop(stream);
         };
         let (broken, ()) = tokio::join!(call(), accepting);
         assert!(!broken.contains("another user"), "{broken}");
-        drop(own);
+        drop(listener);
 
-        let mut stranger = std::process::Command::new("python3")
-            .args(["-c", STRANGER, &port.to_string()])
+        let mut foreign_server = std::process::Command::new("python3")
+            .args(["-c", FOREIGN_SERVER, &port.to_string()])
             .stdout(std::process::Stdio::piped())
             .spawn()
             .expect("python3 runs");
-        let mut said = BufReader::new(stranger.stdout.take().expect("stdout is piped")).lines();
-        let mut line = || said.next().expect("a line").expect("UTF-8");
+        let mut output =
+            BufReader::new(foreign_server.stdout.take().expect("stdout is piped")).lines();
+        let mut line = || output.next().expect("a line").expect("UTF-8");
         assert_eq!(line(), "listening");
         let refused = call().await;
         assert!(
@@ -408,6 +409,6 @@ print('got', len(listener.accept()[0].recv(1000)), flush=True)
             "{refused}"
         );
         assert_eq!(line(), "got 0");
-        assert!(stranger.wait().expect("it ends").success());
+        assert!(foreign_server.wait().expect("it ends").success());
     }
 }

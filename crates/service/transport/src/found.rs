@@ -245,7 +245,9 @@ impl fmt::Display for Finding<'_> {
             Found::UnknownHost => write!(f, "no address is known for the name `{host}`"),
             Found::Nothing => f.write_str("nothing listens there"),
             Found::NoAnswer => f.write_str("the machine does not answer"),
-            Found::System(words) => write!(f, "the system does not connect to it ({words})"),
+            Found::System(words) => {
+                write!(f, "the operating system cannot connect to it ({words})")
+            }
             Found::AnotherUser => write!(f, "{}", Untrusted::AnotherUser),
             Found::UnknownUser => write!(f, "{}", Untrusted::UnknownUser),
             Found::Encrypted => f.write_str("the server there speaks TLS"),
@@ -267,7 +269,10 @@ impl fmt::Display for Finding<'_> {
                 f.write_str("its certificate is not valid yet")
             }
             Found::Certificate(CertificateFault::OtherName { names }) => match names.is_empty() {
-                true => write!(f, "its certificate names no host, and not `{host}`"),
+                true => write!(
+                    f,
+                    "its certificate names no host, so it is not valid for `{host}`"
+                ),
                 false => write!(
                     f,
                     "its certificate is for {}, not for `{host}`",
@@ -275,7 +280,7 @@ impl fmt::Display for Finding<'_> {
                 ),
             },
             Found::Certificate(CertificateFault::Authority) => f.write_str(
-                "its certificate is that of a certificate authority, which no server may show",
+                "its certificate is that of a certificate authority, which a server must not use",
             ),
             Found::Certificate(CertificateFault::Unusable(words)) => {
                 write!(f, "its certificate cannot be used ({words})")
@@ -367,13 +372,13 @@ impl fmt::Display for Remedy<'_> {
             }
             Found::Certificate(CertificateFault::OtherName { .. }) => write!(
                 f,
-                "write a name that it is for in {address}, or start the server with a certificate \
-                 for `{}`",
+                "write a name in {address} that the certificate is for, or start the server with a \
+                 certificate for `{}`",
                 trouble.host
             ),
             Found::Certificate(_) => f.write_str(
-                "start the server with one of its own, signed by the authority: docs/OPERATING.md \
-                 says how",
+                "start the server with its own certificate, signed by the authority: see \
+                 docs/OPERATING.md",
             ),
             Found::OtherTls(_) => f.write_str("let the server speak TLS 1.2 or 1.3, and HTTP/2"),
             Found::Web {
@@ -397,7 +402,7 @@ impl fmt::Display for Remedy<'_> {
             Found::Older => f.write_str(match expected {
                 ServerKind::Coordinator => "use the same version of both programs",
                 ServerKind::Policy | ServerKind::Openpi | ServerKind::VlaEval => {
-                    "give it every call of rollout.policy.v1, as policy.proto describes them"
+                    "implement every call of rollout.policy.v1, which policy.proto describes"
                 }
             }),
             Found::Broken => f.write_str("try again; the server's log says why, if it failed"),

@@ -17,7 +17,7 @@ use tower_layer::Layer;
 
 use crate::browser;
 use crate::rate::{MAX_REQUESTS_PER_SEC, Rates};
-use crate::readers::Readers;
+use crate::readers::BrowserSessions;
 use crate::refusals::Refusals;
 use crate::token::{Role, Tokens};
 use crate::users::{Caller, Users};
@@ -72,7 +72,7 @@ struct Shared {
     resource: fn(&str) -> Resource,
     /// Path of the log-in page; `None` for a server without pages.
     log_in: Option<&'static str>,
-    readers: Readers,
+    sessions: BrowserSessions,
     rates: Mutex<Rates>,
     refusals: Mutex<Refusals>,
 }
@@ -84,7 +84,7 @@ impl Gate {
         users: Users,
         resource: fn(&str) -> Resource,
         log_in: Option<&'static str>,
-        readers: Readers,
+        sessions: BrowserSessions,
     ) -> Gate {
         Gate {
             shared: Arc::new(Shared {
@@ -92,7 +92,7 @@ impl Gate {
                 users,
                 resource,
                 log_in,
-                readers,
+                sessions,
                 rates: Mutex::default(),
                 refusals: Mutex::default(),
             }),
@@ -185,7 +185,7 @@ impl Shared {
         };
         let headers = request.headers();
         let is_page = matches!(resource, Resource::Page(_));
-        if is_page && roles.contains(&Role::Viewer) && self.readers.has_session(headers) {
+        if is_page && roles.contains(&Role::Viewer) && self.sessions.has_session(headers) {
             return Ok(());
         }
         let shown = bearer(headers).ok_or_else(|| Status::unauthenticated(NO_TOKEN))?;
@@ -193,7 +193,7 @@ impl Shared {
             None => Err(Status::unauthenticated(UNKNOWN_TOKEN)),
             Some(role) if roles.contains(&role) => Ok(()),
             Some(role) => Err(Status::permission_denied(format!(
-                "do this with the token of a {role}: it takes that of {}",
+                "answer a {role}: this path requires the token of {}",
                 roles
                     .iter()
                     .map(|role| role.name())
@@ -204,18 +204,18 @@ impl Shared {
     }
 
     fn log_refusal(&self, caller: SocketAddr, path: &str, code: Code, why: &str) {
-        if lock(&self.refusals).is_news(caller.ip(), code, Instant::now()) {
+        if lock(&self.refusals).must_log(caller.ip(), code, Instant::now()) {
             let path = path.escape_debug().take(MAX_LOGGED_CHARS);
             let why = why.escape_debug().take(MAX_LOGGED_CHARS);
             let (path, why) = (path.collect::<String>(), why.collect::<String>());
             let why = match why.is_empty() {
                 // The router's own status, which has no message.
-                true => "find such a call here".to_owned(),
+                true => "find this call".to_owned(),
                 false => why,
             };
             tracing::warn!(
-                "a request of {} for `{path}` was refused, it failed to {why} (more of this kind \
-                 from there is not logged)",
+                "a request from {} for `{path}` was refused: failed to {why} (further refusals of \
+                 this kind to this address are not logged for ten minutes)",
                 caller.ip()
             );
         }

@@ -37,7 +37,7 @@ const GREETING_BYTES: usize = 24;
 /// event streams to pages send an event at least every five seconds.
 pub const IDLE_TIMEOUT: Duration = Duration::from_secs(180);
 /// File descriptors reserved for databases, videos and backends.
-const KEPT_DESCRIPTORS: u64 = 96;
+const RESERVED_DESCRIPTORS: u64 = 96;
 /// Fewest connections, however low the descriptor limit is.
 const MIN_CONNECTIONS: usize = 8;
 /// Highest descriptor limit that is requested.
@@ -74,7 +74,7 @@ impl Limits {
     /// Derives the limits from the number of descriptors. A single address never gets all
     /// connections.
     fn of_descriptors(descriptors: u64) -> Limits {
-        let total = descriptors.saturating_sub(KEPT_DESCRIPTORS);
+        let total = descriptors.saturating_sub(RESERVED_DESCRIPTORS);
         let total = usize::try_from(total).unwrap_or(usize::MAX);
         let total = total.max(MIN_CONNECTIONS);
         Limits {
@@ -99,7 +99,7 @@ struct Entry {
 
 /// A slot among the open connections, released on drop.
 #[derive(Debug)]
-struct Seat {
+struct Slot {
     open: Arc<Open>,
     number: u64,
 }
@@ -115,18 +115,18 @@ impl Open {
     /// Takes a slot for connection `number`; numbers follow the order of arrival. At a limit, the
     /// oldest silent connection is evicted: of the same address if that one is over its share,
     /// otherwise of any address. Returns `None` if no slot is free.
-    fn seat(self: &Arc<Open>, number: u64, address: IpAddr) -> Option<(Seat, Arc<Notify>)> {
+    fn take_slot(self: &Arc<Open>, number: u64, address: IpAddr) -> Option<(Slot, Arc<Notify>)> {
         let mut connections = self.lock();
-        let of_address = |entry: &Entry| entry.address == address;
+        let is_same_address = |entry: &Entry| entry.address == address;
         let count = connections
             .values()
-            .filter(|entry| of_address(entry))
+            .filter(|entry| is_same_address(entry))
             .count();
         let is_full = count >= self.limits.of_one_address;
         if is_full || connections.len() >= self.limits.total {
-            let silent = connections
-                .iter()
-                .filter(|(_, entry)| entry.silent.is_some() && (!is_full || of_address(entry)));
+            let silent = connections.iter().filter(|(_, entry)| {
+                entry.silent.is_some() && (!is_full || is_same_address(entry))
+            });
             let oldest = silent.map(|(number, _)| *number).min()?;
             if let Some(Entry {
                 silent: Some(close),
@@ -140,11 +140,11 @@ impl Open {
         let silent = Some(close.clone());
         connections.insert(number, Entry { address, silent });
         let open = self.clone();
-        Some((Seat { open, number }, close))
+        Some((Slot { open, number }, close))
     }
 }
 
-impl Drop for Seat {
+impl Drop for Slot {
     fn drop(&mut self) {
         self.open.lock().remove(&self.number);
     }
@@ -154,43 +154,43 @@ impl Drop for Seat {
 #[derive(Debug)]
 pub struct Watched {
     stream: TcpStream,
-    seat: Seat,
+    slot: Slot,
     /// Resolves when the connection is evicted.
     evicted: Pin<Box<OwnedNotified>>,
     deadline: Pin<Box<Sleep>>,
     /// Bytes received, up to [`GREETING_BYTES`].
     greeting_bytes: usize,
     /// Time of the last traffic in either direction.
-    last_passed: Instant,
+    last_traffic: Instant,
     /// Longest time without traffic.
     idle: Duration,
 }
 
 impl Watched {
-    fn new(stream: TcpStream, seat: Seat, close: Arc<Notify>, idle: Duration) -> Watched {
+    fn new(stream: TcpStream, slot: Slot, close: Arc<Notify>, idle: Duration) -> Watched {
         Watched {
             stream,
-            seat,
+            slot,
             evicted: Box::pin(close.notified_owned()),
             deadline: Box::pin(sleep(GREETING_TIMEOUT)),
             greeting_bytes: 0,
-            last_passed: Instant::now(),
+            last_traffic: Instant::now(),
             idle,
         }
     }
 
-    fn has_spoken(&self) -> bool {
+    fn is_active(&self) -> bool {
         self.greeting_bytes >= GREETING_BYTES
     }
 
-    fn received(&mut self, bytes: usize) {
-        self.last_passed = Instant::now();
-        if self.has_spoken() {
+    fn record_received(&mut self, bytes: usize) {
+        self.last_traffic = Instant::now();
+        if self.is_active() {
             return;
         }
         self.greeting_bytes += bytes;
-        if self.has_spoken()
-            && let Some(entry) = self.seat.open.lock().get_mut(&self.seat.number)
+        if self.is_active()
+            && let Some(entry) = self.slot.open.lock().get_mut(&self.slot.number)
         {
             entry.silent = None;
         }
@@ -198,17 +198,17 @@ impl Watched {
 
     /// Returns the error once the connection must be closed.
     fn poll_closed(&mut self, context: &mut Context<'_>) -> Poll<io::Error> {
-        let silence = || {
-            let why = "nothing was said over this connection for too long";
+        let timed_out = || {
+            let why = "the connection was silent for too long";
             Poll::Ready(io::Error::new(io::ErrorKind::TimedOut, why))
         };
-        if !self.has_spoken() && self.evicted.as_mut().poll(context).is_ready() {
-            return silence();
+        if !self.is_active() && self.evicted.as_mut().poll(context).is_ready() {
+            return timed_out();
         }
         while self.deadline.as_mut().poll(context).is_ready() {
-            let end = self.last_passed + self.idle;
-            if !self.has_spoken() || end <= Instant::now() {
-                return silence();
+            let end = self.last_traffic + self.idle;
+            if !self.is_active() || end <= Instant::now() {
+                return timed_out();
             }
             // The timer is reset when it fires, not with every byte.
             self.deadline.as_mut().reset(end);
@@ -226,7 +226,7 @@ impl AsyncRead for Watched {
         let filled = buffer.filled().len();
         match Pin::new(&mut self.stream).poll_read(context, buffer) {
             Poll::Ready(Ok(())) => {
-                self.received(buffer.filled().len() - filled);
+                self.record_received(buffer.filled().len() - filled);
                 Poll::Ready(Ok(()))
             }
             Poll::Ready(Err(error)) => Poll::Ready(Err(error)),
@@ -242,7 +242,7 @@ impl AsyncWrite for Watched {
         bytes: &[u8],
     ) -> Poll<io::Result<usize>> {
         let written = ready!(Pin::new(&mut self.stream).poll_write(context, bytes));
-        self.last_passed = Instant::now();
+        self.last_traffic = Instant::now();
         Poll::Ready(written)
     }
 
@@ -252,7 +252,7 @@ impl AsyncWrite for Watched {
         bytes: &[io::IoSlice<'_>],
     ) -> Poll<io::Result<usize>> {
         let written = ready!(Pin::new(&mut self.stream).poll_write_vectored(context, bytes));
-        self.last_passed = Instant::now();
+        self.last_traffic = Instant::now();
         Poll::Ready(written)
     }
 
@@ -327,7 +327,7 @@ impl Incoming {
                 Err(error) => {
                     if self.pause == FIRST_PAUSE {
                         tracing::warn!(
-                            "no connection can be accepted for a while: {error}; if that goes on, \
+                            "no connection can be accepted at present: {error}; if this continues, \
                              allow this process more open files (`ulimit -n`, LimitNOFILE=)"
                         );
                     }
@@ -344,8 +344,8 @@ impl Incoming {
                 continue;
             }
             let address = address.ip().to_canonical();
-            if let Some((seat, close)) = self.open.seat(self.accepted, address) {
-                return Poll::Ready(Watched::new(stream, seat, close, self.idle));
+            if let Some((slot, close)) = self.open.take_slot(self.accepted, address) {
+                return Poll::Ready(Watched::new(stream, slot, close, self.idle));
             }
             let is_known = |at: Instant| at.elapsed() < LOG_AGAIN_AFTER;
             if !self.logged.is_some_and(is_known) {
@@ -403,40 +403,45 @@ mod tests {
     }
 
     /// Takes a slot for an active connection.
-    fn speaking(open: &Arc<Open>, number: u64, of: IpAddr) -> Option<Seat> {
-        let (seat, _) = open.seat(number, of)?;
+    fn active(open: &Arc<Open>, number: u64, of: IpAddr) -> Option<Slot> {
+        let (slot, _) = open.take_slot(number, of)?;
         open.lock().get_mut(&number).expect("an entry").silent = None;
-        Some(seat)
+        Some(slot)
     }
 
     #[test]
     fn the_oldest_silent_connection_is_evicted() {
         let open = open(3, 3);
-        let silent = [1, 2].map(|number| open.seat(number, address(1)).expect("a place"));
-        let speaking = speaking(&open, 3, address(1)).expect("a place");
-        let next = open.seat(4, address(2)).expect("the place of the first");
+        let silent = [1, 2].map(|number| open.take_slot(number, address(1)).expect("a slot"));
+        let active = active(&open, 3, address(1)).expect("a slot");
+        let next = open
+            .take_slot(4, address(2))
+            .expect("the slot of the first");
         let mut numbers: Vec<u64> = open.lock().keys().copied().collect();
         numbers.sort_unstable();
         assert_eq!(numbers, [2, 3, 4]);
-        drop((silent, speaking, next));
+        drop((silent, active, next));
         assert!(open.lock().is_empty());
     }
 
     #[test]
     fn active_connections_of_one_address_leave_the_others_their_share() {
         let open = open(4, 3);
-        let others = open.seat(1, address(2)).expect("a place");
-        let taken: Vec<Seat> = (2..=4)
-            .filter_map(|number| speaking(&open, number, address(1)))
+        let others = open.take_slot(1, address(2)).expect("a slot");
+        let taken: Vec<Slot> = (2..=4)
+            .filter_map(|number| active(&open, number, address(1)))
             .collect();
         assert_eq!(taken.len(), 3);
-        assert!(open.seat(5, address(1)).is_none(), "its share is full");
+        assert!(
+            open.take_slot(5, address(1)).is_none(),
+            "the address has used its share"
+        );
         assert!(
             open.lock().contains_key(&1),
-            "another's silence is not its room"
+            "the silent connection of another address stays"
         );
         // Another address evicts the silent connection.
-        assert!(open.seat(6, address(3)).is_some());
+        assert!(open.take_slot(6, address(3)).is_some());
         assert!(!open.lock().contains_key(&1));
         drop((others, taken));
     }
@@ -461,7 +466,9 @@ mod tests {
     async fn time_until_closed(connection: &mut Watched) -> Duration {
         let begun = Instant::now();
         let read = timeout(4 * GREETING_TIMEOUT, connection.read_u8()).await;
-        let error = read.expect("it is closed").expect_err("it is silent");
+        let error = read
+            .expect("the read ends")
+            .expect_err("the connection is closed");
         assert_eq!(error.kind(), io::ErrorKind::TimedOut, "{error}");
         begun.elapsed()
     }
@@ -510,28 +517,28 @@ mod tests {
     }
 
     /// Name of a test that lowers the limits of its process.
-    const OF_ITS_OWN: &str = "incoming::tests::descriptors_in_a_process_of_its_own";
+    const LIMITED_TEST: &str = "incoming::tests::accepting_pauses_without_free_descriptors";
 
     #[test]
     fn the_limit_of_files_is_raised_and_without_files_accepting_pauses() {
         let program = std::env::current_exe().expect("a program");
         let mut child = Command::new(program);
-        child.args(["--ignored", "--exact", "--nocapture", OF_ITS_OWN]);
+        child.args(["--ignored", "--exact", "--nocapture", LIMITED_TEST]);
         let output = child.output().expect("it runs");
-        let said = [output.stdout, output.stderr].concat();
-        let said = String::from_utf8_lossy(&said);
+        let output_text = [output.stdout, output.stderr].concat();
+        let output_text = String::from_utf8_lossy(&output_text);
         assert!(
-            output.status.success() && said.contains("1 passed"),
-            "{said}"
+            output.status.success() && output_text.contains("1 passed"),
+            "{output_text}"
         );
     }
 
     #[tokio::test]
     #[ignore = "lowers its process's limits: `the_limit_of_files_is_raised_…` runs it alone"]
-    async fn descriptors_in_a_process_of_its_own() {
-        let lower = |to| {
+    async fn accepting_pauses_without_free_descriptors() {
+        let lower = |descriptors| {
             let mut limit = getrlimit(Resource::Nofile);
-            limit.current = Some(to);
+            limit.current = Some(descriptors);
             setrlimit(Resource::Nofile, limit).expect("lowered");
         };
         let most = getrlimit(Resource::Nofile).maximum.unwrap_or(u64::MAX);
@@ -545,21 +552,24 @@ mod tests {
         let address = incoming.listener.local_addr().expect("an address");
         let _caller = std::net::TcpStream::connect(address).expect("connects");
         let files: Vec<File> = std::iter::from_fn(|| File::open("/dev/null").ok()).collect();
-        assert!(files.len() < 128, "the limit does not hold");
+        assert!(files.len() < 128, "the limit is not in force");
         let begun = Instant::now();
         let early = timeout(Duration::from_millis(400), accepted(&mut incoming)).await;
-        assert!(early.is_err(), "accepted without a file");
+        assert!(
+            early.is_err(),
+            "accepted a connection without a free descriptor"
+        );
         // Accepting pauses six times, for 10, 20, … 320 ms, instead of retrying at once.
         assert!(incoming.pause > 8 * FIRST_PAUSE, "{:?}", incoming.pause);
         assert!(incoming.pause <= LONGEST_PAUSE, "{:?}", incoming.pause);
         drop(files);
         let late = timeout(2 * LONGEST_PAUSE, accepted(&mut incoming)).await;
-        late.expect("a file is free again");
+        late.expect("a descriptor is free again");
         assert_eq!(incoming.pause, FIRST_PAUSE, "after {:?}", begun.elapsed());
     }
 
     #[test]
-    fn limits_leave_descriptors_for_everything_else() {
+    fn limits_reserve_descriptors_for_other_files() {
         let limits = Limits::of_descriptors(1_024);
         assert_eq!(
             limits,

@@ -14,7 +14,7 @@ use tonic::{Code, Status};
 
 use crate::client::Access;
 use crate::found::{Found, ServerKind, Settings, Trouble};
-use crate::probe::{self, Place, Speech};
+use crate::probe::{self, HttpVersion, ProbeTarget};
 use crate::users::Untrusted;
 
 /// Start of tonic's message for an answer that is not from a gRPC server.
@@ -49,7 +49,7 @@ impl Peer {
     /// address, which takes a few seconds at most.
     pub async fn trouble(&self, status: &Status) -> Option<Trouble> {
         let found = match status.source() {
-            Some(_) => match refused(status) {
+            Some(_) => match connection_finding(status) {
                 Some(found) => found,
                 None => self.probe_address().await,
             },
@@ -84,7 +84,7 @@ impl Peer {
     async fn probe_address(&self) -> Found {
         let uri = self.endpoint.uri();
         let is_encrypted = Access::is_encrypted(uri);
-        let place = Place {
+        let target = ProbeTarget {
             host: host(uri),
             port: uri
                 .port_u16()
@@ -99,23 +99,23 @@ impl Peer {
             Ok(tls) => tls,
             Err(error) => return Found::OtherTls(error.to_string()),
         };
-        match (probe::identify(place, &tls).await, self.kind) {
+        match (probe::identify(target, &tls).await, self.kind) {
             (Err(found), _) => found,
-            (Ok(Speech::Http1(_)), ServerKind::Openpi | ServerKind::VlaEval) => Found::Broken,
-            (Ok(Speech::Http1(line)), _) => Found::web_line(line),
-            (Ok(Speech::Http2), _) => self.kind_there().await,
+            (Ok(HttpVersion::Http1(_)), ServerKind::Openpi | ServerKind::VlaEval) => Found::Broken,
+            (Ok(HttpVersion::Http1(line)), _) => Found::web_line(line),
+            (Ok(HttpVersion::Http2), _) => self.kind_at_address().await,
         }
     }
 
     /// Determines the kind of this project's server at the address.
-    async fn kind_there(&self) -> Found {
+    async fn kind_at_address(&self) -> Found {
         let Some(channel) = self.access.channel(self.http_endpoint()).await else {
             return Found::Broken;
         };
         let others = ServerKind::OF_GRPC
             .into_iter()
             .filter(|kind| *kind != self.kind);
-        let mut there = Found::OtherGrpc;
+        let mut finding = Found::OtherGrpc;
         for kind in [self.kind].into_iter().chain(others) {
             let Some(path) = kind.call() else { continue };
             match self.has_call(channel.clone(), path).await {
@@ -123,10 +123,10 @@ impl Peer {
                 Ok(true) => return Found::OtherKind(kind),
                 Ok(false) => {}
                 // A coordinator answers unknown paths with a page.
-                Err(found) => there = found,
+                Err(found) => finding = found,
             }
         }
-        there
+        finding
     }
 
     /// Returns true if a gRPC server has the call of a path.
@@ -177,7 +177,7 @@ impl Peer {
 
 /// Returns the finding for an error of connecting, if the status contains one, so that no probe is
 /// needed.
-fn refused(status: &Status) -> Option<Found> {
+fn connection_finding(status: &Status) -> Option<Found> {
     let mut cause = status.source();
     while let Some(error) = cause {
         if let Some(untrusted) = error.downcast_ref::<Untrusted>() {

@@ -28,7 +28,7 @@ const QUOTED_CHARS: usize = 60;
 
 /// Address to probe.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Place<'a> {
+pub(crate) struct ProbeTarget<'a> {
     /// Host name or address, without brackets.
     pub(crate) host: &'a str,
     pub(crate) port: u16,
@@ -38,7 +38,7 @@ pub(crate) struct Place<'a> {
 
 /// HTTP version of a server that accepts the client's kind of connection.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) enum Speech {
+pub(crate) enum HttpVersion {
     Http2,
     /// HTTP/1, with the first line of its answer.
     Http1(String),
@@ -46,7 +46,7 @@ pub(crate) enum Speech {
 
 /// Protocol that the first bytes of a server indicate.
 #[derive(Debug, PartialEq, Eq)]
-enum Heard {
+enum Reply {
     Http2,
     Http1(String),
     Tls,
@@ -59,30 +59,33 @@ enum Heard {
 ///
 /// # Errors
 /// If the server does not use HTTP over the client's kind of connection; the error is the finding.
-pub(crate) async fn identify(place: Place<'_>, tls: &TlsConnector) -> Result<Speech, Found> {
-    let stream = connect(place).await?;
-    if !place.is_encrypted {
-        return match greet(stream).await {
-            Heard::Silence => match encrypt(connect(place).await?, place, tls).await {
+pub(crate) async fn identify(
+    target: ProbeTarget<'_>,
+    tls: &TlsConnector,
+) -> Result<HttpVersion, Found> {
+    let stream = connect(target).await?;
+    if !target.is_encrypted {
+        return match send_preface(stream).await {
+            Reply::Silence => match encrypt(connect(target).await?, target, tls).await {
                 Err(Handshake::NotTls) => {
-                    let web = ask_web(connect(place).await?).await?;
+                    let web = request_http1(connect(target).await?).await?;
                     // A coordinator also serves pages over HTTP/1. Retry, so that it is not
                     // mistaken for another kind of web server because its first answer was lost.
-                    match greet(connect(place).await?).await {
-                        Heard::Http2 => Ok(Speech::Http2),
+                    match send_preface(connect(target).await?).await {
+                        Reply::Http2 => Ok(HttpVersion::Http2),
                         _ => Ok(web),
                     }
                 }
                 Ok(_) | Err(Handshake::Failed(_)) => Err(Found::Encrypted),
             },
-            heard => speech(heard),
+            reply => http_version(reply),
         };
     }
-    match encrypt(stream, place, tls).await {
-        Ok((_, true)) => Ok(Speech::Http2),
-        Ok((stream, false)) => speech(greet(stream).await),
+    match encrypt(stream, target, tls).await {
+        Ok((_, true)) => Ok(HttpVersion::Http2),
+        Ok((stream, false)) => http_version(send_preface(stream).await),
         Err(Handshake::Failed(found)) => Err(found),
-        Err(Handshake::NotTls) => match speech(greet(connect(place).await?).await) {
+        Err(Handshake::NotTls) => match http_version(send_preface(connect(target).await?).await) {
             Ok(_) => Err(Found::Clear),
             Err(Found::Encrypted) => Err(Found::Mute),
             Err(found) => Err(found),
@@ -90,8 +93,8 @@ pub(crate) async fn identify(place: Place<'_>, tls: &TlsConnector) -> Result<Spe
     }
 }
 
-async fn connect(place: Place<'_>) -> Result<TcpStream, Found> {
-    let resolving = tokio::net::lookup_host((place.host, place.port));
+async fn connect(target: ProbeTarget<'_>) -> Result<TcpStream, Found> {
+    let resolving = tokio::net::lookup_host((target.host, target.port));
     let addresses = match timeout(PATIENCE, resolving).await {
         Ok(Ok(addresses)) => addresses.collect::<Vec<_>>(),
         Ok(Err(_)) | Err(_) => return Err(Found::UnknownHost),
@@ -131,26 +134,26 @@ enum Handshake {
 trait Stream: AsyncRead + AsyncWrite + Send + Unpin {}
 impl<S: AsyncRead + AsyncWrite + Send + Unpin> Stream for S {}
 
-/// Performs the TLS handshake. Returns true in the second place if HTTP/2 was negotiated.
+/// Performs the TLS handshake. Also returns true if HTTP/2 was negotiated.
 async fn encrypt(
     stream: TcpStream,
-    place: Place<'_>,
+    target: ProbeTarget<'_>,
     tls: &TlsConnector,
 ) -> Result<(impl Stream, bool), Handshake> {
-    let name = ServerName::try_from(place.host.to_owned());
+    let name = ServerName::try_from(target.host.to_owned());
     let name = name.map_err(|_| Handshake::Failed(Found::UnknownHost))?;
     match timeout(PATIENCE, tls.connect(name, stream)).await {
         Ok(Ok(stream)) => {
-            let agreed = stream.get_ref().1.alpn_protocol() == Some(HTTP2);
-            Ok((stream, agreed))
+            let is_http2 = stream.get_ref().1.alpn_protocol() == Some(HTTP2);
+            Ok((stream, is_http2))
         }
-        Ok(Err(error)) => Err(of_tls(&error).map_or(Handshake::NotTls, Handshake::Failed)),
+        Ok(Err(error)) => Err(tls_finding(&error).map_or(Handshake::NotTls, Handshake::Failed)),
         Err(_) => Err(Handshake::NotTls),
     }
 }
 
 /// Maps a handshake error to a finding, if the server uses TLS.
-fn of_tls(error: &io::Error) -> Option<Found> {
+fn tls_finding(error: &io::Error) -> Option<Found> {
     let inner = error.get_ref()?.downcast_ref::<TlsError>()?;
     match inner {
         TlsError::InvalidMessage(_) => None,
@@ -174,7 +177,7 @@ fn certificate(fault: &CertificateError) -> CertificateFault {
         }
         CertificateError::NotValidForName => CertificateFault::OtherName { names: vec![] },
         CertificateError::NotValidForNameContext { presented, .. } => CertificateFault::OtherName {
-            names: presented.iter().map(|name| bare(name)).collect(),
+            names: presented.iter().map(|name| unwrapped_name(name)).collect(),
         },
         // The library has no variant for this error.
         other if other.to_string().contains("CaUsedAsEndEntity") => CertificateFault::Authority,
@@ -183,13 +186,13 @@ fn certificate(fault: &CertificateError) -> CertificateFault {
 }
 
 /// Extracts the name from the library's notation `DnsName("a.b")`.
-fn bare(name: &str) -> String {
+fn unwrapped_name(name: &str) -> String {
     let inner = name.split_once('(').map_or(name, |(_, inner)| inner);
     inner.trim_end_matches(')').trim_matches('"').to_owned()
 }
 
 /// Sends the HTTP/2 preface and classifies the answer.
-async fn greet(mut stream: impl Stream) -> Heard {
+async fn send_preface(mut stream: impl Stream) -> Reply {
     let mut bytes = [0; 128];
     let mut count = 0;
     let listening = async {
@@ -203,11 +206,11 @@ async fn greet(mut stream: impl Stream) -> Heard {
         }
     };
     let _ = timeout(PATIENCE, listening).await;
-    heard(&bytes[..count])
+    classify(&bytes[..count])
 }
 
 /// Sends an HTTP/1 request and classifies the answer.
-async fn ask_web(mut stream: TcpStream) -> Result<Speech, Found> {
+async fn request_http1(mut stream: TcpStream) -> Result<HttpVersion, Found> {
     let mut bytes = [0; 128];
     let asking = async {
         let asked =
@@ -219,17 +222,17 @@ async fn ask_web(mut stream: TcpStream) -> Result<Speech, Found> {
         Ok(Ok(count)) => count,
         Ok(Err(_)) | Err(_) => 0,
     };
-    speech(heard(&bytes[..count]))
+    http_version(classify(&bytes[..count]))
 }
 
-fn heard(bytes: &[u8]) -> Heard {
+fn classify(bytes: &[u8]) -> Reply {
     match bytes {
-        [] => Heard::Silence,
-        [0x15 | 0x16, 0x03, ..] => Heard::Tls,
-        [b'S', b'S', b'H', b'-', ..] => Heard::Ssh,
-        [b'H', b'T', b'T', b'P', b'/', ..] | [b'<', ..] => Heard::Http1(first_line(bytes)),
-        [0, ..] if bytes.get(FRAME_TYPE) == Some(&SETTINGS_FRAME) => Heard::Http2,
-        _ => Heard::Other(first_line(bytes)),
+        [] => Reply::Silence,
+        [0x15 | 0x16, 0x03, ..] => Reply::Tls,
+        [b'S', b'S', b'H', b'-', ..] => Reply::Ssh,
+        [b'H', b'T', b'T', b'P', b'/', ..] | [b'<', ..] => Reply::Http1(first_line(bytes)),
+        [0, ..] if bytes.get(FRAME_TYPE) == Some(&SETTINGS_FRAME) => Reply::Http2,
+        _ => Reply::Other(first_line(bytes)),
     }
 }
 
@@ -242,14 +245,14 @@ fn first_line(bytes: &[u8]) -> String {
         .collect()
 }
 
-fn speech(heard: Heard) -> Result<Speech, Found> {
-    match heard {
-        Heard::Http2 => Ok(Speech::Http2),
-        Heard::Http1(line) => Ok(Speech::Http1(line)),
-        Heard::Tls => Err(Found::Encrypted),
-        Heard::Ssh => Err(Found::Ssh),
-        Heard::Other(said) => Err(Found::Other { said }),
-        Heard::Silence => Err(Found::Mute),
+fn http_version(reply: Reply) -> Result<HttpVersion, Found> {
+    match reply {
+        Reply::Http2 => Ok(HttpVersion::Http2),
+        Reply::Http1(line) => Ok(HttpVersion::Http1(line)),
+        Reply::Tls => Err(Found::Encrypted),
+        Reply::Ssh => Err(Found::Ssh),
+        Reply::Other(said) => Err(Found::Other { said }),
+        Reply::Silence => Err(Found::Mute),
     }
 }
 
@@ -263,7 +266,7 @@ mod tests {
     use super::*;
 
     /// Probes a server that gives one of `answers` on each connection, in order, and closes it.
-    async fn look_at(answers: &'static [&'static [u8]]) -> Result<Speech, Found> {
+    async fn probe(answers: &'static [&'static [u8]]) -> Result<HttpVersion, Found> {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let port = listener.local_addr().unwrap().port();
         let server = async move {
@@ -279,47 +282,47 @@ mod tests {
             .unwrap()
             .with_root_certificates(RootCertStore::empty())
             .with_no_client_auth();
-        let place = Place {
+        let target = ProbeTarget {
             host: "127.0.0.1",
             port,
             is_encrypted: false,
         };
         let tls = TlsConnector::from(Arc::new(tls));
-        tokio::join!(identify(place, &tls), server).0
+        tokio::join!(identify(target, &tls), server).0
     }
 
     #[tokio::test]
-    async fn a_coordinator_whose_first_answer_is_lost_is_no_web_server() {
+    async fn a_coordinator_is_identified_even_if_its_first_answer_is_lost() {
         const PAGE: &[u8] = b"HTTP/1.1 200 OK\r\n\r\n";
         const SETTINGS: &[u8] = b"\0\0\0\x04\0\0\0\0\0";
-        let found = look_at(&[b"", PAGE, PAGE, SETTINGS]).await;
-        assert_eq!(found, Ok(Speech::Http2));
-        let page = Ok(Speech::Http1("HTTP/1.1 200 OK".to_owned()));
-        assert_eq!(look_at(&[b"", PAGE, PAGE, PAGE]).await, page);
+        let found = probe(&[b"", PAGE, PAGE, SETTINGS]).await;
+        assert_eq!(found, Ok(HttpVersion::Http2));
+        let page = Ok(HttpVersion::Http1("HTTP/1.1 200 OK".to_owned()));
+        assert_eq!(probe(&[b"", PAGE, PAGE, PAGE]).await, page);
     }
 
     #[test]
     fn servers_are_identified_by_their_first_bytes() {
-        let check = |bytes: &[u8], expected| assert_eq!(heard(bytes), expected);
-        check(b"", Heard::Silence);
-        check(b"\0\0\x18\x04\0\0\0\0\0\0\x03", Heard::Http2);
-        check(b"\x15\x03\x03\0\x02\x02\x32", Heard::Tls);
-        check(b"SSH-2.0-OpenSSH_9.6\r\n", Heard::Ssh);
+        let check = |bytes: &[u8], expected| assert_eq!(classify(bytes), expected);
+        check(b"", Reply::Silence);
+        check(b"\0\0\x18\x04\0\0\0\0\0\0\x03", Reply::Http2);
+        check(b"\x15\x03\x03\0\x02\x02\x32", Reply::Tls);
+        check(b"SSH-2.0-OpenSSH_9.6\r\n", Reply::Ssh);
         let line = "HTTP/1.1 400 Bad Request";
         let answer = format!("{line}\r\nServer: x\r\n\r\n");
-        check(answer.as_bytes(), Heard::Http1(line.to_owned()));
+        check(answer.as_bytes(), Reply::Http1(line.to_owned()));
         check(
             b"220 mail ESMTP\r\n",
-            Heard::Other("220 mail ESMTP".to_owned()),
+            Reply::Other("220 mail ESMTP".to_owned()),
         );
     }
 
     #[test]
-    fn a_proxy_whose_server_is_away_is_no_web_server_of_another_kind() {
-        let waits = |line: &str| !Found::web_line(line.to_owned()).is_final();
-        assert!(waits("HTTP/1.1 502 Bad Gateway"));
-        assert!(!waits("HTTP/1.1 400 Bad Request"));
-        assert!(!waits("<!DOCTYPE HTML>"));
+    fn a_proxy_with_an_unavailable_backend_is_worth_a_retry() {
+        let is_retryable = |line: &str| !Found::web_line(line.to_owned()).is_final();
+        assert!(is_retryable("HTTP/1.1 502 Bad Gateway"));
+        assert!(!is_retryable("HTTP/1.1 400 Bad Request"));
+        assert!(!is_retryable("<!DOCTYPE HTML>"));
         assert!(!Found::web(503).is_final());
     }
 }

@@ -22,14 +22,14 @@ pub(crate) struct Rates {
 
 #[derive(Clone, Copy, Debug)]
 struct Bucket {
-    left: f64,
+    remaining: f64,
     at: Instant,
 }
 
 impl Bucket {
     fn filled(self, now: Instant) -> f64 {
         let secs = now.saturating_duration_since(self.at).as_secs_f64();
-        (self.left + secs * MAX_REQUESTS_PER_SEC).min(BURST_REQUESTS)
+        (self.remaining + secs * MAX_REQUESTS_PER_SEC).min(BURST_REQUESTS)
     }
 }
 
@@ -44,13 +44,13 @@ impl Rates {
             }
         }
         let bucket = self.buckets.entry(caller).or_insert(Bucket {
-            left: BURST_REQUESTS,
+            remaining: BURST_REQUESTS,
             at: now,
         });
-        let left = bucket.filled(now);
-        let admitted = left >= 1.0;
+        let remaining = bucket.filled(now);
+        let admitted = remaining >= 1.0;
         *bucket = Bucket {
-            left: if admitted { left - 1.0 } else { left },
+            remaining: if admitted { remaining - 1.0 } else { remaining },
             at: now,
         };
         admitted
@@ -75,7 +75,10 @@ mod tests {
         let burst = BURST_REQUESTS as usize;
         assert!((0..burst).all(|_| rates.admit(caller(1), start)));
         assert!(!rates.admit(caller(1), start));
-        assert!(rates.admit(caller(2), start), "others are not held up");
+        assert!(
+            rates.admit(caller(2), start),
+            "other connections are not limited"
+        );
         let later = start + Duration::from_millis(100);
         let admitted = (0..burst).filter(|_| rates.admit(caller(1), later)).count();
         assert_eq!(admitted, 1_000);

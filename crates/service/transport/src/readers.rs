@@ -18,18 +18,18 @@ pub const SESSION_LIFETIME: Duration = Duration::from_secs(12 * 3600);
 /// Most concurrent sessions. Beyond them, the oldest is dropped.
 pub const MAX_SESSIONS: usize = 1_024;
 /// Random bytes in a session id.
-const NAME_BYTES: usize = 16;
+const SESSION_ID_BYTES: usize = 16;
 
 #[derive(Clone, Debug)]
-pub(crate) struct Readers {
+pub(crate) struct BrowserSessions {
     cookie: SessionCookie,
     sessions: Arc<Mutex<Sessions>>,
 }
 
-impl Readers {
-    pub(crate) fn new(is_encrypted: bool) -> Readers {
+impl BrowserSessions {
+    pub(crate) fn new(is_encrypted: bool) -> BrowserSessions {
         let suffix = random_hex().unwrap_or_default();
-        Readers {
+        BrowserSessions {
             cookie: SessionCookie::new(suffix.get(..8).unwrap_or_default(), is_encrypted),
             sessions: Arc::default(),
         }
@@ -77,30 +77,30 @@ impl Sessions {
             let oldest = oldest.map(|(digest, _)| *digest);
             oldest.and_then(|digest| self.ends.remove(&digest));
         }
-        let name = random_hex()?;
-        self.ends.insert(digest(&name), now + SESSION_LIFETIME);
-        Some(name)
+        let id = random_hex()?;
+        self.ends.insert(digest(&id), now + SESSION_LIFETIME);
+        Some(id)
     }
 
     /// Returns true if the session exists and has not ended.
-    fn is_open(&self, name: &str, now: Instant) -> bool {
-        self.ends.get(&digest(name)).is_some_and(|end| *end > now)
+    fn is_open(&self, id: &str, now: Instant) -> bool {
+        self.ends.get(&digest(id)).is_some_and(|end| *end > now)
     }
 
-    fn end(&mut self, name: &str) {
-        self.ends.remove(&digest(name));
+    fn end(&mut self, id: &str) {
+        self.ends.remove(&digest(id));
     }
 }
 
 /// Returns 128 random bits from the operating system, in hex.
 fn random_hex() -> Option<String> {
-    let mut bytes = [0; NAME_BYTES];
+    let mut bytes = [0; SESSION_ID_BYTES];
     let read = getrandom(&mut bytes, GetRandomFlags::empty()).ok()?;
-    (read == NAME_BYTES).then(|| bytes.iter().map(|byte| format!("{byte:02x}")).collect())
+    (read == SESSION_ID_BYTES).then(|| bytes.iter().map(|byte| format!("{byte:02x}")).collect())
 }
 
-fn digest(name: &str) -> [u8; 32] {
-    Sha256::digest(name.as_bytes()).into()
+fn digest(id: &str) -> [u8; 32] {
+    Sha256::digest(id.as_bytes()).into()
 }
 
 #[cfg(test)]
@@ -108,12 +108,12 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_session_opens_until_it_is_over_or_ended() {
+    fn a_session_is_open_until_it_expires_or_is_ended() {
         let mut sessions = Sessions::default();
         let start = Instant::now();
         let [one, two] = [0; 2].map(|_| sessions.begin(start).expect("randomness"));
         assert_ne!(one, two);
-        assert_eq!(one.len(), 2 * NAME_BYTES);
+        assert_eq!(one.len(), 2 * SESSION_ID_BYTES);
         let last = start + SESSION_LIFETIME - Duration::from_secs(1);
         assert!(sessions.is_open(&one, last) && sessions.is_open(&two, last));
         sessions.end(&one);
@@ -123,7 +123,7 @@ mod tests {
     }
 
     #[test]
-    fn sessions_are_bounded_and_the_oldest_makes_room() {
+    fn sessions_are_bounded_and_the_oldest_is_dropped() {
         let mut sessions = Sessions::default();
         let start = Instant::now();
         let first = sessions.begin(start).expect("randomness");
@@ -133,7 +133,7 @@ mod tests {
             .collect();
         assert_eq!(sessions.ends.len(), MAX_SESSIONS);
         assert!(!sessions.is_open(&first, later));
-        assert!(others.iter().all(|name| sessions.is_open(name, later)));
+        assert!(others.iter().all(|id| sessions.is_open(id, later)));
         let much_later = later + SESSION_LIFETIME;
         assert!(sessions.begin(much_later).is_some());
         assert_eq!(sessions.ends.len(), 1);

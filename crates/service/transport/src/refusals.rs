@@ -21,7 +21,7 @@ pub(crate) struct Refusals {
 
 impl Refusals {
     /// Returns true if this refusal must be logged now.
-    pub(crate) fn is_news(&mut self, caller: IpAddr, code: Code, now: Instant) -> bool {
+    pub(crate) fn must_log(&mut self, caller: IpAddr, code: Code, now: Instant) -> bool {
         self.logged
             .retain(|_, at| now.saturating_duration_since(*at) < LOG_AGAIN_AFTER);
         let key = (caller, code);
@@ -44,22 +44,22 @@ mod tests {
         let mut refusals = Refusals::default();
         let start = Instant::now();
         let one = IpAddr::from(Ipv4Addr::LOCALHOST);
-        assert!(refusals.is_news(one, Code::Unauthenticated, start));
-        assert!(!refusals.is_news(one, Code::Unauthenticated, start));
-        assert!(refusals.is_news(one, Code::InvalidArgument, start));
+        assert!(refusals.must_log(one, Code::Unauthenticated, start));
+        assert!(!refusals.must_log(one, Code::Unauthenticated, start));
+        assert!(refusals.must_log(one, Code::InvalidArgument, start));
         let other = IpAddr::from([10, 0, 0, 1]);
-        assert!(refusals.is_news(other, Code::Unauthenticated, start));
+        assert!(refusals.must_log(other, Code::Unauthenticated, start));
         let later = start + LOG_AGAIN_AFTER;
-        assert!(refusals.is_news(one, Code::Unauthenticated, later));
+        assert!(refusals.must_log(one, Code::Unauthenticated, later));
         assert_eq!(refusals.logged.len(), 1);
     }
 
     #[test]
-    fn what_is_remembered_is_bounded() {
+    fn remembered_refusals_are_bounded() {
         let mut refusals = Refusals::default();
         let now = Instant::now();
-        let news = (0..5_000_u32)
-            .filter(|ip| refusals.is_news(Ipv4Addr::from(*ip).into(), Code::NotFound, now));
-        assert_eq!(news.count(), MAX_REMEMBERED_REFUSALS);
+        let logged = (0..5_000_u32)
+            .filter(|ip| refusals.must_log(Ipv4Addr::from(*ip).into(), Code::NotFound, now));
+        assert_eq!(logged.count(), MAX_REMEMBERED_REFUSALS);
     }
 }

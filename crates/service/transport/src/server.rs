@@ -12,7 +12,7 @@ use tonic::transport::{Identity, Server, ServerTlsConfig};
 
 use crate::gate::{Gate, Resource};
 use crate::private::exposed;
-use crate::readers::Readers;
+use crate::readers::BrowserSessions;
 use crate::token::{Role, TokenError, Tokens};
 use crate::users::Users;
 
@@ -59,7 +59,7 @@ pub struct Security {
     identity: Option<Identity>,
     tokens: Option<Tokens>,
     users: Users,
-    readers: Readers,
+    readers: BrowserSessions,
 }
 
 /// A server behind a [`Gate`].
@@ -138,7 +138,7 @@ impl Security {
     fn new(identity: Option<Identity>, tokens: Option<Tokens>, users: Users) -> Security {
         Security {
             users,
-            readers: Readers::new(identity.is_some()),
+            readers: BrowserSessions::new(identity.is_some()),
             identity,
             tokens,
         }
@@ -259,7 +259,7 @@ mod tests {
     }
 
     #[test]
-    fn only_loopback_is_open_without_being_told_so() {
+    fn only_loopback_listens_without_tokens_unless_insecure() {
         let refused = |address: &str, insecure| {
             let address = address.parse().expect(address);
             arguments(insecure).security(address).is_err()

@@ -207,21 +207,21 @@ impl Tokens {
         })
     }
 
-    /// Returns the role of the token `shown`; `None` if it is unknown. The time taken does not
+    /// Returns the role of the token `given`; `None` if it is unknown. The time taken does not
     /// depend on the token that matches, or on a match at all.
-    pub fn role_of(&self, shown: &str) -> Option<Role> {
-        let shown = digest(shown);
-        let mut found = 0_u32;
-        for (place, known) in (1_u32..).zip(&self.digests) {
-            found.conditional_assign(&place, known.ct_eq(&shown));
+    pub fn role_of(&self, given: &str) -> Option<Role> {
+        let given = digest(given);
+        let mut matching = 0_u32;
+        for (place, digest) in (1_u32..).zip(&self.digests) {
+            matching.conditional_assign(&place, digest.ct_eq(&given));
         }
-        let place = usize::try_from(found).ok()?.checked_sub(1)?;
-        self.tokens.get(place).map(|(role, _)| *role)
+        let index = usize::try_from(matching).ok()?.checked_sub(1)?;
+        self.tokens.get(index).map(|(role, _)| *role)
     }
 
     /// Returns true if there is a token of this role.
     pub fn has(&self, role: Role) -> bool {
-        self.tokens.iter().any(|(found, _)| *found == role)
+        self.tokens.iter().any(|(other, _)| *other == role)
     }
 
     /// Returns the first token of one of these roles, in the order of the roles.
@@ -250,7 +250,7 @@ fn digest(secret: &str) -> [u8; 32] {
 mod tests {
     use super::*;
 
-    const FILE: &str = "# who may talk\n\nworker 0123456789abcdef0123\n  operator fedcba98765432100123  \r\nviewer vvvvvvvvvvvvvvvvvvvv\n";
+    const FILE: &str = "# callers\n\nworker 0123456789abcdef0123\n  operator fedcba98765432100123  \r\nviewer vvvvvvvvvvvvvvvvvvvv\n";
 
     fn tokens() -> Tokens {
         Tokens::parse(FILE, "the test").expect("tokens")
@@ -259,12 +259,12 @@ mod tests {
     #[test]
     fn a_token_gives_its_role_and_anything_else_none() {
         let tokens = tokens();
-        let role = |shown: &str| tokens.role_of(shown);
+        let role = |given: &str| tokens.role_of(given);
         assert_eq!(role("0123456789abcdef0123"), Some(Role::Worker));
         assert_eq!(role("fedcba98765432100123"), Some(Role::Operator));
         assert_eq!(role("vvvvvvvvvvvvvvvvvvvv"), Some(Role::Viewer));
-        for stranger in ["", "worker", "0123456789abcdef012", "0123456789abcdef01234"] {
-            assert_eq!(role(stranger), None, "{stranger}");
+        for unknown in ["", "worker", "0123456789abcdef012", "0123456789abcdef01234"] {
+            assert_eq!(role(unknown), None, "{unknown}");
         }
     }
 
@@ -278,7 +278,7 @@ mod tests {
     }
 
     #[test]
-    fn a_bad_line_is_named_by_its_number_and_never_by_its_secret() {
+    fn an_error_names_the_line_and_never_contains_a_token() {
         let check = |text: &str, words: &[&str]| {
             let error = Tokens::parse(text, "the test").expect_err(text).to_string();
             for word in words {
@@ -300,7 +300,7 @@ mod tests {
     }
 
     #[test]
-    fn tokens_do_not_print() {
+    fn debug_output_of_tokens_is_redacted() {
         let printed = format!("{:?}", tokens().tokens);
         assert!(!printed.contains("0123456789"), "{printed}");
     }

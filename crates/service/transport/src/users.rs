@@ -57,9 +57,11 @@ impl Caller {
 /// Reason why a token is not sent to a server on this machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum Untrusted {
-    #[error("another user of this machine listens there, who would get the token")]
+    #[error("another user of this machine listens there and would receive the token")]
     AnotherUser,
-    #[error("the kernel does not report the user of the server there, who would get the token")]
+    #[error(
+        "the kernel does not report the user of the server there, which would receive the token"
+    )]
     UnknownUser,
 }
 
@@ -90,7 +92,7 @@ fn check_rows(
     here: SocketAddr,
     own: u32,
 ) -> Result<(), Untrusted> {
-    let check = |user: u32| match user == own || is_of_system(user) {
+    let check = |user: u32| match user == own || is_system_user(user) {
         true => Ok(()),
         false => Err(Untrusted::AnotherUser),
     };
@@ -105,7 +107,7 @@ fn check_rows(
 
 /// Returns true for root and for system users: ids below 1,000, and those of systemd's
 /// `DynamicUser=`.
-fn is_of_system(user: u32) -> bool {
+fn is_system_user(user: u32) -> bool {
     user < 1_000 || (61_184..=65_519).contains(&user)
 }
 
@@ -115,8 +117,8 @@ fn user_of(there: SocketAddr, here: SocketAddr) -> io::Result<Option<u32>> {
 }
 
 fn owner(rows: &[Row], there: SocketAddr, here: SocketAddr) -> Option<u32> {
-    let is_it = |row: &&Row| is_written(&row.local, there) && is_written(&row.remote, here);
-    rows.iter().find(is_it).map(|row| row.user)
+    let is_connection = |row: &&Row| is_address(&row.local, there) && is_address(&row.remote, here);
+    rows.iter().find(is_connection).map(|row| row.user)
 }
 
 /// A socket of a process, as a row of the kernel's table.
@@ -156,7 +158,7 @@ fn row(line: &str) -> Option<Row> {
 
 /// Returns true if a field of the table is this address. An IPv4 address may appear as an
 /// IPv4-mapped IPv6 address.
-fn is_written(field: &str, address: SocketAddr) -> bool {
+fn is_address(field: &str, address: SocketAddr) -> bool {
     let words = |bytes: &[u8]| -> String {
         let (words, _) = bytes.as_chunks::<4>();
         let words = words.iter().map(|word| u32::from_ne_bytes(*word));
@@ -182,7 +184,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_kernel_names_the_user_of_either_end_and_nobody_once_it_is_closed() {
+    fn the_kernel_reports_the_user_of_an_open_connection_and_none_once_it_is_closed() {
         for (listen, connect) in [
             ("127.0.0.1:0", "127.0.0.1"),
             ("[::1]:0", "[::1]"),
@@ -222,7 +224,7 @@ mod tests {
         let waits = line("0100007F:1CF3", "0100007F:9C40", "01", ROOT, 0);
         let check = |rows: [Option<Row>; 3]| {
             let rows: Vec<Row> = rows.into_iter().flatten().collect();
-            let [there, here] = [there, here].map(|it| it.parse().expect("an address"));
+            let [there, here] = [there, here].map(|address| address.parse().expect("an address"));
             check_rows(&rows, there, here, OWN)
         };
         assert_eq!(check([listens(OWN), accepted(OWN), None]), Ok(()));
@@ -246,7 +248,7 @@ mod tests {
             (61_184, true),
             (65_534, false),
         ] {
-            assert_eq!(is_of_system(user), expected, "{user}");
+            assert_eq!(is_system_user(user), expected, "{user}");
         }
     }
 }

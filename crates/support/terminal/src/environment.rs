@@ -51,28 +51,28 @@ pub fn read(program: Command, words: Vec<OsString>) -> Result<ArgMatches, clap::
 /// # Errors
 /// If the arguments are invalid or help was requested.
 pub fn parse(program: Command, words: Vec<OsString>) -> Result<ArgMatches, clap::Error> {
-    let read = program.try_get_matches_from(&words);
-    read.map_err(|error| with_its_variable(error, &words))
+    let matches = program.try_get_matches_from(&words);
+    matches.map_err(|error| name_variable(error, &words))
 }
 
 /// Adds the variable's name to an error if the invalid value comes from the environment.
-fn with_its_variable(mut error: clap::Error, words: &[OsString]) -> clap::Error {
-    let is_of_a_value = matches!(
+fn name_variable(mut error: clap::Error, words: &[OsString]) -> clap::Error {
+    let is_about_value = matches!(
         error.kind(),
         ErrorKind::InvalidValue | ErrorKind::ValueValidation
     );
-    let Some(ContextValue::String(at_fault)) = error.get(ContextKind::InvalidArg) else {
+    let Some(ContextValue::String(argument)) = error.get(ContextKind::InvalidArg) else {
         return error;
     };
     // For example `--listen <ADDR>`.
-    let flag = at_fault.split_whitespace().next().unwrap_or_default();
+    let flag = argument.split_whitespace().next().unwrap_or_default();
     let is_given = words.iter().filter_map(|word| word.to_str()).any(|word| {
         let rest = word.strip_prefix(flag);
         rest.is_some_and(|rest| rest.is_empty() || rest.starts_with('='))
     });
     let name = variable_name(flag.trim_start_matches('-'));
-    if is_of_a_value && !is_given && var_os(&name).is_some() {
-        let hint = format!("it stands in the environment, as {name}");
+    if is_about_value && !is_given && var_os(&name).is_some() {
+        let hint = format!("the value comes from the environment variable {name}");
         let suggestion = ContextValue::StyledStrs(vec![hint.into()]);
         error.insert(ContextKind::Suggested, suggestion);
     }
@@ -126,7 +126,7 @@ mod tests {
     }
 
     #[test]
-    fn every_option_has_a_variable_and_what_had_one_keeps_it() {
+    fn every_public_option_gets_a_variable_unless_it_has_one() {
         let command = with_variables(program());
         assert_eq!(
             variables(&command),
@@ -139,7 +139,7 @@ mod tests {
                 ("folder", None),
             ]
         );
-        let list = command.find_subcommand("list").expect("it is there");
+        let list = command.find_subcommand("list").expect("the subcommand");
         assert_eq!(variables(list), [("all", None)]);
     }
 
@@ -149,15 +149,16 @@ mod tests {
 
     #[test]
     fn command_line_takes_precedence_over_variables() {
-        let read = read(program(), words("server --wide --route a --route b;c")).expect("meant");
-        assert!(read.get_flag("wide"));
-        let routes: Vec<&String> = read.get_many("route").expect("some").collect();
+        let matches = read(program(), words("server --wide --route a --route b;c"));
+        let matches = matches.expect("valid arguments");
+        assert!(matches.get_flag("wide"));
+        let routes: Vec<&String> = matches.get_many("route").expect("some").collect();
         assert_eq!(routes, ["a", "b", "c"]);
     }
 
     #[test]
-    fn a_command_of_the_program_is_read_without_variables() {
-        let read = read(program(), words("server list --all x")).expect("meant");
-        assert_eq!(read.subcommand_name(), Some("list"));
+    fn a_subcommand_ignores_the_variables_of_the_server() {
+        let matches = read(program(), words("server list --all x")).expect("valid arguments");
+        assert_eq!(matches.subcommand_name(), Some("list"));
     }
 }

@@ -133,7 +133,7 @@ mod tests {
     }
 
     #[test]
-    fn one_thing_is_no_plural() {
+    fn a_count_of_one_is_singular() {
         let counts = [0, 1, 2].map(|count| counted(count, "rollout"));
         assert_eq!(counts, ["0 rollouts", "1 rollout", "2 rollouts"]);
     }

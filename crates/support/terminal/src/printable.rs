@@ -8,13 +8,13 @@ use std::borrow::Cow;
 /// An error of a policy or worker, or text from a foreign archive, could contain escape sequences
 /// that set the clipboard, change the window title, or overwrite the line above.
 pub fn printable(text: &str) -> Cow<'_, str> {
-    match text.contains(is_obeyed) {
-        true => Cow::Owned(text.replace(is_obeyed, "\u{fffd}")),
+    match text.contains(is_control_mark) {
+        true => Cow::Owned(text.replace(is_control_mark, "\u{fffd}")),
         false => Cow::Borrowed(text),
     }
 }
 
-fn is_obeyed(character: char) -> bool {
+fn is_control_mark(character: char) -> bool {
     match character {
         '\n' | '\t' => false,
         // Embeddings, overrides and isolates of Unicode's bidirectional algorithm.
@@ -29,7 +29,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn no_terminal_control_sequence_is_left() {
+    fn control_characters_are_replaced() {
         for (given, expected) in [
             ("\x1b]52;c;cm0gLXJm\x07", "\u{fffd}]52;c;cm0gLXJm\u{fffd}"),
             ("\x1b[2K\rpassed", "\u{fffd}[2K\u{fffd}passed"),
@@ -42,7 +42,7 @@ mod tests {
     }
 
     #[test]
-    fn words_in_any_language_stay_as_they_are() {
+    fn text_in_any_language_is_unchanged() {
         let text = "π₀.₅ nimmt\tdie Schüssel\nund 碗 und وعاء";
         assert!(matches!(printable(text), Cow::Borrowed(same) if same == text));
     }

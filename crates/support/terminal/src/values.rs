@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn seconds_have_a_point_and_no_infinity() {
+    fn seconds_may_have_a_decimal_point_and_must_be_finite() {
         let read = seconds(0.1..=3600.0);
         assert_eq!(read("0.5"), Ok(0.5));
         for wrong in ["0", "inf", "NaN", "soon"] {

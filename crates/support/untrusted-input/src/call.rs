@@ -76,7 +76,7 @@ fn unframed(mut frames: Bytes) -> Vec<Bytes> {
         let head = frames.split_to(FRAME_HEAD_BYTES);
         let length: [u8; 4] = head[1..].try_into().expect("four bytes");
         let length = u32::from_be_bytes(length);
-        messages.push(frames.split_to(usize::try_from(length).expect("it fits")));
+        messages.push(frames.split_to(usize::try_from(length).expect("a length in memory")));
     }
     messages
 }

@@ -27,7 +27,7 @@ use service::{TestCoordinator, after};
 pub(crate) use seeds::seeds;
 
 /// Bytes of a database with a campaign, a worker and a lease.
-static DATABASE: LazyLock<Vec<u8>> = LazyLock::new(|| after(&messages::a_lease()).0);
+static DATABASE: LazyLock<Vec<u8>> = LazyLock::new(|| after(&messages::lease_calls()).0);
 
 /// Makes the calls of an input in order; returns true if none was refused.
 ///
@@ -39,18 +39,18 @@ pub(crate) fn messages(input: &[u8]) -> bool {
         let folder = tempfile::tempdir().expect("a temporary folder");
         std::fs::write(folder.path().join(DATABASE_FILE), database).expect("a file");
         let mut coordinator = TestCoordinator::in_folder(folder.path()).await;
-        let mut detector = ChangeDetector::of(folder.path()).await;
+        let mut detector = ChangeDetector::open(folder.path()).await;
         let mut all_accepted = true;
-        for called in script::read(input) {
+        for call in script::read(input) {
             let before = detector.snapshot().await;
-            let method = METHODS[usize::from(called.method) % METHODS.len()];
-            if let Some(Err(refusal)) = coordinator.call(method, &called.messages).await {
+            let method = METHODS[usize::from(call.method) % METHODS.len()];
+            if let Some(Err(refusal)) = coordinator.call(method, &call.messages).await {
                 // The coordinator returns Unavailable when its database fails.
                 let is_internal_fault =
                     is_internal_fault(&refusal) || refusal.code() == Code::Unavailable;
-                assert!(!is_internal_fault, "{method} {called:?}: {refusal}");
+                assert!(!is_internal_fault, "{method} {call:?}: {refusal}");
                 let after = detector.snapshot().await;
-                assert_eq!(before, after, "{method} {called:?}: {refusal}");
+                assert_eq!(before, after, "{method} {call:?}: {refusal}");
                 all_accepted = false;
             }
         }
@@ -68,7 +68,7 @@ pub(crate) fn messages(input: &[u8]) -> bool {
 struct ChangeDetector(SqliteConnection, PathBuf);
 
 impl ChangeDetector {
-    async fn of(data: &Path) -> ChangeDetector {
+    async fn open(data: &Path) -> ChangeDetector {
         let file = data.join(DATABASE_FILE);
         let options = SqliteConnectOptions::new().filename(file).read_only(true);
         let connection = options.connect().await.expect("a database");

@@ -144,19 +144,19 @@ impl Drawing {
     fn draw(&mut self, [width, height]: [usize; 2]) {
         let largest: Vec<&[u8]> = self.largest.iter().map(Vec::as_slice).collect();
         let mut fresh = Canvas::new();
-        let anew = fresh.draw(&self.model, &largest, &self.scene, [width, height]);
+        let redrawn = fresh.draw(&self.model, &largest, &self.scene, [width, height]);
         let size = [width, height];
         let drawn = self.canvas.draw(&self.model, &largest, &self.scene, size);
-        match (drawn, anew) {
-            (Ok(drawn), Ok(anew)) => {
+        match (drawn, redrawn) {
+            (Ok(drawn), Ok(redrawn)) => {
                 assert_eq!(drawn.len(), width * height * 3);
-                let differs = drawn.iter().zip(anew).position(|(a, b)| a != b);
+                let differs = drawn.iter().zip(redrawn).position(|(a, b)| a != b);
                 let at = differs.map(|byte| (byte / 3 % width, byte / 3 / width));
-                assert_eq!(at, None, "a pixel depends on what was drawn before");
+                assert_eq!(at, None, "a pixel depends on an earlier frame");
                 let depths = self.canvas.depths();
                 assert!(
                     depths.eq(fresh.depths()),
-                    "a depth depends on what was drawn before"
+                    "a depth depends on an earlier frame"
                 );
                 assert!(fresh.depths().all(|depth| (0.0..=1.0).contains(&depth)));
                 assert_eq!(fresh.depths().count(), width * height);
@@ -166,15 +166,15 @@ impl Drawing {
                     width * height
                 );
             }
-            (Err(drawn), Err(anew)) => {
+            (Err(drawn), Err(redrawn)) => {
                 raster::segments(&self.model, &self.scene, size).expect_err("an invalid scene");
-                assert_eq!(drawn.to_string(), anew.to_string());
+                assert_eq!(drawn.to_string(), redrawn.to_string());
                 self.is_refused = true;
             }
-            (drawn, anew) => panic!(
+            (drawn, redrawn) => panic!(
                 "reused canvas: {:?}, new canvas: {:?}",
                 drawn.err(),
-                anew.err()
+                redrawn.err()
             ),
         }
     }
@@ -240,18 +240,18 @@ impl Bytes<'_> {
         CLAIMS.get(byte.wrapping_sub(248)).copied().unwrap_or(byte)
     }
 
-    /// Reads the quality of shapes: fewer than 24 pieces, since more take long, or a number above
-    /// the limit.
+    /// Reads the quality of shapes: fewer than 24 subdivisions, since more take long, or a number
+    /// above the limit.
     fn quality(&mut self) -> Quality {
-        let mut pieces = |most: usize| match self.byte() {
+        let mut subdivisions = |most: usize| match self.byte() {
             255 => usize::MAX,
             254 => most + 1,
             byte => usize::from(byte) % 24,
         };
         Quality {
-            slices: pieces(512),
-            stacks: pieces(512),
-            quads: pieces(64),
+            slices: subdivisions(512),
+            stacks: subdivisions(512),
+            quads: subdivisions(64),
         }
     }
 
@@ -275,8 +275,8 @@ impl Bytes<'_> {
         }
         for time in 0..=times {
             for (pos, normals, st) in &triangles {
-                let off = step.map(|step| step * f32::from(time));
-                let pos = pos.map(|pos| std::array::from_fn(|axis| pos[axis] + off[axis]));
+                let shift = step.map(|step| step * f32::from(time));
+                let pos = pos.map(|pos| std::array::from_fn(|axis| pos[axis] + shift[axis]));
                 builder.triangle(match kind & 4 {
                     0 => mesh_triangle(pos, *normals, (kind & 1 != 0).then_some(*st)),
                     _ => std::array::from_fn(|at| Corner {
@@ -290,7 +290,7 @@ impl Bytes<'_> {
         builder.build()
     }
 
-    /// Reads the grid lines of a plane, only a few.
+    /// Reads a few grid lines of a plane.
     fn grid(&mut self) -> Vec<f64> {
         let kind = self.byte();
         let [half, spacing, period, far] = self.numbers().map(f64::from);
@@ -315,9 +315,9 @@ impl Bytes<'_> {
             .checked_mul(height)
             .and_then(|texels| texels.checked_mul(channels))
             .filter(|needed| *needed <= MOST_TEXELS);
-        let (off, value) = (self.byte(), self.byte());
-        let given = needed.unwrap_or(MOST_TEXELS) + usize::from(off);
-        let texels = (0..given).map(|at| (at as u8).wrapping_mul(value));
+        let (excess, value) = (self.byte(), self.byte());
+        let length = needed.unwrap_or(MOST_TEXELS) + usize::from(excess);
+        let texels = (0..length).map(|at| (at as u8).wrapping_mul(value));
         (kind, width, height, channels, texels.collect())
     }
 
@@ -345,16 +345,16 @@ impl Bytes<'_> {
             reach: 0.0,
             segment: None,
         };
-        let more = self.byte();
-        if more & 1 != 0 {
+        let flags = self.byte();
+        if flags & 1 != 0 {
             geom.texture = Some(TextureUse {
                 texture: usize::from(self.byte()),
                 repeat: self.numbers(),
-                uniform: more & 2 != 0,
-                by_corner: more & 4 != 0,
+                uniform: flags & 2 != 0,
+                by_corner: flags & 4 != 0,
             });
         }
-        if more & 8 != 0 {
+        if flags & 8 != 0 {
             let numbers = self.numbers();
             [
                 geom.emission,
@@ -364,7 +364,7 @@ impl Bytes<'_> {
                 geom.reach,
             ] = numbers;
         }
-        if more & 16 != 0 {
+        if flags & 16 != 0 {
             geom.mat = self.numbers();
         }
         geom

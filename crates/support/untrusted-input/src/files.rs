@@ -22,7 +22,7 @@ pub(crate) fn manifest(input: &[u8]) -> bool {
         return false;
     };
     let written = manifests::to_text(&rows);
-    let again = manifests::parse(&written).expect("what was written");
+    let again = manifests::parse(&written).expect("a written manifest");
     assert_eq!(again, rows, "{written}");
     true
 }

@@ -66,7 +66,7 @@ pub const TARGETS: [Target; 15] = [
 /// If there is no such target.
 pub fn named(name: &str) -> Target {
     let found = TARGETS.into_iter().find(|target| target.name == name);
-    found.unwrap_or_else(|| panic!("no target is called {name}"))
+    found.unwrap_or_else(|| panic!("there is no target {name}"))
 }
 
 const fn target(name: &'static str, run: fn(&[u8]) -> bool, seeds: fn() -> Vec<Vec<u8>>) -> Target {

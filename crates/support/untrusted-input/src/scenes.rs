@@ -32,9 +32,9 @@ pub(crate) fn mjcf(input: &[u8]) -> bool {
 /// Checks that accepted initial states are finite and that no index beyond the last returns one.
 /// Also parses the input as the pickle inside, since a fuzzer cannot guess the zip's checksums.
 pub(crate) fn pruned_init(input: &[u8]) -> bool {
-    let mut is_read = false;
+    let mut is_accepted = false;
     if let Ok(states) = InitialStates::from_reader(Cursor::new(input), Path::new("fuzzed")) {
-        is_read = true;
+        is_accepted = true;
         for id in 0..states.count() {
             let state = states.get(id).expect("counted");
             assert!(state.iter().all(|value| value.is_finite()));
@@ -42,10 +42,10 @@ pub(crate) fn pruned_init(input: &[u8]) -> bool {
         assert_eq!(states.get(states.count()), None);
     }
     if let Ok([rows, columns]) = pickled_states(input) {
-        is_read = true;
+        is_accepted = true;
         assert!(rows * columns * 8 <= input.len());
     }
-    is_read
+    is_accepted
 }
 
 pub(crate) fn bddl_seeds() -> Vec<Vec<u8>> {

@@ -51,7 +51,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_written_script_reads_back_and_any_bytes_read_as_a_script() {
+    fn a_script_round_trips_and_any_bytes_are_a_script() {
         let input = [write(1, b"one"), write(2, b""), write(2 | MORE, b"more")].concat();
         let call = |method, messages: &[&'static [u8]]| Call {
             method,

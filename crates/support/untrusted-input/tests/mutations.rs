@@ -20,7 +20,7 @@ const MAX_CHANGES: usize = 8;
 /// Longest range that is removed, doubled or replaced, bytes.
 const MAX_RANGE_BYTES: usize = 64;
 /// Byte strings that are inserted: limits of number types, and tokens of the formats.
-const PIECES: [&[u8]; 16] = [
+const INSERTIONS: [&[u8]; 16] = [
     b"\x00",
     b"\xff",
     b"\x7f",
@@ -49,27 +49,27 @@ fn the_seeds_are_accepted() {
 }
 
 #[test]
-fn no_file_breaks_its_reader() {
+fn mutated_files_do_not_crash_their_parsers() {
     let services = ["rpc", "rpc_policy"];
     let readers = TARGETS.into_iter();
     for target in readers.filter(|target| !services.contains(&target.name)) {
-        survives(target, INPUTS);
+        check_mutations(target, INPUTS);
     }
 }
 
 #[test]
-fn no_message_breaks_the_coordinator_or_changes_what_it_is_refused_for() {
-    survives(untrusted_input::named("rpc"), DATABASE_INPUTS);
+fn mutated_messages_do_not_crash_the_coordinator_and_refused_ones_change_nothing() {
+    check_mutations(untrusted_input::named("rpc"), DATABASE_INPUTS);
 }
 
 #[test]
-fn no_message_breaks_the_gateway() {
-    survives(untrusted_input::named("rpc_policy"), INPUTS);
+fn mutated_messages_do_not_crash_the_gateway() {
+    check_mutations(untrusted_input::named("rpc_policy"), INPUTS);
 }
 
 /// Gives a target mutated inputs. An input that makes it fail is stored as a file, for the fuzz
 /// target of this name.
-fn survives(target: Target, inputs: usize) {
+fn check_mutations(target: Target, inputs: usize) {
     static PANICS: AtomicUsize = AtomicUsize::new(0);
     static COUNTING: Once = Once::new();
     // A panic in a task normally ends only that task; here it is counted as a failure.
@@ -123,11 +123,11 @@ fn mutated(seeds: &[Vec<u8>], rng: &mut ChaCha8Rng) -> Vec<u8> {
             1 if at < input.len() => input[at] = below(rng, 256) as u8,
             2 => drop(input.drain(at..end)),
             3 => {
-                let again = input[at..end].to_vec();
-                input.splice(at..at, again);
+                let copy = input[at..end].to_vec();
+                input.splice(at..at, copy);
             }
             4 => input.truncate(at),
-            _ => drop(input.splice(at..end, PIECES[below(rng, PIECES.len())].to_vec())),
+            _ => drop(input.splice(at..end, INSERTIONS[below(rng, INSERTIONS.len())].to_vec())),
         }
     }
     input

@@ -18,9 +18,9 @@ const UNSET: [&str; 3] = ["GIT_DIR", "GIT_WORK_TREE", "GIT_INDEX_FILE"];
 /// mentioned.
 #[proc_macro]
 pub fn version(_: TokenStream) -> TokenStream {
-    let of_package = |name| std::env::var(name).expect("cargo describes the package");
-    let version = of_package("CARGO_PKG_VERSION");
-    let code = match Commit::of(Path::new(&of_package("CARGO_MANIFEST_DIR"))) {
+    let cargo_variable = |name| std::env::var(name).expect("a variable that cargo sets");
+    let version = cargo_variable("CARGO_PKG_VERSION");
+    let code = match Commit::of_package(Path::new(&cargo_variable("CARGO_MANIFEST_DIR"))) {
         // Including the log makes the compiler notice a new commit.
         Some(Commit { name, log }) => {
             format!("{{ const _: &[u8] = include_bytes!({log:?}); \"{version} ({name})\" }}")
@@ -42,7 +42,7 @@ struct Commit {
 impl Commit {
     /// Returns the commit of the package in a folder; `None` if git does not track the package, for
     /// example because it was unpacked inside another repository.
-    fn of(package: &Path) -> Option<Self> {
+    fn of_package(package: &Path) -> Option<Self> {
         let git = |words: &[&str]| {
             let mut git = Command::new("git");
             UNSET.iter().for_each(|name| _ = git.env_remove(name));
@@ -75,20 +75,24 @@ mod tests {
     }
 
     #[test]
-    fn a_package_is_of_the_commit_that_it_is_checked_out_from() {
+    fn the_version_names_the_checked_out_commit() {
         let folder = tempfile::tempdir().expect("a folder");
         let package = folder.path().join("package");
         std::fs::create_dir(&package).expect("a package");
         std::fs::write(package.join("Cargo.toml"), "").expect("its manifest");
-        assert_eq!(Commit::of(&package), None, "without git");
+        assert_eq!(Commit::of_package(&package), None, "without git");
 
         git(folder.path(), "init --quiet");
         git(folder.path(), "commit --quiet --allow-empty -m somebody's");
-        assert_eq!(Commit::of(&package), None, "in another's repository");
+        assert_eq!(
+            Commit::of_package(&package),
+            None,
+            "inside another repository"
+        );
 
         git(folder.path(), "add .");
         git(folder.path(), "commit --quiet -m ours");
-        let first = Commit::of(&package).expect("a commit");
+        let first = Commit::of_package(&package).expect("a commit");
         let hash = git(folder.path(), "rev-parse HEAD");
         let (short, day) = first.name.split_once(", ").expect("hash and day");
         assert!(hash.starts_with(short) && short.len() >= 7, "{first:?}");
@@ -97,7 +101,7 @@ mod tests {
 
         let logged = std::fs::read(&first.log).expect("git's log");
         git(folder.path(), "commit --quiet --allow-empty -m next");
-        let second = Commit::of(&package).expect("a commit");
+        let second = Commit::of_package(&package).expect("a commit");
         assert_ne!(first.name, second.name);
         assert_ne!(logged, std::fs::read(&second.log).expect("git's log"));
     }

@@ -102,7 +102,7 @@ fn a_manifest_replaces_a_design() {
     json["configs"] = serde_json::json!([0]);
     let error = CampaignSpec::from_json(&json.to_string()).expect_err("both");
     assert!(
-        error.to_string().contains("`configs` beside `manifest`"),
+        error.to_string().contains("`configs` and `manifest`"),
         "{error}"
     );
 }
@@ -136,11 +136,7 @@ fn a_campaign_has_the_execution_model_of_its_manifest() {
     assert_eq!(read.version(), DesignVersion::of_manifest(&rows));
     assert_eq!(imported(&rows, Some("overlap:4")), Ok(read.clone()));
     let error = imported(&rows, Some("hold:2")).expect_err("another model");
-    for part in [
-        "`execution` is hold:2",
-        "`overlap:4`",
-        "leave `execution` out",
-    ] {
+    for part in ["`execution` is hold:2", "`overlap:4`", "remove `execution`"] {
         assert!(error.to_string().contains(part), "{error}");
     }
     let without_model: Vec<ManifestRow> = rows
@@ -215,7 +211,7 @@ fn latency_is_a_further_axis_that_combinations_exclude() {
     let text = manifest::to_text(&rows);
     assert_eq!(manifest::parse(&text), Ok(rows.clone()));
     let wrong = text.replace(r#""execution":"overlap:4""#, r#""execution":"overlap:2""#);
-    let error = manifest::parse(&wrong).expect_err("a delay other than that of its level");
+    let error = manifest::parse(&wrong).expect_err("a delay that differs from its level's");
     assert!(
         error.to_string().contains("its level: overlap:4"),
         "{error}"
@@ -269,7 +265,7 @@ fn an_explanation_replaces_a_design_and_starts_without_rows() {
     json["levels"] = serde_json::json!(["L2"]);
     let error = CampaignSpec::from_json(&json.to_string()).expect_err("both");
     assert!(
-        error.to_string().contains("`levels` beside `explains`"),
+        error.to_string().contains("`levels` and `explains`"),
         "{error}"
     );
 }
@@ -303,7 +299,7 @@ fn thresholds_replace_a_design_and_have_defaults() {
     json["explains"] = serde_json::json!({"campaign": "first"});
     let error = CampaignSpec::from_json(&json.to_string()).expect_err("both");
     assert!(
-        error.to_string().contains("`thresholds` beside `explains`"),
+        error.to_string().contains("`thresholds` and `explains`"),
         "{error}"
     );
 }
@@ -320,7 +316,7 @@ fn imported_rows_are_checked_like_those_of_a_file() {
         assert!(error.to_string().contains(expected), "{error}");
     };
     let rows = Design::v0_1().expand().expect("rows");
-    check(&[], "it has no rows");
+    check(&[], "the manifest has no rows");
     check(
         &[rows[0].clone(), rows[0].clone()],
         "line 2: spatial/t0/clean/i43 is already",

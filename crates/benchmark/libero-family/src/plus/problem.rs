@@ -234,7 +234,7 @@ fn parse_scene(prefix: &str, rest: &str) -> Option<ProblemClass> {
         return Some(with_scene(format!("scenes/{scene}.xml"), Some(wall)));
     }
     let lower = textures.to_lowercase();
-    let folder = match ROOT_TEXTURES.iter().any(|first| lower.starts_with(first)) {
+    let folder = match ROOT_TEXTURES.iter().any(|prefix| lower.starts_with(prefix)) {
         true => String::new(),
         false => format!("{prefix}250/"),
     };

@@ -52,7 +52,7 @@ mod tests {
         let count = |wanted| {
             inventory()
                 .iter()
-                .filter(|it| it.dimension() == wanted)
+                .filter(|entry| entry.dimension() == wanted)
                 .count()
         };
         let counts = Dimension::ALL.map(count);

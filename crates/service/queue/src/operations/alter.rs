@@ -1,7 +1,7 @@
 //! Alteration of an existing campaign: its priority, policy or name. A request is applied in full
 //! or not at all.
 
-use super::campaigns::going_on;
+use super::campaigns::check_not_ended;
 use super::context::Context;
 use super::error::QueueError;
 use crate::expand::altered;
@@ -41,27 +41,27 @@ impl Queue {
         name: &CampaignName,
         to: &Alteration,
     ) -> Result<u64, QueueError> {
-        let _alone = self.campaigns.lock().await;
+        let _guard = self.campaigns.lock().await;
         let shared = &*self.shared;
         let mut context = Context::begin(shared, vec![Step::ChangeCampaign]).await?;
         let campaign = context.campaign_named(name).await?;
-        let mut taken_back = 0;
+        let mut revoked = 0;
         if let Some(priority) = to.priority {
             campaigns::set_priority(&mut context.tx, campaign.id, priority).await?;
         }
         let endpoint = to.endpoint.as_ref().unwrap_or(&campaign.endpoint);
         let policy = to.policy.as_ref().unwrap_or(&campaign.policy);
         if (endpoint, policy) != (&campaign.endpoint, &campaign.policy) {
-            taken_back = context.change_policy(&campaign, endpoint, policy).await?;
+            revoked = context.change_policy(&campaign, endpoint, policy).await?;
         }
         if let Some(new_name) = to.name.as_ref().filter(|new| *new != name) {
             context.rename(&campaign, new_name).await?;
         }
-        context.cache.forget_campaigns();
+        context.cache.clear_campaigns();
         context.commit().await?;
         tracing::info!(campaign = %name, "altered: {to:?}");
         shared.work.notify_waiters();
-        Ok(taken_back)
+        Ok(revoked)
     }
 }
 
@@ -72,8 +72,8 @@ impl Context<'_> {
         endpoint: &str,
         policy: &str,
     ) -> Result<u64, QueueError> {
-        going_on(campaign)?;
-        let results = Counts::of(&mut self.tx, campaign.id).await?.committed;
+        check_not_ended(campaign)?;
+        let results = Counts::read(&mut self.tx, campaign.id).await?.committed;
         if policy != campaign.policy && results > 0 {
             return Err(QueueError::PolicyMeasured {
                 campaign: campaign.name.clone(),
@@ -83,8 +83,8 @@ impl Context<'_> {
         }
         // Revoked before the policy changes: the end of these attempts, one of which may be the
         // probe, counts as evidence about the old policy only.
-        let why = "the campaign's policy is at another endpoint now";
-        let taken_back = self.take_back(campaign.id, why).await?;
+        let why = "the campaign's policy or endpoint was changed";
+        let revoked = self.revoke_leases(campaign.id, why).await?;
         let (spec, digest) = self
             .altered_spec(campaign, |spec| {
                 endpoint.clone_into(&mut spec.policy.endpoint);
@@ -95,7 +95,7 @@ impl Context<'_> {
         campaigns::set_policy(&mut self.tx, campaign.id, found).await?;
         campaigns::set_spec(&mut self.tx, campaign.id, &spec, &digest).await?;
         policies::remove_unused(&mut self.tx, campaign.policy_id).await?;
-        Ok(taken_back)
+        Ok(revoked)
     }
 
     async fn rename(&mut self, campaign: &Campaign, name: &CampaignName) -> Result<(), QueueError> {
@@ -112,7 +112,7 @@ impl Context<'_> {
             .await?;
         campaigns::set_spec(&mut self.tx, campaign.id, &spec, &digest).await?;
         campaigns::rename(&mut self.tx, campaign, name).await?;
-        for derived in derivations::of(&mut self.tx, campaign.id).await? {
+        for derived in derivations::derived_names(&mut self.tx, campaign.id).await? {
             let derived = self.campaign_named(&derived).await?;
             let (spec, digest) = self
                 .altered_spec(&derived, |spec| spec.rollouts.set_source(name.as_str()))

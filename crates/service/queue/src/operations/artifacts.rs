@@ -110,7 +110,7 @@ impl Upload<'_> {
         let owner = owner.ok_or(ArtifactError::NoOutcome { attempt })?;
         let now = context.now;
         artifacts::record(&mut context.tx, attempt, &self.path, self.size_bytes, now).await?;
-        let _alone = self.shared.files.lock().await;
+        let _guard = self.shared.files.lock().await;
         let target = self.shared.store.folder().join(&self.path);
         let renamed = self.partial.persist(&target);
         renamed.map_err(|failed| at(&target)(failed.error))?;
@@ -130,16 +130,16 @@ pub(crate) fn campaign_folder(folder: &str) -> String {
 /// # Errors
 /// If a folder cannot be read or a file cannot be removed.
 pub fn remove_partial_files(data: &Path) -> io::Result<()> {
-    for left in std::fs::read_dir(data)? {
-        let left = left?;
-        if left
+    for entry in std::fs::read_dir(data)? {
+        let entry = entry?;
+        if entry
             .file_name()
             .to_string_lossy()
             .starts_with(MOVING_PREFIX)
         {
-            match left.file_type()?.is_dir() {
-                true => std::fs::remove_dir_all(left.path())?,
-                false => std::fs::remove_file(left.path())?,
+            match entry.file_type()?.is_dir() {
+                true => std::fs::remove_dir_all(entry.path())?,
+                false => std::fs::remove_file(entry.path())?,
             }
         }
     }

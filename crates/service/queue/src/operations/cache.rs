@@ -54,7 +54,7 @@ impl Cache {
             *self = Cache::default();
         }
         self.is_open = true;
-        self.forget_campaigns();
+        self.clear_campaigns();
         self.live = None;
         if self.siblings.len() > MAX_INITIAL_STATES {
             self.siblings.clear();
@@ -111,18 +111,18 @@ impl Cache {
     pub(super) async fn siblings(
         &mut self,
         tx: &mut SqliteConnection,
-        of: &InitialState,
+        state: &InitialState,
     ) -> Result<&[Sibling], StoreError> {
-        if !self.siblings.contains_key(of) {
-            let stored = results::siblings(tx, of).await?;
-            self.siblings.insert(of.clone(), stored);
+        if !self.siblings.contains_key(state) {
+            let stored = results::siblings(tx, state).await?;
+            self.siblings.insert(state.clone(), stored);
         }
-        Ok(&self.siblings[of])
+        Ok(&self.siblings[state])
     }
 
     /// Adds a committed rollout of an initial state.
-    pub(super) fn add_sibling(&mut self, of: &InitialState, sibling: Sibling) {
-        if let Some(siblings) = self.siblings.get_mut(of)
+    pub(super) fn add_sibling(&mut self, state: &InitialState, sibling: Sibling) {
+        if let Some(siblings) = self.siblings.get_mut(state)
             && !siblings.iter().any(|other| other.stands_for(&sibling))
         {
             siblings.push(sibling);
@@ -133,13 +133,13 @@ impl Cache {
     pub(super) async fn origin(
         &mut self,
         tx: &mut SqliteConnection,
-        of: &Provenance,
+        reported: &Provenance,
     ) -> Result<(ProvenanceId, Arc<Provenance>), StoreError> {
-        if let Some((origin, id)) = self.origins.get_key_value(of) {
+        if let Some((origin, id)) = self.origins.get_key_value(reported) {
             return Ok((*id, origin.clone()));
         }
-        let id = provenance::find_or_insert(tx, of).await?;
-        let origin = Arc::new(of.clone());
+        let id = provenance::find_or_insert(tx, reported).await?;
+        let origin = Arc::new(reported.clone());
         self.origins.insert(origin.clone(), id);
         Ok((id, origin))
     }
@@ -153,10 +153,10 @@ impl Cache {
         suite: Suite,
     ) -> Result<Option<Arc<Provenance>>, StoreError> {
         Ok(match self.measured.entry((campaign, suite)) {
-            Entry::Occupied(known) => known.get().clone(),
-            Entry::Vacant(unknown) => {
+            Entry::Occupied(cached) => cached.get().clone(),
+            Entry::Vacant(vacant) => {
                 let stored = provenance::of_suite(tx, campaign, suite).await?;
-                unknown.insert(stored.map(Arc::new)).clone()
+                vacant.insert(stored.map(Arc::new)).clone()
             }
         })
     }
@@ -168,14 +168,14 @@ impl Cache {
         suite: Suite,
         origin: &Arc<Provenance>,
     ) {
-        let known = self.measured.entry((campaign, suite)).or_default();
-        if known.is_none() && !origin.policy_settings.is_empty() {
-            *known = Some(origin.clone());
+        let cached = self.measured.entry((campaign, suite)).or_default();
+        if cached.is_none() && !origin.policy_settings.is_empty() {
+            *cached = Some(origin.clone());
         }
     }
 
     /// Counts a turn of the campaign, which has received leases.
-    pub(super) fn had_turn(&mut self, campaign: CampaignId) {
+    pub(super) fn count_turn(&mut self, campaign: CampaignId) {
         self.turns += 1;
         self.last_turns.insert(campaign, self.turns);
     }
@@ -186,13 +186,13 @@ impl Cache {
     }
 
     /// Clears the cached campaigns, policies and waiting jobs, which may have changed.
-    pub(super) fn forget_campaigns(&mut self) {
+    pub(super) fn clear_campaigns(&mut self) {
         self.campaigns.clear();
         self.waiting = None;
     }
 
     /// Clears everything after a campaign was deleted.
-    pub(super) fn forget(&mut self) {
+    pub(super) fn clear(&mut self) {
         *self = Cache {
             is_open: self.is_open,
             ..Cache::default()

@@ -4,7 +4,7 @@ use libero_ctrl::{CampaignSpec, Realisation, Rollouts};
 
 use super::context::Context;
 use super::error::{QueueError, unknown_campaign};
-use super::passages::{self as moves, PIECE, remove as remove_hidden};
+use super::passages::{self as batches, JOBS_PER_BATCH, remove as remove_hidden};
 use super::shared::Shared;
 use super::{artifacts, removals};
 use crate::expand::{NewCampaign, differing_fields};
@@ -36,7 +36,7 @@ impl Queue {
     /// If another specification has this name; if the source campaign does not exist, measures
     /// another policy or cannot be derived from; or if the database fails.
     pub async fn create_campaign(&self, new: &NewCampaign) -> Result<Created, QueueError> {
-        let _alone = self.campaigns.lock().await;
+        let _guard = self.campaigns.lock().await;
         let shared = &*self.shared;
         let mut context = Context::begin(shared, vec![Step::CreateCampaign]).await?;
         let jobs = new.jobs.len() as u64;
@@ -55,11 +55,11 @@ impl Queue {
             });
         }
         let folder = campaigns::free_folder(&mut context.tx, &new.name).await?;
-        if new.jobs.len() > PIECE {
+        if new.jobs.len() > JOBS_PER_BATCH {
             // Never a derived campaign, which is created without jobs.
             drop(context);
-            moves::insert(shared, new, &folder).await?;
-            return Ok(created(shared, new));
+            batches::insert(shared, new, &folder).await?;
+            return Ok(report_created(shared, new));
         }
         let source = context.source_of(new).await?;
         let id = campaigns::insert(&mut context.tx, new, &folder, context.now).await?;
@@ -71,7 +71,7 @@ impl Queue {
             stops::insert(&mut context.tx, id, configurations).await?;
         }
         context.commit().await?;
-        Ok(created(shared, new))
+        Ok(report_created(shared, new))
     }
 
     /// Pauses, resumes or cancels a campaign. Resuming also ends the back-off of its policy, which
@@ -89,7 +89,7 @@ impl Queue {
         let mut context = Context::begin(shared, vec![Step::ChangeCampaign]).await?;
         let campaign = context.campaign_named(name).await?;
         let after = campaign.state.after(change, context.now);
-        let after = after.map_err(|EndedIsFinal| ended(&campaign))?;
+        let after = after.map_err(|EndedIsFinal| ended_error(&campaign))?;
         let health = match change {
             Change::Resume => campaign.health.due_at_once(context.now),
             Change::Pause | Change::Cancel => campaign.health.clone(),
@@ -101,7 +101,7 @@ impl Queue {
         campaigns::set_state(&mut context.tx, campaign.id, after).await?;
         if let CampaignState::Cancelled { .. } = after {
             let why = "the campaign was cancelled";
-            context.take_back(campaign.id, why).await?;
+            context.revoke_leases(campaign.id, why).await?;
         }
         context.commit().await?;
         tracing::info!(campaign = %name, "the campaign is {}", after.name());
@@ -116,18 +116,18 @@ impl Queue {
     /// it, or the database fails. Local files that cannot be removed now are removed at the next
     /// start; remote ones by [`finish_removals`](Self::finish_removals).
     pub async fn delete_campaign(&self, name: &CampaignName) -> Result<Counts, QueueError> {
-        let _alone = self.campaigns.lock().await;
+        let _guard = self.campaigns.lock().await;
         let shared = &*self.shared;
         let mut context = Context::begin(shared, vec![Step::DeleteCampaign]).await?;
         let campaign = context.campaign_named(name).await?;
-        let counts = Counts::of(&mut context.tx, campaign.id).await?;
+        let counts = Counts::read(&mut context.tx, campaign.id).await?;
         if counts.leased > 0 {
             return Err(QueueError::CampaignInUse {
                 campaign: name.clone(),
                 leased: counts.leased,
             });
         }
-        let derived = derivations::of(&mut context.tx, campaign.id).await?;
+        let derived = derivations::derived_names(&mut context.tx, campaign.id).await?;
         if let Some(derived) = derived.first() {
             return Err(QueueError::GoneOnWith {
                 campaign: name.clone(),
@@ -135,14 +135,14 @@ impl Queue {
             });
         }
         let folder = artifacts::campaign_folder(&campaign.folder);
-        let is_large = counts.total() > PIECE as u64;
+        let is_large = counts.total() > JOBS_PER_BATCH as u64;
         if is_large {
-            passages::leave(&mut context.tx, campaign.id).await?;
+            passages::hide_deleted(&mut context.tx, campaign.id).await?;
         } else {
             campaigns::delete(&mut context.tx, campaign.id).await?;
             policies::remove_unused(&mut context.tx, campaign.policy_id).await?;
         }
-        context.cache.forget();
+        context.cache.clear();
         pending::note(&mut context.tx, &folder).await?;
         context.commit().await?;
         if is_large {
@@ -150,13 +150,13 @@ impl Queue {
         }
         tracing::warn!(campaign = %name, jobs = counts.total(), results = counts.committed,
         "the campaign was deleted");
-        removals::remove_here(shared, &folder).await?;
+        removals::remove_locally(shared, &folder).await?;
         Ok(counts)
     }
 }
 
 /// Wakes waiting claims and logs a campaign that was added with its jobs.
-fn created(shared: &Shared, new: &NewCampaign) -> Created {
+fn report_created(shared: &Shared, new: &NewCampaign) -> Created {
     let jobs = new.jobs.len() as u64;
     tracing::info!(campaign = %new.name, jobs, "campaign created");
     shared.work.notify_waiters();
@@ -168,7 +168,7 @@ fn created(shared: &Shared, new: &NewCampaign) -> Created {
 }
 
 /// Returns the error for changing a campaign that is cancelled or stopped.
-fn ended(campaign: &Campaign) -> QueueError {
+fn ended_error(campaign: &Campaign) -> QueueError {
     let name = campaign.name.clone();
     match campaign.state {
         CampaignState::Stopped { .. } => QueueError::Stopped { campaign: name },
@@ -177,7 +177,7 @@ fn ended(campaign: &Campaign) -> QueueError {
 }
 
 /// Refuses to change a campaign that is cancelled or stopped.
-pub(super) fn going_on(campaign: &Campaign) -> Result<(), QueueError> {
+pub(super) fn check_not_ended(campaign: &Campaign) -> Result<(), QueueError> {
     match campaign.state.is_over() {
         true => Err(ended(campaign)),
         false => Ok(()),
@@ -213,21 +213,21 @@ impl Context<'_> {
             return Err(QueueError::Unspecified {
                 campaign: new.name.clone(),
                 problem: format!(
-                    "`execution` is {}, and campaign `{name}` that it follows from ran under \
-                     {theirs}: write that",
+                    "`execution` is {}, but its source campaign `{name}` ran under {theirs}: write \
+                     {theirs}",
                     new.execution
                 ),
             });
         }
         let spec = campaigns::spec(&mut self.tx, source.id).await?;
         let spec = CampaignSpec::from_json(&spec).map_err(undecodable);
-        let spec = spec.doing("read what the campaign follows from")?;
+        let spec = spec.doing("read the specification of the source campaign")?;
         if let Rollouts::Variants(variants) = &spec.rollouts {
             return Err(QueueError::Unspecified {
                 campaign: new.name.clone(),
                 problem: format!(
-                    "campaign `{}` that it follows from is of {}, which has no axes to explain \
-                     and no thresholds: name one of LIBERO-CTRL",
+                    "its source campaign `{}` runs variants of {}, which have no axes to explain \
+                     and no thresholds: name a campaign of LIBERO-CTRL",
                     source.name, variants.benchmark
                 ),
             });
@@ -255,7 +255,7 @@ impl Context<'_> {
     /// Revokes a campaign's leases without a charge, including those of workers that were cut off
     /// and may reconnect. Each worker learns of it from the response to its next heartbeat. Returns
     /// the number of leases.
-    pub(super) async fn take_back(
+    pub(super) async fn revoke_leases(
         &mut self,
         campaign: CampaignId,
         why: &str,

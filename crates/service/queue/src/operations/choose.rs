@@ -27,13 +27,13 @@ pub struct ClaimRequest {
 }
 
 impl ClaimRequest {
-    pub(super) fn shows(&self, task: &str) -> bool {
+    pub(super) fn has_files_of(&self, task: &str) -> bool {
         !self.lacking_tasks.contains(task)
     }
 }
 
 /// A pending claim, to which no job is assigned yet.
-pub(super) struct Wanting<'a> {
+pub(super) struct PendingClaim<'a> {
     /// Index of the claim among those of the transaction.
     pub(super) place: usize,
     pub(super) request: &'a ClaimRequest,
@@ -46,30 +46,30 @@ pub(super) struct Wanting<'a> {
 impl Context<'_> {
     /// Assigns jobs of a campaign to claims: first jobs of warm tasks; then, for claims whose warm
     /// tasks have no job left, jobs of the tasks with the fewest leases. Removes served claims from
-    /// `wanting`.
+    /// `pending`.
     pub(super) async fn choose(
         &mut self,
         campaign: &Campaign,
-        wanting: &mut Vec<Wanting<'_>>,
+        pending: &mut Vec<PendingClaim<'_>>,
         room: usize,
     ) -> Result<Vec<(usize, Grant)>, StoreError> {
         let must_differ = self.able_machines(campaign).await? >= MIN_MACHINES_TO_QUARANTINE;
         let mut grants: Vec<(usize, Grant)> = Vec::new();
         let mut taken: BTreeSet<JobId> = BTreeSet::new();
         let mut tasks: Option<Vec<WaitingTask>> = None;
-        for asks in wanting.iter_mut() {
-            asks.exhausted.clone_from(&asks.request.lacking_tasks);
+        for claim in pending.iter_mut() {
+            claim.exhausted.clone_from(&claim.request.lacking_tasks);
         }
-        while grants.len() < room && !wanting.is_empty() {
-            let is_warm = |it: &Wanting<'_>| it.warm().is_some();
-            if tasks.is_none() && !wanting.iter().all(is_warm) {
+        while grants.len() < room && !pending.is_empty() {
+            let is_warm = |claim: &PendingClaim<'_>| claim.warm().is_some();
+            if tasks.is_none() && !pending.iter().all(is_warm) {
                 tasks = Some(claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?);
             }
-            let mut chosen: Vec<Option<String>> = Vec::with_capacity(wanting.len());
+            let mut chosen: Vec<Option<String>> = Vec::with_capacity(pending.len());
             let mut open = room - grants.len();
-            for asks in wanting.iter() {
+            for claim in pending.iter() {
                 let tasks = tasks.as_deref_mut().unwrap_or_default();
-                let task = (open > 0).then(|| asks.choose(tasks)).flatten();
+                let task = (open > 0).then(|| claim.choose(tasks)).flatten();
                 open -= usize::from(task.is_some());
                 chosen.push(task);
             }
@@ -81,14 +81,14 @@ impl Context<'_> {
             let demand = demand.into_iter();
             let mut candidates =
                 claims::candidates(&mut self.tx, campaign.id, demand, limit, self.now).await?;
-            let mut left = Vec::new();
-            for (place, mut asks) in wanting.drain(..).enumerate() {
+            let mut unserved = Vec::new();
+            for (place, mut claim) in pending.drain(..).enumerate() {
                 let Some(Some(task)) = chosen.get(place) else {
-                    left.push(asks);
+                    unserved.push(claim);
                     continue;
                 };
                 let suits = |job: &claims::Candidate| {
-                    !(taken.contains(&job.id) || must_differ && job.has_failed_on(asks.machine))
+                    !(taken.contains(&job.id) || must_differ && job.has_failed_on(claim.machine))
                 };
                 let waiting = candidates.get_mut(task);
                 let job = waiting.and_then(|jobs| {
@@ -96,32 +96,32 @@ impl Context<'_> {
                     jobs.remove(at)
                 });
                 let Some(job) = job else {
-                    asks.exhausted.insert(task.clone());
-                    left.push(asks);
+                    claim.exhausted.insert(task.clone());
+                    unserved.push(claim);
                     continue;
                 };
                 taken.insert(job.id);
-                grants.push((asks.place, self.grant(job.id, asks.request)));
+                grants.push((claim.place, self.grant(job.id, claim.request)));
             }
-            *wanting = left;
+            *pending = unserved;
         }
         Ok(grants)
     }
 
-    /// Assigns jobs of a campaign that may stop early, in its drawn order, regardless of the scenes
+    /// Assigns jobs of a campaign that may stop early, in its random order, regardless of the scenes
     /// that the slots hold. Only jobs up to the first gap in that order count, so the result of a
     /// job beyond a gap may be wasted.
     pub(super) async fn choose_in_order(
         &mut self,
         campaign: &Campaign,
-        wanting: &mut Vec<Wanting<'_>>,
+        pending: &mut Vec<PendingClaim<'_>>,
         room: usize,
     ) -> Result<Vec<(usize, Grant)>, StoreError> {
         let must_differ = self.able_machines(campaign).await? >= MIN_MACHINES_TO_QUARANTINE;
-        let limit = room.min(wanting.len()) + SPARE_CANDIDATES;
+        let limit = room.min(pending.len()) + SPARE_CANDIDATES;
         let mut tasks = claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?;
-        let shown = |task: &str| wanting.iter().any(|asks| asks.request.shows(task));
-        tasks.retain(|waiting| shown(&waiting.task));
+        let is_runnable = |task: &str| pending.iter().any(|claim| claim.request.has_files_of(task));
+        tasks.retain(|waiting| is_runnable(&waiting.task));
         let tasks = first_tasks(tasks, limit);
         let tasks = tasks.iter().map(String::as_str);
         let candidates =
@@ -132,24 +132,24 @@ impl Context<'_> {
             .collect();
         candidates.sort_by_key(|(_, job)| job.unit_order);
         let mut grants: Vec<(usize, Grant)> = Vec::new();
-        let mut left = Vec::new();
-        for asks in wanting.drain(..) {
-            let request = asks.request;
+        let mut unserved = Vec::new();
+        for claim in pending.drain(..) {
+            let request = claim.request;
             let suits = |(task, job): &(String, claims::Candidate)| {
-                request.shows(task) && !(must_differ && job.has_failed_on(asks.machine))
+                request.has_files_of(task) && !(must_differ && job.has_failed_on(claim.machine))
             };
             let found = match grants.len() < room {
                 true => candidates.iter().position(suits),
                 false => None,
             };
             let Some(found) = found else {
-                left.push(asks);
+                unserved.push(claim);
                 continue;
             };
             let (_, job) = candidates.remove(found);
-            grants.push((asks.place, self.grant(job.id, request)));
+            grants.push((claim.place, self.grant(job.id, request)));
         }
-        *wanting = left;
+        *pending = unserved;
         Ok(grants)
     }
 
@@ -158,14 +158,14 @@ impl Context<'_> {
     pub(super) async fn choose_lone(
         &mut self,
         campaign: &Campaign,
-        wanting: &mut Vec<Wanting<'_>>,
+        pending: &mut Vec<PendingClaim<'_>>,
     ) -> Result<Option<(usize, Grant, String)>, StoreError> {
         let must_differ = self.able_machines(campaign).await? >= MIN_MACHINES_TO_QUARANTINE;
         let waiting = claims::lone(&mut self.tx, campaign.id, SPARE_CANDIDATES, self.now).await?;
-        for (at, asks) in wanting.iter().enumerate() {
+        for (at, claim) in pending.iter().enumerate() {
             let suits = |lone: &&claims::Lone| {
-                asks.request.shows(&lone.task)
-                    && !(must_differ && lone.job.has_failed_on(asks.machine))
+                claim.request.has_files_of(&lone.task)
+                    && !(must_differ && lone.job.has_failed_on(claim.machine))
             };
             let Some(chosen) = waiting.iter().find(suits) else {
                 continue;
@@ -174,8 +174,8 @@ impl Context<'_> {
                 "rollout `{}` runs alone, because {} of its attempts lost the policy",
                 chosen.rollout_id, chosen.losses
             );
-            let granted = (asks.place, self.grant(chosen.job.id, asks.request), why);
-            wanting.remove(at);
+            let granted = (claim.place, self.grant(chosen.job.id, claim.request), why);
+            pending.remove(at);
             return Ok(Some(granted));
         }
         Ok(None)
@@ -191,7 +191,7 @@ impl Context<'_> {
     }
 }
 
-impl Wanting<'_> {
+impl PendingClaim<'_> {
     /// Returns the task whose scene the slot holds, unless that task is exhausted.
     fn warm(&self) -> Option<&str> {
         let warm = self.request.warm_task.as_deref();
@@ -204,11 +204,11 @@ impl Wanting<'_> {
         if let Some(warm) = self.warm() {
             return Some(warm.to_owned());
         }
-        let open = |it: &&WaitingTask| !self.exhausted.contains(&it.task);
-        let open: Vec<WaitingTask> = tasks.iter().filter(open).cloned().collect();
+        let is_open = |task: &&WaitingTask| !self.exhausted.contains(&task.task);
+        let open: Vec<WaitingTask> = tasks.iter().filter(is_open).cloned().collect();
         let chosen = choose_task(&open)?.task.clone();
         let counted = tasks.iter_mut().find(|task| task.task == chosen);
-        counted.into_iter().for_each(|it| it.leased += 1);
+        counted.into_iter().for_each(|task| task.leased += 1);
         Some(chosen)
     }
 }

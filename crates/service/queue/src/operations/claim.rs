@@ -7,7 +7,7 @@ use std::time::Duration;
 use libero_family::TaskKey;
 use rollout_types::{AttemptId, Pin};
 
-use super::choose::Wanting;
+use super::choose::PendingClaim;
 use super::context::Context;
 use super::error::QueueError;
 use crate::ids::{AttemptNumber, CampaignId, CampaignName, JobId, PolicyId, WorkerId};
@@ -68,7 +68,7 @@ impl Context<'_> {
         let standings = self.standings(requests).await?;
         let repeated = self.repeated(requests).await?;
         let mut answers = Vec::with_capacity(requests.len());
-        let mut wanting: Vec<(Pin, Vec<Wanting<'_>>)> = Vec::new();
+        let mut pending: Vec<(Pin, Vec<PendingClaim<'_>>)> = Vec::new();
         for (place, (request, _)) in requests.iter().enumerate() {
             let standing = match may_claim(&standings, &request.worker) {
                 Ok(standing) => standing,
@@ -85,44 +85,44 @@ impl Context<'_> {
             } else if let Some(reason) = self.shared.held() {
                 claimed.idle_reason = reason;
             } else {
-                let asks = Wanting {
+                let claim = PendingClaim {
                     place,
                     request,
                     machine: &standing.machine,
                     exhausted: BTreeSet::new(),
                 };
-                match wanting.iter_mut().find(|(pin, _)| *pin == standing.pin) {
-                    Some((_, others)) => others.push(asks),
-                    None => wanting.push((standing.pin.clone(), vec![asks])),
+                match pending.iter_mut().find(|(pin, _)| *pin == standing.pin) {
+                    Some((_, others)) => others.push(claim),
+                    None => pending.push((standing.pin.clone(), vec![claim])),
                 }
             }
             answers.push(Ok(claimed));
         }
-        for (pin, mut wanting) in wanting {
-            for (place, assigned) in self.lease_to(&pin, &mut wanting).await? {
+        for (pin, mut pending) in pending {
+            for (place, assigned) in self.lease_to(&pin, &mut pending).await? {
                 answers[place] = Ok(Claimed {
                     job: Some(assigned),
                     idle_reason: String::new(),
                 });
             }
-            if wanting.is_empty() {
+            if pending.is_empty() {
                 continue;
             }
             let idle_reason = self.idle_reason(&pin).await?;
-            let lacking = wanting
+            let is_lacking = pending
                 .iter()
-                .any(|left| !left.request.lacking_tasks.is_empty());
-            let waiting = match lacking {
+                .any(|claim| !claim.request.lacking_tasks.is_empty());
+            let waiting = match is_lacking {
                 true => self.waiting_tasks(&pin).await?,
                 false => Vec::new(),
             };
-            for left in wanting {
-                let absences = waiting
+            for claim in pending {
+                let missing = waiting
                     .iter()
-                    .filter_map(|(campaign, tasks)| absence(campaign, tasks, left.request));
+                    .filter_map(|(campaign, tasks)| missing_files(campaign, tasks, claim.request));
                 let reasons = Some(idle_reason.clone()).filter(|reason| !reason.is_empty());
-                let reasons: Vec<String> = reasons.into_iter().chain(absences).collect();
-                answers[left.place] = Ok(Claimed {
+                let reasons: Vec<String> = reasons.into_iter().chain(missing).collect();
+                answers[claim.place] = Ok(Claimed {
                     job: None,
                     idle_reason: reasons.join("; "),
                 });
@@ -136,12 +136,15 @@ impl Context<'_> {
         &mut self,
         requests: &[(&ClaimRequest, bool)],
     ) -> Result<BTreeMap<WorkerId, Standing>, StoreError> {
-        let asking: Vec<_> = requests.iter().map(|(it, _)| &it.worker).collect();
-        let standings = workers::standings(&mut self.tx, &asking).await?;
+        let claiming: Vec<_> = requests
+            .iter()
+            .map(|(request, _)| &request.worker)
+            .collect();
+        let standings = workers::standings(&mut self.tx, &claiming).await?;
         let new = requests.iter().filter(|(_, is_new)| *is_new);
-        let new: Vec<_> = new.map(|(it, _)| &it.worker).collect();
+        let new: Vec<_> = new.map(|(request, _)| &request.worker).collect();
         if !new.is_empty() {
-            workers::seen(&mut self.tx, &new, self.now).await?;
+            workers::record_calls(&mut self.tx, &new, self.now).await?;
         }
         Ok(standings)
     }
@@ -151,46 +154,47 @@ impl Context<'_> {
         &mut self,
         requests: &[(&ClaimRequest, bool)],
     ) -> Result<BTreeMap<String, LeasedJob>, StoreError> {
-        let claims: Vec<&str> = requests.iter().map(|(it, _)| it.claim.as_str()).collect();
+        let claims = requests.iter().map(|(request, _)| request.claim.as_str());
+        let claims: Vec<&str> = claims.collect();
         let leases = claims::repeated(&mut self.tx, &claims).await?;
         let by_claim = leases.into_iter().map(|job| (job.claim_id.clone(), job));
         Ok(by_claim.collect())
     }
 
     /// Grants leases to workers with the pin `pin`, in the order of `choose_campaign`. Removes
-    /// served claims from `wanting`.
+    /// served claims from `pending`.
     async fn lease_to(
         &mut self,
         pin: &Pin,
-        wanting: &mut Vec<Wanting<'_>>,
+        pending: &mut Vec<PendingClaim<'_>>,
     ) -> Result<Vec<(usize, Assigned)>, StoreError> {
         let mut assigned = Vec::new();
         // Campaigns with no more jobs for the remaining claims.
         let mut done: BTreeSet<CampaignId> = BTreeSet::new();
         let mut leased: Option<BTreeMap<CampaignId, u32>> = None;
-        while !wanting.is_empty() {
+        while !pending.is_empty() {
             // Read again after every campaign: a lease may be the probe that other campaigns of the
             // policy wait for.
             let waiting = self.cache.waiting(&mut self.tx).await?;
             let now = self.now;
-            let suits = |it: &&Campaign| {
-                it.state.may_lease()
-                    && it.takes(pin)
-                    && !done.contains(&it.id)
-                    && it.health.allowance(now) != Allowance::Nothing
+            let suits = |campaign: &&Campaign| {
+                campaign.state.may_lease()
+                    && campaign.takes(pin)
+                    && !done.contains(&campaign.id)
+                    && campaign.health.allowance(now) != Allowance::Nothing
             };
             let suitable: Vec<&Campaign> = waiting.iter().filter(suits).collect();
             if suitable.len() > 1 && leased.is_none() {
                 leased = Some(claims::leases(&mut self.tx).await?);
             }
-            let of = |it: &&Campaign| WaitingCampaign {
-                id: it.id,
-                priority: it.priority,
-                leased: leased.iter().filter_map(|all| all.get(&it.id)).sum(),
-                last_turn: self.cache.last_turn(it.id),
+            let to_choice = |campaign: &&Campaign| WaitingCampaign {
+                id: campaign.id,
+                priority: campaign.priority,
+                leased: leased.iter().filter_map(|all| all.get(&campaign.id)).sum(),
+                last_turn: self.cache.last_turn(campaign.id),
             };
-            let seen: Vec<WaitingCampaign> = suitable.iter().map(of).collect();
-            let Some((chosen, share)) = choose_campaign(&seen, wanting.len()) else {
+            let choices: Vec<WaitingCampaign> = suitable.iter().map(to_choice).collect();
+            let Some((chosen, share)) = choose_campaign(&choices, pending.len()) else {
                 break;
             };
             let Some(campaign) = suitable
@@ -204,12 +208,12 @@ impl Context<'_> {
                 Allowance::Probe => 1,
                 Allowance::Nothing => 0,
             };
-            let granted = self.lease_from(campaign, wanting, room).await?;
+            let granted = self.lease_from(campaign, pending, room).await?;
             if granted.len() < room {
                 done.insert(chosen);
             }
             if !granted.is_empty() {
-                self.cache.had_turn(chosen);
+                self.cache.count_turn(chosen);
             }
             if let Some(leased) = &mut leased {
                 let more = u32::try_from(granted.len()).unwrap_or(u32::MAX);
@@ -217,19 +221,19 @@ impl Context<'_> {
             }
             assigned.extend(granted);
         }
-        assigned.extend(self.lease_alone_to(pin, wanting).await?);
+        assigned.extend(self.lease_alone_to(pin, pending).await?);
         Ok(assigned)
     }
 
     /// Leases jobs that have repeatedly lost their policy, each as the policy's only lease. Removes
-    /// served claims from `wanting`.
+    /// served claims from `pending`.
     async fn lease_alone_to(
         &mut self,
         pin: &Pin,
-        wanting: &mut Vec<Wanting<'_>>,
+        pending: &mut Vec<PendingClaim<'_>>,
     ) -> Result<Vec<(usize, Assigned)>, StoreError> {
         let mut assigned = Vec::new();
-        if wanting.is_empty() {
+        if pending.is_empty() {
             return Ok(assigned);
         }
         let lone = claims::with_lone_jobs(&mut self.tx).await?;
@@ -242,7 +246,7 @@ impl Context<'_> {
             .iter()
             .filter(|candidate| lone.contains(&candidate.id))
         {
-            let may_lease = !wanting.is_empty()
+            let may_lease = !pending.is_empty()
                 && campaign.state.may_lease()
                 && campaign.takes(pin)
                 && campaign.health.allowance(self.now) != Allowance::Nothing
@@ -250,14 +254,14 @@ impl Context<'_> {
             if !may_lease || !policies::is_idle(&mut self.tx, campaign.policy_id).await? {
                 continue;
             }
-            let chosen = self.choose_lone(campaign, wanting).await?;
+            let chosen = self.choose_lone(campaign, pending).await?;
             if let Some((place, grant, why)) = chosen {
                 tried.insert(campaign.policy_id);
                 tracing::info!("policy `{}`: {why}", campaign.policy);
                 let probing = campaign.health.with_lone_probe(grant.attempt, why);
                 policies::set_health(&mut self.tx, campaign.policy_id, &probing).await?;
-                self.cache.forget_campaigns();
-                assigned.extend(self.hand_out(campaign, vec![(place, grant)]).await?);
+                self.cache.clear_campaigns();
+                assigned.extend(self.lease_jobs(campaign, vec![(place, grant)]).await?);
             }
         }
         Ok(assigned)
@@ -267,12 +271,12 @@ impl Context<'_> {
     async fn lease_from(
         &mut self,
         campaign: &Campaign,
-        wanting: &mut Vec<Wanting<'_>>,
+        pending: &mut Vec<PendingClaim<'_>>,
         room: usize,
     ) -> Result<Vec<(usize, Assigned)>, StoreError> {
         let grants = match campaign.is_drawn {
-            true => self.choose_in_order(campaign, wanting, room).await?,
-            false => self.choose(campaign, wanting, room).await?,
+            true => self.choose_in_order(campaign, pending, room).await?,
+            false => self.choose(campaign, pending, room).await?,
         };
         let Some((_, first)) = grants.first() else {
             return Ok(Vec::new());
@@ -280,13 +284,13 @@ impl Context<'_> {
         if campaign.health.state != PolicyState::Available {
             let probing = campaign.health.with_probe(first.attempt);
             policies::set_health(&mut self.tx, campaign.policy_id, &probing).await?;
-            self.cache.forget_campaigns();
+            self.cache.clear_campaigns();
         }
-        self.hand_out(campaign, grants).await
+        self.lease_jobs(campaign, grants).await
     }
 
     /// Leases the chosen jobs.
-    async fn hand_out(
+    async fn lease_jobs(
         &mut self,
         campaign: &Campaign,
         grants: Vec<(usize, Grant)>,
@@ -302,14 +306,14 @@ impl Context<'_> {
         let leased = claims::grant(&mut self.tx, &grants, term).await?;
         let mut leased: BTreeMap<JobId, LeasedJob> =
             leased.into_iter().map(|job| (job.id, job)).collect();
-        let handed_out = places
+        let assignments = places
             .into_iter()
             .zip(&grants)
             .filter_map(|(place, grant)| {
                 let job = leased.remove(&JobId(grant.job))?;
                 Some((place, assigned(campaign, job)))
             });
-        Ok(handed_out.collect())
+        Ok(assignments.collect())
     }
 
     /// Returns the reason why waiting jobs cannot go to a worker with this pin; empty if none wait.
@@ -358,13 +362,16 @@ impl Context<'_> {
 
 /// Describes the files that all waiting tasks of a campaign need and a worker lacks; `None` if
 /// nothing waits, or the worker has the files of a task.
-fn absence(
+fn missing_files(
     campaign: &CampaignName,
     waiting: &[WaitingTask],
     request: &ClaimRequest,
 ) -> Option<String> {
     let first = &waiting.first()?.task;
-    if waiting.iter().any(|waiting| request.shows(&waiting.task)) {
+    if waiting
+        .iter()
+        .any(|waiting| request.has_files_of(&waiting.task))
+    {
         return None;
     }
     let files = match TaskKey::files_of(first) {

@@ -59,7 +59,7 @@ impl Context<'_> {
             return Ok(Vec::new());
         }
         let attempts: Vec<AttemptId> = reports.iter().map(|report| report.attempt).collect();
-        let mut named = jobs::named(&mut self.tx, &attempts).await?;
+        let mut named = jobs::attempts_by_id(&mut self.tx, &attempts).await?;
         let mut accepted = Vec::new();
         let mut replies = Vec::with_capacity(reports.len());
         for report in reports {
@@ -84,7 +84,7 @@ impl Context<'_> {
             let attempts: Vec<_> = accepted.iter().map(|new| new.attempt).collect();
             jobs::mark_committed(&mut self.tx, &attempts).await?;
             let reporters: Vec<_> = accepted.iter().map(|new| &new.worker).collect();
-            workers::succeeded(&mut self.tx, &reporters, self.now).await?;
+            workers::record_successes(&mut self.tx, &reporters, self.now).await?;
             self.settles = true;
         }
         Ok(replies)
@@ -104,7 +104,7 @@ impl Context<'_> {
                 CommitJudgement::Accept => return self.accept(attempt, report, accepted).await,
                 CommitJudgement::Duplicate => CommitReply {
                     verdict: CommitVerdict::Duplicate,
-                    detail: "this outcome is stored already".to_owned(),
+                    detail: "this outcome is already stored".to_owned(),
                 },
                 CommitJudgement::Divergent => {
                     let (origin, _) = self.cache.origin(&mut self.tx, &report.provenance).await?;
@@ -137,7 +137,8 @@ impl Context<'_> {
             let detail = format!("campaign `{name}` {demand} and this result is of {from}");
             // Not charged if another result pinned the campaign after this lease was granted.
             let lease = attempt.job.lease_of(attempt.id.0);
-            let reason = match lease.is_some_and(|it| campaign.pinned_ms >= Some(it.granted)) {
+            let reason = match lease.is_some_and(|lease| campaign.pinned_ms >= Some(lease.granted))
+            {
                 true => FailureReason::Unsuited,
                 false => FailureReason::Unpaired,
             };
@@ -162,7 +163,8 @@ impl Context<'_> {
             .cache
             .measured(&mut self.tx, campaign.id, suite)
             .await?;
-        if let Some(difference) = measured.and_then(|it| report.provenance.other_policy(&it)) {
+        let difference = measured.and_then(|pinned| report.provenance.other_policy(&pinned));
+        if let Some(difference) = difference {
             let name = &campaign.name;
             let detail = format!(
                 "another policy answers than the one that campaign `{name}` has measured in \
@@ -209,7 +211,7 @@ impl Context<'_> {
         }
         if !campaign.is_pinned() {
             campaigns::pin(&mut self.tx, campaign.id, from, self.now).await?;
-            self.cache.forget_campaigns();
+            self.cache.clear_campaigns();
         }
         // Later results are compared with this one.
         self.cache.add_measured(campaign.id, suite, &result.origin);

@@ -24,7 +24,7 @@ use crate::store::{StoreError, Tx, jobs, policies, workers};
 
 /// Longest time after a policy's pause for which a job that could not reach the policy yields to
 /// other jobs. Workers may claim a few seconds after the pause ends.
-const GIVES_WAY: Duration = Duration::from_secs(10);
+const MAX_YIELD: Duration = Duration::from_secs(10);
 
 /// The writing transaction, rolled back on drop.
 pub(crate) struct Context<'a> {
@@ -39,9 +39,9 @@ pub(crate) struct Context<'a> {
 
 /// Rewrites an error for use after the name of its policy: replaces a leading "policy `bad` at
 /// ADDRESS" by "it".
-fn after_the_name<'e>(policy: &str, error: &'e str) -> Cow<'e, str> {
-    let named = error.strip_prefix(&format!("policy `{policy}` at "));
-    match named.and_then(|rest| rest.split_once(' ')) {
+fn without_policy_name<'e>(policy: &str, error: &'e str) -> Cow<'e, str> {
+    let address_first = error.strip_prefix(&format!("policy `{policy}` at "));
+    match address_first.and_then(|rest| rest.split_once(' ')) {
         Some((_, rest)) => format!("it {rest}").into(),
         None => error.into(),
     }
@@ -105,7 +105,7 @@ impl<'a> Context<'a> {
         attempt: &NamedAttempt,
     ) -> Result<Option<Lease>, StoreError> {
         let cut_off = attempt.cut_off.as_ref();
-        let Some(lease) = cut_off.and_then(|it| attempt.job.resumes(it, self.now)) else {
+        let Some(lease) = cut_off.and_then(|cut_off| attempt.job.resumes(cut_off, self.now)) else {
             return Ok(None);
         };
         if self.campaign(attempt.of.campaign).await?.state.is_over() {
@@ -113,7 +113,8 @@ impl<'a> Context<'a> {
         }
         let expires = self.now.plus(self.shared.timing.lease);
         jobs::resume(&mut self.tx, attempt.job.id, lease, expires).await?;
-        tracing::info!(attempt = %attempt.id.0, "worker `{}` is back with it", lease.owner);
+        let owner = &lease.owner;
+        tracing::info!(attempt = %attempt.id.0, "worker `{owner}` resumes the attempt");
         Ok(Some(Lease {
             expires: expires.min(lease.ceiling),
             ..lease.clone()
@@ -143,7 +144,7 @@ impl<'a> Context<'a> {
             reason,
             FailureReason::PolicyUnavailable | FailureReason::PolicyLost
         );
-        let why = after_the_name(&campaign.policy, error);
+        let why = without_policy_name(&campaign.policy, error);
         let after = self.shared.decide(|rng| match reason {
             _ if is_outage => before.after_outage(id, lease.granted, &why, now, rng),
             FailureReason::PolicyMisbehaved => before.after_misbehaviour(id, &why, now, rng),
@@ -156,7 +157,7 @@ impl<'a> Context<'a> {
             (is_outage && before.is_probe(id), &after.state, &mut then)
         {
             // Lets another waiting job be the policy's next probe.
-            let wait = resume.since(now).clamp(Waits::USUAL.first, GIVES_WAY);
+            let wait = resume.since(now).clamp(Waits::USUAL.first, MAX_YIELD);
             *not_before = (*not_before).max(resume.plus(wait));
         }
         let reason = reason.before(then);
@@ -200,7 +201,7 @@ impl<'a> Context<'a> {
         });
         workers::set_strike(&mut self.tx, worker, strike, stop.as_deref()).await?;
         if let Some(reason) = &stop {
-            tracing::error!(%worker, "this worker leases no more: {reason}");
+            tracing::error!(%worker, "this worker must stop leasing: {reason}");
         }
         Ok(stop)
     }
@@ -227,7 +228,7 @@ impl<'a> Context<'a> {
         if after.allowance(self.now) != Allowance::Nothing {
             self.shared.work.notify_waiters();
         }
-        self.cache.forget_campaigns();
+        self.cache.clear_campaigns();
         policies::set_health(&mut self.tx, campaign.policy_id, after).await
     }
 }
@@ -250,7 +251,7 @@ mod tests {
             ),
             ("connection refused", "connection refused"),
         ] {
-            assert_eq!(after_the_name("bad", error), expected);
+            assert_eq!(without_policy_name("bad", error), expected);
         }
     }
 }

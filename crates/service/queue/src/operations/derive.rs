@@ -21,7 +21,7 @@ use super::context::Context;
 use super::shared::Shared;
 use crate::expand::NewJob;
 use crate::ids::CampaignId;
-use crate::rules::explanation::{self, Wanted};
+use crate::rules::explanation::{self, Addition};
 use crate::store::campaigns;
 use crate::store::derivations::{self, Derived, SourceEdition};
 use crate::store::failpoint::Step;
@@ -55,7 +55,7 @@ struct Inputs {
 }
 
 impl Inputs {
-    fn at(campaign: &Derived) -> Self {
+    fn of_campaign(campaign: &Derived) -> Self {
         Self {
             jobs: campaign.jobs,
             revision: campaign.revision,
@@ -82,7 +82,7 @@ pub(crate) async fn run(shared: Arc<Shared>) {
             tokio::time::sleep(PAUSE_AFTER_FAILURE).await;
             continue;
         }
-        shared.settled.look_ended(ended);
+        shared.settled.mark_processed(ended);
         tokio::time::sleep(pause_after(began.elapsed())).await;
         // Never closes: the sender belongs to the same queue.
         let _ = settled.changed().await;
@@ -96,17 +96,17 @@ async fn pass(shared: &Shared, passes: &mut Passes) -> Result<(), StoreError> {
     let campaigns = derivations::all(&mut view).await?;
     let is_source = |id: &CampaignId| campaigns.iter().any(|campaign| campaign.source == *id);
     passes.sources.retain(|id, _| is_source(id));
-    let is_here = |id: &CampaignId| campaigns.iter().any(|campaign| campaign.campaign == *id);
-    passes.complete.retain(|id, _| is_here(id));
+    let is_derived = |id: &CampaignId| campaigns.iter().any(|campaign| campaign.campaign == *id);
+    passes.complete.retain(|id, _| is_derived(id));
     for campaign in campaigns {
-        let inputs = Inputs::at(&campaign);
+        let inputs = Inputs::of_campaign(&campaign);
         // Transitions and known radii are final only when every rollout of the source that will
         // ever have an outcome has one.
         if campaign.unsettled > 0 || passes.complete.get(&campaign.campaign) == Some(&inputs) {
             continue;
         }
         let source = source_records(&mut view, &campaign, &mut passes.sources).await?;
-        let jobs = following(&mut view, &campaign, source).await?;
+        let jobs = derived_jobs(&mut view, &campaign, source).await?;
         match jobs.is_empty() {
             true => drop(passes.complete.insert(campaign.campaign, inputs)),
             false => additions.push((campaign, jobs)),
@@ -123,15 +123,15 @@ async fn pass(shared: &Shared, passes: &mut Passes) -> Result<(), StoreError> {
 /// since they were computed; the next pass then computes them for its new state.
 async fn add(shared: &Shared, campaign: &Derived, jobs: &[NewJob]) -> Result<(), StoreError> {
     let mut context = Context::begin(shared, vec![Step::Derive]).await?;
-    if !derivations::is_as_it_was(&mut context.tx, campaign).await? {
+    if !derivations::is_unchanged(&mut context.tx, campaign).await? {
         return Ok(());
     }
     let id = campaign.campaign;
     derivations::append(&mut context.tx, id, jobs).await?;
     let name = context.campaign(id).await?.name.clone();
-    context.cache.forget_campaigns();
+    context.cache.clear_campaigns();
     context.commit().await?;
-    tracing::info!(campaign = %name, jobs = jobs.len(), "further rollouts follow");
+    tracing::info!(campaign = %name, jobs = jobs.len(), "added derived rollouts");
     shared.work.notify_waiters();
     Ok(())
 }
@@ -140,7 +140,7 @@ async fn add(shared: &Shared, campaign: &Derived, jobs: &[NewJob]) -> Result<(),
 type Rollout = (ManifestRow, u32);
 
 /// Computes the jobs that derive from the known outcomes.
-async fn following(
+async fn derived_jobs(
     tx: &mut SqliteConnection,
     campaign: &Derived,
     source: Arc<Vec<Record>>,
@@ -159,12 +159,13 @@ async fn following(
         NewJob::new(&row.under(&spec.execution), replicate, place)
     });
     let jobs: Result<_, _> = jobs.collect();
-    jobs.map_err(undecodable).doing("write a rollout's row")
+    jobs.map_err(undecodable)
+        .doing("write a derived rollout's row")
 }
 
 pub(super) fn specification(text: &str) -> Result<CampaignSpec, StoreError> {
     let spec = CampaignSpec::from_json(text).map_err(undecodable);
-    spec.doing("read the specification of what follows from outcomes")
+    spec.doing("read the specification of a derived campaign")
 }
 
 /// Computes the subsets of axes to run in order to explain a transition.
@@ -174,8 +175,9 @@ async fn subsets(
     [source, own]: [Arc<Vec<Record>>; 2],
     explanation: Explanation,
 ) -> Result<Vec<Rollout>, StoreError> {
-    let wanted = aside(move || explanation::wanted(&source, &own, &explanation)).await;
-    let ids: BTreeSet<String> = wanted
+    let additions =
+        on_blocking_thread(move || explanation::additions(&source, &own, &explanation)).await;
+    let ids: BTreeSet<String> = additions
         .iter()
         .map(|rollouts| rollouts.simultaneous.to_string())
         .collect();
@@ -188,11 +190,11 @@ async fn subsets(
         .doing("read the rollouts to explain")?;
     let rows: BTreeMap<_, _> = rows.iter().map(|row| (row.id, row)).collect();
     let mut rollouts = Vec::new();
-    for Wanted {
+    for Addition {
         simultaneous,
         axes,
         replicates,
-    } in wanted
+    } in additions
     {
         let row = rows.get(&simultaneous).copied();
         let row = row
@@ -203,7 +205,7 @@ async fn subsets(
             false => row
                 .only(axes)
                 .map_err(undecodable)
-                .doing("perturb some axes only")?,
+                .doing("restrict a row to some axes")?,
         };
         rollouts.extend(replicates.map(|replicate| (row.clone(), replicate)));
     }
@@ -221,7 +223,7 @@ async fn radii(
     let Rollouts::Design(design) = specification(&spec)?.rollouts else {
         return Ok(Vec::new());
     };
-    let rollouts = aside(move || {
+    let rollouts = on_blocking_thread(move || {
         let plan = Measurement::of(&source, &own, &thresholds).plan();
         let rollout = |(ray, level): (Ray, Level)| {
             let row = design.row_at(ray.task, ray.condition, level, ray.config);
@@ -230,7 +232,7 @@ async fn radii(
         plan.into_iter().map(rollout).collect::<Result<_, _>>()
     });
     let rollouts = rollouts.await.map_err(undecodable);
-    rollouts.doing("perturb at another radius")
+    rollouts.doing("derive rows at other radii")
 }
 
 /// Returns the records of a campaign's source, all of whose rollouts are settled. The records are
@@ -241,8 +243,8 @@ async fn source_records(
     sources: &mut BTreeMap<CampaignId, (SourceEdition, Arc<Vec<Record>>)>,
 ) -> Result<Arc<Vec<Record>>, StoreError> {
     let edition = campaign.source_edition;
-    if let Some((of, records)) = sources.get(&campaign.source)
-        && *of == edition
+    if let Some((cached, records)) = sources.get(&campaign.source)
+        && *cached == edition
     {
         return Ok(records.clone());
     }
@@ -257,7 +259,7 @@ async fn read_source(
     campaign: &Derived,
 ) -> Result<Vec<Record>, StoreError> {
     let all = records(tx, campaign.source).await?;
-    let counted = match stops::of(tx, campaign.source).await? {
+    let counted = match stops::early_stop(tx, campaign.source).await? {
         Some(EarlyStop {
             stop,
             used: Some(_),
@@ -274,15 +276,15 @@ pub(super) async fn records(
     campaign: CampaignId,
 ) -> Result<Vec<Record>, StoreError> {
     let rows = derivations::outcomes(tx, campaign).await?;
-    let read = move || rows.iter().map(OutcomeRow::record).collect();
-    let records: Result<_, UnknownName> = aside(read).await;
+    let parse = move || rows.iter().map(OutcomeRow::record).collect();
+    let records: Result<_, UnknownName> = on_blocking_thread(parse).await;
     let records = records.map_err(undecodable);
-    records.doing("read the outcomes that a campaign follows from")
+    records.doing("read the outcomes of a source campaign")
 }
 
 /// Runs a computation on a blocking thread, not on one that answers calls: a computation over a
 /// whole campaign takes tens of milliseconds or more.
-pub(super) async fn aside<T: Send + 'static>(
+pub(super) async fn on_blocking_thread<T: Send + 'static>(
     computation: impl FnOnce() -> T + Send + 'static,
 ) -> T {
     match tokio::task::spawn_blocking(computation).await {
@@ -347,7 +349,7 @@ mod tests {
         assert!(after.campaign > before.campaign, "no number is given twice");
 
         let added = add(&queue.shared, &before, &source.jobs).await;
-        added.expect("nothing to do");
+        added.expect("no job is added");
         assert_eq!(derived().await.jobs, 0);
         add(&queue.shared, &after, &source.jobs)
             .await
@@ -357,7 +359,7 @@ mod tests {
         // Adds the same jobs again, as if a concurrent pass had added them first.
         add(&queue.shared, &after, &source.jobs)
             .await
-            .expect("nothing to do");
+            .expect("no job is added");
         assert_eq!(derived().await.jobs, jobs);
     }
 }

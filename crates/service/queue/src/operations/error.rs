@@ -19,7 +19,7 @@ pub enum QueueError {
     )]
     UnknownAttempt { attempt: AttemptId },
     #[error(
-        "find campaign `{campaign}`: this coordinator has no such campaign; `coordinator campaign list` shows what it has"
+        "find campaign `{campaign}`: this coordinator has no such campaign; `coordinator campaign list` lists its campaigns"
     )]
     UnknownCampaign { campaign: CampaignName },
     #[error("find campaign `{campaign}`: it was renamed and is called `{now}`")]
@@ -56,7 +56,7 @@ pub enum QueueError {
     #[error("change campaign `{campaign}`: it is cancelled, which is final; create another")]
     Cancelled { campaign: CampaignName },
     #[error(
-        "change campaign `{campaign}`: it stopped early, as its rule says, which is final; create another without `stop` to run the rest"
+        "change campaign `{campaign}`: it stopped early because its stop rule was met, which is final; create another without `stop` to run the rest"
     )]
     Stopped { campaign: CampaignName },
     #[error(
@@ -64,7 +64,7 @@ pub enum QueueError {
     )]
     CampaignInUse { campaign: CampaignName, leased: u64 },
     #[error(
-        "delete campaign `{campaign}`: campaign `{derived}` follows from it; delete that one first"
+        "delete campaign `{campaign}`: campaign `{derived}` is derived from it; delete that one first"
     )]
     GoneOnWith {
         campaign: CampaignName,
@@ -92,7 +92,7 @@ pub enum QueueError {
         problem: NotMeasurable,
     },
     #[error(
-        "find `{job}`: campaign `{campaign}` has no such rollout; `coordinator jobs list {campaign}` shows what it has"
+        "find `{job}`: campaign `{campaign}` has no such rollout; `coordinator jobs list {campaign}` lists its rollouts"
     )]
     UnknownRollout {
         campaign: CampaignName,

@@ -1,4 +1,4 @@
-//! Number of videos that each worker is drawing or sending, as reported by its last heartbeat. Kept
+//! Number of videos that each worker renders or uploads, as reported by its last heartbeat. Kept
 //! in memory only; after a restart the next heartbeat reports it again.
 
 use std::collections::BTreeMap;
@@ -14,25 +14,25 @@ pub(crate) struct Filming(Mutex<BTreeMap<WorkerId, (u32, UnixMillis)>>);
 impl Filming {
     /// Records the number of videos that a worker's heartbeat reports. Drops workers whose last
     /// report is older than `alive_since`.
-    pub(crate) fn heard(
+    pub(crate) fn record(
         &self,
         worker: &WorkerId,
         videos: u32,
         now: UnixMillis,
         alive_since: UnixMillis,
     ) {
-        let mut heard = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        heard.retain(|id, (_, at)| id != worker && *at >= alive_since);
+        let mut reports = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        reports.retain(|id, (_, at)| id != worker && *at >= alive_since);
         if videos > 0 {
-            heard.insert(worker.clone(), (videos, now));
+            reports.insert(worker.clone(), (videos, now));
         }
     }
 
     /// Returns the numbers of videos, by worker; workers without any are left out.
     pub(crate) fn by_worker(&self) -> BTreeMap<WorkerId, u32> {
-        let heard = self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        let heard = heard.iter();
-        heard
+        let reports = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let reports = reports.iter();
+        reports
             .map(|(id, (videos, _))| (id.clone(), *videos))
             .collect()
     }
@@ -43,16 +43,16 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_worker_is_forgotten_once_it_has_no_video_or_has_gone() {
+    fn workers_without_videos_or_recent_reports_are_dropped() {
         let filming = Filming::default();
         let id = |name: &str| WorkerId(name.to_owned());
-        let hear = |name: &str, videos, now| {
-            filming.heard(&id(name), videos, UnixMillis(now), UnixMillis(now - 30));
+        let report = |name: &str, videos, now| {
+            filming.record(&id(name), videos, UnixMillis(now), UnixMillis(now - 30));
             filming.by_worker()
         };
-        hear("a", 2, 100);
-        assert_eq!(hear("b", 1, 110), [(id("a"), 2), (id("b"), 1)].into());
-        assert_eq!(hear("b", 0, 120), [(id("a"), 2)].into());
-        assert_eq!(hear("c", 0, 140), [].into());
+        report("a", 2, 100);
+        assert_eq!(report("b", 1, 110), [(id("a"), 2), (id("b"), 1)].into());
+        assert_eq!(report("b", 0, 120), [(id("a"), 2)].into());
+        assert_eq!(report("c", 0, 140), [].into());
     }
 }

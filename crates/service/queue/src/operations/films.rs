@@ -11,7 +11,7 @@ use paired::{Record, Records, Transition};
 use rollout_types::Pin;
 use sqlx::SqliteConnection;
 
-use super::derive::{aside, records, specification};
+use super::derive::{on_blocking_thread, records, specification};
 use super::error::QueueError;
 use crate::ids::{CampaignId, JobId};
 use crate::queue::Queue;
@@ -29,33 +29,31 @@ impl Queue {
     /// If the database fails.
     pub async fn next_film(&self, pin: &Pin) -> Result<Option<(Film, u64)>, QueueError> {
         let films = &self.shared.films;
-        let looking = films.looking.lock().await;
-        films.look_begins();
+        let scanning = films.scanning.lock().await;
+        films.scan_begins();
         let mut view = self.shared.store.read().await?;
         let campaigns = films::filmed_campaigns(&mut view, pin).await?;
-        for of in films.outdated(&campaigns, Instant::now()) {
-            let began = Instant::now();
-            let rows = films::filmable(&mut view, of.campaign).await?;
-            let wanting = match of.source {
-                Some(source) => {
-                    wanting_of_explanation(&mut view, [source, of.campaign], rows).await?
-                }
-                None => aside(move || wanting_films(&rows)).await?,
+        for outdated in films.outdated(&campaigns, Instant::now()) {
+            let (began, campaign) = (Instant::now(), outdated.campaign);
+            let rows = films::filmable(&mut view, campaign).await?;
+            let unfilmed = match outdated.source {
+                Some(source) => unfilmed_illustrations(&mut view, [source, campaign], rows).await?,
+                None => on_blocking_thread(move || unfilmed_transitions(&rows)).await?,
             };
-            films.found(of, wanting, began, began.elapsed());
+            films.scanned(outdated, unfilmed, began, began.elapsed());
         }
-        drop(looking);
-        let Some((job, left)) = films.take(&campaigns, self.now()) else {
+        drop(scanning);
+        let Some((job, unfilmed)) = films.take(&campaigns, self.now()) else {
             return Ok(None);
         };
         let film = films::film(&mut view, job).await?;
-        Ok(Some((film, left)))
+        Ok(Some((film, unfilmed)))
     }
 }
 
 /// Returns the rollouts that show a campaign's explanations and have no video yet; empty for a
 /// campaign that measures thresholds.
-async fn wanting_of_explanation(
+async fn unfilmed_illustrations(
     view: &mut SqliteConnection,
     [source, own]: [CampaignId; 2],
     rows: Vec<FilmableRow>,
@@ -66,28 +64,31 @@ async fn wanting_of_explanation(
     };
     let source = records(view, source).await?;
     let own = records(view, own).await?;
-    let wanting = aside(move || {
-        let telling = explanation::telling(&source, &own, &explanation);
-        let telling: BTreeSet<(String, u32)> = telling
+    let unfilmed = on_blocking_thread(move || {
+        let illustrative = explanation::illustrative(&source, &own, &explanation);
+        let illustrative: BTreeSet<(String, u32)> = illustrative
             .into_iter()
             .map(|(id, replicate)| (id.to_string(), replicate))
             .collect();
-        let is_telling =
-            |row: &FilmableRow| telling.contains(&(row.job.rollout_id.clone(), row.job.replicate));
-        let wanting = rows.iter().filter(|row| row.is_wanting && is_telling(row));
-        wanting.map(|row| row.job_id).collect()
+        let is_illustrative = |row: &FilmableRow| {
+            illustrative.contains(&(row.job.rollout_id.clone(), row.job.replicate))
+        };
+        let unfilmed = rows
+            .iter()
+            .filter(|row| row.lacks_video && is_illustrative(row));
+        unfilmed.map(|row| row.job_id).collect()
     });
-    Ok(wanting.await)
+    Ok(unfilmed.await)
 }
 
 /// Returns the rollouts of changed configurations that have no video yet.
-fn wanting_films(rows: &[FilmableRow]) -> Result<Vec<JobId>, StoreError> {
+fn unfilmed_transitions(rows: &[FilmableRow]) -> Result<Vec<JobId>, StoreError> {
     let records: Result<Vec<Record>, _> = rows.iter().map(|row| row.job.record()).collect();
     let records = records.map_err(undecodable);
-    let records = records.doing("look for rollouts to film")?;
+    let records = records.doing("find rollouts to film")?;
     // The schema guarantees one job per rollout and replicate.
     let matched = Records::new(&records).map_err(undecodable);
-    let matched = matched.doing("look for rollouts to film")?;
+    let matched = matched.doing("find rollouts to film")?;
     // A unit's perturbed rollouts share level and configuration, and share the initial state with
     // its nominal rollout.
     let mut perturbed = BTreeSet::new();
@@ -99,16 +100,16 @@ fn wanting_films(rows: &[FilmableRow]) -> Result<Vec<JobId>, StoreError> {
             nominal.insert((unit.replicate, unit.task, unit.init_id));
         }
     }
-    let is_of_changed = |record: &Record| match record.id.config() {
+    let is_of_transition = |record: &Record| match record.id.config() {
         Some(config) => {
             let (task, level) = (record.id.task(), record.id.level());
             perturbed.contains(&(record.replicate, task, level, config))
         }
         None => nominal.contains(&(record.replicate, record.id.task(), record.init_id)),
     };
-    let wanting = rows
+    let unfilmed = rows
         .iter()
         .zip(&records)
-        .filter(|(row, record)| row.is_wanting && is_of_changed(record));
-    Ok(wanting.map(|(row, _)| row.job_id).collect())
+        .filter(|(row, record)| row.lacks_video && is_of_transition(record));
+    Ok(unfilmed.map(|(row, _)| row.job_id).collect())
 }

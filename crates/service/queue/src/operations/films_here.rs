@@ -39,7 +39,7 @@ impl Queue {
     /// If the folder or the database cannot be read.
     pub async fn films_here(&self) -> Result<Vec<FilmHere>, StoreError> {
         let found = walk(self.store().folder()).map_err(sqlx::Error::Io);
-        let found = found.doing("list the films in the data folder")?;
+        let found = found.doing("list the videos in the data folder")?;
         if found.is_empty() {
             return Ok(found);
         }
@@ -55,7 +55,7 @@ impl Queue {
     /// # Errors
     /// If the film cannot be removed.
     pub async fn forget_film(&self, film: &FilmHere) -> io::Result<Forgotten> {
-        let _alone = self.shared.files.lock().await;
+        let _guard = self.shared.files.lock().await;
         match identity(&film.file) {
             Ok(now) if now == film.identity => {
                 std::fs::remove_file(&film.file).map(|()| Forgotten::Gone)
@@ -70,12 +70,12 @@ impl Queue {
     /// created and deleted meanwhile, because remote storage may be slow or unavailable. Concurrent
     /// calls run one after the other.
     pub async fn finish_removals(&self) -> Result<(), StoreError> {
-        let _alone = self.removing.lock().await;
+        let _guard = self.removing.lock().await;
         // A campaign being imported has its folder marked for removal until it is complete. This
         // lock excludes imports, and no campaign ever gets a folder that is marked.
-        let arriving = self.campaigns.lock().await;
+        let no_imports = self.campaigns.lock().await;
         let pending = removals::pending(&self.shared).await?;
-        drop(arriving);
+        drop(no_imports);
         for folder in pending {
             removals::remove(&self.shared, &folder).await?;
         }

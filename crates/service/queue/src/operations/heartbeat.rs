@@ -33,10 +33,11 @@ impl Context<'_> {
             .map(|heartbeat| &heartbeat.worker)
             .collect();
         let standings = workers::standings(&mut self.tx, &workers).await?;
-        workers::beat(&mut self.tx, &workers, self.now).await?;
-        let progress = heartbeats.iter().flat_map(|it| {
-            it.progress.iter().map(|(attempt, control_steps)| Progress {
-                worker: &it.worker.0,
+        workers::record_heartbeats(&mut self.tx, &workers, self.now).await?;
+        let progress = heartbeats.iter().flat_map(|heartbeat| {
+            let attempts = heartbeat.progress.iter();
+            attempts.map(|(attempt, control_steps)| Progress {
+                worker: &heartbeat.worker.0,
                 attempt: *attempt,
                 control_steps: *control_steps,
             })
@@ -44,17 +45,17 @@ impl Context<'_> {
         let progress: Vec<Progress<'_>> = progress.collect();
         let expires = self.now.plus(self.shared.timing.lease);
         let mut held = jobs::renew(&mut self.tx, &progress, expires).await?;
-        if self.resume_those_cut_off(&progress, &held).await? {
+        if self.resume_cut_off_leases(&progress, &held).await? {
             held = jobs::renew(&mut self.tx, &progress, expires).await?;
         }
-        self.hear_probes(&progress, &held).await?;
-        let answer = |it: &&Heartbeat| {
-            if !standings.contains_key(&it.worker) {
+        self.mark_answered_policies(&progress, &held).await?;
+        let answer = |heartbeat: &&Heartbeat| {
+            if !standings.contains_key(&heartbeat.worker) {
                 return Err(QueueError::UnknownWorker {
-                    worker: it.worker.clone(),
+                    worker: heartbeat.worker.clone(),
                 });
             }
-            let attempts = it.progress.iter().map(|(attempt, _)| *attempt);
+            let attempts = heartbeat.progress.iter().map(|(attempt, _)| *attempt);
             Ok(attempts.filter(|attempt| !held.contains(attempt)).collect())
         };
         Ok(heartbeats.iter().map(answer).collect())
@@ -62,7 +63,7 @@ impl Context<'_> {
 
     /// Restores leases of workers that were cut off if their heartbeats name them again. Returns
     /// true if any lease was restored.
-    async fn resume_those_cut_off(
+    async fn resume_cut_off_leases(
         &mut self,
         progress: &[Progress<'_>],
         held: &BTreeSet<AttemptId>,
@@ -76,11 +77,11 @@ impl Context<'_> {
             return Ok(false);
         }
         let ids: Vec<AttemptId> = lost.iter().map(|(attempt, _)| *attempt).collect();
-        let named = jobs::named(&mut self.tx, &ids).await?;
+        let named = jobs::attempts_by_id(&mut self.tx, &ids).await?;
         let mut has_resumed = false;
         for (attempt, worker) in lost {
-            let named = named.get(&attempt).filter(|it| it.worker.0 == worker);
-            if let Some(named) = named {
+            let named = named.get(&attempt);
+            if let Some(named) = named.filter(|attempt| attempt.worker.0 == worker) {
                 has_resumed |= self.resume(named).await?.is_some();
             }
         }
@@ -89,14 +90,14 @@ impl Context<'_> {
 
     /// Marks the policy of a probe as available once the probe is past the settling steps, because
     /// later steps need an answer of the policy.
-    async fn hear_probes(
+    async fn mark_answered_policies(
         &mut self,
         progress: &[Progress<'_>],
         held: &BTreeSet<AttemptId>,
     ) -> Result<(), StoreError> {
         for probe in policies::probes(&mut self.tx).await? {
-            let is_answered = |it: &Progress<'_>| is_answer(it, &probe);
-            if held.contains(&probe.attempt) && progress.iter().any(is_answered) {
+            let is_past_settling = |report: &Progress<'_>| is_answer(report, &probe);
+            if held.contains(&probe.attempt) && progress.iter().any(is_past_settling) {
                 let campaign = self.campaign(probe.campaign).await?;
                 let after = campaign.health.after_answer(probe.attempt.0, self.now);
                 self.set_health(&campaign, &after).await?;

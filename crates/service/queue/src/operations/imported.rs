@@ -12,8 +12,8 @@ use libero_family::TaskKey;
 use rollout_types::Realised;
 use sqlx::SqliteConnection;
 
-use super::derive::aside;
-use super::passages::PIECE;
+use super::derive::on_blocking_thread;
+use super::passages::JOBS_PER_BATCH;
 use crate::ids::{CampaignId, JobId, NameError, WorkerId, shortened};
 use crate::store::imported::{self, StoredRow};
 use crate::store::portable;
@@ -89,7 +89,7 @@ pub(super) async fn contradiction(
         }
     }
     let spec = spec.to_owned();
-    let expansion = match aside(move || expand(&spec)).await {
+    let expansion = match on_blocking_thread(move || expand(&spec)).await {
         Ok(expansion) => Arc::new(expansion),
         Err(error) => return Ok(Some(error.into())),
     };
@@ -101,11 +101,11 @@ pub(super) async fn contradiction(
             return Ok(Some(RowsError::Expansion { found, expected }));
         }
     }
-    for piece in jobs.chunks(PIECE) {
-        let rows = imported::rows_of(view, piece).await?;
+    for batch in jobs.chunks(JOBS_PER_BATCH) {
+        let rows = imported::rows_of(view, batch).await?;
         let expansion = expansion.clone();
         let contradicts = move |row: &StoredRow| check_row(row, &expansion).err();
-        if let Some(error) = aside(move || rows.iter().find_map(contradicts)).await {
+        if let Some(error) = on_blocking_thread(move || rows.iter().find_map(contradicts)).await {
             return Ok(Some(error));
         }
     }
@@ -151,11 +151,11 @@ fn check_row(stored: &StoredRow, expansion: &Expansion) -> Result<(), RowsError>
 fn parse(stored: &StoredRow) -> Result<ManifestRow, RowProblem> {
     if let Some(realised) = &stored.realised {
         serde_json::from_str::<Realised>(realised).map_err(|error| RowProblem::Realised {
-            problem: in_short(error),
+            problem: shortened_problem(error),
         })?;
     }
     serde_json::from_str(&stored.manifest_row).map_err(|error| RowProblem::Unreadable {
-        problem: in_short(error),
+        problem: shortened_problem(error),
     })
 }
 
@@ -193,7 +193,7 @@ fn compare(stored: &StoredRow, row: &ManifestRow, expansion: &Expansion) -> Resu
     })
 }
 
-fn in_short(error: serde_json::Error) -> String {
+fn shortened_problem(error: serde_json::Error) -> String {
     shortened(JsonError::from(error).problem(), MAX_PROBLEM_BYTES).to_owned()
 }
 

@@ -13,7 +13,7 @@ use crate::store::films::Filmed;
 /// software takes a few minutes.
 const FILMING_TIMEOUT: Duration = Duration::from_secs(15 * 60);
 /// A scan that took less than this is repeated after every outcome.
-const CHEAP_LOOK: Duration = Duration::from_millis(50);
+const CHEAP_SCAN: Duration = Duration::from_millis(50);
 /// A slower scan is repeated after this multiple of its duration at the earliest: scans of a large
 /// campaign then use at most a twentieth of a core while rollouts are committed.
 const AGE_PER_COST: u32 = 20;
@@ -22,13 +22,13 @@ const AGE_PER_COST: u32 = 20;
 #[derive(Debug, Default)]
 pub(crate) struct Films {
     /// Held while a campaign is scanned, so that concurrent callers share the result.
-    pub(super) looking: tokio::sync::Mutex<()>,
-    known: Mutex<Known>,
+    pub(super) scanning: tokio::sync::Mutex<()>,
+    state: Mutex<FilmState>,
 }
 
 #[derive(Debug, Default)]
-struct Known {
-    wanting: BTreeMap<CampaignId, Wanting>,
+struct FilmState {
+    unfilmed: BTreeMap<CampaignId, Unfilmed>,
     /// Jobs filmed since the last scan began, which may have missed them.
     filmed: BTreeSet<JobId>,
     in_flight: BTreeMap<JobId, UnixMillis>,
@@ -36,24 +36,24 @@ struct Known {
 
 /// Rollouts of a campaign that are still to be filmed.
 #[derive(Debug)]
-struct Wanting {
-    of: Filmed,
+struct Unfilmed {
+    campaign: Filmed,
     jobs: Vec<JobId>,
-    at: Instant,
+    scanned_at: Instant,
     cost: Duration,
 }
 
 impl Films {
     /// Drops cached campaigns that are not in `campaigns`. Returns those that must be scanned.
     pub(super) fn outdated(&self, campaigns: &[Filmed], now: Instant) -> Vec<Filmed> {
-        let mut known = self.lock();
+        let mut state = self.lock();
         let is_filmed = |id: &CampaignId| campaigns.iter().any(|campaign| campaign.campaign == *id);
-        known.wanting.retain(|id, _| is_filmed(id));
-        let is_outdated = |of: &&Filmed| match known.wanting.get(&of.campaign) {
-            Some(known) => {
-                let age = now.saturating_duration_since(known.at);
-                let is_due = known.cost < CHEAP_LOOK || age >= known.cost * AGE_PER_COST;
-                known.of != **of && is_due
+        state.unfilmed.retain(|id, _| is_filmed(id));
+        let is_outdated = |campaign: &&Filmed| match state.unfilmed.get(&campaign.campaign) {
+            Some(cached) => {
+                let age = now.saturating_duration_since(cached.scanned_at);
+                let is_due = cached.cost < CHEAP_SCAN || age >= cached.cost * AGE_PER_COST;
+                cached.campaign != **campaign && is_due
             }
             None => true,
         };
@@ -61,44 +61,60 @@ impl Films {
     }
 
     /// Marks the start of a scan, which sees every video stored so far.
-    pub(super) fn look_begins(&self) {
+    pub(super) fn scan_begins(&self) {
         self.lock().filmed.clear();
     }
 
     /// Stores the result of a scan that began at `at` and took `cost`.
-    pub(super) fn found(&self, of: Filmed, mut jobs: Vec<JobId>, at: Instant, cost: Duration) {
-        let mut known = self.lock();
-        jobs.retain(|job| !known.filmed.contains(job));
-        let campaign = of.campaign;
-        let wanting = Wanting { of, jobs, at, cost };
-        known.wanting.insert(campaign, wanting);
+    pub(super) fn scanned(
+        &self,
+        campaign: Filmed,
+        mut jobs: Vec<JobId>,
+        at: Instant,
+        cost: Duration,
+    ) {
+        let mut state = self.lock();
+        jobs.retain(|job| !state.filmed.contains(job));
+        let id = campaign.campaign;
+        let unfilmed = Unfilmed {
+            campaign,
+            jobs,
+            scanned_at: at,
+            cost,
+        };
+        state.unfilmed.insert(id, unfilmed);
     }
 
     /// Records that the video of a rollout was stored.
     pub(super) fn filmed(&self, campaign: CampaignId, job: JobId) {
-        let mut known = self.lock();
-        known.filmed.insert(job);
-        known.in_flight.remove(&job);
-        if let Some(wanting) = known.wanting.get_mut(&campaign) {
-            wanting.jobs.retain(|other| *other != job);
+        let mut state = self.lock();
+        state.filmed.insert(job);
+        state.in_flight.remove(&job);
+        if let Some(unfilmed) = state.unfilmed.get_mut(&campaign) {
+            unfilmed.jobs.retain(|other| *other != job);
         }
     }
 
     /// Returns the first rollout of these campaigns that is not being filmed, and the number of
     /// rollouts without a video.
     pub(super) fn take(&self, campaigns: &[Filmed], now: UnixMillis) -> Option<(JobId, u64)> {
-        let known = &mut *self.lock();
-        known.in_flight.retain(|_, until| *until > now);
-        let wanting = |of: &Filmed| known.wanting.get(&of.campaign);
-        let jobs = || campaigns.iter().filter_map(wanting).flat_map(|it| &it.jobs);
-        let left = jobs().count() as u64;
-        let job = *jobs().find(|job| !known.in_flight.contains_key(job))?;
-        known.in_flight.insert(job, now.plus(FILMING_TIMEOUT));
-        Some((job, left))
+        let state = &mut *self.lock();
+        state.in_flight.retain(|_, until| *until > now);
+        let unfilmed = |campaign: &Filmed| state.unfilmed.get(&campaign.campaign);
+        let jobs = || {
+            campaigns
+                .iter()
+                .filter_map(unfilmed)
+                .flat_map(|rollouts| &rollouts.jobs)
+        };
+        let count = jobs().count() as u64;
+        let job = *jobs().find(|job| !state.in_flight.contains_key(job))?;
+        state.in_flight.insert(job, now.plus(FILMING_TIMEOUT));
+        Some((job, count))
     }
 
-    fn lock(&self) -> std::sync::MutexGuard<'_, Known> {
-        self.known.lock().unwrap_or_else(PoisonError::into_inner)
+    fn lock(&self) -> std::sync::MutexGuard<'_, FilmState> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -125,21 +141,34 @@ mod tests {
             !films.outdated(&[campaign(revision)], at).is_empty()
         };
         assert!(outdated(1, 0));
-        films.found(campaign(1), vec![JobId(1), JobId(2)], began, Duration::ZERO);
+        films.scanned(campaign(1), vec![JobId(1), JobId(2)], began, Duration::ZERO);
         assert!(!outdated(1, 0));
-        assert!(outdated(2, 0), "the look took no time");
+        assert!(
+            outdated(2, 0),
+            "a scan that took no time is repeated at once"
+        );
 
-        films.look_begins();
+        films.scan_begins();
         films.filmed(CampaignId(1), JobId(1));
         let jobs = vec![JobId(1), JobId(2), JobId(3)];
-        films.found(campaign(2), jobs, began, second);
+        films.scanned(campaign(2), jobs, began, second);
         let taken = films.take(&[campaign(2)], now);
-        assert_eq!(taken, Some((JobId(2), 2)), "the first was filmed meanwhile");
-        assert!(!outdated(3, 19), "the look took a second");
+        assert_eq!(
+            taken,
+            Some((JobId(2), 2)),
+            "the first was filmed during the scan"
+        );
+        assert!(
+            !outdated(3, 19),
+            "a scan of a second is repeated after 20 s"
+        );
         assert!(outdated(3, 20));
         assert_eq!(films.take(&[campaign(2)], now), Some((JobId(3), 2)));
         assert_eq!(films.take(&[campaign(2)], now), None);
         assert!(films.outdated(&[], began).is_empty());
-        assert!(outdated(2, 0), "it is forgotten with its campaign");
+        assert!(
+            outdated(2, 0),
+            "the cached scan is dropped with its campaign"
+        );
     }
 }

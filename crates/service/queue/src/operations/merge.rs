@@ -6,7 +6,7 @@ use std::path::Path;
 use libero_ctrl::{CampaignSpec, Suite};
 
 use super::error::QueueError;
-use super::portable::{Portable, PortableError, copy_of, source_of};
+use super::portable::{Portable, PortableError, copy_into, source_of};
 use crate::expand::differing_fields;
 use crate::ids::{CampaignName, JobName};
 use crate::rules::lease::OutcomeKey;
@@ -36,7 +36,7 @@ pub struct Merged {
 #[derive(Debug, thiserror::Error)]
 pub enum MergeError {
     #[error(
-        "merge `{campaign}`: its rollouts follow from the outcomes of another campaign; merge that one, and explain or measure it once more"
+        "merge `{campaign}`: its rollouts are derived from the outcomes of another campaign; merge that campaign, and derive from it again"
     )]
     Derived { campaign: CampaignName },
     #[error(
@@ -48,17 +48,17 @@ pub enum MergeError {
         differs: String,
     },
     #[error(
-        "merge them: rollout `{rollout}` has a different manifest row in each; only halves of one \
+        "merge the halves: rollout `{rollout}` has a different manifest row in each; only halves of one \
          design, expanded by one version of the program, can be merged"
     )]
     Rollout { rollout: JobName },
     /// The halves have different pins: asset packs, simulators or renderers.
-    #[error("merge them: the first is pinned to {first} and the second to {second}")]
+    #[error("merge the halves: the first is pinned to {first} and the second to {second}")]
     Pin { first: String, second: String },
-    #[error("merge them: in {suite} they measured different policies, whose {difference}")]
+    #[error("merge the halves: in {suite} they measured different policies, whose {difference}")]
     Policy { suite: Suite, difference: String },
     #[error(
-        "merge them: {count} of their rollouts contradict each other\n{examples}\ncompare where these came from, and merge only halves that were run alike"
+        "merge the halves: {count} of their rollouts contradict each other\n{examples}\ncompare the origins of these outcomes, and merge only halves that were run alike"
     )]
     Contradictions {
         count: usize,
@@ -90,15 +90,15 @@ pub async fn merge(
     into: &Path,
     name: Option<&CampaignName>,
 ) -> Result<(Portable, Merged), MergeError> {
-    of_one_design(first, second)?;
+    check_same_design(first, second)?;
     let database = first.folder().join(DATABASE_FILE);
-    let called = first.called(name)?;
-    let whole = copy_of(&database, &first.campaign, &called, into).await?;
-    let mut beside = whole
+    let target = first.copy_target(name)?;
+    let whole = copy_into(&database, &first.campaign, &target, into).await?;
+    let mut attached = whole
         .store
-        .beside(&second.folder().join(DATABASE_FILE))
+        .attach(&second.folder().join(DATABASE_FILE))
         .await?;
-    let mut tx = beside.write(Vec::new()).await?;
+    let mut tx = attached.write(Vec::new()).await?;
     let both = (whole.campaign.id, second.campaign.id);
     if let Some((rollout_id, replicate)) = halves::other_rollout(&mut tx, both).await? {
         let rollout = JobName {
@@ -107,27 +107,27 @@ pub async fn merge(
         };
         return Err(MergeError::Rollout { rollout });
     }
-    let known_first = halves::known(&mut tx, Schema::Main, both.0).await?;
-    let known_second = halves::known(&mut tx, Schema::Source, both.1).await?;
-    let stored_first = halves::results(&mut tx, Schema::Main, both.0).await?;
-    let stored_second = halves::results(&mut tx, Schema::Source, both.1).await?;
-    of_one_policy(&stored_first, &stored_second)?;
-    let kept = match merge::merge(&known_first, &known_second) {
+    let first_records = halves::records(&mut tx, Schema::Main, both.0).await?;
+    let second_records = halves::records(&mut tx, Schema::Source, both.1).await?;
+    let first_results = halves::results(&mut tx, Schema::Main, both.0).await?;
+    let second_results = halves::results(&mut tx, Schema::Source, both.1).await?;
+    check_same_policy(&first_results, &second_results)?;
+    let kept = match merge::merge(&first_records, &second_records) {
         Ok(kept) => kept,
-        Err(found) => return Err(contradict(&found, &stored_first, &stored_second)),
+        Err(found) => return Err(contradictions(&found, &first_results, &second_results)),
     };
-    stand_beside(whole.campaign.mode()?, &stored_first, &stored_second)?;
+    check_consistency(whole.campaign.mode()?, &first_results, &second_results)?;
     let of_second = kept.iter().filter(|(_, kept)| **kept == Kept::Second);
-    let of_second: Vec<Rollout> = of_second.map(|(of, _)| of.clone()).collect();
+    let of_second: Vec<Rollout> = of_second.map(|(rollout, _)| rollout.clone()).collect();
     portable::replace(&mut tx, both, &of_second).await?;
-    halves::take_pin(&mut tx, both).await?;
-    portable::forget_when(&mut tx).await?;
+    halves::copy_pin(&mut tx, both).await?;
+    portable::erase_history(&mut tx).await?;
     tx.commit().await?;
-    drop(beside);
+    drop(attached);
     whole.store.compact().await?;
     let mut merged = Merged::default();
-    for (of, one) in &known_first {
-        let other = known_second.get(of).copied().unwrap_or_default();
+    for (rollout, one) in &first_records {
+        let other = second_records.get(rollout).copied().unwrap_or_default();
         let is_committed = |standing| matches!(standing, Standing::Committed(_));
         let is_quarantined = [one.standing, other.standing].contains(&Standing::Quarantined);
         match (is_committed(one.standing), is_committed(other.standing)) {
@@ -138,13 +138,13 @@ pub async fn merge(
             (false, false) => merged.open += 1,
         }
     }
-    let whole = Portable::of(whole.store).await?;
+    let whole = Portable::from_store(whole.store).await?;
     Ok((whole, merged))
 }
 
 /// Checks that two halves are of one design. Name and endpoint may differ: each half had its own
 /// coordinator.
-fn of_one_design(first: &Portable, second: &Portable) -> Result<(), MergeError> {
+fn check_same_design(first: &Portable, second: &Portable) -> Result<(), MergeError> {
     for half in [first, second] {
         if source_of(&half.spec)?.is_some() {
             return Err(MergeError::Derived {
@@ -152,7 +152,7 @@ fn of_one_design(first: &Portable, second: &Portable) -> Result<(), MergeError> 
             });
         }
     }
-    let alike = |half: &Portable| -> Result<String, StoreError> {
+    let design = |half: &Portable| -> Result<String, StoreError> {
         let spec = CampaignSpec::from_json(&half.spec).map_err(undecodable);
         let mut spec = spec.doing("read a campaign's specification")?;
         spec.name.clear();
@@ -160,7 +160,7 @@ fn of_one_design(first: &Portable, second: &Portable) -> Result<(), MergeError> 
         let text = serde_json::to_string(&spec).map_err(undecodable);
         text.doing("write a campaign's specification")
     };
-    let differs = differing_fields(&alike(first)?, &alike(second)?);
+    let differs = differing_fields(&design(first)?, &design(second)?);
     if !differs.is_empty() {
         return Err(MergeError::Specification {
             first: first.campaign.name.clone(),
@@ -179,17 +179,17 @@ fn of_one_design(first: &Portable, second: &Portable) -> Result<(), MergeError> 
     Ok(())
 }
 
-fn of_one_policy(first: &[Stored], second: &[Stored]) -> Result<(), MergeError> {
+fn check_same_policy(first: &[Stored], second: &[Stored]) -> Result<(), MergeError> {
     let mut measured = BTreeMap::new();
-    let says = |stored: &&Stored| !stored.origin().policy_settings.is_empty();
-    for stored in first.iter().filter(says) {
+    let has_settings = |stored: &&Stored| !stored.origin().policy_settings.is_empty();
+    for stored in first.iter().filter(has_settings) {
         let suite = stored.manifest_row.id.task().suite();
         measured.entry(suite).or_insert(stored.origin());
     }
-    for stored in second.iter().filter(says) {
+    for stored in second.iter().filter(has_settings) {
         let suite = stored.manifest_row.id.task().suite();
         let before = measured.get(&suite);
-        if let Some(difference) = before.and_then(|it| stored.origin().other_policy(it)) {
+        if let Some(difference) = before.and_then(|origin| stored.origin().other_policy(origin)) {
             return Err(MergeError::Policy { suite, difference });
         }
     }
@@ -197,7 +197,7 @@ fn of_one_policy(first: &[Stored], second: &[Stored]) -> Result<(), MergeError> 
 }
 
 /// Checks that every result of the second half is consistent with those of the first.
-fn stand_beside(
+fn check_consistency(
     realisation: libero_ctrl::Realisation,
     first: &[Stored],
     second: &[Stored],
@@ -206,10 +206,7 @@ fn stand_beside(
     for stored in first {
         let siblings = states.entry((&stored.task, stored.init_id)).or_default();
         let sibling = sibling(stored);
-        if !siblings
-            .iter()
-            .any(|sibling_parts| sibling_parts.stands_for(&sibling))
-        {
+        if !siblings.iter().any(|other| other.stands_for(&sibling)) {
             siblings.push(sibling);
         }
     }
@@ -243,11 +240,15 @@ fn sibling(stored: &Stored) -> Sibling {
     }
 }
 
-fn contradict(found: &[Contradiction<Rollout>], first: &[Stored], second: &[Stored]) -> MergeError {
-    let whence = |half: &[Stored], of: &Rollout, outcome: OutcomeKey| {
+fn contradictions(
+    found: &[Contradiction<Rollout>],
+    first: &[Stored],
+    second: &[Stored],
+) -> MergeError {
+    let described = |half: &[Stored], (id, replicate): &Rollout, outcome: OutcomeKey| {
         let stored = half
             .iter()
-            .find(|it| (&it.rollout_id, it.replicate) == (&of.0, of.1));
+            .find(|stored| (&stored.rollout_id, stored.replicate) == (id, *replicate));
         let word = match outcome.success {
             true => "success",
             false => "failure",
@@ -266,15 +267,16 @@ fn contradict(found: &[Contradiction<Rollout>], first: &[Stored], second: &[Stor
         });
         format!("{word} after {} steps{origin}", outcome.steps)
     };
-    let texts = found.iter().map(|it| {
+    let texts = found.iter().map(|contradiction| {
+        let rollout = &contradiction.rollout;
         let name = JobName {
-            rollout_id: it.of.0.clone(),
-            replicate: it.of.1,
+            rollout_id: rollout.0.clone(),
+            replicate: rollout.1,
         };
         format!(
             "`{name}`: {} in the first, {} in the second",
-            whence(first, &it.of, it.first),
-            whence(second, &it.of, it.second)
+            described(first, rollout, contradiction.first),
+            described(second, rollout, contradiction.second)
         )
     });
     listed(&texts.collect::<Vec<_>>())

@@ -13,7 +13,7 @@ use crate::store::failpoint::Step;
 use crate::store::{StoreError, campaigns, passages, policies, stops};
 
 /// Jobs that one transaction adds or removes, which takes some tens of milliseconds.
-pub(super) const PIECE: usize = 500;
+pub(super) const JOBS_PER_BATCH: usize = 500;
 
 /// Inserts a campaign of any size with an unused name, whose files go into `folder`.
 pub(super) async fn insert(
@@ -24,9 +24,9 @@ pub(super) async fn insert(
     let mut context = Context::begin(shared, vec![Step::CreateCampaign]).await?;
     let now = context.now;
     let id = campaigns::insert_without_jobs(&mut context.tx, new, folder, now).await?;
-    passages::arrive(&mut context.tx, id).await?;
+    passages::hide_new(&mut context.tx, id).await?;
     context.commit().await?;
-    let inserted = fill(shared, new, id, folder).await;
+    let inserted = insert_jobs(shared, new, id, folder).await;
     if inserted.is_err() {
         // The incomplete campaign is hidden; if its removal fails, the next start repeats it.
         let policy = policy_of(shared, id).await;
@@ -40,25 +40,25 @@ pub(super) async fn insert(
     inserted
 }
 
-async fn fill(
+async fn insert_jobs(
     shared: &Shared,
     new: &NewCampaign,
     id: CampaignId,
     folder: &str,
 ) -> Result<(), StoreError> {
-    for piece in new.jobs.chunks(PIECE) {
+    for batch in new.jobs.chunks(JOBS_PER_BATCH) {
         let mut context = Context::begin(shared, vec![Step::CreateCampaign]).await?;
-        campaigns::insert_jobs(&mut context.tx, id, piece).await?;
+        campaigns::insert_jobs(&mut context.tx, id, batch).await?;
         context.commit().await?;
     }
     let mut context = Context::begin(shared, vec![Step::CreateCampaign]).await?;
     let now = context.now;
     campaigns::take_name(&mut context.tx, &new.name).await?;
-    passages::arrived(&mut context.tx, id, (&new.name, folder), now).await?;
+    passages::publish(&mut context.tx, id, (&new.name, folder), now).await?;
     if let Some(configurations) = new.stops_among {
         stops::insert(&mut context.tx, id, configurations).await?;
     }
-    context.cache.forget_campaigns();
+    context.cache.clear_campaigns();
     context.commit().await
 }
 
@@ -75,28 +75,30 @@ pub(super) async fn remove(
 ) -> Result<(), StoreError> {
     loop {
         let mut context = Context::begin(shared, vec![Step::DeleteCampaign]).await?;
-        let deleted = passages::delete_jobs(&mut context.tx, id, PIECE).await?;
-        if deleted == PIECE as u64 {
+        let deleted = passages::delete_jobs(&mut context.tx, id, JOBS_PER_BATCH).await?;
+        if deleted == JOBS_PER_BATCH as u64 {
             context.commit().await?;
             continue;
         }
         campaigns::delete(&mut context.tx, id).await?;
         policies::remove_unused(&mut context.tx, policy).await?;
-        context.cache.forget();
+        context.cache.clear();
         return context.commit().await;
     }
 }
 
 /// Returns the campaigns that were being inserted or deleted when the coordinator last stopped,
 /// with their policies.
-pub(crate) async fn left(shared: &Shared) -> Result<Vec<(CampaignId, PolicyId)>, StoreError> {
+pub(crate) async fn interrupted(
+    shared: &Shared,
+) -> Result<Vec<(CampaignId, PolicyId)>, StoreError> {
     let mut view = shared.store.read().await?;
     passages::all(&mut view).await
 }
 
 /// Deletes incomplete campaigns of the previous run, then never returns.
-pub(crate) async fn run(shared: Arc<Shared>, left: Vec<(CampaignId, PolicyId)>) {
-    for (id, policy) in left {
+pub(crate) async fn run(shared: Arc<Shared>, interrupted: Vec<(CampaignId, PolicyId)>) {
+    for (id, policy) in interrupted {
         match remove(&shared, id, policy).await {
             Ok(()) => tracing::info!("deleted a campaign left incomplete by the previous run"),
             Err(error) => {
@@ -166,7 +168,7 @@ pub(super) mod tests {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let new = large();
         let jobs = i64::try_from(new.jobs.len()).expect("few");
-        assert!(new.jobs.len() > 2 * PIECE);
+        assert!(new.jobs.len() > 2 * JOBS_PER_BATCH);
         let mut queue = start(folder.path()).await;
         let created = queue.create_campaign(&new).await.expect("created");
         assert_eq!(created.jobs_added, new.jobs.len() as u64);
@@ -194,20 +196,21 @@ pub(super) mod tests {
                 queue.create_campaign(&new).await.expect("created");
                 let mut context = Context::begin(shared, vec![]).await.expect("begun");
                 let campaign = context.campaign_named(&name).await.expect("the campaign");
-                passages::leave(&mut context.tx, campaign.id)
+                passages::hide_deleted(&mut context.tx, campaign.id)
                     .await
                     .expect("hidden");
-                let gone = passages::delete_jobs(&mut context.tx, campaign.id, PIECE).await;
-                assert_eq!(gone.expect("deleted"), PIECE as u64);
+                let deleted =
+                    passages::delete_jobs(&mut context.tx, campaign.id, JOBS_PER_BATCH).await;
+                assert_eq!(deleted.expect("deleted"), JOBS_PER_BATCH as u64);
                 context.commit().await.expect("stored");
             } else {
                 let mut context = Context::begin(shared, vec![]).await.expect("begun");
                 let (now, tx) = (context.now, &mut context.tx);
                 let id = campaigns::insert_without_jobs(tx, &new, "large", now).await;
                 let id = id.expect("stored");
-                passages::arrive(tx, id).await.expect("hidden");
-                let piece = &new.jobs[..PIECE];
-                campaigns::insert_jobs(tx, id, piece).await.expect("stored");
+                passages::hide_new(tx, id).await.expect("hidden");
+                let batch = &new.jobs[..JOBS_PER_BATCH];
+                campaigns::insert_jobs(tx, id, batch).await.expect("stored");
                 context.commit().await.expect("stored");
             }
             let part = count(&queue, "SELECT count(*) FROM job").await;
@@ -220,17 +223,17 @@ pub(super) mod tests {
             drop(view);
             queue.close().await.expect("closed");
 
-            let again = start(folder.path()).await;
-            let mut left = part;
+            let restarted = start(folder.path()).await;
+            let mut remaining = part;
             for _ in 0..1_000 {
-                left = count(&again, "SELECT count(*) FROM campaign").await;
-                if left == 0 {
+                remaining = count(&restarted, "SELECT count(*) FROM campaign").await;
+                if remaining == 0 {
                     break;
                 }
                 tokio::time::sleep(Duration::from_millis(10)).await;
             }
-            assert_eq!(left, 0, "no campaign is left");
-            queue = again;
+            assert_eq!(remaining, 0, "no campaign remains");
+            queue = restarted;
         }
         queue.close().await.expect("closed");
     }

@@ -13,7 +13,7 @@ use super::artifacts::campaign_folder;
 use super::context::Context;
 use super::error::QueueError;
 use super::imported::{self, RowsError};
-use super::passages::{self as moves, PIECE};
+use super::passages::{self as batches, JOBS_PER_BATCH};
 use super::removals;
 use super::settled::Settled;
 use crate::expand::altered;
@@ -23,7 +23,7 @@ use crate::queue::Queue;
 use crate::read::{Counts, View};
 use crate::store::campaigns::{self, Campaign};
 use crate::store::failpoint::Step;
-use crate::store::portable::{self, Called};
+use crate::store::portable::{self, CopyTarget};
 use crate::store::{
     DATABASE_FILE, Doing, OpenError, Store, StoreError, derivations, foreign_schema, instants,
     passages, removals as pending, undecodable,
@@ -64,11 +64,11 @@ pub enum PortableError {
     #[error(transparent)]
     Store(#[from] StoreError),
     /// The database holds no campaign, or several.
-    #[error("find the campaign in it: it holds {count} campaigns, not one")]
+    #[error("find the campaign of the database: it holds {count} campaigns, not one")]
     NotOne { count: usize },
     #[error("use the specification of campaign `{campaign}`: it does not match its digest")]
     SpecDigest { campaign: CampaignName },
-    #[error("verify its database: the invariant `{invariant}` is violated ({example})")]
+    #[error("verify the database: the invariant `{invariant}` is violated ({example})")]
     Violated {
         invariant: &'static str,
         example: String,
@@ -86,14 +86,14 @@ impl Portable {
     /// first statement that touches it, so the schema is compared before any other statement.
     pub async fn open(folder: &Path) -> Result<Portable, PortableError> {
         let foreign = foreign_schema(&folder.join(DATABASE_FILE)).await;
-        if let Some(example) = foreign.doing("compare the schema")? {
+        if let Some(example) = foreign.doing("compare the schema of an archive")? {
             let invariant = SCHEMA_INVARIANT;
             return Err(PortableError::Violated { invariant, example });
         }
         let store = Store::open(folder).await?;
         let mut reader = store.reader().await?;
         let violations = invariants::violations(&mut reader).await;
-        let violations = violations.doing("verify what always holds")?;
+        let violations = violations.doing("verify the invariants of an archive")?;
         drop(reader);
         if let Some(Violation {
             invariant,
@@ -104,7 +104,7 @@ impl Portable {
             let example = examples.into_iter().next().unwrap_or_default();
             return Err(PortableError::Violated { invariant, example });
         }
-        let portable = Portable::of(store).await?;
+        let portable = Portable::from_store(store).await?;
         let mut view = portable.store.read().await?;
         let of = portable.campaign.id;
         match imported::contradiction(&mut view, of, &portable.spec).await? {
@@ -113,7 +113,7 @@ impl Portable {
         }
     }
 
-    pub(super) async fn of(store: Store) -> Result<Portable, PortableError> {
+    pub(super) async fn from_store(store: Store) -> Result<Portable, PortableError> {
         let mut view = store.read().await?;
         let all = campaigns::all(&mut view).await?;
         let [campaign] = all.as_slice() else {
@@ -140,9 +140,9 @@ impl Portable {
 
     /// Begins a view of the database, to read from.
     pub async fn view(&self) -> Result<View, StoreError> {
-        let (now, nobody) = (self.campaign.created_ms, BTreeMap::new());
-        let nothing = Arc::new(Settled::new());
-        View::begin(&self.store, now, Timing::default(), nothing, None, nobody).await
+        let (now, filming) = (self.campaign.created_ms, BTreeMap::new());
+        let settled = Arc::new(Settled::new());
+        View::begin(&self.store, now, Timing::default(), settled, None, filming).await
     }
 
     /// Returns the videos, by path.
@@ -152,7 +152,7 @@ impl Portable {
             sqlx::query_as("SELECT path, size_bytes FROM artifact ORDER BY path")
                 .fetch_all(&mut *view)
                 .await
-                .doing("list a campaign's films")?;
+                .doing("list a campaign's videos")?;
         let film = |(path, size): (String, i64)| FilmFile {
             path,
             size_bytes: size.unsigned_abs(),
@@ -192,14 +192,14 @@ impl Queue {
         let campaign = view.campaign(name).await?;
         let spec = view.spec(&campaign).await.map_err(QueueError::from)?;
         drop(view);
-        let called = Called {
+        let target = CopyTarget {
             name: campaign.name.clone(),
             spec,
             spec_digest: campaign.spec_digest.clone(),
             folder: campaign.name.as_str().to_owned(),
         };
         let database = self.store().folder().join(DATABASE_FILE);
-        let copy = copy_of(&database, &campaign, &called, into).await?;
+        let copy = copy_into(&database, &campaign, &target, into).await?;
         Ok((copy, campaign_folder(&campaign.folder)))
     }
 
@@ -234,122 +234,125 @@ impl Queue {
         source: Option<&SourceOutcomes>,
         name: Option<&CampaignName>,
     ) -> Result<(CampaignName, Counts), AdoptError> {
-        let _alone = self.campaigns.lock().await;
+        let _guard = self.campaigns.lock().await;
         let shared = &*self.shared;
-        let mut called = from.called(name)?;
+        let mut target = from.copy_target(name)?;
         let films = from.films().await?;
         let mut context = Context::begin(shared, vec![]).await?;
-        if campaigns::by_name(&mut context.tx, &called.name)
+        if campaigns::by_name(&mut context.tx, &target.name)
             .await?
             .is_some()
         {
             return Err(AdoptError::Exists {
-                campaign: called.name,
+                campaign: target.name,
             });
         }
-        let follows = context.followed(&called, source).await?;
-        if let Some(source) = follows {
+        let local_source = context.local_source(&target, source).await?;
+        if let Some(source) = local_source {
             // Releases the writer while many rows are read. The lock on `campaigns` prevents
             // creations and deletions meanwhile, and the rows of a campaign never change.
             drop(context);
             let derived = (&from.store, from.campaign.id);
             if !imported::has_budgets_of(derived, (&shared.store, source)).await? {
                 return Err(AdoptError::OtherBudgets {
-                    campaign: called.name,
+                    campaign: target.name,
                 });
             }
             context = Context::begin(shared, vec![]).await?;
         }
-        called.folder = campaigns::free_folder(&mut context.tx, &called.name).await?;
-        let folder = campaign_folder(&called.folder);
+        target.folder = campaigns::free_folder(&mut context.tx, &target.name).await?;
+        let folder = campaign_folder(&target.folder);
         // Marks the folder for removal at the next start, in case the import does not complete.
         pending::note(&mut context.tx, &folder).await?;
         context.commit().await?;
         let moved = move_films(from.folder(), &films, &shared.store.folder().join(&folder)).await;
         let adopted = match moved {
-            Ok(()) => self.copy_in(from, &called, follows).await,
+            Ok(()) => self.copy_rows(from, &target, local_source).await,
             Err(error) => Err(error),
         };
         if adopted.is_err() {
-            removals::remove_here(shared, &folder).await?;
+            removals::remove_locally(shared, &folder).await?;
         }
         let counts = adopted?;
         let jobs = counts.total();
-        tracing::info!(campaign = %called.name, jobs, results = counts.committed,
+        tracing::info!(campaign = %target.name, jobs, results = counts.committed,
             "campaign added from an archive");
         shared.work.notify_waiters();
-        Ok((called.name, counts))
+        Ok((target.name, counts))
     }
 
     /// Copies a campaign in batches, so that workers are served in between; it stays hidden until
     /// it is complete.
-    async fn copy_in(
+    async fn copy_rows(
         &self,
         from: &Portable,
-        called: &Called,
-        follows: Option<CampaignId>,
+        target: &CopyTarget,
+        local_source: Option<CampaignId>,
     ) -> Result<Counts, AdoptError> {
         let shared = &*self.shared;
         let old = from.campaign.id;
         let database = from.folder().join(DATABASE_FILE);
-        let mut beside = shared.store.beside(&database).await?;
-        let tx = beside.write(vec![Step::ImportCampaign]).await?;
+        let mut attached = shared.store.attach(&database).await?;
+        let tx = attached.write(vec![Step::ImportCampaign]).await?;
         let mut context = Context::within(shared, tx).await;
         let now = context.now;
-        let id = portable::copy_without_jobs(&mut context.tx, old, called, now).await?;
-        passages::arrive(&mut context.tx, id).await?;
+        let id = portable::copy_without_jobs(&mut context.tx, old, target, now).await?;
+        passages::hide_new(&mut context.tx, id).await?;
         let policy = context.campaign(id).await?.policy_id;
-        context.cache.forget_campaigns();
+        context.cache.clear_campaigns();
         context.commit().await?;
-        beside.detach().await?;
-        let copied = self.fill(from, (id, old), called, follows).await;
+        attached.detach().await?;
+        let copied = self.copy_jobs(from, (id, old), target, local_source).await;
         if copied.is_err()
-            && let Err(error) = moves::remove(shared, id, policy).await
+            && let Err(error) = batches::remove(shared, id, policy).await
         {
-            tracing::warn!("failed to {}; the next start does", error.with_cause());
+            tracing::warn!(
+                "failed to {}; the next start deletes the incomplete campaign",
+                error.with_cause()
+            );
         }
         copied
     }
 
-    async fn fill(
+    async fn copy_jobs(
         &self,
         from: &Portable,
         both: (CampaignId, CampaignId),
-        called: &Called,
-        follows: Option<CampaignId>,
+        target: &CopyTarget,
+        local_source: Option<CampaignId>,
     ) -> Result<Counts, AdoptError> {
         let (shared, id) = (&*self.shared, both.0);
         let database = &from.folder().join(DATABASE_FILE);
         let mut view = from.store.read().await?;
         let jobs = portable::jobs(&mut view, both.1).await?;
         drop(view);
-        for piece in jobs.chunks(PIECE) {
-            let mut beside = shared.store.beside(database).await?;
-            let tx = beside.write(vec![Step::ImportCampaign]).await?;
+        for batch in jobs.chunks(JOBS_PER_BATCH) {
+            let mut attached = shared.store.attach(database).await?;
+            let tx = attached.write(vec![Step::ImportCampaign]).await?;
             let mut context = Context::within(shared, tx).await;
-            portable::copy_piece(&mut context.tx, both, &called.folder, piece).await?;
+            portable::copy_batch(&mut context.tx, both, &target.folder, batch).await?;
             context.commit().await?;
-            beside.detach().await?;
+            attached.detach().await?;
         }
-        let mut beside = shared.store.beside(database).await?;
-        let tx = beside.write(vec![Step::ImportCampaign]).await?;
+        let mut attached = shared.store.attach(database).await?;
+        let tx = attached.write(vec![Step::ImportCampaign]).await?;
         let mut context = Context::within(shared, tx).await;
         let now = context.now;
-        campaigns::take_name(&mut context.tx, &called.name).await?;
-        passages::arrived(&mut context.tx, id, (&called.name, &called.folder), now).await?;
+        campaigns::take_name(&mut context.tx, &target.name).await?;
+        passages::publish(&mut context.tx, id, (&target.name, &target.folder), now).await?;
         portable::copy_rest(&mut context.tx, both).await?;
         // The exporting coordinator's clock may be ahead of this one.
         let latest = now.plus(rollout_types::Waits::USUAL.longest);
         instants::set_back(&mut context.tx, now, latest).await?;
-        if let Some(source) = follows {
+        if let Some(source) = local_source {
             derivations::insert(&mut context.tx, id, source).await?;
         }
         context.settles = true;
-        context.cache.forget_campaigns();
-        pending::done(&mut context.tx, &campaign_folder(&called.folder)).await?;
-        let counts = Counts::of(&mut context.tx, id).await?;
+        context.cache.clear_campaigns();
+        pending::done(&mut context.tx, &campaign_folder(&target.folder)).await?;
+        let counts = Counts::read(&mut context.tx, id).await?;
         context.commit().await?;
-        beside.detach().await?;
+        attached.detach().await?;
         Ok(counts)
     }
 }
@@ -372,21 +375,21 @@ pub enum AdoptError {
     )]
     Exists { campaign: CampaignName },
     #[error(
-        "add campaign `{campaign}`: it follows from `{source_campaign}`, which is not here; import that one first"
+        "add campaign `{campaign}`: it is derived from `{source_campaign}`, which this coordinator does not have; import that one first"
     )]
     NoSource {
         campaign: CampaignName,
         source_campaign: CampaignName,
     },
     #[error(
-        "add campaign `{campaign}`: it follows from outcomes of `{source_campaign}` that are others here; archive and import both as they are now"
+        "add campaign `{campaign}`: its source campaign `{source_campaign}` has other outcomes here; archive and import both in their current state"
     )]
     OtherSource {
         campaign: CampaignName,
         source_campaign: CampaignName,
     },
     #[error(
-        "add campaign `{campaign}`: its rollouts have other step budgets than those of the campaign that it follows from; archive it again"
+        "add campaign `{campaign}`: its rollouts have other step budgets than those of its source campaign; archive it again"
     )]
     OtherBudgets { campaign: CampaignName },
     #[error("move film {}: is there room on the disk, and may this user write there?", path.display())]
@@ -406,7 +409,10 @@ impl From<StoreError> for AdoptError {
 
 impl Portable {
     /// Returns the copy's name, with its specification and digest under that name.
-    pub(super) fn called(&self, name: Option<&CampaignName>) -> Result<Called, QueueError> {
+    pub(super) fn copy_target(
+        &self,
+        name: Option<&CampaignName>,
+    ) -> Result<CopyTarget, QueueError> {
         let name = name.unwrap_or(&self.campaign.name);
         let (spec, spec_digest) = match *name == self.campaign.name {
             true => (self.spec.clone(), self.campaign.spec_digest.clone()),
@@ -417,7 +423,7 @@ impl Portable {
                 },
             )?,
         };
-        Ok(Called {
+        Ok(CopyTarget {
             folder: name.as_str().to_owned(),
             name: name.clone(),
             spec,
@@ -429,15 +435,15 @@ impl Portable {
 impl Context<'_> {
     /// Returns the campaign here that an imported one derives from, after checking that its
     /// outcomes are the same.
-    async fn followed(
+    async fn local_source(
         &mut self,
-        called: &Called,
+        target: &CopyTarget,
         expected: Option<&SourceOutcomes>,
     ) -> Result<Option<CampaignId>, AdoptError> {
-        let Some(name) = source_of(&called.spec)? else {
+        let Some(name) = source_of(&target.spec)? else {
             return Ok(None);
         };
-        let campaign = called.name.clone();
+        let campaign = target.name.clone();
         let Some(source) = campaigns::by_name(&mut self.tx, &name).await? else {
             return Err(AdoptError::NoSource {
                 campaign,
@@ -456,21 +462,21 @@ impl Context<'_> {
 }
 
 /// Copies a campaign from a database into a new database in an empty folder.
-pub(super) async fn copy_of(
+pub(super) async fn copy_into(
     database: &Path,
     campaign: &Campaign,
-    called: &Called,
+    target: &CopyTarget,
     into: &Path,
 ) -> Result<Portable, PortableError> {
     let store = Store::open(into).await?;
-    let mut beside = store.beside(database).await?;
-    let mut tx = beside.write(Vec::new()).await?;
-    portable::copy(&mut tx, campaign.id, called, campaign.created_ms).await?;
-    portable::forget_when(&mut tx).await?;
+    let mut attached = store.attach(database).await?;
+    let mut tx = attached.write(Vec::new()).await?;
+    portable::copy(&mut tx, campaign.id, target, campaign.created_ms).await?;
+    portable::erase_history(&mut tx).await?;
     tx.commit().await?;
-    drop(beside);
+    drop(attached);
     store.compact().await?;
-    Portable::of(store).await
+    Portable::from_store(store).await
 }
 
 /// Returns the name of the campaign that a specification derives from.
@@ -479,7 +485,7 @@ pub(super) fn source_of(spec: &str) -> Result<Option<CampaignName>, QueueError> 
     let spec = spec.doing("read a campaign's specification")?;
     let name = spec.rollouts.source().map(CampaignName::parse).transpose();
     let name = name.map_err(undecodable);
-    Ok(name.doing("read what a campaign follows from")?)
+    Ok(name.doing("read the name of the source campaign")?)
 }
 
 async fn outcomes_digest(

@@ -47,7 +47,7 @@ impl Context<'_> {
         release: &Release,
     ) -> Result<Result<ReleaseReply, QueueError>, StoreError> {
         let id = release.attempt;
-        let mut named = jobs::named(&mut self.tx, &[id]).await?;
+        let mut named = jobs::attempts_by_id(&mut self.tx, &[id]).await?;
         let Some(attempt) = named.get_mut(&id) else {
             return Ok(Err(QueueError::UnknownAttempt { attempt: id }));
         };
@@ -110,7 +110,7 @@ impl Context<'_> {
             let last = jobs::last_without_policy(&mut self.tx, job).await?;
             contact.is_back = last.is_some_and(|last| campaign.health.available_since > last);
             let (policy, losses) = (campaign.policy_id, LOSSES_UNTIL_ALONE);
-            contact.is_last = !jobs::others_wait(&mut self.tx, policy, job, losses).await?;
+            contact.is_last = !jobs::has_other_waiting(&mut self.tx, policy, job, losses).await?;
         }
         Ok(contact.was_lost())
     }

@@ -15,8 +15,8 @@ pub(crate) async fn pending(shared: &Shared) -> Result<Vec<String>, StoreError> 
 }
 
 /// Removes a folder or file below the data folder. It stays marked for removal from remote storage.
-pub(crate) async fn remove_here(shared: &Shared, below: &str) -> Result<(), StoreError> {
-    match is_removed_here(shared, below).await && shared.elsewhere.is_none() {
+pub(crate) async fn remove_locally(shared: &Shared, below: &str) -> Result<(), StoreError> {
+    match try_remove_locally(shared, below).await && shared.elsewhere.is_none() {
         true => note_done(shared, below).await,
         false => Ok(()),
     }
@@ -24,19 +24,19 @@ pub(crate) async fn remove_here(shared: &Shared, below: &str) -> Result<(), Stor
 
 /// Removes a folder or file below the data folder and from remote storage.
 pub(crate) async fn remove(shared: &Shared, below: &str) -> Result<(), StoreError> {
-    if !is_removed_here(shared, below).await {
+    if !try_remove_locally(shared, below).await {
         return Ok(());
     }
     if let Some(elsewhere) = &shared.elsewhere
         && let Err(problem) = elsewhere.remove(below).await
     {
-        tracing::warn!("failed to {problem}; it is tried again");
+        tracing::warn!("failed to {problem}; the removal is tried again");
         return Ok(());
     }
     note_done(shared, below).await
 }
 
-async fn is_removed_here(shared: &Shared, below: &str) -> bool {
+async fn try_remove_locally(shared: &Shared, below: &str) -> bool {
     let path = shared.store.folder().join(below);
     let removed = match path.is_dir() {
         true => tokio::fs::remove_dir_all(&path).await,
@@ -91,7 +91,10 @@ mod tests {
             folder: &'a str,
         ) -> Pin<Box<dyn Future<Output = Result<(), String>> + Send + 'a>> {
             Box::pin(async move {
-                assert_eq!(folder, "artifacts/one", "no living campaign's");
+                assert_eq!(
+                    folder, "artifacts/one",
+                    "only the deleted campaign's folder is removed"
+                );
                 self.asked.add_permits(1);
                 let answer = self.answers.acquire().await;
                 answer
@@ -138,7 +141,7 @@ mod tests {
                 let queue = queue.clone();
                 async move { queue.finish_removals().await.expect("removed") }
             });
-            slow.asked.acquire().await.expect("it is asked").forget();
+            slow.asked.acquire().await.expect("a removal").forget();
             // A new campaign of the same name, whose videos must not be removed with the deleted
             // one's.
             create("one").await;
@@ -159,17 +162,17 @@ mod tests {
             assert_eq!(imported, name("three"));
         };
         let busy = tokio::time::timeout(Duration::from_secs(30), busy).await;
-        busy.expect("nothing waits for the storage");
-        let left = pending(&queue.shared).await.expect("folders");
-        assert_eq!(left, ["artifacts/one", "artifacts/two"]);
+        busy.expect("no operation waits for the storage");
+        let remaining = pending(&queue.shared).await.expect("folders");
+        assert_eq!(remaining, ["artifacts/one", "artifacts/two"]);
         slow.answers.add_permits(1);
         removing.join_all().await;
-        let left = pending(&queue.shared).await.expect("folders");
-        assert_eq!(left, ["artifacts/two"]);
+        let remaining = pending(&queue.shared).await.expect("folders");
+        assert_eq!(remaining, ["artifacts/two"]);
         let mut view = queue.store().read().await.expect("a view");
         let one = crate::store::campaigns::by_name(&mut view, &name("one")).await;
         assert_eq!(
-            one.expect("a database").expect("it is here").folder,
+            one.expect("a database").expect("the campaign").folder,
             "one~2"
         );
     }

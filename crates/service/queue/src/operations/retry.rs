@@ -1,6 +1,6 @@
 //! Release of jobs from quarantine.
 
-use super::campaigns::going_on;
+use super::campaigns::check_not_ended;
 use super::context::Context;
 use super::error::QueueError;
 use crate::ids::{CampaignName, JobId, JobName};
@@ -30,7 +30,7 @@ impl Queue {
     pub async fn retry_jobs(&self, name: &CampaignName, retry: &Retry) -> Result<u64, QueueError> {
         let mut context = Context::begin(&self.shared, vec![Step::RetryJobs]).await?;
         let campaign = context.campaign_named(name).await?;
-        going_on(&campaign)?;
+        check_not_ended(&campaign)?;
         let chosen = match retry {
             Retry::All => jobs::quarantined(&mut context.tx, campaign.id).await?,
             Retry::Named(names) => {

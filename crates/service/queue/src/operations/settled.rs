@@ -9,7 +9,7 @@ use tokio::sync::watch;
 pub(crate) struct Settled {
     begun: AtomicU64,
     ended: watch::Sender<u64>,
-    looked_at: AtomicU64,
+    processed: AtomicU64,
 }
 
 /// A transaction that settles jobs. Dropping this value marks its end.
@@ -22,7 +22,7 @@ impl Settled {
         Self {
             begun: AtomicU64::new(1),
             ended: watch::Sender::new(1),
-            looked_at: AtomicU64::new(0),
+            processed: AtomicU64::new(0),
         }
     }
 
@@ -39,19 +39,19 @@ impl Settled {
 
     /// Records that the first `ended` transactions are processed and that the derived jobs are
     /// committed.
-    pub(crate) fn look_ended(&self, ended: u64) {
-        self.looked_at.store(ended, Ordering::SeqCst);
+    pub(crate) fn mark_processed(&self, ended: u64) {
+        self.processed.store(ended, Ordering::SeqCst);
     }
 
     /// Returns the number of transactions that derivation has processed.
-    pub(crate) fn looked_at(&self) -> u64 {
-        self.looked_at.load(Ordering::SeqCst)
+    pub(crate) fn processed(&self) -> u64 {
+        self.processed.load(Ordering::SeqCst)
     }
 
-    /// Returns true if no transaction has settled jobs since `looked_at` was read, so that a view
+    /// Returns true if no transaction has settled jobs since `processed` was read, so that a view
     /// read in between is complete. Call it after reading.
-    pub(crate) fn is_all(&self, looked_at: u64) -> bool {
-        self.begun.load(Ordering::SeqCst) == looked_at
+    pub(crate) fn is_current(&self, processed: u64) -> bool {
+        self.begun.load(Ordering::SeqCst) == processed
     }
 }
 
@@ -70,18 +70,24 @@ mod tests {
     fn uncommitted_settlements_count_as_unprocessed() {
         let settled = Settled::new();
         let ended = settled.subscribe();
-        let is_all = || settled.is_all(settled.looked_at());
-        let look = || settled.look_ended(*ended.borrow());
-        assert!(!is_all(), "what is there at the start");
-        look();
-        assert!(is_all());
+        let is_current = || settled.is_current(settled.processed());
+        let process = || settled.mark_processed(*ended.borrow());
+        assert!(
+            !is_current(),
+            "jobs settled before the start are unprocessed"
+        );
+        process();
+        assert!(is_current());
         let settling = settled.begin();
-        assert!(!is_all());
-        look();
-        assert!(!is_all(), "a look cannot see what is not committed");
+        assert!(!is_current());
+        process();
+        assert!(
+            !is_current(),
+            "an uncommitted settlement cannot be processed"
+        );
         drop(settling);
-        assert!(!is_all());
-        look();
-        assert!(is_all());
+        assert!(!is_current());
+        process();
+        assert!(is_current());
     }
 }

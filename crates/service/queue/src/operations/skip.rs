@@ -1,6 +1,6 @@
 //! Skipping of rollouts: an operator gives them up, and the campaign continues without them.
 
-use super::campaigns::going_on;
+use super::campaigns::check_not_ended;
 use super::context::Context;
 use super::error::QueueError;
 use crate::ids::{CampaignName, JobName};
@@ -26,7 +26,7 @@ impl Queue {
     ) -> Result<u64, QueueError> {
         let mut context = Context::begin(&self.shared, vec![Step::RetryJobs]).await?;
         let campaign = context.campaign_named(name).await?;
-        going_on(&campaign)?;
+        check_not_ended(&campaign)?;
         for job in names {
             let JobName {
                 rollout_id,

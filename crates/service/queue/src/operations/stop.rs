@@ -16,7 +16,7 @@ use paired::{CampaignLook, Records};
 use sqlx::SqliteConnection;
 
 use super::context::Context;
-use super::derive::{aside, pause_after, records};
+use super::derive::{on_blocking_thread, pause_after, records};
 use super::shared::Shared;
 use crate::ids::CampaignId;
 use crate::store::failpoint::Step;
@@ -67,7 +67,7 @@ async fn evaluate_rules(shared: &Shared, fronts: &mut Fronts) -> Result<(), Stor
             .rollout_id
             .parse()
             .map_err(undecodable)
-            .doing("read which rollout comes first")?;
+            .doing("parse the id of the first unsettled rollout")?;
         let front = (first.task(), first.config().is_some(), first.number());
         if fronts.insert(campaign.campaign, front) == Some(front) {
             continue;
@@ -100,21 +100,23 @@ async fn stop(
     let mut context = Context::begin(shared, vec![Step::Stop]).await?;
     let stoppable = stops::stoppable(&mut context.tx).await?;
     let first = stops::first_unsettled(&mut context.tx, campaign).await?;
-    let holds = stoppable.iter().any(|it| it.campaign == campaign)
+    let is_valid = stoppable
+        .iter()
+        .any(|stoppable| stoppable.campaign == campaign)
         && first.is_none_or(|first| first.unit_order >= order);
-    if !holds {
+    if !is_valid {
         return Ok(false);
     }
     let name = context.campaign(campaign).await?.name.clone();
     stops::stop(&mut context.tx, campaign, look.used.len(), context.now).await?;
     let why = "the campaign has stopped early: its rule is met";
-    context.take_back(campaign, why).await?;
-    context.cache.forget_campaigns();
+    context.revoke_leases(campaign, why).await?;
+    context.cache.clear_campaigns();
     // A campaign that derives from this one may now grow.
     context.settles = true;
     context.commit().await?;
-    let (used, of) = (look.used.len(), look.units);
-    tracing::info!(campaign = %name, "stopped early after {used} of {of} configurations");
+    let (used, all) = (look.used.len(), look.units);
+    tracing::info!(campaign = %name, "stopped early after {used} of {all} configurations");
     shared.work.notify_waiters();
     Ok(true)
 }
@@ -126,11 +128,11 @@ async fn when_met(
 ) -> Result<Option<CampaignLook>, StoreError> {
     let stop = campaign.stop.clone();
     let records = records(tx, campaign.campaign).await?;
-    let found = aside(move || {
+    let found = on_blocking_thread(move || {
         Records::new(&records).map(|records| CampaignLook::when_met(&records, &stop))
     });
     let found = found.await.map_err(undecodable);
-    found.doing("read the outcomes that a rule is about")
+    found.doing("read the outcomes for a stop rule")
 }
 
 #[cfg(test)]
@@ -168,10 +170,13 @@ mod tests {
         };
         let shared = &queue.shared;
         let later = stop(shared, campaign, first.unit_order + 1, &look).await;
-        assert!(!later.expect("looked at"), "a rollout before it waits");
+        assert!(!later.expect("evaluated"), "an earlier rollout waits");
         let now = stop(shared, campaign, first.unit_order, &look).await;
         assert!(now.expect("stopped"));
         let again = stop(shared, campaign, first.unit_order, &look).await;
-        assert!(!again.expect("looked at"), "it has stopped already");
+        assert!(
+            !again.expect("evaluated"),
+            "the campaign has already stopped"
+        );
     }
 }

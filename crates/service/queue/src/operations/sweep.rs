@@ -31,12 +31,14 @@ impl Queue {
         let now = context.now;
         let mut is_news = false;
         if was_asleep(now.since(last), shared.timing.lease) {
-            tracing::warn!("the coordinator was asleep: every lease gets its full time again");
+            tracing::warn!(
+                "the coordinator was suspended: every lease is restarted with its full duration"
+            );
             restart_leases(&mut context).await?;
         } else {
-            is_news = context.take_expired().await?;
+            is_news = context.end_expired().await?;
         }
-        is_news |= jobs::fell_due(&mut context.tx, last, now).await?;
+        is_news |= jobs::has_ended_wait(&mut context.tx, last, now).await?;
         context.commit().await?;
         self.last_sweep.store(now.0, Ordering::Relaxed);
         if is_news {
@@ -49,7 +51,7 @@ impl Queue {
 impl Context<'_> {
     /// Ends expired leases and returns true if any lease expired. A worker whose heartbeats omitted
     /// several leases gets one strike for all of them; a worker whose heartbeats stopped gets none.
-    async fn take_expired(&mut self) -> Result<bool, StoreError> {
+    async fn end_expired(&mut self) -> Result<bool, StoreError> {
         let expired = jobs::expired(&mut self.tx, self.now, MAX_EXPIRED_PER_SWEEP).await?;
         let mut to_strike: BTreeSet<WorkerId> = BTreeSet::new();
         let lasts = self.shared.timing.lease;
@@ -81,7 +83,7 @@ fn explain(reason: FailureReason, lease: &Lease, control_steps: u32) -> String {
     let owner = &lease.owner;
     match reason {
         FailureReason::NeverAcknowledged => {
-            format!("worker `{owner}` never acknowledged the lease: was the answer lost?")
+            format!("worker `{owner}` never acknowledged the lease; the answer was probably lost")
         }
         FailureReason::Overdue => format!(
             "worker `{owner}` was at control step {control_steps} when the attempt reached its \

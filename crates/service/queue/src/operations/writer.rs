@@ -24,7 +24,7 @@ const MAX_BATCH: usize = 256;
 /// Most operations that wait for a transaction; beyond that, callers wait to submit theirs.
 pub(crate) const MAX_WAITING: usize = 4_096;
 
-/// An operation that a worker asks for.
+/// An operation that a worker requests.
 pub(crate) enum Operation {
     /// Leases a job. The flag is true for a new claim, and false for a retry of a waiting claim
     /// that was woken.
@@ -44,9 +44,9 @@ pub(crate) struct Pending<Q, A> {
 }
 
 /// Executes operations until all senders are dropped.
-pub(crate) async fn run(shared: Arc<Shared>, mut asked: mpsc::Receiver<Operation>) {
+pub(crate) async fn run(shared: Arc<Shared>, mut operations: mpsc::Receiver<Operation>) {
     let mut batch = Vec::with_capacity(MAX_BATCH);
-    while asked.recv_many(&mut batch, MAX_BATCH).await > 0 {
+    while operations.recv_many(&mut batch, MAX_BATCH).await > 0 {
         write(&shared, &mut batch).await;
         for operation in batch.drain(..) {
             operation.reply();
@@ -68,8 +68,8 @@ async fn write(shared: &Shared, batch: &mut [Operation]) {
         Ok(()) => {}
         Err(error) if batch.len() == 1 => fail_all(batch, &error),
         Err(_) => {
-            for alone in batch.chunks_mut(1) {
-                Box::pin(write(shared, alone)).await;
+            for single in batch.chunks_mut(1) {
+                Box::pin(write(shared, single)).await;
             }
         }
     }
@@ -97,11 +97,11 @@ async fn transact(
     }
     let reports: Vec<_> = commits.iter().map(|commit| &*commit.request).collect();
     answer(context.store_results(&reports).await?, commits);
-    let beats: Vec<_> = heartbeats
+    let requests: Vec<_> = heartbeats
         .iter()
         .map(|heartbeat| &heartbeat.request)
         .collect();
-    answer(context.heartbeat(&beats).await?, heartbeats);
+    answer(context.heartbeat(&requests).await?, heartbeats);
     let requests: Vec<_> = claims
         .iter()
         .map(|claim| (&claim.request.0, claim.request.1))
@@ -207,7 +207,7 @@ mod tests {
         let worker = WorkerId("a".to_owned());
         let beats = (0..OPERATIONS).map(|_| queue.heartbeat(&worker, &[]));
         for refused in futures_util::future::join_all(beats).await {
-            let error = refused.expect_err("another has the lock");
+            let error = refused.expect_err("another connection holds the lock");
             assert!(matches!(error, QueueError::Store(_)), "{error:?}");
         }
         // One wait for the lock by the first operation, and one by those that arrived in the

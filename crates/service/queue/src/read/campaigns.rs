@@ -64,7 +64,7 @@ impl Counts {
     }
 
     /// Reads the counts of a campaign from its tally: one row, however large the campaign is.
-    pub(crate) async fn of(
+    pub(crate) async fn read(
         tx: &mut SqliteConnection,
         campaign: CampaignId,
     ) -> Result<Counts, StoreError> {
@@ -108,7 +108,7 @@ impl View {
         &mut self,
         campaign: &Campaign,
     ) -> Result<Option<EarlyStop>, StoreError> {
-        stops::of(self.tx(), campaign.id).await
+        stops::early_stop(self.tx(), campaign.id).await
     }
 
     /// Returns the status of all campaigns, oldest first.
@@ -140,7 +140,7 @@ impl View {
         live: &[Pin],
     ) -> Result<CampaignStatus, StoreError> {
         let now = self.now;
-        let counts = Counts::of(self.tx(), campaign.id).await?;
+        let counts = Counts::read(self.tx(), campaign.id).await?;
         let rate_per_sec = match campaign.state {
             CampaignState::Running { since: resumed } => {
                 rate(self.tx(), campaign.id, resumed, now).await?
@@ -149,7 +149,7 @@ impl View {
             | CampaignState::Cancelled { .. }
             | CampaignState::Stopped { .. } => None,
         };
-        let left = (counts.queued + counts.leased) as f64;
+        let remaining = (counts.queued + counts.leased) as f64;
         let policy_pause_reason = match &campaign.health.state {
             PolicyState::Available => None,
             PolicyState::Paused { reason, .. } | PolicyState::Probing { reason, .. } => {
@@ -167,7 +167,7 @@ impl View {
             _ if campaign.state.is_over() => false,
             None => false,
             Some(source) if source.awaited > 0 => !source.is_cancelled,
-            Some(_) => !self.settled.is_all(self.looked_at),
+            Some(_) => !self.settled.is_current(self.processed),
         };
         let is_waiting = counts.queued > 0 && counts.leased == 0 && campaign.state.may_lease();
         let waiting_reason = match (is_waiting, &self.held, &policy_pause_reason) {
@@ -184,14 +184,14 @@ impl View {
             (true, None, None) => no_worker_reason(&campaign.demand(), live.first()),
         };
         let fingerprints = self.fingerprints(campaign.id).await?;
-        let stop = stops::of(self.tx(), campaign.id).await?;
+        let stop = stops::early_stop(self.tx(), campaign.id).await?;
         Ok(CampaignStatus {
             campaign,
             counts,
             policy_pause_reason,
             policy_retry,
             rate_per_sec,
-            eta_secs: rate_per_sec.map(|rate| left / rate),
+            eta_secs: rate_per_sec.map(|rate| remaining / rate),
             live_workers,
             waiting_reason,
             fingerprints,
@@ -243,19 +243,20 @@ fn awaited_reason(source: &Source) -> String {
         n => format!("{n} rollouts"),
     };
     match is_cancelled {
-        false => format!("it goes on once campaign `{name}` is finished, {rollouts} from now"),
+        false => format!("it waits for campaign `{name}`, which has {rollouts} left"),
         true => format!(
-            "nothing follows from campaign `{name}`, which was cancelled with {rollouts} to go"
+            "no rollout can be derived from campaign `{name}`, which was cancelled with {rollouts} \
+             left"
         ),
     }
 }
 
 fn no_worker_reason(demand: &str, live: Option<&Pin>) -> String {
     match (demand, live) {
-        ("", _) => "no worker is here; start one with `worker --connect`".to_owned(),
-        (_, None) => format!("no worker is here, and the campaign {demand}"),
+        ("", _) => "no worker is connected; start one with `worker --connect`".to_owned(),
+        (_, None) => format!("no worker is connected, and the campaign {demand}"),
         (_, Some(other)) => {
-            format!("no worker suits: the campaign {demand}; one that is here runs on {other}")
+            format!("no worker suits: the campaign {demand}; a connected worker runs on {other}")
         }
     }
 }

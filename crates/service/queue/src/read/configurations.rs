@@ -177,7 +177,7 @@ impl View {
         .bind(json(jobs))
         .fetch_all(self.tx())
         .await
-        .doing("read how a configuration's robots moved")?;
+        .doing("read the robot motions of a configuration")?;
         let motion = |(job, path)| {
             let actions = Vec::new();
             (job, Motion { path, actions })

@@ -32,7 +32,7 @@ impl View {
     /// If the database fails.
     pub async fn following(&mut self, campaign: CampaignId) -> Result<Vec<Campaign>, QueueError> {
         let mut list = Vec::new();
-        for name in derivations::of(self.tx(), campaign).await? {
+        for name in derivations::derived_names(self.tx(), campaign).await? {
             list.push(self.campaign(&name).await?);
         }
         Ok(list)
@@ -57,6 +57,6 @@ impl View {
         .bind(json(ids))
         .fetch_all(self.tx())
         .await
-        .doing("read what is known of a configuration's subsets")
+        .doing("read the outcomes of a configuration's subsets")
     }
 }

@@ -89,25 +89,25 @@ pub(super) fn forecast(workers: &[Live], measured: &[Measured], planned: &Planne
             None => kinds.push((&worker.pin, vec![worker])),
         }
     }
-    let of_kinds = kinds.iter().map(|(pin, alike)| {
+    let by_kind = kinds.iter().map(|(pin, alike)| {
         let drawn = measured
             .iter()
             .filter(|results| results.renderer == pin.renderer);
-        of_kind(alike, &drawn.collect::<Vec<_>>(), planned)
+        forecast_for_kind(alike, &drawn.collect::<Vec<_>>(), planned)
     });
     let least = |a: &Forecast, b: &Forecast| {
-        let secs = |it: &Forecast| it.secs.unwrap_or(f64::INFINITY);
+        let secs = |forecast: &Forecast| forecast.secs.unwrap_or(f64::INFINITY);
         secs(a).total_cmp(&secs(b)).then(b.slots.cmp(&a.slots))
     };
-    of_kinds.min_by(least).unwrap_or_default()
+    by_kind.min_by(least).unwrap_or_default()
 }
 
 /// Returns the forecast for workers of one kind, from results of the same renderer.
-fn of_kind(alike: &[&Live], drawn: &[&Measured], planned: &Planned<'_>) -> Forecast {
-    let slots = all_of(alike.iter().map(|worker| worker.slots));
-    let machine = |it: &&Live| {
-        it.cores.map(|cores| Machine {
-            slots: it.slots,
+fn forecast_for_kind(alike: &[&Live], drawn: &[&Measured], planned: &Planned<'_>) -> Forecast {
+    let slots = saturating_sum(alike.iter().map(|worker| worker.slots));
+    let machine = |worker: &&Live| {
+        worker.cores.map(|cores| Machine {
+            slots: worker.slots,
             cores,
         })
     };
@@ -121,7 +121,7 @@ fn of_kind(alike: &[&Live], drawn: &[&Measured], planned: &Planned<'_>) -> Forec
         slots,
         cores: machines
             .as_ref()
-            .map(|all| all_of(all.iter().map(|worker| worker.cores))),
+            .map(|all| saturating_sum(all.iter().map(|worker| worker.cores))),
         ..Forecast::default()
     };
     let duration: Figure = (|row| row.secs, |row| row.results);
@@ -167,7 +167,7 @@ fn of_kind(alike: &[&Live], drawn: &[&Measured], planned: &Planned<'_>) -> Forec
 }
 
 /// Sums numbers reported by workers. Saturates, since a worker may report any number.
-fn all_of(numbers: impl Iterator<Item = u32>) -> u32 {
+fn saturating_sum(numbers: impl Iterator<Item = u32>) -> u32 {
     numbers.fold(0, u32::saturating_add)
 }
 
@@ -193,10 +193,10 @@ fn spent(used: &[&Measured], rollouts: &BTreeMap<String, u64>) -> Option<(u64, S
         0 => 0.0,
         _ => rollouts.get(suite).copied().unwrap_or_default() as f64 / total as f64,
     };
-    let figure = |of: &[&Measured], value: fn(&Measured) -> f64| {
-        let all = mean(of, (value, |row| row.known))?;
+    let figure = |rows: &[&Measured], value: fn(&Measured) -> f64| {
+        let all = mean(rows, (value, |row| row.known))?;
         let suites = rollouts.keys().map(|suite| {
-            let secs = mean(&of_suite(of, suite), (value, |row| row.known));
+            let secs = mean(&of_suite(rows, suite), (value, |row| row.known));
             weight(suite) * secs.unwrap_or(all)
         });
         Some(match total {
@@ -222,9 +222,9 @@ fn spent(used: &[&Measured], rollouts: &BTreeMap<String, u64>) -> Option<(u64, S
 /// Returns the mean of a value over some results; `None` without results.
 fn mean(measured: &[&Measured], (value, count): Figure) -> Option<f64> {
     let (mut sum, mut results) = (0.0, 0.0);
-    for it in measured {
-        sum += value(it) * count(it) as f64;
-        results += count(it) as f64;
+    for row in measured {
+        sum += value(row) * count(row) as f64;
+        results += count(row) as f64;
     }
     (results > 0.0).then(|| sum / results)
 }
@@ -252,11 +252,15 @@ mod tests {
         }
     }
 
-    fn of(workers: &[(&str, u32)], measured: &[Measured], rollouts: &[(&str, u64)]) -> Forecast {
-        of_cores(None, workers, measured, rollouts)
+    fn forecast_without_cores(
+        workers: &[(&str, u32)],
+        measured: &[Measured],
+        rollouts: &[(&str, u64)],
+    ) -> Forecast {
+        forecast_with_cores(None, workers, measured, rollouts)
     }
 
-    fn of_cores(
+    fn forecast_with_cores(
         cores: Option<u32>,
         workers: &[(&str, u32)],
         measured: &[Measured],
@@ -294,14 +298,15 @@ mod tests {
     }
 
     #[test]
-    fn suites_take_what_they_took_on_all_slots_that_run_alike() {
-        let took = [
+    fn a_suite_is_forecast_from_its_measured_durations_on_the_fastest_pin() {
+        let measurements = [
             measured("ours", "software", "goal", 10, 20.0),
             measured("ours", "software", "object", 30, 8.0),
             measured("other", "software", "goal", 50, 1.0),
         ];
         let workers = [("software", 2), ("software", 2), ("gl", 1)];
-        let forecast = of(&workers, &took, &[("goal", 100), ("object", 50)]);
+        let forecast =
+            forecast_without_cores(&workers, &measurements, &[("goal", 100), ("object", 50)]);
         assert_eq!((forecast.workers, forecast.slots), (2, 4));
         assert_eq!(forecast.secs, Some((100.0 * 20.0 + 50.0 * 8.0) / 4.0));
         assert_eq!((forecast.results, forecast.is_of_policy), (40, true));
@@ -309,29 +314,36 @@ mod tests {
     }
 
     #[test]
-    fn what_was_not_measured_is_said() {
-        let took = [measured("other", "software", "object", 5, 6.0)];
-        let forecast = of(&[("software", 3)], &took, &[("goal", 30), ("object", 30)]);
+    fn unmeasured_suites_and_policies_are_reported() {
+        let measurements = [measured("other", "software", "object", 5, 6.0)];
+        let forecast = forecast_without_cores(
+            &[("software", 3)],
+            &measurements,
+            &[("goal", 30), ("object", 30)],
+        );
         assert_eq!((forecast.secs, forecast.is_of_policy), (Some(120.0), false));
         assert_eq!(forecast.unmeasured_suites, ["goal"]);
 
-        let forecast = of(&[("gl", 3)], &took, &[("goal", 30)]);
+        let forecast = forecast_without_cores(&[("gl", 3)], &measurements, &[("goal", 30)]);
         assert_eq!((forecast.secs, forecast.workers), (None, 1));
-        assert_eq!(of(&[], &took, &[("goal", 30)]), Forecast::default());
+        assert_eq!(
+            forecast_without_cores(&[], &measurements, &[("goal", 30)]),
+            Forecast::default()
+        );
     }
 
     #[test]
-    fn a_rollout_takes_its_time_on_however_many_slots() {
-        let took = [measured("ours", "software", "goal", 1, 40.0)];
-        let forecast = of(&[("software", 64)], &took, &[("goal", 2)]);
+    fn additional_slots_do_not_shorten_a_rollout() {
+        let measurements = [measured("ours", "software", "goal", 1, 40.0)];
+        let forecast = forecast_without_cores(&[("software", 64)], &measurements, &[("goal", 2)]);
         assert_eq!(forecast.secs, Some(40.0));
     }
 
     #[test]
     fn the_time_of_each_part_determines_the_bottleneck() {
-        let took = [with_times("goal", true)];
+        let measurements = [with_times("goal", true)];
         let workers = [("software", 4)];
-        let forecast = of_cores(Some(4), &workers, &took, &[("goal", 100)]);
+        let forecast = forecast_with_cores(Some(4), &workers, &measurements, &[("goal", 100)]);
         assert_eq!(forecast.cores, Some(4));
         let speed = forecast.speed.expect("known");
         assert_eq!((speed.results, speed.spent.queries), (10, 25.0));
@@ -346,9 +358,10 @@ mod tests {
     }
 
     #[test]
-    fn slots_that_shared_cores_waited_for_one_another() {
-        let took = [with_times("goal", false)];
-        let forecast = of_cores(Some(4), &[("software", 9)], &took, &[("goal", 100)]);
+    fn waiting_on_shared_cores_is_not_attributed_to_other_resources() {
+        let measurements = [with_times("goal", false)];
+        let forecast =
+            forecast_with_cores(Some(4), &[("software", 9)], &measurements, &[("goal", 100)]);
         let speed = forecast.speed.expect("known");
         assert_eq!(
             (speed.spent.waiting_secs, speed.spent.taken_secs),
@@ -365,29 +378,29 @@ mod tests {
             physics_secs: 9.0,
             ..with_times("long", true)
         };
-        let took = [with_times("goal", true), slow];
+        let measurements = [with_times("goal", true), slow];
         let rollouts = [("goal", 30), ("long", 10), ("object", 0)];
-        let forecast = of_cores(Some(1), &[("software", 1)], &took, &rollouts);
+        let forecast = forecast_with_cores(Some(1), &[("software", 1)], &measurements, &rollouts);
         let speed = forecast.speed.expect("known");
         assert_eq!((speed.results, speed.spent.physics_secs), (20, 4.5));
-        let nothing = of_cores(Some(1), &[("software", 1)], &took, &[]);
+        let nothing = forecast_with_cores(Some(1), &[("software", 1)], &measurements, &[]);
         assert_eq!(nothing.speed.expect("known").spent.physics_secs, 6.0);
     }
 
     #[test]
-    fn numbers_of_any_size_are_forecast() {
-        let took = [with_times("goal", true), with_times("long", true)];
+    fn huge_reported_numbers_saturate() {
+        let measurements = [with_times("goal", true), with_times("long", true)];
         let workers = [("software", u32::MAX), ("software", u32::MAX)];
         let rollouts = [("goal", u64::MAX), ("long", u64::MAX)];
-        let forecast = of_cores(Some(u32::MAX), &workers, &took, &rollouts);
+        let forecast = forecast_with_cores(Some(u32::MAX), &workers, &measurements, &rollouts);
         assert_eq!((forecast.slots, forecast.cores), (u32::MAX, Some(u32::MAX)));
         assert!(forecast.secs.is_some_and(f64::is_finite));
     }
 
     #[test]
     fn workers_without_a_core_count_are_forecast_by_their_slots() {
-        let took = [with_times("goal", true)];
-        let forecast = of(&[("software", 4)], &took, &[("goal", 100)]);
+        let measurements = [with_times("goal", true)];
+        let forecast = forecast_without_cores(&[("software", 4)], &measurements, &[("goal", 100)]);
         let speed = forecast.speed.expect("known");
         assert_eq!((speed.rate, speed.enough_slots_secs), (None, None));
         assert_eq!((forecast.secs, forecast.cores), (Some(250.0), None));

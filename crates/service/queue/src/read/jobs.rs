@@ -195,6 +195,6 @@ impl View {
         .bind(MAX_FAILURES_SHOWN)
         .fetch_all(self.tx())
         .await
-        .doing("read how attempts failed")
+        .doing("read the failures of attempts")
     }
 }

@@ -113,7 +113,7 @@ impl View {
         .bind(campaign)
         .fetch_one(self.tx())
         .await
-        .doing("look whether a campaign's results changed")
+        .doing("check whether a campaign's results changed")
     }
 
     /// Returns up to `limit` committed rollouts after a given one, by rollout id, then replicate.
@@ -153,7 +153,7 @@ impl View {
         .bind(campaign)
         .fetch_all(self.tx())
         .await
-        .doing("read what is known of a campaign")
+        .doing("read the records of a campaign's rollouts")
     }
 
     /// Returns the setups of a campaign's rollouts in its first replicate; all replicates share
@@ -167,7 +167,7 @@ impl View {
         .bind(campaign)
         .fetch_all(self.tx())
         .await
-        .doing("read what a campaign's rollouts are")
+        .doing("read the manifest rows of a campaign")
     }
 
     /// Returns the policy seeds of a campaign, by rollout, then replicate.
@@ -201,7 +201,7 @@ impl View {
         .bind(campaign)
         .fetch_all(self.tx())
         .await
-        .doing("read where results came from")?;
+        .doing("read the provenance of results")?;
         Ok(rows.into_iter().map(|Json(row)| row).collect())
     }
 
@@ -219,7 +219,7 @@ impl View {
         .bind(campaign)
         .fetch_one(self.tx())
         .await
-        .doing("count a campaign's actions beyond the range")
+        .doing("count a campaign's clipped actions")
     }
 
     /// Returns the results of each fingerprint in a campaign, and the tasks and initial states that
@@ -253,11 +253,11 @@ impl View {
         .bind(campaign)
         .fetch_all(self.tx())
         .await
-        .doing("look for configurations of several fingerprints")?;
+        .doing("find configurations with several fingerprints")?;
         let results = results.into_iter();
         Ok(Some(Fingerprints {
             results: results
-                .map(|(of, count)| (of, count.unsigned_abs()))
+                .map(|(fingerprint, count)| (fingerprint, count.unsigned_abs()))
                 .collect(),
             mixed,
         }))

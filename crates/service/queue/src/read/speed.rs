@@ -74,8 +74,8 @@ pub(super) fn rate(machines: &[Machine], spent: &Spent, policy_rate: Option<f64>
     if busy <= 0.0 || !alone.is_finite() || machines.is_empty() {
         return None;
     }
-    let by_cores = |it: &Machine| f64::from(it.cores) / busy;
-    let by_slots = |it: &Machine| f64::from(it.slots) / alone;
+    let by_cores = |machine: &Machine| f64::from(machine.cores) / busy;
+    let by_slots = |machine: &Machine| f64::from(machine.slots) / alone;
     let simulated: f64 = machines
         .iter()
         .map(|machine| by_slots(machine).min(by_cores(machine)))
@@ -89,11 +89,11 @@ pub(super) fn rate(machines: &[Machine], spent: &Spent, policy_rate: Option<f64>
         () => Bottleneck::Cores,
     };
     // Slots in use at a rate; the factor keeps a rounding error from adding a slot.
-    let under_way = |per_sec: f64| (per_sec * alone * (1.0 - 1e-12)).ceil();
-    let to_fill = |it: &Machine| under_way(by_cores(it));
+    let slots_in_use = |per_sec: f64| (per_sec * alone * (1.0 - 1e-12)).ceil();
+    let slots_to_fill = |machine: &Machine| slots_in_use(by_cores(machine));
     let enough = match answered < full {
-        true => under_way(answered),
-        false => machines.iter().map(to_fill).sum(),
+        true => slots_in_use(answered),
+        false => machines.iter().map(slots_to_fill).sum(),
     };
     Some(Rate {
         per_sec: simulated.min(answered),
@@ -120,7 +120,7 @@ mod tests {
         queries: 30.0,
     };
 
-    fn on(slots: u32, cores: u32) -> Machine {
+    fn machine(slots: u32, cores: u32) -> Machine {
         Machine { slots, cores }
     }
 
@@ -130,42 +130,42 @@ mod tests {
 
     #[test]
     fn few_slots_wait_for_the_policy_while_cores_are_idle() {
-        let few = rate_of_example(&[on(4, 4)], None);
+        let few = rate_of_example(&[machine(4, 4)], None);
         assert_eq!((few.per_sec, few.bottleneck), (0.4, Bottleneck::Slots));
         assert_eq!((few.enough_slots, few.most_per_sec), (10, 1.0));
-        let enough = rate_of_example(&[on(10, 4)], None);
+        let enough = rate_of_example(&[machine(10, 4)], None);
         assert_eq!(
             (enough.per_sec, enough.bottleneck),
             (1.0, Bottleneck::Cores)
         );
-        assert_eq!(rate_of_example(&[on(64, 4)], None).per_sec, 1.0);
+        assert_eq!(rate_of_example(&[machine(64, 4)], None).per_sec, 1.0);
     }
 
     #[test]
     fn slots_of_one_machine_do_not_use_the_cores_of_another() {
-        let one_sided = rate_of_example(&[on(40, 4), on(2, 4)], None);
+        let one_sided = rate_of_example(&[machine(40, 4), machine(2, 4)], None);
         assert_eq!(one_sided.per_sec, 1.0 + 0.2);
         assert_eq!(one_sided.bottleneck, Bottleneck::Slots);
         assert_eq!((one_sided.enough_slots, one_sided.most_per_sec), (20, 2.0));
     }
 
     #[test]
-    fn a_policy_that_answers_slowly_bounds_all_of_them() {
-        let bound = rate_of_example(&[on(10, 4)], Some(15.0));
+    fn a_slow_policy_bounds_the_rate_of_all_slots() {
+        let bound = rate_of_example(&[machine(10, 4)], Some(15.0));
         assert_eq!((bound.per_sec, bound.bottleneck), (0.5, Bottleneck::Policy));
         assert_eq!((bound.enough_slots, bound.most_per_sec), (5, 0.5));
-        let fast = rate_of_example(&[on(4, 4)], Some(15.0));
+        let fast = rate_of_example(&[machine(4, 4)], Some(15.0));
         assert_eq!((fast.bottleneck, fast.enough_slots), (Bottleneck::Slots, 5));
     }
 
     #[test]
     fn without_a_measurement_or_a_machine_there_is_no_rate() {
         assert_eq!(rate(&[], &ROLLOUT, None), None);
-        assert_eq!(rate(&[on(1, 1)], &Spent::default(), None), None);
+        assert_eq!(rate(&[machine(1, 1)], &Spent::default(), None), None);
     }
 
     fn machines() -> impl Strategy<Value = Vec<Machine>> {
-        let machine = (1..200_u32, 1..128_u32).prop_map(|(slots, cores)| on(slots, cores));
+        let machine = (1..200_u32, 1..128_u32).prop_map(|(slots, cores)| machine(slots, cores));
         prop::collection::vec(machine, 1..6)
     }
 
@@ -190,7 +190,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_bound_is_passed_and_one_is_reached(
+        fn the_rate_equals_its_smallest_bound(
             machines in machines(), spent in spent(), policy in policy(),
         ) {
             let found = rate(&machines, &spent, policy).expect("a rate");
@@ -199,20 +199,20 @@ mod tests {
             let cores: u32 = machines.iter().map(|machine| machine.cores).sum();
             let by_slots = f64::from(slots) / spent.alone();
             let by_cores = f64::from(cores) / spent.busy();
-            let asked = found.per_sec * spent.queries;
+            let queries_per_sec = found.per_sec * spent.queries;
             prop_assert!(found.per_sec <= by_slots * (1.0 + 1e-9));
             prop_assert!(found.per_sec <= by_cores * (1.0 + 1e-9));
-            prop_assert!(policy.is_none_or(|rate| asked <= rate * (1.0 + 1e-9)));
+            prop_assert!(policy.is_none_or(|rate| queries_per_sec <= rate * (1.0 + 1e-9)));
             prop_assert!(found.per_sec <= found.most_per_sec * (1.0 + 1e-9));
             match found.bottleneck {
-                Bottleneck::Policy => prop_assert!(close(asked, policy.expect("one"))),
+                Bottleneck::Policy => prop_assert!(close(queries_per_sec, policy.expect("a rate"))),
                 Bottleneck::Cores => prop_assert!(close(found.per_sec, by_cores)),
                 Bottleneck::Slots => prop_assert!(found.per_sec < found.most_per_sec),
             }
         }
 
         #[test]
-        fn more_of_anything_is_never_slower(
+        fn more_slots_cores_or_machines_never_lower_the_rate(
             machines in machines(), spent in spent(), policy in policy(), which in 0..6_usize,
         ) {
             let before = rate(&machines, &spent, policy).expect("a rate").per_sec;
@@ -222,7 +222,7 @@ mod tests {
             let slots = rate(&more, &spent, policy).expect("a rate").per_sec;
             more[place].cores += 1;
             let cores = rate(&more, &spent, policy).expect("a rate").per_sec;
-            more.push(on(1, 1));
+            more.push(machine(1, 1));
             let machine = rate(&more, &spent, policy).expect("a rate").per_sec;
             let faster = policy.map(|rate| rate * 2.0);
             let policy = rate(&more, &spent, faster).expect("a rate").per_sec;
@@ -231,11 +231,11 @@ mod tests {
         }
 
         #[test]
-        fn slots_that_are_enough_reach_the_most_and_fewer_do_not(
+        fn the_highest_rate_needs_at_least_enough_slots(
             cores in 1..128_u32, spent in spent(), policy in policy(),
         ) {
-            let found = rate(&[on(1, cores)], &spent, policy).expect("a rate");
-            let with = |slots| rate(&[on(slots, cores)], &spent, policy).expect("a rate");
+            let found = rate(&[machine(1, cores)], &spent, policy).expect("a rate");
+            let with = |slots| rate(&[machine(slots, cores)], &spent, policy).expect("a rate");
             let enough = with(found.enough_slots);
             prop_assert!(enough.per_sec >= found.most_per_sec * (1.0 - 1e-9));
             if found.enough_slots > 1 {

@@ -104,7 +104,7 @@ impl View {
         )
         .fetch_all(self.tx())
         .await
-        .doing("list the campaigns of policies")?;
+        .doing("list the campaigns of each policy")?;
         for policy in &mut policies {
             let users = users.iter().filter(|(id, _)| *id == policy.id);
             policy.campaigns = users.map(|(_, campaign)| campaign.clone()).collect();
@@ -137,6 +137,6 @@ impl View {
         sqlx::query_as("SELECT reason, attempts FROM ending_tally WHERE attempts > 0")
             .fetch_all(self.tx())
             .await
-            .doing("count how attempts ended")
+            .doing("count attempts by failure reason")
     }
 }

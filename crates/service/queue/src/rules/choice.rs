@@ -110,29 +110,31 @@ mod tests {
     /// Returns the leases of each campaign when `claims` arrive together, and when they arrive one
     /// by one.
     fn check(leased: &[u32], claims: usize) {
-        let given = |at_a_time: usize| {
+        let leases = |at_a_time: usize| {
             let mut waiting: Vec<WaitingCampaign> = (1..)
                 .zip(leased)
                 .map(|(id, leased)| campaign(id, 0, *leased, 0))
                 .collect();
-            let mut left = claims;
+            let mut remaining = claims;
             for turn in 1.. {
-                if left == 0 {
+                if remaining == 0 {
                     break;
                 }
-                let (id, share) = choose_campaign(&waiting, left.min(at_a_time)).expect("some");
-                assert!((1..=left).contains(&share), "{share} of {left}");
-                let chosen = waiting.iter_mut().find(|it| it.id == id).expect("it");
+                let (id, share) =
+                    choose_campaign(&waiting, remaining.min(at_a_time)).expect("a choice");
+                assert!((1..=remaining).contains(&share), "{share} of {remaining}");
+                let chosen = waiting.iter_mut().find(|campaign| campaign.id == id);
+                let chosen = chosen.expect("the chosen campaign");
                 chosen.leased += share as u32;
                 chosen.last_turn = turn;
-                left -= share;
+                remaining -= share;
             }
             waiting
                 .iter()
                 .map(|campaign| campaign.leased)
                 .collect::<Vec<_>>()
         };
-        let (mut together, mut alone) = (given(usize::MAX), given(1));
+        let (mut together, mut alone) = (leases(usize::MAX), leases(1));
         together.sort_unstable();
         alone.sort_unstable();
         assert_eq!(together, alone, "{leased:?} and {claims} claims");
@@ -162,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn a_claim_prefers_solitude_then_paired_unit_order() {
+    fn the_task_with_the_fewest_leases_is_chosen_then_paired_unit_order() {
         let waiting = |task: &str, first_unit, leased| WaitingTask {
             task: task.to_owned(),
             first_unit,

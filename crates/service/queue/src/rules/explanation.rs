@@ -10,7 +10,7 @@ use paired::Record;
 
 /// Rollouts to add.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub(crate) struct Wanted {
+pub(crate) struct Addition {
     /// The simultaneous rollout of the configuration in the explained campaign.
     pub(crate) simultaneous: RolloutId,
     /// The axes to perturb.
@@ -21,11 +21,11 @@ pub(crate) struct Wanted {
 
 /// Returns the rollouts to add, given the records of the explained campaign and `own`, those of the
 /// explaining campaign; empty if everything is explained or already requested.
-pub(crate) fn wanted(
+pub(crate) fn additions(
     explained: &[Record],
     own: &[Record],
     explanation: &Explanation,
-) -> Vec<Wanted> {
+) -> Vec<Addition> {
     // A single axis leaves nothing to explain.
     let Ok(lattices) = configurations(explained, own, explanation.repeats) else {
         return Vec::new();
@@ -34,11 +34,11 @@ pub(crate) fn wanted(
     for (&simultaneous, requests) in plan(&lattices, &Sample::of(explanation)) {
         for request in requests {
             let lattice = &lattices[&simultaneous];
-            let asked = lattice.outcomes().both(request.set).asked();
-            all.push(Wanted {
+            let requested = lattice.outcomes().both(request.set).asked();
+            all.push(Addition {
                 simultaneous,
                 axes: request.set,
-                replicates: asked..asked + request.rollouts,
+                replicates: requested..requested + request.rollouts,
             });
         }
     }
@@ -49,7 +49,7 @@ pub(crate) fn wanted(
 /// the minimal subsets of axes, and those under the largest subsets of each minimal subset that do
 /// not flip the outcome. For each of these subsets, returns the first replicate with the majority's
 /// outcome.
-pub(crate) fn telling(
+pub(crate) fn illustrative(
     explained: &[Record],
     own: &[Record],
     explanation: &Explanation,
@@ -59,7 +59,7 @@ pub(crate) fn telling(
     };
     let mut verdicts = BTreeMap::new();
     for (simultaneous, lattice) in &lattices {
-        let answers = explain(lattice).map_or_else(|_| Vec::new(), |found| found.answers);
+        let answers = explain(lattice).map_or_else(|_| Vec::new(), |result| result.answers);
         let minimal = answers.iter().flat_map(|answer| &answer.minimal);
         let sets = minimal.flat_map(|minimum| minimum.below.iter().copied().chain([minimum.set]));
         for set in sets {
@@ -74,7 +74,7 @@ pub(crate) fn telling(
             }
         }
     }
-    let mut telling = BTreeMap::new();
+    let mut illustrative = BTreeMap::new();
     for &Record {
         id,
         replicate,
@@ -83,9 +83,9 @@ pub(crate) fn telling(
     } in own
     {
         if outcome.success().is_some() && outcome.success() == verdicts.get(&id).copied() {
-            let least = telling.entry(id).or_insert(replicate);
+            let least = illustrative.entry(id).or_insert(replicate);
             *least = replicate.min(*least);
         }
     }
-    telling.into_iter().collect()
+    illustrative.into_iter().collect()
 }

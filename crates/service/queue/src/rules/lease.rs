@@ -18,15 +18,15 @@ pub const MAX_CHARGED_ATTEMPTS: u32 = 3;
 pub const MIN_MACHINES_TO_QUARANTINE: u32 = 2;
 /// Machine failures in a row after which a worker stops leasing.
 pub const MAX_WORKER_FAILURES_IN_A_ROW: u32 = 5;
-/// Number of a job's attempts cut off with their worker from which on each one is followed by a
+/// From this number of a job's attempts that were cut off with their worker, each is followed by a
 /// back-off, so that other jobs get the remaining workers.
 pub const SILENCES_UNTIL_BACKOFF: u32 = 3;
 /// Number of a job's attempts cut off with their worker at which the job is quarantined, since it
 /// probably crashes its workers: network failures would have to hit this job that often, each time
 /// until its worker counts as gone.
 pub const MAX_SILENCES: u32 = 10;
-/// Number of a job's attempts that lost their policy from which on each one is followed by a
-/// back-off, so that other jobs run while the policy is available.
+/// From this number of a job's attempts that lost their policy, each is followed by a back-off, so
+/// that other jobs run while the policy is available.
 pub const LOSSES_UNTIL_BACKOFF: u32 = 2;
 /// Attempts of one job that lost their policy after which the job runs only as the policy's single
 /// lease, and only when no other job of the policy waits. The schema's index `job_alone` uses the
@@ -283,8 +283,9 @@ impl Job {
 }
 
 impl Lease {
-    /// Returns the reason why this lease expired. `lasts` is the duration of a lease without a
-    /// heartbeat; `last_heartbeat` is the worker's last one, even if it did not name this attempt.
+    /// Returns the reason why this lease expired. `lease_duration` is the duration of a lease
+    /// without a heartbeat; `last_heartbeat` is the worker's last one, even if it did not name
+    /// this attempt.
     ///
     /// If the worker's heartbeats stopped, all its leases expired together and nothing is known
     /// about the rollout: the network may be cut. If its heartbeats continued but omitted the
@@ -294,13 +295,17 @@ impl Lease {
     pub fn why_expired(
         &self,
         last_heartbeat: Option<UnixMillis>,
-        lasts: Duration,
+        lease_duration: Duration,
     ) -> FailureReason {
         let is_silent_for = |span| last_heartbeat.is_none_or(|at| at <= self.expires.minus(span));
         let is_overdue = self.expires >= self.ceiling;
         if !self.is_acknowledged {
             FailureReason::NeverAcknowledged
-        } else if is_silent_for(if is_overdue { lasts } else { lasts / 2 }) {
+        } else if is_silent_for(if is_overdue {
+            lease_duration
+        } else {
+            lease_duration / 2
+        }) {
             FailureReason::WorkerSilent
         } else if is_overdue {
             FailureReason::Overdue
@@ -374,13 +379,14 @@ impl FailureReason {
     pub fn explained(self, error: &str, losses: u32, silences: u32) -> String {
         match self {
             FailureReason::TakesPolicyDown => format!(
-                "this rollout takes its policy down: {losses} attempts had the policy and lost \
-                 it, the last {} while no other rollout asked it; the last error was: {error}",
+                "this rollout takes its policy down: {losses} attempts reached the policy and \
+                 lost it, the last {} while no other rollout queried it; the last error was: \
+                 {error}",
                 MAX_LOSSES - LOSSES_UNTIL_ALONE
             ),
             FailureReason::TakesWorkerDown => format!(
                 "this rollout takes its workers down: {silences} attempts ended because their \
-                 worker fell silent and never came back; the last error was: {error}"
+                 worker fell silent and did not reconnect; the last error was: {error}"
             ),
             _ => error.to_owned(),
         }
@@ -452,10 +458,10 @@ mod tests {
     }
 
     #[test]
-    fn a_lease_expires_for_a_reason_and_only_a_worker_that_still_calls_is_charged() {
-        const LASTS: Duration = Duration::from_millis(40);
-        let check = |lease: Lease, heard, expected: FailureReason, is_charged| {
-            let reason = lease.why_expired(heard, LASTS);
+    fn an_expired_lease_is_charged_only_if_its_worker_still_sends_heartbeats() {
+        const LEASE_DURATION: Duration = Duration::from_millis(40);
+        let check = |lease: Lease, last_heartbeat, expected: FailureReason, is_charged| {
+            let reason = lease.why_expired(last_heartbeat, LEASE_DURATION);
             assert_eq!((reason, reason.is_charged()), (expected, is_charged));
         };
         let late = |is_acknowledged| Lease {
@@ -502,7 +508,7 @@ mod tests {
         assert_eq!(
             waits.resumes(&cut_off, UnixMillis(100)),
             None,
-            "its ceiling"
+            "the ceiling is reached"
         );
         let was_leased_since = job(3, JobState::Queued { not_before });
         assert_eq!(was_leased_since.resumes(&cut_off, UnixMillis(50)), None);

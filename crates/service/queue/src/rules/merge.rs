@@ -38,8 +38,7 @@ pub enum Kept {
 /// Two different outcomes of one rollout.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Contradiction<N> {
-    /// The rollout.
-    pub of: N,
+    pub rollout: N,
     pub first: OutcomeKey,
     pub second: OutcomeKey,
 }
@@ -50,7 +49,7 @@ impl Known {
     ///
     /// # Errors
     /// If both halves have an outcome and the outcomes differ. The error holds both.
-    pub fn beside(&self, other: &Known) -> Result<Kept, (OutcomeKey, OutcomeKey)> {
+    pub fn choose(&self, other: &Known) -> Result<Kept, (OutcomeKey, OutcomeKey)> {
         if let (Standing::Committed(first), Standing::Committed(second)) =
             (self.standing, other.standing)
             && first != second
@@ -90,23 +89,23 @@ pub fn merge<N: Clone + Ord>(
 ) -> Result<BTreeMap<N, Kept>, Vec<Contradiction<N>>> {
     let mut kept = BTreeMap::new();
     let mut contradictions = Vec::new();
-    for (of, known) in first {
+    for (rollout, known) in first {
         match second
-            .get(of)
-            .map_or(Ok(Kept::First), |second| known.beside(second))
+            .get(rollout)
+            .map_or(Ok(Kept::First), |second| known.choose(second))
         {
             Ok(half) => {
-                kept.insert(of.clone(), half);
+                kept.insert(rollout.clone(), half);
             }
             Err((first, second)) => contradictions.push(Contradiction {
-                of: of.clone(),
+                rollout: rollout.clone(),
                 first,
                 second,
             }),
         }
     }
-    for of in second.keys().filter(|of| !first.contains_key(*of)) {
-        kept.insert(of.clone(), Kept::Second);
+    for rollout in second.keys().filter(|id| !first.contains_key(*id)) {
+        kept.insert(rollout.clone(), Kept::Second);
     }
     match contradictions.is_empty() {
         true => Ok(kept),
@@ -147,11 +146,11 @@ mod tests {
 
     fn merged(first: &Half, second: &Half) -> Option<Half> {
         let kept = merge(first, second).ok()?;
-        let of = |(of, kept): (u8, Kept)| match kept {
-            Kept::First => (of, first[&of]),
-            Kept::Second => (of, second[&of]),
+        let record = |(rollout, kept): (u8, Kept)| match kept {
+            Kept::First => (rollout, first[&rollout]),
+            Kept::Second => (rollout, second[&rollout]),
         };
-        Some(kept.into_iter().map(of).collect())
+        Some(kept.into_iter().map(record).collect())
     }
 
     fn outcome(known: Option<&Known>) -> Option<OutcomeKey> {
@@ -163,25 +162,25 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_outcome_of_either_half_is_kept_and_none_is_made_up(a in half(), b in half()) {
+        fn the_merge_has_exactly_the_outcomes_of_both_halves(a in half(), b in half()) {
             if let Some(whole) = merged(&a, &b) {
                 let names: Vec<u8> = a.keys().chain(b.keys()).copied().collect();
-                for of in names {
-                    let either = outcome(a.get(&of)).or(outcome(b.get(&of)));
-                    prop_assert_eq!(outcome(whole.get(&of)), either);
+                for rollout in names {
+                    let either = outcome(a.get(&rollout)).or(outcome(b.get(&rollout)));
+                    prop_assert_eq!(outcome(whole.get(&rollout)), either);
                 }
-                prop_assert!(whole.keys().all(|of| a.contains_key(of) || b.contains_key(of)));
+                prop_assert!(whole.keys().all(|id| a.contains_key(id) || b.contains_key(id)));
             }
         }
 
         #[test]
-        fn a_rollout_is_open_exactly_if_it_is_in_both_halves(a in half(), b in half()) {
+        fn a_rollout_is_open_exactly_if_it_is_open_in_both_halves(a in half(), b in half()) {
             if let Some(whole) = merged(&a, &b) {
-                let is_open = |half: &Half, of| {
-                    half.get(of).is_none_or(|known| known.standing == Standing::Open)
+                let is_open = |half: &Half, id| {
+                    half.get(id).is_none_or(|known| known.standing == Standing::Open)
                 };
-                for of in whole.keys() {
-                    prop_assert_eq!(is_open(&whole, of), is_open(&a, of) && is_open(&b, of));
+                for id in whole.keys() {
+                    prop_assert_eq!(is_open(&whole, id), is_open(&a, id) && is_open(&b, id));
                 }
             }
         }
@@ -190,17 +189,18 @@ mod tests {
         fn contradictions_are_the_rollouts_with_two_outcomes(a in half(), b in half()) {
             let expected: Vec<u8> = a
                 .keys()
-                .filter(|of| {
-                    let both = outcome(a.get(*of)).zip(outcome(b.get(*of)));
+                .filter(|id| {
+                    let both = outcome(a.get(*id)).zip(outcome(b.get(*id)));
                     both.is_some_and(|(one, other)| one != other)
                 })
                 .copied()
                 .collect();
             let found = merge(&a, &b).err().unwrap_or_default();
-            prop_assert_eq!(found.iter().map(|conflict| conflict.of).collect::<Vec<_>>(), expected);
-            for it in found {
-                prop_assert_eq!(Some(it.first), outcome(a.get(&it.of)));
-                prop_assert_eq!(Some(it.second), outcome(b.get(&it.of)));
+            let rollouts: Vec<u8> = found.iter().map(|conflict| conflict.rollout).collect();
+            prop_assert_eq!(rollouts, expected);
+            for conflict in found {
+                prop_assert_eq!(Some(conflict.first), outcome(a.get(&conflict.rollout)));
+                prop_assert_eq!(Some(conflict.second), outcome(b.get(&conflict.rollout)));
             }
         }
 
@@ -214,7 +214,7 @@ mod tests {
         }
 
         #[test]
-        fn a_half_merged_with_itself_or_with_nothing_is_what_it_was(a in half()) {
+        fn a_half_merged_with_itself_or_with_nothing_is_unchanged(a in half()) {
             prop_assert_eq!(merged(&a, &a), Some(a.clone()));
             prop_assert_eq!(merged(&a, &Half::new()), Some(a));
         }

@@ -259,7 +259,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_policy_is_lost_only_by_an_attempt_that_had_it() {
+    fn a_policy_is_lost_only_by_an_attempt_that_had_reached_it() {
         let lost = |answered, is_back, is_last| {
             let contact = Contact {
                 answered,
@@ -268,10 +268,16 @@ mod tests {
             };
             contact.was_lost()
         };
-        assert!(!lost(None, true, true), "it was not there");
+        assert!(!lost(None, true, true), "the policy was never reached");
         assert!(lost(Some(1), false, false));
-        assert!(!lost(Some(0), false, false), "it may be down");
-        assert!(lost(Some(0), true, false), "it answers others");
-        assert!(lost(Some(0), false, true), "there are no others");
+        assert!(!lost(Some(0), false, false), "the policy may be down");
+        assert!(
+            lost(Some(0), true, false),
+            "the policy answers other attempts"
+        );
+        assert!(
+            lost(Some(0), false, true),
+            "no other rollout can be answered"
+        );
     }
 }

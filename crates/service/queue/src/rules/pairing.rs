@@ -11,10 +11,10 @@ use crate::ids::WorkerId;
 
 /// Axes that affect the first observation. The others change later observations, actions or the
 /// instruction.
-const SEEN_AT_FIRST: [Axis; 4] = [Axis::Camera, Axis::Lighting, Axis::Robot, Axis::Sensor];
+const IN_FIRST_FRAME: [Axis; 4] = [Axis::Camera, Axis::Lighting, Axis::Robot, Axis::Sensor];
 /// Axes realised without random values: their realisation follows from the parameters and the
 /// initial state alone, in either mode.
-const DRAWING_NOTHING: [Axis; 3] = [Axis::Camera, Axis::Lighting, Axis::Robot];
+const WITHOUT_RANDOM_VALUES: [Axis; 3] = [Axis::Camera, Axis::Lighting, Axis::Robot];
 
 /// Requirements of a campaign on one of its results.
 #[derive(Clone, Debug)]
@@ -40,7 +40,7 @@ impl Sibling {
     pub(crate) fn stands_for(&self, other: &Sibling) -> bool {
         self.rollout == other.rollout
             && self.digests.first_frame.is_empty() == other.digests.first_frame.is_empty()
-            && sees_alike(&self.origin, &other.origin)
+            && has_same_frames(&self.origin, &other.origin)
     }
 }
 
@@ -64,25 +64,25 @@ pub(crate) fn difference(
     siblings: &[Sibling],
     result: &Sibling,
 ) -> Option<String> {
-    let own = from_the_campaign(demand, &result.origin)
-        .or_else(|| from_the_row(demand.row, &result.realised));
+    let own = difference_in_campaign(demand, &result.origin)
+        .or_else(|| difference_in_row(demand.row, &result.realised));
     // Variants of a task have scenes, initial states and pictures of their own.
     if demand.row.id.variant().is_some() {
         return own;
     }
-    own.or_else(|| from_the_scene(siblings, &result.digests))
-        .or_else(|| from_the_perturbation(demand, siblings, &result.realised))
-        .or_else(|| from_the_first_frame(siblings, result))
+    own.or_else(|| difference_in_scene(siblings, &result.digests))
+        .or_else(|| difference_in_perturbation(demand, siblings, &result.realised))
+        .or_else(|| difference_in_first_frame(siblings, result))
 }
 
-fn from_the_campaign(demand: &Demand<'_>, provenance: &Provenance) -> Option<String> {
+fn difference_in_campaign(demand: &Demand<'_>, provenance: &Provenance) -> Option<String> {
     let (here, there) = (&provenance.realisation, demand.realisation.name());
     differs("realisation mode", here, there, "in the campaign")
 }
 
 /// Checks that exactly the manifest row's axes were realised. A comparison with siblings does not
 /// detect an omitted perturbation.
-fn from_the_row(row: &ManifestRow, realised: &Realised) -> Option<String> {
+fn difference_in_row(row: &ManifestRow, realised: &Realised) -> Option<String> {
     let names = |axes: &mut dyn Iterator<Item = Axis>| {
         let names: Vec<&str> = axes.map(Axis::name).collect();
         match names.as_slice() {
@@ -92,70 +92,70 @@ fn from_the_row(row: &ManifestRow, realised: &Realised) -> Option<String> {
     };
     let here = names(&mut realised.axes().map(|(axis, _)| axis));
     let there = names(&mut row.perturbation.axes().into_iter());
-    let what = "set of perturbed axes";
-    differs(what, &here, &there, "in its manifest row")
+    let value = "set of perturbed axes";
+    differs(value, &here, &there, "in its manifest row")
 }
 
 /// Compares with one sibling only: the others were compared before they were stored.
-fn from_the_scene(siblings: &[Sibling], digests: &Digests) -> Option<String> {
+fn difference_in_scene(siblings: &[Sibling], digests: &Digests) -> Option<String> {
     let sibling = siblings.first()?;
-    let (there, whose) = (&sibling.digests, named(sibling));
-    differs("scene digest", &digests.scene, &there.scene, &whose).or_else(|| {
+    let (there, place) = (&sibling.digests, sibling_place(sibling));
+    differs("scene digest", &digests.scene, &there.scene, &place).or_else(|| {
         let (here, there) = (&digests.init_state, &there.init_state);
-        differs("initial-state digest", here, there, &whose)
+        differs("initial-state digest", here, there, &place)
     })
 }
 
-fn from_the_perturbation(
+fn difference_in_perturbation(
     demand: &Demand<'_>,
     siblings: &[Sibling],
     realised: &Realised,
 ) -> Option<String> {
     siblings.iter().find_map(|sibling| {
         realised.axes().find_map(|(axis, here)| {
-            if !shares(axis, demand.realisation, &demand.row.id, &sibling.rollout) {
+            if !must_share(axis, demand.realisation, &demand.row.id, &sibling.rollout) {
                 return None;
             }
             let difference = here.difference(sibling.realised.of(axis)?)?;
-            let whose = named(sibling);
-            Some(format!("realisation of axis {axis}: {difference} {whose}"))
+            let place = sibling_place(sibling);
+            Some(format!("realisation of axis {axis}: {difference} {place}"))
         })
     })
 }
 
 /// Returns true if two rollouts of one initial state that both perturb an axis must have the same
 /// realisation of it.
-fn shares(axis: Axis, mode: Realisation, one: &RolloutId, other: &RolloutId) -> bool {
-    let of_one_configuration = one.level() == other.level() && one.config() == other.config();
+fn must_share(axis: Axis, mode: Realisation, one: &RolloutId, other: &RolloutId) -> bool {
+    let is_same_configuration = one.level() == other.level() && one.config() == other.config();
     match mode {
-        Realisation::Matched => of_one_configuration,
+        Realisation::Matched => is_same_configuration,
         // Random values are seeded with the rollout's id.
-        Realisation::Reference if DRAWING_NOTHING.contains(&axis) => of_one_configuration,
+        Realisation::Reference if WITHOUT_RANDOM_VALUES.contains(&axis) => is_same_configuration,
         Realisation::Reference => one == other,
     }
 }
 
-/// Compares first frames. For one scene and initial state, the axes in `SEEN_AT_FIRST` determine
+/// Compares first frames. For one scene and initial state, the axes in `IN_FIRST_FRAME` determine
 /// the policy's first observation, so replicates share it, as do the nominal rollout and those that
 /// perturb only actions or words. Frames are compared bit by bit, and only between results whose
 /// fingerprint and realised values have the same bits.
-fn from_the_first_frame(siblings: &[Sibling], result: &Sibling) -> Option<String> {
+fn difference_in_first_frame(siblings: &[Sibling], result: &Sibling) -> Option<String> {
     if result.digests.first_frame.is_empty() {
         return None;
     }
-    let looks_alike = |sibling: &&Sibling| {
+    let has_same_view = |sibling: &&Sibling| {
         let same_values = |axis: &Axis| sibling.realised.of(*axis) == result.realised.of(*axis);
         !sibling.digests.first_frame.is_empty()
-            && sees_alike(&sibling.origin, &result.origin)
-            && SEEN_AT_FIRST.iter().all(same_values)
+            && has_same_frames(&sibling.origin, &result.origin)
+            && IN_FIRST_FRAME.iter().all(same_values)
     };
-    let sibling = siblings.iter().find(looks_alike)?;
+    let sibling = siblings.iter().find(has_same_view)?;
     let (here, there) = (&result.digests.first_frame, &sibling.digests.first_frame);
-    differs("first-frame digest", here, there, &named(sibling))
+    differs("first-frame digest", here, there, &sibling_place(sibling))
 }
 
 /// Returns true if the same scene must give the same frames to the same policy.
-fn sees_alike(one: &Provenance, other: &Provenance) -> bool {
+fn has_same_frames(one: &Provenance, other: &Provenance) -> bool {
     one.pin.renderer == other.pin.renderer
         && one.fingerprint == other.fingerprint
         && one.policy_name == other.policy_name
@@ -163,15 +163,15 @@ fn sees_alike(one: &Provenance, other: &Provenance) -> bool {
         && one.policy_checkpoint_digest == other.policy_checkpoint_digest
 }
 
-fn named(sibling: &Sibling) -> String {
+fn sibling_place(sibling: &Sibling) -> String {
     format!(
         "in its sibling `{}` (worker `{}`)",
         sibling.rollout, sibling.worker
     )
 }
 
-fn differs(what: &str, here: &str, there: &str, whose: &str) -> Option<String> {
-    (here != there).then(|| format!("{what} is `{here}` here and `{there}` {whose}"))
+fn differs(value: &str, here: &str, there: &str, place: &str) -> Option<String> {
+    (here != there).then(|| format!("{value} is `{here}` here and `{there}` {place}"))
 }
 
 #[cfg(test)]
@@ -201,7 +201,7 @@ mod tests {
         let rows = Design::v0_1().expand().expect("rows");
         let id: RolloutId = id.parse().expect("an id");
         let mut rows = rows.into_iter();
-        rows.find(|row| row.id == id).expect("one of the design")
+        rows.find(|row| row.id == id).expect("a row of the design")
     }
 
     fn origin(mode: Realisation) -> Arc<Provenance> {
@@ -232,7 +232,7 @@ mod tests {
     }
 
     /// Describes why a result with these realised values, in this mode, is inconsistent.
-    fn kept_out(
+    fn inconsistency(
         (id, mode): (&str, Realisation),
         values: &[(Axis, f64)],
         first_frame: &str,
@@ -267,45 +267,45 @@ mod tests {
     ];
 
     /// Compares a combination with a sibling that realised one of its axes differently.
-    fn against_a_single(mode: Realisation, axis: Axis) -> Option<String> {
+    fn difference_from_single(mode: Realisation, axis: Axis) -> Option<String> {
         let other = sibling(&format!("goal/t0/{axis}/L2/c01"), &[(axis, 0.0)], "");
-        kept_out((COMBINATION, mode), &FIVE, "", &other)
+        inconsistency((COMBINATION, mode), &FIVE, "", &other)
     }
 
     #[test]
     fn matched_mode_realises_every_axis_alone_as_in_the_combination() {
         for axis in Axis::METRIC {
-            let difference = against_a_single(Realisation::Matched, axis);
+            let difference = difference_from_single(Realisation::Matched, axis);
             check(difference, &[&format!("realisation of axis {axis}"), "`w`"]);
         }
         let same = sibling("goal/t0/sensor/L2/c01", &[(Axis::Sensor, 4.0)], "");
-        let difference = kept_out((COMBINATION, Realisation::Matched), &FIVE, "", &same);
+        let difference = inconsistency((COMBINATION, Realisation::Matched), &FIVE, "", &same);
         assert_eq!(difference, None);
     }
 
     #[test]
-    fn last_bits_of_another_processor_agree_and_another_perturbation_does_not() {
+    fn realised_values_agree_within_rounding_errors_and_differ_beyond() {
         let matched = (COMBINATION, Realisation::Matched);
         for (off_by, agrees) in [(1e-16, true), (1e-9, true), (1e-6, false)] {
             let other = sibling("goal/t0/robot/L2/c01", &[(Axis::Robot, 3.0 + off_by)], "");
-            let difference = kept_out(matched, &FIVE, "", &other);
+            let difference = inconsistency(matched, &FIVE, "", &other);
             assert_eq!(difference.is_none(), agrees, "{off_by}: {difference:?}");
         }
     }
 
     #[test]
     fn reference_mode_draws_sensor_and_actuation_anew_in_every_rollout() {
-        for axis in DRAWING_NOTHING {
-            let difference = against_a_single(Realisation::Reference, axis);
+        for axis in WITHOUT_RANDOM_VALUES {
+            let difference = difference_from_single(Realisation::Reference, axis);
             check(difference, &[&format!("realisation of axis {axis}")]);
         }
         for axis in [Axis::Sensor, Axis::Actuation] {
-            assert_eq!(against_a_single(Realisation::Reference, axis), None);
+            assert_eq!(difference_from_single(Realisation::Reference, axis), None);
         }
         // Replicates of one rollout must still agree.
         let of_sensor = ("goal/t0/sensor/L2/c01", Realisation::Reference);
         let replicate = sibling(of_sensor.0, &[(Axis::Sensor, 0.0)], "");
-        let difference = kept_out(of_sensor, &FIVE[3..4], "", &replicate);
+        let difference = inconsistency(of_sensor, &FIVE[3..4], "", &replicate);
         check(difference, &["realisation of axis sensor", of_sensor.0]);
     }
 
@@ -313,7 +313,7 @@ mod tests {
     fn other_levels_and_configurations_may_be_realised_differently() {
         for id in ["goal/t0/sensor/L1/c01", "goal/t0/sensor/L2/c02"] {
             let other = sibling(id, &[(Axis::Sensor, 0.0)], "");
-            let difference = kept_out((COMBINATION, Realisation::Matched), &FIVE, "", &other);
+            let difference = inconsistency((COMBINATION, Realisation::Matched), &FIVE, "", &other);
             assert_eq!(difference, None);
         }
     }
@@ -323,11 +323,11 @@ mod tests {
         let other = sibling("goal/t0/clean/i06", &[], "");
         let matched = |id| (id, Realisation::Matched);
         check(
-            kept_out(matched(COMBINATION), &FIVE[..4], "", &other),
+            inconsistency(matched(COMBINATION), &FIVE[..4], "", &other),
             &["set of perturbed axes", "actuation` in its manifest row"],
         );
         check(
-            kept_out(matched("goal/t0/language/L2/c01"), &FIVE[..1], "", &other),
+            inconsistency(matched("goal/t0/language/L2/c01"), &FIVE[..1], "", &other),
             &["`camera` here and `none`"],
         );
     }
@@ -338,7 +338,8 @@ mod tests {
         let (clean, language) = ("goal/t0/clean/i06", "goal/t0/language/L3/c01");
         let (actuation, actuated) = ("goal/t0/actuation/L2/c01", &FIVE[4..]);
         let (seen, other) = (hex('f'), hex('0'));
-        let saw = |id, values: &[_], beside: &Sibling| kept_out(matched(id), values, &seen, beside);
+        let saw =
+            |id, values: &[_], beside: &Sibling| inconsistency(matched(id), values, &seen, beside);
         for (id, values, beside) in [
             (actuation, actuated, sibling(clean, &[], &other)),
             (language, &[][..], sibling(clean, &[], &other)),
@@ -351,7 +352,7 @@ mod tests {
         // The combination's frame shows its camera perturbation, and blind rollouts have no frame.
         assert_eq!(saw(COMBINATION, &FIVE, &sibling(clean, &[], &other)), None);
         assert_eq!(saw(language, &[], &sibling(clean, &[], "")), None);
-        let blind = kept_out(matched(language), &[], "", &sibling(clean, &[], &other));
+        let blind = inconsistency(matched(language), &[], "", &sibling(clean, &[], &other));
         assert_eq!(blind, None);
     }
 
@@ -361,7 +362,7 @@ mod tests {
         let foreign = |change: fn(&mut Provenance)| {
             let mut other = sibling("goal/t0/clean/i06", &[], &hex('0'));
             change(Arc::make_mut(&mut other.origin));
-            kept_out(language, &[], &hex('f'), &other)
+            inconsistency(language, &[], &hex('f'), &other)
         };
         assert_eq!(
             foreign(|provenance| provenance.pin.renderer = "NVIDIA".to_owned()),

@@ -34,7 +34,7 @@ pub(crate) async fn owner(
     .bind(attempt.to_string())
     .fetch_optional(tx)
     .await
-    .doing("look up whose file this is")
+    .doing("look up the rollout of a video")
 }
 
 /// Returns the subset of these files that are recorded as artifacts.
@@ -48,7 +48,7 @@ pub(crate) async fn recorded(
     .bind(json(paths))
     .fetch_all(tx)
     .await
-    .doing("look which files are recorded")?;
+    .doing("check which files are recorded")?;
     Ok(found.into_iter().collect())
 }
 

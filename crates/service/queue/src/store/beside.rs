@@ -10,7 +10,7 @@ use super::{Doing, Store, StoreError, Tx};
 
 /// The writer with another database attached as the schema `source`. Other writers wait until this
 /// is dropped.
-pub(crate) struct Beside<'a> {
+pub(crate) struct Attached<'a> {
     connection: PoolConnection<Sqlite>,
     store: &'a Store,
     is_attached: bool,
@@ -18,23 +18,23 @@ pub(crate) struct Beside<'a> {
 
 impl Store {
     /// Attaches another database file, to which nothing is written.
-    pub(crate) async fn beside(&self, file: &Path) -> Result<Beside<'_>, StoreError> {
+    pub(crate) async fn attach(&self, file: &Path) -> Result<Attached<'_>, StoreError> {
         let connection = self.writer.acquire().await;
-        let mut beside = Beside {
+        let mut attached = Attached {
             connection: connection.doing("begin a transaction")?,
             store: self,
             is_attached: true,
         };
         sqlx::query("ATTACH ? AS source")
             .bind(file.display().to_string())
-            .execute(&mut *beside.connection)
+            .execute(&mut *attached.connection)
             .await
             .doing("open the database of an archive")?;
-        Ok(beside)
+        Ok(attached)
     }
 }
 
-impl Drop for Beside<'_> {
+impl Drop for Attached<'_> {
     fn drop(&mut self) {
         if self.is_attached {
             // The pool opens a new connection, without the attached database.
@@ -43,7 +43,7 @@ impl Drop for Beside<'_> {
     }
 }
 
-impl Beside<'_> {
+impl Attached<'_> {
     /// Detaches the other database and returns the writer to the pool with its page cache.
     pub(crate) async fn detach(mut self) -> Result<(), StoreError> {
         let detached = sqlx::query("DETACH source").execute(&mut *self.connection);

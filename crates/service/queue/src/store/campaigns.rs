@@ -177,7 +177,7 @@ pub(crate) async fn free_folder(
             .bind(&folder)
             .fetch_one(&mut *tx)
             .await
-            .doing("look for a campaign's folder")?;
+            .doing("find a free folder for a campaign")?;
         if !taken {
             break;
         }
@@ -380,7 +380,7 @@ pub(crate) async fn rename(
         .bind(campaign.id)
         .execute(tx)
         .await
-        .doing("keep a campaign's former name")
+        .doing("store a campaign's former name")
         .map(drop)
 }
 
@@ -396,7 +396,7 @@ pub(crate) async fn renamed(
     .bind(name)
     .fetch_optional(tx)
     .await
-    .doing("look for a campaign's former name")
+    .doing("look up a former campaign name")
 }
 
 /// Releases a name for use by a campaign: the name is no longer another campaign's former name.
@@ -408,7 +408,7 @@ pub(crate) async fn take_name(
         .bind(name)
         .execute(tx)
         .await
-        .doing("take a campaign's name")
+        .doing("release a former campaign name")
         .map(drop)
 }
 

@@ -114,7 +114,7 @@ pub(crate) async fn repeated(
     .bind(json(claims))
     .fetch_all(tx)
     .await
-    .doing("look for claims that are repeated")
+    .doing("find the leases of repeated claims")
 }
 
 /// Returns the number of leases of each campaign that has any. Reads leased jobs only.
@@ -152,7 +152,7 @@ pub(crate) async fn waiting_tasks(
     .bind(LOSSES_UNTIL_ALONE)
     .fetch_all(tx)
     .await
-    .doing("look for waiting tasks")?;
+    .doing("find waiting tasks")?;
     let waiting = |(task, first_unit, leased): (String, Option<i64>, u32)| {
         Some(WaitingTask {
             task,
@@ -189,7 +189,7 @@ pub(crate) async fn candidates(
     .bind(LOSSES_UNTIL_ALONE)
     .fetch_all(tx)
     .await
-    .doing("look for waiting jobs")?;
+    .doing("find waiting jobs")?;
     let mut candidates: BTreeMap<String, VecDeque<Candidate>> = BTreeMap::new();
     for job in waiting {
         let of_task = candidates.entry(job.task.clone()).or_default();
@@ -207,7 +207,7 @@ pub(crate) async fn with_lone_jobs(
     )
     .fetch_all(tx)
     .await
-    .doing("look for campaigns with jobs that are run alone")
+    .doing("find campaigns with jobs that run alone")
 }
 
 /// Returns up to `limit` jobs of a campaign that run alone and whose back-off is over, in
@@ -232,7 +232,7 @@ pub(crate) async fn lone(
     .bind(MAX_CHARGED_ATTEMPTS)
     .fetch_all(tx)
     .await
-    .doing("look for jobs that are run alone")
+    .doing("find jobs that run alone")
 }
 
 /// Leases waiting jobs to their workers: one statement increments the attempts and grants the

@@ -58,7 +58,7 @@ pub(crate) async fn insert(
         .bind(source)
         .execute(tx)
         .await
-        .doing("store which campaign another follows from")
+        .doing("store the source of a derived campaign")
         .map(drop)
 }
 
@@ -77,12 +77,12 @@ pub(crate) async fn all(tx: &mut SqliteConnection) -> Result<Vec<Derived>, Store
     ))
     .fetch_all(tx)
     .await
-    .doing("list campaigns that follow from others")
+    .doing("list derived campaigns")
 }
 
 /// Returns true if a campaign still has the source and the number of jobs that it had when
 /// `campaign` was read, and is not cancelled. Row numbers of campaigns are never reused.
-pub(crate) async fn is_as_it_was(
+pub(crate) async fn is_unchanged(
     tx: &mut SqliteConnection,
     campaign: &Derived,
 ) -> Result<bool, StoreError> {
@@ -95,7 +95,7 @@ pub(crate) async fn is_as_it_was(
     .bind(campaign.jobs)
     .fetch_one(tx)
     .await
-    .doing("look whether a campaign is as it was")
+    .doing("check whether a derived campaign is unchanged")
 }
 
 /// Returns the campaign that this one derives from, if any.
@@ -107,7 +107,7 @@ pub(crate) async fn source(
         .bind(campaign)
         .fetch_optional(tx)
         .await
-        .doing("look which campaign another follows from")
+        .doing("look up the source of a campaign")
 }
 
 /// The campaign that a derived one waits for, and the number of its rollouts without an outcome.
@@ -134,11 +134,11 @@ pub(crate) async fn awaited(
     .bind(campaign)
     .fetch_optional(tx)
     .await
-    .doing("read what a campaign that follows from another waits for")
+    .doing("read the outcomes that a derived campaign waits for")
 }
 
 /// Returns the names of the campaigns that derive from this one.
-pub(crate) async fn of(
+pub(crate) async fn derived_names(
     tx: &mut SqliteConnection,
     source: CampaignId,
 ) -> Result<Vec<CampaignName>, StoreError> {
@@ -149,7 +149,7 @@ pub(crate) async fn of(
     .bind(source)
     .fetch_all(tx)
     .await
-    .doing("list the campaigns that follow from one")
+    .doing("list the campaigns derived from a campaign")
 }
 
 /// Returns the known outcomes of a campaign's jobs.
@@ -166,7 +166,7 @@ pub(crate) async fn outcomes(
     .bind(campaign)
     .fetch_all(tx)
     .await
-    .doing("read the outcomes that a campaign follows from")
+    .doing("read the outcomes of a source campaign")
 }
 
 /// Returns the manifest rows of a campaign's rollouts, JSON.

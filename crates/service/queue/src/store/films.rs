@@ -33,7 +33,7 @@ pub(crate) struct FilmableRow {
     #[sqlx(flatten)]
     pub(crate) job: OutcomeRow,
     /// True if the rollout has stored actions and no video yet.
-    pub(crate) is_wanting: bool,
+    pub(crate) lacks_video: bool,
 }
 
 /// A campaign that records transitions. While both revisions are unchanged, no rollout is added to
@@ -65,7 +65,7 @@ pub(crate) async fn filmed_campaigns(
     .bind(&pin.mujoco_version)
     .fetch_all(tx)
     .await
-    .doing("look for campaigns that are filmed")
+    .doing("find campaigns that record transitions")
 }
 
 /// Returns all rollouts of a campaign with the fields that filming needs.
@@ -78,14 +78,14 @@ pub(crate) async fn filmable(
              j.state = 'quarantined' AS is_quarantined, r.success,
              coalesce(length(m.actions), 0) > 0
                  AND NOT EXISTS (SELECT 1 FROM artifact a
-                     WHERE a.attempt_id = r.attempt_id AND a.kind = 'video') AS is_wanting
+                     WHERE a.attempt_id = r.attempt_id AND a.kind = 'video') AS lacks_video
          FROM job j LEFT JOIN result r ON r.job_id = j.id LEFT JOIN motion m ON m.job_id = j.id
          WHERE j.campaign_id = ? ORDER BY j.unit_order",
     )
     .bind(campaign)
     .fetch_all(tx)
     .await
-    .doing("look for rollouts to film")
+    .doing("find rollouts to film")
 }
 
 /// Returns a committed rollout with all inputs of filming.

@@ -62,7 +62,7 @@ impl Schema {
 }
 
 /// Returns the state of each rollout in one half.
-pub(crate) async fn known(
+pub(crate) async fn records(
     tx: &mut SqliteConnection,
     schema: Schema,
     campaign: CampaignId,
@@ -78,18 +78,18 @@ pub(crate) async fn known(
         u32,
         bool,
     );
-    let of = schema.name();
+    let half = schema.name();
     let rows: Vec<Row> = sqlx::query_as(AssertSqlSafe(format!(
         "SELECT j.rollout_id, j.replicate, j.state, j.charged_attempts, j.attempt, r.success,
-             r.steps, (SELECT count(*) FROM {of}.divergence d WHERE d.job_id = j.id),
-             EXISTS (SELECT 1 FROM {of}.artifact a WHERE a.attempt_id = r.attempt_id)
-         FROM {of}.job j LEFT JOIN {of}.result r ON r.job_id = j.id WHERE j.campaign_id = ?"
+             r.steps, (SELECT count(*) FROM {half}.divergence d WHERE d.job_id = j.id),
+             EXISTS (SELECT 1 FROM {half}.artifact a WHERE a.attempt_id = r.attempt_id)
+         FROM {half}.job j LEFT JOIN {half}.result r ON r.job_id = j.id WHERE j.campaign_id = ?"
     )))
     .bind(campaign)
     .fetch_all(tx)
     .await
-    .doing("read what is known of a campaign")?;
-    let known = rows.into_iter().map(|row| {
+    .doing("read the records of a campaign's rollouts")?;
+    let records = rows.into_iter().map(|row| {
         let (rollout, replicate, state, charged_attempts, attempts, success, steps, ..) = row;
         let outcome = success.zip(steps);
         let standing = match outcome.map(|(success, steps)| OutcomeKey { success, steps }) {
@@ -97,16 +97,16 @@ pub(crate) async fn known(
             None if state == "quarantined" => Standing::Quarantined,
             None => Standing::Open,
         };
-        let known = Known {
+        let record = Known {
             standing,
             divergences: row.7,
             is_filmed: row.8,
             charged_attempts,
             attempts,
         };
-        ((rollout, replicate), known)
+        ((rollout, replicate), record)
     });
-    Ok(known.collect())
+    Ok(records.collect())
 }
 
 /// Returns a rollout that only one half has, or that differs between the halves.
@@ -126,7 +126,7 @@ pub(crate) async fn other_rollout(
     .bind(source)
     .fetch_optional(tx)
     .await
-    .doing("compare the rollouts of two halves")
+    .doing("compare the rollouts of the halves")
 }
 
 /// Returns the results of one half, by rollout.
@@ -135,12 +135,12 @@ pub(crate) async fn results(
     schema: Schema,
     campaign: CampaignId,
 ) -> Result<Vec<Stored>, StoreError> {
-    let of = schema.name();
+    let half = schema.name();
     sqlx::query_as(AssertSqlSafe(format!(
         "SELECT j.rollout_id, j.replicate, j.task, j.init_id, j.manifest_row, r.worker_id, {},
              r.realised, {}
-         FROM {of}.job j JOIN {of}.result r ON r.job_id = j.id
-         JOIN {of}.provenance v ON v.id = r.provenance_id
+         FROM {half}.job j JOIN {half}.result r ON r.job_id = j.id
+         JOIN {half}.provenance v ON v.id = r.provenance_id
          WHERE j.campaign_id = ? ORDER BY j.rollout_id, j.replicate",
         digests!(),
         provenance!(),
@@ -152,7 +152,7 @@ pub(crate) async fn results(
 }
 
 /// Copies the other half's pin to a campaign without results.
-pub(crate) async fn take_pin(
+pub(crate) async fn copy_pin(
     tx: &mut SqliteConnection,
     (main, source): (CampaignId, CampaignId),
 ) -> Result<(), StoreError> {

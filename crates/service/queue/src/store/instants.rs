@@ -49,7 +49,7 @@ pub(crate) async fn set_back(
             .bind(latest)
             .execute(&mut *tx)
             .await
-            .doing("bring instants into line with the clock")?;
+            .doing("correct instants that lie in the future")?;
     }
     Ok(())
 }

@@ -96,7 +96,7 @@ macro_rules! job {
 }
 
 /// Returns the attempts with these ids that exist, whether or not they still hold their leases.
-pub(crate) async fn named(
+pub(crate) async fn attempts_by_id(
     tx: &mut SqliteConnection,
     attempts: &[AttemptId],
 ) -> Result<BTreeMap<AttemptId, NamedAttempt>, StoreError> {
@@ -166,7 +166,7 @@ pub(crate) async fn restart_leases(
     .bind(expires)
     .execute(tx)
     .await
-    .doing("give leases their full time")
+    .doing("restart leases")
     .map(drop)
 }
 
@@ -216,7 +216,7 @@ pub(crate) async fn forget_cut_off(
     .bind(campaign)
     .execute(tx)
     .await
-    .doing("forget workers that were cut off")
+    .doing("discard attempts that were cut off")
     .map(drop)
 }
 
@@ -305,7 +305,7 @@ pub(crate) async fn fail(
     .bind(may_be_resumed.map(|lease| lease.ceiling))
     .execute(tx)
     .await
-    .doing("record how an attempt ended")
+    .doing("record the failure of an attempt")
     .map(drop)
 }
 
@@ -337,7 +337,7 @@ pub(crate) async fn count_stale_report(
         .bind(job)
         .execute(tx)
         .await
-        .doing("count a late report")
+        .doing("count a stale report")
         .map(drop)
 }
 
@@ -354,7 +354,7 @@ pub(crate) async fn leased(
     .bind(campaign)
     .fetch_all(tx)
     .await
-    .doing("look for a campaign's leases")
+    .doing("find a campaign's leases")
 }
 
 /// Returns up to `limit` leases that have expired at `now`, the longest expired first.
@@ -375,7 +375,7 @@ pub(crate) async fn expired(
     .bind(limit)
     .fetch_all(tx)
     .await
-    .doing("look for expired leases")
+    .doing("find expired leases")
 }
 
 /// Returns the lease of a job, if it has one.
@@ -402,7 +402,7 @@ pub(crate) async fn quarantined(
         .bind(campaign)
         .fetch_all(tx)
         .await
-        .doing("look for quarantined jobs")
+        .doing("find quarantined jobs")
 }
 
 /// Finds a job of a campaign by its rollout.
@@ -464,7 +464,7 @@ pub(crate) async fn history(
     .bind(worker)
     .fetch_one(tx)
     .await
-    .doing("look what a job's attempts amount to")
+    .doing("count a job's failed attempts")
 }
 
 /// Returns the instant of the last attempt at a job that ended because the policy was unreachable.
@@ -479,12 +479,12 @@ pub(crate) async fn last_without_policy(
     .bind(job)
     .fetch_one(tx)
     .await
-    .doing("look when a job last did without its policy")
+    .doing("look up a job's last failure to reach its policy")
 }
 
 /// Returns true if another job of the policy waits that has lost the policy fewer than `losses`
 /// times.
-pub(crate) async fn others_wait(
+pub(crate) async fn has_other_waiting(
     tx: &mut SqliteConnection,
     policy: PolicyId,
     job: JobId,
@@ -501,12 +501,12 @@ pub(crate) async fn others_wait(
     .bind(job)
     .fetch_one(tx)
     .await
-    .doing("look for other jobs of a policy")
+    .doing("check whether other jobs of a policy wait")
 }
 
 /// Returns true if a back-off or a policy's pause ended in `(after, until]`, so that waiting claims
 /// must be woken.
-pub(crate) async fn fell_due(
+pub(crate) async fn has_ended_wait(
     tx: &mut SqliteConnection,
     after: UnixMillis,
     until: UnixMillis,
@@ -520,5 +520,5 @@ pub(crate) async fn fell_due(
     .bind(until)
     .fetch_one(tx)
     .await
-    .doing("look for jobs that fell due")
+    .doing("check whether a back-off has ended")
 }

@@ -9,13 +9,13 @@ use crate::clock::UnixMillis;
 use crate::ids::{CampaignId, CampaignName, PolicyId};
 
 /// Statements that hide a campaign, each with the campaign's row number as `?1`.
-const HIDING: [&str; 2] = [
+const HIDE: [&str; 2] = [
     "INSERT INTO passage (campaign_id) VALUES (?1)",
     "UPDATE campaign SET name = '~' || id, folder = NULL WHERE id = ?1",
 ];
 
 /// Statements that remove the remaining visible traces of a campaign that is being deleted.
-const LEAVING: [&str; 4] = [
+const REMOVE_TRACES: [&str; 4] = [
     "UPDATE campaign SET state = 'cancelled' WHERE id = ?1",
     "DELETE FROM derivation WHERE campaign_id = ?1",
     "DELETE FROM stop WHERE campaign_id = ?1",
@@ -32,14 +32,14 @@ async fn run(
             .bind(id)
             .execute(&mut *tx)
             .await
-            .doing("hide a campaign that comes or goes")?;
+            .doing("hide an incomplete campaign")?;
     }
     Ok(())
 }
 
 /// Hides a campaign that has just been stored without its jobs.
-pub(crate) async fn arrive(tx: &mut SqliteConnection, id: CampaignId) -> Result<(), StoreError> {
-    run(tx, &HIDING, id).await?;
+pub(crate) async fn hide_new(tx: &mut SqliteConnection, id: CampaignId) -> Result<(), StoreError> {
+    run(tx, &HIDE, id).await?;
     run(
         tx,
         &["UPDATE campaign SET state = 'paused' WHERE id = ?1 AND state = 'running'"],
@@ -49,13 +49,16 @@ pub(crate) async fn arrive(tx: &mut SqliteConnection, id: CampaignId) -> Result<
 }
 
 /// Hides a campaign that is being deleted.
-pub(crate) async fn leave(tx: &mut SqliteConnection, id: CampaignId) -> Result<(), StoreError> {
-    run(tx, &HIDING, id).await?;
-    run(tx, &LEAVING, id).await
+pub(crate) async fn hide_deleted(
+    tx: &mut SqliteConnection,
+    id: CampaignId,
+) -> Result<(), StoreError> {
+    run(tx, &HIDE, id).await?;
+    run(tx, &REMOVE_TRACES, id).await
 }
 
 /// Makes a campaign visible under its name once all its jobs are stored.
-pub(crate) async fn arrived(
+pub(crate) async fn publish(
     tx: &mut SqliteConnection,
     id: CampaignId,
     (name, folder): (&CampaignName, &str),
@@ -72,7 +75,7 @@ pub(crate) async fn arrived(
     .bind(now)
     .execute(&mut *tx)
     .await
-    .doing("show a campaign that has come")?;
+    .doing("make a complete campaign visible")?;
     run(tx, &["DELETE FROM passage WHERE campaign_id = ?1"], id).await
 }
 
@@ -86,7 +89,7 @@ pub(crate) async fn all(
     )
     .fetch_all(tx)
     .await
-    .doing("list campaigns that come or go")
+    .doing("list incomplete campaigns")
 }
 
 /// Deletes up to `limit` jobs of a campaign with all dependent rows. Returns their number.

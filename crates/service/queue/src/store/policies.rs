@@ -75,7 +75,7 @@ pub(crate) async fn probes(tx: &mut SqliteConnection) -> Result<Vec<Probe>, Stor
     .bind(LOSSES_UNTIL_ALONE)
     .fetch_all(tx)
     .await
-    .doing("look for probes")
+    .doing("find the probes of policies")
 }
 
 /// Returns true if no job of the policy is leased.
@@ -87,7 +87,7 @@ pub(crate) async fn is_idle(tx: &mut SqliteConnection, id: PolicyId) -> Result<b
     .bind(id)
     .fetch_one(tx)
     .await
-    .doing("look whether a policy's jobs are leased")
+    .doing("check whether a policy's jobs are leased")
 }
 
 /// Stores a policy's health.

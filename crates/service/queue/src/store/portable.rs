@@ -12,7 +12,7 @@ use crate::ids::{CampaignId, CampaignName, JobId};
 
 /// Name and specification of a copied campaign in its new database.
 #[derive(Clone, Debug)]
-pub(crate) struct Called {
+pub(crate) struct CopyTarget {
     pub(crate) name: CampaignName,
     /// Specification under the new name, JSON.
     pub(crate) spec: String,
@@ -73,7 +73,7 @@ const COPIED: [Copied; 10] = [
     Copied {
         table: "job",
         from: "temp.moved_job m CROSS JOIN source.job s ON s.id = m.old
-               LEFT JOIN source.result r ON r.job_id = s.id WHERE TRUE",
+               NOT_COPIED JOIN source.result r ON r.job_id = s.id WHERE TRUE",
         values: &[
             ("id", "m.new"),
             CAMPAIGN,
@@ -166,7 +166,7 @@ const COPIED: [Copied; 10] = [
 
 /// Tables with rows per campaign rather than per job. Their rows must exist before the first job is
 /// copied.
-const OF_CAMPAIGN: [&str; 2] = ["campaign_task", "worker"];
+const PER_CAMPAIGN: [&str; 2] = ["campaign_task", "worker"];
 
 /// The campaign's own row, which all others refer to.
 const CAMPAIGN_ROW: Copied = Copied {
@@ -186,7 +186,7 @@ const CAMPAIGN_ROW: Copied = Copied {
 /// Tables that are not copied. A policy's health and pending removals are this coordinator's own;
 /// the specification names the source of a derived campaign; triggers count the copied rows.
 #[cfg(test)]
-const LEFT: [&str; 9] = [
+const NOT_COPIED: [&str; 9] = [
     "_sqlx_migrations",
     "policy",
     "removal",
@@ -202,11 +202,11 @@ const LEFT: [&str; 9] = [
 pub(crate) async fn copy(
     tx: &mut SqliteConnection,
     old: CampaignId,
-    called: &Called,
+    target: &CopyTarget,
     now: UnixMillis,
 ) -> Result<CampaignId, StoreError> {
     begin(tx, old).await?;
-    let new = copy_row(tx, old, called, now).await?;
+    let new = copy_row(tx, old, target, now).await?;
     run(
         tx,
         "INSERT INTO temp.moved_job
@@ -220,23 +220,23 @@ pub(crate) async fn copy(
     Ok(new)
 }
 
-/// As [`copy`], but without jobs, which [`copy_piece`] and [`copy_rest`] complete.
+/// As [`copy`], but without jobs, which [`copy_batch`] and [`copy_rest`] complete.
 pub(crate) async fn copy_without_jobs(
     tx: &mut SqliteConnection,
     old: CampaignId,
-    called: &Called,
+    target: &CopyTarget,
     now: UnixMillis,
 ) -> Result<CampaignId, StoreError> {
     begin(tx, old).await?;
-    let new = copy_row(tx, old, called, now).await?;
-    rows(tx, new, |table| OF_CAMPAIGN.contains(&table)).await?;
+    let new = copy_row(tx, old, target, now).await?;
+    rows(tx, new, |table| PER_CAMPAIGN.contains(&table)).await?;
     end(tx).await?;
     Ok(new)
 }
 
 /// Copies some jobs with their dependent rows. Their new numbers follow this order and come after
 /// those of all jobs that ever existed here.
-pub(crate) async fn copy_piece(
+pub(crate) async fn copy_batch(
     tx: &mut SqliteConnection,
     (campaign, old): (CampaignId, CampaignId),
     folder: &str,
@@ -258,8 +258,8 @@ pub(crate) async fn copy_piece(
     .execute(&mut *tx)
     .await
     .doing("copy a campaign")?;
-    let is_of_jobs = |table: &str| !OF_CAMPAIGN.contains(&table) && table != "stop";
-    rows(tx, campaign, is_of_jobs).await?;
+    let is_per_job = |table: &str| !PER_CAMPAIGN.contains(&table) && table != "stop";
+    rows(tx, campaign, is_per_job).await?;
     end(tx).await
 }
 
@@ -272,10 +272,10 @@ pub(crate) async fn jobs(
         .bind(campaign)
         .fetch_all(tx)
         .await
-        .doing("list the jobs of a campaign that is copied")
+        .doing("list the jobs of the campaign to copy")
 }
 
-/// Copies what depends on all jobs being present: the early stop and the state of the campaign.
+/// Copies the early stop and the state of the campaign, which require that all jobs are present.
 pub(crate) async fn copy_rest(
     tx: &mut SqliteConnection,
     (campaign, old): (CampaignId, CampaignId),
@@ -302,7 +302,7 @@ pub(crate) async fn copy_rest(
 async fn copy_row(
     tx: &mut SqliteConnection,
     old: CampaignId,
-    called: &Called,
+    target: &CopyTarget,
     now: UnixMillis,
 ) -> Result<CampaignId, StoreError> {
     let (endpoint, policy): (String, String) = sqlx::query_as(
@@ -312,16 +312,16 @@ async fn copy_row(
     .bind(old)
     .fetch_one(&mut *tx)
     .await
-    .doing("read which policy a campaign measures")?;
+    .doing("read the policy of a campaign")?;
     let policy = policies::find_or_insert(tx, &endpoint, &policy, now).await?;
     sqlx::query(
         "UPDATE temp.moved SET policy = ?, name = ?, spec = ?, spec_digest = ?, folder = ?",
     )
     .bind(policy)
-    .bind(&called.name)
-    .bind(&called.spec)
-    .bind(&called.spec_digest)
-    .bind(&called.folder)
+    .bind(&target.name)
+    .bind(&target.spec)
+    .bind(&target.spec_digest)
+    .bind(&target.folder)
     .execute(&mut *tx)
     .await
     .doing("copy a campaign")?;
@@ -421,7 +421,7 @@ async fn rows(
 }
 
 /// Assigns ids to the copied attempts: the original id, or a new one if the original id exists in
-/// this database, beside which the campaign is then a copy.
+/// this database, which then holds the original campaign as well.
 async fn name_attempts(tx: &mut SqliteConnection) -> Result<(), StoreError> {
     run(
         tx,
@@ -530,7 +530,7 @@ async fn run(tx: &mut SqliteConnection, statements: &str) -> Result<(), StoreErr
 
 /// Removes the differences between two databases of equal content: instants of their creation and
 /// the history of their counters.
-pub(crate) async fn forget_when(tx: &mut SqliteConnection) -> Result<(), StoreError> {
+pub(crate) async fn erase_history(tx: &mut SqliteConnection) -> Result<(), StoreError> {
     run(
         tx,
         "UPDATE _sqlx_migrations SET installed_on = '1970-01-01 00:00:00', execution_time = 0;
@@ -550,7 +550,7 @@ pub(crate) async fn forget_artifacts(
         .bind(super::json(missing))
         .execute(tx)
         .await
-        .doing("leave out files that are gone")
+        .doing("remove the rows of missing videos")
         .map(drop)
 }
 
@@ -572,14 +572,14 @@ mod tests {
         .expect("tables");
         let copied = COPIED.iter().chain([&CAMPAIGN_ROW]);
         let mut known: Vec<&str> = copied.map(|copied| copied.table).collect();
-        known.extend(LEFT);
+        known.extend(NOT_COPIED);
         known.sort_unstable();
         tables.sort_unstable();
-        assert_eq!(tables, known, "name new tables in COPIED or LEFT");
+        assert_eq!(tables, known, "name new tables in COPIED or NOT_COPIED");
         for copied in COPIED.iter().chain([&CAMPAIGN_ROW]) {
             let columns = columns(&mut view, copied.table).await.expect("columns");
             for (column, _) in copied.values {
-                assert!(columns.iter().any(|it| it == column), "{column}");
+                assert!(columns.iter().any(|name| name == column), "{column}");
             }
         }
     }

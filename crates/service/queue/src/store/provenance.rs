@@ -50,7 +50,7 @@ pub(crate) async fn of_suite(
     .bind(suite.name())
     .fetch_optional(tx)
     .await
-    .doing("look for the policy that a suite was measured with")?;
+    .doing("find the policy that was measured in a suite")?;
     Ok(found.map(|Json(origin)| origin))
 }
 
@@ -85,5 +85,5 @@ pub(crate) async fn find_or_insert(
     .bind(&of.program_version)
     .fetch_one(tx)
     .await
-    .doing("store where a result came from")
+    .doing("store the provenance of a result")
 }

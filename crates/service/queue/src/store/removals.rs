@@ -10,7 +10,7 @@ pub(crate) async fn note(tx: &mut SqliteConnection, folder: &str) -> Result<(), 
         .bind(folder)
         .execute(tx)
         .await
-        .doing("note a folder that is to be removed")
+        .doing("mark a folder for removal")
         .map(drop)
 }
 
@@ -20,7 +20,7 @@ pub(crate) async fn done(tx: &mut SqliteConnection, folder: &str) -> Result<(), 
         .bind(folder)
         .execute(tx)
         .await
-        .doing("note that a folder was removed")
+        .doing("unmark a removed folder")
         .map(drop)
 }
 
@@ -28,5 +28,5 @@ pub(crate) async fn pending(tx: &mut SqliteConnection) -> Result<Vec<String>, St
     sqlx::query_scalar("SELECT folder FROM removal ORDER BY folder")
         .fetch_all(tx)
         .await
-        .doing("look for folders that are to be removed")
+        .doing("list folders to be removed")
 }

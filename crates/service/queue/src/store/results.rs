@@ -9,7 +9,7 @@ use sqlx::{QueryBuilder, Sqlite, SqliteConnection};
 
 use super::jobs::InitialState;
 use super::provenance::{ProvenanceId, provenance};
-use super::{Doing, StoreError, in_few_statements, json, undecodable};
+use super::{Doing, StoreError, insert_batches, json, undecodable};
 use crate::clock::UnixMillis;
 use crate::ids::{AttemptNumber, CampaignId, JobId, WorkerId};
 use crate::rules::pairing::Sibling;
@@ -43,7 +43,7 @@ pub(crate) async fn insert(
     results: &[NewResult<'_>],
     now: UnixMillis,
 ) -> Result<(), StoreError> {
-    for chunk in in_few_statements(results) {
+    for chunk in insert_batches(results) {
         let mut statement = QueryBuilder::<Sqlite>::new(
             "INSERT INTO result (job_id, campaign_id, attempt_id, attempt, worker_id,
                  committed_ms, success, steps, wall_secs, ik_residual_mm, ik_residual_deg,
@@ -90,7 +90,7 @@ pub(crate) async fn insert(
                 .push_bind(&new.motion.actions);
         });
         let done = statement.build().persistent(true).execute(&mut *tx).await;
-        done.doing("store how robots moved")?;
+        done.doing("store robot motions")?;
     }
     Ok(())
 }
@@ -119,7 +119,7 @@ pub(crate) async fn insert_divergence(
     .bind(origin)
     .execute(tx)
     .await
-    .doing("keep a divergent outcome")
+    .doing("store a divergent outcome")
     .map(drop)
 }
 
@@ -158,7 +158,7 @@ pub(crate) async fn siblings(
     .bind(of.init_id)
     .fetch_all(tx)
     .await
-    .doing("look for a configuration's siblings")?;
+    .doing("find a configuration's siblings")?;
     let sibling = |(_, rollout, worker, digests, realised, origin): Row| {
         Ok(Sibling {
             rollout: rollout.parse().map_err(undecodable)?,

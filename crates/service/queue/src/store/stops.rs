@@ -26,7 +26,7 @@ pub(crate) struct FirstUnsettled {
 /// Early stop of a campaign: its rule, and the point at which the campaign stopped, if it has.
 #[derive(Clone, Debug, PartialEq, sqlx_macros::FromRow)]
 pub struct EarlyStop {
-    /// The rule, with the seed of the drawn order.
+    /// The stop rule, with the seed of the random order of configurations.
     #[sqlx(json)]
     pub stop: Stop,
     pub configurations: u32,
@@ -45,7 +45,7 @@ pub(crate) async fn insert(
         .bind(i64::try_from(configurations).unwrap_or(i64::MAX))
         .execute(tx)
         .await
-        .doing("store that a campaign may end early")
+        .doing("store the stop rule of a campaign")
         .map(drop)
 }
 
@@ -58,7 +58,7 @@ pub(crate) async fn stoppable(tx: &mut SqliteConnection) -> Result<Vec<Stoppable
     )
     .fetch_all(tx)
     .await
-    .doing("list campaigns that may end early")
+    .doing("list campaigns that may stop early")
 }
 
 /// Returns the first rollout without an outcome, in the order in which a campaign's jobs are
@@ -78,7 +78,7 @@ pub(crate) async fn first_unsettled(
     .bind(campaign)
     .fetch_optional(tx)
     .await
-    .doing("look for the first rollout without an outcome")
+    .doing("find the first rollout without an outcome")
 }
 
 /// Records that a campaign stopped after a number of its configurations.
@@ -99,7 +99,7 @@ pub(crate) async fn stop(
 }
 
 /// Returns the early stop of a campaign; `None` for a campaign that always runs to its end.
-pub(crate) async fn of(
+pub(crate) async fn early_stop(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
 ) -> Result<Option<EarlyStop>, StoreError> {
@@ -110,5 +110,5 @@ pub(crate) async fn of(
     .bind(campaign)
     .fetch_optional(tx)
     .await
-    .doing("read how a campaign may end early")
+    .doing("read the early stop of a campaign")
 }

@@ -67,7 +67,7 @@ pub(crate) use pin;
 
 /// Serialises worker ids for `json_each`, each only once, since several slots of a worker may call
 /// together.
-fn each_once(ids: &[&WorkerId]) -> String {
+fn distinct_ids(ids: &[&WorkerId]) -> String {
     json(ids.iter().map(|id| &id.0).collect::<BTreeSet<_>>())
 }
 
@@ -135,7 +135,7 @@ pub(crate) async fn standings(
         pin!("worker"),
         " AS pin FROM worker WHERE id IN (SELECT value FROM json_each(?))",
     ))
-    .bind(each_once(ids))
+    .bind(distinct_ids(ids))
     .fetch_all(tx)
     .await
     .doing("look up workers")?;
@@ -143,7 +143,7 @@ pub(crate) async fn standings(
     Ok(standings.into_iter().map(by_id).collect())
 }
 
-pub(crate) async fn seen(
+pub(crate) async fn record_calls(
     tx: &mut SqliteConnection,
     ids: &[&WorkerId],
     now: UnixMillis,
@@ -153,15 +153,15 @@ pub(crate) async fn seen(
          WHERE id IN (SELECT value FROM json_each(?2)) AND last_seen_ms < ?1",
     )
     .bind(now)
-    .bind(each_once(ids))
+    .bind(distinct_ids(ids))
     .execute(tx)
     .await
-    .doing("note that workers were heard of")
+    .doing("record calls of workers")
     .map(drop)
 }
 
 /// Notes that workers sent heartbeats.
-pub(crate) async fn beat(
+pub(crate) async fn record_heartbeats(
     tx: &mut SqliteConnection,
     ids: &[&WorkerId],
     now: UnixMillis,
@@ -171,10 +171,10 @@ pub(crate) async fn beat(
          WHERE id IN (SELECT value FROM json_each(?2))",
     )
     .bind(now)
-    .bind(each_once(ids))
+    .bind(distinct_ids(ids))
     .execute(tx)
     .await
-    .doing("note that workers sent heartbeats")
+    .doing("record heartbeats of workers")
     .map(drop)
 }
 
@@ -200,7 +200,7 @@ pub(crate) async fn set_strike(
 
 /// Notes that workers reported results that were committed: they are alive, and their failures in a
 /// row are reset.
-pub(crate) async fn succeeded(
+pub(crate) async fn record_successes(
     tx: &mut SqliteConnection,
     ids: &[&WorkerId],
     now: UnixMillis,
@@ -211,7 +211,7 @@ pub(crate) async fn succeeded(
              AND (charged_in_a_row > 0 OR last_seen_ms < ?1)",
     )
     .bind(now)
-    .bind(each_once(ids))
+    .bind(distinct_ids(ids))
     .execute(tx)
     .await
     .doing("clear workers' failures")
@@ -229,7 +229,7 @@ pub(crate) async fn sign_off(
         .bind(id)
         .execute(tx)
         .await
-        .doing("note that a worker ended")?;
+        .doing("record that a worker signed off")?;
     Ok(noted.rows_affected() > 0)
 }
 

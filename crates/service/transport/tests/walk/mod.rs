@@ -227,7 +227,7 @@ pub(crate) async fn walk(
     cookie: Option<&str>,
     expected: impl Fn(&Request<()>, Sender, Option<&str>, Shown) -> bool,
 ) -> usize {
-    let mut asked = 0;
+    let mut requests = 0;
     for version in [Version::HTTP_11, Version::HTTP_2] {
         for method in METHODS {
             // Every request gets a new gate, since a gate counts the requests of its connection.
@@ -252,19 +252,19 @@ pub(crate) async fn walk(
                         let request = request.body(()).expect("a request");
                         let expected = expected(&request, sender, content, shown);
                         let answer = gate.call(request).await.expect("an answer");
-                        let came_through = answer.headers().contains_key("x-reached");
+                        let is_admitted = answer.headers().contains_key("x-reached");
                         assert_eq!(
-                            came_through,
+                            is_admitted,
                             expected,
-                            "{version:?} {method} {path} of {content:?} by {sender:?}, showing \
-                             {shown:?}, to a server {} tokens",
+                            "{version:?} {method} {path} of {content:?} by {sender:?}, with \
+                             credentials {shown:?}, to a server {} tokens",
                             if cookie.is_some() { "with" } else { "without" }
                         );
-                        asked += 1;
+                        requests += 1;
                     }
                 }
             }
         }
     }
-    asked
+    requests
 }

@@ -19,11 +19,11 @@ pub(crate) fn check(program: clap::Command) -> Vec<Help> {
     program.build();
     let mut helps = Vec::new();
     let name = program.get_name().to_owned();
-    visit(&program, &name, &mut helps);
+    add_helps(&program, &name, &mut helps);
     helps
 }
 
-fn visit(command: &clap::Command, words: &str, helps: &mut Vec<Help>) {
+fn add_helps(command: &clap::Command, words: &str, helps: &mut Vec<Help>) {
     let mut rendered = command.clone();
     let short = rendered.render_help().to_string();
     let lines = short.lines().count();
@@ -46,7 +46,7 @@ fn visit(command: &clap::Command, words: &str, helps: &mut Vec<Help>) {
     });
     for command in command.get_subcommands() {
         if !command.is_hide_set() && command.get_name() != "help" {
-            visit(command, &format!("{words} {}", command.get_name()), helps);
+            add_helps(command, &format!("{words} {}", command.get_name()), helps);
         }
     }
 }

@@ -21,7 +21,7 @@ pub(super) const SEED: u64 = 1;
 const STEPS: u32 = 100;
 
 /// Calls made before an input, after which worker `w` holds a lease.
-pub(super) fn a_lease() -> [EncodedCall; 3] {
+pub(super) fn lease_calls() -> [EncodedCall; 3] {
     [create(), registration("w"), claim()]
 }
 

@@ -122,9 +122,9 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
 
 fn archive() -> Vec<u8> {
     let archived = ("OperatorService/ArchiveCampaign", name().encode_to_vec());
-    let (_, pieces) = after(&[create(), archived]);
-    let piece = |piece: Bytes| wire::ArchiveChunk::decode(piece).expect("a piece").data;
-    pieces.into_iter().flat_map(piece).collect()
+    let (_, chunks) = after(&[create(), archived]);
+    let data = |chunk: Bytes| wire::ArchiveChunk::decode(chunk).expect("a chunk").data;
+    chunks.into_iter().flat_map(data).collect()
 }
 
 /// Encodes several calls as an input.
@@ -134,11 +134,11 @@ fn calls(calls: &[&EncodedCall]) -> Vec<u8> {
 }
 
 fn number(method: &str) -> u8 {
-    let place = METHODS.iter().position(|name| *name == method);
-    u8::try_from(place.expect("a method")).expect("few")
+    let index = METHODS.iter().position(|name| *name == method);
+    u8::try_from(index.expect("a method")).expect("fewer than 256 methods")
 }
 
-/// Returns the messages of a video upload in two pieces.
+/// Returns the messages of a video upload in two chunks.
 fn upload() -> [Vec<u8>; 2] {
     let first = wire::ArtifactChunk {
         attempt_id: attempt(),

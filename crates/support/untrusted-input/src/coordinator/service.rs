@@ -68,7 +68,7 @@ impl TestCoordinator {
             let (method, message) = registration("next");
             let path = format!("/rollout.coordinator.v1.{method}");
             let after = call(&mut self.services, &path, &[&message]).await;
-            after.expect("a sound message");
+            after.expect("a valid message");
         }
         answer
     }
@@ -86,7 +86,7 @@ pub(super) fn after(calls: &[EncodedCall]) -> (Vec<u8>, Vec<Bytes>) {
         let mut last = Vec::new();
         for (method, message) in calls {
             let answer = coordinator.call(method, &[message]).await;
-            last = answer.expect("an answer").expect("a sound message");
+            last = answer.expect("an answer").expect("a valid message");
         }
         coordinator.close().await;
         let database = std::fs::read(folder.path().join(DATABASE_FILE));
