@@ -116,7 +116,22 @@ impl Backdrop {
         self.samples.clone_from(&picture.samples);
     }
 
-    /// Restores a window of the cached picture.
+    /// Makes a picture equal to the cached one.
+    pub(crate) fn restore_all(&self, picture: &mut Picture) {
+        let size = self.last.as_ref().map_or([0; 2], |(_, size)| *size);
+        picture.instances.clone_from(&self.instances);
+        picture.samples.clone_from(&self.samples);
+        let visible = &mut picture.visible;
+        visible.resize(size);
+        visible.records.clone_from(&self.records);
+        visible.clipped.clone_from(&self.clipped);
+        visible.depths.clone_from(&self.depths);
+        visible.ids.clone_from(&self.ids);
+        visible.touched = None;
+        visible.invalidate_bounds();
+    }
+
+    /// Restores a window of the cached picture in a picture that equals it elsewhere.
     pub(crate) fn restore(&self, picture: &mut Picture, window: Option<Window>) {
         let visible = &mut picture.visible;
         for row in window

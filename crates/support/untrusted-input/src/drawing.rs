@@ -150,16 +150,16 @@ impl Drawing {
         match (drawn, anew) {
             (Ok(drawn), Ok(anew)) => {
                 assert_eq!(drawn.len(), width * height * 3);
-                let differs = drawn.iter().zip(anew).position(|(a, b)| a != b);
+                let differs = drawn.iter().zip(&anew).position(|(a, b)| a != b);
                 let at = differs.map(|byte| (byte / 3 % width, byte / 3 / width));
                 assert_eq!(at, None, "a pixel depends on what was drawn before");
-                let depths = self.canvas.depths();
-                assert!(
-                    depths.eq(fresh.depths()),
-                    "a depth depends on what was drawn before"
-                );
-                assert!(fresh.depths().all(|depth| (0.0..=1.0).contains(&depth)));
-                assert_eq!(fresh.depths().count(), width * height);
+                let [depths, anew] = [&mut self.canvas, &mut fresh].map(|canvas| {
+                    let depths = canvas.depths(&self.model, &largest, &self.scene, size);
+                    depths.expect("depths of a valid scene")
+                });
+                assert!(depths == anew, "a depth depends on what was drawn before");
+                assert!(depths.iter().all(|depth| (0.0..=1.0).contains(depth)));
+                assert_eq!(depths.len(), width * height);
                 let segments = raster::segments(&self.model, &self.scene, size);
                 assert_eq!(
                     segments.expect("segments of a valid scene").len(),
