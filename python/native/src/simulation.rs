@@ -38,7 +38,7 @@ impl Simulation {
         })?;
         let compiled = Arc::clone(&scene.get().compiled);
         let ready = scene.get().ready.clone();
-        let environment = py.detach(|| Environment::of(compiled).map_err(simulation))?;
+        let environment = py.detach(|| Environment::before_load(compiled).map_err(simulation))?;
         let state = State {
             environment,
             conditions: None,
