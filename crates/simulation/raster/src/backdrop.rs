@@ -61,11 +61,14 @@ impl Backdrop {
                 && last.geoms.len() == count
         });
         if !same {
-            self.rested = vec![0; count];
-            self.needed = vec![FIRST_REST; count];
-            self.is_cached = vec![false; count];
-            self.has_picture = false;
-            self.last = Some((scene.clone(), size));
+            // Frees the picture: cameras that move rarely rest long enough for another one.
+            *self = Self {
+                last: Some((scene.clone(), size)),
+                rested: vec![0; count],
+                needed: vec![FIRST_REST; count],
+                is_cached: vec![false; count],
+                ..Self::default()
+            };
             return Start::Redraw;
         }
         let mut is_valid = self.has_picture;
