@@ -20,9 +20,7 @@ def main() -> int:
     """Runs the command line; returns the exit status."""
     parser = argparse.ArgumentParser(prog="python -m rollout_libero")
     commands = parser.add_subparsers(dest="command", required=True)
-    words = (
-        "Fetches task files, robot models and LIBERO's assets; continues an interrupted fetch."
-    )
+    words = "Fetches task files, robot models and LIBERO's assets; continues an interrupted fetch."
     fetch = commands.add_parser("fetch", help=words, description=words)
     fetch.add_argument(
         "--tasks",
@@ -80,7 +78,7 @@ def main() -> int:
         print("interrupted; the same command continues from here", file=sys.stderr)
         return INTERRUPTED
     except (FileNotFoundError, ValueError) as error:
-        print(f"failed to {error}", file=sys.stderr)
+        print(error, file=sys.stderr)
         return 1
     print(f"LIBERO's assets: {folder}")
     if given.into:

@@ -24,8 +24,8 @@ def _load() -> Any:
         sys.setdlopenflags(before)
     if _native.mujoco_version() != MUJOCO:
         raise ImportError(
-            f"load MuJoCo {MUJOCO}: this process has {_native.mujoco_version()} in its place; "
-            "import rollout_libero before mujoco"
+            f"failed to load MuJoCo {MUJOCO}: this process has {_native.mujoco_version()} in its "
+            "place; import rollout_libero before mujoco"
         )
     return _native
 

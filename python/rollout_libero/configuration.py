@@ -57,9 +57,11 @@ class Starts:
         stride: int = 1,
     ) -> None:
         if max_steps is not None and max_steps < 1:
-            raise ValueError(f"choose max_steps {max_steps}: it is 1 or more, or None")
+            raise ValueError(f"failed to choose max_steps {max_steps}: it is 1 or more, or None")
         if settle_steps is not None and settle_steps < 0:
-            raise ValueError(f"choose settle_steps {settle_steps}: it is 0 or more, or None")
+            raise ValueError(
+                f"failed to choose settle_steps {settle_steps}: it is 0 or more, or None"
+            )
         self._task = task
         self._count = count
         self._chosen = _chosen(init_states, count)
@@ -102,8 +104,8 @@ class Starts:
             axes = native.perturbed_axes(json.dumps(row))
             if self._absolute and "actuation" in axes:
                 raise ValueError(
-                    f"perturb {self._task.name} by {row['rollout_id']}: its actuation axis "
-                    "distorts displacements, and control='absolute' commands poses; use "
+                    f"failed to perturb {self._task.name} by {row['rollout_id']}: its actuation "
+                    "axis distorts displacements, and control='absolute' commands poses; use "
                     "control='relative', or a configuration without the actuation axis"
                 )
         self._perturbed = row
@@ -171,8 +173,8 @@ class Starts:
             return of_row
         if row is not None and row["axis"] == "latency":
             raise ValueError(
-                f"run {row['rollout_id']} under execution model {self._execution!r}: the row's "
-                f"latency axis already sets {of_row!r}; leave out `execution`"
+                f"failed to run {row['rollout_id']} under execution model {self._execution!r}: the "
+                f"row's latency axis already sets {of_row!r}; leave out `execution`"
             )
         return self._execution
 
@@ -181,14 +183,14 @@ class Starts:
         native.Schedule(execution, self._task.name, 0)
         if execution != "wait" and self._absolute:
             raise ValueError(
-                f"run under execution model {execution!r}: an arm that holds still is commanded a "
-                "displacement of zero, and control='absolute' commands poses; use "
+                f"failed to run under execution model {execution!r}: an arm that holds still is "
+                "commanded a displacement of zero, and control='absolute' commands poses; use "
                 "control='relative'"
             )
         if "*" in execution and self._chosen == "sampled":
             raise ValueError(
-                f"run under execution model {execution!r}: the initial state's number seeds the "
-                "delays, and init_states='sampled' has no number; choose a constant delay"
+                f"failed to run under execution model {execution!r}: the initial state's number "
+                "seeds the delays, and init_states='sampled' has no number; choose a constant delay"
             )
 
     def _nominal(self, init_state: int) -> dict[str, Any]:
@@ -202,7 +204,8 @@ class Starts:
     def _checked(self, init_state: int) -> int:
         if not 0 <= int(init_state) < self._count:
             raise ValueError(
-                f"begin at initial state {init_state}: {self._task.name} has 0 to {self._count - 1}"
+                f"failed to begin at initial state {init_state}: {self._task.name} has 0 to "
+                f"{self._count - 1}"
             )
         return int(init_state)
 
@@ -214,13 +217,15 @@ def _chosen(init_states: InitStates, count: int) -> str | Sequence[int]:
         return init_states
     if isinstance(init_states, str):
         raise ValueError(
-            f"choose init_states {init_states!r}: it is 'cycle', 'random', 'sampled', a number, or "
-            "numbers"
+            f"failed to choose init_states {init_states!r}: it is 'cycle', 'random', 'sampled', a "
+            "number, or numbers"
         )
     given = [init_states] if isinstance(init_states, int) else init_states
     numbers = [int(number) for number in given]
     if not numbers or not all(0 <= number < count for number in numbers):
-        raise ValueError(f"choose init_states {init_states!r}: the task has 0 to {count - 1}")
+        raise ValueError(
+            f"failed to choose init_states {init_states!r}: the task has 0 to {count - 1}"
+        )
     return numbers
 
 
@@ -237,5 +242,5 @@ def _row(task: Task, perturbation: str | Mapping[str, Any]) -> dict[str, Any]:
         row = dict(perturbation)
     task_of_row = f"{row.get('suite')}/{row.get('task_id')}"
     if task_of_row != task.name:
-        raise ValueError(f"perturb {task.name}: the configuration is of {task_of_row}")
+        raise ValueError(f"failed to perturb {task.name}: the configuration is of {task_of_row}")
     return row

@@ -107,8 +107,8 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         )
         if self.starts.execution != "wait":
             raise ValueError(
-                f"make an environment under execution model {self.starts.execution!r}: this one "
-                "executes actions as they are given; use VectorEnvironment, or Schedule"
+                f"failed to make an environment under execution model {self.starts.execution!r}: "
+                "this one executes actions as they are given; use VectorEnvironment, or Schedule"
             )
         self._space = observation_space(cameras, height, width)
         self.observation_space = cast("gymnasium.Space[Observation]", self._space)
@@ -120,7 +120,7 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         known = self.simulation.names("camera")
         for camera in cameras:
             if camera not in known:
-                raise ValueError(f"look through camera `{camera}`: the scene has {known}")
+                raise ValueError(f"failed to look through camera `{camera}`: the scene has {known}")
 
     @property
     def instruction(self) -> str:
@@ -146,9 +146,7 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         generator = self.np_random if seed is None else seeding.np_random(seed)[0]
         start = self.starts.plan(generator, options or {}, turn=seed)
         none = np.empty((1, 0, ACTION_WIDTH))
-        shown = self._batch.advance(
-            none, [0], [start.row], self._cameras, mirrored=self._mirrored
-        )
+        shown = self._batch.advance(none, [0], [start.row], self._cameras, mirrored=self._mirrored)
         (error,) = shown["errors"]
         if isinstance(error, UNTOUCHED):
             raise error
@@ -161,15 +159,14 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         self._rollout.begin(start)
         return self._observation(shown), self._info(success=False)
 
-    def step(
-        self, action: ArrayLike
-    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Executes a control step, 50 ms, with seven numbers: translation, rotation, gripper."""
         action = np.asarray(action, dtype=np.float64)
         if action.shape != (ACTION_WIDTH,):
             raise ValueError(
-                f"step with an action of shape {action.shape}: it has {ACTION_WIDTH} numbers, "
-                "three of translation, three of rotation and the gripper; use step_chunk for "
+                f"failed to step with an action of shape {action.shape}: it has {ACTION_WIDTH} "
+                "numbers, three of translation, three of rotation and the gripper; use step_chunk "
+                "for "
                 "several"
             )
         return self.step_chunk(action[np.newaxis])
@@ -189,11 +186,13 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         rollout = self._rollout
         if not rollout.is_begun or rollout.is_over:
             raise gymnasium.error.ResetNeeded(
-                "step: the rollout has ended, or none was begun; call reset"
+                "failed to step: the rollout has ended, or none was begun; call reset"
             )
         actions = np.asarray(actions, dtype=np.float64)
         if actions.ndim != 2 or not len(actions):
-            raise ValueError(f"step with actions of shape {actions.shape}: expected [steps, 7]")
+            raise ValueError(
+                f"failed to step with actions of shape {actions.shape}: expected [steps, 7]"
+            )
         shown = self._batch.advance(
             actions[np.newaxis],
             [rollout.max_steps - rollout.steps],
@@ -253,5 +252,5 @@ def is_absolute(control: str) -> bool:
         ValueError: if there is no such control.
     """
     if control not in ("relative", "absolute"):
-        raise ValueError(f"choose control {control!r}: it is 'relative' or 'absolute'")
+        raise ValueError(f"failed to choose control {control!r}: it is 'relative' or 'absolute'")
     return control == "absolute"

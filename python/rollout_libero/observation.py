@@ -40,9 +40,7 @@ ACTION_WIDTH = 7
 
 def observation_space(cameras: Sequence[str], height: int, width: int) -> spaces.Dict:
     """Returns the space of observations."""
-    frames = {
-        camera: spaces.Box(0, 255, (height, width, 3), np.uint8) for camera in cameras
-    }
+    frames = {camera: spaces.Box(0, 255, (height, width, 3), np.uint8) for camera in cameras}
     readings = {
         name: spaces.Box(-np.inf, np.inf, (length,), np.float64)
         for name, length in READINGS.items()
@@ -62,5 +60,7 @@ def is_mirrored(orientation: str) -> bool:
         ValueError: if there is no such orientation.
     """
     if orientation not in ("policy", "upright"):
-        raise ValueError(f"choose orientation {orientation!r}: it is 'policy' or 'upright'")
+        raise ValueError(
+            f"failed to choose orientation {orientation!r}: it is 'policy' or 'upright'"
+        )
     return orientation == "policy"

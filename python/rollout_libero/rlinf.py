@@ -94,7 +94,7 @@ class Rows:
         widths = {of_env.get("camera_widths", 128) for of_env in parameters}
         if len(heights) != 1 or len(widths) != 1:
             raise ValueError(
-                f"make frames of {sorted(heights)} × {sorted(widths)} pixels: give all "
+                f"failed to make frames of {sorted(heights)} × {sorted(widths)} pixels: give all "
                 "environments one size"
             )
         self.env_num = len(parameters)

@@ -96,11 +96,11 @@ class TrainingEnvironment:
         settle_action: Sequence[float] = (0, 0, 0, 0, 0, 0, -1),
     ) -> None:
         if num_envs < 1:
-            raise ValueError(f"make {num_envs} environments: at least one is needed")
+            raise ValueError(f"failed to make {num_envs} environments: at least one is needed")
         if settle_steps < 0 or len(settle_action) != ACTION_WIDTH:
             raise ValueError(
-                f"settle in {settle_steps} steps with an action of {len(settle_action)} numbers: "
-                f"give 0 steps or more, and {ACTION_WIDTH} numbers"
+                f"failed to settle in {settle_steps} steps with an action of {len(settle_action)} "
+                f"numbers: give 0 steps or more, and {ACTION_WIDTH} numbers"
             )
         self.num_envs = num_envs
         self._assets = assets
@@ -127,7 +127,9 @@ class TrainingEnvironment:
         """
         rows = self._rows(rows)
         if len(starts) != len(rows):
-            raise ValueError(f"begin in {len(rows)} rows: {len(starts)} starts were given")
+            raise ValueError(
+                f"failed to begin in {len(rows)} rows: {len(starts)} starts were given"
+            )
         for row, start in zip(rows, starts, strict=True):
             self._make(row, start.task)
         # Equal starts are simulated once, in the first row that has them.
@@ -172,7 +174,8 @@ class TrainingEnvironment:
         actions = np.asarray(actions, dtype=np.float64)
         if actions.ndim != 3 or actions.shape[0] != len(rows) or not actions.shape[1]:
             raise ValueError(
-                f"step with actions of shape {actions.shape}: expected [{len(rows)}, steps, 7]"
+                f"failed to step with actions of shape {actions.shape}: expected [{len(rows)}, "
+                "steps, 7]"
             )
         shown = self._advance(
             [self._held(row) for row in rows], actions, [None] * len(rows), render
@@ -211,15 +214,17 @@ class TrainingEnvironment:
     def _held(self, row: int) -> native.Simulation:
         simulation = self.simulations[row]
         if simulation is None:
-            raise ValueError(f"step row {row}: it has no rollout; call reset")
+            raise ValueError(f"failed to step row {row}: it has no rollout; call reset")
         return simulation
 
     def _rows(self, rows: Sequence[int] | None) -> list[int]:
         chosen = list(range(self.num_envs)) if rows is None else [int(row) for row in rows]
         if not chosen or len(set(chosen)) != len(chosen):
-            raise ValueError(f"choose rows {chosen}: give at least one row, and each row once")
+            raise ValueError(
+                f"failed to choose rows {chosen}: give at least one row, and each row once"
+            )
         if not all(0 <= row < self.num_envs for row in chosen):
-            raise ValueError(f"choose rows {chosen}: rows are 0 to {self.num_envs - 1}")
+            raise ValueError(f"failed to choose rows {chosen}: rows are 0 to {self.num_envs - 1}")
         return chosen
 
     def _row(self, start: Start) -> str:

@@ -102,7 +102,9 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         names = [tasks] if isinstance(tasks, str) else list(tasks)
         self.num_envs = len(names) if num_envs is None else num_envs
         if not names or self.num_envs < 1:
-            raise ValueError("make environments: give at least one task, and num_envs from 1")
+            raise ValueError(
+                "failed to make environments: give at least one task, and num_envs from 1"
+            )
         self._absolute = is_absolute(control)
         self._execute = execute
         self._mirrored = is_mirrored(orientation)
@@ -168,8 +170,8 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, bool)), dtype=bool)
         if mask.shape != (self.num_envs,) or not mask.any():
             raise ValueError(
-                f"reset with a mask of shape {mask.shape}: expected ({self.num_envs},) with at "
-                "least one True"
+                f"failed to reset with a mask of shape {mask.shape}: expected ({self.num_envs},) "
+                "with at least one True"
             )
         wanted: Any = options.get("init_state")
         chosen = np.broadcast_to(wanted, self.num_envs)
@@ -204,7 +206,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         actions = np.asarray(actions, dtype=np.float64)
         if actions.shape != (self.num_envs, ACTION_WIDTH):
             raise ValueError(
-                f"step with actions of shape {actions.shape}: expected ({self.num_envs}, "
+                f"failed to step with actions of shape {actions.shape}: expected ({self.num_envs}, "
                 f"{ACTION_WIDTH}); use step_chunk for several of each"
             )
         return self.step_chunk(actions[:, np.newaxis])
@@ -239,12 +241,13 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         missing = [at for at, rollout in enumerate(self._rollouts) if not rollout.is_begun]
         if missing:
             raise gymnasium.error.ResetNeeded(
-                f"step: rollouts {missing} were not begun; call reset"
+                f"failed to step: rollouts {missing} were not begun; call reset"
             )
         over = [at for at, rollout in enumerate(self._rollouts) if rollout.is_over]
         if over and self.autoreset_mode != AutoresetMode.NEXT_STEP:
             raise gymnasium.error.ResetNeeded(
-                f"step: rollouts {over} have ended; call reset with options={{'reset_mask': …}}"
+                f"failed to step: rollouts {over} have ended; call reset with "
+                f"options={{'reset_mask': …}}"
             )
         starts = {at: self.starts[at].plan(self._generators[at], {}) for at in over}
         limits = [
@@ -294,14 +297,14 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
             return actions, {}
         if is_expert:
             raise ValueError(
-                "query the expert: it answers at every step, and with an execution model or "
-                "`execute` a policy answers only when a query is due; make environments without "
+                "failed to query the expert: it answers at every step, and with an execution model "
+                "or `execute` a policy answers only when a query is due; make environments without "
                 "either"
             )
         if actions.ndim != 3 or len(actions) != self.num_envs:
             raise ValueError(
-                f"step with actions of shape {actions.shape}: expected ({self.num_envs}, steps, "
-                f"{ACTION_WIDTH})"
+                f"failed to step with actions of shape {actions.shape}: expected ({self.num_envs}, "
+                f"steps, {ACTION_WIDTH})"
             )
         schedules, rows = {}, {at: actions[at] for at in range(self.num_envs)}
         for at in late:
@@ -446,7 +449,7 @@ def _each(perturbation: Any, count: int) -> list[Any]:
         return [perturbation] * count
     if len(perturbation) != count:
         raise ValueError(
-            f"perturb {count} environments: {len(perturbation)} perturbations were given"
+            f"failed to perturb {count} environments: {len(perturbation)} perturbations were given"
         )
     return list(perturbation)
 
@@ -455,7 +458,9 @@ def _budgets(max_steps: int | Sequence[int] | None, count: int) -> list[int | No
     if max_steps is None or isinstance(max_steps, int):
         return [max_steps] * count
     if len(max_steps) != count:
-        raise ValueError(f"limit {count} environments: {len(max_steps)} max_steps were given")
+        raise ValueError(
+            f"failed to limit {count} environments: {len(max_steps)} max_steps were given"
+        )
     return list(max_steps)
 
 
@@ -465,7 +470,7 @@ def _seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | No
     if isinstance(seed, int | np.integer):
         return [int(seed) + at for at in range(count)]
     if len(seed) != count:
-        raise ValueError(f"seed {count} environments: {len(seed)} seeds were given")
+        raise ValueError(f"failed to seed {count} environments: {len(seed)} seeds were given")
     return list(seed)
 
 

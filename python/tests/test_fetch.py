@@ -38,7 +38,7 @@ def contents():
     try:
         pack = rollout_libero.fetch_assets([TASK])
     except FileNotFoundError as error:
-        pytest.skip(f"failed to {error}")
+        pytest.skip(str(error))
     return {
         row["path"]: (pack / row["path"]).read_bytes()
         for row in rows("files.tsv")

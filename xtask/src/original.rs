@@ -9,6 +9,7 @@ use anyhow::{Context, Result, bail, ensure};
 use crate::process::capture;
 use crate::setup;
 use crate::step::step;
+use crate::venv;
 
 /// Packages that the original imports.
 const PACKAGES: [&str; 15] = [
@@ -66,10 +67,7 @@ impl Original {
         let dir = cache.join("original");
         let python = dir.join("bin/python");
         step("the original's Python packages", || install(&dir, &python))?;
-        let packages = capture(
-            Command::new(&python).args(["-c", "import site; print(site.getsitepackages()[0])"]),
-        )?;
-        let packages = PathBuf::from(packages);
+        let packages = venv::packages(&python)?;
         let package = packages.join("libero/libero");
         link(&package.join("assets"), &assets)?;
         let settings = dir.join("settings");
@@ -81,6 +79,11 @@ impl Original {
             packages,
             settings,
         })
+    }
+
+    /// Returns the folder of the installed Python packages.
+    pub(crate) fn packages(&self) -> &Path {
+        &self.packages
     }
 
     /// Returns the command for one of the reference's scripts.

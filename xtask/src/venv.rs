@@ -1,6 +1,6 @@
 //! Creates Python virtual environments.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use anyhow::{Context, Result};
@@ -44,4 +44,13 @@ pub(crate) fn pip(dir: &Path) -> Command {
     pip.args(["-m", "pip", "install", "--quiet"]);
     pip.arg("--disable-pip-version-check");
     pip
+}
+
+/// Returns the folder of an interpreter's installed packages.
+///
+/// # Errors
+/// If the interpreter does not run.
+pub(crate) fn packages(python: &Path) -> Result<PathBuf> {
+    let print = "import site; print(site.getsitepackages()[0])";
+    capture(Command::new(python).args(["-c", print])).map(PathBuf::from)
 }

@@ -21,9 +21,9 @@ TOLERANCE = 1e-9
 #: Largest difference of the step in which the goal is reached.
 SUCCESS_STEPS = 2
 _STATE = 0
-_NOTHING = [0.0] * 6 + [-1.0]
-_SETTLING = 10
-_READINGS = ("robot0_joint_pos", "robot0_eef_pos", "robot0_eef_quat", "robot0_gripper_qpos")
+NOTHING = [0.0] * 6 + [-1.0]
+SETTLING = 10
+READINGS = ("robot0_joint_pos", "robot0_eef_pos", "robot0_eef_quat", "robot0_gripper_qpos")
 
 
 def main() -> None:
@@ -46,7 +46,7 @@ def recorded(task: str) -> np.ndarray:
         1,
         cameras=[],
         init_states=[_STATE],
-        settle_steps=_SETTLING,
+        settle_steps=SETTLING,
         autoreset_mode="Disabled",
     )
     envs.reset(seed=0)
@@ -72,15 +72,15 @@ def replayed(task: str, actions: np.ndarray) -> dict[str, Any]:
     env.seed(0)
     env.reset()
     env.set_init_state(states[_STATE])
-    for _ in range(_SETTLING):
-        env.step(_NOTHING)
+    for _ in range(SETTLING):
+        env.step(NOTHING)
     readings, success, contact = [], None, None
     for step, action in enumerate(actions, 1):
         seen, _, _, _ = env.step(action.tolist())
-        readings.append(np.concatenate([np.asarray(seen[name]) for name in _READINGS]).tolist())
+        readings.append(np.concatenate([np.asarray(seen[name]) for name in READINGS]).tolist())
         if success is None and env.check_success():
             success = step
-        if contact is None and _touches(env):
+        if contact is None and touches(env):
             contact = step
     result = {
         "readings": readings,
@@ -92,7 +92,7 @@ def replayed(task: str, actions: np.ndarray) -> dict[str, Any]:
     return result
 
 
-def _touches(env: Any) -> bool | None:
+def touches(env: Any) -> bool | None:
     """Returns true if the robot touches something else; None if the simulator does not say."""
     try:
         from robosuite.utils import binding_utils  # noqa: F401

@@ -10,8 +10,9 @@ those of rollout_libero. Results are written after every run, so that an interru
 comparison has results.
 
 Arms: O, the original, rendering through EGL. O', the original that renders only the last step of
-a chunk. S, the shim with every frame drawn. S+, the shim as it is. V, RLINF_EXT_MODULE.
-RLinf reads every frame, so its S+ is S.
+a chunk. S, the shim with every frame drawn. S+, the shim as it is. V, rows of one process: by
+RLINF_EXT_MODULE in RLinf, and a TrainingEnvironment in place of SimpleVLA-RL's processes. RLinf
+reads every frame, so its S+ is S.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ from rollouts import SETTLING
 from stand_ins import LAST_OF_CHUNK
 
 HERE = Path(__file__).resolve().parent
-ARMS = {"rlinf": ("O", "O'", "S", "V"), "simplevla": ("O", "O'", "S", "S+")}
+ARMS = {"rlinf": ("O", "O'", "S", "V"), "simplevla": ("O", "O'", "S", "S+", "V")}
 #: Environments that a framework runs at most: RLinf gives each another one of a task's 50 states,
 #: and SimpleVLA-RL runs few at a time.
 MOST = {"rlinf": 50, "simplevla": 16}
@@ -76,8 +77,8 @@ def main() -> int:
 def arguments() -> argparse.Namespace:
     """Parses the command line."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n\n")[0])
-    parser.add_argument("--original", required=True, help="the original's entries of PYTHONPATH")
-    parser.add_argument("--shim", required=True, help="this project's entries of PYTHONPATH")
+    parser.add_argument("--original", default="", help="the original's entries of PYTHONPATH")
+    parser.add_argument("--shim", default="", help="this project's entries of PYTHONPATH")
     parser.add_argument("--original-python", default=sys.executable)
     parser.add_argument("--shim-python", default=sys.executable)
     parser.add_argument("--out", type=Path, required=True, help="folder of the results")
@@ -96,7 +97,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--policies",
         nargs="+",
-        default=["none", "sleep:100", "sleep:300", "card:100", "card:300", "busy"],
+        default=["none", "sleep:100"],
+        help="none, sleep:MS, and with PyTorch and an accelerator card:MS and busy",
     )
     parser.add_argument(
         "--shared-reset",

@@ -47,7 +47,7 @@ def measured(given: argparse.Namespace) -> dict[str, Any]:
     policies = [Policy(name) for name in given.policies]
     # PyTorch and the accelerator's context are the policy's, and not counted in this process.
     importlib.import_module("torch")
-    memory, on_card = _pss_mb(), _card_mb()
+    memory, on_card = pss_mb(), _card_mb()
     begun = time.perf_counter()
     rollouts = _construct(given)
     constructed = time.perf_counter() - begun
@@ -69,7 +69,7 @@ def measured(given: argparse.Namespace) -> dict[str, Any]:
                 **_run(rollouts, policy, actions),
                 "reset_s": resets[-1],
             }
-        further = (_pss_mb() - memory) / given.environments
+        further = (pss_mb() - memory) / given.environments
         card = None if on_card is None else (_card_mb() or 0.0) - on_card
     finally:
         rollouts.close()
@@ -92,10 +92,12 @@ _USERS = (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)
 
 
 def _construct(given: argparse.Namespace) -> Any:
-    from rollouts import RLinf, SimpleVLA
+    from rollouts import RLinf, Rows, SimpleVLA
 
     if given.framework == "rlinf":
         return RLinf(given.task, given.environments, given.steps, together=given.arm == "V")
+    if given.arm == "V":
+        return Rows(given.task, given.environments)
     return SimpleVLA(given.task, given.environments, every_frame=given.arm == "S")
 
 
@@ -133,7 +135,7 @@ def _actions(given: argparse.Namespace) -> np.ndarray:
     return moves.reshape(given.environments, chunks, given.chunk, 7).swapaxes(0, 1)
 
 
-def _pss_mb() -> float:
+def pss_mb() -> float:
     """Returns the memory of this process and its children, shared pages counted once, MB."""
     total = 0
     for process in _tree(os.getpid()):

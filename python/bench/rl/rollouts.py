@@ -1,4 +1,5 @@
-"""Rollouts of frameworks: RLinf's own `LiberoEnv`, and a loop like SimpleVLA-RL's."""
+"""Rollouts of frameworks: RLinf's own `LiberoEnv`, a loop like SimpleVLA-RL's, and that loop's
+rollouts as rows of one process."""
 
 from __future__ import annotations
 
@@ -6,7 +7,9 @@ import functools
 import importlib
 import multiprocessing
 import os
+import pickle
 import sys
+import zipfile
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -152,6 +155,32 @@ class SimpleVLA:
                 assert answer["obs"][camera].shape == (SIDE, SIDE, 3)
 
 
+class Rows:
+    """The same rollouts as rows of rollout_libero's `TrainingEnvironment`, in this process."""
+
+    loop = "TrainingEnvironment"
+
+    def __init__(self, task: str, count: int) -> None:
+        from rollout_libero.training import Start, TrainingEnvironment
+
+        bddl, states = task_files(task)
+        self._starts = [Start(bddl, states[at % len(states)]) for at in range(count)]
+        self._envs = TrainingEnvironment(
+            count, height=SIDE, width=SIDE, settle_steps=SETTLING["simplevla"]
+        )
+
+    def reset(self) -> None:
+        self._envs.reset(self._starts)
+
+    def chunk(self, actions: np.ndarray) -> None:
+        observation = self._envs.step_chunk(actions).observation
+        for camera in ("agentview", "robot0_eye_in_hand"):
+            assert observation[camera].shape == (len(self._starts), SIDE, SIDE, 3)
+
+    def close(self) -> None:
+        self._envs.close()
+
+
 def _env_worker() -> Callable[..., None]:
     """Returns the framework's function, or the one that stands for it."""
     checkout = Path(os.environ.get("ROLLOUT_FRAMEWORKS") or "/nowhere") / "SimpleVLA-RL"
@@ -206,11 +235,13 @@ def _read_frames_of(environment: Any, method: str) -> None:
 
 
 def task_files(task: str) -> tuple[str, np.ndarray]:
-    """Returns the path of a task's BDDL file, and its initial states."""
+    """Returns the path of a task's BDDL file, and its initial states, which the original would read
+    with PyTorch."""
     from libero.libero import benchmark, get_libero_path
 
     suite, number = task.split("/")
-    tasks = benchmark.get_benchmark_dict()[suite]()
-    one = tasks.get_task(int(number))
+    one = benchmark.get_benchmark_dict()[suite]().get_task(int(number))
     bddl = Path(get_libero_path("bddl_files"), one.problem_folder, one.bddl_file)
-    return str(bddl), np.asarray(tasks.get_task_init_states(int(number)))
+    states = Path(get_libero_path("init_states"), one.problem_folder, one.init_states_file)
+    with zipfile.ZipFile(states) as archive, archive.open("archive/data.pkl") as member:
+        return str(bddl), np.asarray(pickle.load(member))

@@ -8,6 +8,7 @@ from __future__ import annotations
 import functools
 import importlib.abc
 import importlib.machinery
+import importlib.util
 import logging
 import os
 import sys
@@ -61,6 +62,9 @@ def _attribute(name: str) -> Any:
 
 def prepare() -> None:
     """Makes the frameworks' files importable. Spawned processes call it, too."""
+    # The original imports PyTorch, and calls nothing of it in these rollouts.
+    if importlib.util.find_spec("torch") is None:
+        sys.modules["torch"] = types.ModuleType("torch")
     sys.meta_path.append(_StandIns())
     # RLinf's own logger needs Ray.
     log = types.ModuleType("rlinf.utils.logging")

@@ -1,8 +1,9 @@
 //! Conversion of actions from Python.
 
 use numpy::{AllowTypeChange, PyArrayLikeDyn, PyUntypedArrayMethods};
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+
+use crate::error::invalid;
 
 /// Number of components of an action: translation (3), rotation (3), gripper.
 pub(crate) const WIDTH: usize = 7;
@@ -16,7 +17,7 @@ pub(crate) type Numbers<'py> = PyArrayLikeDyn<'py, f64, AllowTypeChange>;
 /// If the shape differs or a number is not finite.
 pub(crate) fn actions(given: &Numbers<'_>, shape: &[usize]) -> PyResult<Vec<[f64; WIDTH]>> {
     if given.shape() != shape {
-        return Err(PyValueError::new_err(format!(
+        return Err(invalid(format_args!(
             "read actions of shape {:?}: expected {shape:?}, whose last are three of translation, \
              three of rotation and the gripper, each in -1..1",
             given.shape()
@@ -24,7 +25,7 @@ pub(crate) fn actions(given: &Numbers<'_>, shape: &[usize]) -> PyResult<Vec<[f64
     }
     let numbers: Vec<f64> = given.as_array().iter().copied().collect();
     if let Some(number) = numbers.iter().find(|number| !number.is_finite()) {
-        return Err(PyValueError::new_err(format!(
+        return Err(invalid(format_args!(
             "read actions: one of the numbers is {number}; search the policy for its origin"
         )));
     }

@@ -3,12 +3,12 @@
 use std::sync::Mutex;
 
 use numpy::{PyReadonlyArrayDyn, PyUntypedArrayMethods};
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use sim::{ActionFrame, RobotState};
 
 use crate::action::{self, Numbers, WIDTH};
+use crate::error::invalid;
 use crate::guarded::{Guarded, closed};
 use crate::simulation::{Simulation, action_frame};
 use crate::start::Start;
@@ -90,7 +90,7 @@ impl Batch {
     #[new]
     fn new(simulations: Vec<Py<Simulation>>, threads: usize) -> PyResult<Self> {
         if simulations.is_empty() || threads == 0 {
-            return Err(PyValueError::new_err(
+            return Err(invalid(
                 "make a batch: at least one environment and one thread are needed",
             ));
         }
@@ -114,7 +114,7 @@ impl Batch {
     /// Restores each environment from a snapshot. If one of them fails, none is changed.
     fn restore(&self, py: Python<'_>, snapshots: Vec<Py<Snapshot>>) -> PyResult<()> {
         if snapshots.len() != self.states.len() {
-            return Err(PyValueError::new_err(format!(
+            return Err(invalid(format_args!(
                 "restore {} environments: {} snapshots were given",
                 self.states.len(),
                 snapshots.len()
@@ -178,7 +178,7 @@ impl Batch {
             .map(|drives| expert_drives(&drives, [count, chunk], absolute))
             .transpose()?;
         if limits.len() != count || starts.len() != count {
-            return Err(PyValueError::new_err(format!(
+            return Err(invalid(format_args!(
                 "advance {count} environments: {} limits and {} starts were given",
                 limits.len(),
                 starts.len()
@@ -189,7 +189,7 @@ impl Batch {
             "last" => Render::Last,
             "all" => Render::All,
             other => {
-                return Err(PyValueError::new_err(format!(
+                return Err(invalid(format_args!(
                     "draw `{other}` steps of a chunk: choose `last`, `all` or `none`"
                 )));
             }
@@ -430,12 +430,12 @@ fn expert_drives(
     absolute: bool,
 ) -> PyResult<Vec<bool>> {
     if absolute {
-        return Err(PyValueError::new_err(
+        return Err(invalid(
             "query the expert: its actions are displacements; use control=\"relative\"",
         ));
     }
     if drives.shape() != shape {
-        return Err(PyValueError::new_err(format!(
+        return Err(invalid(format_args!(
             "query the expert: `expert` has shape {:?}; expected [environments, steps], {shape:?}",
             drives.shape()
         )));
@@ -451,7 +451,7 @@ fn bytes([width, height]: [u32; 2]) -> usize {
 fn actions_per_chunk(actions: &Numbers<'_>, environments: usize) -> PyResult<usize> {
     match *actions.shape() {
         [given, chunk, WIDTH] if given == environments => Ok(chunk),
-        ref shape => Err(PyValueError::new_err(format!(
+        ref shape => Err(invalid(format_args!(
             "read actions of shape {shape:?}: expected [{environments}, steps, {WIDTH}], whose last \
              are three of translation, three of rotation and the gripper, each in -1..1"
         ))),

@@ -1,6 +1,7 @@
 //! Conversion of errors to Python exceptions.
 
 use std::error::Error;
+use std::fmt::Display;
 
 use assets::AssetsError;
 use pyo3::create_exception;
@@ -34,9 +35,20 @@ create_exception!(
     "A file of a scene is missing or wrong, or cannot be fetched."
 );
 
-/// Formats an error with all its causes.
+/// Returns the message of an exception: errors here are infinitives, as command lines print them
+/// behind the same words.
+pub(crate) fn failed_to(infinitive: impl Display) -> String {
+    format!("failed to {infinitive}")
+}
+
+/// Creates a `ValueError`.
+pub(crate) fn invalid(infinitive: impl Display) -> PyErr {
+    PyValueError::new_err(failed_to(infinitive))
+}
+
+/// Returns the message of an error with all its causes.
 fn words(error: &dyn Error) -> String {
-    let mut words = error.to_string();
+    let mut words = failed_to(error);
     let mut cause = error.source();
     while let Some(error) = cause {
         words.push_str(": ");

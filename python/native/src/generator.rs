@@ -2,8 +2,9 @@
 
 use libero_ctrl::numpy::{LegacyRng, LegacyState};
 use numpy::{PyArray1, PyArrayMethods, PyReadonlyArray1};
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
+
+use crate::error::invalid;
 
 /// `("MT19937", key, position, has_gauss, cached_gaussian)`.
 pub(crate) type Generator<'py> = (String, Bound<'py, PyArray1<u32>>, usize, i32, f64);
@@ -14,7 +15,7 @@ pub(crate) type Generator<'py> = (String, Bound<'py, PyArray1<u32>>, usize, i32,
 /// If the state is of another generator or has the wrong size.
 pub(crate) fn read((name, key, position, has_gauss, gauss): &Generator<'_>) -> PyResult<LegacyRng> {
     let wrong = |problem: String| {
-        PyValueError::new_err(format!(
+        invalid(format_args!(
             "read a generator's state: {problem}; give numpy.random.get_state()"
         ))
     };

@@ -5,7 +5,7 @@ use std::sync::{Arc, Mutex, MutexGuard, TryLockError};
 
 use pyo3::prelude::*;
 
-use crate::error::{BusyError, ClosedError};
+use crate::error::{BusyError, ClosedError, failed_to};
 
 /// A value used by at most one thread at a time until it is closed.
 pub(crate) struct Guarded<T>(Arc<Inner<T>>);
@@ -54,10 +54,10 @@ impl<T> Guarded<T> {
                 let held = self.0.value.lock();
                 held.map_err(|_| closed("it failed in an earlier call"))
             }
-            Err(TryLockError::WouldBlock) => Err(BusyError::new_err(
+            Err(TryLockError::WouldBlock) => Err(BusyError::new_err(failed_to(
                 "use this environment: another thread is computing with it; give each thread an \
                  environment of its own, or use VectorEnvironment",
-            )),
+            ))),
             // A panic left the value in an inconsistent state.
             Err(TryLockError::Poisoned(_)) => Err(closed("it failed in an earlier call")),
         }
@@ -96,7 +96,7 @@ impl<T> Guarded<T> {
 }
 
 pub(crate) fn closed(why: &str) -> PyErr {
-    ClosedError::new_err(format!(
+    ClosedError::new_err(failed_to(format_args!(
         "use this environment: it is closed ({why}); make another one"
-    ))
+    )))
 }

@@ -92,7 +92,7 @@ impl Look {
                     .then(|| render(&mut state.environment))
             });
             rendered.unwrap_or_else(|| {
-                let new = Environment::of(Arc::clone(&self.compiled)).map_err(simulation);
+                let new = Environment::before_load(Arc::clone(&self.compiled)).map_err(simulation);
                 render(&mut new?)
             })
         })

@@ -5,12 +5,13 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use libero_ctrl::presets::ENV_SEED;
-use pyo3::exceptions::{PyRuntimeWarning, PyValueError};
+use pyo3::exceptions::PyRuntimeWarning;
 use pyo3::prelude::*;
 use scene::{InstanceKind, Sources, TaskFiles, compose};
 use sim::{CompiledScene, ReadyScene, SceneFolder};
 
 use crate::error;
+use crate::error::invalid;
 use crate::pack::opened;
 
 /// A compiled scene, shared by all its simulations.
@@ -162,7 +163,7 @@ impl Scene {
                 .iter()
                 .map(|instance| instance.name.as_str())
                 .collect();
-            PyValueError::new_err(format!(
+            invalid(format_args!(
                 "find instance `{name}` in the scene: it has {}",
                 names.join(", ")
             ))

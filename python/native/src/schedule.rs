@@ -2,11 +2,10 @@
 
 use libero_ctrl::{ACTION_WIDTH, Action, Execution, TaskRef};
 use numpy::{PyArrayDyn, PyUntypedArrayMethods};
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 
 use crate::action::{self, Numbers};
-use crate::error::value;
+use crate::error::{invalid, value};
 use crate::state::shaped;
 
 /// Number of control steps until a response takes effect, and the commands scheduled for the next
@@ -31,7 +30,7 @@ impl Schedule {
         let execution: Execution = execution.parse().map_err(value)?;
         let task: TaskRef = task.parse().map_err(value)?;
         if execute == Some(0) {
-            return Err(PyValueError::new_err(
+            return Err(invalid(
                 "choose execute 0: it is 1 or more actions of each answer, or None for all",
             ));
         }
@@ -63,14 +62,14 @@ impl Schedule {
     /// Sets the response to the due query: actions, [n, 7].
     fn answer(&mut self, actions: Numbers<'_>) -> PyResult<()> {
         if self.inner.due().is_none() {
-            return Err(PyValueError::new_err(
+            return Err(invalid(
                 "answer a query: none is due; call advance until due() returns one",
             ));
         }
         let count = match *actions.shape() {
             [count, _] if count > 0 => count,
             ref shape => {
-                return Err(PyValueError::new_err(format!(
+                return Err(invalid(format_args!(
                     "answer a query with actions of shape {shape:?}: expected [n, {ACTION_WIDTH}]"
                 )));
             }
@@ -84,7 +83,7 @@ impl Schedule {
     /// Returns the action of the next control step, [7], and advances by one step.
     fn advance<'py>(&mut self, py: Python<'py>) -> PyResult<Bound<'py, PyArrayDyn<f64>>> {
         if self.inner.due().is_some() {
-            return Err(PyValueError::new_err(
+            return Err(invalid(
                 "advance a schedule: a query is due; call answer first",
             ));
         }

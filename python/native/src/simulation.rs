@@ -4,14 +4,13 @@ use std::sync::Arc;
 
 use expert::Expert;
 use numpy::{PyArray1, PyArrayDyn, PyArrayMethods};
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use pyo3::types::PyDict;
 use sim::mujoco::{Model, OwnArray, Values};
 use sim::{ActionFrame, Environment, ObjectKind, Renderer, Reset};
 
 use crate::action::{Numbers, WIDTH, actions};
-use crate::error::simulation;
+use crate::error::{invalid, simulation};
 use crate::generator::{self, Generator};
 use crate::guarded::Guarded;
 use crate::look::Look;
@@ -33,12 +32,12 @@ impl Simulation {
     #[new]
     #[pyo3(signature = (scene, *, renderer = "software"))]
     fn new(py: Python<'_>, scene: Py<Scene>, renderer: &str) -> PyResult<Self> {
-        let renderer: Renderer = renderer.parse().map_err(|remedy| {
-            PyValueError::new_err(format!("choose renderer `{renderer}`: {remedy}"))
-        })?;
+        let renderer: Renderer = renderer
+            .parse()
+            .map_err(|remedy| invalid(format_args!("choose renderer `{renderer}`: {remedy}")))?;
         let compiled = Arc::clone(&scene.get().compiled);
         let ready = scene.get().ready.clone();
-        let environment = py.detach(|| Environment::of(compiled).map_err(simulation))?;
+        let environment = py.detach(|| Environment::before_load(compiled).map_err(simulation))?;
         let state = State {
             environment,
             conditions: None,
@@ -302,7 +301,7 @@ impl Simulation {
     fn model_array<'py>(&self, py: Python<'py>, name: &str) -> PyResult<Bound<'py, PyAny>> {
         let array = self.state.with(py, |state| {
             state.environment.model().array(name).ok_or_else(|| {
-                PyValueError::new_err(format!(
+                invalid(format_args!(
                     "read array `{name}` of the model: it has no array of this name; names are \
                      those of mjModel, without meshes and textures"
                 ))
@@ -322,7 +321,7 @@ impl Simulation {
         self.state.with(py, |state| {
             let array = state.environment.model_mut().own_array_mut(name);
             let array = array.ok_or_else(|| {
-                PyValueError::new_err(format!(
+                invalid(format_args!(
                     "write array `{name}` of the model: writable arrays are {}",
                     Model::OWN_ARRAYS.join(", ")
                 ))
@@ -332,7 +331,7 @@ impl Simulation {
                 OwnArray::Single(values) => values.len(),
             };
             if numbers.len() != needed {
-                return Err(PyValueError::new_err(format!(
+                return Err(invalid(format_args!(
                     "write array `{name}` of the model: {} numbers were given, {needed} are needed",
                     numbers.len()
                 )));
@@ -410,7 +409,7 @@ fn object_kind(name: &str) -> PyResult<ObjectKind> {
     ];
     let found = KINDS.iter().find(|(kind, _)| *kind == name);
     found.map(|(_, kind)| *kind).ok_or_else(|| {
-        PyValueError::new_err(format!(
+        invalid(format_args!(
             "list names of kind `{name}`: kinds are {}",
             KINDS.map(|(kind, _)| kind).join(", ")
         ))
@@ -447,7 +446,7 @@ fn data_array(state: &State, name: &str) -> PyResult<(Vec<f64>, usize)> {
         "cam_xpos" => (data.cam_xpos(model), cameras),
         "cam_xmat" => (data.cam_xmat(model), cameras),
         _ => {
-            return Err(PyValueError::new_err(format!(
+            return Err(invalid(format_args!(
                 "read array `{name}` of the state: it has time, qpos, qvel, qacc, ctrl, qfrc_bias, \
                  sensordata, xpos, xquat, xmat, xipos, geom_xpos, geom_xmat, site_xpos, site_xmat, \
                  cam_xpos, cam_xmat"

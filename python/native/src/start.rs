@@ -2,13 +2,12 @@
 
 use libero_ctrl::numpy::LegacyRng;
 use libero_ctrl::{ManifestRow, Realisation};
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use serde::Deserialize;
 use sim::episode::NO_OP;
 use sim::{Conditions, Environment, ReadyScene, Reset};
 
-use crate::error::simulation;
+use crate::error::{invalid, simulation};
 
 /// Starting point of a rollout.
 pub(crate) enum Start {
@@ -149,7 +148,7 @@ pub(crate) fn check_width(environment: &Environment, numbers: &[f64]) -> PyResul
     if numbers.len() == needed {
         return Ok(());
     }
-    Err(PyValueError::new_err(format!(
+    Err(invalid(format_args!(
         "load a state of {} numbers: a state of this scene has {needed} (time, {} of qpos, {} of \
          qvel); is it of another task?",
         numbers.len(),
@@ -169,12 +168,11 @@ pub(crate) fn perturbed_axes(row: &str) -> PyResult<Vec<String>> {
 }
 
 fn not_a_row(error: serde_json::Error) -> PyErr {
-    PyValueError::new_err(format!(
+    invalid(format_args!(
         "read a configuration: {error}; it has the columns of a campaign's manifest"
     ))
 }
 
 fn complete(ready: Option<&ReadyScene>) -> PyResult<&ReadyScene> {
-    ready
-        .ok_or_else(|| PyValueError::new_err("begin at an initial state: give Scene its init_file"))
+    ready.ok_or_else(|| invalid("begin at an initial state: give Scene its init_file"))
 }

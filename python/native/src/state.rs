@@ -5,14 +5,13 @@ use std::sync::Arc;
 
 use expert::Expert;
 use numpy::{PyArray1, PyArrayDyn, PyArrayMethods};
-use pyo3::exceptions::PyValueError;
 use pyo3::prelude::*;
 use sim::{
     ActionFrame, CompiledScene, Conditions, Drawer, Environment, Frame, ReadyScene, Renderer,
 };
 
 use crate::action::WIDTH;
-use crate::error::simulation;
+use crate::error::{invalid, simulation};
 use crate::start::Start;
 
 /// Largest side of a picture, pixels.
@@ -68,7 +67,7 @@ impl State {
         if Arc::ptr_eq(self.environment.compiled(), &snapshot.compiled) {
             return Ok(());
         }
-        Err(PyValueError::new_err(
+        Err(invalid(
             "restore a snapshot: it is of another scene; take one of an environment of the same \
              task, assets and process",
         ))
@@ -88,7 +87,7 @@ impl State {
         let action = self
             .expert
             .act(&seen)
-            .map_err(|problem| PyValueError::new_err(format!("query the expert: {problem}")))?;
+            .map_err(|problem| invalid(format_args!("query the expert: {problem}")))?;
         Ok(action.map(f64::from))
     }
 
@@ -142,7 +141,7 @@ pub(crate) struct Snapshot {
 pub(crate) fn picture_size(width: u32, height: u32) -> PyResult<[u32; 2]> {
     match (1..=LARGEST_SIDE).contains(&width) && (1..=LARGEST_SIDE).contains(&height) {
         true => Ok([width, height]),
-        false => Err(PyValueError::new_err(format!(
+        false => Err(invalid(format_args!(
             "draw {width} × {height} pixels: each side may have 1 to {LARGEST_SIDE}"
         ))),
     }

@@ -16,5 +16,5 @@ def fetched_assets() -> Path | None:
     try:
         return rollout_libero.fetch_assets()
     except FileNotFoundError as error:
-        print(f"skipped: failed to {error}")
+        print(f"skipped: {error}")
         return None

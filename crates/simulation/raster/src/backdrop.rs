@@ -61,11 +61,14 @@ impl Backdrop {
                 && last.geoms.len() == count
         });
         if !is_same_view {
-            self.rested = vec![0; count];
-            self.needed = vec![FIRST_REST; count];
-            self.is_cached = vec![false; count];
-            self.has_picture = false;
-            self.last = Some((scene.clone(), size));
+            // Frees the picture: cameras that move rarely rest long enough for another one.
+            *self = Self {
+                last: Some((scene.clone(), size)),
+                rested: vec![0; count],
+                needed: vec![FIRST_REST; count],
+                is_cached: vec![false; count],
+                ..Self::default()
+            };
             return Start::Redraw;
         }
         let mut is_valid = self.has_picture;
@@ -116,7 +119,22 @@ impl Backdrop {
         self.samples.clone_from(&picture.samples);
     }
 
-    /// Restores a window of the cached picture.
+    /// Makes a picture equal to the cached one.
+    pub(crate) fn restore_all(&self, picture: &mut Picture) {
+        let size = self.last.as_ref().map_or([0; 2], |(_, size)| *size);
+        picture.instances.clone_from(&self.instances);
+        picture.samples.clone_from(&self.samples);
+        let visible = &mut picture.visible;
+        visible.resize(size);
+        visible.records.clone_from(&self.records);
+        visible.clipped.clone_from(&self.clipped);
+        visible.depths.clone_from(&self.depths);
+        visible.ids.clone_from(&self.ids);
+        visible.touched = None;
+        visible.invalidate_bounds();
+    }
+
+    /// Restores a window of the cached picture in a picture that equals it elsewhere.
     pub(crate) fn restore(&self, picture: &mut Picture, window: Option<Window>) {
         let visible = &mut picture.visible;
         for row in window

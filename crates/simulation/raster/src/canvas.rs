@@ -2,6 +2,7 @@
 //! translucent geoms.
 
 use std::cell::RefCell;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 use crate::backdrop::{Backdrop, Start};
 use crate::error::DrawError;
@@ -12,31 +13,61 @@ use crate::model::Model;
 use crate::picture::{Pass, Picture, Workspace};
 use crate::scene::{Geom, Scene, Shape};
 use crate::shade::MAX_SIDE;
-use crate::visible::{SAMPLES, Visible};
+use crate::visible::SAMPLES;
 use crate::window::Window;
 use crate::{glass, mirror};
 
-/// Drawing surface of one camera, with caches that persist between frames. The result does not
-/// depend on earlier frames; drawing is fastest if every camera has its own canvas.
+/// Drawing surface of one camera. It caches the static part of its picture between frames; all other
+/// buffers belong to the thread that draws, so that many cameras need little memory. The result
+/// does not depend on earlier frames; drawing is fastest if every camera has its own canvas, and
+/// a thread draws few of them.
 #[derive(Default)]
 pub struct Canvas {
-    picture: Picture,
     backdrop: Backdrop,
-    /// Window in which the last frame differs from the backdrop.
+    /// Number of the last frame; 0 before the first.
+    last: u64,
+}
+
+/// A frame of some canvas, which the canvas's next frame continues.
+#[derive(Default)]
+struct Frame {
+    /// Number of the frame, unique in the process: after drawing on another thread, the canvas has
+    /// a later one, and this frame is outdated.
+    number: u64,
+    picture: Picture,
+    /// Window in which the frame differs from the canvas's backdrop.
     dirty: Option<Window>,
     rgb: Vec<u8>,
 }
 
-/// Buffers whose contents do not persist between frames. One set per thread serves all its
-/// canvases, so that many cameras need little memory.
+/// Buffers of one thread for all canvases that it draws.
 #[derive(Default)]
 struct Scratch {
+    /// The last frames of the canvases drawn most recently, the latest at the end.
+    frames: Vec<Frame>,
     reflection: Picture,
     work: Workspace,
 }
 
+/// Frames that a thread keeps: those of the two cameras of an environment.
+const KEPT_FRAMES: usize = 2;
+
+static FRAMES: AtomicU64 = AtomicU64::new(0);
+
 thread_local! {
     static SCRATCH: RefCell<Scratch> = RefCell::default();
+}
+
+impl Scratch {
+    /// Removes and returns the frame with this number, or else the one to be overwritten.
+    fn take(&mut self, number: u64) -> Frame {
+        let found = self.frames.iter().position(|frame| frame.number == number);
+        match found {
+            Some(at) => self.frames.remove(at),
+            None if self.frames.len() < KEPT_FRAMES => Frame::default(),
+            None => self.frames.remove(0),
+        }
+    }
 }
 
 impl Canvas {
@@ -56,8 +87,40 @@ impl Canvas {
         model: &Model,
         largest: &[&[u8]],
         scene: &Scene,
+        size: [usize; 2],
+    ) -> Result<Vec<u8>, DrawError> {
+        self.frame(model, largest, scene, size, |frame| frame.rgb.clone())
+    }
+
+    /// Draws a frame. Returns the depths at each pixel's first sample: 0 at the near plane, 1 at
+    /// the far plane, as in OpenGL; row by row from the bottom. Translucent geoms are ignored.
+    ///
+    /// # Errors
+    /// As [`draw`](Self::draw).
+    pub fn depths(
+        &mut self,
+        model: &Model,
+        largest: &[&[u8]],
+        scene: &Scene,
+        size: [usize; 2],
+    ) -> Result<Vec<f32>, DrawError> {
+        self.frame(model, largest, scene, size, |frame| {
+            let visible = &frame.picture.visible;
+            let rows = Window::whole(visible.width, visible.height).rows(visible.stride);
+            let depth = |pixel: usize| (1.0 - visible.depths[pixel * SAMPLES]).clamp(0.0, 1.0);
+            rows.flatten().map(depth).collect()
+        })
+    }
+
+    /// Draws a frame and reads from it.
+    fn frame<T>(
+        &mut self,
+        model: &Model,
+        largest: &[&[u8]],
+        scene: &Scene,
         [width, height]: [usize; 2],
-    ) -> Result<&[u8], DrawError> {
+        read: impl FnOnce(&Frame) -> T,
+    ) -> Result<T, DrawError> {
         check(model, scene, width, height)?;
         for (index, texture) in model.textures.iter().enumerate() {
             let (given, needed) = (
@@ -81,50 +144,49 @@ impl Canvas {
             lights: &lights,
             window: Window::whole(width, height),
         };
-        let before = self.dirty.take();
-        let start = SCRATCH.with_borrow_mut(|Scratch { reflection, work }| {
-            let start = self.draw_opaque(pass, scene, [width, height], before, work);
-            self.draw_reflections_and_glass(pass, scene, reflection, work);
-            start
-        });
-        let resolved = match start {
-            Start::Reuse => Window::union(before, self.dirty),
-            Start::Redraw | Start::Cache => Some(pass.window),
-        };
-        self.rgb.resize(width * height * 3, 0);
-        if let Some(window) = resolved {
-            self.resolve(window);
-        }
-        Ok(&self.rgb)
+        SCRATCH.with_borrow_mut(|scratch| {
+            let mut frame = scratch.take(self.last);
+            let Scratch {
+                reflection, work, ..
+            } = scratch;
+            let is_last = frame.number == self.last;
+            let before = frame.dirty.take().filter(|_| is_last);
+            let start = self.backdrop.compare(scene, [width, height]);
+            match start {
+                Start::Reuse if is_last => self.backdrop.restore(&mut frame.picture, before),
+                Start::Reuse => self.backdrop.restore_all(&mut frame.picture),
+                Start::Redraw | Start::Cache => frame.picture.clear([width, height], pass.window),
+            }
+            frame.draw_opaque(pass, scene, start, &mut self.backdrop, work);
+            frame.draw_reflections_and_glass(pass, scene, reflection, work);
+            let resolved = match start {
+                Start::Reuse if is_last => Window::union(before, frame.dirty),
+                Start::Reuse | Start::Redraw | Start::Cache => Some(pass.window),
+            };
+            frame.rgb.resize(width * height * 3, 0);
+            if let Some(window) = resolved {
+                frame.resolve(window);
+            }
+            frame.number = 1 + FRAMES.fetch_add(1, Ordering::Relaxed);
+            self.last = frame.number;
+            let read = read(&frame);
+            scratch.frames.push(frame);
+            Ok(read)
+        })
     }
+}
 
-    /// Returns the depths of the last frame at each pixel's first sample: 0 at the near plane, 1 at
-    /// the far plane, as in OpenGL; row by row from the bottom. Translucent geoms are ignored.
-    pub fn depths(&self) -> impl Iterator<Item = f32> {
-        let Visible {
-            width,
-            height,
-            stride,
-            ref depths,
-            ..
-        } = self.picture.visible;
-        let rows = Window::whole(width, height).rows(stride);
-        let depth = |pixel: usize| (1.0 - depths[pixel * SAMPLES]).clamp(0.0, 1.0);
-        rows.flatten().map(depth)
-    }
-
-    /// Draws opaque geoms and the sky.
+impl Frame {
+    /// Draws opaque geoms and the sky, over the picture that `start` demands.
     fn draw_opaque(
         &mut self,
         pass: Pass<'_>,
         scene: &Scene,
-        size: [usize; 2],
-        before: Option<Window>,
+        start: Start,
+        backdrop: &mut Backdrop,
         work: &mut Workspace,
-    ) -> Start {
-        let Self {
-            picture, backdrop, ..
-        } = self;
+    ) {
+        let picture = &mut self.picture;
         let translucent = glass::translucent_geoms(scene, pass.view);
         let add = |picture: &mut Picture, is_selected: &dyn Fn(usize) -> bool| {
             for (index, geom) in scene.geoms.iter().enumerate() {
@@ -139,18 +201,15 @@ impl Canvas {
                 .and_then(|sky| instance::sky(sky, pass.view, pass.model));
             picture.instances.extend(sky);
         };
-        let start = backdrop.compare(scene, size);
         match start {
             Start::Redraw => {
-                picture.clear(size, pass.window);
                 add(picture, &|_| true);
                 sky(picture);
                 picture.rasterise(pass, 0, work);
                 picture.paint(pass, 0, work);
-                return start;
+                return;
             }
             Start::Cache => {
-                picture.clear(size, pass.window);
                 add(picture, &|index| backdrop.contains(index));
                 sky(picture);
                 picture.rasterise(pass, 0, work);
@@ -158,14 +217,13 @@ impl Canvas {
                 backdrop.store(picture);
                 picture.visible.touched = None;
             }
-            Start::Reuse => backdrop.restore(picture, before),
+            Start::Reuse => {}
         }
         let (instances, records) = (picture.instances.len(), picture.visible.records.len());
         add(picture, &|index| !backdrop.contains(index));
         picture.rasterise(pass, instances, work);
         picture.paint(pass, records, work);
         self.dirty = picture.visible.touched;
-        start
     }
 
     /// Adds reflections and translucent geoms.

@@ -67,13 +67,18 @@ pub(crate) struct Visible {
 }
 
 impl Visible {
-    /// Clears a window of a picture of this size.
-    pub(crate) fn clear(&mut self, [width, height]: [usize; 2], window: Window) {
+    /// Sets the size.
+    pub(crate) fn resize(&mut self, [width, height]: [usize; 2]) {
         // Padding avoids a stride that is a power of two, with which the rows of a picture would
         // compete for the same cache lines.
         let stride = width.next_multiple_of(2) + 4;
-        let samples = stride * height * SAMPLES;
         (self.width, self.height, self.stride) = (width, height, stride);
+    }
+
+    /// Clears a window of a picture of this size.
+    pub(crate) fn clear(&mut self, size: [usize; 2], window: Window) {
+        self.resize(size);
+        let (stride, samples) = (self.stride, self.stride * self.height * SAMPLES);
         if self.depths.len() == samples {
             for row in window.rows(stride) {
                 let row = row.start * SAMPLES..row.end * SAMPLES;

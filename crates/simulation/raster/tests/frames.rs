@@ -36,7 +36,7 @@ fn golden_frames_have_the_same_bits_on_every_machine() {
         let frame = canvas
             .draw(&model, &largest(), &scene, [width, height])
             .expect("a frame");
-        (width, height, digest(frame))
+        (width, height, digest(&frame))
     });
     let expected = GOLDEN.map(|(width, height, digest)| (width, height, digest.to_owned()));
     assert_eq!(found, expected);
@@ -50,7 +50,6 @@ fn every_part_of_the_room_changes_the_frame() {
         Canvas::new()
             .draw(&model, &largest(), scene, [128, 128])
             .expect("a frame")
-            .to_vec()
     };
     let whole = draw(&scene);
     for geom in 0..scene.geoms.len() {
@@ -181,7 +180,7 @@ fn a_scene_that_cannot_be_drawn_is_refused_with_the_reason() {
         let mut canvas = Canvas::new();
         canvas
             .draw(&model, &largest(), &scene, [width, 8])
-            .map(<[u8]>::len)
+            .map(|frame| frame.len())
     };
     assert_eq!(
         draw(&|_| {}, 0),
@@ -243,6 +242,34 @@ fn assert_equal_to_new_canvases(scenes: &[Scene], size: [usize; 2]) {
     }
 }
 
+/// A thread keeps the frames of few canvases, and of a canvas that was last drawn on another thread
+/// an outdated one.
+#[test]
+fn canvases_that_take_turns_on_two_threads_draw_the_same_as_new_ones() {
+    let model = model();
+    let moved = |step: u16, ball: f32| {
+        let mut scene = room();
+        scene.geoms[6].pos[0] += ball + 0.01 * f32::from(step);
+        scene
+    };
+    let mut canvases: [(f32, Canvas); 4] = [0.0, 0.1, 0.2, 0.3].map(|ball| (ball, Canvas::new()));
+    for step in 0..12 {
+        for (at, (ball, canvas)) in canvases.iter_mut().enumerate() {
+            // At rest for some steps, so that the ball is cached, too.
+            let scene = moved(step / 5, *ball);
+            let expected = Canvas::new()
+                .draw(&model, &largest(), &scene, [64, 48])
+                .expect("a frame");
+            let mut draw = || canvas.draw(&model, &largest(), &scene, [64, 48]);
+            let drawn = match (at + usize::from(step)).is_multiple_of(3) {
+                true => std::thread::scope(|scope| scope.spawn(draw).join().expect("no panic")),
+                false => draw(),
+            };
+            assert!(drawn == Ok(expected), "canvas {at}, step {step}");
+        }
+    }
+}
+
 /// Zeros of both signs compare as equal, but their reciprocals do not.
 #[test]
 fn zeros_of_both_signs_are_distinguished() {
@@ -290,7 +317,7 @@ fn translucent_geoms_blended_in_parts_give_the_same_frame() {
     let frame = canvas
         .draw(&model, &largest(), &scene, [96, 64])
         .expect("a frame");
-    assert_eq!(digest(frame), "b3803dc6681de13b");
+    assert_eq!(digest(&frame), "b3803dc6681de13b");
 }
 
 /// The reciprocal of the corners' distance overflows, so their position becomes NaN.
@@ -314,7 +341,7 @@ fn corners_very_close_to_the_eye_give_a_frame() {
     (camera.near, camera.bottom, camera.top) = (near, -near, near);
     let mut canvas = Canvas::new();
     let frame = canvas.draw(&model, &largest(), &scene, [256, 256]);
-    assert_eq!(frame.map(<[u8]>::len), Ok(256 * 256 * 3));
+    assert_eq!(frame.map(|frame| frame.len()), Ok(256 * 256 * 3));
 }
 
 /// Directions whose reciprocal length is not finite: they hit no face of a cube.
@@ -328,5 +355,5 @@ fn a_cube_sampled_in_very_short_directions_gives_a_frame() {
     (texture.texture, texture.uniform) = (3, true);
     let mut canvas = Canvas::new();
     let frame = canvas.draw(&model(), &largest(), &scene, [64, 48]);
-    assert_eq!(frame.map(<[u8]>::len), Ok(64 * 48 * 3));
+    assert_eq!(frame.map(|frame| frame.len()), Ok(64 * 48 * 3));
 }

@@ -65,8 +65,11 @@ impl Environment {
 
     /// Creates an environment that must be loaded or reset before use. Computes the home pose of
     /// the arm but no contacts: unplaced objects overlap, and solving their contacts takes longer
-    /// than everything else here.
-    pub(crate) fn before_load(compiled: Arc<CompiledScene>) -> Result<Self, SimError> {
+    /// than everything else here, and megabytes that the environment then keeps.
+    ///
+    /// # Errors
+    /// If memory is exhausted.
+    pub fn before_load(compiled: Arc<CompiledScene>) -> Result<Self, SimError> {
         let model = compiled.model.share();
         let mut data = Data::new(&model)?;
         pose_arm(&model, &mut data, &RESET_JOINTS);

@@ -150,16 +150,16 @@ impl Drawing {
         match (drawn, redrawn) {
             (Ok(drawn), Ok(redrawn)) => {
                 assert_eq!(drawn.len(), width * height * 3);
-                let differs = drawn.iter().zip(redrawn).position(|(a, b)| a != b);
+                let differs = drawn.iter().zip(&redrawn).position(|(a, b)| a != b);
                 let at = differs.map(|byte| (byte / 3 % width, byte / 3 / width));
                 assert_eq!(at, None, "a pixel depends on an earlier frame");
-                let depths = self.canvas.depths();
-                assert!(
-                    depths.eq(fresh.depths()),
-                    "a depth depends on an earlier frame"
-                );
-                assert!(fresh.depths().all(|depth| (0.0..=1.0).contains(&depth)));
-                assert_eq!(fresh.depths().count(), width * height);
+                let [depths, redrawn_depths] = [&mut self.canvas, &mut fresh].map(|canvas| {
+                    let depths = canvas.depths(&self.model, &largest, &self.scene, size);
+                    depths.expect("depths of a valid scene")
+                });
+                assert!(depths == redrawn_depths, "a depth depends on an earlier frame");
+                assert!(depths.iter().all(|depth| (0.0..=1.0).contains(depth)));
+                assert_eq!(depths.len(), width * height);
                 let segments = raster::segments(&self.model, &self.scene, size);
                 assert_eq!(
                     segments.expect("segments of a valid scene").len(),

@@ -52,14 +52,12 @@ impl SoftwareCanvas {
 
     /// Renders a camera of the model; rows from bottom to top.
     pub(crate) fn draw(&mut self, view: View<'_>) -> Result<Vec<u8>, SimError> {
-        Ok(self.draw_on_canvas(view)?.to_vec())
+        self.draw_on_canvas(view, raster::Canvas::draw)
     }
 
     /// Renders depths: 0 at the near plane, 1 at the far plane, as in OpenGL.
     pub(crate) fn depth(&mut self, view: View<'_>) -> Result<Vec<f32>, SimError> {
-        let camera = view.camera;
-        self.draw_on_canvas(view)?;
-        Ok(self.canvases[&camera].depths().collect())
+        self.draw_on_canvas(view, raster::Canvas::depths)
     }
 
     /// Renders the visible geoms.
@@ -78,14 +76,23 @@ impl SoftwareCanvas {
             .collect())
     }
 
-    fn draw_on_canvas(&mut self, view: View<'_>) -> Result<&[u8], SimError> {
+    fn draw_on_canvas<T>(
+        &mut self,
+        view: View<'_>,
+        draw: impl FnOnce(
+            &mut raster::Canvas,
+            &raster::Model,
+            &[&[u8]],
+            &Scene,
+            [usize; 2],
+        ) -> Result<T, raster::DrawError>,
+    ) -> Result<T, SimError> {
         let camera = view.camera;
         let size = view.size.map(|side| side as usize);
         self.update(view)?;
         let canvas = self.canvases.entry(camera).or_default();
         let largest: Vec<&[u8]> = self.prepared.largest.iter().map(|level| &**level).collect();
-        canvas
-            .draw(&self.prepared.model, &largest, &self.scene, size)
+        draw(canvas, &self.prepared.model, &largest, &self.scene, size)
             .map_err(|error| graphics(error.to_string()))
     }
 

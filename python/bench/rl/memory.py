@@ -1,0 +1,48 @@
+"""Prints the memory of a further row of a `TrainingEnvironment`, MB of PSS: the growth of this
+process from some rows to more.
+
+usage: memory.py [TASK] [--rows N N]
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+from measure import pss_mb
+
+from rollout_libero.training import Start, TrainingEnvironment
+
+#: Chunks of eight steps. The renderer caches what has not moved for some frames.
+_CHUNKS = 12
+
+
+def main() -> None:
+    """Runs the command line."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("task", nargs="?", default="libero_goal/8")
+    parser.add_argument("--rows", nargs="+", type=int, default=[16, 48])
+    given = parser.parse_args()
+    # The first rows' process also has the libraries, the scene, and each thread's buffers.
+    held = [_rows(given.task, 1)]
+    before = pss_mb()
+    for count in given.rows:
+        held.append(_rows(given.task, count))
+        now = pss_mb()
+        print(f"{given.task}, {count} rows: {(now - before) / count:.2f} MB each")
+        before = now
+
+
+def _rows(task: str, count: int) -> tuple[TrainingEnvironment, object]:
+    """Returns rows that have stepped, and their last observation."""
+    envs = TrainingEnvironment(count)
+    envs.reset([Start(task, seed=seed) for seed in range(count)])
+    moves = np.random.default_rng(0).uniform(-0.3, 0.3, (_CHUNKS, count, 8, 7))
+    observation = None
+    for chunk in moves:
+        observation = envs.step_chunk(chunk).observation
+    return envs, observation
+
+
+if __name__ == "__main__":
+    main()

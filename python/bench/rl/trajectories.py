@@ -1,0 +1,222 @@
+"""Compares the success of recorded trajectories here and in the original, both without rendering.
+
+usage: trajectories.py record FOLDER [--each N] [--tasks TASK …]   with rollout_libero
+       trajectories.py replay FOLDER                               with the original LIBERO
+       trajectories.py table FOLDER                                prints the comparison
+
+`record` lets the scripted expert drive from the first N released states of every task, and writes
+its actions, the robot's readings and the success of each step. `replay` executes the same actions
+in the original, whose MuJoCo collides as the benchmark's (`nativeccd` off). Files that exist are
+not made again, so both commands continue where they were interrupted.
+"""
+
+from __future__ import annotations
+
+import argparse
+import statistics
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from checks import NOTHING, READINGS, SETTLING, SUCCESS_STEPS, TOLERANCE, touches
+from rollouts import task_files
+from stand_ins import prepare
+
+#: Control steps of a recording after its success.
+AFTER_SUCCESS = 5
+#: Rows of a table.
+_SUITES = ("libero_spatial", "libero_object", "libero_goal", "libero_10")
+
+
+def main() -> None:
+    """Runs the command line."""
+    prepare()
+    parser = argparse.ArgumentParser()
+    parser.add_argument("work", choices=["record", "replay", "table"])
+    parser.add_argument("folder", type=Path)
+    parser.add_argument("--each", type=int, default=5)
+    parser.add_argument("--tasks", nargs="+")
+    given = parser.parse_args()
+    given.folder.mkdir(parents=True, exist_ok=True)
+    if given.work == "record":
+        for task in given.tasks or [f"{suite}/{at}" for suite in _SUITES for at in range(10)]:
+            record(task, given.each, given.folder)
+    elif given.work == "replay":
+        for file in sorted(given.folder.glob("*.recorded.npz")):
+            replay(file)
+    else:
+        print("\n".join(table(given.folder)))
+
+
+def record(task: str, each: int, folder: Path) -> None:
+    """Writes the trajectories of a task: actions [rows, steps, 7], readings [rows, steps, …], and
+    success [rows, steps]. A row's own steps end `AFTER_SUCCESS` steps after its success."""
+    from rollout_libero._library import native
+    from rollout_libero.tasks import Task
+    from rollout_libero.training import LOADS, Start, TrainingEnvironment
+
+    file = folder / f"{task.replace('/', '-')}.recorded.npz"
+    if file.exists():
+        return
+    bddl, states = task_files(task)
+    envs = TrainingEnvironment(each, cameras=[], settle_steps=SETTLING)
+    # The original's environment is reset once more for each trajectory.
+    envs.reset([Start(bddl, states[at], loads=LOADS + at) for at in range(each)])
+    batch = native.Batch(envs.simulations, 2)
+    steps: list[dict[str, Any]] = []
+    ends = np.full(each, Task.of(task).max_steps)
+    while len(steps) < ends.max():
+        step = batch.advance(
+            np.zeros((each, 1, 7)),
+            [1] * each,
+            [None] * each,
+            [],
+            expert=np.ones((each, 1), bool),
+            past_success=True,
+        )
+        steps.append(step)
+        done = step["successes"][:, 0] & (ends > len(steps) + AFTER_SUCCESS)
+        ends[done] = len(steps) + AFTER_SUCCESS
+    envs.close()
+    parts = ("joint_pos", "eef_pos", "eef_quat", "gripper_pos")
+    np.savez_compressed(
+        file,
+        actions=np.stack([step["expert_action"][:, 0] for step in steps], axis=1),
+        readings=np.stack(
+            [np.concatenate([step[part] for part in parts], axis=-1) for step in steps], axis=1
+        ),
+        success=np.stack([step["successes"][:, 0] for step in steps], axis=1),
+        ends=ends,
+    )
+    print(f"{task}: ended after {ends.tolist()} steps", flush=True)
+
+
+def replay(recorded: Path) -> None:
+    """Executes a task's recorded actions in the original; writes its readings, its success, and the
+    first step after which the robot touches something."""
+    from libero.libero.envs.env_wrapper import ControlEnv
+
+    file = recorded.with_name(recorded.name.replace(".recorded.", ".replayed."))
+    if file.exists():
+        return
+    _collide_as_recorded()
+    given = np.load(recorded)
+    task = recorded.name.partition(".")[0].replace("-", "/")
+    bddl, states = task_files(task)
+    env = ControlEnv(
+        bddl_file_name=bddl,
+        use_camera_obs=False,
+        has_renderer=False,
+        has_offscreen_renderer=False,
+        ignore_done=True,
+    )
+    readings = np.full_like(given["readings"], np.nan)
+    success = np.zeros_like(given["success"])
+    contacts = []
+    for row, end in enumerate(given["ends"]):
+        env.seed(0)
+        env.reset()
+        env.set_init_state(states[row])
+        for _ in range(SETTLING):
+            env.step(NOTHING)
+        contact = 0
+        for step, action in enumerate(given["actions"][row, :end]):
+            seen, *_ = env.step(action)
+            readings[row, step] = np.concatenate([seen[name] for name in READINGS])
+            success[row, step] = env.check_success()
+            if not contact and touches(env):
+                contact = step + 1
+        contacts.append(contact)
+    env.close()
+    np.savez_compressed(file, readings=readings, success=success, contacts=contacts)
+    print(f"{task}: replayed", flush=True)
+
+
+def table(folder: Path) -> list[str]:
+    """Returns the comparison, a row for each suite, and the trajectories that differ."""
+    rows = [
+        "| | trajectories | solved here, there | same step | within "
+        f"{SUCCESS_STEPS} | apart before contact, at most | apart by {TOLERANCE:g} from step | "
+        "contact from step |",
+        "| --- |" + " --- |" * 7,
+    ]
+    others = []
+    everything = []
+    for suite in _SUITES:
+        all_of_suite = []
+        for recorded in sorted(folder.glob(f"{suite}-*.recorded.npz")):
+            replayed = recorded.with_name(recorded.name.replace(".recorded.", ".replayed."))
+            if not replayed.exists():
+                continue
+            here, there = np.load(recorded), np.load(replayed)
+            for row, end in enumerate(here["ends"]):
+                one = compared(here, there, row, int(end))
+                all_of_suite.append(one)
+                if not one["within"]:
+                    task = recorded.name.partition(".")[0]
+                    others.append(f"{task}, state {row}: {one}")
+        if all_of_suite:
+            rows.append(_row(suite, all_of_suite))
+        everything += all_of_suite
+    rows.append(_row("all", everything))
+    return [*rows, "", *others]
+
+
+def compared(here: Any, there: Any, row: int, end: int) -> dict[str, Any]:
+    """Compares a trajectory. Steps count from 1; 0 stands for never."""
+
+    def first(holds: Any) -> int:
+        return int(np.argmax(holds)) + 1 if np.any(holds) else 0
+
+    apart = np.abs(here["readings"][row, :end] - there["readings"][row, :end]).max(axis=1)
+    ours, theirs = (first(of["success"][row, :end]) for of in (here, there))
+    contact = int(there["contacts"][row])
+    before = apart[: contact - 1] if contact else apart
+    return {
+        "here": ours,
+        "there": theirs,
+        "within": (not ours) == (not theirs) and abs(ours - theirs) <= SUCCESS_STEPS,
+        "contact": contact,
+        "differs": first(apart > TOLERANCE),
+        "before": float(before.max(initial=0.0)),
+    }
+
+
+def _row(name: str, ones: list[dict[str, Any]]) -> str:
+    def spread(key: str) -> str:
+        steps = [one[key] for one in ones if one[key]]
+        never = len(ones) - len(steps)
+        words = f"{statistics.median(steps):.0f} ({min(steps)}–{max(steps)})" if steps else ""
+        return ", ".join(filter(None, [words, f"never in {never}" if never else ""]))
+
+    solved = [sum(one[where] > 0 for one in ones) for where in ("here", "there")]
+    cells = [
+        name,
+        str(len(ones)),
+        f"{solved[0]}, {solved[1]}",
+        str(sum(one["here"] == one["there"] for one in ones)),
+        str(sum(one["within"] for one in ones)),
+        f"{max(one['before'] for one in ones):.1e}",
+        spread("differs"),
+        spread("contact"),
+    ]
+    return "| " + " | ".join(cells) + " |"
+
+
+def _collide_as_recorded() -> None:
+    """Lets the original collide as the benchmark's MuJoCo 2.3.7."""
+    import mujoco
+    from robosuite.utils import binding_utils
+
+    construct = binding_utils.MjSim.__init__
+
+    def init(self: Any, model: Any) -> None:
+        model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_NATIVECCD)
+        construct(self, model)
+
+    binding_utils.MjSim.__init__ = init
+
+
+if __name__ == "__main__":
+    sys.exit(main())
