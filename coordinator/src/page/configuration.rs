@@ -219,11 +219,14 @@ fn heading(asked: RolloutId) -> String {
         }
         Some(config) => format!("configuration {config} at {}", asked.level()),
         None => match asked.variant() {
+            Some(variant) if variant.benchmark().is_none() => {
+                format!("from initial state {}", asked.number())
+            }
             Some(variant) => format!("{variant} from initial state {}", asked.number()),
             None => format!("nominal from initial state {}", asked.number()),
         },
     };
-    format!("{}, task {}, {which}", task.suite().name(), task.index())
+    format!("{}, task {}, {which}", asked.suite_name(), task.index())
 }
 
 /// Describes the effect of simultaneous perturbation; `None` while outcomes are missing.

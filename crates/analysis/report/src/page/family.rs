@@ -9,7 +9,7 @@ use crate::family::Family;
 pub(super) fn sections(family: &Family) -> Markup {
     let lines = family.lines(true);
     let losses = lines.iter().map(|line| markup(&line.losses())).collect();
-    let successes = [&family.unperturbed].into_iter().chain(lines);
+    let successes = family.success_lines(true).into_iter();
     let successes = successes.map(|line| markup(&line.counts())).collect();
     html! {
         section {
@@ -22,13 +22,15 @@ pub(super) fn sections(family: &Family) -> Markup {
             ))
         }
         section {
-            h2 { "Against the unperturbed rollouts" }
-            (table(
-                "Losses",
-                &["variants.", "pairs", "broken", "gained", "loss", "95 % interval"],
-                losses,
-            ))
-            @for sentence in Family::LEGEND { p { (sentence) } }
+            @if family.is_paired {
+                h2 { "Against the unperturbed rollouts" }
+                (table(
+                    "Losses",
+                    &["variants.", "pairs", "broken", "gained", "loss", "95 % interval"],
+                    losses,
+                ))
+            }
+            @for sentence in family.legend() { p { (sentence) } }
         }
         @if let (false, [heads, rows @ ..]) =
             (family.published.is_empty(), family.beside_published().as_slice())
