@@ -349,7 +349,11 @@ async fn a_campaign_of_ten_tasks_of_libero_90_has_the_outcomes_of_worker_variant
 
     let report = campaigns.succeed(&["report", "ninety"]);
     let protocol = file.protocol();
-    for words in ["libero_90 under protocol", &protocol, "all"] {
+    assert!(
+        report.contains(&format!("suite file {protocol}\n")),
+        "{report}"
+    );
+    for words in ["libero_90  ", "all  "] {
         assert!(report.contains(words), "no `{words}`: {report}");
     }
     assert!(!report.contains("unperturbed"), "{report}");

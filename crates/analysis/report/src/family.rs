@@ -346,10 +346,14 @@ impl Family {
 
     /// Writes the report for a terminal; `full` adds the difficulties within each dimension.
     pub fn text(&self, full: bool) -> String {
-        let mut text = format!(
-            "Campaign {} of policy {}: {} under protocol {}\n",
-            self.campaign, self.policy, self.benchmark, self.protocol
-        );
+        let run = format!("Campaign {} of policy {}", self.campaign, self.policy);
+        let mut text = match self.is_paired {
+            true => format!(
+                "{run}: {} under protocol {}\n",
+                self.benchmark, self.protocol
+            ),
+            false => format!("{run}: suite file {}\n", self.protocol),
+        };
         for sentence in self.caveats() {
             push_wrapped(&mut text, "", &sentence);
         }

@@ -13,7 +13,10 @@ pub(super) fn sections(family: &Family) -> Markup {
     let successes = successes.map(|line| markup(&line.counts())).collect();
     html! {
         section {
-            h2 { (family.benchmark) " under protocol " (family.protocol) }
+            @match family.is_paired {
+                true => h2 { (family.benchmark) " under protocol " (family.protocol) },
+                false => h2 { "Suite file " (family.protocol) },
+            }
             @for sentence in family.caveats() { p { (sentence) } }
             (table(
                 "Successes",
