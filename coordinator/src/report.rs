@@ -89,10 +89,7 @@ pub async fn subject(view: &mut View, campaign: &Campaign) -> Result<Subject, Re
         published_by_suite: Vec::new(),
         reported_nominal: None,
         setups: Setups::default(),
-        protocol: match &spec.rollouts {
-            Rollouts::Variants(variants) => Some(variants.protocol.clone()),
-            _ => None,
-        },
+        protocol: spec.rollouts.protocol(),
         derived: derived(view, campaign, spec.rollouts).await?,
         early_stop: early_stop(view, campaign).await?,
     })
@@ -108,7 +105,10 @@ async fn derived(
     let purpose = match rollouts {
         Rollouts::Explanation(explanation) => Purpose::Explanation(explanation),
         Rollouts::Thresholds(thresholds) => Purpose::Thresholds(thresholds),
-        Rollouts::Design(_) | Rollouts::Manifest(_) | Rollouts::Variants(_) => return Ok(None),
+        Rollouts::Design(_)
+        | Rollouts::Manifest(_)
+        | Rollouts::Variants(_)
+        | Rollouts::SuiteFile(_) => return Ok(None),
     };
     let Some(source) = view.source(campaign.id).await? else {
         return Ok(None);
@@ -166,7 +166,11 @@ pub async fn setups(view: &mut View, campaign: &Campaign) -> Result<Setups, Read
         };
         let row: ManifestRow =
             serde_json::from_str(&manifest_row).map_err(unreadable(rollout_id))?;
-        let state = RolloutId::clean(row.id.task(), row.init_id);
+        // Tasks of suite files have no nominal rollout.
+        let state = match row.own {
+            None => RolloutId::clean(row.id.task(), row.init_id),
+            Some(_) => row.id,
+        };
         if let (Some(scene), Some(state_bytes)) = (scene_digest, init_state_digest) {
             setups.scenes.insert(state, digest(&[&scene, &state_bytes]));
         }

@@ -8,10 +8,10 @@ use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::SystemTime;
 
 use assets::{Bar, Deadlines, FileFacts, Origin, Report, Table, size_in_words};
 use libero_ctrl::{ManifestRow, TaskRef};
-use libero_family::Case;
 use libero_family::protocol::Benchmark;
 use scene::pack::{LIBERO, PRIMITIVES, digest_of_folder};
 use scene::{AssetPack, Sources, TaskFiles};
@@ -74,6 +74,23 @@ pub fn provide(
     Ok(())
 }
 
+/// Sizes and times of change of a BDDL file and its initial states; `None` for a missing file.
+pub type Stamps = [Option<(u64, SystemTime)>; 2];
+
+/// Reason why a row's files are not there. The messages read after "failed to …".
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Unprovided {
+    /// Files could not be fetched or read; a later attempt may succeed.
+    Fetch(String),
+    /// Files that are not fetched are missing or wrong.
+    Lack {
+        /// Message with the remedy.
+        error: String,
+        /// The task files as they are.
+        files: Stamps,
+    },
+}
+
 /// Provides the files of a job before it starts, for a worker that serves a coordinator.
 #[derive(Clone, Debug)]
 pub struct Provider {
@@ -107,8 +124,8 @@ impl Provider {
     ///
     /// # Errors
     /// If the assets cannot be fetched, or those of a variant are in no index, or its task files
-    /// are missing. The message reads after "failed to …".
-    pub fn provide(&self, row: &ManifestRow) -> Result<(), String> {
+    /// are missing.
+    pub fn provide(&self, row: &ManifestRow) -> Result<(), Unprovided> {
         let task = row.id.task();
         let files = match row.id.variant() {
             None => TaskFiles::of_task(&self.sources, task),
@@ -135,7 +152,7 @@ impl Provider {
             }
         };
         let provided = self.pack.provide(&[files], &mut report);
-        let fetched = provided.map_err(|error| transport::chain(&error))?;
+        let fetched = provided.map_err(|error| Unprovided::Fetch(transport::chain(&error)))?;
         if fetched.replaced > 0 {
             let replaced = counted(fetched.replaced as u64, "altered file");
             tracing::warn!("{task}: {replaced} of LIBERO's assets replaced");
@@ -145,15 +162,32 @@ impl Provider {
 
     /// Returns the files of a variant's task. Fails if the variant lacks files other than LIBERO's
     /// assets.
-    fn files_of_variant(&self, row: &ManifestRow) -> Result<TaskFiles, String> {
-        let id = row.id;
-        let parsed = Case::of_row(row).map_err(|error| transport::chain(&error));
-        let (case, _) = parsed?;
-        let lack = variants::lack(&case, &self.pack, &self.sources);
-        match lack.map_err(|error| transport::chain(&error))? {
-            None => Ok(variants::files(&case, &self.sources)),
-            Some(lack) => Err(format!("run {id}: this worker lacks {lack}")),
+    fn files_of_variant(&self, row: &ManifestRow) -> Result<TaskFiles, Unprovided> {
+        let fault =
+            |error: &(dyn std::error::Error + 'static)| Unprovided::Fetch(transport::chain(error));
+        let lack = variants::lack(row, &self.pack, &self.sources).map_err(|error| fault(&error))?;
+        match lack {
+            None => variants::files(row, &self.sources).map_err(|error| fault(&error)),
+            Some(lack) => Err(Unprovided::Lack {
+                error: format!("run {}: this worker lacks {lack}", row.id),
+                files: self.stamps(row),
+            }),
         }
+    }
+
+    /// Returns true if the files of a row that were missing or wrong may have been corrected.
+    pub fn has_changed(&self, row: &ManifestRow, files: &Stamps) -> bool {
+        self.stamps(row) != *files
+    }
+
+    fn stamps(&self, row: &ManifestRow) -> Stamps {
+        let Ok(files) = variants::files(row, &self.sources) else {
+            return Stamps::default();
+        };
+        [files.bddl, files.init].map(|path| {
+            let facts = path.metadata().ok()?;
+            Some((facts.len(), facts.modified().ok()?))
+        })
     }
 
     /// Cancels running fetches, and any later one.

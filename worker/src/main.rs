@@ -12,7 +12,6 @@ use std::time::Duration;
 use anyhow::{Context, bail};
 use libero_ctrl::{Condition, ManifestRow, Realisation, TaskRef};
 use libero_family::Case;
-use libero_family::protocol::Benchmark;
 use scene::pack::LIBERO;
 use scene::{AssetPack, Sources, TaskFiles};
 use sim::{Renderer, SceneFolder, Simulator, SimulatorConfig};
@@ -34,6 +33,7 @@ use worker::policy::{OF_ONE_ROLLOUT, POLICY_CALL_DEADLINE, PolicyClient};
 use worker::single::{OwnTask, RecordedActions};
 use worker::slot::warn_of_scene_files;
 use worker::supervise::{self, Config, Identity};
+use worker::variants::Rules;
 use worker::{assets, film, measure, preview, rescue, single, slot, variants};
 
 /// Compiled scenes that a slot caches. The coordinator leases jobs of one task together, so two
@@ -310,20 +310,18 @@ fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
     let VariantsArguments {
         choice, options, ..
     } = &arguments;
-    let selection = choice.selection();
-    let benchmark = selection.benchmark();
-    let protocol = options.protocol_of(benchmark)?;
+    let (rules, cases) = choice.rollouts(options)?;
     let mut simulator = open(&arguments.simulator)?;
     let is_folder = !simulator.pack.is_managed() && simulator.pack.name() == LIBERO;
-    if benchmark == Benchmark::Pro && is_folder {
-        // Besides LIBERO's own files, LIBERO-PRO also uses further files in the folder.
+    if choice.may_need_further_models() && is_folder {
+        // Besides LIBERO's own files, the rollouts also use further files in the folder.
         simulator.pack = AssetPack::open_whole(simulator.pack.dir())?;
     }
-    let audit = variants::Audit::new(selection.cases()?, &simulator.pack, &simulator.sources)?;
+    let audit = variants::Audit::new(cases, &rules, &simulator.pack, &simulator.sources)?;
     let print = |text: &str| terminal::print(text).context("print to standard output");
     let (Some(endpoint), Some(output)) = (&arguments.endpoint, &arguments.output) else {
         return match options.list {
-            true => print(&audit.list()),
+            true => print(&audit.list(&rules)?),
             false => print(&audit.report()),
         };
     };
@@ -342,17 +340,21 @@ fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
         }),
         ..standalone_assignment(row, 0, Realisation::Matched)
     };
-    let mut cases = Case::unperturbed(&audit.runnable);
+    let mut cases = match &rules {
+        Rules::Protocol(_) => Case::unperturbed(&audit.runnable),
+        Rules::SuiteFile { .. } => Vec::new(),
+    };
     cases.extend(audit.runnable);
+    let name = rules.name();
     let run = variants::Run {
-        protocol,
+        rules,
         cases,
         output,
         video: options.video,
         assign: &assign,
     };
     let tally = run.run(simulator, &mut actor, &mut |line| tracing::info!("{line}"))?;
-    print(&format!("{protocol}\n{tally}"))
+    print(&format!("{name}\n{tally}"))
 }
 
 /// Builds an assignment outside any campaign, without video or stored actions.

@@ -95,7 +95,7 @@ impl Assignment {
         PolicySession {
             policy: &self.policy,
             session: self.session.as_str(),
-            suite: self.row.id.task().suite().name(),
+            suite: self.row.id.suite_name(),
             deadline: self.policy_deadline,
         }
     }

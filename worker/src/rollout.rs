@@ -255,11 +255,11 @@ impl Run<'_> {
             Some(Change::Lift) => episode.lift(),
             Some(Change::Nudge) => episode.nudge(),
         }
-        let suite = row.id.task().suite();
         let session = self.assignment.policy_session();
         add_elapsed_time(&mut self.parts.policy_secs, || {
             let seed = self.assignment.policy_seed;
-            self.actor.reset(session, suite.name(), &instruction, seed)
+            self.actor
+                .reset(session, row.id.suite_name(), &instruction, seed)
         })?;
         let outcome = self.act(&mut episode);
         add_elapsed_time(&mut self.parts.policy_secs, || self.actor.end(session));

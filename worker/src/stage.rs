@@ -85,15 +85,16 @@ impl<'a> Stage<'a> {
     }
 
     /// Returns the policy's instruction, normally the row's. A policy that accepts only the
-    /// canonical wording gets the canonical instruction, so that the language axis has no effect
-    /// on it instead of failing every rollout.
+    /// canonical wording gets that one, so that the language axis has no effect on it instead of
+    /// failing every rollout. A user's own task and one of a suite file have no other wording.
     pub(crate) fn instruction<'r>(
         &self,
         row: &'r ManifestRow,
         description: &Description,
     ) -> Cow<'r, str> {
         let is_canonical_only = description.about.language() == wire::Language::CanonicalOnly;
-        let has_canonical_instruction = self.files.is_none() || self.variant.is_some();
+        let has_canonical_instruction =
+            self.files.is_none() || self.variant.is_some() && row.own.is_none();
         match is_canonical_only && has_canonical_instruction {
             true => Cow::Owned(row.id.task().instruction()),
             false => Cow::Borrowed(&row.instruction),

@@ -1,18 +1,19 @@
-//! `worker variants`: counts variants of LIBERO-Plus or LIBERO-PRO, reports missing files, and
-//! runs the variants with the unperturbed rollouts of their tasks. Results are lines of
-//! `results.jsonl`; an interrupted run resumes from them.
+//! `worker variants`: counts variants of LIBERO-Plus or LIBERO-PRO, or the tasks of a suite file,
+//! reports missing files, and runs the rollouts, variants with the unperturbed rollouts of their
+//! tasks. Results are lines of `results.jsonl`; an interrupted run resumes from them.
 
 mod audit;
 mod case;
 mod choice;
 mod error;
+mod own;
 mod results;
+mod rules;
 
 use std::path::{Path, PathBuf};
 
 use libero_ctrl::ManifestRow;
 use libero_family::Case;
-use libero_family::protocol::Protocol;
 use scene::{AssetPack, Sources};
 use sim::{Simulator, SimulatorConfig};
 
@@ -26,11 +27,12 @@ pub use choice::{Choice, RunOptions};
 pub use error::VariantsError;
 use results::Results;
 pub use results::{Pin, Row, Tally};
+pub use rules::Rules;
 
 /// A run of variants.
 pub struct Run<'a> {
-    /// Protocol of the rollouts.
-    pub protocol: Protocol,
+    /// Rules of the rollouts.
+    pub rules: Rules,
     /// The unperturbed rollouts, followed by the variants.
     pub cases: Vec<Case>,
     /// Folder of the results.
@@ -54,7 +56,7 @@ impl Run<'_> {
         say: &mut dyn FnMut(&str),
     ) -> Result<Tally, VariantsError> {
         let (sources, pack) = (simulator.sources.clone(), simulator.pack.clone());
-        let pin = Pin::new(&self.protocol, &pack);
+        let pin = self.rules.pin(&pack);
         let mut results = Results::open(self.output, pin)?;
         let mut simulator = Simulator::new(simulator);
         for case in &self.cases {
@@ -80,8 +82,9 @@ impl Run<'_> {
         simulator: &mut Simulator,
         actor: &mut dyn Actor,
     ) -> Result<Row, VariantsError> {
-        pack.provide_with_bar(&[files(case, sources)])?;
-        let Prepared { files, start, row } = Prepared::new(&case.row(&self.protocol), sources)?;
+        let row = self.rules.row(case)?;
+        pack.provide_with_bar(&[files(&row, sources)?])?;
+        let Prepared { files, start, row } = Prepared::new(&row, sources)?;
         let output: PathBuf = self.output.join(case.name());
         let assignment = (self.assign)(row, &output);
         let request = single::Request {
@@ -92,12 +95,7 @@ impl Run<'_> {
             output: &output,
         };
         let finished = single::run(simulator, actor, &request)?;
-        Ok(Row::new(
-            case,
-            &self.protocol,
-            pack,
-            &assignment.row,
-            &finished,
-        ))
+        let pin = self.rules.pin(pack);
+        Ok(Row::new(case, pin, &assignment.row, &finished))
     }
 }

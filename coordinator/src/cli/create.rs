@@ -30,10 +30,10 @@ use super::{forecast, horizon, stopping};
 
 /// Further flags that conflict with `--spec`.
 #[rustfmt::skip]
-const SPEC_FLAGS: [&str; 21] = [
+const SPEC_FLAGS: [&str; 22] = [
     "policy", "endpoint", "tasks", "manifest", "realisation", "replicates", "record", "assets",
     "renderer", "stop", "stop_seed", "stop_strata", "execution", "suite", "protocol", "variants",
-    "suites", "dimensions", "difficulties", "trials", "runnable",
+    "suites", "dimensions", "difficulties", "trials", "runnable", "suite_file",
 ];
 /// Valid values of `--record`, `--nominal`, `--renderer`, `--directions` and `--stop-strata`.
 pub(super) const RECORDS: [&str; 4] = ["none", "failures", "transitions", "all"];
@@ -59,6 +59,9 @@ Examples:
   The variants of LIBERO-Plus whose files are in a package index, by its official protocol:
     coordinator campaign create --name plus --policy student \\
         --endpoint http://127.0.0.1:7412 --suite libero-plus --runnable
+  The tasks of a further benchmark, as a suite file describes them:
+    coordinator campaign create --name libero_90 --policy student \
+        --endpoint http://127.0.0.1:7412 --suite-file examples/suites/libero_90.json
   The specification as a file, to be edited and used:
     coordinator campaign create --name first --policy student \\
         --endpoint http://127.0.0.1:7412 --tasks libero_goal --print-spec > first.json
@@ -67,7 +70,8 @@ Examples:
 #[derive(Args, Debug)]
 #[command(after_long_help = EXAMPLES)]
 #[command(group = ArgGroup::new("source").required(true).args(["spec", "name"]))]
-#[command(group = ArgGroup::new("rollouts").args(["tasks", "manifest", "suite"]))]
+#[command(group = ArgGroup::new("rollouts").args(["tasks", "manifest", "suite", "suite_file"]))]
+#[command(group = ArgGroup::new("of_benchmark").args(["suite", "suite_file"]))]
 pub(super) struct CreateArguments {
     /// File of a specification in JSON; `-` reads standard input.
     #[arg(long, value_name = "FILE")]
@@ -386,9 +390,10 @@ fn print_size(campaign: &NewCampaign) -> Result<(), CommandError> {
 }
 
 fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandError> {
-    let rollouts = match (&arguments.flags.manifest, arguments.variants.selection()) {
+    let selection = arguments.variants.rollouts()?;
+    let rollouts = match (&arguments.flags.manifest, selection) {
         (Some(path), _) => Rollouts::Manifest(read_manifest(path)?),
-        (None, Some(variants)) => Rollouts::Variants(variants),
+        (None, Some(rollouts)) => rollouts,
         (None, None) => Rollouts::Design(design_of_flags(arguments).map_err(usage)?),
     };
     let execution = match &arguments.flags.execution {

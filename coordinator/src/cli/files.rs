@@ -5,7 +5,7 @@ use std::io::{BufWriter, Read, Write};
 use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
-use libero_ctrl::{CampaignSpec, ManifestRow, manifest};
+use libero_ctrl::{CampaignSpec, ManifestRow, SuiteFile, manifest};
 use report::figures::Figure;
 use terminal::counted;
 
@@ -40,6 +40,13 @@ fn read_text(path: &Path) -> Result<String, CommandError> {
 pub(super) fn read_spec(path: &Path) -> Result<CampaignSpec, CommandError> {
     let spec = CampaignSpec::from_json(&read_text(path)?);
     spec.with_context(|| format!("use {}", name_of(path)))
+        .map_err(usage)
+}
+
+/// Reads a suite file; an invalid one is a usage error.
+pub(super) fn read_suite_file(path: &Path) -> Result<SuiteFile, CommandError> {
+    let file = SuiteFile::from_json(&read_text(path)?);
+    file.with_context(|| format!("use {}", name_of(path)))
         .map_err(usage)
 }
 

@@ -1,10 +1,15 @@
 //! The flags of `coordinator campaign create` for campaigns of LIBERO's family.
 
+use std::path::PathBuf;
+
 use clap::Args;
-use libero_ctrl::{Benchmark, Variants};
+use libero_ctrl::{Benchmark, Rollouts, Variants};
 use libero_family::pro::STATES;
 use libero_family::protocol::Protocol;
 use terminal::number;
+
+use super::command::CommandError;
+use super::files::read_suite_file;
 
 /// Flags of a design, which conflict with `--suite`, `--manifest` and `--spec`.
 #[rustfmt::skip]
@@ -13,15 +18,27 @@ pub(super) const DESIGN_FLAGS: [&str; 9] = [
     "placebo_radius", "placebo_configs",
 ];
 
+/// Flags of LIBERO-Plus and LIBERO-PRO and another source of rollouts, which conflict with
+/// `--suite-file`.
+#[rustfmt::skip]
+const VARIANT_FLAGS: [&str; 8] = [
+    "suite", "manifest", "protocol", "variants", "suites", "dimensions", "difficulties", "runnable",
+];
+
 /// The flags that take the place of a design.
 #[derive(Args, Debug)]
-#[command(next_help_heading = "LIBERO-Plus and LIBERO-PRO")]
+#[command(next_help_heading = "LIBERO-Plus, LIBERO-PRO and further benchmarks")]
 pub(super) struct VariantFlags {
     /// Variants of a benchmark instead of a design: `libero-plus` or `libero-pro`, with the
     /// unperturbed rollouts of their tasks.
     #[arg(long, value_name = "BENCHMARK", hide_short_help = true,
         conflicts_with_all = DESIGN_FLAGS)]
     suite: Option<Benchmark>,
+    /// Tasks of a suite file instead of a design: a further benchmark in JSON, as docs/FAMILY.md
+    /// describes it. `-` reads standard input.
+    #[arg(long, value_name = "FILE", hide_short_help = true,
+        conflicts_with_all = DESIGN_FLAGS, conflicts_with_all = VARIANT_FLAGS)]
+    suite_file: Option<PathBuf>,
     /// Evaluation protocol, see docs/FAMILY.md. If omitted, that of the benchmark's published
     /// table: `plus-official` or `pro-official`.
     #[arg(long, value_name = "NAME", requires = "suite", hide_short_help = true)]
@@ -58,8 +75,8 @@ pub(super) struct VariantFlags {
     #[arg(long = "difficulty", value_name = "N,...", value_delimiter = ',', requires = "suite",
         hide_short_help = true, value_parser = number(0..=5_u8, ""))]
     difficulties: Vec<u8>,
-    /// Trials of each task of LIBERO-PRO. If omitted, 50.
-    #[arg(long, value_name = "N", requires = "suite", hide_short_help = true,
+    /// Trials of each task of LIBERO-PRO or of a suite file. If omitted, 50, or as the file says.
+    #[arg(long, value_name = "N", requires = "of_benchmark", hide_short_help = true,
         value_parser = number(1..=STATES, "trials"))]
     trials: Option<u16>,
     /// Leaves out variants whose files are in no package index.
@@ -68,8 +85,17 @@ pub(super) struct VariantFlags {
 }
 
 impl VariantFlags {
-    /// Returns the selection; `None` if no benchmark is named.
-    pub(super) fn selection(&self) -> Option<Variants> {
+    /// Returns the selected rollouts; `None` if no benchmark and no suite file is named.
+    pub(super) fn rollouts(&self) -> Result<Option<Rollouts>, CommandError> {
+        let Some(path) = &self.suite_file else {
+            return Ok(self.selection().map(Rollouts::Variants));
+        };
+        let mut file = read_suite_file(path)?;
+        file.trials = self.trials.unwrap_or(file.trials);
+        Ok(Some(Rollouts::SuiteFile(Box::new(file))))
+    }
+
+    fn selection(&self) -> Option<Variants> {
         let benchmark = self.suite?;
         let protocol = self.protocol.unwrap_or(Protocol::official(benchmark));
         Some(Variants {

@@ -154,7 +154,12 @@ fn perturbed(shown: &ShownRollout) -> Markup {
         @match axes.as_slice() {
             [] if shown.id.variant().is_some() => {
                 @if let Some(variant) = shown.id.variant() {
-                    p.muted { (variant.benchmark()) ", change " code { (variant.change()) } }
+                    @match variant.benchmark() {
+                        Some(benchmark) => {
+                            p.muted { (benchmark) ", change " code { (variant.change()) } }
+                        }
+                        None => p.muted { "Suite " code { (variant.change()) } },
+                    }
                 }
             }
             [] if shown.id.condition() == Condition::Latency => {

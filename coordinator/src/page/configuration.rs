@@ -227,13 +227,16 @@ fn heading(requested: RolloutId) -> String {
         }
         Some(config) => format!("configuration {config} at {}", requested.level()),
         None => match requested.variant() {
+            Some(variant) if variant.benchmark().is_none() => {
+                format!("from initial state {}", requested.number())
+            }
             Some(variant) => format!("{variant} from initial state {}", requested.number()),
             None => format!("nominal from initial state {}", requested.number()),
         },
     };
     format!(
         "{}, task {}, {place_in_design}",
-        task.suite().name(),
+        requested.suite_name(),
         task.index()
     )
 }

@@ -124,7 +124,8 @@ async fn explanation(view: &mut View, campaign: &Campaign) -> Result<Option<Expl
         Rollouts::Design(_)
         | Rollouts::Manifest(_)
         | Rollouts::Thresholds(_)
-        | Rollouts::Variants(_) => None,
+        | Rollouts::Variants(_)
+        | Rollouts::SuiteFile(_) => None,
     })
 }
 

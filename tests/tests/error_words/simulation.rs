@@ -2,7 +2,7 @@
 
 use assets::AssetsError;
 use libero_ctrl::numpy::LegacyRng;
-use libero_ctrl::{Delays, Execution, NoSuchRow, TooLate};
+use libero_ctrl::{Delays, Execution, NoSuchRow, SuiteFile, TooLate};
 use libero_family::SelectionError;
 use libero_family::corruption::{Corruption, Picture, UnsuitedPicture};
 use libero_family::plus::{ProblemClass, UnknownVariant};
@@ -241,6 +241,9 @@ fn rollouts(messages: &mut Messages) {
         VariantsError::Single(_) => VariantsError::Single(SingleError::Rollout(
             RolloutError::Abandoned,
         )),
+        VariantsError::SuiteFile { .. } => VariantsError::SuiteFile {
+            path: path(), source: SuiteFile::from_json("{}").expect_err("no suite file"),
+        },
         VariantsError::Pinned { .. } => VariantsError::Pinned {
             path: path(), what: "protocol", found: text(), expected: text(),
         },

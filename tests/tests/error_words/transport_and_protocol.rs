@@ -4,7 +4,7 @@
 use libero_ctrl::manifest::{LineProblem, ManifestErrors};
 use libero_ctrl::{
     AxisSet, Condition, DesignError, Level, NoSuchRow, PerturbError, RolloutId, RowError,
-    SpecError, StopError, UnknownName, VariantsError,
+    SpecError, StopError, SuiteFile, SuiteFileError, UnknownName, VariantsError,
 };
 use transport::{
     AccessError, CertificateFault, EndpointError, Found, SecurityError, ServerKind, Settings,
@@ -19,6 +19,10 @@ const SETTINGS: Settings = Settings {
     clear: "http://",
     encrypted: "https://",
 };
+
+fn no_suite_file() -> SuiteFileError {
+    SuiteFile::from_json("{}").expect_err("no suite file")
+}
 
 pub(crate) fn add(messages: &mut Messages) {
     for trouble in troubles() {
@@ -133,7 +137,16 @@ fn protocol(messages: &mut Messages) {
         SpecError::Selection { .. } => SpecError::Selection { problem: text() },
         SpecError::VariantRow { .. } => SpecError::VariantRow { id: id() },
         SpecError::Design(_) => SpecError::Design(no_design()),
+        SpecError::SuiteFile(_) => SpecError::SuiteFile(no_suite_file()),
         SpecError::Manifest(_) => SpecError::Manifest(ManifestErrors::clone(&refused)),
+    );
+    variants!(messages, SuiteFileError,
+        SuiteFileError::Json { .. } => no_suite_file(),
+        SuiteFileError::Value { .. } => SuiteFileError::Value {
+            field: "suites[0].name".to_owned(),
+            given: "`A`".to_owned(),
+            remedy: "write lower-case letters".to_owned(),
+        },
     );
     variants!(messages, StopError,
         StopError::Measure(_) => {
@@ -186,6 +199,8 @@ fn protocol(messages: &mut Messages) {
             id: id(), column: "suite", given: text(), expected: "libero_object".to_owned(),
         },
         RowError::InitState { .. } => RowError::InitState { id: id(), given: 50 },
+        RowError::Own { .. } => RowError::Own { id: id(), is_given: true },
+        RowError::OwnPath { .. } => RowError::OwnPath { id: id(), path: "../a".to_owned() },
         RowError::Protocol { .. } => RowError::Protocol { id: id(), given: None },
         RowError::Placebo { .. } => RowError::Placebo { id: id(), given: None },
         RowError::Latency { .. } => RowError::Latency {

@@ -6,6 +6,7 @@ use tokio::task;
 use tonic::Status;
 
 use super::deliver::Answer;
+use crate::assets::Unprovided;
 use crate::message::SlotEvent;
 
 /// End of a slot's process. `how` reads after the process's name.
@@ -60,12 +61,11 @@ pub(crate) enum Event {
         slot: usize,
         answer: Result<ClaimResponse, Status>,
     },
-    /// The files of an attempt's task were fetched or could not be. The error reads after "failed
-    /// to …".
+    /// The files of an attempt's task were fetched or could not be.
     Provided {
         slot: usize,
         attempt: AttemptId,
-        outcome: Result<(), String>,
+        outcome: Result<(), Unprovided>,
     },
     /// The coordinator answered the report of a slot's rollout.
     Delivered {

@@ -3,10 +3,12 @@
 mod claiming;
 mod ending;
 
+use std::collections::BTreeMap;
 use std::io;
 use std::path::PathBuf;
 use std::time::Duration;
 
+use libero_ctrl::ManifestRow;
 use proto::coordinator::{
     HeartbeatRequest, HeartbeatResponse, Progress, RegisterRequest, RegisterResponse,
     SignOffRequest,
@@ -30,6 +32,7 @@ use super::slot_state::{
     Work,
 };
 use super::upload::{Upload, Uploader, remove};
+use crate::assets::Stamps;
 use crate::message::{Assignment, Failure, FailureKind, RolloutEvent, SlotCommand, SlotEvent};
 
 /// Interval of the checks for timeouts, and longest delay before a new lease is acknowledged.
@@ -80,6 +83,8 @@ pub(super) struct Supervisor {
     fetches: Backoff,
     /// Earliest time of the next claim after a failed fetch.
     claims_from: Instant,
+    /// Rollouts that lacked task files, with the files as they were, by the keys of their tasks.
+    lacks: BTreeMap<String, (ManifestRow, Stamps)>,
     /// Coordinator's last reason for having no work.
     idle_reason: String,
     events: mpsc::Sender<Event>,
@@ -124,6 +129,7 @@ impl Supervisor {
             has_unacknowledged_lease: false,
             fetches: Backoff::new(Waits::USUAL, seed),
             claims_from: now,
+            lacks: BTreeMap::new(),
             idle_reason: String::new(),
             events,
             calls: JoinSet::new(),

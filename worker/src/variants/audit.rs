@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt::Write;
 
 use assets::Table;
+use libero_ctrl::{ManifestRow, OwnTask};
 use libero_family::plus::{Assets, Entry};
 use libero_family::protocol::Benchmark;
 use libero_family::{Case, Further, Lack, Lacking, SelectionError, Subject};
@@ -12,6 +13,8 @@ use scene::{AssetPack, Sources};
 
 use super::case::files;
 use super::error::VariantsError;
+use super::own::{self, States};
+use super::rules::Rules;
 
 /// Chosen rollouts, grouped by their missing files.
 pub struct Audit {
@@ -25,9 +28,10 @@ impl Audit {
     /// Checks which cases have all their files.
     ///
     /// # Errors
-    /// If an existing BDDL file cannot be read.
+    /// If an existing file cannot be read.
     pub fn new(
         cases: Vec<Case>,
+        rules: &Rules,
         pack: &AssetPack,
         sources: &Sources,
     ) -> Result<Self, VariantsError> {
@@ -36,13 +40,17 @@ impl Audit {
             lacking: Lacking::default(),
         };
         // All trials of a task need the same files.
-        let mut last: Option<(Case, Option<Lack>)> = None;
+        let mut last: Option<(Case, Checked)> = None;
         for case in cases {
-            let lack = match &last {
-                Some((known, lack)) if case.trial > 0 && have_the_same_files(known, &case) => *lack,
-                _ => lack(&case, pack, sources)?,
+            let known = last
+                .take()
+                .filter(|(known, _)| have_the_same_files(known, &case));
+            let checked = match known {
+                Some((_, checked)) => checked,
+                None => Checked::new(&rules.row(&case)?, pack, sources)?,
             };
-            last = Some((case, lack));
+            let lack = checked.lack(case.trial);
+            last = Some((case, checked));
             match lack {
                 None => audit.runnable.push(case),
                 Some(lack) => audit.lacking.add(lack, case),
@@ -85,9 +93,9 @@ impl Audit {
         for (_, cases) in &self.lacking.0 {
             count(cases, 0);
         }
-        let mut text = format!("{:<22}{:>9}{:>9}\n", "", "rollouts", "can run");
+        let mut text = format!("{:<32}{:>9}{:>9}\n", "", "rollouts", "can run");
         let mut line = |name: &str, [all, runnable]: [usize; 2]| {
-            let _ = writeln!(text, "{name:<22}{all:>9}{runnable:>9}");
+            let _ = writeln!(text, "{name:<32}{all:>9}{runnable:>9}");
         };
         for (group, counts) in counts {
             line(&group, counts);
@@ -101,7 +109,10 @@ impl Audit {
 
     /// Formats a line per rollout, separated by tabs: suite, name, group, difficulty, files needed
     /// beyond LIBERO's assets, and whether the rollout can run.
-    pub fn list(&self) -> String {
+    ///
+    /// # Errors
+    /// If the rules do not have one of the rollouts.
+    pub fn list(&self, rules: &Rules) -> Result<String, VariantsError> {
         let mut text = String::new();
         let all = [(None, &self.runnable)];
         let lacking = self
@@ -111,6 +122,7 @@ impl Audit {
             .map(|(lack, cases)| (Some(lack), cases));
         for (lack, cases) in all.into_iter().chain(lacking) {
             for case in cases {
+                let row = rules.row(case)?;
                 let difficulty = case.difficulty().map(|difficulty| difficulty.to_string());
                 let state = match lack {
                     None => "runs".to_owned(),
@@ -119,20 +131,29 @@ impl Audit {
                 let _ = writeln!(
                     text,
                     "{}\t{}\t{}\t{}\t{}\t{state}",
-                    case.task.suite(),
+                    row.id.suite_name(),
                     case.name(),
                     case.group().unwrap_or_default(),
                     difficulty.as_deref().unwrap_or("-"),
-                    archive_files(case),
+                    needs(case, &row),
                 );
             }
         }
-        text
+        Ok(text)
     }
 }
 
-/// Lists the files of LIBERO-Plus' archive that a variant needs.
-fn archive_files(case: &Case) -> String {
+/// Lists the files of LIBERO-Plus' archive that a variant needs, or the task files of a suite file.
+fn needs(case: &Case, row: &ManifestRow) -> String {
+    if let Some(own) = &row.own {
+        let OwnTask {
+            folder,
+            bddl,
+            states,
+            ..
+        } = &**own;
+        return format!("{folder}/{bddl} {folder}/{states}");
+    }
     let Subject::Plus(Entry {
         class: Some(class), ..
     }) = case.subject
@@ -145,28 +166,67 @@ fn archive_files(case: &Case) -> String {
     files.collect::<Vec<_>>().join(" ")
 }
 
-/// Returns true if two cases are of the same LIBERO-PRO suite and task, and so have the same files.
+/// Returns true if two cases are of the same task of LIBERO-PRO or of a suite file, and so have the
+/// same files.
 fn have_the_same_files(one: &Case, other: &Case) -> bool {
-    one.task == other.task && one.subject == other.subject && matches!(one.subject, Subject::Pro(_))
+    let has_trials = matches!(one.subject, Subject::Pro(_) | Subject::Own(_));
+    has_trials && one.task == other.task && one.subject == other.subject
 }
 
 /// Returns the reason why a rollout cannot run; `None` if all its files exist.
 ///
 /// # Errors
-/// If an existing BDDL file cannot be read.
+/// If the row names no case of a benchmark, or an existing file cannot be read.
 pub fn lack(
-    case: &Case,
+    row: &ManifestRow,
     pack: &AssetPack,
     sources: &Sources,
 ) -> Result<Option<Lack>, VariantsError> {
+    Ok(Checked::new(row, pack, sources)?.lack(row.init_id))
+}
+
+/// The files of a task, as far as all its trials share them.
+#[derive(Clone, Debug)]
+struct Checked {
+    lack: Option<Lack>,
+    /// Initial states of a suite file's task.
+    states: Option<States>,
+}
+
+impl Checked {
+    fn new(row: &ManifestRow, pack: &AssetPack, sources: &Sources) -> Result<Self, VariantsError> {
+        let (lack, states) = match &row.own {
+            None => (lack_in_benchmark(row, pack, sources)?, None),
+            Some(own) => match own::check(own, pack, sources)? {
+                Ok(states) => (None, Some(states)),
+                Err(lack) => (Some(lack), None),
+            },
+        };
+        Ok(Self { lack, states })
+    }
+
+    /// Returns the reason why a rollout from an initial state cannot run.
+    fn lack(&self, init_id: u16) -> Option<Lack> {
+        let states = self.states.as_ref();
+        let lack = self.lack.clone();
+        lack.or_else(|| states.and_then(|states| states.lack(init_id)))
+    }
+}
+
+fn lack_in_benchmark(
+    row: &ManifestRow,
+    pack: &AssetPack,
+    sources: &Sources,
+) -> Result<Option<Lack>, VariantsError> {
+    let (case, _) = Case::of_row(row)?;
     let lack = match case.subject {
         Subject::Plus(entry) => assets_lack(entry, pack),
-        Subject::Pro(_) | Subject::Unperturbed => None,
+        Subject::Pro(_) | Subject::Unperturbed | Subject::Own(_) => None,
     };
     if lack.is_some() {
         return Ok(lack);
     }
-    let files = files(case, sources);
+    let files = files(row, sources)?;
     match case.benchmark() {
         Some(benchmark) if !(files.bddl.is_file() && files.init.is_file()) => {
             Ok(Some(Lack::TaskFiles(benchmark)))

@@ -1,17 +1,17 @@
 //! A case as the simulator runs it: its files, its initial conditions, and its manifest row with
 //! the prompt. `worker variants` and a campaign's slots use the same function.
 
-use libero_ctrl::ManifestRow;
+use libero_ctrl::{ManifestRow, OwnTask};
 use libero_family::corruption::Corruption;
-use libero_family::plus::start_posture;
+use libero_family::plus::{View, start_posture};
 use libero_family::protocol::{Beginning, Protocol};
-use libero_family::{Case, Subject};
+use libero_family::{Case, SelectionError, Subject};
 use scene::{Sources, TaskFiles};
 use sim::{Start, VariantStart};
 
 use super::error::VariantsError;
 
-/// A rollout of LIBERO's family, ready to run.
+/// A rollout of LIBERO's family or of a suite file, ready to run.
 pub struct Prepared {
     /// The task's files.
     pub files: TaskFiles,
@@ -22,33 +22,73 @@ pub struct Prepared {
 }
 
 impl Prepared {
-    /// Prepares the rollout of a row of LIBERO's family.
+    /// Prepares the rollout of a row of LIBERO's family or of a suite file.
     ///
     /// # Errors
     /// If the row names no case of a benchmark, or its BDDL file cannot be read.
     pub fn new(row: &ManifestRow, sources: &Sources) -> Result<Self, VariantsError> {
-        let (case, protocol) = Case::of_row(row)?;
-        let files = files(&case, sources);
+        let files = files(row, sources)?;
         let sentence = files.problem()?.language;
-        let prompt = case.prompt(&protocol, Some(&sentence));
+        let (prompt, start) = match &row.own {
+            Some(own) => {
+                let prompt = Some(row.instruction.clone()).filter(|prompt| !prompt.is_empty());
+                (prompt, start_of_own(own, row.init_id))
+            }
+            None => {
+                let (case, protocol) = Case::of_row(row)?;
+                let prompt = case.prompt(&protocol, Some(&sentence));
+                (prompt, start(&case, &protocol))
+            }
+        };
         let row = ManifestRow {
             instruction: prompt.unwrap_or(sentence),
             ..row.clone()
         };
-        Ok(Self {
-            files,
-            start: start(&case, &protocol),
-            row,
-        })
+        Ok(Self { files, start, row })
     }
 }
 
-/// Returns the files of a case's task.
-pub fn files(case: &Case, sources: &Sources) -> TaskFiles {
-    match case.subject {
-        Subject::Unperturbed => TaskFiles::of_task(sources, case.task),
+/// Returns the files of a row's task.
+///
+/// # Errors
+/// If the row names no case of a benchmark.
+pub fn files(row: &ManifestRow, sources: &Sources) -> Result<TaskFiles, SelectionError> {
+    if let Some(own) = &row.own {
+        return Ok(TaskFiles::of_suite_file(sources, own));
+    }
+    let (case, _) = Case::of_row(row)?;
+    Ok(match case.subject {
+        Subject::Unperturbed | Subject::Own(_) => TaskFiles::of_task(sources, case.task),
         Subject::Plus(entry) => TaskFiles::of_variant(sources, &entry.variant),
         Subject::Pro(suite) => TaskFiles::of_pro_task(sources, suite, case.task),
+    })
+}
+
+/// Returns the initial conditions of a suite file's task. As in the harnesses of LIBERO, the
+/// generator is seeded once and the environment reset for every trial.
+fn start_of_own(own: &OwnTask, trial: u16) -> VariantStart {
+    let changes = &own.changes;
+    let view = |[horizontal, vertical, scale, pan, tilt]: [u16; 5]| View {
+        horizontal,
+        vertical,
+        scale,
+        pan,
+        tilt,
+    };
+    VariantStart {
+        view: changes.view.map(view),
+        posture: changes.posture,
+        seed: own.seed,
+        earlier_resets: u32::from(trial),
+        start: beginning(own.start),
+        corruption: changes.noise.and_then(Corruption::new),
+    }
+}
+
+fn beginning(beginning: Beginning) -> Start {
+    match beginning {
+        Beginning::InitialState => Start::InitialState,
+        Beginning::Reset => Start::Reset,
     }
 }
 
@@ -65,10 +105,7 @@ fn start(case: &Case, protocol: &Protocol) -> VariantStart {
             .and_then(start_posture),
         seed: protocol.seed,
         earlier_resets: u32::from(case.trial),
-        start: match protocol.beginning {
-            Beginning::InitialState => Start::InitialState,
-            Beginning::Reset => Start::Reset,
-        },
+        start: beginning(protocol.beginning),
         corruption: variant
             .and_then(|variant| variant.corruption())
             .and_then(Corruption::new),

@@ -1,15 +1,21 @@
 //! Command-line options that select variants and the way to run them.
 
+use std::fs;
+use std::path::PathBuf;
+
 use clap::Args;
-use libero_ctrl::Suite;
+use libero_ctrl::{Suite, SuiteFile};
 use libero_family::plus::{Dimension, Variant};
 use libero_family::pro::{ProSuite, STATES};
 use libero_family::protocol::{Benchmark, Protocol};
-use libero_family::{PlusFilters, ProFilters, Selection, SelectionError};
+use libero_family::{Case, PlusFilters, ProFilters, Selection, SelectionError};
 use terminal::number;
 
-/// A choice of variants: those of LIBERO-Plus that match every given filter, or suites of
-/// LIBERO-PRO.
+use super::error::VariantsError;
+use super::rules::Rules;
+
+/// A choice of rollouts: variants of LIBERO-Plus that match every given filter, suites of
+/// LIBERO-PRO, or the tasks of a suite file.
 #[derive(Clone, Debug, Default, Args)]
 pub struct Choice {
     /// Variants of LIBERO-Plus by the benchmark's names, separated by commas
@@ -27,10 +33,14 @@ pub struct Choice {
     pub difficulties: Vec<u8>,
     /// Suites of LIBERO-PRO instead: each of LIBERO's four with _lan, _object, _swap or _task, such
     /// as libero_goal_swap
-    #[arg(long = "pro", value_name = "SUITE,...", value_delimiter = ',', conflicts_with_all = ["variants", "suites", "dimensions", "difficulties"])]
+    #[arg(long = "pro", value_name = "SUITE,...", value_delimiter = ',', group = "of_suites", conflicts_with_all = ["variants", "suites", "dimensions", "difficulties"])]
     pub pro: Vec<ProSuite>,
-    /// Trials of each task of LIBERO-PRO, one from each initial state [default: 50]
-    #[arg(long, value_name = "N", requires = "pro", value_parser = number(1..=STATES, "trials"))]
+    /// Tasks of a suite file instead: a further benchmark in JSON, as docs/FAMILY.md describes it
+    #[arg(long, value_name = "FILE", group = "of_suites", conflicts_with_all = ["variants", "suites", "dimensions", "difficulties"])]
+    pub suite_file: Option<PathBuf>,
+    /// Trials of each task of LIBERO-PRO or of a suite file, one from each initial state [default:
+    /// 50, or as the suite file says]
+    #[arg(long, value_name = "N", requires = "of_suites", value_parser = number(1..=STATES, "trials"))]
     pub trials: Option<u16>,
 }
 
@@ -40,7 +50,7 @@ pub struct RunOptions {
     /// The protocol: plus-official, plus-openpi, plus-lerobot, plus-rlinf, plus-stripped,
     /// pro-official, pro-openpi or pro-bddl; docs/FAMILY.md describes each [default: plus-official,
     /// or pro-official]
-    #[arg(long, value_name = "NAME")]
+    #[arg(long, value_name = "NAME", conflicts_with = "suite_file")]
     pub protocol: Option<Protocol>,
     /// Leaves out variants whose files are missing, after naming them
     #[arg(long)]
@@ -54,8 +64,36 @@ pub struct RunOptions {
 }
 
 impl Choice {
-    /// Returns the selection of the options.
-    pub fn selection(&self) -> Selection {
+    /// Returns the rules of the run and the chosen rollouts, in the benchmark's order.
+    ///
+    /// # Errors
+    /// If nothing matches, the protocol belongs to another benchmark, or the suite file is invalid.
+    pub fn rollouts(&self, manner: &Manner) -> Result<(Rules, Vec<Case>), VariantsError> {
+        let Some(path) = &self.suite_file else {
+            let selection = self.selection();
+            let protocol = manner.protocol_of(selection.benchmark())?;
+            return Ok((Rules::Protocol(protocol), selection.cases()?));
+        };
+        let path = path.clone();
+        let text = match fs::read_to_string(&path) {
+            Ok(text) => text,
+            Err(source) => return Err(VariantsError::File { path, source }),
+        };
+        let mut file = match SuiteFile::from_json(&text) {
+            Ok(file) => file,
+            Err(source) => return Err(VariantsError::SuiteFile { path, source }),
+        };
+        file.trials = self.trials.unwrap_or(file.trials);
+        Ok(Rules::of_file(file)?)
+    }
+
+    /// Returns true if rollouts may need models that LIBERO's assets do not have.
+    pub fn may_need_further_models(&self) -> bool {
+        self.suite_file.is_some() || !self.pro.is_empty()
+    }
+
+    /// Returns the selection of the options of LIBERO-Plus and LIBERO-PRO.
+    fn selection(&self) -> Selection {
         match self.pro.is_empty() {
             true => Selection::Plus(PlusFilters {
                 variants: self.variants.clone(),
@@ -85,8 +123,6 @@ impl RunOptions {
 
 #[cfg(test)]
 mod tests {
-    use libero_family::Case;
-
     use super::*;
 
     #[test]

@@ -3,6 +3,7 @@
 use std::io;
 use std::path::PathBuf;
 
+use libero_ctrl::SuiteFileError;
 use libero_family::SelectionError;
 use scene::SceneError;
 
@@ -20,6 +21,15 @@ pub enum VariantsError {
     /// A rollout has no result.
     #[error(transparent)]
     Single(#[from] SingleError),
+    /// The suite file is invalid.
+    #[error("use {}", path.display())]
+    SuiteFile {
+        /// Path of the file.
+        path: PathBuf,
+        /// Error that names the field and the remedy.
+        #[source]
+        source: SuiteFileError,
+    },
     /// Earlier results cannot be pooled with the new ones.
     #[error(
         "add to {}: its results are of {what} `{found}`, and this run is of `{expected}`; numbers \

@@ -7,7 +7,7 @@ use std::fs::{self, File, OpenOptions};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use libero_ctrl::{JsonError, ManifestRow, TaskRef};
+use libero_ctrl::{JsonError, ManifestRow};
 use libero_family::Case;
 use libero_family::protocol::Protocol;
 use scene::AssetPack;
@@ -24,9 +24,9 @@ const CORRUPTION_RULES: &str =
 /// Conditions that all results of a file share.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Pin {
-    /// The benchmark.
+    /// The benchmark, or the name of the suite file.
     pub benchmark: String,
-    /// Name of the protocol.
+    /// Name of the protocol, or of the suite file with the first digits of its digest.
     pub protocol: String,
     /// Source of the prompts.
     pub prompt_source: String,
@@ -49,11 +49,12 @@ pub struct Pin {
 pub struct Row {
     /// Name of the case: the benchmark's name of the variant, or the unperturbed task's.
     pub variant: String,
-    /// LIBERO's task.
-    pub task: TaskRef,
+    /// LIBERO's task, or `own/N` for the task at position N of a suite file.
+    pub task: String,
     /// Number of the trial, which is also the index of its initial state.
     pub trial: u16,
-    /// Dimension of LIBERO-Plus or suite of LIBERO-PRO; `None` for an unperturbed rollout.
+    /// Dimension of LIBERO-Plus, or suite of LIBERO-PRO or of a suite file; `None` for an
+    /// unperturbed rollout.
     pub group: Option<String>,
     /// Difficulty, 1 to 5; `None` if not given.
     pub difficulty: Option<u8>,
@@ -134,21 +135,15 @@ impl Pin {
 }
 
 impl Row {
-    pub(super) fn new(
-        case: &Case,
-        protocol: &Protocol,
-        pack: &AssetPack,
-        row: &ManifestRow,
-        finished: &Finished,
-    ) -> Self {
+    pub(super) fn new(case: &Case, pin: Pin, row: &ManifestRow, finished: &Finished) -> Self {
         let evidence = &finished.evidence;
         Self {
             variant: case.name(),
-            task: case.task,
+            task: case.task.to_string(),
             trial: case.trial,
             group: case.group(),
             difficulty: case.difficulty(),
-            prompt: match evidence.policy_canonical_only {
+            prompt: match evidence.policy_canonical_only && row.own.is_none() {
                 true => case.task.instruction(),
                 false => row.instruction.clone(),
             },
@@ -162,7 +157,7 @@ impl Row {
             scene_digest: evidence.scene_digest.clone(),
             init_state_digest: evidence.init_state_digest.clone(),
             first_frame_digest: evidence.first_frame_digest.clone(),
-            pin: Pin::new(protocol, pack),
+            pin,
         }
     }
 }
@@ -298,14 +293,14 @@ impl Tally {
     /// Counts the rows.
     pub fn from_rows(rows: &[Row]) -> Self {
         let unperturbed = rows.iter().filter(|row| row.group.is_none());
-        let unperturbed: BTreeMap<(TaskRef, u16), bool> = unperturbed
-            .map(|row| ((row.task, row.trial), row.success))
+        let unperturbed: BTreeMap<(&str, u16), bool> = unperturbed
+            .map(|row| ((row.task.as_str(), row.trial), row.success))
             .collect();
         let mut groups: BTreeMap<&str, Count> = BTreeMap::new();
         let mut all = Count::default();
         for row in rows {
             let Some(group) = &row.group else { continue };
-            let unperturbed_success = unperturbed.get(&(row.task, row.trial)).copied();
+            let unperturbed_success = unperturbed.get(&(row.task.as_str(), row.trial)).copied();
             groups
                 .entry(group)
                 .or_default()
@@ -326,7 +321,7 @@ impl fmt::Display for Tally {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         writeln!(
             f,
-            "{:<22}{:>9}{:>10}{:>9}{:>8}{:>8}",
+            "{:<32}{:>9}{:>10}{:>9}{:>8}{:>8}",
             "", "rollouts", "successes", "percent", "broken", "gained"
         )?;
         for (name, count) in &self.lines {
@@ -342,7 +337,7 @@ impl fmt::Display for Tally {
             };
             writeln!(
                 f,
-                "{name:<22}{rollouts:>9}{successes:>10}{percent:>9}{broken:>8}{gained:>8}"
+                "{name:<32}{rollouts:>9}{successes:>10}{percent:>9}{broken:>8}{gained:>8}"
             )?;
         }
         Ok(())
@@ -370,7 +365,7 @@ mod tests {
     fn row(variant: &str, group: Option<&str>, success: bool) -> Row {
         Row {
             variant: variant.to_owned(),
-            task: "libero_goal/8".parse().unwrap(),
+            task: "libero_goal/8".to_owned(),
             trial: 0,
             group: group.map(str::to_owned),
             difficulty: None,

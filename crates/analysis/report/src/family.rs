@@ -1,5 +1,6 @@
-//! Report of a campaign of LIBERO's family: successes by dimension or suite and by difficulty, and
-//! the losses against the unperturbed rollouts of the same tasks and initial states.
+//! Report of a campaign of LIBERO's family or of a suite file: successes by dimension or suite and by
+//! difficulty, and the losses against the unperturbed rollouts of the same tasks and initial states,
+//! which suite files do not have.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -14,24 +15,28 @@ use serde::Serialize;
 
 use crate::subject::Subject;
 
-/// Results of a campaign of LIBERO's family under one protocol.
+/// Results of a campaign of LIBERO's family or of a suite file, under one protocol.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Family {
     /// Name of the campaign.
     pub campaign: String,
     /// Name of the policy.
     pub policy: String,
-    /// The benchmark.
-    pub benchmark: Benchmark,
-    /// Name of the protocol.
+    /// The benchmark, or the name of the suite file.
+    pub benchmark: String,
+    /// Name of the protocol, or of the suite file with the first digits of its digest.
     pub protocol: String,
     /// Rollouts of the campaign without an outcome so far, the unperturbed ones included.
     pub missing: u64,
     /// Quarantined rollouts, that is, those with too many failed attempts; in no figure.
     pub quarantined: u64,
+    /// True if variants are paired with unperturbed rollouts.
+    #[serde(skip)]
+    pub is_paired: bool,
     /// The unperturbed rollouts.
     pub unperturbed: Line,
-    /// Dimensions of LIBERO-Plus or suites of LIBERO-PRO, in the benchmark's order.
+    /// Dimensions of LIBERO-Plus or suites of LIBERO-PRO, in the benchmark's order, or suites of a
+    /// suite file by name.
     pub groups: Vec<Line>,
     /// Difficulties of LIBERO-Plus; the last line is of variants without one.
     pub difficulties: Vec<Line>,
@@ -218,8 +223,7 @@ impl Line {
 }
 
 impl Family {
-    /// Meaning of the columns.
-    pub(crate) const LEGEND: [&str; 3] = [
+    const LEGEND: [&str; 3] = [
         "percent: successes over rollouts, as in the benchmark's table; the last line counts all \
          variants together.",
         "broken: failed, and the unperturbed rollout of its task from the same initial state \
@@ -227,7 +231,21 @@ impl Family {
         "Intervals resample whole tasks.",
     ];
 
-    /// Reports on a campaign; `None` if it is not of LIBERO's family.
+    /// Returns the meaning of the columns that the report has.
+    pub(crate) fn legend(&self) -> Vec<&'static str> {
+        match self.is_paired {
+            true => Self::LEGEND.to_vec(),
+            false => vec!["percent: successes over rollouts.", Self::LEGEND[2]],
+        }
+    }
+
+    /// Returns the lines of the table of successes.
+    pub(crate) fn success_lines(&self, full: bool) -> Vec<&Line> {
+        let unperturbed = [&self.unperturbed].into_iter().filter(|_| self.is_paired);
+        unperturbed.chain(self.lines(full)).collect()
+    }
+
+    /// Reports on a campaign; `None` if it is neither of LIBERO's family nor of a suite file.
     ///
     /// # Errors
     /// If this program does not know its protocol or one of its variants.
@@ -236,11 +254,19 @@ impl Family {
             return Ok(None);
         };
         let campaign = subject.origin_name().to_owned();
-        let parsed: Result<Protocol, UnknownName> = protocol.parse();
-        let protocol = parsed.map_err(|source| FamilyError::Protocol {
-            campaign: campaign.clone(),
-            source,
-        })?;
+        // Only names of suite files have a digest; their rollouts have no unperturbed ones.
+        let suite_file = protocol.split_once('@').map(|(name, _)| name.to_owned());
+        let named: Option<Protocol> = match suite_file {
+            Some(_) => None,
+            None => {
+                let parsed: Result<Protocol, UnknownName> = protocol.parse();
+                Some(parsed.map_err(|source| FamilyError::Protocol {
+                    campaign: campaign.clone(),
+                    source,
+                })?)
+            }
+        };
+        let benchmark = named.map(|named| named.benchmark);
         let mut cases = Vec::new();
         for record in &subject.records {
             let case = Case::of_id(record.id).map_err(|source| FamilyError::Rollout {
@@ -278,7 +304,7 @@ impl Family {
                 .entry((place, group.clone()))
                 .or_default()
                 .push(variant);
-            if protocol.benchmark == Benchmark::Plus {
+            if benchmark == Some(Benchmark::Plus) {
                 // Those without a difficulty come last.
                 let difficulty = variant.case.difficulty().unwrap_or(u8::MAX);
                 difficulties.entry(difficulty).or_default().push(variant);
@@ -290,8 +316,12 @@ impl Family {
         Ok(Some(Self {
             campaign,
             policy: subject.policy.clone(),
-            benchmark: protocol.benchmark,
-            protocol: protocol.name.to_owned(),
+            benchmark: match benchmark {
+                Some(benchmark) => benchmark.to_string(),
+                None => suite_file.unwrap_or_default(),
+            },
+            protocol: protocol.clone(),
+            is_paired: benchmark.is_some(),
             missing: count(Outcome::Missing),
             quarantined: count(Outcome::Quarantined),
             unperturbed: Line::new("unperturbed", unperturbed.iter()),
@@ -310,21 +340,24 @@ impl Family {
                 })
                 .collect(),
             all: Line::new("all", variants.iter()),
-            published: published(&protocol),
+            published: named.map_or_else(Vec::new, |named| published(&named)),
         }))
     }
 
     /// Writes the report for a terminal; `full` adds the difficulties within each dimension.
     pub fn text(&self, full: bool) -> String {
-        let mut text = format!(
-            "Campaign {} of policy {}: {} under protocol {}\n",
-            self.campaign, self.policy, self.benchmark, self.protocol
-        );
+        let run = format!("Campaign {} of policy {}", self.campaign, self.policy);
+        let mut text = match self.is_paired {
+            true => format!(
+                "{run}: {} under protocol {}\n",
+                self.benchmark, self.protocol
+            ),
+            false => format!("{run}: suite file {}\n", self.protocol),
+        };
         for sentence in self.caveats() {
             push_wrapped(&mut text, "", &sentence);
         }
         text.push('\n');
-        let lines = self.lines(full);
         let heads = [
             "Successes",
             "rollouts",
@@ -332,8 +365,7 @@ impl Family {
             "percent",
             "95 % interval",
         ];
-        let counts = [&self.unperturbed].into_iter().chain(lines.iter().copied());
-        let counts = counts.map(Line::counts);
+        let counts = self.success_lines(full).into_iter().map(Line::counts);
         for [name, rollouts, successes, percent, interval] in
             [heads.map(str::to_owned)].into_iter().chain(counts)
         {
@@ -351,17 +383,18 @@ impl Family {
             "loss",
             "95 % interval",
         ];
-        let losses = lines.iter().map(|line| line.losses());
-        for [name, pairs, broken, gained, loss, interval] in
-            [heads.map(str::to_owned)].into_iter().chain(losses)
-        {
+        let losses = self.lines(full).into_iter().map(Line::losses);
+        let table = [heads.map(str::to_owned)].into_iter().chain(losses);
+        for [name, pairs, broken, gained, loss, interval] in table.filter(|_| self.is_paired) {
             let _ = writeln!(
                 text,
                 "{name:<30}{pairs:>7}{broken:>7}{gained:>7}{loss:>7}  {interval}"
             );
         }
-        text.push('\n');
-        for sentence in Self::LEGEND {
+        if self.is_paired {
+            text.push('\n');
+        }
+        for sentence in self.legend() {
             push_wrapped(&mut text, "", sentence);
         }
         if full && !self.published.is_empty() {
@@ -451,7 +484,7 @@ fn published(protocol: &Protocol) -> Vec<PublishedRow> {
 /// Returns the group of a variant, and its place in the benchmark's order.
 fn group(case: &Case) -> (usize, String) {
     let place = match case.subject {
-        CaseSubject::Unperturbed => None,
+        CaseSubject::Unperturbed | CaseSubject::Own(_) => None,
         CaseSubject::Plus(entry) => Dimension::ALL
             .into_iter()
             .position(|dimension| dimension == entry.dimension()),

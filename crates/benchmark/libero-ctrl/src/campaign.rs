@@ -13,29 +13,27 @@ use crate::execution::Execution;
 use crate::explanation::Explanation;
 use crate::latency::AnyAxis;
 use crate::level::Level;
-use crate::manifest::{self, ManifestErrors};
+use crate::manifest;
 use crate::names::UnknownName;
 use crate::placebo::Placebo;
 use crate::policy_route::{PolicyRoute, Record};
 use crate::presets::PRESETS;
-use crate::rollout_id::RolloutId;
 use crate::row::ManifestRow;
+use crate::spec_error::{MAX_REPLICATES, SpecError};
 use crate::stop::{self, Stop, StopError};
 use crate::suite::TaskRef;
+use crate::suite_file::SuiteFile;
 use crate::thresholds::Thresholds;
 use crate::variants::{Variants, VariantsError};
-use crate::wanted::{MIN_DIGEST_DIGITS, RendererKind, Wanted};
+use crate::wanted::{RendererKind, Wanted};
 use crate::wording::JsonError;
-
-/// Largest number of replicates of a campaign.
-pub const MAX_REPLICATES: u32 = 100;
 
 /// The specification of a campaign, as people and tools write it in JSON.
 ///
 /// The fields of [`Rollouts`] are flattened into the specification: `tasks`, `axes`, `levels` and
 /// optionally `subsets`, `configs`, `nominal`, `design_seed`, `directions`, `placebo_radius` and
-/// `placebo_configs`; or, instead of all these, `manifest`, `explains`, `thresholds` or `variants`.
-/// Tasks are written as `libero_goal/3`, `libero_goal` (its ten tasks) or `all`.
+/// `placebo_configs`; or, instead of all these, `manifest`, `explains`, `thresholds`, `variants`
+/// or `suite_file`. Tasks are written as `libero_goal/3`, `libero_goal` (its ten tasks) or `all`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "SpecText", into = "SpecText")]
 pub struct CampaignSpec {
@@ -73,15 +71,27 @@ pub enum Rollouts {
     Thresholds(Thresholds),
     /// Variants of a benchmark of LIBERO's family, which `libero-family` expands.
     Variants(Variants),
+    /// Tasks of a suite file.
+    SuiteFile(Box<SuiteFile>),
 }
 
 impl Rollouts {
     /// Returns the name of the campaign whose outcomes determine the rollouts, if any.
     pub fn source(&self) -> Option<&str> {
         match self {
-            Self::Design(_) | Self::Manifest(_) | Self::Variants(_) => None,
+            Self::Design(_) | Self::Manifest(_) | Self::Variants(_) | Self::SuiteFile(_) => None,
             Self::Explanation(Explanation { campaign, .. })
             | Self::Thresholds(Thresholds { campaign, .. }) => Some(campaign),
+        }
+    }
+
+    /// Returns the name of the protocol of LIBERO's family or of a suite file; `None` for
+    /// LIBERO-CTRL.
+    pub fn protocol(&self) -> Option<String> {
+        match self {
+            Self::Variants(variants) => Some(variants.protocol.clone()),
+            Self::SuiteFile(file) => Some(file.protocol()),
+            _ => None,
         }
     }
 
@@ -101,144 +111,10 @@ impl Rollouts {
     /// Sets the name of the campaign whose outcomes determine the rollouts.
     pub fn set_source(&mut self, name: &str) {
         match self {
-            Self::Design(_) | Self::Manifest(_) | Self::Variants(_) => {}
+            Self::Design(_) | Self::Manifest(_) | Self::Variants(_) | Self::SuiteFile(_) => {}
             Self::Explanation(Explanation { campaign, .. })
             | Self::Thresholds(Thresholds { campaign, .. }) => name.clone_into(campaign),
         }
-    }
-}
-
-/// Error in a specification.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum SpecError {
-    /// The text is not valid JSON, a field is missing or unknown, or a value is not a known
-    /// name.
-    #[error("read campaign specification: {problem}")]
-    Json {
-        /// Problem and its line.
-        problem: String,
-    },
-    /// A required field is empty.
-    #[error("read campaign specification: `{field}` is empty, {remedy}")]
-    Empty {
-        /// The field.
-        field: &'static str,
-        /// Remedy: the value to write.
-        remedy: &'static str,
-    },
-    /// Too few or too many replicates.
-    #[error(
-        "read campaign specification: `replicates` has {given}, valid are 1 to {MAX_REPLICATES}"
-    )]
-    Replicates {
-        /// The number given.
-        given: u32,
-    },
-    /// The policy's endpoint is not a URL.
-    #[error(
-        "read campaign specification: `policy.endpoint` is `{given}`, \
-         write a URL such as http://127.0.0.1:50051"
-    )]
-    Endpoint {
-        /// The text given.
-        given: String,
-    },
-    /// The asset pack is neither a known name nor a digest.
-    #[error(
-        "read campaign specification: `assets` is `{given}`, write `primitives`, `libero` or the \
-         first {MIN_DIGEST_DIGITS} digits or more of a pack's digest (workers are given the folder)"
-    )]
-    Assets {
-        /// The text given.
-        given: String,
-    },
-    /// A campaign derived from the outcomes of another has a realisation other than `matched`.
-    #[error(
-        "read campaign specification: `{field}` with `realisation` reference, in which each \
-         condition perturbs an axis differently: write matched"
-    )]
-    Unmatched {
-        /// The field that names the source campaign.
-        field: &'static str,
-    },
-    /// A radius outside its range.
-    #[error(
-        "read campaign specification: `{field}` is {given}, valid are {} to {}", valid[0], valid[1]
-    )]
-    Radius {
-        /// The field.
-        field: &'static str,
-        /// The radius given.
-        given: f64,
-        /// Valid range.
-        valid: [f64; 2],
-    },
-    /// The execution model differs from that of the manifest's rows.
-    #[error(
-        "read campaign specification: `execution` is {given}, but the rows of its manifest have \
-         `{of_rows}`: remove `execution` from the specification or from the rows"
-    )]
-    Execution {
-        /// The campaign's model.
-        given: Execution,
-        /// Model of the rows.
-        of_rows: Execution,
-    },
-    /// The latency axis in a campaign whose execution model is not `wait`.
-    #[error(
-        "read campaign specification: axis `latency` with `execution` {given}: its rollouts are \
-         compared with rollouts without delay; remove `execution` or the axis"
-    )]
-    Latency {
-        /// The campaign's model.
-        given: Execution,
-    },
-    /// The rule cannot end the campaign.
-    #[error("read campaign specification: {0}")]
-    Stop(StopError),
-    /// The design is invalid.
-    #[error("read campaign specification: {0}")]
-    Design(DesignError),
-    /// The variants exclude another field.
-    #[error("read campaign specification: {0}")]
-    Variants(VariantsError),
-    /// The selection of variants is invalid.
-    #[error("read campaign specification: {problem}")]
-    Selection {
-        /// Problem and remedy, as `libero-family` formats them.
-        problem: String,
-    },
-    /// A row of LIBERO's family in a manifest.
-    #[error(
-        "read campaign specification: row {id} of its manifest is of LIBERO's family, whose \
-         campaigns are specified with `variants`: remove the row"
-    )]
-    VariantRow {
-        /// The row's id.
-        id: RolloutId,
-    },
-    /// Some imported rows are invalid. Line numbers refer to a manifest with one row per line.
-    #[error(transparent)]
-    Manifest(#[from] ManifestErrors),
-}
-
-// The message includes that of the inner error, which would be printed twice if the inner error
-// were the source.
-impl From<StopError> for SpecError {
-    fn from(error: StopError) -> Self {
-        Self::Stop(error)
-    }
-}
-
-impl From<VariantsError> for SpecError {
-    fn from(error: VariantsError) -> Self {
-        Self::Variants(error)
-    }
-}
-
-impl From<DesignError> for SpecError {
-    fn from(error: DesignError) -> Self {
-        Self::Design(error)
     }
 }
 
@@ -304,7 +180,10 @@ impl CampaignSpec {
                     return Err(SpecError::Latency { given });
                 }
             }
-            Rollouts::Variants(_) => {
+            Rollouts::Variants(_) | Rollouts::SuiteFile(_) => {
+                if let Rollouts::SuiteFile(file) = &self.rollouts {
+                    file.check()?;
+                }
                 let (execution, stops) = (&self.execution, self.stop.is_some());
                 let (realisation, replicates) = (self.realisation, self.replicates);
                 let excluded =
@@ -340,7 +219,7 @@ impl CampaignSpec {
                 Rollouts::Design(design) if design.axes.len() < 2 => {
                     return Err(StopError::NotSimultaneous.into());
                 }
-                Rollouts::Design(_) | Rollouts::Variants(_) => {}
+                Rollouts::Design(_) | Rollouts::Variants(_) | Rollouts::SuiteFile(_) => {}
                 Rollouts::Manifest(rows) => stop::check_rows(rows)?,
                 Rollouts::Explanation(_) => return Err(follows("explains").into()),
                 Rollouts::Thresholds(_) => return Err(follows("thresholds").into()),
@@ -364,6 +243,7 @@ impl CampaignSpec {
             Rollouts::Explanation(explanation) => DesignVersion::of_explanation(explanation),
             Rollouts::Thresholds(thresholds) => DesignVersion::of_thresholds(thresholds),
             Rollouts::Variants(variants) => DesignVersion::of_variants(variants),
+            Rollouts::SuiteFile(file) => DesignVersion::of_suite_file(file),
         };
         version.under(&self.execution)
     }
@@ -403,6 +283,8 @@ struct SpecText {
     thresholds: Option<Thresholds>,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     variants: Option<Variants>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    suite_file: Option<Box<SuiteFile>>,
     #[serde(default)]
     realisation: Realisation,
     #[serde(default = "one")]
@@ -424,7 +306,8 @@ struct SpecText {
 enum TextError {
     #[error(
         "the field `{0}` is not there: a specification has `tasks`, `axes` and \
-         `levels`, or one of `manifest`, `explains`, `thresholds` and `variants` instead"
+         `levels`, or one of `manifest`, `explains`, `thresholds`, `variants` and `suite_file` \
+         instead"
     )]
     Missing(&'static str),
     #[error("`{other}` and `{field}` both define the rollouts: remove one of them")]
@@ -451,6 +334,8 @@ impl TryFrom<SpecText> for CampaignSpec {
             Rollouts::Thresholds(thresholds)
         } else if let Some(variants) = text.variants.take() {
             Rollouts::Variants(variants)
+        } else if let Some(file) = text.suite_file.take() {
+            Rollouts::SuiteFile(file)
         } else {
             Rollouts::Design(design(&mut text)?)
         };
@@ -490,6 +375,7 @@ impl From<CampaignSpec> for SpecText {
             explains: None,
             thresholds: None,
             variants: None,
+            suite_file: None,
             realisation: spec.realisation,
             replicates: spec.replicates,
             record: spec.record,
@@ -503,6 +389,7 @@ impl From<CampaignSpec> for SpecText {
             Rollouts::Explanation(explanation) => text.explains = Some(explanation),
             Rollouts::Thresholds(thresholds) => text.thresholds = Some(thresholds),
             Rollouts::Variants(variants) => text.variants = Some(variants),
+            Rollouts::SuiteFile(file) => text.suite_file = Some(file),
             Rollouts::Design(design) => {
                 text.axes = Some(design.any_axes());
                 if design.has_placebo() {
@@ -530,6 +417,7 @@ fn check_single_source(text: &SpecText) -> Result<(), TextError> {
         ("explains", text.explains.is_some()),
         ("thresholds", text.thresholds.is_some()),
         ("variants", text.variants.is_some()),
+        ("suite_file", text.suite_file.is_some()),
         ("tasks", text.tasks.is_some()),
         ("axes", text.axes.is_some()),
         ("subsets", text.subsets.is_some()),
@@ -541,7 +429,7 @@ fn check_single_source(text: &SpecText) -> Result<(), TextError> {
         ("placebo_radius", text.placebo_radius.is_some()),
         ("placebo_configs", text.placebo_configs.is_some()),
     ];
-    let exclusive = &written[..4];
+    let exclusive = &written[..5];
     let Some(&(field, _)) = exclusive.iter().find(|(_, is_written)| *is_written) else {
         return Ok(());
     };

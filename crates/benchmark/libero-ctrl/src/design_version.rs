@@ -6,6 +6,7 @@ use serde::Serialize;
 use crate::execution::Execution;
 use crate::explanation::Explanation;
 use crate::names::{UnknownName, serde_as_text};
+use crate::suite_file::SuiteFile;
 use crate::thresholds::Thresholds;
 use crate::variants::Variants;
 
@@ -15,10 +16,11 @@ const MANIFEST: &str = "manifest-";
 const EXPLAINS: &str = "explains-";
 const THRESHOLDS: &str = "thresholds-";
 const VARIANTS: &str = "variants-";
+const SUITE: &str = "suite-";
 
 /// Identifier of the design that results belong to: `v0.1` for exactly LIBERO-CTRL v0.1,
 /// otherwise `custom-` and a checksum of the design, `manifest-` and a checksum of the
-/// imported rows, or `explains-`, `thresholds-` or `variants-` and a checksum of that
+/// imported rows, or `explains-`, `thresholds-`, `variants-` or `suite-` and a checksum of that
 /// specification.
 /// Results of different designs are never pooled.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -58,13 +60,17 @@ impl DesignVersion {
         Self::of_derived(VARIANTS, variants)
     }
 
+    pub(crate) fn of_suite_file(file: &SuiteFile) -> Self {
+        Self::of_derived(SUITE, file)
+    }
+
     /// Returns the version of the same rollouts under an execution model, which differs for every
     /// model except `wait`.
     pub(crate) fn under(self, execution: &Execution) -> Self {
         if execution.is_wait() {
             return self;
         }
-        let prefixes = [MANIFEST, EXPLAINS, THRESHOLDS, VARIANTS];
+        let prefixes = [MANIFEST, EXPLAINS, THRESHOLDS, VARIANTS, SUITE];
         let prefix = prefixes
             .into_iter()
             .find(|prefix| self.0.starts_with(prefix));
@@ -97,7 +103,7 @@ impl std::str::FromStr for DesignVersion {
     type Err = UnknownName;
 
     fn from_str(text: &str) -> Result<Self, UnknownName> {
-        let prefixes = [CUSTOM, MANIFEST, EXPLAINS, THRESHOLDS, VARIANTS];
+        let prefixes = [CUSTOM, MANIFEST, EXPLAINS, THRESHOLDS, VARIANTS, SUITE];
         match text == V0_1 || prefixes.iter().any(|prefix| text.starts_with(prefix)) {
             true => Ok(Self(text.to_owned())),
             false => {
@@ -108,6 +114,7 @@ impl std::str::FromStr for DesignVersion {
                     "explains-CHECKSUM",
                     "thresholds-CHECKSUM",
                     "variants-CHECKSUM",
+                    "suite-CHECKSUM",
                 ];
                 Err(UnknownName::new("design", text, &valid))
             }

@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use crate::axis::Axis;
-use crate::campaign::{CampaignSpec, Rollouts, SpecError};
+use crate::campaign::{CampaignSpec, Rollouts};
 use crate::condition::Condition;
 use crate::design::{Design, DesignError, Nominal};
 use crate::directions::{direction, init_id};
@@ -16,6 +16,7 @@ use crate::placebo::Placebo;
 use crate::presets::{PRESETS, apply_direction};
 use crate::rollout_id::RolloutId;
 use crate::row::ManifestRow;
+use crate::spec_error::SpecError;
 use crate::suite::{INIT_STATES_PER_TASK, TaskRef};
 
 impl CampaignSpec {
@@ -29,6 +30,7 @@ impl CampaignSpec {
         let rows = match &self.rollouts {
             Rollouts::Design(design) => design.expand()?,
             Rollouts::Manifest(rows) => paired_units_first(rows.clone()),
+            Rollouts::SuiteFile(file) => file.rows(),
             // Explanations and thresholds are planned from outcomes at run time;
             // `libero_family::expand` makes the rows of variants.
             Rollouts::Explanation(_) | Rollouts::Thresholds(_) | Rollouts::Variants(_) => {

@@ -105,7 +105,7 @@ pub fn round6(value: f64) -> f64 {
 }
 
 impl Suite {
-    /// Step budget of the policy, control steps.
+    /// Step budget of the policy, control steps. That of a task of a suite file is in the file.
     pub fn max_steps(self) -> u32 {
         self.presets().max_steps
     }
@@ -116,8 +116,10 @@ impl Suite {
         self.presets().demo_action_rms
     }
 
+    /// Returns LIBERO's figures; those of the longest suite for [`Self::Own`].
     fn presets(self) -> &'static SuitePresets {
-        &presets().suites[self.ordinal()]
+        let longest = Self::ALL.len() - 1;
+        &presets().suites[self.ordinal().unwrap_or(longest)]
     }
 }
 

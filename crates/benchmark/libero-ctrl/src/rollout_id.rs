@@ -22,7 +22,8 @@ const PATTERN: &str = "SUITE/tN/CONDITION/LEVEL/cNN, for example spatial/t0/came
 /// paper's terms, as in `spatial/t0/nominal/i07` and `spatial/t0/simultaneous/L2/c00`.
 ///
 /// A rollout of LIBERO's family has the benchmark's name of the change and an initial state:
-/// `goal/t8/plus:noise_30/i00`, `goal/t3/pro:swap/i07`, `goal/t8/plus:unperturbed/i00`.
+/// `goal/t8/plus:noise_30/i00`, `goal/t3/pro:swap/i07`, `goal/t8/plus:unperturbed/i00`. One of a
+/// suite file has the task's position in the file, and its suite: `own/t17/own:libero_90/i03`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct RolloutId {
     task: TaskRef,
@@ -111,6 +112,14 @@ impl RolloutId {
         self.variant
     }
 
+    /// Returns the name of the suite that a policy is told: LIBERO's, or that of a suite file.
+    pub fn suite_name(&self) -> &str {
+        match &self.variant {
+            Some(name) if name.benchmark().is_none() => name.change(),
+            _ => self.task.suite().name(),
+        }
+    }
+
     /// Returns the last number of the id: the configuration, or the initial state of a clean
     /// rollout or one of LIBERO's family.
     pub const fn number(&self) -> u16 {
@@ -140,6 +149,9 @@ impl FromStr for RolloutId {
 
     fn from_str(text: &str) -> Result<Self, UnknownName> {
         let parts: Vec<&str> = text.split('/').collect();
+        if let ["own", task, name, state] = parts.as_slice() {
+            return own(task, name, state).ok_or_else(|| unknown(text));
+        }
         let (suite, task, rest) = match parts.as_slice() {
             [suite, task, rest @ ..] => (suite.parse::<Suite>()?, number(task, "t"), rest),
             _ => return Err(unknown(text)),
@@ -148,9 +160,12 @@ impl FromStr for RolloutId {
         if let [name, state] = rest
             && name.contains(':')
         {
-            let state = number(state, "i").filter(|state| *state < INIT_STATES_PER_TASK);
-            let state = state.ok_or_else(|| unknown(text))?;
-            return Ok(Self::of_variant(task, name.parse()?, state));
+            let state = init_state(state).ok_or_else(|| unknown(text))?;
+            let name: VariantName = name.parse()?;
+            let is_of_a_benchmark = name.benchmark().is_some();
+            return is_of_a_benchmark
+                .then_some(Self::of_variant(task, name, state))
+                .ok_or_else(|| unknown(text));
         }
         let (condition, level, number) = match rest {
             ["clean" | "nominal", state] => (Condition::Clean, Level::L0, number(state, "i")),
@@ -171,6 +186,18 @@ impl FromStr for RolloutId {
 }
 
 serde_as_text!(RolloutId);
+
+/// Returns the id of a rollout of a suite file: `own/tN/own:SUITE/iNN`.
+fn own(task: &str, name: &str, state: &str) -> Option<RolloutId> {
+    let task = TaskRef::own(u8::try_from(number(task, "t")?).ok()?);
+    let name: VariantName = name.parse().ok()?;
+    let is_own = name.benchmark().is_none();
+    is_own.then_some(RolloutId::of_variant(task, name, init_state(state)?))
+}
+
+fn init_state(text: &str) -> Option<u16> {
+    number(text, "i").filter(|state| *state < INIT_STATES_PER_TASK)
+}
 
 /// Returns true if the last number of an id is a configuration.
 fn has_config(condition: Condition) -> bool {
@@ -239,7 +266,7 @@ mod tests {
         let name = ids[2].variant().expect("a variant");
         assert_eq!(
             (name.benchmark(), name.change()),
-            (Benchmark::Plus, "noise_30")
+            (Some(Benchmark::Plus), "noise_30")
         );
         assert!(
             !name.is_unperturbed() && ids[3].variant().is_some_and(|name| name.is_unperturbed())
@@ -250,8 +277,29 @@ mod tests {
     }
 
     #[test]
+    fn ids_of_suite_files_have_their_own_tasks_and_names() {
+        check("own/t129/own:libero_90/i03", "own/t129/own:libero_90/i03");
+        let id: RolloutId = "own/t129/own:libero_90/i03".parse().expect("an id");
+        assert_eq!(id.task(), TaskRef::own(129));
+        let name = id.variant().expect("a suite");
+        assert_eq!((name.benchmark(), name.change()), (None, "libero_90"));
+        assert_eq!(id.suite_name(), "libero_90");
+        assert!(
+            "own/3".parse::<TaskRef>().is_err(),
+            "no task without its file"
+        );
+    }
+
+    #[test]
     fn malformed_ids_are_refused() {
         for text in [
+            "own/t256/own:libero_90/i03",
+            "own/t1/own:libero_90/i50",
+            "own/t1/own:unperturbed/i00",
+            "own/t1/plus:noise_30/i00",
+            "goal/t1/own:libero_90/i00",
+            "own/t1/clean/i00",
+            "own/t1/camera/L2/c00",
             "",
             "spatial",
             "spatial/t0/camera/L2",

@@ -12,6 +12,7 @@ use crate::execution::Execution;
 use crate::latency::execution_at;
 use crate::level::Level;
 use crate::names::UnknownName;
+use crate::own_task::OwnTask;
 use crate::perturbation::{PerturbError, Perturbation};
 use crate::placebo::{PLACEBO_RADII, Placebo};
 use crate::presets::SETTLE_STEPS;
@@ -53,6 +54,8 @@ pub struct ManifestRow {
     /// Name of the protocol of a row of LIBERO's family; `None` for all other rows. The
     /// instruction of such a row is empty if only the BDDL file has it.
     pub protocol: Option<String>,
+    /// Task of a suite file; `None` for all other rows.
+    pub own: Option<Box<OwnTask>>,
 }
 
 impl ManifestRow {
@@ -70,6 +73,7 @@ impl ManifestRow {
             placebo_radius: None,
             execution: Execution::Wait,
             protocol: None,
+            own: None,
         }
     }
 
@@ -176,9 +180,10 @@ pub enum RowError {
         /// The row's policy seed.
         given: u64,
     },
-    /// A row of LIBERO's family lacks its protocol, or another row has one.
+    /// A row of LIBERO's family or of a suite file lacks its protocol, or another row has one.
     #[error(
-        "read row {id}: `protocol` is {}; write one in rows of LIBERO-Plus and LIBERO-PRO only",
+        "read row {id}: `protocol` is {}; write one in rows of LIBERO-Plus, LIBERO-PRO and \
+         suite files only",
         given.as_deref().unwrap_or("not there")
     )]
     Protocol {
@@ -186,6 +191,28 @@ pub enum RowError {
         id: RolloutId,
         /// The row's protocol.
         given: Option<String>,
+    },
+    /// A row of a suite file lacks its task, or another row has one.
+    #[error(
+        "read row {id}: `own` is {}; write a task in rows of suite files only",
+        if *is_given { "there" } else { "not there" }
+    )]
+    Own {
+        /// The row's id.
+        id: RolloutId,
+        /// True if the row has a task.
+        is_given: bool,
+    },
+    /// A path of a suite file's task leaves the folder of the sources.
+    #[error(
+        "read row {id}: `own` has the path `{path}`; write a relative path with / and without . \
+         and .."
+    )]
+    OwnPath {
+        /// The row's id.
+        id: RolloutId,
+        /// The path.
+        path: String,
     },
     /// The parameters do not match the row's condition.
     #[error("read row {id}: {problem}")]
@@ -204,7 +231,7 @@ pub enum RowError {
 struct FlatRow {
     rollout_id: RolloutId,
     split: String,
-    suite: Suite,
+    suite: String,
     task_id: u8,
     axis: Condition,
     level: Level,
@@ -223,6 +250,8 @@ struct FlatRow {
     execution: Execution,
     #[serde(default, skip_serializing_if = "Option::is_none")]
     protocol: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    own: Option<Box<OwnTask>>,
     #[serde(default)]
     perturb: Map<String, Value>,
 }
@@ -244,7 +273,7 @@ impl From<ManifestRow> for FlatRow {
         Self {
             rollout_id: id,
             split: split(id.condition()).to_owned(),
-            suite: id.task().suite(),
+            suite: id.task().suite().to_string(),
             task_id: id.task().index(),
             axis: id.condition(),
             level: id.level(),
@@ -259,6 +288,7 @@ impl From<ManifestRow> for FlatRow {
             placebo_radius: row.placebo_radius.map(Level::radius),
             execution: row.execution,
             protocol: row.protocol,
+            own: row.own,
             perturb: row.perturbation.to_manifest(id.condition()),
         }
     }
@@ -271,7 +301,7 @@ impl TryFrom<FlatRow> for ManifestRow {
         let id = flat.rollout_id;
         let condition = id.condition();
         check_column(id, "split", flat.split.as_str(), split(condition))?;
-        check_column(id, "suite", flat.suite, id.task().suite())?;
+        check_column(id, "suite", flat.suite, id.task().suite().to_string())?;
         check_column(id, "task_id", flat.task_id, id.task().index())?;
         check_column(id, "axis", flat.axis, condition)?;
         check_column(id, "level", flat.level, id.level())?;
@@ -294,6 +324,14 @@ impl TryFrom<FlatRow> for ManifestRow {
         if flat.protocol.is_some() != id.variant().is_some() {
             let given = flat.protocol;
             return Err(RowError::Protocol { id, given });
+        }
+        let is_given = flat.own.is_some();
+        if is_given != (id.task().suite() == Suite::Own) {
+            return Err(RowError::Own { id, is_given });
+        }
+        if let Some(path) = flat.own.as_deref().and_then(OwnTask::path_outside) {
+            let path = path.to_owned();
+            return Err(RowError::OwnPath { id, path });
         }
         if condition == Condition::Latency {
             let (given, expected) = (flat.execution.clone(), execution_at(id.level()));
@@ -328,6 +366,7 @@ impl TryFrom<FlatRow> for ManifestRow {
             placebo_radius,
             execution: flat.execution,
             protocol: flat.protocol,
+            own: flat.own,
         })
     }
 }

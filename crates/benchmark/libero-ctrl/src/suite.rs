@@ -23,10 +23,13 @@ pub enum Suite {
     Goal,
     /// `libero_10`, the paper's Long: ten two-stage tasks.
     Long,
+    /// The tasks of a suite file, by their position in it. Not
+    /// one of LIBERO's suites: [`Self::ALL`] and the parser do not have it.
+    Own,
 }
 
 impl Suite {
-    /// All suites, in the reference's order.
+    /// LIBERO's suites, in the reference's order.
     pub const ALL: [Self; 4] = [Self::Spatial, Self::Object, Self::Goal, Self::Long];
 
     /// Returns LIBERO's name: `libero_spatial`, ..., `libero_10`.
@@ -36,26 +39,37 @@ impl Suite {
             Self::Object => "libero_object",
             Self::Goal => "libero_goal",
             Self::Long => "libero_10",
+            Self::Own => "own",
         }
     }
 
-    /// Returns the name in rollout ids: `spatial`, `object`, `goal`, `long`.
+    /// Returns the name in rollout ids: `spatial`, `object`, `goal`, `long`, `own`.
     pub const fn short_name(self) -> &'static str {
         match self {
             Self::Spatial => "spatial",
             Self::Object => "object",
             Self::Goal => "goal",
             Self::Long => "long",
+            Self::Own => "own",
         }
     }
 
-    /// Returns the suite's tasks in the benchmark's order.
+    /// Returns the suite's tasks in the benchmark's order; none for [`Self::Own`], whose tasks only
+    /// a suite file has.
     pub fn tasks(self) -> impl Iterator<Item = TaskRef> {
-        (0..TASKS_PER_SUITE).map(move |index| TaskRef { suite: self, index })
+        let count = match self {
+            Self::Own => 0,
+            _ => TASKS_PER_SUITE,
+        };
+        (0..count).map(move |index| TaskRef { suite: self, index })
     }
 
-    pub(crate) const fn ordinal(self) -> usize {
-        self as usize
+    /// Returns the position in [`Self::ALL`]; `None` for [`Self::Own`].
+    pub(crate) const fn ordinal(self) -> Option<usize> {
+        match self {
+            Self::Own => None,
+            suite => Some(suite as usize),
+        }
     }
 }
 
@@ -93,8 +107,18 @@ impl TaskRef {
     /// If the suite has no such task.
     pub fn new(suite: Suite, index: u32) -> Result<Self, UnknownName> {
         match u8::try_from(index) {
-            Ok(index) if index < TASKS_PER_SUITE => Ok(Self { suite, index }),
+            Ok(index) if index < TASKS_PER_SUITE && suite != Suite::Own => {
+                Ok(Self { suite, index })
+            }
             _ => Err(unknown_task(&format!("{suite}/{index}"), suite.name())),
+        }
+    }
+
+    /// Returns a task of a suite file, by its position in the file.
+    pub const fn own(index: u8) -> Self {
+        Self {
+            suite: Suite::Own,
+            index,
         }
     }
 
@@ -108,26 +132,34 @@ impl TaskRef {
         self.suite
     }
 
-    /// Returns the index in the suite, 0 to 9, in the benchmark's order.
+    /// Returns the index in the suite, 0 to 9, in the benchmark's order, or the position in a suite
+    /// file.
     pub const fn index(self) -> u8 {
         self.index
     }
 
-    /// Returns the stem of the task's files: `NAME.bddl`, `NAME.pruned_init`.
+    /// Returns the stem of the task's files: `NAME.bddl`, `NAME.pruned_init`; empty for a task of a
+    /// suite file.
     pub fn name(self) -> &'static str {
-        TASK_NAMES[self.suite.ordinal()][usize::from(self.index)]
+        let names = self.suite.ordinal().map(|suite| TASK_NAMES[suite]);
+        names.map_or("", |names| names[usize::from(self.index)])
     }
 
-    /// Returns the canonical instruction, which LIBERO derives from the file's name: its
-    /// words, without the scene prefix of names in `libero_10`.
+    /// Returns the canonical instruction, which LIBERO derives from the file's name; empty for a
+    /// task of a suite file.
     pub fn instruction(self) -> String {
-        let name = self.name();
-        let words = match name.split_once("_SCENE") {
-            Some((_, rest)) => rest.split_once('_').map_or(rest, |(_, words)| words),
-            None => name,
-        };
-        words.replace('_', " ")
+        instruction_of_name(self.name())
     }
+}
+
+/// Returns the instruction that LIBERO derives from the name of a task's files: its words, without
+/// the scene prefix of names such as those in `libero_10`.
+pub(crate) fn instruction_of_name(name: &str) -> String {
+    let words = match name.split_once("_SCENE") {
+        Some((_, rest)) => rest.split_once('_').map_or(rest, |(_, words)| words),
+        None => name,
+    };
+    words.replace('_', " ")
 }
 
 impl fmt::Display for TaskRef {

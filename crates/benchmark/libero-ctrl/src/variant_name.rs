@@ -1,6 +1,7 @@
 //! Name of a variant within its task, as written in rollout ids of LIBERO's family:
-//! `plus:noise_30`, `pro:swap`, `plus:unperturbed`. Only the form is checked here: `libero-family`
-//! defines the variants of each benchmark.
+//! `plus:noise_30`, `pro:swap`, `plus:unperturbed`; or `own:NAME` for a task of suite `NAME` of a
+//! suite file. Only the form is checked here: `libero-family` defines the variants of each
+//! benchmark.
 
 use std::fmt;
 use std::str::FromStr;
@@ -9,12 +10,15 @@ use crate::benchmark::Benchmark;
 use crate::names::UnknownName;
 
 /// Longest change, bytes.
-const MAX_CHANGE_BYTES: usize = 31;
+pub(crate) const MAX_CHANGE_BYTES: usize = 31;
+/// Stands in place of a benchmark in ids of suite files.
+const OWN: &str = "own";
 
 /// Benchmark and change of a variant. Stored inline, so that rollout ids remain `Copy`.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct VariantName {
-    benchmark: Benchmark,
+    /// The benchmark; `None` for a suite of a suite file.
+    benchmark: Option<Benchmark>,
     /// ASCII text, padded with zeros.
     change: [u8; MAX_CHANGE_BYTES],
 }
@@ -29,6 +33,22 @@ impl VariantName {
     /// If the change is empty, longer than 31 bytes, or has other characters than lower-case
     /// letters, digits and `_`.
     pub fn new(benchmark: Benchmark, change: &str) -> Result<Self, UnknownName> {
+        Self::of(Some(benchmark), change)
+    }
+
+    /// Creates the name of a suite of a suite file.
+    ///
+    /// # Errors
+    /// If the suite's name is not valid as a change, see [`Self::new`], or is
+    /// [`Self::UNPERTURBED`].
+    pub fn own(suite: &str) -> Result<Self, UnknownName> {
+        match suite {
+            Self::UNPERTURBED => Err(unknown(suite)),
+            suite => Self::of(None, suite),
+        }
+    }
+
+    fn of(benchmark: Option<Benchmark>, change: &str) -> Result<Self, UnknownName> {
         let is_valid = |byte: u8| matches!(byte, b'a'..=b'z' | b'0'..=b'9' | b'_');
         let has_valid_length = (1..=MAX_CHANGE_BYTES).contains(&change.len());
         if !has_valid_length || !change.bytes().all(is_valid) {
@@ -42,12 +62,13 @@ impl VariantName {
         })
     }
 
-    /// The benchmark.
-    pub const fn benchmark(&self) -> Benchmark {
+    /// The benchmark; `None` for a suite of a suite file.
+    pub const fn benchmark(&self) -> Option<Benchmark> {
         self.benchmark
     }
 
-    /// Returns the change: `noise_30`, `swap` or [`Self::UNPERTURBED`].
+    /// Returns the change: `noise_30`, `swap` or [`Self::UNPERTURBED`]; or the name of a suite of a
+    /// suite file.
     pub fn change(&self) -> &str {
         let end = self.change.iter().position(|byte| *byte == 0);
         let bytes = &self.change[..end.unwrap_or(MAX_CHANGE_BYTES)];
@@ -62,7 +83,8 @@ impl VariantName {
 
 impl fmt::Display for VariantName {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}:{}", self.benchmark.tag(), self.change())
+        let tag = self.benchmark.map_or(OWN, Benchmark::tag);
+        write!(f, "{tag}:{}", self.change())
     }
 }
 
@@ -77,13 +99,17 @@ impl FromStr for VariantName {
 
     fn from_str(text: &str) -> Result<Self, UnknownName> {
         let (tag, change) = text.split_once(':').ok_or_else(|| unknown(text))?;
-        let benchmark = Benchmark::from_tag(tag).ok_or_else(|| unknown(text))?;
-        Self::new(benchmark, change).map_err(|_| unknown(text))
+        let name = match Benchmark::from_tag(tag) {
+            Some(benchmark) => Self::new(benchmark, change),
+            None if tag == OWN => Self::own(change),
+            None => return Err(unknown(text)),
+        };
+        name.map_err(|_| unknown(text))
     }
 }
 
 fn unknown(given: &str) -> UnknownName {
-    let valid = "plus: or pro: and a change in at most 31 lower-case letters, digits and _, such \
-                 as plus:noise_30, pro:swap or plus:unperturbed";
+    let valid = "plus:, pro: or own: and a change in at most 31 lower-case letters, digits and _, \
+                 such as plus:noise_30, pro:swap, plus:unperturbed or own:libero_90";
     UnknownName::new("variant of a rollout id", given, &[valid])
 }

@@ -1,5 +1,5 @@
-//! One rollout of a benchmark: a variant of LIBERO-Plus, a task of LIBERO-PRO, or an unmodified
-//! task of LIBERO for comparison, from one of its initial states.
+//! One rollout of a benchmark: a variant of LIBERO-Plus, a task of LIBERO-PRO or of a suite file,
+//! or an unmodified task of LIBERO for comparison, from one of its initial states.
 
 use libero_ctrl::{ManifestRow, Perturbation, RolloutId, TaskRef, VariantName};
 
@@ -17,6 +17,8 @@ pub enum Subject {
     Plus(&'static Entry),
     /// A task of LIBERO-PRO.
     Pro(ProSuite),
+    /// A task of a suite of a suite file. The file's rows have its files and rules.
+    Own(VariantName),
 }
 
 /// One rollout under a protocol.
@@ -61,55 +63,70 @@ impl Case {
     /// Returns the case of a manifest row, and its protocol.
     ///
     /// # Errors
-    /// If no case has the row's id, or the protocol is unknown or belongs to another benchmark.
+    /// If no case has the row's id, the protocol is unknown or belongs to another benchmark, or the
+    /// row is of a suite file, which has no named protocol.
     pub fn of_row(row: &ManifestRow) -> Result<(Self, Protocol), SelectionError> {
         let case = Self::of_id(row.id)?;
         let protocol: Protocol = row.protocol.as_deref().unwrap_or_default().parse()?;
-        match row.id.variant().map(|name| name.benchmark()) {
+        match row.id.variant().and_then(|name| name.benchmark()) {
             Some(benchmark) => protocol.check(benchmark)?,
             None => return Err(SelectionError::Id { id: row.id }),
         }
         Ok((case, protocol))
     }
 
-    /// Returns the benchmark; `None` for an unperturbed rollout.
+    /// Returns the benchmark; `None` for an unperturbed rollout and one of a suite file.
     pub fn benchmark(&self) -> Option<Benchmark> {
         match self.subject {
-            Subject::Unperturbed => None,
+            Subject::Unperturbed | Subject::Own(_) => None,
             Subject::Plus(_) => Some(Benchmark::Plus),
             Subject::Pro(_) => Some(Benchmark::Pro),
         }
     }
 
     /// Returns the name in results and of the output folder: the name that the benchmark uses, with
-    /// the number of the trial if there are several trials.
+    /// the number of the trial if there are several trials. A suite file's task is named by its
+    /// suite and its position in the file.
     pub fn name(&self) -> String {
         let (task, trial) = (self.task.name(), self.trial);
         match self.subject {
             Subject::Plus(entry) => entry.variant.to_string(),
             Subject::Pro(suite) => format!("{suite}/{task}/e{trial:02}"),
             Subject::Unperturbed => format!("{}/{task}/e{trial:02}", self.task.suite()),
+            Subject::Own(suite) => {
+                format!("{}/t{}/e{trial:02}", suite.change(), self.task.index())
+            }
         }
     }
 
-    /// Returns the rollout's id in a benchmark.
+    /// Returns the id of a rollout of a suite file; `None` for any other.
+    pub fn own_id(&self) -> Option<RolloutId> {
+        match self.subject {
+            Subject::Own(suite) => Some(RolloutId::of_variant(self.task, suite, self.trial)),
+            _ => None,
+        }
+    }
+
+    /// Returns the rollout's id, in a benchmark if it is not of a suite file.
     pub fn id(&self, benchmark: Benchmark) -> RolloutId {
         let change = match self.subject {
             Subject::Plus(entry) => entry.variant.change.label(),
             Subject::Pro(suite) => suite.kind.ending().to_owned(),
             Subject::Unperturbed => VariantName::UNPERTURBED.to_owned(),
+            Subject::Own(suite) => return RolloutId::of_variant(self.task, suite, self.trial),
         };
         let name = VariantName::new(benchmark, &change).expect("a test covers every change");
         RolloutId::of_variant(self.task, name, self.trial)
     }
 
-    /// Returns the row of the result tables in which the case counts: a dimension of LIBERO-Plus
-    /// or a suite of LIBERO-PRO; `None` for an unperturbed rollout.
+    /// Returns the row of the result tables in which the case counts: a dimension of LIBERO-Plus,
+    /// or a suite of LIBERO-PRO or of a suite file; `None` for an unperturbed rollout.
     pub fn group(&self) -> Option<String> {
         match self.subject {
             Subject::Unperturbed => None,
             Subject::Plus(entry) => Some(entry.dimension().name().to_owned()),
             Subject::Pro(suite) => Some(suite.to_string()),
+            Subject::Own(suite) => Some(suite.change().to_owned()),
         }
     }
 
@@ -156,7 +173,7 @@ impl Case {
     /// files, and that no package index has; `None` if the case needs none.
     pub fn further_assets(&self) -> Option<Further> {
         match self.subject {
-            Subject::Unperturbed => None,
+            Subject::Unperturbed | Subject::Own(_) => None,
             Subject::Pro(suite) => (suite.kind == Kind::Object).then_some(Further::Models),
             Subject::Plus(entry) => match entry.assets() {
                 Assets::Libero => None,
@@ -181,7 +198,10 @@ fn subject(task: TaskRef, name: VariantName) -> Option<Subject> {
     if name.is_unperturbed() {
         return Some(Subject::Unperturbed);
     }
-    match name.benchmark() {
+    let Some(benchmark) = name.benchmark() else {
+        return Some(Subject::Own(name));
+    };
+    match benchmark {
         Benchmark::Plus => {
             let change = Change::of_label(name.change())?;
             Some(Subject::Plus(entry(&Variant { task, change })?))
@@ -211,6 +231,10 @@ mod tests {
             let id = text.parse().expect("well-formed");
             assert!(Case::of_id(id).is_err(), "{text}");
         }
+        let own = Case::of_id("own/t17/own:near/i03".parse().expect("an id")).expect("a case");
+        assert_eq!(own.name(), "near/t17/e03");
+        assert_eq!(own.group().as_deref(), Some("near"));
+        assert_eq!(own.id(Benchmark::Plus).to_string(), "own/t17/own:near/i03");
         let case = Case::of_id("goal/t8/pro:swap/i07".parse().expect("an id")).expect("a case");
         let mut row = case.row(&Protocol::PRO_OFFICIAL);
         row.protocol = Some("plus-official".to_owned());

@@ -9,11 +9,33 @@ use crate::protocol::Benchmark;
 /// Largest number of rollouts that a report names per reason; the others are counted.
 const MAX_NAMED: usize = 3;
 
-/// Reason why a variant cannot run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+/// Reason why a rollout cannot run.
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Lack {
     /// The BDDL file or the initial states are missing.
     TaskFiles(Benchmark),
+    /// The folder of a suite file's task files is missing.
+    Folder(String),
+    /// A file of a suite file's task is missing.
+    File(String),
+    /// The files of a task are others than the suite file's.
+    OtherFiles {
+        /// Path of the BDDL file.
+        bddl: String,
+        /// Digest in the suite file.
+        expected: String,
+        /// Digest of the files.
+        found: String,
+    },
+    /// The file of initial states has too few.
+    States {
+        /// Path of the file.
+        path: String,
+        /// Number of its states.
+        count: usize,
+    },
+    /// The scene cannot be composed, for the reason given.
+    Scene(String),
     /// Files that no package index has are missing.
     Further(Further),
 }
@@ -26,6 +48,30 @@ impl fmt::Display for Lack {
                 "task files; run `worker assets fetch --suite {}`",
                 benchmark.name()
             ),
+            Self::Folder(path) => write!(
+                f,
+                "folder {path}; put the suite file's BDDL files and states there, or correct its \
+                 `folder`"
+            ),
+            Self::File(path) => write!(
+                f,
+                "file {path}; put it there, or correct `bddl`, `states` or the task's `name` in the \
+                 suite file"
+            ),
+            Self::OtherFiles {
+                bddl,
+                expected,
+                found,
+            } => write!(
+                f,
+                "the suite file's version of {bddl} and its states: their SHA-256 is {found}, and \
+                 that in the suite file {expected}; get the files that it is of"
+            ),
+            Self::States { path, count } => write!(
+                f,
+                "initial states: {path} has {count}; lower `trials` in the suite file"
+            ),
+            Self::Scene(reason) => write!(f, "a scene that can be shown: failed to {reason}"),
             Self::Further(Further::Models) => write!(
                 f,
                 "models of LIBERO-PRO; give `worker variants` the folder of the unpacked wheels \

@@ -4,30 +4,11 @@
 use std::fmt;
 use std::str::FromStr;
 
-pub use libero_ctrl::Benchmark;
+pub use libero_ctrl::{Beginning, Benchmark};
 use libero_ctrl::{Suite, UnknownName};
 
 use crate::plus::Prompt;
 use crate::selection_error::SelectionError;
-
-/// State of the environment at the start of a rollout, before the waiting steps.
-#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
-pub enum Beginning {
-    /// Initial state 0, set after a reset; the controllers keep the state of the reset.
-    InitialState,
-    /// A reset without setting an initial state.
-    Reset,
-}
-
-impl Beginning {
-    /// Returns the name in results.
-    pub const fn name(self) -> &'static str {
-        match self {
-            Self::InitialState => "initial-state",
-            Self::Reset => "reset",
-        }
-    }
-}
 
 /// Settings with which a harness runs a benchmark.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Hash)]
@@ -168,13 +149,13 @@ impl Protocol {
         }
     }
 
-    /// Returns the step budget of the policy in a suite.
+    /// Returns the step budget of the policy in one of LIBERO's suites.
     pub const fn budget(&self, suite: Suite) -> u32 {
         match suite {
             Suite::Spatial => self.budgets[0],
             Suite::Object => self.budgets[1],
             Suite::Goal => self.budgets[2],
-            Suite::Long => self.budgets[3],
+            Suite::Long | Suite::Own => self.budgets[3],
         }
     }
 }

@@ -2,7 +2,7 @@
 
 use std::fmt;
 
-use libero_ctrl::{RolloutId, TaskRef};
+use libero_ctrl::{ManifestRow, RolloutId, TaskRef};
 
 use crate::case::{Case, Subject};
 use crate::protocol::Benchmark;
@@ -18,9 +18,9 @@ pub struct TaskKey {
 }
 
 impl TaskKey {
-    /// Returns the key of a rollout. A variant that no benchmark has is left to its worker, which
+    /// Returns the key of a rollout that is not of a suite file. A variant that no benchmark has is left to its worker, which
     /// reports it.
-    pub fn of_rollout(id: RolloutId) -> Self {
+    fn of_rollout(id: RolloutId) -> Self {
         let files = match id.variant() {
             None => None,
             Some(_) => Case::of_id(id).ok().and_then(|case| own_files(&case)),
@@ -28,6 +28,15 @@ impl TaskKey {
         Self {
             task: id.task(),
             files,
+        }
+    }
+
+    /// Returns the text of a row's key. That of a suite file's task names the file with its digest,
+    /// as in `own/17+libero_90@0123456789abcdef`, since two files may have the same name.
+    pub fn of_row(row: &ManifestRow) -> String {
+        match (&row.own, &row.protocol) {
+            (Some(_), Some(protocol)) => format!("{}+{protocol}", row.id.task()),
+            _ => Self::of_rollout(row.id).to_string(),
         }
     }
 
@@ -65,7 +74,7 @@ impl fmt::Display for TaskKey {
 /// Returns the benchmark whose task files a case needs.
 fn own_files(case: &Case) -> Option<Benchmark> {
     match case.subject {
-        Subject::Unperturbed => None,
+        Subject::Unperturbed | Subject::Own(_) => None,
         Subject::Pro(_) => Some(Benchmark::Pro),
         Subject::Plus(entry) => {
             let variant = &entry.variant;
@@ -78,6 +87,20 @@ fn own_files(case: &Case) -> Option<Benchmark> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_key_of_a_suite_file_names_the_file_and_its_digest() {
+        let file = libero_ctrl::SuiteFile::from_json(
+            r#"{"name": "drawers", "start": "reset", "prompt": "bddl", "seed": 0, "waits": 0,
+                "budget": 9, "trials": 1, "suites": [{"name": "near", "bddl": "*.bddl",
+                "states": "*.npz", "tasks": ["a", "b"]}]}"#,
+        );
+        let file = file.expect("a suite file");
+        let keys: Vec<String> = file.rows().iter().map(TaskKey::of_row).collect();
+        let protocol = file.protocol();
+        assert_eq!(keys, [0, 1].map(|task| format!("own/{task}+{protocol}")));
+        assert_eq!(TaskKey::files_of(&keys[0]), None);
+    }
 
     #[test]
     fn a_key_names_the_benchmark_whose_files_a_rollout_needs() {

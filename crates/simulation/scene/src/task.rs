@@ -2,7 +2,7 @@
 
 use std::path::PathBuf;
 
-use libero_ctrl::TaskRef;
+use libero_ctrl::{OwnTask, TaskRef};
 use libero_family::plus::Variant;
 use libero_family::pro::ProSuite;
 use libero_family::protocol::Benchmark;
@@ -52,6 +52,15 @@ impl TaskFiles {
         Self {
             bddl: folder.join(format!("bddl_files/{suite}/{name}.bddl")),
             init: folder.join(format!("init_files/{suite}/{name}.pruned_init.npz")),
+        }
+    }
+
+    /// Returns the files of a suite file's task.
+    pub fn of_suite_file(sources: &Sources, task: &OwnTask) -> Self {
+        let folder = Sources::suite_folder(sources.dir(), &task.folder);
+        Self {
+            bddl: folder.join(&task.bddl),
+            init: folder.join(&task.states),
         }
     }
 

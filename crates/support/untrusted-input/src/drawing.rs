@@ -157,7 +157,10 @@ impl Drawing {
                     let depths = canvas.depths(&self.model, &largest, &self.scene, size);
                     depths.expect("depths of a valid scene")
                 });
-                assert!(depths == redrawn_depths, "a depth depends on an earlier frame");
+                assert!(
+                    depths == redrawn_depths,
+                    "a depth depends on an earlier frame"
+                );
                 assert!(depths.iter().all(|depth| (0.0..=1.0).contains(depth)));
                 assert_eq!(depths.len(), width * height);
                 let segments = raster::segments(&self.model, &self.scene, size);

@@ -125,8 +125,14 @@ pub(crate) fn campaign_spec_seeds() -> Vec<Vec<u8>> {
         "tasks":["libero_object/0"],"axes":["camera"],"levels":["L1"],"configs":[0],
         "nominal":"eval"}"#;
     let spec = CampaignSpec::from_json(short).expect("a specification");
+    let suite_file = r#"{"name":"c","policy":{"name":"p","endpoint":"http://127.0.0.1:1"},
+        "suite_file":{"name":"f","folder":"d","start":"reset","prompt":"bddl","seed":1,"waits":2,
+        "budget":3,"trials":4,"suites":[{"name":"s","bddl":"*.bddl","states":"*.npz","budget":5,
+        "tasks":["a",{"name":"b","prompt":"p","view":[1,2,3,4,5],"posture":[0,0,0,0,0,0,0],
+        "noise":6}]}]}}"#;
     // Includes every optional field.
-    vec![short.into(), serde_json::to_vec(&spec).expect("JSON")]
+    let written = serde_json::to_vec(&spec).expect("JSON");
+    vec![short.into(), written, suite_file.into()]
 }
 
 pub(crate) fn result_rows_seeds() -> Vec<Vec<u8>> {

@@ -1,6 +1,8 @@
 //! Claims jobs for idle slots and starts their rollouts.
 
-use libero_ctrl::RolloutId;
+use std::collections::BTreeSet;
+
+use libero_ctrl::{ManifestRow, RolloutId};
 use libero_family::TaskKey;
 use proto::coordinator::{ClaimRequest, ClaimResponse, Lease};
 use rollout_types::AttemptId;
@@ -9,6 +11,7 @@ use tonic::{Code, Status};
 use transport::chain;
 
 use super::Supervisor;
+use crate::assets::{Stamps, Unprovided};
 use crate::ids::random_id;
 use crate::message::{
     Assignment, Failure, FailureKind, Session, SlotCommand, VideoOf, VideoRequest,
@@ -29,10 +32,8 @@ impl Supervisor {
         let request = ClaimRequest {
             worker_id: self.config.identity.worker.to_string(),
             claim_id: random_id().to_string(),
-            warm_task: warm.map_or_else(String::new, |warm| {
-                TaskKey::of_rollout(warm.row.id).to_string()
-            }),
-            lacking_tasks: self.config.lacking_keys().into_iter().collect(),
+            warm_task: warm.map_or_else(String::new, |warm| TaskKey::of_row(&warm.row)),
+            lacking_tasks: self.lacking_keys().into_iter().collect(),
             ..ClaimRequest::default()
         };
         let (link, events) = (self.link.clone(), self.events.clone());
@@ -47,6 +48,18 @@ impl Supervisor {
             }
             let _ = events.send(Event::Claimed { slot, answer }).await;
         });
+    }
+
+    /// Returns the keys of tasks whose files this worker lacks now.
+    fn lacking_keys(&mut self) -> BTreeSet<String> {
+        let mut keys = self.config.lacking_keys();
+        let provider = self.config.provider.as_ref();
+        let may_run = |row: &ManifestRow, files: &Stamps| {
+            provider.is_some_and(|provider| provider.has_changed(row, files))
+        };
+        self.lacks.retain(|_, (row, files)| !may_run(row, files));
+        keys.extend(self.lacks.keys().cloned());
+        keys
     }
 
     /// Starts the job that was granted to a slot, or releases it.
@@ -98,10 +111,13 @@ impl Supervisor {
     /// Fetches the files of a job's task before the job starts.
     fn prepare(&mut self, slot: usize, assignment: Assignment, campaign: String, now: Instant) {
         // Variants of a task have files of their own.
-        let files = |id: RolloutId| (id.task(), id.variant());
+        let has_the_files_of = |last: &ManifestRow, row: &ManifestRow| {
+            let files = |id: RolloutId| (id.task(), id.variant());
+            files(last.id) == files(row.id) && last.own == row.own
+        };
         let row = assignment.row.clone();
         let last = self.slots[slot].assignment.as_ref();
-        let is_warm = last.is_some_and(|last| files(last.row.id) == files(row.id));
+        let is_warm = last.is_some_and(|last| has_the_files_of(&last.row, &row));
         let provider = self.config.provider.clone();
         let Some(provider) = provider.filter(|provider| !is_warm && provider.is_needed(&row))
         else {
@@ -123,12 +139,13 @@ impl Supervisor {
     }
 
     /// Starts a job whose files were fetched. If the fetch failed, gives the job back uncharged,
-    /// because the network is not the job's fault.
+    /// because the network is not the job's fault. If task files are missing that are not fetched,
+    /// leaves the task to other workers until the files change.
     pub(super) fn provided(
         &mut self,
         slot: usize,
         attempt: AttemptId,
-        outcome: Result<(), String>,
+        outcome: Result<(), Unprovided>,
         now: Instant,
     ) {
         if self.slots[slot].state.work != (Work::Preparing { attempt }) {
@@ -145,7 +162,17 @@ impl Supervisor {
                 return self.begin(slot, assignment, campaign, now);
             }
             Ok(()) => "the rollout did not begin: its slot cannot run it any more".to_owned(),
-            Err(error) => {
+            Err(Unprovided::Lack { error, files }) => {
+                let key = TaskKey::of_row(&assignment.row);
+                let row = assignment.row.clone();
+                if self.lacks.insert(key, (row, files)).is_none() {
+                    tracing::warn!(
+                        "left to other workers until its files change: failed to {error}"
+                    );
+                }
+                error
+            }
+            Err(Unprovided::Fetch(error)) => {
                 let wait = self.fetches.next_wait();
                 self.claims_from = now + wait;
                 let secs = wait.as_secs_f64();

@@ -9,11 +9,14 @@ use crate::family::Family;
 pub(super) fn sections(family: &Family) -> Markup {
     let lines = family.lines(true);
     let losses = lines.iter().map(|line| markup(&line.losses())).collect();
-    let successes = [&family.unperturbed].into_iter().chain(lines);
+    let successes = family.success_lines(true).into_iter();
     let successes = successes.map(|line| markup(&line.counts())).collect();
     html! {
         section {
-            h2 { (family.benchmark) " under protocol " (family.protocol) }
+            @match family.is_paired {
+                true => h2 { (family.benchmark) " under protocol " (family.protocol) },
+                false => h2 { "Suite file " (family.protocol) },
+            }
             @for sentence in family.caveats() { p { (sentence) } }
             (table(
                 "Successes",
@@ -22,13 +25,15 @@ pub(super) fn sections(family: &Family) -> Markup {
             ))
         }
         section {
-            h2 { "Against the unperturbed rollouts" }
-            (table(
-                "Losses",
-                &["variants.", "pairs", "broken", "gained", "loss", "95 % interval"],
-                losses,
-            ))
-            @for sentence in Family::LEGEND { p { (sentence) } }
+            @if family.is_paired {
+                h2 { "Against the unperturbed rollouts" }
+                (table(
+                    "Losses",
+                    &["variants.", "pairs", "broken", "gained", "loss", "95 % interval"],
+                    losses,
+                ))
+            }
+            @for sentence in family.legend() { p { (sentence) } }
         }
         @if let (false, [heads, rows @ ..]) =
             (family.published.is_empty(), family.beside_published().as_slice())

@@ -390,3 +390,50 @@ fn errors_for_invalid_names_and_numbers_list_the_valid_ones() {
         "valid are matched, reference",
     );
 }
+
+#[test]
+fn a_suite_file_alone_sets_the_rollouts() {
+    let file = serde_json::json!({
+        "name": "drawers", "start": "initial-state", "prompt": "name", "seed": 0, "waits": 10,
+        "budget": 300, "trials": 2,
+        "suites": [{"name": "near", "bddl": "*.bddl", "states": "*.npz", "tasks": ["a", "b"]}],
+    });
+    let spec = |changes: &[(&str, serde_json::Value)]| {
+        let mut json = serde_json::json!({
+            "name": "demo",
+            "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
+            "suite_file": file,
+        });
+        for (field, value) in changes {
+            json[field] = value.clone();
+        }
+        CampaignSpec::from_json(&json.to_string())
+    };
+    let read = spec(&[]).expect("a specification");
+    let text = serde_json::to_string(&read).expect("JSON");
+    assert_eq!(CampaignSpec::from_json(&text).expect("reads back"), read);
+    assert_eq!(read.expand().expect("rows").len(), 4);
+    assert!(read.version().as_str().starts_with("suite-"));
+    let protocol = read.rollouts.protocol().expect("a protocol");
+    assert!(protocol.starts_with("drawers@"), "{protocol}");
+    let mut other = file.clone();
+    other["waits"] = 2000.into();
+    for (field, value, expected) in [
+        (
+            "tasks",
+            serde_json::json!(["all"]),
+            "`tasks` beside `suite_file`",
+        ),
+        ("replicates", 2.into(), "write 1"),
+        ("suite_file", other, "`waits` is 2000: write 0 to 1000"),
+    ] {
+        let error = spec(&[(field, value)]).expect_err(field).to_string();
+        assert!(error.contains(expected), "{error}");
+    }
+    let rows = read.expand().expect("rows");
+    let error = imported(&rows, None).expect_err("rows of a suite file");
+    assert!(
+        error.to_string().contains("`suite_file`: take it out"),
+        "{error}"
+    );
+}

@@ -222,13 +222,18 @@ impl Context<'_> {
         let spec = campaigns::spec(&mut self.tx, source.id).await?;
         let spec = CampaignSpec::from_json(&spec).map_err(undecodable);
         let spec = spec.doing("read the specification of the source campaign")?;
-        if let Rollouts::Variants(variants) = &spec.rollouts {
+        let benchmark = match &spec.rollouts {
+            Rollouts::Variants(variants) => Some(variants.benchmark.name()),
+            Rollouts::SuiteFile(file) => Some(file.name.as_str()),
+            _ => None,
+        };
+        if let Some(benchmark) = benchmark {
             return Err(QueueError::Unspecified {
                 campaign: new.name.clone(),
                 problem: format!(
-                    "its source campaign `{}` runs variants of {}, which have no axes to explain \
-                     and no thresholds: name a campaign of LIBERO-CTRL",
-                    source.name, variants.benchmark
+                    "campaign `{}` that it follows from is of {}, which has no axes to explain \
+                     and no thresholds: name one of LIBERO-CTRL",
+                    source.name, benchmark
                 ),
             });
         }

@@ -379,6 +379,10 @@ fn missing_files(
             "task files that this worker lacks; run `worker assets fetch --suite {}` on its machine",
             benchmark.name()
         ),
+        None if first.contains('+') => format!(
+            "task files that this worker lacks or has in another version, for task {first} among \
+             others; its log names the files"
+        ),
         None => format!("assets that this worker lacks, for task {first} among others"),
     };
     Some(format!("campaign `{campaign}` needs {files}"))

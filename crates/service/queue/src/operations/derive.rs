@@ -152,7 +152,10 @@ async fn derived_jobs(
             subsets(tx, campaign, [source, own], explanation).await?
         }
         Rollouts::Thresholds(thresholds) => radii(tx, campaign, [source, own], thresholds).await?,
-        Rollouts::Design(_) | Rollouts::Manifest(_) | Rollouts::Variants(_) => Vec::new(),
+        Rollouts::Design(_)
+        | Rollouts::Manifest(_)
+        | Rollouts::Variants(_)
+        | Rollouts::SuiteFile(_) => Vec::new(),
     };
     let jobs = (campaign.jobs..).zip(rollouts);
     let jobs = jobs.map(|(place, (row, replicate))| {

@@ -164,7 +164,7 @@ fn compare(stored: &StoredRow, row: &ManifestRow, expansion: &Expansion) -> Resu
     if stored.rollout_id != row.id.to_string() {
         return column("rollout_id");
     }
-    if stored.task != TaskKey::of_rollout(row.id).to_string() {
+    if stored.task != TaskKey::of_row(row) {
         return column("task");
     }
     if stored.init_id != i64::from(row.init_id) {

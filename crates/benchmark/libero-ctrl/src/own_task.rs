@@ -1,0 +1,74 @@
+//! Task of a suite file, as its manifest rows carry it: a worker needs the row and the task's files.
+
+use serde::{Deserialize, Serialize};
+
+/// State of the environment at the start of a rollout, before the waiting steps.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum Beginning {
+    /// The initial state, set after a reset; the controllers keep the state of the reset.
+    InitialState,
+    /// A reset without setting an initial state.
+    Reset,
+}
+
+impl Beginning {
+    /// Returns the name in results.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::InitialState => "initial-state",
+            Self::Reset => "reset",
+        }
+    }
+}
+
+/// Conditions of a task that differ from LIBERO's.
+#[derive(Debug, Clone, Default, PartialEq, Serialize, Deserialize)]
+pub struct Changes {
+    /// Camera pose as LIBERO-Plus' five numbers: horizontal and vertical angle, distance in per
+    /// cent, pan and tilt; angles in degrees. `None` for LIBERO's pose.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub view: Option<[u16; 5]>,
+    /// Angles of the arm's joints at the reset, rad; `None` for LIBERO's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub posture: Option<[f64; 7]>,
+    /// Number of a corruption of LIBERO-Plus, 1 to 50; `None` for unchanged pictures.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub noise: Option<u8>,
+    /// SHA-256 of the BDDL file followed by the states, hex; `None` if any files will do.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub sha256: Option<String>,
+}
+
+/// Files and conditions of a row of a suite file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OwnTask {
+    /// Folder of the task files in the folder of the sources.
+    pub folder: String,
+    /// Path of the BDDL file in the folder.
+    pub bddl: String,
+    /// Path of the initial states in the folder.
+    pub states: String,
+    /// State at the start of the rollout.
+    pub start: Beginning,
+    /// Seed of the environment's generator.
+    pub seed: u32,
+    /// Further conditions.
+    #[serde(default)]
+    pub changes: Changes,
+}
+
+impl OwnTask {
+    /// Returns a path that leaves its folder, if there is one.
+    pub(crate) fn path_outside(&self) -> Option<&str> {
+        let mut paths = [&self.folder, &self.bddl, &self.states].into_iter();
+        paths.find(|path| !stays_inside(path)).map(String::as_str)
+    }
+}
+
+/// Returns true if a path stays in its folder, on every system.
+pub(crate) fn stays_inside(path: &str) -> bool {
+    let is_plain = |part: &str| !matches!(part, "" | "." | "..");
+    path.split('/').all(is_plain) && !path.contains(['\\', ':', '\0'])
+}

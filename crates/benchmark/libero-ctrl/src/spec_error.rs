@@ -1,0 +1,156 @@
+//! Errors in the specification of a campaign.
+
+use crate::design::DesignError;
+use crate::execution::Execution;
+use crate::manifest::ManifestErrors;
+use crate::rollout_id::RolloutId;
+use crate::stop::StopError;
+use crate::suite_file::SuiteFileError;
+use crate::variants::VariantsError;
+use crate::wanted::MIN_DIGEST_DIGITS;
+
+/// Largest number of replicates of a campaign.
+pub const MAX_REPLICATES: u32 = 100;
+
+/// Error in a specification.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum SpecError {
+    /// The text is not valid JSON, a field is missing or unknown, or a value is not a known
+    /// name.
+    #[error("read campaign specification: {problem}")]
+    Json {
+        /// Problem and its line.
+        problem: String,
+    },
+    /// A required field is empty.
+    #[error("read campaign specification: `{field}` is empty, {remedy}")]
+    Empty {
+        /// The field.
+        field: &'static str,
+        /// Remedy: the value to write.
+        remedy: &'static str,
+    },
+    /// Too few or too many replicates.
+    #[error(
+        "read campaign specification: `replicates` has {given}, valid are 1 to {MAX_REPLICATES}"
+    )]
+    Replicates {
+        /// The number given.
+        given: u32,
+    },
+    /// The policy's endpoint is not a URL.
+    #[error(
+        "read campaign specification: `policy.endpoint` is `{given}`, \
+         write a URL such as http://127.0.0.1:50051"
+    )]
+    Endpoint {
+        /// The text given.
+        given: String,
+    },
+    /// The asset pack is neither a known name nor a digest.
+    #[error(
+        "read campaign specification: `assets` is `{given}`, write `primitives`, `libero` or the \
+         first {MIN_DIGEST_DIGITS} digits or more of a pack's digest (workers are given the folder)"
+    )]
+    Assets {
+        /// The text given.
+        given: String,
+    },
+    /// A campaign derived from the outcomes of another has a realisation other than `matched`.
+    #[error(
+        "read campaign specification: `{field}` with `realisation` reference, in which each \
+         condition perturbs an axis differently: write matched"
+    )]
+    Unmatched {
+        /// The field that names the source campaign.
+        field: &'static str,
+    },
+    /// A radius outside its range.
+    #[error(
+        "read campaign specification: `{field}` is {given}, valid are {} to {}", valid[0], valid[1]
+    )]
+    Radius {
+        /// The field.
+        field: &'static str,
+        /// The radius given.
+        given: f64,
+        /// Valid range.
+        valid: [f64; 2],
+    },
+    /// The execution model differs from that of the manifest's rows.
+    #[error(
+        "read campaign specification: `execution` is {given}, but the rows of its manifest have \
+         `{of_rows}`: leave `execution` out, or take it out of the rows"
+    )]
+    Execution {
+        /// The campaign's model.
+        given: Execution,
+        /// Model of the rows.
+        of_rows: Execution,
+    },
+    /// The latency axis in a campaign whose execution model is not `wait`.
+    #[error(
+        "read campaign specification: axis `latency` with `execution` {given}: its rollouts are \
+         compared with rollouts without delay; leave `execution` out, or take the axis out"
+    )]
+    Latency {
+        /// The campaign's model.
+        given: Execution,
+    },
+    /// The rule cannot end the campaign.
+    #[error("read campaign specification: {0}")]
+    Stop(StopError),
+    /// The design is invalid.
+    #[error("read campaign specification: {0}")]
+    Design(DesignError),
+    /// The variants exclude another field.
+    #[error("read campaign specification: {0}")]
+    Variants(VariantsError),
+    /// The selection of variants is invalid.
+    #[error("read campaign specification: {problem}")]
+    Selection {
+        /// Problem and remedy, as `libero-family` formats them.
+        problem: String,
+    },
+    /// A row of LIBERO's family or of a suite file in a manifest.
+    #[error(
+        "read campaign specification: row {id} of its manifest is of another benchmark, whose \
+         campaigns are specified with `variants` or `suite_file`: take it out"
+    )]
+    VariantRow {
+        /// The row's id.
+        id: RolloutId,
+    },
+    /// The suite file is invalid.
+    #[error("read campaign specification: {0}")]
+    SuiteFile(SuiteFileError),
+    /// Some imported rows are invalid. Line numbers refer to a manifest with one row per line.
+    #[error(transparent)]
+    Manifest(#[from] ManifestErrors),
+}
+
+// The message includes that of the inner error, which would be printed twice if the inner error
+// were the source.
+impl From<StopError> for SpecError {
+    fn from(error: StopError) -> Self {
+        Self::Stop(error)
+    }
+}
+
+impl From<VariantsError> for SpecError {
+    fn from(error: VariantsError) -> Self {
+        Self::Variants(error)
+    }
+}
+
+impl From<SuiteFileError> for SpecError {
+    fn from(error: SuiteFileError) -> Self {
+        Self::SuiteFile(error)
+    }
+}
+
+impl From<DesignError> for SpecError {
+    fn from(error: DesignError) -> Self {
+        Self::Design(error)
+    }
+}

@@ -1,0 +1,577 @@
+//! Suite files: tasks of a further benchmark as data. A file names the BDDL file and the initial
+//! states of every task, and the rules under which they run. `docs/FAMILY.md` describes the fields.
+
+use std::collections::BTreeSet;
+use std::fmt::Write;
+
+use serde::{Deserialize, Serialize};
+use sha2::{Digest, Sha256};
+
+use crate::own_task::{Beginning, Changes, OwnTask, stays_inside};
+use crate::perturbation::Perturbation;
+use crate::rollout_id::RolloutId;
+use crate::row::ManifestRow;
+use crate::suite::{INIT_STATES_PER_TASK, TaskRef, instruction_of_name};
+use crate::variant_name::{MAX_CHANGE_BYTES, VariantName};
+use crate::wording::JsonError;
+
+/// Stands for the task's name in the paths of a suite.
+const NAME: char = '*';
+/// Most tasks of a file, which is also the limit of their positions in rollout ids.
+const MAX_TASKS: usize = 256;
+/// Largest step budget, control steps.
+const MAX_BUDGET: u32 = 100_000;
+/// Most control steps before the policy starts.
+const MAX_WAITS: u32 = 1000;
+/// Digits of a file's digest in names of protocols.
+const DIGEST_DIGITS: usize = 16;
+/// Highest number of a corruption of LIBERO-Plus.
+const MAX_NOISE: u8 = 50;
+
+/// Source of the prompts of a suite file's tasks.
+#[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "kebab-case")]
+pub enum SuitePrompt {
+    /// The words of the file's name, as in LIBERO.
+    Name,
+    /// The BDDL file's sentence, in lower case.
+    Bddl,
+}
+
+impl SuitePrompt {
+    /// Returns the name in results.
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Name => "name",
+            Self::Bddl => "bddl",
+        }
+    }
+}
+
+/// Content of a suite file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SuiteFile {
+    /// Name of the benchmark.
+    pub name: String,
+    /// Folder of the task files in the folder of the sources; `suites/NAME` if not given.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub folder: Option<String>,
+    /// State at the start of a rollout.
+    pub start: Beginning,
+    /// Source of the prompts.
+    pub prompt: SuitePrompt,
+    /// Seed of the environment's generator.
+    pub seed: u32,
+    /// Control steps with the no-op action before the policy's first observation.
+    pub waits: u32,
+    /// Step budget of the policy, control steps.
+    pub budget: u32,
+    /// Trials of each task, from the first initial states. Not part of the digest.
+    #[serde(default = "all_states")]
+    pub trials: u16,
+    /// The suites.
+    pub suites: Vec<FileSuite>,
+}
+
+/// A suite of a suite file.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct FileSuite {
+    /// Name in reports and rollout ids.
+    pub name: String,
+    /// Path of the BDDL files in the folder, with `*` in place of the task's name.
+    pub bddl: String,
+    /// Path of the initial states, likewise.
+    pub states: String,
+    /// Step budget of the policy, if it is not the file's.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub budget: Option<u32>,
+    /// The tasks.
+    pub tasks: Vec<FileTask>,
+}
+
+/// A task of a suite file: its name, or a table with its name and further fields.
+#[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
+#[serde(from = "TaskText", into = "TaskText")]
+pub struct FileTask {
+    /// Name of its files.
+    pub name: String,
+    /// Prompt, in place of the file's source of prompts.
+    pub prompt: Option<String>,
+    /// Further conditions.
+    pub changes: Changes,
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(
+    untagged,
+    expecting = "a task is its name, or a table with `name` and any of `prompt`, \
+    `view`, `posture`, `noise` and `sha256`"
+)]
+enum TaskText {
+    Name(String),
+    Table(TaskTable),
+}
+
+#[derive(Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+struct TaskTable {
+    name: String,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    prompt: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    view: Option<[u16; 5]>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    posture: Option<[f64; 7]>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    noise: Option<u8>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    sha256: Option<String>,
+}
+
+impl From<TaskText> for FileTask {
+    fn from(text: TaskText) -> Self {
+        match text {
+            TaskText::Name(name) => Self {
+                name,
+                prompt: None,
+                changes: Changes::default(),
+            },
+            TaskText::Table(table) => Self {
+                name: table.name,
+                prompt: table.prompt,
+                changes: Changes {
+                    view: table.view,
+                    posture: table.posture,
+                    noise: table.noise,
+                    sha256: table.sha256,
+                },
+            },
+        }
+    }
+}
+
+impl From<FileTask> for TaskText {
+    fn from(task: FileTask) -> Self {
+        if task.prompt.is_none() && task.changes == Changes::default() {
+            return Self::Name(task.name);
+        }
+        let changes = task.changes;
+        Self::Table(TaskTable {
+            name: task.name,
+            prompt: task.prompt,
+            view: changes.view,
+            posture: changes.posture,
+            noise: changes.noise,
+            sha256: changes.sha256,
+        })
+    }
+}
+
+/// Error in a suite file.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum SuiteFileError {
+    /// The text is not JSON, or a field is missing, unknown or of another type.
+    #[error("read suite file: {problem}; docs/FAMILY.md describes its fields")]
+    Json {
+        /// Problem and its line.
+        problem: String,
+    },
+    /// A value is invalid.
+    #[error("read suite file: `{field}` is {given}: {remedy}")]
+    Value {
+        /// Place in the file, such as `suites[0].tasks[3].name`.
+        field: String,
+        /// Value given.
+        given: String,
+        /// The value to write.
+        remedy: String,
+    },
+}
+
+impl SuiteFile {
+    /// Parses and validates a file.
+    ///
+    /// # Errors
+    /// If the text is not a valid suite file; the error names the field and the remedy.
+    pub fn from_json(text: &str) -> Result<Self, SuiteFileError> {
+        let file: Self = serde_json::from_str(text).map_err(|error| SuiteFileError::Json {
+            problem: JsonError::from(error).to_string(),
+        })?;
+        file.check()?;
+        Ok(file)
+    }
+
+    /// Validates constraints that the types do not express.
+    ///
+    /// # Errors
+    /// If a constraint is violated; the error names the field and the remedy.
+    pub fn check(&self) -> Result<(), SuiteFileError> {
+        check_name("name", &self.name)?;
+        if let Some(folder) = &self.folder {
+            check_path("folder", folder)?;
+        }
+        check_range("waits", self.waits, 0, MAX_WAITS)?;
+        check_range("budget", self.budget, 1, MAX_BUDGET)?;
+        let states = INIT_STATES_PER_TASK.into();
+        check_range("trials", self.trials.into(), 1, states)?;
+        let tasks = self.tasks().count();
+        if !(1..=MAX_TASKS).contains(&tasks) {
+            let remedy = format!("write 1 to {MAX_TASKS} tasks; divide larger files");
+            return Err(value("suites", &format!("{tasks} tasks"), &remedy));
+        }
+        let mut names = BTreeSet::new();
+        for (index, suite) in self.suites.iter().enumerate() {
+            let field = |name: &str| format!("suites[{index}].{name}");
+            check_name(&field("name"), &suite.name)?;
+            if !names.insert(&suite.name) {
+                let remedy = "another suite has this name; choose another";
+                return Err(value(&field("name"), &quoted(&suite.name), remedy));
+            }
+            for (name, path) in [("bddl", &suite.bddl), ("states", &suite.states)] {
+                check_path(&field(name), path)?;
+                if !path.contains(NAME) && suite.tasks.len() > 1 {
+                    let remedy = "write * in place of the task's name";
+                    return Err(value(&field(name), &quoted(path), remedy));
+                }
+            }
+            if let Some(budget) = suite.budget {
+                check_range(&field("budget"), budget, 1, MAX_BUDGET)?;
+            }
+            for (place, task) in suite.tasks.iter().enumerate() {
+                task.check(&|name| field(&format!("tasks[{place}].{name}")))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Returns the folder of the task files in the folder of the sources.
+    pub fn folder(&self) -> String {
+        let own = || format!("suites/{}", self.name);
+        self.folder.clone().unwrap_or_else(own)
+    }
+
+    /// Returns the SHA-256 of the file's content, hex. The formatting of the file and the number of
+    /// trials do not count.
+    pub fn digest(&self) -> String {
+        let content = Self {
+            trials: 0,
+            ..self.clone()
+        };
+        let text = serde_json::to_string(&content).expect("texts and numbers serialise");
+        let digest = Sha256::digest(text.as_bytes());
+        digest.iter().fold(String::new(), |mut hex, byte| {
+            let _ = write!(hex, "{byte:02x}");
+            hex
+        })
+    }
+
+    /// Returns the name of the rules in results: the file's name and the first digits of its
+    /// digest, as in `libero_90@0123456789abcdef`. Results of two files are never pooled.
+    pub fn protocol(&self) -> String {
+        format!("{}@{}", self.name, &self.digest()[..DIGEST_DIGITS])
+    }
+
+    /// Returns the rows of all rollouts, by suite, task and trial. The instruction is empty if only
+    /// the BDDL file has it.
+    pub fn rows(&self) -> Vec<ManifestRow> {
+        let protocol = self.protocol();
+        let tasks = self.tasks().enumerate();
+        let rows = tasks.flat_map(|(index, (suite, task))| {
+            let index = u8::try_from(index).expect("a file has at most 256 tasks");
+            let name = VariantName::own(&suite.name).expect("checked names are valid");
+            let row = ManifestRow {
+                instruction: self.instruction(task),
+                max_steps: suite.budget.unwrap_or(self.budget),
+                settle_steps: self.waits,
+                protocol: Some(protocol.clone()),
+                own: Some(Box::new(self.own_task(suite, task))),
+                ..ManifestRow::new(
+                    RolloutId::of_variant(TaskRef::own(index), name, 0),
+                    0,
+                    0,
+                    Perturbation::default(),
+                )
+            };
+            (0..self.trials).map(move |trial| ManifestRow {
+                id: RolloutId::of_variant(TaskRef::own(index), name, trial),
+                init_slot: trial,
+                init_id: trial,
+                ..row.clone()
+            })
+        });
+        rows.collect()
+    }
+
+    fn tasks(&self) -> impl Iterator<Item = (&FileSuite, &FileTask)> {
+        let suites = self.suites.iter();
+        suites.flat_map(|suite| suite.tasks.iter().map(move |task| (suite, task)))
+    }
+
+    fn instruction(&self, task: &FileTask) -> String {
+        match (&task.prompt, self.prompt) {
+            (Some(prompt), _) => prompt.clone(),
+            (None, SuitePrompt::Name) => instruction_of_name(&task.name),
+            (None, SuitePrompt::Bddl) => String::new(),
+        }
+    }
+
+    fn own_task(&self, suite: &FileSuite, task: &FileTask) -> OwnTask {
+        OwnTask {
+            folder: self.folder(),
+            bddl: suite.bddl.replace(NAME, &task.name),
+            states: suite.states.replace(NAME, &task.name),
+            start: self.start,
+            seed: self.seed,
+            changes: task.changes.clone(),
+        }
+    }
+}
+
+impl FileTask {
+    fn check(&self, field: &dyn Fn(&str) -> String) -> Result<(), SuiteFileError> {
+        if self.name.contains(['/', '\\', NAME]) {
+            let remedy = "write the name of its files, without folder and ending";
+            return Err(value(&field("name"), &quoted(&self.name), remedy));
+        }
+        check_path(&field("name"), &self.name)?;
+        if self
+            .prompt
+            .as_deref()
+            .is_some_and(|text| text.trim().is_empty())
+        {
+            let remedy = "write a sentence, or leave the field out";
+            return Err(value(&field("prompt"), "empty", remedy));
+        }
+        let Changes {
+            view,
+            posture,
+            noise,
+            sha256,
+        } = &self.changes;
+        if let Some([horizontal, vertical, scale, pan, tilt]) = view {
+            let angles = [horizontal, vertical, pan, tilt];
+            if *scale == 0 || angles.into_iter().any(|angle| *angle >= 360) {
+                let remedy = "write horizontal and vertical angle, distance, pan and tilt: angles \
+                              of 0 to 359 degrees, and a distance above 0 per cent";
+                return Err(value(&field("view"), &format!("{view:?}"), remedy));
+            }
+        }
+        let is_angle = |angle: &f64| angle.abs() <= std::f64::consts::TAU;
+        if let Some(posture) = posture
+            && !posture.iter().all(is_angle)
+        {
+            let remedy = "write seven angles in rad, from -2π to 2π";
+            return Err(value(&field("posture"), &format!("{posture:?}"), remedy));
+        }
+        if let Some(noise) = noise {
+            let most = MAX_NOISE.into();
+            check_range(&field("noise"), u32::from(*noise), 1, most)?;
+        }
+        let is_hex = |text: &String| {
+            text.len() == 64
+                && text
+                    .bytes()
+                    .all(|it| matches!(it, b'0'..=b'9' | b'a'..=b'f'))
+        };
+        if let Some(text) = sha256
+            && !is_hex(text)
+        {
+            let remedy = "write the 64 digits that `cat TASK.bddl TASK.pruned_init | sha256sum` \
+                          prints";
+            return Err(value(&field("sha256"), &quoted(text), remedy));
+        }
+        Ok(())
+    }
+}
+
+const fn all_states() -> u16 {
+    INIT_STATES_PER_TASK
+}
+
+fn quoted(text: &str) -> String {
+    format!("`{text}`")
+}
+
+fn value(field: &str, given: &str, remedy: &str) -> SuiteFileError {
+    SuiteFileError::Value {
+        field: field.to_owned(),
+        given: given.to_owned(),
+        remedy: remedy.to_owned(),
+    }
+}
+
+/// Checks a name, which becomes part of rollout ids and paths.
+fn check_name(field: &str, name: &str) -> Result<(), SuiteFileError> {
+    let remedy = format!(
+        "write 1 to {MAX_CHANGE_BYTES} lower-case letters, digits and _, and another word than \
+         `unperturbed`"
+    );
+    match VariantName::own(name) {
+        Ok(_) => Ok(()),
+        Err(_) => Err(value(field, &quoted(name), &remedy)),
+    }
+}
+
+/// Checks that a path stays in its folder.
+fn check_path(field: &str, path: &str) -> Result<(), SuiteFileError> {
+    match stays_inside(path) {
+        true => Ok(()),
+        false => {
+            let remedy = "write a relative path with / and without . and ..";
+            Err(value(field, &quoted(path), remedy))
+        }
+    }
+}
+
+fn check_range(field: &str, given: u32, least: u32, most: u32) -> Result<(), SuiteFileError> {
+    match (least..=most).contains(&given) {
+        true => Ok(()),
+        false => {
+            let remedy = format!("write {least} to {most}");
+            Err(value(field, &given.to_string(), &remedy))
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FILE: &str = r#"{
+        "name": "drawers", "start": "initial-state", "prompt": "name", "seed": 7, "waits": 10,
+        "budget": 300, "trials": 2,
+        "suites": [
+            {"name": "near", "bddl": "bddl/*.bddl", "states": "states/*.pruned_init",
+             "tasks": ["KITCHEN_SCENE10_close_the_drawer",
+                {"name": "open_it", "prompt": "open the drawer", "view": [0, 15, 100, 0, 350],
+                 "posture": [0, -0.2, 0, -2.4, 0, 2.2, 0.8], "noise": 30}]},
+            {"name": "far", "bddl": "far/*.bddl", "states": "far/*.npz", "budget": 500,
+             "tasks": ["push_it"]}
+        ]
+    }"#;
+
+    #[test]
+    fn rows_have_the_rules_and_the_conditions_of_their_tasks() {
+        let file = SuiteFile::from_json(FILE).expect("a suite file");
+        let rows = file.rows();
+        let ids: Vec<String> = rows.iter().map(|row| row.id.to_string()).collect();
+        assert_eq!(
+            ids,
+            [
+                "own/t0/own:near/i00",
+                "own/t0/own:near/i01",
+                "own/t1/own:near/i00",
+                "own/t1/own:near/i01",
+                "own/t2/own:far/i00",
+                "own/t2/own:far/i01",
+            ]
+        );
+        let own = rows[3].own.as_deref().expect("a task of a suite file");
+        assert_eq!(own.folder, "suites/drawers");
+        assert_eq!(own.bddl, "bddl/open_it.bddl");
+        assert_eq!(own.states, "states/open_it.pruned_init");
+        assert_eq!((own.start, own.seed), (Beginning::InitialState, 7));
+        assert_eq!(own.changes.noise, Some(30));
+        assert_eq!(own.changes.view, Some([0, 15, 100, 0, 350]));
+        let facts = rows
+            .iter()
+            .step_by(2)
+            .map(|row| (row.instruction.as_str(), row.settle_steps, row.max_steps));
+        let expected = [
+            ("close the drawer", 10, 300),
+            ("open the drawer", 10, 300),
+            ("push it", 10, 500),
+        ];
+        assert_eq!(facts.collect::<Vec<_>>(), expected);
+        for row in rows {
+            let text = serde_json::to_string(&row).expect("JSON");
+            assert_eq!(
+                serde_json::from_str::<ManifestRow>(&text).expect(&text),
+                row
+            );
+            let outside = text.replace("suites/drawers", "../drawers");
+            let error = serde_json::from_str::<ManifestRow>(&outside).expect_err(&outside);
+            assert!(error.to_string().contains("without . and .."), "{error}");
+        }
+        let bddl = FILE.replace(r#""prompt": "name""#, r#""prompt": "bddl""#);
+        let bddl = SuiteFile::from_json(&bddl).expect("a suite file").rows();
+        assert_eq!(bddl[0].instruction, "");
+        assert_eq!(bddl[2].instruction, "open the drawer");
+    }
+
+    #[test]
+    fn the_digest_is_of_the_content_without_the_number_of_trials() {
+        let digest = |text: &str| SuiteFile::from_json(text).expect("a suite file").digest();
+        let written = SuiteFile::from_json(FILE).expect("a suite file");
+        let written = serde_json::to_string(&written).expect("JSON");
+        assert_eq!(digest(&written), digest(FILE));
+        let more = FILE.replace(r#""trials": 2"#, r#""trials": 3"#);
+        assert_eq!(digest(&more), digest(FILE));
+        let other = FILE.replace(r#""seed": 7"#, r#""seed": 8"#);
+        assert_ne!(digest(&other), digest(FILE));
+        let protocol = SuiteFile::from_json(FILE).expect("a suite file").protocol();
+        assert_eq!(protocol, format!("drawers@{}", &digest(FILE)[..16]));
+    }
+
+    #[test]
+    fn malformed_files_are_refused_with_the_field_and_the_remedy() {
+        #[track_caller]
+        fn check(from: &str, to: &str, expected: &str) {
+            let text = FILE.replacen(from, to, 1);
+            assert_ne!(text, FILE, "{from}");
+            let error = SuiteFile::from_json(&text).expect_err(to).to_string();
+            assert!(error.contains(expected), "{error}");
+        }
+        check(r#""seed": 7,"#, "", "`seed`");
+        check(r#""seed": 7"#, r#""seeds": 7"#, "no field `seeds`");
+        check(r#""seed": 7"#, r#""seed": "#, "docs/FAMILY.md");
+        check("initial-state", "middle", "`initial-state`");
+        check(
+            r#""drawers""#,
+            r#""Drawers""#,
+            "`name` is `Drawers`: write 1 to 31",
+        );
+        check(r#""near""#, r#""unperturbed""#, "`suites[0].name`");
+        check(
+            r#""far""#,
+            r#""near""#,
+            "`suites[1].name` is `near`: another suite",
+        );
+        check("bddl/*.bddl", "/bddl/*.bddl", "`suites[0].bddl`");
+        check("states/*.", "../*.", "without . and ..");
+        check("states/*.", "states/one.", "write * in place");
+        check(
+            "open_it",
+            "a/b",
+            "`suites[0].tasks[1].name` is `a/b`: write the name",
+        );
+        check(
+            "open the drawer",
+            " ",
+            "`suites[0].tasks[1].prompt` is empty",
+        );
+        check("0, 350]", "0, 360]", "`suites[0].tasks[1].view`");
+        check("-2.4, 0", "-24, 0", "`suites[0].tasks[1].posture`");
+        check("-2.4, 0", "-2.4", "a task is its name, or a table");
+        check(r#""noise": 30"#, r#""noise": 51"#, "write 1 to 50");
+        check(r#""noise": 30"#, r#""sha256": "ab""#, "sha256sum");
+        check(
+            r#""trials": 2"#,
+            r#""trials": 51"#,
+            "`trials` is 51: write 1 to 50",
+        );
+        check(
+            r#""budget": 500"#,
+            r#""budget": 0"#,
+            "`suites[1].budget` is 0",
+        );
+        let many = vec![r#""push_it""#; 255].join(",");
+        check(
+            r#""push_it""#,
+            &many,
+            "`suites` is 257 tasks: write 1 to 256",
+        );
+    }
+}

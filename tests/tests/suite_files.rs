@@ -1,0 +1,472 @@
+//! Suite files through real processes: a user's own suite, LIBERO-90, and their campaigns.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
+use std::time::{Duration, Instant};
+
+use libero_ctrl::{FileTask, SuiteFile, TaskRef};
+use scene::{AssetPack, Sources, TaskFiles, compose};
+use serde_json::{Value, json};
+use sqlx::Connection;
+use tests::programs::{Campaigns, Process, program};
+
+/// Prompt of `libero_goal/8`, which the student knows.
+const PROMPT: &str = "put the bowl on the plate";
+
+/// Outcome, digests of scene and initial state, digest of the policy's first frames, and prompt.
+type Outcome = (bool, i64, [String; 3], String);
+
+/// A folder of sources with a suite of two tasks, copies of LIBERO's under other names.
+struct OwnSuite {
+    folder: tempfile::TempDir,
+}
+
+impl OwnSuite {
+    fn new() -> Self {
+        let folder = tempfile::tempdir().expect("a folder");
+        let own = tests::files::sources();
+        let sources = folder.path().join("sources");
+        fs::create_dir(&sources).expect("a folder");
+        for part in ["libero", "robosuite", "packs"] {
+            let link = sources.join(part);
+            std::os::unix::fs::symlink(own.dir().join(part), link).expect("a link");
+        }
+        let suite = Self { folder };
+        let files = suite.sources().join("suites/kitchen");
+        fs::create_dir_all(files.join("states")).expect("a folder");
+        for (task, name) in [("libero_goal/8", "plate"), ("libero_goal/7", "stove")] {
+            let task = TaskFiles::of_task(&own, task.parse().expect("a task"));
+            fs::copy(task.bddl, files.join(format!("{name}.bddl"))).expect("copies");
+            let states = files.join(format!("states/{name}.pruned_init"));
+            fs::copy(task.init, states).expect("copies");
+        }
+        suite.write(&json!({
+            "name": "kitchen", "start": "initial-state", "prompt": "bddl", "seed": 0, "waits": 10,
+            "budget": 300, "trials": 1,
+            "suites": [{"name": "tables", "bddl": "*.bddl", "states": "states/*.pruned_init",
+                "tasks": [{"name": "plate", "prompt": PROMPT}, "stove"]}],
+        }));
+        suite
+    }
+
+    fn sources(&self) -> PathBuf {
+        self.folder.path().join("sources")
+    }
+
+    fn file(&self) -> PathBuf {
+        self.folder.path().join("kitchen.json")
+    }
+
+    fn write(&self, suite_file: &Value) {
+        fs::write(self.file(), suite_file.to_string()).expect("writes");
+    }
+
+    fn read(&self) -> Value {
+        let text = fs::read_to_string(self.file()).expect("a file");
+        serde_json::from_str(&text).expect("JSON")
+    }
+
+    /// Calls `worker variants` with the suite file.
+    fn call(&self, more: &[&str]) -> Output {
+        variants(&self.file(), &self.sources(), more)
+    }
+
+    /// Returns the arguments that run the suite with a policy.
+    fn run<'a>(&self, campaigns: &'a Campaigns, policy: &'a str, output: &'a str) -> [&'a str; 6] {
+        let url = campaigns.gateway.url.as_str();
+        ["--policy", policy, "--endpoint", url, "--output", output]
+    }
+}
+
+fn variants(file: &Path, sources: &Path, more: &[&str]) -> Output {
+    let mut command = Command::new(program("worker"));
+    command.arg("variants").arg("--suite-file").arg(file);
+    command.args(["--assets", "primitives", "--sources"]);
+    let run = command.arg(sources).args(more).output();
+    run.expect("the worker runs")
+}
+
+#[track_caller]
+fn succeed(output: Output) -> String {
+    let complaint = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{complaint}");
+    String::from_utf8(output.stdout).expect("UTF-8")
+}
+
+#[track_caller]
+fn refused(output: &Output, expected: &[&str]) {
+    let complaint = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success(), "{complaint}");
+    for words in expected {
+        assert!(complaint.contains(words), "no `{words}`: {complaint}");
+    }
+}
+
+/// Reads `results.jsonl` of a folder, by the names of the rollouts.
+fn results(output: &Path) -> BTreeMap<String, (Value, Outcome)> {
+    let text = fs::read_to_string(output.join("results.jsonl")).expect("results");
+    let rows = text.lines().map(|line| {
+        let row: Value = serde_json::from_str(line).expect("JSON");
+        let text = |name: &str| row[name].as_str().expect(name).to_owned();
+        let outcome = (
+            row["success"].as_bool().expect("a truth value"),
+            row["steps"].as_i64().expect("a number"),
+            ["scene_digest", "init_state_digest", "first_frame_digest"].map(text),
+            text("prompt"),
+        );
+        (text("variant"), (row.clone(), outcome))
+    });
+    rows.collect()
+}
+
+/// Reads the outcomes that a coordinator has stored, by the names that `worker variants` uses.
+async fn stored(data: &Path) -> BTreeMap<String, Outcome> {
+    let options = sqlx::sqlite::SqliteConnectOptions::new()
+        .filename(data.join("coordinator.sqlite"))
+        .read_only(true);
+    let database = sqlx::SqliteConnection::connect_with(&options).await;
+    let rows: Vec<(String, bool, i64, String, String, String, String)> = sqlx::query_as(
+        "SELECT j.rollout_id, r.success, r.steps, r.scene_digest, r.init_state_digest,
+             r.first_frame_digest, r.prompt
+         FROM result r JOIN job j ON j.id = r.job_id",
+    )
+    .fetch_all(&mut database.expect("a database"))
+    .await
+    .expect("results");
+    let rows = rows.into_iter();
+    rows.map(|(id, success, steps, scene, state, frame, prompt)| {
+        let id = id.parse().expect("an id");
+        let name = libero_family::Case::of_id(id).expect("a case").name();
+        (name, (success, steps, [scene, state, frame], prompt))
+    })
+    .collect()
+}
+
+#[test]
+fn a_users_suite_runs_by_its_file_as_liberos_tasks_do() {
+    let suite = OwnSuite::new();
+    let text = serde_json::to_string_pretty(&suite.read()).expect("JSON");
+    assert!(text.lines().count() <= 30, "{text}");
+    let campaigns = Campaigns::start(&suite.folder.path().join("data"));
+    let output = suite.folder.path().join("own");
+    let output_text = output.to_str().expect("UTF-8");
+    let run = suite.run(&campaigns, "student", output_text);
+    let table = succeed(suite.call(&run));
+    for words in ["tables", "kitchen@"] {
+        assert!(table.contains(words), "no `{words}`: {table}");
+    }
+    let own = results(&output);
+    assert_eq!(
+        own.keys().collect::<Vec<_>>(),
+        ["tables/t0/e00", "tables/t1/e00"]
+    );
+    let (row, outcome) = &own["tables/t0/e00"];
+    assert_eq!(row["benchmark"], "kitchen");
+    assert_eq!(row["task"], "own/0");
+    assert_eq!(row["waits"], 10);
+
+    // The unperturbed rollout of the same task under the same rules. Its equality with the
+    // original is tested in `family.rs`.
+    let libero = suite.folder.path().join("libero");
+    let mut command = Command::new(program("worker"));
+    command.args(["variants", "--assets", "primitives", "--variant"]);
+    command.arg("put_the_bowl_on_the_plate_view_0_0_181_0_0_initstate_0");
+    command.args(suite.run(&campaigns, "student", libero.to_str().expect("UTF-8")));
+    succeed(command.output().expect("the worker runs"));
+    let (_, unperturbed) = &results(&libero)["libero_goal/put_the_bowl_on_the_plate/e00"];
+    assert_eq!(outcome, unperturbed);
+
+    // A camera, a posture, a corruption and more states reach the simulator.
+    let mut file = suite.read();
+    file["budget"] = 1.into();
+    file["suites"][0]["tasks"] = json!([
+        "plate",
+        {"name": "plate", "view": [0, 0, 181, 0, 0]},
+        {"name": "plate", "posture": [0.1, -0.16, 0.0, -2.44, 0.0, 2.22, 0.78]},
+        {"name": "plate", "noise": 30},
+    ]);
+    suite.write(&file);
+    let output = suite.folder.path().join("changed");
+    let output_text = output.to_str().expect("UTF-8");
+    let run = suite.run(&campaigns, "student", output_text);
+    succeed(suite.call(&[&run[..], &["--trials", "2"]].concat()));
+    let changed = results(&output);
+    assert_eq!(changed.len(), 8);
+    let frames = changed.values().map(|(_, (_, _, digests, _))| &digests[2]);
+    assert_eq!(frames.collect::<std::collections::BTreeSet<_>>().len(), 8);
+}
+
+#[test]
+fn missing_and_foreign_files_are_named_before_anything_starts() {
+    let suite = OwnSuite::new();
+    let campaigns = Campaigns::start(&suite.folder.path().join("data"));
+    let output = suite.folder.path().join("output");
+    let output_text = output.to_str().expect("UTF-8");
+    let mut file = suite.read();
+    file["budget"] = 1.into();
+    suite.write(&file);
+    let run = suite.run(&campaigns, "noop", output_text);
+
+    let states = suite
+        .sources()
+        .join("suites/kitchen/states/stove.pruned_init");
+    let moved = states.with_extension("away");
+    fs::rename(&states, &moved).expect("moves");
+    let counted = succeed(suite.call(&[]));
+    for words in [
+        "tables                                  2        1",
+        "stove.pruned_init; put it there",
+    ] {
+        assert!(counted.contains(words), "no `{words}`: {counted}");
+    }
+    let complaint = ["run 1 of the 2 chosen", "stove.pruned_init", "--runnable"];
+    refused(&suite.call(&run), &complaint);
+    assert!(!output.exists(), "nothing ran");
+    succeed(suite.call(&[&run[..], &["--runnable"]].concat()));
+    assert_eq!(results(&output).len(), 1);
+    fs::rename(&moved, &states).expect("moves back");
+
+    // The rest resumes; another file is refused.
+    succeed(suite.call(&run));
+    assert_eq!(results(&output).len(), 2);
+    let mut other = file.clone();
+    other["seed"] = 7.into();
+    suite.write(&other);
+    refused(
+        &suite.call(&run),
+        &["protocol `kitchen@", "give another --output"],
+    );
+
+    let check = |suite_file: &Value, expected: &[&str]| {
+        suite.write(suite_file);
+        let counted = succeed(suite.call(&[]));
+        for words in expected {
+            assert!(counted.contains(words), "no `{words}`: {counted}");
+        }
+    };
+    let mut digest = file.clone();
+    digest["suites"][0]["tasks"][1] = json!({"name": "stove", "sha256": "0".repeat(64)});
+    check(
+        &digest,
+        &["the suite file's version of ", "their SHA-256 is "],
+    );
+    let mut folder = file.clone();
+    folder["folder"] = "suites/elsewhere".into();
+    check(&folder, &["lacks", "folder ", "correct its `folder`"][1..]);
+    let mut many = file.clone();
+    many["trials"] = 50.into();
+    check(
+        &many,
+        &["tables                                100      100"],
+    );
+    let unknown = suite.sources().join("suites/kitchen/stove.bddl");
+    let text = fs::read_to_string(&unknown).expect("a file");
+    fs::write(&unknown, text.replace("- flat_stove", "- steep_stove")).expect("writes");
+    check(&file, &["a scene that can be shown", "`steep_stove`"]);
+    fs::write(&unknown, "(define").expect("writes");
+    check(&file, &["stove.bddl"]);
+
+    suite.write(&json!({"name": "kitchen"}));
+    refused(
+        &suite.call(&[]),
+        &["kitchen.json", "`start`", "docs/FAMILY.md"],
+    );
+    refused(
+        &suite.call(&["--protocol", "pro-bddl"]),
+        &["cannot be used with"],
+    );
+    refused(
+        &suite.call(&["--pro", "libero_goal_swap"]),
+        &["cannot be used with"],
+    );
+}
+
+/// Returns LIBERO-90 as shipped, with the first ten tasks whose objects the built-in pack has.
+fn ten_of_libero_90() -> SuiteFile {
+    let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/suites/libero_90.json");
+    let text = fs::read_to_string(path).expect("the shipped file");
+    assert!(text.lines().count() <= 100);
+    let mut file = SuiteFile::from_json(&text).expect("a suite file");
+    let suite = &mut file.suites[0];
+    assert_eq!(suite.tasks.len(), 90);
+    let sources = tests::files::sources();
+    let pack = tests::files::primitives(&sources);
+    suite.tasks.retain(|task| can_show(task, &pack, &sources));
+    suite.tasks.truncate(10);
+    assert_eq!(suite.tasks.len(), 10);
+    file.trials = 1;
+    file.budget = 2;
+    file
+}
+
+fn can_show(task: &FileTask, pack: &AssetPack, sources: &Sources) -> bool {
+    let files = TaskFiles {
+        bddl: sources.bddl_file("libero_90", &task.name),
+        init: sources.init_file("libero_90", &task.name),
+    };
+    let problem = files.problem().expect("a BDDL file");
+    compose(&problem, pack, sources, 0).is_ok()
+}
+
+#[tokio::test]
+async fn a_campaign_of_ten_tasks_of_libero_90_has_the_outcomes_of_worker_variants() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let data = folder.path().join("data");
+    let campaigns = Campaigns::start(&data);
+    let path = folder.path().join("ten.json");
+    let file = ten_of_libero_90();
+    fs::write(&path, serde_json::to_string(&file).expect("JSON")).expect("writes");
+    let file_text = path.to_str().expect("UTF-8");
+    let url = campaigns.gateway.url.as_str();
+    #[rustfmt::skip]
+    let create = [
+        "campaign", "create", "--name", "ninety", "--policy", "noop", "--endpoint", url,
+        "--suite-file", file_text,
+    ];
+    let created = campaigns.succeed(&create);
+    assert!(created.contains("10 rollouts"), "{created}");
+    let _worker = Process::worker(&campaigns.coordinator.url, 2, "primitives");
+    campaigns.wait_for_commits("ninety", None);
+
+    let output = folder.path().join("alone");
+    let output_text = output.to_str().expect("UTF-8");
+    let run = [
+        "--policy",
+        "noop",
+        "--endpoint",
+        url,
+        "--output",
+        output_text,
+    ];
+    let sources = tests::files::sources();
+    succeed(variants(&path, sources.dir(), &run));
+    let alone = results(&output).into_iter();
+    let alone: BTreeMap<String, Outcome> = alone.map(|(name, (_, it))| (name, it)).collect();
+    assert_eq!(alone.len(), 10);
+    assert_eq!(stored(&data).await, alone);
+
+    let report = campaigns.succeed(&["report", "ninety"]);
+    let protocol = file.protocol();
+    assert!(
+        report.contains(&format!("suite file {protocol}\n")),
+        "{report}"
+    );
+    for words in ["libero_90  ", "all  "] {
+        assert!(report.contains(words), "no `{words}`: {report}");
+    }
+    assert!(!report.contains("unperturbed"), "{report}");
+    let json = campaigns.succeed(&["report", "ninety", "--json"]);
+    let json: Value = serde_json::from_str(&json).expect("JSON");
+    assert_eq!(json["family"]["groups"][0]["name"], "libero_90");
+    assert_eq!(json["family"]["all"]["rollouts"], 10);
+    assert_eq!(json["family"]["all"]["tasks"], 10);
+    let export = campaigns.succeed(&["export", "ninety", "--format", "jsonl"]);
+    let row: Value = serde_json::from_str(export.lines().next().expect("a row")).expect("JSON");
+    assert_eq!(row["protocol"], protocol);
+    assert_eq!(
+        (&row["suite"], &row["axis"]),
+        (&json!("own"), &json!("variant"))
+    );
+    let shown = campaigns.succeed(&["jobs", "show", "ninety", "own/t0/own:libero_90/i00"]);
+    assert!(
+        shown.contains("close the top drawer of the cabinet"),
+        "{shown}"
+    );
+
+    for arguments in [
+        &["explain", "ninety", "--create"][..],
+        &["report", "ninety", "ninety"],
+        &["report", "ninety", "--table", "table.csv"],
+    ] {
+        let output = campaigns.call(arguments);
+        assert!(!output.status.success(), "{arguments:?}");
+    }
+    let both = [&create[..], &["--protocol", "pro-bddl"]].concat();
+    assert!(!campaigns.call(&both).status.success());
+    fs::write(&path, "{}").expect("writes");
+    refused(
+        &campaigns.call(&create),
+        &["ten.json", "`name`", "docs/FAMILY.md"],
+    );
+}
+
+#[test]
+fn a_worker_that_lacks_a_tasks_file_runs_the_others_until_the_file_is_there() {
+    let suite = OwnSuite::new();
+    let mut file = suite.read();
+    file["budget"] = 1.into();
+    suite.write(&file);
+    let campaigns = Campaigns::start(&suite.folder.path().join("data"));
+    let path = suite.file();
+    #[rustfmt::skip]
+    campaigns.succeed(&[
+        "campaign", "create", "--name", "own", "--policy", "noop",
+        "--endpoint", &campaigns.gateway.url,
+        "--suite-file", path.to_str().expect("UTF-8"), "--trials", "3",
+    ]);
+    let states = suite
+        .sources()
+        .join("suites/kitchen/states/stove.pruned_init");
+    let moved = states.with_extension("away");
+    fs::rename(&states, &moved).expect("moves");
+    let log = suite.folder.path().join("log");
+    let mut command = Command::new(program("worker"));
+    command.args(["--connect", &campaigns.coordinator.url, "--slots", "1"]);
+    command.args(["--assets", "primitives", "--sources"]);
+    let log_file = fs::File::create(&log).expect("a file");
+    let _worker = Process::start(command.arg(suite.sources()).stderr(log_file));
+    campaigns.wait_for_commits("own", Some(3));
+    let start = Instant::now();
+    let logged = |words: &str| fs::read_to_string(&log).expect("the log").contains(words);
+    while !(logged("stove.pruned_init; put it there") && logged("own/1+kitchen@")) {
+        let text = fs::read_to_string(&log).expect("the log");
+        assert!(start.elapsed() < Duration::from_secs(120), "{text}");
+        std::thread::sleep(Duration::from_millis(200));
+    }
+    // Leased once, to find out, and not again.
+    std::thread::sleep(Duration::from_secs(3));
+    let attempts = |trial: u8| {
+        let id = format!("own/t1/own:tables/i{trial:02}");
+        let shown = campaigns.succeed(&["jobs", "show", "own", &id]);
+        let line = shown.lines().find(|line| line.contains("attempts"));
+        line.expect("a line").trim().to_owned()
+    };
+    let leased = (0..3)
+        .filter(|trial| !attempts(*trial).contains(" 0,"))
+        .count();
+    assert!(leased <= 1, "{:?}", [0, 1, 2].map(attempts));
+    fs::rename(&moved, &states).expect("moves back");
+    campaigns.wait_for_commits("own", None);
+    let outcomes = campaigns.outcomes("own");
+    assert_eq!(outcomes.len(), 6, "{outcomes:?}");
+}
+
+#[test]
+fn the_shipped_files_are_liberos_130_tasks() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/suites");
+    let read = |name: &str| {
+        let text = fs::read_to_string(folder.join(name)).expect("the shipped file");
+        SuiteFile::from_json(&text).expect("a suite file")
+    };
+    let forty = read("libero_40.json");
+    let names = forty.suites.iter().flat_map(|suite| &suite.tasks);
+    let names: Vec<&str> = names.map(|task| task.name.as_str()).collect();
+    assert_eq!(names, TaskRef::all().map(TaskRef::name).collect::<Vec<_>>());
+    for (row, task) in forty.rows().iter().step_by(50).zip(TaskRef::all()) {
+        assert_eq!(row.instruction, task.instruction());
+        assert_eq!(row.max_steps, task.suite().max_steps());
+    }
+    assert_eq!(read("libero_pro_position.json").rows().len(), 99 * 50);
+    let sources = tests::files::sources();
+    for (name, count) in [("libero_90.json", 90 * 50), ("libero_40.json", 40 * 50)] {
+        let mut command = Command::new(program("worker"));
+        command.args(["variants", "--assets", "libero", "--sources"]);
+        command.arg(sources.dir()).arg("--suite-file");
+        let counted = command.arg(folder.join(name)).output();
+        let counted = succeed(counted.expect("the worker runs"));
+        let all = format!("{:<32}{count:>9}{count:>9}", "all");
+        assert!(counted.contains(&all), "{name}: {counted}");
+    }
+}
