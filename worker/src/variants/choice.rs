@@ -68,10 +68,10 @@ impl Choice {
     ///
     /// # Errors
     /// If nothing matches, the protocol belongs to another benchmark, or the suite file is invalid.
-    pub fn rollouts(&self, manner: &Manner) -> Result<(Rules, Vec<Case>), VariantsError> {
+    pub fn rollouts(&self, options: &RunOptions) -> Result<(Rules, Vec<Case>), VariantsError> {
         let Some(path) = &self.suite_file else {
             let selection = self.selection();
-            let protocol = manner.protocol_of(selection.benchmark())?;
+            let protocol = options.protocol_of(selection.benchmark())?;
             return Ok((Rules::Protocol(protocol), selection.cases()?));
         };
         let path = path.clone();

@@ -80,7 +80,7 @@ pub enum SpecError {
     /// The execution model differs from that of the manifest's rows.
     #[error(
         "read campaign specification: `execution` is {given}, but the rows of its manifest have \
-         `{of_rows}`: leave `execution` out, or take it out of the rows"
+         `{of_rows}`: remove `execution` from the specification or from the rows"
     )]
     Execution {
         /// The campaign's model.
@@ -91,7 +91,7 @@ pub enum SpecError {
     /// The latency axis in a campaign whose execution model is not `wait`.
     #[error(
         "read campaign specification: axis `latency` with `execution` {given}: its rollouts are \
-         compared with rollouts without delay; leave `execution` out, or take the axis out"
+         compared with rollouts without delay; remove `execution` or the axis"
     )]
     Latency {
         /// The campaign's model.

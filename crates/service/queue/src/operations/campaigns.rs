@@ -231,8 +231,8 @@ impl Context<'_> {
             return Err(QueueError::Unspecified {
                 campaign: new.name.clone(),
                 problem: format!(
-                    "campaign `{}` that it follows from is of {}, which has no axes to explain \
-                     and no thresholds: name one of LIBERO-CTRL",
+                    "its source campaign `{}` is of {}, which has no axes to explain and no \
+                     thresholds: name a campaign of LIBERO-CTRL",
                     source.name, benchmark
                 ),
             });
