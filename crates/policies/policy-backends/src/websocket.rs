@@ -55,10 +55,10 @@ impl Place {
             scheme if scheme == schemes.encrypted => true,
             _ => return None,
         };
-        let complete = uri.host().is_some_and(|host| !host.is_empty())
+        let is_complete = uri.host().is_some_and(|host| !host.is_empty())
             && uri.port_u16().is_some()
             && uri.path() == "/";
-        complete.then(|| Self {
+        is_complete.then(|| Self {
             authority: uri.authority().map(ToString::to_string).unwrap_or_default(),
             encrypted,
         })
@@ -126,7 +126,7 @@ impl Server {
         let connecting = TcpStream::connect(&self.place.authority);
         let stream = match tokio::time::timeout(CONNECT_TIMEOUT, connecting).await {
             Ok(Ok(stream)) => stream,
-            Ok(Err(_)) => return Err(self.absent().await),
+            Ok(Err(_)) => return Err(self.connection_error().await),
             Err(_) => return Err(self.unreachable(Found::NoAnswer)),
         };
         let checked = match self.place.uri().parse() {
@@ -192,12 +192,12 @@ impl Server {
             tungstenite::Error::Http(response) => {
                 self.unreachable(Found::web(response.status().as_u16()))
             }
-            _ => self.absent().await,
+            _ => self.connection_error().await,
         }
     }
 
     /// Returns the error for a server that cannot be reached, with a diagnosis of its address.
-    async fn absent(&self) -> BackendError {
+    async fn connection_error(&self) -> BackendError {
         BackendError::Unreachable {
             address: self.place.authority.clone(),
             trouble: self.peer.look_around().await.into(),
@@ -232,7 +232,7 @@ impl Connection {
     /// Sends a message.
     pub(super) async fn send(&mut self, message: Vec<u8>) -> Result<(), BackendError> {
         let sent = self.socket.send(Message::binary(message)).await;
-        sent.map_err(|_| self.lost())
+        sent.map_err(|_| self.connection_lost())
     }
 
     /// Waits for the next message.
@@ -246,12 +246,12 @@ impl Connection {
                 Some(Err(tungstenite::Error::Capacity(_))) => {
                     return Err(BackendError::Policy {
                         message: format!(
-                            "it sent a message of more than {} MiB, and actions take a few kB",
+                            "it sent a message of more than {} MiB, but actions take only a few kB",
                             MAX_MESSAGE_BYTES >> 20
                         ),
                     });
                 }
-                Some(Ok(Message::Close(_)) | Err(_)) | None => return Err(self.lost()),
+                Some(Ok(Message::Close(_)) | Err(_)) | None => return Err(self.connection_lost()),
             }
         }
     }
@@ -266,7 +266,7 @@ impl Connection {
         let _ = self.socket.close(None).await;
     }
 
-    fn lost(&self) -> BackendError {
+    fn connection_lost(&self) -> BackendError {
         BackendError::Unreachable {
             address: self.authority.clone(),
             trouble: self.peer.found(Found::Broken).into(),

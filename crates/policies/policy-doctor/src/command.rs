@@ -15,7 +15,7 @@ use crate::{
     compare::compare,
     diagnosis::{self, Finding, Measures},
     recorded,
-    report::{self, Asked, ComparisonJson, ExaminationJson},
+    report::{self, ComparisonJson, DescribedServer, ExaminationJson},
     server::{ExaminationError, Server},
     situation::Situation,
     synthetic,
@@ -106,16 +106,16 @@ impl Compare {
             let cameras = synthetic::cameras(&[&a.described, &b.described]);
             synthetic::situations(self.shown.suite, &cameras)
         });
-        let asked = [&a, &b].map(|server| Asked::new(&server.url, &server.described));
+        let described = [&a, &b].map(|server| DescribedServer::new(&server.url, &server.described));
         if !self.shown.json {
-            for (letter, asked) in ["A", "B"].iter().zip(&asked) {
-                say(&asked.line(letter));
+            for (letter, server) in ["A", "B"].iter().zip(&described) {
+                say(&server.line(letter));
             }
         }
         let comparison = compare(a, b, situations).await?;
         if self.shown.json {
-            let [a, b] = asked;
-            say(&json(&ComparisonJson::of(a, b, &comparison)));
+            let [a, b] = described;
+            say(&json(&ComparisonJson::new(a, b, &comparison)));
         } else {
             for line in report::comparison(&comparison) {
                 say(&line);
@@ -140,9 +140,9 @@ impl Doctor {
             let cameras = synthetic::cameras(&[&server.described]);
             synthetic::situations(self.shown.suite, &cameras)
         });
-        let asked = Asked::new(&server.url, &server.described);
+        let described = DescribedServer::new(&server.url, &server.described);
         if !self.shown.json {
-            say(&asked.line(""));
+            say(&described.line(""));
         }
         let measures = Measures {
             answer_within: Duration::from_secs(self.answer_within),
@@ -157,7 +157,7 @@ impl Doctor {
         };
         let sound = diagnosis::examine(&server, &situations, measures, &mut report).await?;
         match self.shown.json {
-            true => say(&json(&ExaminationJson::of(asked, &findings))),
+            true => say(&json(&ExaminationJson::new(described, &findings))),
             false if sound => say("no fault found"),
             false => say("faults found: see FAIL above"),
         }

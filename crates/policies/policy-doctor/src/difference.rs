@@ -1,4 +1,4 @@
-//! Puts a difference between two servers into words: its kind, the numbers, and its usual meaning.
+//! Describes a difference between two servers: its kind, the numbers, and its usual meaning.
 
 use serde::Serialize;
 
@@ -141,20 +141,23 @@ pub(crate) struct Apart {
 /// Returns the differences of an explanation, in the order of a policy's
 /// pipeline.
 pub(crate) fn explained(explanation: &Explanation, apart: Apart) -> Vec<Difference> {
-    let mut differences = shown(explanation);
+    let mut differences = of_observations(explanation);
     differences.extend(of_actions(&explanation.fit));
     with_sizes(differences, explanation, apart)
 }
 
 /// Returns only those differences of an explanation that concern observations.
-pub(crate) fn of_shown(explanation: &Explanation, apart: Apart) -> Vec<Difference> {
-    with_sizes(shown(explanation), explanation, apart)
+pub(crate) fn explained_by_observations(
+    explanation: &Explanation,
+    apart: Apart,
+) -> Vec<Difference> {
+    with_sizes(of_observations(explanation), explanation, apart)
 }
 
-fn shown(explanation: &Explanation) -> Vec<Difference> {
+fn of_observations(explanation: &Explanation) -> Vec<Difference> {
     let shown = explanation.shown.iter();
     shown
-        .map(|(side, variant)| Difference::new(kind(variant), seen(*side, variant)))
+        .map(|(side, variant)| Difference::new(kind(variant), variant_words(*side, variant)))
         .collect()
 }
 
@@ -166,7 +169,7 @@ fn with_sizes(
     let left = explanation.fit.left.iter().copied().fold(0.0, f64::max);
     for difference in &mut differences {
         difference.text = format!(
-            "{} As they come, their answers differ by up to {} ({}); so, by {}.",
+            "{} Unchanged, their answers differ by up to {} ({}); with this change, by {}.",
             difference.text,
             size(apart.before),
             NUMBERS[apart.at],
@@ -185,7 +188,7 @@ pub(crate) fn size(number: f64) -> String {
     }
 }
 
-/// Describes the changes to observations in an explanation that falls short.
+/// Describes the changes to observations in an explanation that leaves too large a difference.
 pub(crate) fn attempt(explanation: &Explanation) -> String {
     let shown = explanation.shown.iter();
     let shown: Vec<String> = shown
@@ -212,7 +215,7 @@ fn letter(side: Side) -> &'static str {
     }
 }
 
-fn seen(side: Side, variant: &Variant) -> String {
+fn variant_words(side: Side, variant: &Variant) -> String {
     let (shown, other) = match side {
         Side::A => ("A", "B"),
         Side::B => ("B", "A"),
@@ -221,7 +224,7 @@ fn seen(side: Side, variant: &Variant) -> String {
         Topic::Size => "nearly ",
         _ => "",
     };
-    format!("{other} answers {nearly}what {shown} answers when {shown} is shown {variant}.")
+    format!("{other} answers {nearly}as {shown} does when {shown} is shown {variant}.")
 }
 
 /// Returns the differences that concern the actions themselves.
@@ -265,7 +268,7 @@ pub(crate) fn of_actions(fit: &Fit) -> Vec<Difference> {
             _ => None,
         });
         let text = format!(
-            "B's actions are A's scaled and moved: {}.",
+            "B's actions are A's scaled and shifted: {}.",
             each.collect::<Vec<_>>().join(", ")
         );
         differences.push(Difference::new(Kind::UnNormalisation, text));

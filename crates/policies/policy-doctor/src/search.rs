@@ -1,5 +1,5 @@
 //! Searches for the usual differences between two pipelines that explain two servers' different
-//! answers. The explanation with the fewest assumptions comes first.
+//! answers, and prefers the explanation with the fewest assumptions.
 
 use crate::{
     answers::Answers,
@@ -25,7 +25,7 @@ pub(crate) struct Course<'a> {
     pub panel: &'a Panel,
     /// Seeds of a situation; answers to several are averaged.
     pub seeds: &'a (dyn Fn(usize) -> Vec<u64> + Sync),
-    /// Differences up to this size count as none.
+    /// Largest difference that counts as none.
     pub floor: Limit,
     /// True if several simultaneous differences are searched for.
     pub together: bool,
@@ -51,7 +51,7 @@ impl Explanation {
 pub(crate) enum Found {
     /// This explanation makes the answers alike.
     Explained(Explanation),
-    /// No explanation makes the answers alike; this one comes closest.
+    /// No explanation makes the answers alike; this one leaves the smallest difference.
     Nothing(Explanation),
 }
 
@@ -97,7 +97,7 @@ impl Course<'_> {
         std::array::from_fn(|at| self.floor[at].max(LEFT * apart[at]))
     }
 
-    /// Finds the simplest explanation that extends the known one.
+    /// Finds the simplest explanation that extends `known`.
     async fn beyond(
         &self,
         known: &Explanation,
@@ -109,7 +109,7 @@ impl Course<'_> {
         if known.fit.explains && known.fit.cost() <= 1 {
             return Ok(Found::Explained(known.clone()));
         }
-        let rest = |it: &Explanation| it.fit.remainder(limit);
+        let remainder = |explanation: &Explanation| explanation.fit.remainder(limit);
         let mut closest = known.clone();
         let mut explanations: Vec<Explanation> = known
             .fit
@@ -136,33 +136,35 @@ impl Course<'_> {
                     .cloned(),
             );
             let simplest = explanations.iter().min_by(|one, other| {
-                let by_rest = || rest(one).total_cmp(&rest(other));
-                one.cost().cmp(&other.cost()).then_with(by_rest)
+                let by_remainder = || remainder(one).total_cmp(&remainder(other));
+                one.cost().cmp(&other.cost()).then_with(by_remainder)
             });
             if let Some(simplest) = simplest {
                 return Ok(Found::Explained(simplest.clone()));
             }
             let nearest = candidates
                 .into_iter()
-                .min_by(|one, other| rest(one).total_cmp(&rest(other)));
+                .min_by(|one, other| remainder(one).total_cmp(&remainder(other)));
             match nearest {
-                Some(nearest) if rest(&nearest) < PROGRESS * rest(&closest) => closest = nearest,
+                Some(nearest) if remainder(&nearest) < PROGRESS * remainder(&closest) => {
+                    closest = nearest
+                }
                 _ => break,
             }
         }
         Ok(Found::Nothing(closest))
     }
 
-    /// Returns all extensions by one change, on a topic that is not yet used.
+    /// Returns all extensions of `shown` by one change, on a topic that `shown` does not have.
     fn further(&self, shown: &[(Side, Variant)]) -> Vec<Vec<(Side, Variant)>> {
-        let touched: Vec<Topic> = shown.iter().map(|(_, it)| it.topic()).collect();
+        let used: Vec<Topic> = shown.iter().map(|(_, variant)| variant.topic()).collect();
         let mut further = vec![];
         for side in [Side::A, Side::B] {
             for variant in self.panel.variants(side) {
-                let again = side == Side::B
+                let is_tried_on_a = side == Side::B
                     && variant.is_its_own_inverse()
                     && self.panel.variants(Side::A).contains(&variant);
-                if !again && !touched.contains(&variant.topic()) {
+                if !is_tried_on_a && !used.contains(&variant.topic()) {
                     further.push([shown, &[(side, variant)]].concat());
                 }
             }
@@ -185,13 +187,13 @@ impl Course<'_> {
         ))
     }
 
-    /// Returns one server's answers under its changes; `None` if it has none.
+    /// Returns one server's answers under its changes; `None` if `shown` holds no change for it.
     async fn changed(
         &self,
         side: Side,
         shown: &[(Side, Variant)],
     ) -> Result<Option<Answers>, ExaminationError> {
-        let of_side = shown.iter().filter(|(whose, _)| *whose == side);
+        let of_side = shown.iter().filter(|(changed, _)| *changed == side);
         let variants: Vec<Variant> = of_side.map(|(_, variant)| variant.clone()).collect();
         if variants.is_empty() {
             return Ok(None);

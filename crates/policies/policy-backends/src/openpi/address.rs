@@ -31,7 +31,7 @@ impl FromStr for OpenpiAddress {
     type Err = OpenpiAddressError;
 
     fn from_str(text: &str) -> Result<Self, OpenpiAddressError> {
-        let read = || {
+        let parse = || {
             let uri: Uri = text.parse().ok()?;
             let place = Place::read(&uri, SCHEMES)?;
             let execute = match uri.query() {
@@ -42,7 +42,7 @@ impl FromStr for OpenpiAddress {
                 .contains(&execute)
                 .then_some(Self { place, execute })
         };
-        read().ok_or_else(|| OpenpiAddressError {
+        parse().ok_or_else(|| OpenpiAddressError {
             text: text.to_owned(),
         })
     }

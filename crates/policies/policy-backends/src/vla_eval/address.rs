@@ -40,7 +40,7 @@ pub struct Parameters {
     pub send_wrist_image: Option<bool>,
     /// Sends the robot's state.
     pub send_state: Option<bool>,
-    /// Keeps the sign of the hand's quaternion.
+    /// Keeps the sign of the hand's quaternion, even if w is negative.
     pub quat_no_antipodal: Option<bool>,
 }
 
@@ -65,7 +65,7 @@ impl FromStr for VlaEvalAddress {
     type Err = VlaEvalAddressError;
 
     fn from_str(text: &str) -> Result<Self, VlaEvalAddressError> {
-        let read = || {
+        let parse = || {
             let uri: Uri = text.parse().ok()?;
             let mut address = Self {
                 place: Place::read(&uri, SCHEMES)?,
@@ -79,7 +79,7 @@ impl FromStr for VlaEvalAddress {
             }
             Some(address)
         };
-        read().ok_or_else(|| VlaEvalAddressError {
+        parse().ok_or_else(|| VlaEvalAddressError {
             text: text.to_owned(),
         })
     }
@@ -93,7 +93,7 @@ impl fmt::Display for VlaEvalAddress {
             send_state,
             quat_no_antipodal,
         } = self.parameters;
-        let text = |it: bool| it.to_string();
+        let text = |flag: bool| flag.to_string();
         let execute = (self.execute != DEFAULT_EXECUTE).then(|| self.execute.to_string());
         let format =
             (self.image_format != ImageFormat::default()).then(|| self.image_format.to_string());
@@ -119,7 +119,7 @@ impl fmt::Display for VlaEvalAddress {
 #[derive(Debug, Error)]
 #[error(
     "read {text:?} as a vla-eval model server's address: write vla-eval://HOST:PORT (vla-evals:// \
-     over TLS), and behind it, if need be, ?NAME=VALUE&NAME=VALUE with execute=1 to {MAX_EXECUTE}, \
+     over TLS), optionally followed by ?NAME=VALUE&NAME=VALUE with execute=1 to {MAX_EXECUTE}, \
      image_format=png, raw or jpeg, and send_wrist_image, send_state or quat_no_antipodal=true or \
      false"
 )]
@@ -133,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_address_is_read_as_it_is_written() {
+    fn an_address_is_parsed_and_displayed_unchanged() {
         let right = [
             "vla-eval://gpu7:8000",
             "vla-evals://[::1]:8000?execute=10",
