@@ -19,7 +19,7 @@ class Crooked(Policy):
     description = Description(name='crooked')
 
     def warm_up(self):
-        pass  # Else it would be found out before it is asked.
+        pass  # A warm-up would detect the invalid answer before the first query.
 
     def reset(self, episode):
         pass

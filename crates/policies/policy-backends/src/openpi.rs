@@ -63,7 +63,7 @@ impl OpenpiBackend {
         let schemes = ["ws://", "wss://"];
         // openpi's client sends its key with this scheme.
         let server = Server::new(
-            address.place.clone(),
+            address.host_port.clone(),
             access,
             ServerKind::Openpi,
             schemes,
@@ -233,7 +233,7 @@ fn encode_query(request: &InferRequest, prompt: &str) -> Result<Vec<u8>, String>
     state.extend(shown::reading::<3>(observation, rotation)?);
     state.extend(shown::reading::<2>(observation, fingers)?);
     let [scene, wrist] = CAMERAS;
-    Ok(codec::observation(&codec::Shown {
+    Ok(codec::observation(&codec::ClientObservation {
         side: frame::SIDE,
         image: &frame(scene)?,
         wrist_image: &frame(wrist)?,

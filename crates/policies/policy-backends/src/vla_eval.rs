@@ -88,7 +88,7 @@ impl VlaEvalBackend {
         let schemes = ["vla-eval://", "vla-evals://"];
         // The protocol has no tokens, but a proxy in front of the server may require one.
         let server = Server::new(
-            address.place.clone(),
+            address.host_port.clone(),
             access,
             ServerKind::VlaEval,
             schemes,
@@ -258,13 +258,15 @@ impl Backend for VlaEvalBackend {
         let format = self.address.image_format;
         let (terms, instruction) = (link.terms.clone(), episode.instruction.clone());
         // Compression takes milliseconds, so it runs on a blocking thread.
-        let shown = tokio::task::spawn_blocking(move || {
+        let encoded = tokio::task::spawn_blocking(move || {
             observation(request.observation.as_ref(), &terms, format, &instruction)
         });
-        let shown = shown.await.unwrap_or_else(|error| Err(error.to_string()));
+        let observation = observation
+            .await
+            .unwrap_or_else(|error| Err(error.to_string()));
         let failed = |message| BackendError::Policy { message };
-        let answer = match shown {
-            Ok(shown) => link.send_query(shown, execute).await?,
+        let answer = match encoded {
+            Ok(encoded) => link.send_query(encoded, execute).await?,
             Err(message) => {
                 *slot = Some(link);
                 return Err(failed(message));

@@ -297,8 +297,8 @@ fn not_explained(both: &Both, apart: Apart, closest: &Explanation) -> Vec<Differ
             .sqrt()
     };
     let unchanged = fit(&both.a, &both.b, &[f64::INFINITY; 7]).left;
-    let mut shown = closest.shown.iter();
-    let is_scaled = shown.any(|(_, variant)| variant.topic() == Topic::Size);
+    let mut changes = closest.changes.iter();
+    let is_scaled = changes.any(|(_, variant)| variant.topic() == Topic::Size);
     match is_scaled && norm(&closest.fit.left) < LEFT_OF_SIZE * norm(&unchanged) {
         true => difference::explained_by_observations(closest, apart),
         false => vec![unexplained(both, apart, closest)],

@@ -35,14 +35,14 @@ pub(crate) struct Course<'a> {
 #[derive(Clone, Debug)]
 pub(crate) struct Explanation {
     /// Changes to either server's observations that make the answers alike.
-    pub shown: Vec<(Side, Variant)>,
+    pub changes: Vec<(Side, Variant)>,
     /// Map from A's actions to B's.
     pub fit: Fit,
 }
 
 impl Explanation {
     fn cost(&self) -> u32 {
-        self.fit.cost() + self.shown.len() as u32
+        self.fit.cost() + self.changes.len() as u32
     }
 }
 
@@ -65,24 +65,24 @@ impl Course<'_> {
     pub(crate) async fn search(&self, a: &Answers, b: &Answers) -> Result<Found, ExaminationError> {
         let mut limit = self.limit(fit(a, b, &[f64::INFINITY; 7]).left);
         let plain = Explanation {
-            shown: vec![],
+            changes: vec![],
             fit: fit(a, b, &limit),
         };
         let mut explained = match self.beyond(&plain, &limit, a, b).await? {
             Found::Explained(explained) => explained,
             nothing => return Ok(nothing),
         };
-        while explained.shown.len() < MOST_TOGETHER && self.together {
+        while explained.changes.len() < MOST_TOGETHER && self.together {
             let further = self.limit(explained.fit.left);
             if further == limit || explained.fit.is_within(&self.floor) {
                 break;
             }
             limit = further;
-            let (one, other) = self.answers(&explained.shown, a, b).await?;
+            let (one, other) = self.answers(&explained.changes, a, b).await?;
             let fit = fit(&one, &other, &limit);
-            let shown = explained.shown.clone();
+            let changes = explained.changes.clone();
             match self
-                .beyond(&Explanation { shown, fit }, &limit, a, b)
+                .beyond(&Explanation { changes, fit }, &limit, a, b)
                 .await?
             {
                 Found::Explained(more) => explained = more,
@@ -119,15 +119,15 @@ impl Course<'_> {
             .into_iter()
             .collect();
         let depth = match self.together {
-            true => MOST_TOGETHER - known.shown.len(),
+            true => MOST_TOGETHER - known.changes.len(),
             false => 1,
         };
         for _ in 0..depth {
             let mut candidates = vec![];
-            for shown in self.further(&closest.shown) {
-                let (one, other) = self.answers(&shown, a, b).await?;
+            for changes in self.further(&closest.changes) {
+                let (one, other) = self.answers(&changes, a, b).await?;
                 let fit = fit(&one, &other, limit);
-                candidates.push(Explanation { shown, fit });
+                candidates.push(Explanation { changes, fit });
             }
             explanations.extend(
                 candidates
@@ -155,9 +155,9 @@ impl Course<'_> {
         Ok(Found::Nothing(closest))
     }
 
-    /// Returns all extensions of `shown` by one change, on a topic that `shown` does not have.
-    fn further(&self, shown: &[(Side, Variant)]) -> Vec<Vec<(Side, Variant)>> {
-        let used: Vec<Topic> = shown.iter().map(|(_, variant)| variant.topic()).collect();
+    /// Returns all extensions of `changes` by one change, on a topic that `changes` does not have.
+    fn further(&self, changes: &[(Side, Variant)]) -> Vec<Vec<(Side, Variant)>> {
+        let used: Vec<Topic> = changes.iter().map(|(_, variant)| variant.topic()).collect();
         let mut further = vec![];
         for side in [Side::A, Side::B] {
             for variant in self.panel.variants(side) {
@@ -165,7 +165,7 @@ impl Course<'_> {
                     && variant.is_its_own_inverse()
                     && self.panel.variants(Side::A).contains(&variant);
                 if !is_tried_on_a && !used.contains(&variant.topic()) {
-                    further.push([shown, &[(side, variant)]].concat());
+                    further.push([changes, &[(side, variant)]].concat());
                 }
             }
         }
@@ -175,25 +175,25 @@ impl Course<'_> {
     /// Returns both servers' answers under these changes.
     async fn answers(
         &self,
-        shown: &[(Side, Variant)],
+        changes: &[(Side, Variant)],
         a: &Answers,
         b: &Answers,
     ) -> Result<(Answers, Answers), ExaminationError> {
-        let one = self.changed(Side::A, shown).await?;
-        let other = self.changed(Side::B, shown).await?;
+        let one = self.changed(Side::A, changes).await?;
+        let other = self.changed(Side::B, changes).await?;
         Ok((
             one.unwrap_or_else(|| a.clone()),
             other.unwrap_or_else(|| b.clone()),
         ))
     }
 
-    /// Returns one server's answers under its changes; `None` if `shown` holds no change for it.
+    /// Returns one server's answers under its changes; `None` if `changes` holds no change for it.
     async fn changed(
         &self,
         side: Side,
-        shown: &[(Side, Variant)],
+        changes: &[(Side, Variant)],
     ) -> Result<Option<Answers>, ExaminationError> {
-        let of_side = shown.iter().filter(|(changed, _)| *changed == side);
+        let of_side = changes.iter().filter(|(changed, _)| *changed == side);
         let variants: Vec<Variant> = of_side.map(|(_, variant)| variant.clone()).collect();
         if variants.is_empty() {
             return Ok(None);

@@ -7,7 +7,7 @@ use crate::numpy::{self, Array, ArrayError, Keys, array, lookup, map};
 
 /// Observation as openpi's LIBERO client sends it.
 #[derive(Clone, Copy, Debug)]
-pub struct Shown<'a> {
+pub struct ClientObservation<'a> {
     /// Height and width of both frames, pixels.
     pub side: usize,
     /// Scene camera's frame, RGB, row by row, row 0 at the top.
@@ -30,28 +30,28 @@ pub struct Chunk {
 }
 
 /// Encodes an observation.
-pub fn observation(shown: &Shown<'_>) -> Vec<u8> {
+pub fn observation(input: &ClientObservation<'_>) -> Vec<u8> {
     let frame = |rgb: &[u8]| {
         array(
             Keys::Bytes,
             "|u1",
-            &[shown.side, shown.side, 3],
+            &[input.side, input.side, 3],
             rgb.to_vec(),
         )
     };
-    let state = shown
+    let state = input
         .state
         .iter()
         .flat_map(|number| number.to_le_bytes())
         .collect();
     numpy::encode(&map([
-        ("observation/image", frame(shown.image)),
-        ("observation/wrist_image", frame(shown.wrist_image)),
+        ("observation/image", frame(input.image)),
+        ("observation/wrist_image", frame(input.wrist_image)),
         (
             "observation/state",
-            array(Keys::Bytes, "<f8", &[shown.state.len()], state),
+            array(Keys::Bytes, "<f8", &[input.state.len()], state),
         ),
-        ("prompt", shown.prompt.into()),
+        ("prompt", input.prompt.into()),
     ]))
 }
 
@@ -115,7 +115,7 @@ mod tests {
     #[test]
     fn an_observation_is_encoded_byte_for_byte_as_by_openpi_client() {
         let image: Vec<u8> = (0..12).collect();
-        let encoded = observation(&Shown {
+        let encoded = observation(&ClientObservation {
             side: 2,
             image: &image,
             wrist_image: &turned(&image),

@@ -6,7 +6,7 @@ use thiserror::Error;
 use tonic::codegen::http::Uri;
 
 use super::image::ImageFormat;
-use crate::websocket::{Place, Schemes};
+use crate::websocket::{HostPort, Schemes};
 
 const SCHEMES: Schemes = Schemes {
     clear: "vla-eval",
@@ -23,7 +23,7 @@ pub const MAX_EXECUTE: u32 = 100;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct VlaEvalAddress {
     /// Host, port and encryption.
-    pub place: Place,
+    pub host_port: HostPort,
     /// `execute=N`: actions executed per answer.
     pub execute: u32,
     /// `image_format=png|raw|jpeg`: encoding of frames.
@@ -68,7 +68,7 @@ impl FromStr for VlaEvalAddress {
         let parse = || {
             let uri: Uri = text.parse().ok()?;
             let mut address = Self {
-                place: Place::read(&uri, SCHEMES)?,
+                host_port: HostPort::read(&uri, SCHEMES)?,
                 execute: DEFAULT_EXECUTE,
                 image_format: ImageFormat::default(),
                 parameters: Parameters::default(),
@@ -87,7 +87,7 @@ impl FromStr for VlaEvalAddress {
 
 impl fmt::Display for VlaEvalAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.place.text(SCHEMES))?;
+        f.write_str(&self.host_port.text(SCHEMES))?;
         let Parameters {
             send_wrist_image,
             send_state,

@@ -60,7 +60,7 @@ pub(super) struct Probe {
     client: PolicyClient<Connection>,
     target: Target,
     described: DescribeResponse,
-    /// Number of this run, which distinguishes its sessions from those of earlier runs.
+    /// Process id, which distinguishes this run's sessions from those of other runs.
     run: u32,
 }
 
