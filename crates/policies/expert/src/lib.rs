@@ -48,7 +48,7 @@ pub struct Expert {
     motion: Motion,
     /// Position of the shoulder, from the first observation, when the hand is at rest.
     shoulder: Option<Vec3>,
-    /// Number of consecutive own steps in which the hand was far from its target.
+    /// Number of consecutive steps of the expert in which the hand was far from its target.
     far_steps: u32,
     /// Remaining steps of a stuck hand's retreat.
     backing_steps: u32,

@@ -139,7 +139,7 @@ impl Place {
         })
     }
 
-    /// Returns the name of the target's object or fixture: for a region, the one it is on.
+    /// Returns the name of the target's object or fixture: for a region, of what it is on.
     ///
     /// # Errors
     /// If the scene lacks the target.

@@ -271,7 +271,7 @@ pub enum RecordingError {
     Policies {
         /// Path of the first recording.
         one: PathBuf,
-        /// Path of one that differs.
+        /// Path of a recording that differs.
         other: PathBuf,
         /// Description of the difference.
         difference: String,

@@ -244,7 +244,7 @@ impl Probe {
     }
 
     /// Plays concurrent episodes in batches of the policy's largest size; returns the answers of
-    /// the first one, whose seed is `seed`.
+    /// the first episode, whose seed is `seed`.
     ///
     /// # Errors
     /// If the server answers with an error instead of actions.

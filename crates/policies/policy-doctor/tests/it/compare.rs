@@ -33,7 +33,7 @@ fn url(server: &Running) -> String {
     format!("grpc://{}", server.address)
 }
 
-/// Compares two policies in either order; returns the comparison with the second one as B.
+/// Compares two policies in either order; returns the comparison with the second policy as B.
 async fn both_ways(one: Planted, other: Planted, expected: &[Kind]) -> Comparison {
     let (one, other) = (serve(one).await, serve(other).await);
     let found = compared(&url(&one), &url(&other)).await;
