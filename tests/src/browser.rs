@@ -21,15 +21,15 @@ const POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 pub struct Browser {
     child: Child,
-    orders: ChildStdin,
+    commands: ChildStdin,
     messages: Receiver<Value>,
-    last_order: u64,
+    last_command: u64,
     session: String,
-    complaints: Vec<String>,
+    console_errors: Vec<String>,
     requests: Vec<String>,
 }
 
-/// The screen that a page is shown on.
+/// Screen on which a page is displayed.
 #[derive(Clone, Copy, Debug)]
 pub struct Screen {
     /// Width of the window, CSS pixels.
@@ -42,11 +42,11 @@ pub struct Screen {
 
 /// Returns true if the browser is installed; otherwise prints that the test is skipped.
 pub fn is_installed(test: &str) -> bool {
-    let found = Command::new(CHROMIUM).arg("--version").output().is_ok();
-    if !found {
+    let is_installed = Command::new(CHROMIUM).arg("--version").output().is_ok();
+    if !is_installed {
         println!("skipped {test}: no {CHROMIUM} (Debian: `apt-get install {CHROMIUM}`)");
     }
-    found
+    is_installed
 }
 
 impl Browser {
@@ -76,7 +76,7 @@ impl Browser {
             .stdout(Stdio::piped())
             .spawn()
             .expect("the browser starts");
-        let orders = child.stdin.take().expect("a pipe");
+        let commands = child.stdin.take().expect("a pipe");
         let answers = child.stdout.take().expect("a pipe");
         let (sender, messages) = channel();
         thread::spawn(move || {
@@ -90,11 +90,11 @@ impl Browser {
         });
         let mut browser = Self {
             child,
-            orders,
+            commands,
             messages,
-            last_order: 0,
+            last_command: 0,
             session: String::new(),
-            complaints: Vec::new(),
+            console_errors: Vec::new(),
             requests: Vec::new(),
         };
         browser.open_page();
@@ -106,7 +106,7 @@ impl Browser {
     /// # Panics
     /// If the page cannot be loaded.
     pub fn go(&mut self, url: &str) {
-        let answer = self.order("Page.navigate", &json!({ "url": url }));
+        let answer = self.command("Page.navigate", &json!({ "url": url }));
         assert_eq!(answer["errorText"], Value::Null, "{url}");
         self.wait_for("document.readyState === 'complete'");
     }
@@ -125,7 +125,7 @@ impl Browser {
         let parameters = json!({
             "expression": expression, "awaitPromise": true, "returnByValue": true,
         });
-        let mut answer = self.try_order("Runtime.evaluate", &parameters)?;
+        let mut answer = self.try_command("Runtime.evaluate", &parameters)?;
         let thrown = &answer["exceptionDetails"];
         assert_eq!(thrown, &Value::Null, "{expression}: {thrown}");
         Ok(answer["result"]["value"].take())
@@ -141,7 +141,10 @@ impl Browser {
         while self.try_value(&format!("Boolean({expression})")) != Ok(true.into()) {
             if start.elapsed() > PATIENCE {
                 let page = self.value("document.body.innerText");
-                panic!("never: {expression}\n{}", page.as_str().unwrap_or_default());
+                panic!(
+                    "timed out: {expression}\n{}",
+                    page.as_str().unwrap_or_default()
+                );
             }
             thread::sleep(POLL_INTERVAL);
         }
@@ -151,7 +154,7 @@ impl Browser {
     pub fn press(&mut self, key: &str) {
         for kind in ["keyDown", "keyUp"] {
             let event = json!({ "type": kind, "key": key, "code": key });
-            self.order("Input.dispatchKeyEvent", &event);
+            self.command("Input.dispatchKeyEvent", &event);
         }
     }
 
@@ -169,7 +172,7 @@ impl Browser {
             let event = json!({
                 "type": kind, "x": place[0], "y": place[1], "button": "left", "clickCount": 1,
             });
-            self.order("Input.dispatchMouseEvent", &event);
+            self.command("Input.dispatchMouseEvent", &event);
         }
     }
 
@@ -179,10 +182,10 @@ impl Browser {
             "width": screen.width, "height": screen.height, "deviceScaleFactor": 1,
             "mobile": false,
         });
-        self.order("Emulation.setDeviceMetricsOverride", &size);
+        self.command("Emulation.setDeviceMetricsOverride", &size);
         let scheme = if screen.is_dark { "dark" } else { "light" };
         let features = json!([{ "name": "prefers-color-scheme", "value": scheme }]);
-        self.order(
+        self.command(
             "Emulation.setEmulatedMedia",
             &json!({ "features": features }),
         );
@@ -193,16 +196,16 @@ impl Browser {
     /// # Panics
     /// If the browser returns no picture.
     pub fn screenshot(&mut self) -> Vec<u8> {
-        let answer = self.order("Page.captureScreenshot", &json!({ "format": "png" }));
+        let answer = self.command("Page.captureScreenshot", &json!({ "format": "png" }));
         let data = answer["data"].as_str().expect("a picture");
         BASE64_STANDARD.decode(data).expect("base64")
     }
 
     /// Returns the errors logged to the console since the last call.
-    pub fn complaints(&mut self) -> Vec<String> {
+    pub fn console_errors(&mut self) -> Vec<String> {
         // Messages are ordered, so that a response comes after all earlier events.
         self.value("0");
-        std::mem::take(&mut self.complaints)
+        std::mem::take(&mut self.console_errors)
     }
 
     /// Returns every URL that the page has requested.
@@ -212,31 +215,31 @@ impl Browser {
     }
 
     fn open_page(&mut self) {
-        let target = self.order("Target.createTarget", &json!({ "url": "about:blank" }));
+        let target = self.command("Target.createTarget", &json!({ "url": "about:blank" }));
         let attach = json!({ "targetId": target["targetId"], "flatten": true });
-        let session = self.order("Target.attachToTarget", &attach);
+        let session = self.command("Target.attachToTarget", &attach);
         self.session = session["sessionId"].as_str().expect("a session").to_owned();
         for domain in ["Page", "Runtime", "Network", "Log"] {
-            self.order(&format!("{domain}.enable"), &json!({}));
+            self.command(&format!("{domain}.enable"), &json!({}));
         }
     }
 
     /// Sends a command and waits for its response; records events that arrive meanwhile.
-    fn order(&mut self, method: &str, parameters: &Value) -> Value {
-        let answer = self.try_order(method, parameters);
+    fn command(&mut self, method: &str, parameters: &Value) -> Value {
+        let answer = self.try_command(method, parameters);
         answer.unwrap_or_else(|error| panic!("{method}: {error}"))
     }
 
-    fn try_order(&mut self, method: &str, parameters: &Value) -> Result<Value, Value> {
-        self.last_order += 1;
-        let id = self.last_order;
-        let mut order = json!({ "id": id, "method": method, "params": parameters });
+    fn try_command(&mut self, method: &str, parameters: &Value) -> Result<Value, Value> {
+        self.last_command += 1;
+        let id = self.last_command;
+        let mut command = json!({ "id": id, "method": method, "params": parameters });
         if !self.session.is_empty() {
-            order["sessionId"] = self.session.clone().into();
+            command["sessionId"] = self.session.clone().into();
         }
-        let sent = self.orders.write_all(format!("{order}\0").as_bytes());
-        sent.and_then(|()| self.orders.flush())
-            .expect("the browser listens");
+        let sent = self.commands.write_all(format!("{command}\0").as_bytes());
+        sent.and_then(|()| self.commands.flush())
+            .expect("a command is sent");
         loop {
             let mut message = match self.messages.recv_timeout(PATIENCE) {
                 Ok(message) => message,
@@ -256,14 +259,14 @@ impl Browser {
     fn record(&mut self, message: &Value) {
         let params = &message["params"];
         match message["method"].as_str().unwrap_or_default() {
-            "Runtime.exceptionThrown" => {
-                self.complaints.push(params["exceptionDetails"].to_string())
-            }
+            "Runtime.exceptionThrown" => self
+                .console_errors
+                .push(params["exceptionDetails"].to_string()),
             "Runtime.consoleAPICalled" if params["type"] == "error" => {
-                self.complaints.push(params["args"].to_string());
+                self.console_errors.push(params["args"].to_string());
             }
             "Log.entryAdded" if params["entry"]["level"] == "error" => {
-                self.complaints.push(params["entry"].to_string());
+                self.console_errors.push(params["entry"].to_string());
             }
             "Network.requestWillBeSent" => {
                 let url = params["request"]["url"].as_str().unwrap_or_default();

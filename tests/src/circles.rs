@@ -19,13 +19,13 @@ type Module = Vec<String>;
 type Imports = BTreeMap<Module, BTreeMap<Module, BTreeSet<String>>>;
 
 /// An import cycle.
-pub struct Circle {
+pub struct ImportCycle {
     /// Imports within the cycle: importing file, imported file, and items.
     imports: Vec<(String, String, BTreeSet<String>)>,
 }
 
 /// Writes a line per import: `a.rs uses B, c of b.rs`.
-impl fmt::Display for Circle {
+impl fmt::Display for ImportCycle {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         for (from, to, items) in &self.imports {
             let items: Vec<&str> = items.iter().map(String::as_str).collect();
@@ -39,7 +39,7 @@ impl fmt::Display for Circle {
 ///
 /// # Errors
 /// If a file cannot be read or is not valid Rust.
-pub fn circles(src: &Path) -> Result<Vec<Circle>> {
+pub fn import_cycles(src: &Path) -> Result<Vec<ImportCycle>> {
     let files = modules(src)?;
     let mut imports = Imports::new();
     for (module, file) in &files {
@@ -70,7 +70,7 @@ pub fn circles(src: &Path) -> Result<Vec<Circle>> {
                     .iter()
                     .map(move |(to, items)| (from, to, items))
             });
-            Circle {
+            ImportCycle {
                 imports: edges
                     .filter(|(_, to, _)| members.contains(*to))
                     .map(|(from, to, items)| (name(from), name(to), items.clone()))
@@ -113,7 +113,7 @@ fn modules(src: &Path) -> Result<BTreeMap<Module, PathBuf>> {
 struct PathUse {
     segments: Vec<String>,
     /// True for a re-export (`pub use`).
-    published: bool,
+    is_reexport: bool,
     /// Number of enclosing inline modules.
     depth: usize,
 }
@@ -142,16 +142,16 @@ impl PathUse {
                 (&module[..], &self.segments[..])
             }
         };
-        let whole = [base, rest].concat();
-        let length = (0..=whole.len())
+        let full_path = [base, rest].concat();
+        let length = (0..=full_path.len())
             .rev()
-            .find(|length| files.contains_key(&whole[..*length]))?;
-        let target = whole[..length].to_vec();
-        let own_child = self.published && target.starts_with(module);
+            .find(|length| files.contains_key(&full_path[..*length]))?;
+        let target = full_path[..length].to_vec();
+        let own_child = self.is_reexport && target.starts_with(module);
         if target == *module || own_child {
             return None;
         }
-        let item = whole.get(length).cloned();
+        let item = full_path.get(length).cloned();
         Some((target, item.unwrap_or_else(|| "the module".to_owned())))
     }
 }
@@ -163,7 +163,7 @@ fn collect(tokens: TokenStream, depth: usize, found: &mut Vec<PathUse>) {
         Some(TokenTree::Ident(ident)) => Some(ident.to_string()),
         _ => None,
     };
-    let mut published = false;
+    let mut is_reexport = false;
     let mut at = 0;
     while let Some(token) = tokens.get(at) {
         at += 1;
@@ -175,9 +175,9 @@ fn collect(tokens: TokenStream, depth: usize, found: &mut Vec<PathUse>) {
                 let inner = at >= 3 && ident(at - 3).is_some_and(|word| word == "mod");
                 collect(group.stream(), depth + usize::from(inner), found);
                 // Parentheses may belong to `pub(crate)`.
-                published &= group.delimiter() == Delimiter::Parenthesis;
+                is_reexport &= group.delimiter() == Delimiter::Parenthesis;
             }
-            TokenTree::Ident(word) if word == "pub" => published = true,
+            TokenTree::Ident(word) if word == "pub" => is_reexport = true,
             TokenTree::Ident(word) if word == "use" => {
                 let length = tokens[at..]
                     .iter()
@@ -186,12 +186,12 @@ fn collect(tokens: TokenStream, depth: usize, found: &mut Vec<PathUse>) {
                 for segments in use_tree(&tokens[at..at + length]) {
                     found.push(PathUse {
                         segments,
-                        published,
+                        is_reexport,
                         depth,
                     });
                 }
                 at += length;
-                published = false;
+                is_reexport = false;
             }
             TokenTree::Ident(word) => {
                 let mut segments = vec![word.to_string()];
@@ -203,13 +203,13 @@ fn collect(tokens: TokenStream, depth: usize, found: &mut Vec<PathUse>) {
                 if segments.len() > 1 {
                     found.push(PathUse {
                         segments,
-                        published: false,
+                        is_reexport: false,
                         depth,
                     });
                 }
-                published = false;
+                is_reexport = false;
             }
-            _ => published = false,
+            _ => is_reexport = false,
         }
     }
 }
@@ -309,20 +309,20 @@ mod tests {
     use super::*;
 
     /// Finds the import cycles of a crate with the given files.
-    fn found(files: &[(&str, &str)]) -> Vec<String> {
+    fn cycles_among(files: &[(&str, &str)]) -> Vec<String> {
         let folder = tempfile::tempdir().expect("a folder");
         for (name, text) in files {
             let path = folder.path().join(name);
             fs::create_dir_all(path.parent().expect("a parent")).expect("a folder");
             fs::write(path, text).expect("a file");
         }
-        let found = circles(folder.path()).expect("Rust");
-        found.iter().map(Circle::to_string).collect()
+        let found = import_cycles(folder.path()).expect("Rust");
+        found.iter().map(ImportCycle::to_string).collect()
     }
 
     #[test]
     fn an_import_cycle_is_found_with_its_files_and_items() {
-        let circle = found(&[
+        let cycles = cycles_among(&[
             ("lib.rs", "mod a; mod b; mod c;\npub use a::A;"),
             (
                 "a.rs",
@@ -333,35 +333,35 @@ mod tests {
             ("c.rs", "pub fn a() -> crate::a::A { crate::a::A }"),
         ]);
         assert_eq!(
-            circle,
+            cycles,
             ["  a.rs uses B of b.rs\n  b.rs uses the module of c.rs\n  c.rs uses A of a.rs\n"]
         );
     }
 
     #[test]
-    fn paths_outside_of_use_and_in_macros_count() {
-        let circle = found(&[
+    fn paths_outside_of_use_and_in_macros_count_as_imports() {
+        let cycles = cycles_among(&[
             ("lib.rs", "mod a; mod b;"),
             ("a.rs", r#"fn f() { println!("{}", crate::b::g(1)); }"#),
             ("b.rs", "fn g(x: u8) -> u8 { super::a::h::<u8>(x) }"),
         ]);
-        assert_eq!(circle, ["  a.rs uses g of b.rs\n  b.rs uses h of a.rs\n"]);
+        assert_eq!(cycles, ["  a.rs uses g of b.rs\n  b.rs uses h of a.rs\n"]);
     }
 
     #[test]
-    fn a_parent_and_its_child_can_be_a_circle() {
-        let circle = found(&[
+    fn a_parent_and_its_child_can_form_a_cycle() {
+        let cycles = cycles_among(&[
             ("main.rs", "mod a;"),
             ("a.rs", "mod child; fn f() -> child::C { child::C }"),
             ("a/child.rs", "use super::P; pub struct C;"),
         ]);
         let lines = "  a.rs uses C of a/child.rs\n  a/child.rs uses P of a.rs\n";
-        assert_eq!(circle, [lines]);
+        assert_eq!(cycles, [lines]);
     }
 
     #[test]
-    fn reexports_of_children_and_test_code_are_left_out() {
-        let circles = found(&[
+    fn reexports_of_children_and_test_code_are_ignored() {
+        let cycles = cycles_among(&[
             (
                 "lib.rs",
                 "pub mod a; mod b;\npub use a::child::C;\npub(crate) use b::B;",
@@ -379,6 +379,6 @@ mod tests {
             ("b.rs", "use crate::a::P; use std::fmt;"),
             ("bin/b.rs", "use crate::a::P;"),
         ]);
-        assert_eq!(circles, [""; 0]);
+        assert_eq!(cycles, [""; 0]);
     }
 }

@@ -64,7 +64,7 @@ fn differing_name(model: &Model, task: &ReferenceTask) -> Result<Option<String>>
         if let Some(id) =
             (0..ours.len().max(expected.len())).find(|id| ours.get(*id) != expected.get(*id))
         {
-            let show = |names: &[Option<String>]| {
+            let name_at = |names: &[Option<String>]| {
                 names
                     .get(id)
                     .cloned()
@@ -72,9 +72,9 @@ fn differing_name(model: &Model, task: &ReferenceTask) -> Result<Option<String>>
                     .unwrap_or_else(|| "nothing".to_owned())
             };
             return Ok(Some(format!(
-                "{key}[{id}]: {} for {}",
-                show(&ours),
-                show(&expected)
+                "{key}[{id}]: {} instead of {}",
+                name_at(&ours),
+                name_at(&expected)
             )));
         }
     }
@@ -96,7 +96,7 @@ fn differing_array(model: &Model, task: &ReferenceTask) -> Result<Worst> {
             .values;
         ensure!(
             values.len() == expected.values.len(),
-            "array `{name}` has {} values for {}",
+            "array `{name}` has {} values instead of {}",
             values.len(),
             expected.values.len()
         );
@@ -108,7 +108,7 @@ fn differing_array(model: &Model, task: &ReferenceTask) -> Result<Worst> {
                 (ours - theirs).abs() / scale
             };
             worst.add(difference, || {
-                format!("{name}[{index}]: {ours} for {theirs}")
+                format!("{name}[{index}]: {ours} instead of {theirs}")
             });
         }
     }

@@ -83,7 +83,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_spread_has_the_middle_and_both_ends() {
+    fn a_spread_has_the_median_the_least_and_the_most() {
         let spread = Spread::from_values(&[3.0, 1.0, 7.0]).unwrap();
         assert_eq!((spread.median, spread.least, spread.most), (3.0, 1.0, 7.0));
         assert_eq!(

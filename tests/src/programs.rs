@@ -13,12 +13,12 @@ const PATIENCE: Duration = Duration::from_secs(300);
 /// # Panics
 /// If the program has not been built.
 pub fn program(name: &str) -> PathBuf {
-    let own = std::env::current_exe().expect("this program's path");
-    let given = std::env::var_os("ROLLOUT_PROGRAMS").map(PathBuf::from);
+    let this_program = std::env::current_exe().expect("this program's path");
+    let configured = std::env::var_os("ROLLOUT_PROGRAMS").map(PathBuf::from);
     // Programs are beside this one or, for a test in `deps`, in the parent folder.
-    let folders = match &given {
-        Some(given) => vec![given.as_path()],
-        None => own.ancestors().skip(1).take(2).collect(),
+    let folders = match &configured {
+        Some(folder) => vec![folder.as_path()],
+        None => this_program.ancestors().skip(1).take(2).collect(),
     };
     let mut paths = folders.iter().map(|folder| folder.join(name));
     paths.find(|path| path.is_file()).unwrap_or_else(|| {
@@ -96,12 +96,12 @@ impl Process {
     /// If its exit status is not success.
     pub fn wait(&mut self) {
         let status = self.end();
-        assert!(status.success(), "it ended with {status}");
+        assert!(status.success(), "the program ended with {status}");
     }
 
     /// Waits until the process exits and returns its status.
     pub fn end(&mut self) -> ExitStatus {
-        self.child.wait().expect("it can be waited for")
+        self.child.wait().expect("an exit status")
     }
 
     /// Sends a signal, for example `-KILL`.
@@ -132,7 +132,7 @@ pub struct Campaigns {
 }
 
 impl Campaigns {
-    /// Starts both, with the coordinator's data in a folder.
+    /// Starts both programs, with the coordinator's data in a folder.
     pub fn start(data: &Path) -> Self {
         let mut gateway = Command::new(program("policy-gateway"));
         gateway.args(["--listen", "127.0.0.1:0"]);
@@ -187,8 +187,8 @@ impl Campaigns {
     /// If the command fails.
     pub fn succeed(&self, arguments: &[&str]) -> String {
         let output = self.call(arguments);
-        let complaint = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{arguments:?}: {complaint}");
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{arguments:?}: {errors}");
         String::from_utf8(output.stdout).expect("UTF-8")
     }
 
@@ -216,8 +216,8 @@ impl Campaigns {
                 .lines()
                 .count();
             let status = self.succeed(&["campaign", "status", name]);
-            let finished = status.contains("finished");
-            if finished || count.is_some_and(|count| lines >= count) {
+            let is_finished = status.contains("finished");
+            if is_finished || count.is_some_and(|count| lines >= count) {
                 return;
             }
             assert!(start.elapsed() < PATIENCE, "{name} is not done: {status}");

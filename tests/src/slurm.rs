@@ -86,7 +86,7 @@ impl Cluster {
     }
 
     fn configure(&self, host: &str) {
-        // munged requires a socket reachable by all users and a key readable only by its own.
+        // munged requires a socket that all users reach and a key that only its own user reads.
         set_mode(self.folder.path(), 0o755);
         let key: Vec<u8> = (0..=255).cycle().take(1024).collect();
         self.write("munge.key", &key);
@@ -96,25 +96,25 @@ impl Cluster {
             "gres.conf",
             b"NodeName=n1 Name=gpu Count=1 File=/dev/null\n",
         );
-        let me = Command::new("id").arg("-un").output().expect("id runs");
-        let me = String::from_utf8_lossy(&me.stdout).trim().to_owned();
-        let here = self.folder.path().display();
+        let user = Command::new("id").arg("-un").output().expect("id runs");
+        let user = String::from_utf8_lossy(&user.stdout).trim().to_owned();
+        let folder = self.folder.path().display();
         let [controller, ports @ ..] = free_ports::<3>();
         let mut text = format!(
             "ClusterName=test\n\
              SlurmctldHost={host}(127.0.0.1)\n\
              SlurmctldPort={controller}\n\
-             SlurmUser={me}\n\
-             SlurmdUser={me}\n\
+             SlurmUser={user}\n\
+             SlurmdUser={user}\n\
              AuthType=auth/munge\n\
              CryptoType=crypto/munge\n\
-             AuthInfo=socket={here}/munge.socket,cred_expire=5\n\
-             StateSaveLocation={here}/state\n\
-             SlurmdSpoolDir={here}/spool-%n\n\
-             SlurmctldPidFile={here}/slurmctld.pid\n\
-             SlurmdPidFile={here}/slurmd-%n.pid\n\
-             SlurmctldLogFile={here}/slurmctld.log\n\
-             SlurmdLogFile={here}/slurmd-%n.log\n\
+             AuthInfo=socket={folder}/munge.socket,cred_expire=5\n\
+             StateSaveLocation={folder}/state\n\
+             SlurmdSpoolDir={folder}/spool-%n\n\
+             SlurmctldPidFile={folder}/slurmctld.pid\n\
+             SlurmdPidFile={folder}/slurmd-%n.pid\n\
+             SlurmctldLogFile={folder}/slurmctld.log\n\
+             SlurmdLogFile={folder}/slurmd-%n.log\n\
              ProctrackType=proctrack/linuxproc\n\
              TaskPlugin=task/none\n\
              JobAcctGatherType=jobacct_gather/none\n\
@@ -131,13 +131,13 @@ impl Cluster {
         for (node, port) in NODES.iter().zip(ports) {
             std::fs::create_dir(self.path(&format!("spool-{node}"))).expect("a folder");
             // The first node has room for a gateway and a worker, the second for a worker.
-            let has = match *node == NODES[0] {
+            let resources = match *node == NODES[0] {
                 true => "CPUs=2 Gres=gpu:1",
                 false => "CPUs=1",
             };
             text += &format!(
                 "NodeName={node} NodeHostname={host} NodeAddr=127.0.0.1 Port={port} \
-                 RealMemory=8000 {has}\n"
+                 RealMemory=8000 {resources}\n"
             );
         }
         let nodes = NODES.join(",");
@@ -247,12 +247,12 @@ impl Cluster {
     ///
     /// # Panics
     /// If the wait times out.
-    pub fn wait_for(&self, what: &str, condition: impl Fn(&Self) -> bool) {
+    pub fn wait_for(&self, goal: &str, condition: impl Fn(&Self) -> bool) {
         let start = Instant::now();
         while !condition(self) {
             assert!(
                 start.elapsed() < PATIENCE,
-                "{what}: not yet\n{}",
+                "timed out before: {goal}\n{}",
                 self.state()
             );
             sleep(Duration::from_millis(250));
@@ -269,18 +269,19 @@ impl Cluster {
         format!("{}\n{end}", queue.unwrap_or_default())
     }
 
-    fn ends_its_jobs(&self) -> bool {
-        let quiet = |program: &str, arguments: &[&str]| {
+    /// Cancels all jobs; returns true if none is left.
+    fn cancel_jobs(&self) -> bool {
+        let succeeds_without_output = |program: &str, arguments: &[&str]| {
             let output = self.command(program).args(arguments).output();
             output.is_ok_and(|output| {
                 output.status.success() && output.stdout.trim_ascii().is_empty()
             })
         };
         for state in ["PENDING", "RUNNING", "SUSPENDED"] {
-            quiet("scancel", &["--state", state, "--partition=low"]);
-            quiet("scancel", &["--state", state, "--partition=high"]);
+            succeeds_without_output("scancel", &["--state", state, "--partition=low"]);
+            succeeds_without_output("scancel", &["--state", state, "--partition=high"]);
         }
-        quiet("squeue", &["--noheader", "--all"])
+        succeeds_without_output("squeue", &["--noheader", "--all"])
     }
 }
 
@@ -288,7 +289,7 @@ impl Drop for Cluster {
     fn drop(&mut self) {
         // Jobs outlive the daemons that started them.
         let start = Instant::now();
-        while !self.ends_its_jobs() && start.elapsed() < END {
+        while !self.cancel_jobs() && start.elapsed() < END {
             sleep(Duration::from_millis(500));
         }
         for daemon in self.daemons.iter_mut().rev() {
@@ -310,12 +311,12 @@ impl Drop for Cluster {
 /// # Panics
 /// If the program failed.
 pub fn succeeded(output: Output) -> String {
-    let complaint = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{complaint}");
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{errors}");
     String::from_utf8(output.stdout).expect("UTF-8")
 }
 
-/// Returns this machine's short host name, as determined by the scripts.
+/// Returns this machine's short host name, as the launch scripts determine it.
 ///
 /// # Panics
 /// If the command `hostname` fails.
@@ -331,7 +332,7 @@ pub fn host_name() -> String {
 /// If there are not enough.
 pub fn free_ports<const N: usize>() -> [u16; N] {
     let listeners = [(); N].map(|()| TcpListener::bind("127.0.0.1:0").expect("a port"));
-    listeners.map(|listener| listener.local_addr().expect("its address").port())
+    listeners.map(|listener| listener.local_addr().expect("an address").port())
 }
 
 fn find(program: &str) -> Option<PathBuf> {
@@ -343,5 +344,5 @@ fn find(program: &str) -> Option<PathBuf> {
 
 fn set_mode(path: &Path, mode: u32) {
     let mode = std::fs::Permissions::from_mode(mode);
-    std::fs::set_permissions(path, mode).expect("its own file");
+    std::fs::set_permissions(path, mode).expect("a writable file");
 }

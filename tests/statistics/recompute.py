@@ -245,10 +245,10 @@ def excess(keys, y, placebo):
         row[3:] = [1, *np.mean(np.array(chosen, dtype=float), axis=0)]
     sample = Sample(list(rows), list(rows.values()))
 
-    def four(of, is_share):
+    def four(statistic, is_share):
         weights = {"r_e": (1, 0), "r_c": (0, 1), "r_d": (1, 1), "i": (-1, 1)}
         return {
-            name: sample.estimate(lambda s, w=w: of(s, *w), is_share and name != "i")
+            name: sample.estimate(lambda s, w=w: statistic(s, *w), is_share and name != "i")
             for name, w in weights.items()
         }
 
@@ -291,21 +291,21 @@ def inference(rows, placebo):
     columns = np.column_stack([np.ones(len(rows)), conj, sim, e, c, alone])
     sample = Sample(keys, columns)
     indep = lambda s: np.prod(s[5:] / s[0], axis=0)
-    of = sample.estimate
+    estimate = sample.estimate
     result = {
         "paired": {
-            "s_indep": of(indep, "product"),
-            "s_conj": of(lambda s: s[1] / s[0], True),
-            "s_sim": of(lambda s: s[2] / s[0], True),
-            "d": of(lambda s: s[1] / s[0] - indep(s), False),
-            "i": of(lambda s: (s[2] - s[1]) / s[0], False),
-            "r_e": of(lambda s: s[3] / s[0], True),
-            "r_c": of(lambda s: s[4] / s[0], True),
-            "r_d": of(lambda s: (s[3] + s[4]) / s[0], True),
+            "s_indep": estimate(indep, "product"),
+            "s_conj": estimate(lambda s: s[1] / s[0], True),
+            "s_sim": estimate(lambda s: s[2] / s[0], True),
+            "d": estimate(lambda s: s[1] / s[0] - indep(s), False),
+            "i": estimate(lambda s: (s[2] - s[1]) / s[0], False),
+            "r_e": estimate(lambda s: s[3] / s[0], True),
+            "r_c": estimate(lambda s: s[4] / s[0], True),
+            "r_d": estimate(lambda s: (s[3] + s[4]) / s[0], True),
         },
         "eligible": {
-            "emergent": of(lambda s: s[3] / s[1], True),
-            "compensated": of(lambda s: s[4] / (s[0] - s[1]), True),
+            "emergent": estimate(lambda s: s[3] / s[1], True),
+            "compensated": estimate(lambda s: s[4] / (s[0] - s[1]), True),
         },
         "i_sign_flip_p": sign_flip(net_by_task(keys, sim - conj)),
         "relative": None,
@@ -338,7 +338,7 @@ def inference(rows, placebo):
 def progress(pairs, own_directions):
     """Differences in partial progress for one row, without Holm's p; None if unknown."""
 
-    def of(values, scale):
+    def change(values, scale):
         known = [(tuple(pair[:3]), v) for pair, v in zip(pairs, values) if None not in v]
         if not known:
             return None
@@ -355,7 +355,7 @@ def progress(pairs, own_directions):
         }
 
     goals = [[goal and goal[0] / goal[1] for goal in pair[5]] for pair in pairs]
-    found = {"goal": of(goals, False), "steps": of([pair[6] for pair in pairs], "mean")}
+    found = {"goal": change(goals, False), "steps": change([pair[6] for pair in pairs], "mean")}
     return found if found["goal"] or found["steps"] else None
 
 
@@ -407,9 +407,9 @@ def max_t(by_tasks):
     if 1 in np.unique(strata, return_counts=True)[1]:
         strata[:] = 0
     u = np.zeros((len(by_tasks), len(tasks)))
-    for row, of in zip(u, by_tasks):
-        known = np.array([task in of for task in tasks])
-        row[known] = [of[task] for task in tasks if task in of]
+    for row, by_task in zip(u, by_tasks):
+        known = np.array([task in by_task for task in tasks])
+        row[known] = [by_task[task] for task in tasks if task in by_task]
         for stratum in set(strata[known]):
             row[known & (strata == stratum)] -= row[known & (strata == stratum)].mean()
     u = u[(np.abs(u) > 1e-12).any(axis=1)]
@@ -419,10 +419,10 @@ def max_t(by_tasks):
     sums = signs @ u.T
     variance = np.zeros_like(sums)
     for stratum in set(strata):
-        own = strata == stratum
-        g = own.sum()
-        squares = (u[:, own] ** 2).sum(axis=1)
-        rest = squares - (signs[:, own] @ u[:, own].T) ** 2 / g
+        members = strata == stratum
+        g = members.sum()
+        squares = (u[:, members] ** 2).sum(axis=1)
+        rest = squares - (signs[:, members] @ u[:, members].T) ** 2 / g
         variance += np.where(rest > 1e-12 * squares, rest, 0.0) * g / (g - 1)
     with np.errstate(all="ignore"):
         t = np.where(variance > 0, np.abs(sums) / np.sqrt(variance), np.inf)
@@ -444,15 +444,15 @@ def compare_policies(campaign, comparison):
         elif -1 < interval[0] and interval[1] < 1:
             half = (interval[1] - interval[0]) / 2
             comparison.check(f"{where} max-t", 1.0, half / error / critical, SIGNS_TOLERANCE)
-    came = [progress(row["pairs"], row["own_directions"]) for row in rows]
+    progresses = [progress(row["pairs"], row["own_directions"]) for row in rows]
     for name in ["goal", "steps"]:
-        tested = [one[name] for one in came if one and one[name]]
+        tested = [one[name] for one in progresses if one and one[name]]
         for one in tested:
             one["holm_p"] = None
         tested = [one for one in tested if one["p"] is not None]
         for one, p in zip(tested, holm([one["p"] for one in tested])):
             one["holm_p"] = p
-    for row, one in zip(rows, came):
+    for row, one in zip(rows, progresses):
         comparison.check(f"{campaign['name']} {row['name']} progress", one, row["progress"])
 
 
@@ -532,11 +532,11 @@ def compare_gates(campaign, comparison):
     report, published = campaign["report"], campaign["published"]
     ours = gate(list(of_tasks.values()), published, 2000)
     comparison.check(f"{campaign['name']} gate", ours, report["gate"])
-    theirs = {of["suite"]: of for of in report["suite_gates"]}
+    theirs = {row["suite"]: row for row in report["suite_gates"]}
     for name, number in campaign["suites"]:
-        own = [task for (suite, _), task in of_tasks.items() if suite == number]
+        outcomes = [task for (suite, _), task in of_tasks.items() if suite == number]
         where = f"{campaign['name']} gate of {name}"
-        comparison.check(where, gate(own, published, 500), theirs[name])
+        comparison.check(where, gate(outcomes, published, 500), theirs[name])
 
 
 def components(rows):
@@ -575,7 +575,7 @@ def components(rows):
 
 
 def compare_components(campaign, comparison):
-    theirs = {of["level"]: of for of in campaign["report"]["components"]}
+    theirs = {row["level"]: row for row in campaign["report"]["components"]}
     for level, rows in campaign["replicated"].items():
         where = f"{campaign['name']} {level} components"
         comparison.check(where, components(rows), theirs.get(level))

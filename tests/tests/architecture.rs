@@ -71,7 +71,10 @@ fn layers() -> Vec<Vec<String>> {
     let map = std::fs::read_to_string(map).unwrap();
     let rule = "A crate uses only crates on the lines below its own.";
     let (before, _) = map.split_once(rule).expect("the map states the rule");
-    let diagram = before.rsplit("```").nth(1).expect("a diagram precedes it");
+    let diagram = before
+        .rsplit("```")
+        .nth(1)
+        .expect("a diagram before the rule");
     let line = |line: &str| line.split_whitespace().map(str::to_owned).collect();
     diagram.trim().lines().map(line).collect()
 }
@@ -95,14 +98,14 @@ fn violations(
             continue;
         };
         for other in used {
-            let allowed = match (dependencies.contains_key(other), layer(other)) {
+            let is_allowed = match (dependencies.contains_key(other), layer(other)) {
                 (true, Some(others)) => others > own,
                 (true, None) => false,
                 (false, _) => LIBRARIES
                     .iter()
                     .all(|(library, crates)| library != other || crates.contains(&&**name)),
             };
-            if !allowed {
+            if !is_allowed {
                 violations.push(format!("{name} uses {other}"));
             }
         }
@@ -111,7 +114,7 @@ fn violations(
 }
 
 #[test]
-fn crates_use_one_another_in_the_agreed_directions_only() {
+fn crates_use_only_crates_on_lower_lines_of_the_diagram() {
     let (layers, dependencies) = (layers(), dependencies());
     let unknown = layers.iter().flatten();
     let unknown: Vec<_> = unknown
@@ -185,7 +188,7 @@ fn root() -> &'static Path {
     Path::new(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
 }
 
-/// Names in a page's prose: they stand between single backticks and hold no blanks.
+/// Names in a page's prose: words between single backticks, without blanks.
 fn names(page: &str) -> Vec<&str> {
     let outside = page.split("\n```").step_by(2);
     let quoted = outside.flat_map(|prose| prose.split('`').skip(1).step_by(2));
@@ -206,7 +209,7 @@ fn is_long_name(name: &str) -> bool {
 fn the_map_names_only_files_tests_and_invariants_that_exist() {
     let map = std::fs::read_to_string(root().join("docs/ARCHITECTURE.md")).unwrap();
     let code = rust_sources();
-    let is_there = |name: &str| {
+    let exists = |name: &str| {
         if name.contains('/') {
             root().join(name).exists()
         } else if name.matches('_').count() >= 2 {
@@ -216,7 +219,7 @@ fn the_map_names_only_files_tests_and_invariants_that_exist() {
         }
     };
     let mut missing = names(&map);
-    missing.retain(|name| !is_there(name));
+    missing.retain(|name| !exists(name));
     assert!(missing.is_empty(), "not in the repository: {missing:?}");
 }
 
@@ -231,7 +234,7 @@ fn pages_name_only_files_and_tests_that_exist() {
     }
     let is_of_word = |character: char| character.is_ascii_alphanumeric() || character == '_';
     let words: BTreeSet<&str> = code.split(|character| !is_of_word(character)).collect();
-    let is_there = |name: &str| match name.split_once('/') {
+    let exists = |name: &str| match name.split_once('/') {
         // Other paths are names of tasks, and files of users and other projects.
         Some((folder, _)) if !folder.is_empty() && root().join(folder).join("").is_dir() => {
             root().join(name).exists()
@@ -247,7 +250,7 @@ fn pages_name_only_files_and_tests_that_exist() {
         let path = entry.unwrap().path();
         if path.extension().is_some_and(|extension| extension == "md") {
             let page = std::fs::read_to_string(&path).unwrap();
-            let names = names(&page).into_iter().filter(|name| !is_there(name));
+            let names = names(&page).into_iter().filter(|name| !exists(name));
             missing.extend(names.map(|name| format!("{}: {name}", path.display())));
         }
     }
@@ -255,16 +258,16 @@ fn pages_name_only_files_and_tests_that_exist() {
 }
 
 #[test]
-fn no_files_of_a_crate_import_in_a_circle() {
+fn no_crate_has_import_cycles_between_its_files() {
     let metadata = metadata(&["--no-deps"]);
     let packages = metadata["packages"].as_array().unwrap();
     let mut found = String::new();
     for package in packages {
         let name = package["name"].as_str().unwrap();
         let manifest = PathBuf::from(package["manifest_path"].as_str().unwrap());
-        for circle in tests::circles::circles(&manifest.with_file_name("src")).unwrap() {
-            found.push_str(&format!("in {name}:\n{circle}"));
+        for cycle in tests::circles::import_cycles(&manifest.with_file_name("src")).unwrap() {
+            found.push_str(&format!("in {name}:\n{cycle}"));
         }
     }
-    assert!(found.is_empty(), "files that import in a circle:\n{found}");
+    assert!(found.is_empty(), "import cycles:\n{found}");
 }

@@ -1,5 +1,5 @@
 //! Whole campaigns under seeded schedules of faults on real processes. After each, the campaign
-//! finishes, its database holds every invariant, its report and results equal those of the
+//! finishes, its database satisfies every invariant, its report and results equal those of the
 //! undisturbed campaign byte for byte, and no more attempts are charged than slots were killed
 //! under their workers: network failures and restarted machines cost no rollout an attempt.
 //!
@@ -17,7 +17,7 @@ use tests::chaos::{Fault, Fleet, LEASE, Plan, Schedule, SlotKind, Way};
 /// Numbers of schedules with simulated slots and with MuJoCo.
 const SIMULATED: u64 = 48;
 const REAL: u64 = 4;
-/// Number of concurrent systems for each core: they wait more than they work.
+/// Number of concurrent systems for each core; most of the time they wait.
 const AT_A_TIME_PER_CORE: usize = 3;
 
 /// Query for the number of charged attempts.
@@ -29,14 +29,14 @@ fn a_campaign_under_faults_ends_as_the_undisturbed_one() {
 }
 
 #[test]
-fn with_mujoco_too_a_campaign_ends_as_the_undisturbed_one() {
+fn a_campaign_with_mujoco_under_faults_ends_as_the_undisturbed_one() {
     play(SlotKind::Real, seeds(100..100 + REAL));
 }
 
-/// Returns the seeds that the environment requests, or the usual ones.
-fn seeds(usual: std::ops::Range<u64>) -> VecDeque<u64> {
+/// Returns the seeds that the environment requests, or the default ones.
+fn seeds(default: std::ops::Range<u64>) -> VecDeque<u64> {
     let Ok(text) = std::env::var("ROLLOUT_CHAOS_SEEDS") else {
-        return usual.collect();
+        return default.collect();
     };
     let (first, last) = text.split_once('-').unwrap_or((&text, &text));
     let number = |text: &str| text.parse::<u64>().expect("ROLLOUT_CHAOS_SEEDS: N or N-M");
@@ -59,7 +59,7 @@ fn play(slots: SlotKind, seeds: VecDeque<u64>) {
         for _ in 0..cores * AT_A_TIME_PER_CORE {
             threads.spawn(|| {
                 while let Some(seed) = { seeds.lock().unwrap().pop_front() } {
-                    if !survives(&Schedule::new(seed), slots, &expected) {
+                    if !ends_as_expected(&Schedule::new(seed), slots, &expected) {
                         failed.lock().unwrap().push(seed);
                     }
                 }
@@ -86,8 +86,9 @@ fn count(fleet: &Fleet, sql: &'static str) -> i64 {
     })
 }
 
-/// Plays one schedule. If it fails, prints the schedule, the difference and the end of the log.
-fn survives(schedule: &Schedule, slots: SlotKind, expected: &str) -> bool {
+/// Plays one schedule, and returns true if the campaign's outcome is the expected one. Otherwise
+/// prints the schedule, the difference and the end of the log.
+fn ends_as_expected(schedule: &Schedule, slots: SlotKind, expected: &str) -> bool {
     let mut fleet = Fleet::start(slots);
     let played = catch_unwind(AssertUnwindSafe(|| {
         fleet.inject_all(schedule);
@@ -100,16 +101,16 @@ fn survives(schedule: &Schedule, slots: SlotKind, expected: &str) -> bool {
         );
         outcome
     }));
-    let same = played.as_deref().is_ok_and(|outcome| outcome == expected);
-    if !same {
+    let is_same = played.as_deref().is_ok_and(|outcome| outcome == expected);
+    if !is_same {
         let outcome = played.unwrap_or_else(|_| "none".to_owned());
         eprintln!(
             "FAILED {slots:?} {schedule}\n{}\n{}",
             difference(expected, &outcome),
-            fleet.last_words()
+            fleet.log_tail()
         );
     }
-    same
+    is_same
 }
 
 /// Returns the first lines that differ.
@@ -138,9 +139,9 @@ fn workers_suspended_beyond_their_leases_lose_no_result() {
     assert_eq!(count(&fleet, "SELECT sum(stale_reports) FROM job"), 0);
 }
 
-/// Regression (finding B4): three cuts quarantined running rollouts, and five stopped all workers.
+/// Regression: three cuts quarantined running rollouts, and five stopped all workers.
 #[test]
-fn a_network_that_is_cut_again_and_again_charges_nobody() {
+fn repeated_network_outages_charge_neither_rollouts_nor_workers() {
     let mut fleet = Fleet::start(SlotKind::Simulated);
     for _ in 0..6 {
         fleet.inject(Fault::Block(
@@ -151,14 +152,14 @@ fn a_network_that_is_cut_again_and_again_charges_nobody() {
     }
     fleet.outcome();
     assert_eq!(count(&fleet, CHARGED), 0);
-    let struck = "SELECT count(*) FROM worker WHERE charged_in_a_row > 0";
-    assert_eq!(count(&fleet, struck), 0);
+    let charged_workers = "SELECT count(*) FROM worker WHERE charged_in_a_row > 0";
+    assert_eq!(count(&fleet, charged_workers), 0);
 }
 
-/// Regression (defect 5): a claim whose answer was lost left a lease that expired as a charged
-/// failure, and as a strike against the worker.
+/// Regression: a claim whose answer was lost left a lease that expired as a charged failure of the
+/// rollout and of the worker.
 #[test]
-fn a_wire_that_loses_every_answer_of_the_coordinator_charges_nothing() {
+fn lost_answers_of_the_coordinator_charge_neither_rollouts_nor_workers() {
     let mut fleet = Fleet::start(SlotKind::Simulated);
     for _ in 0..3 {
         // Longer than the duration of a lease that is never acknowledged.
@@ -167,6 +168,6 @@ fn a_wire_that_loses_every_answer_of_the_coordinator_charges_nothing() {
     }
     fleet.outcome();
     assert_eq!(count(&fleet, CHARGED), 0);
-    let struck = "SELECT count(*) FROM worker WHERE stopped_reason IS NOT NULL";
-    assert_eq!(count(&fleet, struck), 0);
+    let stopped_workers = "SELECT count(*) FROM worker WHERE stopped_reason IS NOT NULL";
+    assert_eq!(count(&fleet, stopped_workers), 0);
 }

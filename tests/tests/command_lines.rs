@@ -8,8 +8,8 @@ use tests::documents::folder::checkout;
 use tests::programs::program;
 
 const PROGRAMS: [&str; 3] = ["coordinator", "worker", "policy-gateway"];
-/// An address at which nobody listens.
-const NOBODY: &str = "127.0.0.1:9";
+/// An address at which no server listens.
+const UNUSED_ADDRESS: &str = "127.0.0.1:9";
 
 /// Returns a command whose environment has only these variables and the necessary ones.
 fn command(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> Command {
@@ -20,8 +20,8 @@ fn command(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> Comman
         .env_clear()
         .env("PATH", std::env::var_os("PATH").expect("a path"));
     // Variables that are needed to find the build's libraries.
-    for kept in ["HOME", "LD_LIBRARY_PATH"] {
-        command.envs(std::env::var_os(kept).map(|value| (kept, value)));
+    for variable in ["HOME", "LD_LIBRARY_PATH"] {
+        command.envs(std::env::var_os(variable).map(|value| (variable, value)));
     }
     command.envs(variables.iter().copied());
     command
@@ -30,13 +30,13 @@ fn command(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> Comman
 fn run(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> Output {
     command(name, arguments, variables)
         .output()
-        .expect("it runs")
+        .expect("an output")
 }
 
 /// Runs a server until it listens, sends SIGTERM, and returns its output and exit code.
 fn serve(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> (String, i32) {
     let mut command = command(name, arguments, variables);
-    let mut child = command.stdout(Stdio::piped()).spawn().expect("it starts");
+    let mut child = command.stdout(Stdio::piped()).spawn().expect("a process");
     let mut out = BufReader::new(child.stdout.take().expect("piped"));
     let mut output = String::new();
     out.read_line(&mut output).expect("a line");
@@ -50,7 +50,7 @@ fn serve(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> (String,
             .success()
     );
     out.read_to_string(&mut output).expect("the rest");
-    let code = child.wait().expect("it ends").code();
+    let code = child.wait().expect("an exit status").code();
     (output, code.expect("no signal ended it"))
 }
 
@@ -71,8 +71,8 @@ fn exit_codes_are_those_of_the_table() {
     let path = |name: &str| folder.path().join(name).display().to_string();
     let (data, missing) = (path("data"), path("missing"));
     let one = path("one.jsonl");
-    let url = format!("http://{NOBODY}");
-    let grpc = format!("grpc://{NOBODY}");
+    let url = format!("http://{UNUSED_ADDRESS}");
+    let grpc = format!("grpc://{UNUSED_ADDRESS}");
     let expand = ["manifest", "expand", "--version", "v0.1", "--output", &one];
     let serves = ["serve", "--data", &data, "--listen", "127.0.0.1:0"];
     let (output, ended) = serve("coordinator", &serves, &[]);
@@ -88,10 +88,10 @@ fn exit_codes_are_those_of_the_table() {
     found.push(("policy-gateway".to_owned(), 0, gateway_ended));
     let mut check = |code: i32, name: &str, arguments: &[&str]| {
         let output = run(name, arguments, &[]);
-        let complaint = String::from_utf8_lossy(&output.stderr);
-        assert!(code == 0 || !complaint.is_empty(), "{name} {arguments:?}");
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert!(code == 0 || !errors.is_empty(), "{name} {arguments:?}");
         let ended = output.status.code().expect("no signal ended it");
-        found.push((format!("{name} {arguments:?}: {complaint}"), code, ended));
+        found.push((format!("{name} {arguments:?}: {errors}"), code, ended));
     };
     for name in PROGRAMS {
         check(0, name, &["--version"]);
@@ -130,7 +130,7 @@ fn exit_codes_are_those_of_the_table() {
     check(
         2,
         "worker",
-        &["--connect", NOBODY, "--assets", "primitives"],
+        &["--connect", UNUSED_ADDRESS, "--assets", "primitives"],
     );
     check(1, "policy-gateway", &["compare", &grpc, &grpc]);
     check(1, "policy-gateway", &["--config", &missing]);
@@ -141,8 +141,8 @@ fn exit_codes_are_those_of_the_table() {
         "policy-gateway",
         &[&gateway[2..], &["--listen", "0.0.0.0:0"]].concat(),
     );
-    for (what, expected, code) in &found {
-        assert_eq!(code, expected, "{what}");
+    for (label, expected, code) in &found {
+        assert_eq!(code, expected, "{label}");
     }
     let mut codes: Vec<i32> = found.iter().map(|(_, expected, _)| *expected).collect();
     codes.sort_unstable();
@@ -171,8 +171,8 @@ fn options(name: &str, words: &[&str]) -> Vec<(String, Option<String>)> {
         }
     }
     let variable = |text: &str| {
-        let (_, behind) = text.split_once("[env: ")?;
-        behind.split(['=', ']']).next().map(str::to_owned)
+        let (_, rest) = text.split_once("[env: ")?;
+        rest.split(['=', ']']).next().map(str::to_owned)
     };
     let options = described.into_iter();
     let options = options.map(|(flag, text)| (flag, variable(&text)));
@@ -191,8 +191,8 @@ fn every_server_option_has_a_variable_in_help_and_manual() {
         ("worker", &[], "worker.1"),
         ("policy-gateway", &[], "policy-gateway.1"),
     ] {
-        let made = run(name, &["manual", manual], &[]);
-        assert!(made.status.success(), "{name}: no manual");
+        let output = run(name, &["manual", manual], &[]);
+        assert!(output.status.success(), "{name}: no manual");
         let page = std::fs::read_to_string(folder.path().join(page)).expect("a page");
         for (flag, variable) in options(name, words) {
             let expected = match flag.as_str() {
@@ -206,7 +206,7 @@ fn every_server_option_has_a_variable_in_help_and_manual() {
 }
 
 #[test]
-fn a_server_takes_its_options_from_the_environment_and_the_command_line_wins() {
+fn server_options_come_from_the_environment_unless_the_command_line_sets_them() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = |name: &str| folder.path().join(name).display().to_string();
     let (data, other) = (path("data"), path("other"));
@@ -240,7 +240,7 @@ fn a_server_takes_its_options_from_the_environment_and_the_command_line_wins() {
 }
 
 #[test]
-fn an_invalid_variable_stops_servers_and_no_other_command() {
+fn an_invalid_variable_is_refused_by_servers_and_ignored_by_other_commands() {
     for (name, arguments, variable, value) in [
         (
             "coordinator",
@@ -277,8 +277,12 @@ fn an_invalid_variable_stops_servers_and_no_other_command() {
         );
     }
     // Errors about a value of the command line do not name the environment.
-    let given = ["serve", "--data", "d", "--listen", "there"];
-    let output = run("coordinator", &given, &[("ROLLOUT_LISTEN", "127.0.0.1:0")]);
+    let arguments = ["serve", "--data", "d", "--listen", "there"];
+    let output = run(
+        "coordinator",
+        &arguments,
+        &[("ROLLOUT_LISTEN", "127.0.0.1:0")],
+    );
     let stderr = String::from_utf8_lossy(&output.stderr);
     assert!(
         stderr.contains("there") && !stderr.contains("the environment"),

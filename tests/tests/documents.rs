@@ -63,7 +63,7 @@ pages! {
 }
 
 #[test]
-fn a_command_that_fails_is_named_with_its_line_and_what_it_printed() {
+fn a_failed_command_is_reported_with_its_line_and_output() {
     let page = "\
 ```sh
 export WORD=spoken
@@ -89,9 +89,9 @@ policy-gateway --config gateway.toml
         ("page.md:15: it ended at once", "gateway.toml"),
     ];
     assert_eq!(failures.len(), expected.len(), "{failures:?}");
-    for (failure, (begins, holds)) in failures.iter().zip(expected) {
-        assert!(failure.starts_with(begins), "{failure}");
-        assert!(failure.contains(holds), "{failure}");
+    for (failure, (start, output)) in failures.iter().zip(expected) {
+        assert!(failure.starts_with(start), "{failure}");
+        assert!(failure.contains(output), "{failure}");
     }
 }
 
@@ -105,8 +105,8 @@ fn every_page_is_visited() {
             let path = entry.expect("an entry").path();
             let name = path.file_name().and_then(|name| name.to_str());
             let name = name.unwrap_or_default();
-            let others = name.starts_with('.') || ["target", "node_modules"].contains(&name);
-            if path.is_dir() && !others && !path.is_symlink() {
+            let is_ignored = name.starts_with('.') || ["target", "node_modules"].contains(&name);
+            if path.is_dir() && !is_ignored && !path.is_symlink() {
                 folders.push(path);
             } else if is_page(&path) {
                 let page = path.strip_prefix(&root).expect("inside");
@@ -115,9 +115,9 @@ fn every_page_is_visited() {
         }
     }
     found.sort();
-    let mut known: Vec<&str> = PAGES.to_vec();
-    known.sort_unstable();
-    assert_eq!(found, known, "name new pages in tests/tests/documents.rs");
+    let mut listed: Vec<&str> = PAGES.to_vec();
+    listed.sort_unstable();
+    assert_eq!(found, listed, "list new pages in tests/tests/documents.rs");
 }
 
 fn is_page(path: &Path) -> bool {

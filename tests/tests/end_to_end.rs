@@ -47,7 +47,7 @@ fn the_same_campaign_twice_gives_the_same_outcomes_and_step_counts() {
 }
 
 #[test]
-fn a_worker_killed_in_the_middle_costs_only_its_rollouts_time() {
+fn killing_a_worker_changes_no_outcome() {
     let data = tempfile::tempdir().unwrap();
     let campaigns = Campaigns::start(data.path());
     campaigns.create("undisturbed", "expert", TASKS, "2");
@@ -59,7 +59,7 @@ fn a_worker_killed_in_the_middle_costs_only_its_rollouts_time() {
     let victim = Process::worker(&campaigns.coordinator.url, 2, "primitives");
     campaigns.wait_for_commits("disturbed", Some(3));
     victim.signal("-KILL");
-    let _heir = Process::worker(&campaigns.coordinator.url, 2, "primitives");
+    let _successor = Process::worker(&campaigns.coordinator.url, 2, "primitives");
     campaigns.wait_for_commits("disturbed", None);
     assert_eq!(campaigns.outcomes("disturbed").len(), 2 * CONDITIONS);
     assert_eq!(
@@ -73,7 +73,7 @@ fn a_python_policy_answers_from_pixels_through_the_gateway() {
     let Some(python) = std::env::var_os("ROLLOUT_PYTHON") else {
         eprintln!(
             "SKIPPED a_python_policy_answers_from_pixels_through_the_gateway: \
-             `cargo xtask test` names the interpreter"
+             `cargo xtask test` sets ROLLOUT_PYTHON"
         );
         return;
     };
@@ -88,7 +88,8 @@ fn a_typescript_policy_conforms_and_answers_through_the_gateway() {
     let Some(server) = std::env::var_os("ROLLOUT_TYPESCRIPT_POLICY") else {
         eprintln!(
             "SKIPPED a_typescript_policy_conforms_and_answers_through_the_gateway: \
-             `cargo xtask test` builds it and names it, where npm is installed"
+             `cargo xtask test` builds the server and sets ROLLOUT_TYPESCRIPT_POLICY where npm is \
+             installed"
         );
         return;
     };
@@ -141,7 +142,7 @@ fn roll_out(name: &str, policy: &Process) {
     assert!(result.contains("first_frame"), "{result}");
 }
 
-/// Runs a program that must refuse; returns its exit code and complaint.
+/// Runs a program with invalid input; returns its exit code and error output.
 fn refusal(name: &str, arguments: &[&str]) -> (Option<i32>, String) {
     let output = Command::new(program(name))
         .args(arguments)
@@ -154,15 +155,12 @@ fn refusal(name: &str, arguments: &[&str]) -> (Option<i32>, String) {
 }
 
 #[test]
-fn bad_input_is_refused_with_the_thing_the_place_and_the_remedy() {
+fn invalid_input_is_refused_with_the_thing_the_place_and_the_remedy() {
     let check = |name: &str, arguments: &[&str], code: i32, words: &[&str]| {
-        let (status, complaint) = refusal(name, arguments);
-        assert_eq!(status, Some(code), "{name} {arguments:?}: {complaint}");
+        let (status, errors) = refusal(name, arguments);
+        assert_eq!(status, Some(code), "{name} {arguments:?}: {errors}");
         for word in words {
-            assert!(
-                complaint.contains(word),
-                "{name} {arguments:?}: {complaint}"
-            );
+            assert!(errors.contains(word), "{name} {arguments:?}: {errors}");
         }
     };
     #[rustfmt::skip]

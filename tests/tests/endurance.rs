@@ -9,8 +9,8 @@ fn memory_stays_level_over_sixty_rollouts_of_four_tasks() {
         .output()
         .unwrap();
     let printed = String::from_utf8_lossy(&output.stdout);
-    let complaint = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{printed}\n{complaint}");
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{printed}\n{errors}");
     assert!(printed.contains("   60 rollouts"), "{printed}");
 }
 
@@ -20,7 +20,7 @@ fn too_few_rollouts_to_measure_growth_are_refused() {
         .args(["--rollouts", "4", "--tasks", "4"])
         .output()
         .unwrap();
-    let complaint = String::from_utf8_lossy(&output.stderr);
-    assert_eq!(output.status.code(), Some(2), "{complaint}");
-    assert!(complaint.contains("make 1 rounds"), "{complaint}");
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert_eq!(output.status.code(), Some(2), "{errors}");
+    assert!(errors.contains("make 1 rounds"), "{errors}");
 }

@@ -26,13 +26,13 @@ fn recorded() -> BTreeMap<Variant, BTreeMap<&'static str, Vec<f64>>> {
     for line in RECORDED.lines() {
         let mut fields = line.split(' ');
         let (_, name) = fields.next().unwrap().split_once('/').unwrap();
-        let what = fields.next().unwrap();
-        if what == "noise" {
+        let kind = fields.next().unwrap();
+        if kind == "noise" {
             continue;
         }
         let numbers = fields.map(|field| field.parse().unwrap()).collect();
         let variant = name.parse().unwrap();
-        recorded.entry(variant).or_default().insert(what, numbers);
+        recorded.entry(variant).or_default().insert(kind, numbers);
     }
     recorded
 }
@@ -44,8 +44,8 @@ fn difference(found: &[f64], expected: &[f64]) -> f64 {
 }
 
 #[test]
-fn states_after_reset_and_waits_and_cameras_are_the_originals() {
-    let test = "states_after_reset_and_waits_and_cameras_are_the_originals";
+fn states_and_cameras_after_resets_and_waits_equal_the_originals() {
+    let test = "states_and_cameras_after_resets_and_waits_equal_the_originals";
     let sources = sources();
     let Some(pack) = libero(&sources, test) else {
         return;
@@ -75,14 +75,14 @@ fn states_after_reset_and_waits_and_cameras_are_the_originals() {
                 start,
                 corruption: None,
             };
-            let begun = Conditions::begin_variant(&ready, environment, &row, &start).unwrap();
-            begun.settle(environment).unwrap();
+            let conditions = Conditions::begin_variant(&ready, environment, &row, &start).unwrap();
+            conditions.settle(environment).unwrap();
         };
         begin(&mut environment, Start::Reset, 0);
-        let mut check = |what: &'static str, found: &[f64]| {
-            let difference = difference(found, &recorded[what]);
-            println!("{variant} {what}: {difference:e}");
-            let largest = largest.entry(what).or_insert((0.0, variant));
+        let mut check = |kind: &'static str, found: &[f64]| {
+            let difference = difference(found, &recorded[kind]);
+            println!("{variant} {kind}: {difference:e}");
+            let largest = largest.entry(kind).or_insert((0.0, variant));
             if difference >= largest.0 {
                 *largest = (difference, variant);
             }
@@ -103,18 +103,19 @@ fn states_after_reset_and_waits_and_cameras_are_the_originals() {
         begin(&mut environment, Start::InitialState, 10);
         check("official", &environment.state());
     }
-    for (what, (difference, variant)) in largest {
+    for (kind, (difference, variant)) in largest {
         assert!(
             difference <= TOLERANCE,
-            "{what} of {variant} differs by {difference:e}"
+            "{kind} of {variant} differs by {difference:e}"
         );
     }
 }
 
-/// The generator draws for the reset and for every later picture, rendered or not.
+/// The generator draws for the picture of the reset and for every later picture, even if it is not
+/// rendered.
 #[test]
-fn corruption_draws_what_the_original_draws() {
-    let test = "corruption_draws_what_the_original_draws";
+fn corruption_draws_as_many_random_numbers_as_the_original() {
+    let test = "corruption_draws_as_many_random_numbers_as_the_original";
     let sources = sources();
     let Some(pack) = libero(&sources, test) else {
         return;
@@ -143,15 +144,15 @@ fn corruption_draws_what_the_original_draws() {
 
 /// Compares states of LIBERO-PRO in trials 0 and 1, as recorded by `family/record_pro.py`.
 #[test]
-fn states_of_pro_after_resets_and_waits_are_the_originals() {
-    let test = "states_of_pro_after_resets_and_waits_are_the_originals";
+fn states_of_libero_pro_after_resets_and_waits_equal_the_originals() {
+    let test = "states_of_libero_pro_after_resets_and_waits_equal_the_originals";
     let sources = sources();
     let Some(pack) = libero(&sources, test) else {
         return;
     };
     // The object suites need models that are not LIBERO's.
-    let whole = std::env::var("ROLLOUT_PRO_ASSETS").ok();
-    let whole = whole.map(|dir| AssetPack::open_whole(dir.as_ref()).unwrap());
+    let pro_pack = std::env::var("ROLLOUT_PRO_ASSETS").ok();
+    let pro_pack = pro_pack.map(|dir| AssetPack::open_whole(dir.as_ref()).unwrap());
     let mut largest = 0.0_f64;
     for line in include_str!("family/pro.txt").lines() {
         let mut fields = line.split(' ');
@@ -172,13 +173,13 @@ fn states_of_pro_after_resets_and_waits_are_the_originals() {
         }
         let pack = match (
             AssetPack::files_of_tasks(std::slice::from_ref(&files)),
-            &whole,
+            &pro_pack,
         ) {
             (Ok(_), _) => {
                 pack.provide_with_bar(std::slice::from_ref(&files)).unwrap();
                 &pack
             }
-            (Err(_), Some(whole)) => whole,
+            (Err(_), Some(pro_pack)) => pro_pack,
             (Err(_), None) => {
                 println!("skipped {test}: {suite}: ROLLOUT_PRO_ASSETS names no folder of assets");
                 continue;
@@ -195,8 +196,8 @@ fn states_of_pro_after_resets_and_waits_are_the_originals() {
             start: Start::InitialState,
             corruption: None,
         };
-        let begun = Conditions::begin_variant(&ready, &mut environment, &row, &start).unwrap();
-        begun.settle(&mut environment).unwrap();
+        let conditions = Conditions::begin_variant(&ready, &mut environment, &row, &start).unwrap();
+        conditions.settle(&mut environment).unwrap();
         let difference = difference(&environment.state(), &expected);
         println!("{suite} {name} {trial}: {difference:e}");
         largest = largest.max(difference);

@@ -1,4 +1,4 @@
-//! A campaign of LIBERO's family through real processes, held against `worker variants`.
+//! A campaign of LIBERO's family through real processes, compared with `worker variants`.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::path::Path;
@@ -113,8 +113,8 @@ fn run_alone(campaigns: &Campaigns, variants: &str, output: &Path) -> Outcomes {
     command.args(["--assets", "primitives", "--policy", "student"]);
     command.args(["--endpoint", &campaigns.gateway.url, "--output"]);
     let run = command.arg(output).output().expect("the worker runs");
-    let complaint = String::from_utf8_lossy(&run.stderr);
-    assert!(run.status.success(), "{complaint}");
+    let errors = String::from_utf8_lossy(&run.stderr);
+    assert!(run.status.success(), "{errors}");
     let text = std::fs::read_to_string(output.join("results.jsonl")).expect("results");
     let rows = text
         .lines()
@@ -169,8 +169,8 @@ async fn a_campaign_of_variants_has_the_outcomes_of_worker_variants() {
     assert!(outcomes.keys().eq(ids.iter()), "{outcomes:?}");
     let alone = run_alone(&campaigns, &joined, &folder.path().join("alone"));
     assert_eq!(outcomes, alone);
-    // The changes reached the simulator: no two variants have the same first frames, except that
-    // another sentence changes no picture.
+    // The changes reached the simulator: no two variants have the same first frames. Variants of
+    // the language are left out, because another instruction changes no picture.
     let visual = outcomes.iter().filter(|(id, _)| !id.contains("language"));
     let frames: BTreeSet<&String> = visual
         .clone()
@@ -211,18 +211,18 @@ async fn a_campaign_of_variants_has_the_outcomes_of_worker_variants() {
     assert_eq!(groups, Some(names.len() - 1));
 
     let twice = campaigns.call(&["report", "plus", "plus"]);
-    let complaint = String::from_utf8_lossy(&twice.stderr);
-    assert!(complaint.contains("never pooled"), "{complaint}");
+    let errors = String::from_utf8_lossy(&twice.stderr);
+    assert!(errors.contains("never pooled"), "{errors}");
     let checked = campaigns.succeed(&["campaign", "status", "plus"]);
     assert!(checked.contains("finished"), "{checked}");
 }
 
-/// Returns a copy of the folder of sources, in links, without LIBERO-Plus' task files.
+/// Creates a folder of links to the sources, without LIBERO-Plus' task files.
 fn sources_without_plus(folder: &Path) {
-    let own = tests::files::sources();
-    let plus = Sources::family(own.dir(), Benchmark::Plus);
+    let sources = tests::files::sources();
+    let plus = Sources::family(sources.dir(), Benchmark::Plus);
     std::fs::create_dir(folder).expect("a folder");
-    for entry in std::fs::read_dir(own.dir()).expect("the sources") {
+    for entry in std::fs::read_dir(sources.dir()).expect("the sources") {
         let entry = entry.expect("an entry");
         if !plus.starts_with(entry.path()) {
             let link = folder.join(entry.file_name());
@@ -231,8 +231,8 @@ fn sources_without_plus(folder: &Path) {
     }
 }
 
-/// Regression: the worker claimed the rollout that it cannot run again and again, and waited in
-/// between.
+/// Regression: a worker repeatedly claimed the rollout that it cannot run, and waited between the
+/// claims.
 #[test]
 fn a_worker_without_the_task_files_gets_other_rollouts_until_they_are_fetched() {
     let test = "a_worker_without_the_task_files_gets_other_rollouts_until_they_are_fetched";
@@ -275,19 +275,19 @@ fn a_worker_without_the_task_files_gets_other_rollouts_until_they_are_fetched() 
     assert_eq!(counts, [1, 0].map(Value::from));
     assert_eq!(report["family"]["unperturbed"]["rollouts"], 1);
 
-    let own = tests::files::sources();
-    if !scene::has_task_files(Benchmark::Plus, &own) {
+    let complete = tests::files::sources();
+    if !scene::has_task_files(Benchmark::Plus, &complete) {
         println!("skipped in part {test}: no task files of LIBERO-Plus");
         return;
     }
-    let fetched = Sources::family(own.dir(), Benchmark::Plus);
-    let place = sources.join(Benchmark::Plus.name());
-    std::os::unix::fs::symlink(fetched, place).expect("a link");
+    let fetched = Sources::family(complete.dir(), Benchmark::Plus);
+    let link = sources.join(Benchmark::Plus.name());
+    std::os::unix::fs::symlink(fetched, link).expect("a link");
     campaigns.wait_for_commits("plus", None);
 }
 
 #[test]
-fn campaigns_that_cannot_run_or_mean_nothing_are_refused_with_the_remedy() {
+fn invalid_campaigns_and_commands_for_variants_are_refused_with_the_remedy() {
     let folder = tempfile::tempdir().unwrap();
     let campaigns = Campaigns::start(&folder.path().join("data"));
     for (more, expected) in [
@@ -311,9 +311,9 @@ fn campaigns_that_cannot_run_or_mean_nothing_are_refused_with_the_remedy() {
         ),
     ] {
         let refused = campaigns.call(&creation(&campaigns, "noop", more));
-        let complaint = String::from_utf8_lossy(&refused.stderr);
+        let errors = String::from_utf8_lossy(&refused.stderr);
         assert!(!refused.status.success(), "{more:?}");
-        assert!(complaint.contains(expected), "{more:?}: {complaint}");
+        assert!(errors.contains(expected), "{more:?}: {errors}");
     }
     let noise = ["--dimension", "noise", "--suites", "libero_goal"];
     campaigns.succeed(&creation(&campaigns, "noop", &noise));
@@ -322,12 +322,9 @@ fn campaigns_that_cannot_run_or_mean_nothing_are_refused_with_the_remedy() {
         &["report", "plus", "--table", "table.csv"],
     ] {
         let refused = campaigns.call(arguments);
-        let complaint = String::from_utf8_lossy(&refused.stderr);
+        let errors = String::from_utf8_lossy(&refused.stderr);
         assert!(!refused.status.success(), "{arguments:?}");
-        assert!(
-            complaint.contains("LIBERO-CTRL"),
-            "{arguments:?}: {complaint}"
-        );
+        assert!(errors.contains("LIBERO-CTRL"), "{arguments:?}: {errors}");
     }
     let refused = campaigns.call(&["thresholds", "plus", "--create"]);
     assert!(!refused.status.success(), "thresholds of variants");

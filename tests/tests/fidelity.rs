@@ -59,8 +59,8 @@ fn every_reference_task_of_libero_10_agrees_with_the_original() {
 
 /// Compares only frames, of one task of each suite; the tests above compare motion.
 #[test]
-fn frames_drawn_through_opengl_are_the_originals_within_bounds() {
-    let test = "frames_drawn_through_opengl_are_the_originals_within_bounds";
+fn frames_drawn_through_opengl_equal_the_originals_within_bounds() {
+    let test = "frames_drawn_through_opengl_equal_the_originals_within_bounds";
     let sources = sources();
     let (Some(reference), Some(pack)) = (shared("oracle/tasks-real", test), libero(&sources, test))
     else {
@@ -147,7 +147,7 @@ fn frames_of_real_scenes_have_the_same_bits_on_every_machine() {
 /// Compares depths and segments, for one task of each suite and both cameras. Colours are compared
 /// above.
 #[test]
-fn depths_and_segments_are_opengls() {
+fn depths_and_segments_equal_those_of_opengl() {
     const SIZE: [u32; 2] = [256, 256];
     // A thousandth of the pixels: those at silhouettes and where surfaces meet.
     const MOST: usize = 65;
@@ -156,7 +156,7 @@ fn depths_and_segments_are_opengls() {
         match Drawer::open(Renderer::Gl(GlDevice::Auto)) {
             Ok(drawer) => drawer,
             Err(error) => {
-                println!("skipped depths_and_segments_are_opengls: {error}");
+                println!("skipped depths_and_segments_equal_those_of_opengl: {error}");
                 return;
             }
         },
@@ -256,7 +256,7 @@ fn fixtures_are_placed_where_the_original_places_them() {
 }
 
 #[test]
-fn the_arm_moves_as_the_original_does_whatever_the_asset_pack() {
+fn the_arm_moves_as_in_the_original_with_any_asset_pack() {
     let sources = sources();
     let pack = primitives(&sources);
     let mut simulator = Simulator::new(SimulatorConfig {
@@ -295,7 +295,7 @@ fn the_arm_moves_as_the_original_does_whatever_the_asset_pack() {
                 // the arm by less than the solver's tolerance.
                 assert!(
                     (ours - theirs).abs() < 1e-7,
-                    "{task}, step {step}: {ours} for {theirs}"
+                    "{task}, step {step}: {ours} instead of {theirs}"
                 );
             }
         }

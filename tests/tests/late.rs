@@ -7,7 +7,7 @@ use libero_ctrl::Delays;
 use serde_json::Value;
 use tests::programs::{Campaigns, Process, program};
 
-/// A server whose every batch takes 120 ms, made with the package that policies' authors use.
+/// A server built with the package `rollout_policies`, whose batches take 120 ms each.
 const SLOW: &str = "\
 import time
 import numpy as np
@@ -37,7 +37,7 @@ const ANSWERS: u64 = 800;
 fn a_campaign_draws_its_delays_from_a_servers_measured_latencies() {
     let Some(python) = std::env::var_os("ROLLOUT_PYTHON") else {
         let test = "a_campaign_draws_its_delays_from_a_servers_measured_latencies";
-        eprintln!("SKIPPED {test}: `cargo xtask test` names the interpreter");
+        eprintln!("SKIPPED {test}: `cargo xtask test` sets ROLLOUT_PYTHON");
         return;
     };
     let data = tempfile::tempdir().unwrap();
@@ -56,9 +56,9 @@ fn a_campaign_draws_its_delays_from_a_servers_measured_latencies() {
         .args(["check", &url, "--policy", "slow", "--latency", path])
         .output()
         .expect("the check runs");
-    let told = String::from_utf8_lossy(&checked.stdout);
-    let complaint = String::from_utf8_lossy(&checked.stderr);
-    assert!(checked.status.success(), "{told}\n{complaint}");
+    let printed = String::from_utf8_lossy(&checked.stdout);
+    let errors = String::from_utf8_lossy(&checked.stderr);
+    assert!(checked.status.success(), "{printed}\n{errors}");
     let text = std::fs::read_to_string(&file).expect("a file of latencies");
     let written: Value = serde_json::from_str(&text).expect("JSON");
     assert_eq!(written["policy"], "slow");
@@ -71,7 +71,7 @@ fn a_campaign_draws_its_delays_from_a_servers_measured_latencies() {
         "latency with 8 rollouts at once: median ".to_owned(),
         format!("--execution overlap:@{path}` draws from them: overlap:{delays}"),
     ] {
-        assert!(told.contains(&part), "{part}: {told}");
+        assert!(printed.contains(&part), "{part}: {printed}");
     }
 
     #[rustfmt::skip]

@@ -194,22 +194,22 @@ fn planted_worker(campaigns: &Campaigns, outcomes: &Path) -> Process {
 
 /// Repeats a command until its findings are complete.
 fn finish(campaigns: &Campaigns, command: &str, campaign: &str) {
-    let began = Instant::now();
+    let start = Instant::now();
     loop {
         let found = campaigns.succeed(&[command, campaign, "--create", "--json"]);
         if found.contains("\"complete\": true") {
             return;
         }
-        assert!(began.elapsed() < PATIENCE, "{found}");
+        assert!(start.elapsed() < PATIENCE, "{found}");
         std::thread::sleep(Duration::from_millis(200));
     }
 }
 
 /// Takes a screenshot of the whole page.
-fn take(browser: &mut Browser, screen: Screen, path: &Path) {
+fn save_screenshot(browser: &mut Browser, screen: Screen, path: &Path) {
     let height = browser.value("document.documentElement.scrollHeight");
     let height = height.as_u64().expect("a height").clamp(1, MAX_HEIGHT);
-    let height = u32::try_from(height).expect("not that tall");
+    let height = u32::try_from(height).expect("a clamped height");
     browser.set_screen(Screen { height, ..screen });
     std::fs::write(path, browser.screenshot()).expect("written");
 }
@@ -280,9 +280,9 @@ fn on_every_screen_nothing_is_cut_off_or_too_small_and_figures_use_the_width() {
             browser.set_screen(screen);
             browser.go(&format!("{}{path}", campaigns.coordinator.url));
             let place = format!("{name} at {width} px");
-            let wide = browser.value("document.documentElement.scrollWidth");
-            if wide.as_u64() > Some(u64::from(width)) {
-                problems.push(format!("{place} is {wide} px wide"));
+            let scroll_width = browser.value("document.documentElement.scrollWidth");
+            if scroll_width.as_u64() > Some(u64::from(width)) {
+                problems.push(format!("{place} is {scroll_width} px wide"));
             }
             let smallest = browser.value(SMALLEST);
             if smallest[0].as_f64() < Some(MIN_LETTERS_PX) {
@@ -303,11 +303,11 @@ fn on_every_screen_nothing_is_cut_off_or_too_small_and_figures_use_the_width() {
             if let Some(folder) = &pictures {
                 let theme = if is_dark { "dark" } else { "light" };
                 let picture = folder.join(format!("{name}-{width}-{theme}.png"));
-                take(&mut browser, screen, &picture);
+                save_screenshot(&mut browser, screen, &picture);
             }
         }
     }
     assert!(problems.is_empty(), "{}", problems.join("\n"));
-    let complaints = browser.complaints();
-    assert!(complaints.is_empty(), "{complaints:#?}");
+    let console_errors = browser.console_errors();
+    assert!(console_errors.is_empty(), "{console_errors:#?}");
 }

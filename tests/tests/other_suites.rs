@@ -61,7 +61,7 @@ fn compose_all<'a>(
     sources: &Sources,
 ) -> (Scenes<'a>, BTreeSet<String>) {
     let mut scenes = Scenes::new();
-    let mut lacking = BTreeSet::new();
+    let mut missing = BTreeSet::new();
     for task in tasks {
         match compose(&task.problem, pack, sources, ENV_SEED) {
             Ok(scene) => scenes
@@ -69,16 +69,16 @@ fn compose_all<'a>(
                 .or_default()
                 .push((task, scene)),
             Err(error) => {
-                lacking.insert(lacking_category(task, &error, pack.dir()));
+                missing.insert(missing_category(task, &error, pack.dir()));
             }
         }
     }
-    (scenes, lacking)
+    (scenes, missing)
 }
 
 /// Returns the category that an error names as missing, after checking that the task uses it and
 /// that the named file does not exist.
-fn lacking_category(task: &Task, error: &SceneError, pack: &Path) -> String {
+fn missing_category(task: &Task, error: &SceneError, pack: &Path) -> String {
     let name = &task.name;
     let SceneError::Read { path, .. } = error else {
         panic!("{name}: {error}");
@@ -103,9 +103,9 @@ fn lacking_category(task: &Task, error: &SceneError, pack: &Path) -> String {
 /// one of its released states and steps.
 fn run_all(scenes: Scenes<'_>, pack: &AssetPack, sources: &Sources) -> usize {
     let mut ran = 0;
-    for sharing in scenes.into_values() {
-        let mut environment = Environment::new(sharing[0].1.clone(), pack, sources).unwrap();
-        for (index, (task, scene)) in sharing.iter().enumerate() {
+    for group in scenes.into_values() {
+        let mut environment = Environment::new(group[0].1.clone(), pack, sources).unwrap();
+        for (index, (task, scene)) in group.iter().enumerate() {
             let name = &task.name;
             let model = environment.model();
             assert_eq!(task.states.width(), 1 + model.nq() + model.nv(), "{name}");
@@ -150,18 +150,18 @@ fn other_tasks_run_on_the_built_in_pack_or_name_the_missing_category() {
 
 fn check_pack(pack: &AssetPack, sources: &Sources) {
     let tasks = tasks(sources);
-    let (scenes, lacking) = compose_all(&tasks, pack, sources);
+    let (scenes, missing) = compose_all(&tasks, pack, sources);
     for task in TaskRef::all() {
         let problem = TaskFiles::of_task(sources, task).problem().unwrap();
         for declaration in problem.objects.iter().chain(&problem.fixtures) {
             let category = &declaration.category;
-            assert!(!lacking.contains(category), "{task} needs `{category}`");
+            assert!(!missing.contains(category), "{task} needs `{category}`");
         }
     }
     let count = scenes.len();
     let ran = run_all(scenes, pack, sources);
     eprintln!(
-        "{SUITE} on {}: {ran} of {} tasks ran, in {count} scenes; the pack lacks {lacking:?}",
+        "{SUITE} on {}: {ran} of {} tasks ran, in {count} scenes; the pack lacks {missing:?}",
         pack.name(),
         tasks.len()
     );

@@ -38,19 +38,20 @@ impl Bench {
 
     /// Asserts that the page requested nothing from other origins and logged no errors.
     fn check(&mut self) {
-        let complaints = self.browser.complaints();
-        assert!(complaints.is_empty(), "{complaints:#?}");
-        let own = self.url("/");
+        let console_errors = self.browser.console_errors();
+        assert!(console_errors.is_empty(), "{console_errors:#?}");
+        let origin = self.url("/");
         for url in self.browser.requests() {
-            let is_own = url.starts_with(&own) || url.starts_with("data:") || url == "about:blank";
-            assert!(is_own, "the page asked for {url}");
+            let is_own =
+                url.starts_with(&origin) || url.starts_with("data:") || url == "about:blank";
+            assert!(is_own, "the page requested {url}");
         }
     }
 }
 
 #[test]
-fn the_page_fills_in_by_itself_and_catches_up_after_a_restart() {
-    if !browser::is_installed("the_page_fills_in_by_itself_and_catches_up_after_a_restart") {
+fn the_page_updates_without_reload_and_reconnects_after_a_restart() {
+    if !browser::is_installed("the_page_updates_without_reload_and_reconnects_after_a_restart") {
         return;
     }
     let mut bench = Bench::start();
@@ -77,26 +78,26 @@ fn the_page_fills_in_by_itself_and_catches_up_after_a_restart() {
         .value(&format!("window.since = 'the click', {square}[0].focus()"));
     bench.browser.press("ArrowRight");
     bench.browser.press("ArrowDown");
-    let walked = format!("document.activeElement === {square}[11]");
+    let is_focused = format!("document.activeElement === {square}[11]");
     assert_eq!(
-        bench.browser.value(&walked),
+        bench.browser.value(&is_focused),
         true,
-        "arrow keys walk the matrix"
+        "arrow keys move the focus in the matrix"
     );
-    let seen_at = "document.activeElement.getBoundingClientRect().top";
+    let focus_top = "document.activeElement.getBoundingClientRect().top";
     bench
         .browser
-        .value(&format!("window.scrollBy(0, {seen_at} - 200)"));
-    let before = bench.browser.value(seen_at).as_f64().unwrap();
+        .value(&format!("window.scrollBy(0, {focus_top} - 200)"));
+    let before = bench.browser.value(focus_top).as_f64().unwrap();
     let done = bench.browser.value(DONE).as_i64().unwrap();
     bench.browser.wait_for(&format!("{DONE} > {done} + 10"));
     assert_eq!(bench.browser.value("window.since"), "the click");
-    assert_eq!(bench.browser.value(&walked), true, "focus stays");
-    let after = bench.browser.value(seen_at).as_f64().unwrap();
+    assert_eq!(bench.browser.value(&is_focused), true, "focus stays");
+    let after = bench.browser.value(focus_top).as_f64().unwrap();
     // The browser rounds to whole pixels at each of the updates between.
     assert!(
         (before - after).abs() <= 10.0,
-        "what is read stays where it was: {before} and {after} px from the top"
+        "the focused square keeps its position: {before} and {after} px from the top"
     );
     let grown = format!(
         "(() => {{ const main = document.getElementById('main');
@@ -105,12 +106,12 @@ fn the_page_fills_in_by_itself_and_catches_up_after_a_restart() {
         section.innerHTML = '<h2>New</h2><p>Something to say</p>';
         grown.insertBefore(section, grown.querySelector('section'));
         merge(main, grown);
-        return main.isEqualNode(grown) && {walked}; }})()"
+        return main.isEqualNode(grown) && {is_focused}; }})()"
     );
     assert_eq!(
         bench.browser.value(&grown),
         true,
-        "a section that comes before it takes no focus away"
+        "the focus stays when a section is inserted above"
     );
     bench.check();
 
@@ -119,7 +120,7 @@ fn the_page_fills_in_by_itself_and_catches_up_after_a_restart() {
     bench
         .browser
         .wait_for("document.getElementById('connection').innerText.includes('Disconnected')");
-    bench.browser.complaints();
+    bench.browser.console_errors();
     let data = bench.folder.path().join("data");
     bench.campaigns.restart_coordinator(&data);
     bench.browser.wait_for(&format!("{DONE} > {done} + 10"));
@@ -163,7 +164,9 @@ fn the_videos_of_a_configuration_play_together() {
         .browser
         .wait_for("document.querySelectorAll('video').length === 4");
     drop(worker);
-    let every = |what: &str| format!("[...document.querySelectorAll('video')].every(v => {what})");
+    let every = |condition: &str| {
+        format!("[...document.querySelectorAll('video')].every(v => {condition})")
+    };
     bench.browser.wait_for(&every(
         "v.readyState >= 3 && v.videoWidth > 0 && !v.controls",
     ));
@@ -178,14 +181,14 @@ fn the_videos_of_a_configuration_play_together() {
     bench
         .browser
         .wait_for(&every("!v.seeking && v.currentTime > 1"));
-    let apart = "(t => Math.max(...t) - Math.min(...t))(\
+    let difference = "(t => Math.max(...t) - Math.min(...t))(\
         [...document.querySelectorAll('video')].map(v => Math.min(v.currentTime, v.duration)))";
     let shortest = "Math.min(...[...document.querySelectorAll('video')].map(v => v.duration))";
-    let apart = bench.browser.value(apart).as_f64().unwrap();
+    let difference = bench.browser.value(difference).as_f64().unwrap();
     let shortest = bench.browser.value(shortest).as_f64().unwrap();
     assert!(
-        apart < 0.1 || shortest < 8.0,
-        "the videos are {apart} s apart"
+        difference < 0.1 || shortest < 8.0,
+        "the videos are {difference} s apart"
     );
     bench.check();
 }

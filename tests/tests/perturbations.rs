@@ -59,7 +59,7 @@ fn check_task(simulator: &mut Simulator, task: TaskRef, file: &Path) {
                     );
                 }
             };
-            let wide =
+            let widened =
                 |values: &[f32]| -> Vec<f64> { values.iter().map(|v| f64::from(*v)).collect() };
             expect("cam_pos", &model.cam_pos()[camera * 3..][..3], 1e-9);
             expect("cam_quat", &model.cam_quat()[camera * 4..][..4], 1e-9);
@@ -67,9 +67,9 @@ fn check_task(simulator: &mut Simulator, task: TaskRef, file: &Path) {
             expect("light_dir", model.light_dir(), 1e-9);
             // Colours are single precision in MuJoCo; the double-precision
             // values before that are compared in crate `sim`.
-            expect("light_diffuse", &wide(model.light_diffuse()), 3e-6);
-            expect("light_specular", &wide(model.light_specular()), 3e-6);
-            expect("ambient", &wide(&model.headlight_ambient()), 3e-6);
+            expect("light_diffuse", &widened(model.light_diffuse()), 3e-6);
+            expect("light_specular", &widened(model.light_specular()), 3e-6);
+            expect("ambient", &widened(&model.headlight_ambient()), 3e-6);
             expect("ik_q", ik.joints.as_slice(), 1e-6);
             expect("ik_q", &environment.data().qpos(model)[..7], 1e-6);
             expect("ik_res_mm", &[ik.residual_mm], 1e-3);

@@ -58,10 +58,7 @@ fn a_recorded_rollout_replays_identically_without_its_server() {
     assert_eq!(again, Some(first));
 
     let (other, outcome) = roll_out("object/t0/camera/L1/c01", &replay.url);
-    let complaint = String::from_utf8_lossy(&other.stderr);
-    assert!(!other.status.success() && outcome.is_none(), "{complaint}");
-    assert!(
-        complaint.contains("record that rollout first"),
-        "{complaint}"
-    );
+    let errors = String::from_utf8_lossy(&other.stderr);
+    assert!(!other.status.success() && outcome.is_none(), "{errors}");
+    assert!(errors.contains("record that rollout first"), "{errors}");
 }

@@ -11,8 +11,8 @@ fn a_disturbed_week_ends_as_an_undisturbed_one() {
         .output()
         .unwrap();
     let printed = String::from_utf8_lossy(&output.stdout);
-    let complaint = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{printed}\n{complaint}");
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{printed}\n{errors}");
     assert!(
         printed.contains("260 rollouts on 4 simulated slots"),
         "{printed}"

@@ -30,7 +30,7 @@ fn bddl_files(sources: &Sources) -> Vec<PathBuf> {
 }
 
 #[test]
-fn every_bddl_file_is_read_and_reads_the_same_when_written_again() {
+fn every_bddl_file_is_parsed_and_survives_a_round_trip() {
     let files = bddl_files(&sources());
     assert_eq!(files.len(), BDDL_FILES);
     for file in files {
@@ -106,8 +106,8 @@ fn every_evaluation_task_composes_from_the_files_that_are_fetched_for_it() {
 }
 
 #[test]
-fn an_altered_file_of_liberos_never_gets_into_a_scene() {
-    let test = "an_altered_file_of_liberos_never_gets_into_a_scene";
+fn altered_files_of_libero_are_refused_in_scenes() {
+    let test = "altered_files_of_libero_are_refused_in_scenes";
     let sources = sources();
     let Some(pack) = libero(&sources, test) else {
         return;
@@ -134,7 +134,8 @@ fn an_altered_file_of_liberos_never_gets_into_a_scene() {
         assert_eq!(after.name(), "custom");
         assert_ne!(after.digest(), pack.digest());
         assert!(after.differences()[0].starts_with(file), "{after:?}");
-        // A pack opened before it, as by a slot, is refused when the altered file is used.
+        // A pack opened before the alteration, as by a slot, is refused when the altered file is
+        // used.
         let known = AssetPack::open_known(&path, &sources, pack.digest()).unwrap();
         for pack in [&before, &known] {
             let composed = compose(&problem, pack, &sources, ENV_SEED);
@@ -178,7 +179,7 @@ fn check_task(task: TaskRef, sources: &Sources, pack: &AssetPack) {
 }
 
 #[test]
-fn a_missing_category_names_itself_and_the_file_looked_for() {
+fn a_missing_category_is_named_with_its_file() {
     let sources = sources();
     let pack = primitives(&sources);
     let task: TaskRef = "libero_object/0".parse().unwrap();
@@ -206,16 +207,16 @@ fn truncated_files_are_refused_by_name() {
     let task: TaskRef = "libero_goal/0".parse().unwrap();
     let files = TaskFiles::of_task(&sources, task);
     let dir = tempfile::tempdir().unwrap();
-    let cut = |from: &PathBuf, name: &str| {
+    let truncate = |from: &PathBuf, name: &str| {
         let bytes = std::fs::read(from).unwrap();
         let to = dir.path().join(name);
         std::fs::write(&to, &bytes[..bytes.len() / 2]).unwrap();
         to
     };
-    let init = cut(&files.init, "cut.pruned_init");
+    let init = truncate(&files.init, "cut.pruned_init");
     let error = InitialStates::read(&init).unwrap_err().to_string();
     assert!(error.contains("cut.pruned_init"), "{error}");
-    let bddl = cut(&files.bddl, "cut.bddl");
+    let bddl = truncate(&files.bddl, "cut.bddl");
     let error = TaskFiles { bddl, init }.problem().unwrap_err().to_string();
     assert!(
         error.contains("cut.bddl") && error.contains("line "),

@@ -10,7 +10,7 @@ use serde_json::Value;
 use tests::programs::{Campaigns, Process, program};
 use tests::slurm::{Cluster, NODES, free_ports, host_name, succeeded};
 
-const NAME: &str = "a_campaign_on_a_real_cluster_loses_nothing_and_charges_nobody";
+const NAME: &str = "a_campaign_on_a_real_cluster_loses_no_result_and_charges_no_attempt";
 const CAMPAIGN: &str = "cluster";
 /// Reasons for which attempts may end without an outcome here; none of them is charged.
 const UNCHARGED: [&str; 4] = [
@@ -21,19 +21,19 @@ const UNCHARGED: [&str; 4] = [
 ];
 
 #[test]
-fn a_campaign_on_a_real_cluster_loses_nothing_and_charges_nobody() {
+fn a_campaign_on_a_real_cluster_loses_no_result_and_charges_no_attempt() {
     let cluster = match Cluster::start() {
         Ok(cluster) => cluster,
-        Err(lacking) => return println!("skipped {NAME}: {lacking}"),
+        Err(reason) => return println!("skipped {NAME}: {reason}"),
     };
-    let lab = Lab::open(cluster);
+    let campaign = ClusterCampaign::open(cluster);
 
     // The array spans two nodes, and the gateway is on the one with the GPU.
-    let gateway = lab.job_called("rollout-gateway");
-    let array = lab.job_called("rollout-workers");
+    let gateway = campaign.job_called("rollout-gateway");
+    let array = campaign.job_called("rollout-workers");
     let tasks = [1, 2].map(|task| format!("{array}_{task}"));
-    lab.wait_until("both workers run", |lab| lab.live_workers() == 2);
-    let node = |job: &str| lab.cluster.job(job).node;
+    campaign.wait_until("both workers run", |campaign| campaign.live_workers() == 2);
+    let node = |job: &str| campaign.cluster.job(job).node;
     assert_eq!(node(&gateway), NODES[0]);
     let [on_first, on_second] = match node(&tasks[0]) == NODES[0] {
         true => tasks,
@@ -43,41 +43,43 @@ fn a_campaign_on_a_real_cluster_loses_nothing_and_charges_nobody() {
         }
     };
     assert_eq!([node(&on_first), node(&on_second)], NODES);
-    lab.wait_until("some rollouts are committed", |lab| {
-        lab.count("committed") >= 4
+    campaign.wait_until("some rollouts are committed", |campaign| {
+        campaign.count("committed") >= 4
     });
 
-    // A worker that is asked to end while it waits for its next rollout gives nothing back.
-    while lab.given_back() == 0 {
+    // A worker that is told to stop while it waits for its next rollout returns no attempt.
+    while campaign.returned_attempts() == 0 {
         assert!(
-            !lab.is_finished(),
-            "no worker was asked to end during a rollout"
+            !campaign.is_finished(),
+            "no worker was told to stop during a rollout"
         );
-        lab.wait_until("both workers have rollouts", |lab| {
-            lab.count("leased") == 2 || lab.is_finished()
+        campaign.wait_until("both workers have rollouts", |campaign| {
+            campaign.count("leased") == 2 || campaign.is_finished()
         });
-        lab.preempt(&on_second);
+        campaign.preempt(&on_second);
     }
-    lab.lose_node(&on_second);
+    campaign.lose_node(&on_second);
     for job in [&on_first, &gateway] {
-        lab.wait_until("a job whose time was up is back", |lab| lab.is_back(job, 1));
+        campaign.wait_until("a job whose time was up is back", |campaign| {
+            campaign.is_back(job, 1)
+        });
     }
     // Each restart started a new worker.
     for (task, times) in [(&on_first, 2), (&on_second, 3)] {
         let index = task.rsplit('_').next().unwrap_or_default();
-        let log = lab.scripts.join(format!("worker-{array}-{index}.log"));
+        let log = campaign.scripts.join(format!("worker-{array}-{index}.log"));
         // A job runs a moment before its worker has registered.
-        lab.wait_until("a worker of the job has registered again", |_| {
+        campaign.wait_until("a worker of the job has registered again", |_| {
             let log = std::fs::read_to_string(&log).expect("a log");
             log.matches("registered with the coordinator").count() >= times
         });
     }
 
-    lab.wait_until("the campaign is finished", Lab::is_finished);
-    lab.assert_no_charges();
-    let report = lab.report();
-    let endpoint = lab.endpoint.clone();
-    lab.close();
+    campaign.wait_until("the campaign is finished", ClusterCampaign::is_finished);
+    campaign.assert_no_charges();
+    let report = campaign.report();
+    let endpoint = campaign.endpoint.clone();
+    campaign.close();
     assert_eq!(report, report_of_one_machine(&endpoint));
 }
 
@@ -107,7 +109,7 @@ fn report_of_one_machine(endpoint: &str) -> String {
 }
 
 /// A campaign on a cluster, with its coordinator outside the cluster.
-struct Lab {
+struct ClusterCampaign {
     // Dropped first, since its jobs call the coordinator.
     cluster: Cluster,
     coordinator: Process,
@@ -116,13 +118,13 @@ struct Lab {
     endpoint: String,
 }
 
-impl Lab {
+impl ClusterCampaign {
     /// Performs a user's steps: writes the scripts, starts the coordinator, submits the jobs, and
     /// creates a campaign.
     fn open(cluster: Cluster) -> Self {
         let scripts = cluster.path("a lab's \"scripts\"");
-        let [own, gateway] = free_ports().map(|port| port.to_string());
-        let url = format!("http://{}:{own}", host_name());
+        let [port, gateway] = free_ports().map(|port| port.to_string());
+        let url = format!("http://{}:{port}", host_name());
         let launch = |more: &[&str]| {
             let mut launch = cluster.command("coordinator");
             launch.args(["launch", "slurm", "--connect", &url, "--insecure"]);
@@ -144,15 +146,15 @@ impl Lab {
         let url_file = scripts.join("gateway.url");
         cluster.wait_for("the gateway writes its URL", |_| url_file.exists());
         let endpoint = std::fs::read_to_string(url_file).expect("a line");
-        let lab = Self {
+        let campaign = Self {
             cluster,
             coordinator,
             scripts,
             url,
             endpoint: endpoint.trim().to_owned(),
         };
-        lab.command_output(&create(&lab.endpoint));
-        lab
+        campaign.command_output(&create(&campaign.endpoint));
+        campaign
     }
 
     /// Lets a job of a partition with higher priority take a worker's node.
@@ -166,16 +168,16 @@ impl Lab {
         let before = preemptions();
         // A task that reaches its time limit just then is not preempted; the loop then tries again.
         while preemptions() == before {
-            self.wait_until("the worker runs", |lab| lab.is_back(task, 0));
+            self.wait_until("the worker runs", |campaign| campaign.is_back(task, 0));
             let node = format!("--nodelist={}", self.cluster.job(task).node);
             let options = ["--partition=high", &node, "--exclusive"];
             let urgent = self.cluster.submit(&options, "sleep 3");
-            self.wait_until("the urgent job has run", |lab| {
-                lab.cluster.job(&urgent).state == "COMPLETED"
+            self.wait_until("the urgent job has run", |campaign| {
+                campaign.cluster.job(&urgent).state == "COMPLETED"
             });
         }
-        self.wait_until("the preempted worker is back", |lab| {
-            lab.is_back(task, restarts + 1)
+        self.wait_until("the preempted worker is back", |campaign| {
+            campaign.is_back(task, restarts + 1)
         });
     }
 
@@ -186,16 +188,16 @@ impl Lab {
         let scontrol = |arguments: &[&str]| self.cluster.command_output("scontrol", arguments);
         scontrol(&["update", &name, "State=DRAIN", "Reason=a test"]);
         scontrol(&["requeue", task]);
-        self.wait_until("the worker has left the drained node", |lab| {
-            lab.cluster.job(task).restarts > before.restarts
+        self.wait_until("the worker has left the drained node", |campaign| {
+            campaign.cluster.job(task).restarts > before.restarts
         });
         // Longer than a requeued job waits until it may start.
         sleep(Duration::from_secs(8));
         let now = self.cluster.job(task);
         assert!(now.state != "RUNNING" || now.node != before.node, "{now:?}");
         scontrol(&["update", &name, "State=RESUME"]);
-        self.wait_until("the worker is back", |lab| {
-            lab.is_back(task, before.restarts + 1)
+        self.wait_until("the worker is back", |campaign| {
+            campaign.is_back(task, before.restarts + 1)
         });
     }
 
@@ -219,8 +221,8 @@ impl Lab {
         assert!(endings.iter().all(is_uncharged), "{endings:?}");
     }
 
-    /// Returns the number of attempts that workers gave back while draining.
-    fn given_back(&self) -> usize {
+    /// Returns the number of attempts that workers returned while draining.
+    fn returned_attempts(&self) -> usize {
         let endings = self.endings().into_iter();
         endings.filter(|reason| reason == "draining").count()
     }
@@ -254,7 +256,13 @@ impl Lab {
         self.coordinator.signal("-TERM");
         self.coordinator.wait();
         let mut check = Command::new(program("coordinator"));
-        succeeded(check.arg("check").arg(data).output().expect("it runs"));
+        succeeded(
+            check
+                .arg("check")
+                .arg(data)
+                .output()
+                .expect("the command runs"),
+        );
     }
 
     fn job_called(&self, name: &str) -> String {
@@ -295,7 +303,7 @@ impl Lab {
         succeeded(command.output().expect("the command runs"))
     }
 
-    fn wait_until(&self, what: &str, is_so: impl Fn(&Self) -> bool) {
-        self.cluster.wait_for(what, |_| is_so(self));
+    fn wait_until(&self, goal: &str, condition: impl Fn(&Self) -> bool) {
+        self.cluster.wait_for(goal, |_| condition(self));
     }
 }

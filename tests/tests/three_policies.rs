@@ -22,6 +22,7 @@ fn address(server: &Process) -> &str {
     server.url.trim_start_matches("http://")
 }
 
+/// Starts a coordinator, and one gateway with a route for each server.
 fn behind_one_gateway(data: &Path, servers: &[(&str, &Process)]) -> Campaigns {
     let mut gateway = Command::new(program("policy-gateway"));
     gateway.args(["--listen", "127.0.0.1:0"]);
@@ -52,7 +53,10 @@ fn a_restarted_policy_delays_only_its_own_campaign() {
     campaigns.wait_for_commits("steady", None);
     campaigns.wait_for_commits("calm", None);
     let status = campaigns.succeed(&["campaign", "status", "mortal"]);
-    assert!(!status.contains("finished"), "it waits: {status}");
+    assert!(
+        !status.contains("finished"),
+        "finished without its policy: {status}"
+    );
     assert!(status.contains("mortal"), "{status}");
 
     mortal = server("mortal", &address);

@@ -11,7 +11,7 @@ use tests::programs::program;
 struct Up {
     child: Child,
     lines: std::sync::mpsc::Receiver<String>,
-    /// Every line of its log so far.
+    /// Every log line so far.
     log: Vec<String>,
     coordinator: String,
     gateway: String,
@@ -34,7 +34,7 @@ impl Up {
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             .spawn()
-            .expect("it starts");
+            .expect("a process");
         let log = BufReader::new(child.stderr.take().expect("a pipe"));
         let (sender, lines) = std::sync::mpsc::channel();
         std::thread::spawn(move || {
@@ -82,7 +82,7 @@ impl Up {
         command
             .args(arguments)
             .args(["--connect", &self.coordinator]);
-        command.output().expect("it runs")
+        command.output().expect("the command runs")
     }
 
     fn create(&self, name: &str, policy: &str) {
@@ -101,7 +101,7 @@ impl Up {
         assert!(status.expect("kill runs").success());
     }
 
-    /// Returns the names and process ids of its children.
+    /// Returns the names and process ids of the child processes.
     fn children(&self) -> Vec<(String, u32)> {
         let pid = self.child.id();
         let tasks = std::fs::read_dir(format!("/proc/{pid}/task")).expect("tasks");
@@ -165,7 +165,7 @@ fn one_command_runs_coordinator_gateway_and_worker_and_ctrl_c_stops_all() {
     for (name, pid) in children {
         assert!(
             !Path::new(&format!("/proc/{pid}")).exists(),
-            "{name} lives on"
+            "{name} is still running"
         );
     }
 }
@@ -180,7 +180,7 @@ fn no_program_outlives_a_killed_coordinator_up() {
     let (code, output) = up.end();
     assert_eq!(code, None, "{output}");
     for (name, pid) in children {
-        let began = std::time::Instant::now();
+        let start = std::time::Instant::now();
         let alive = || {
             let state = std::fs::read_to_string(format!("/proc/{pid}/stat"));
             // A zombie has exited and only waits to be reaped.
@@ -188,8 +188,8 @@ fn no_program_outlives_a_killed_coordinator_up() {
         };
         while alive() {
             assert!(
-                began.elapsed() < std::time::Duration::from_secs(30),
-                "{name} lives on"
+                start.elapsed() < std::time::Duration::from_secs(30),
+                "{name} is still running"
             );
             std::thread::sleep(std::time::Duration::from_millis(20));
         }
@@ -202,7 +202,7 @@ fn a_program_that_exits_is_named_and_stops_the_others() {
     let up = Up::start(&data.path().join("data"), &["--slots", "1"]).ready();
     let children = up.children();
     let gateway = children.iter().find(|(name, _)| name == "policy-gateway");
-    up.signal("-KILL", gateway.expect("it runs").1);
+    up.signal("-KILL", gateway.expect("a gateway").1);
     let (code, output) = up.end();
     assert_eq!(code, Some(1), "{output}");
     assert!(
@@ -212,10 +212,10 @@ fn a_program_that_exits_is_named_and_stops_the_others() {
     for (name, pid) in children {
         assert!(
             !Path::new(&format!("/proc/{pid}")).exists(),
-            "{name} lives on"
+            "{name} is still running"
         );
     }
-    // A program that cannot start reports it, and nothing is left over.
+    // A program that cannot start is reported, and no process is left running.
     let bad = Up::start(&data.path().join("data"), &["--assets", "/nowhere"]);
     let (code, output) = bad.end();
     assert_eq!(code, Some(1), "{output}");
@@ -238,8 +238,8 @@ fn why_examines_the_policy_of_a_campaign_that_scores_nothing() {
             .contains("campaign nothing: 0 of 1 nominal and 0 of 0 perturbed rollouts succeed"),
         "{explanation}"
     );
-    let asked = format!("doctor grpc://{}/still", &up.gateway["http://".len()..]);
-    assert!(explanation.contains(&asked), "{explanation}");
+    let expected = format!("doctor grpc://{}/still", &up.gateway["http://".len()..]);
+    assert!(explanation.contains(&expected), "{explanation}");
     assert_eq!(
         why.status.code(),
         Some(1),

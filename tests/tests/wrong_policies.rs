@@ -1,5 +1,5 @@
 //! Policies with invalid answers, through the whole chain of real processes: no such answer becomes
-//! an outcome, and no other campaign suffers from it.
+//! an outcome, and no other campaign is affected.
 
 use std::path::Path;
 use std::process::Command;
@@ -7,10 +7,10 @@ use std::time::{Duration, Instant};
 
 use tests::programs::{Campaigns, Process, program};
 
-/// Longest that the first attempts may take.
+/// Timeout of the first attempts.
 const PATIENCE: Duration = Duration::from_secs(120);
-/// A policy server whose actions are one number seven times, written with the package that authors
-/// of policies use.
+/// A policy server built with the package `rollout_policies`, whose actions repeat one number seven
+/// times.
 const CROOKED: &str = "\
 import numpy as np
 from rollout_policies import Description, Policy, serve
@@ -19,7 +19,7 @@ class Crooked(Policy):
     description = Description(name='crooked')
 
     def warm_up(self):
-        pass  # Else it would be found out before it is asked.
+        pass  # A warm-up would detect the invalid answer before the first query.
 
     def reset(self, episode):
         pass
@@ -34,7 +34,7 @@ serve(Crooked())
 /// policies. Returns `None` if no interpreter is configured.
 fn crooked(test: &str, number: &str, data: &Path) -> Option<(Campaigns, Process)> {
     let Some(python) = std::env::var_os("ROLLOUT_PYTHON") else {
-        eprintln!("SKIPPED {test}: `cargo xtask test` names the interpreter");
+        eprintln!("SKIPPED {test}: `cargo xtask test` sets ROLLOUT_PYTHON");
         return None;
     };
     let program_text = CROOKED.replace("NUMBER", number);
@@ -91,7 +91,7 @@ fn a_policy_that_answers_nan_delays_no_other_campaign() {
     campaigns.wait_for_commits("sound", None);
     assert_eq!(campaigns.outcomes("sound").len(), 7);
     assert!(campaigns.outcomes("crooked").is_empty());
-    // The same worker tries the policy again and again.
+    // The same worker retries the policy until its rollouts are quarantined.
     let list = ["jobs", "list", "crooked", "--state", "quarantined"];
     wait_for(&campaigns, &list, "object/t0/");
     let workers = campaigns.succeed(&["workers"]);

@@ -18,7 +18,7 @@ const HARMLESS: [(&str, &str); 4] = [
 ];
 
 /// A command of a program, and its flags.
-struct Known {
+struct CommandFlags {
     words: Vec<String>,
     /// Flags that take a value.
     flags: Vec<String>,
@@ -38,10 +38,10 @@ fn run(name: &str, arguments: &[&str], folder: &Path) -> Output {
 }
 
 /// Returns the commands of a program below a command, as its help lists them.
-fn commands(name: &str, words: &[&str], folder: &Path) -> Vec<Known> {
+fn commands(name: &str, words: &[&str], folder: &Path) -> Vec<CommandFlags> {
     let help = run(name, &[words, &["--help"]].concat(), folder);
     let help = String::from_utf8(help.stdout).expect("UTF-8");
-    let (mut known, mut flags, mut is_list) = (vec![], vec![], false);
+    let (mut found, mut flags, mut is_list) = (vec![], vec![], false);
     for line in help.lines() {
         if !line.starts_with(' ') {
             is_list = line == "Commands:";
@@ -52,18 +52,18 @@ fn commands(name: &str, words: &[&str], folder: &Path) -> Vec<Known> {
             .skip_while(|part| part.ends_with(','));
         let Some(first) = parts.next() else { continue };
         if is_list && indent == 2 && first != "help" {
-            known.extend(commands(name, &[words, &[first]].concat(), folder));
+            found.extend(commands(name, &[words, &[first]].concat(), folder));
         }
         let takes_value = parts.next().is_some_and(|next| next.starts_with('<'));
         if first.starts_with("--") && indent <= 6 && takes_value {
             flags.push(first.to_owned());
         }
     }
-    known.push(Known {
+    found.push(CommandFlags {
         words: words.iter().map(ToString::to_string).collect(),
         flags,
     });
-    known
+    found
 }
 
 fn check(name: &str) {
@@ -74,22 +74,22 @@ fn check(name: &str) {
         for flag in &command.flags {
             for value in VALUES {
                 let mut arguments: Vec<&str> = command.words.iter().map(String::as_str).collect();
-                let given = format!("{flag}={value}");
-                arguments.push(&given);
-                for (other, harmless) in HARMLESS {
+                let argument = format!("{flag}={value}");
+                arguments.push(&argument);
+                for (other, harmless_value) in HARMLESS {
                     if flag != other && command.flags.iter().any(|known_flag| known_flag == other) {
-                        arguments.extend([other, harmless]);
+                        arguments.extend([other, harmless_value]);
                     }
                 }
                 let output = run(name, &arguments, folder.path());
                 let stderr = String::from_utf8_lossy(&output.stderr);
-                let about = format!("{name} {arguments:?}: {stderr}");
+                let context = format!("{name} {arguments:?}: {stderr}");
                 let code = output.status.code();
-                assert!(code.is_some_and(|code| code < 3), "{code:?}: {about}");
+                assert!(code.is_some_and(|code| code < 3), "{code:?}: {context}");
                 if code != Some(0) {
                     // The usage line follows the message and may repeat words.
                     let error = stderr.split("Usage:").next().unwrap_or_default();
-                    assert_eq!(raw_phrase(error), None, "{about}");
+                    assert_eq!(raw_phrase(error), None, "{context}");
                 }
                 tried += 1;
             }

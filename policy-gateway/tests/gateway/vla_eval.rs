@@ -212,10 +212,10 @@ async fn an_invalid_answer_is_named_and_ends_the_episode_if_necessary() {
             Code::Unavailable,
         ),
         // After these answers, the connection can be used for the next query.
-        (short_of_numbers, "no array of numbers", Code::Internal),
+        (short_of_numbers, "not an array of numbers", Code::Internal),
         (
             |number| action(vec!["left".into(); 7], number),
-            "no array of numbers",
+            "not an array of numbers",
             Code::Internal,
         ),
         (

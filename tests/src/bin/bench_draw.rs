@@ -73,7 +73,7 @@ const LLVMPIPE_THREADS: &str = "LP_NUM_THREADS";
 /// Measurements of one camera of one scene.
 #[derive(Default)]
 struct Findings {
-    /// Milliseconds of each frame.
+    /// Milliseconds of each frame, of our renderer and of OpenGL.
     ours: Vec<f64>,
     theirs: Vec<f64>,
     agreement: Agreement,
@@ -120,7 +120,7 @@ fn main() -> ExitCode {
 
 fn run(arguments: &Arguments) -> Result<()> {
     if !arguments.alone && std::env::var_os(LLVMPIPE_THREADS).is_none_or(|threads| threads != "0") {
-        return again_on_one_thread();
+        return rerun_on_one_thread();
     }
     let tasks = tasks(&arguments.tasks)?;
     let rows = tasks
@@ -143,7 +143,7 @@ fn run(arguments: &Arguments) -> Result<()> {
 /// Re-executes this program with llvmpipe restricted to the calling thread; otherwise the
 /// CPU time of that thread would exclude llvmpipe's helper threads. The variable is set for a
 /// new process because a process with threads must not change its own environment.
-fn again_on_one_thread() -> Result<()> {
+fn rerun_on_one_thread() -> Result<()> {
     let program = std::env::current_exe().context("find this program's own file")?;
     let error = Command::new(&program)
         .args(std::env::args_os().skip(1))
@@ -161,11 +161,11 @@ fn tasks(names: &[String]) -> Result<Vec<TaskRef>> {
     if names == ["all"] {
         return Ok(TaskRef::all().collect());
     }
-    let read = |name: &String| -> Result<TaskRef> {
+    let parse = |name: &String| -> Result<TaskRef> {
         let task = name.parse();
         task.with_context(|| format!("read task `{name}` of --tasks: SUITE/N, or `all` alone"))
     };
-    names.iter().map(read).collect()
+    names.iter().map(parse).collect()
 }
 
 fn row_of(task: TaskRef, condition: &str) -> Result<libero_ctrl::ManifestRow> {
@@ -351,12 +351,12 @@ impl Totals {
         let agreement = &findings.agreement;
         let equal = agreement.percent(agreement.equal);
         let close = agreement.percent(agreement.close);
-        for (least, here) in [
+        for (least, share) in [
             (&mut self.least_equal, equal),
             (&mut self.least_close, close),
         ] {
-            if least.as_ref().is_none_or(|(least, _)| here < *least) {
-                *least = Some((here, place.to_owned()));
+            if least.as_ref().is_none_or(|(least, _)| share < *least) {
+                *least = Some((share, place.to_owned()));
             }
         }
         Ok(format!(
@@ -397,11 +397,12 @@ impl Totals {
         };
         let smallest = self.ratios.iter().min_by(|a, b| a.0.total_cmp(&b.0));
         let smallest = smallest.map_or("", |(_, place)| place);
-        if let (Some((equal, there)), Some((close, here))) = (&self.least_equal, &self.least_close)
+        if let (Some((equal, equal_at)), Some((close, close_at))) =
+            (&self.least_equal, &self.least_close)
         {
             println!(
-                "agreement: at least {equal:.4} % equal ({there}), at least {close:.4} % within \
-                 {CLOSE_LEVELS} levels ({here})"
+                "agreement: at least {equal:.4} % equal ({equal_at}), at least {close:.4} % within \
+                 {CLOSE_LEVELS} levels ({close_at})"
             );
         }
         println!(

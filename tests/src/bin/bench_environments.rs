@@ -50,8 +50,8 @@ fn main() -> Result<()> {
     let row = ManifestRow::new(id, 0, 0, Default::default());
     let begin = |_| -> Result<Mutex<Environment>> {
         let mut environment = Environment::of(Arc::clone(ready.compiled()))?;
-        let begun = Conditions::begin(&ready, &mut environment, &row, Realisation::Matched)?;
-        begun.settle(&mut environment)?;
+        let conditions = Conditions::begin(&ready, &mut environment, &row, Realisation::Matched)?;
+        conditions.settle(&mut environment)?;
         Ok(Mutex::new(environment))
     };
     let environments = (0..arguments.environments)
@@ -109,10 +109,12 @@ fn step_all(environments: &[Mutex<Environment>], threads: usize, action: &[f64; 
         work()?;
         others
             .into_iter()
-            .try_for_each(|thread| thread.join().expect("it does not panic"))
+            .try_for_each(|thread| thread.join().expect("no panic"))
     })
 }
 
 fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().expect("nobody panics with it")
+    mutex
+        .lock()
+        .expect("no thread panics while it holds the lock")
 }

@@ -101,27 +101,28 @@ struct Timer {
     /// Reading of the clock at the last event, milliseconds.
     last: f64,
     phases: Phases,
-    /// Time of the coming control step's physics on a copy, milliseconds.
+    /// Time of the next control step's physics on a copy of the state, milliseconds.
     bare: f64,
-    alone: Option<Data>,
+    /// Copy of the state.
+    copy: Option<Data>,
     /// True if physics is timed on copies, which takes time itself.
-    copies: bool,
-    calls_of_progress: u32,
+    times_physics: bool,
+    progress_calls: u32,
     steps: u32,
     frames: u32,
     message_bytes: usize,
 }
 
 impl Timer {
-    fn new(clock: Clock, copies: bool) -> Self {
+    fn new(clock: Clock, times_physics: bool) -> Self {
         Self {
             clock,
             last: clock.now_millis(),
             phases: Phases::default(),
             bare: 0.0,
-            alone: None,
-            copies,
-            calls_of_progress: 0,
+            copy: None,
+            times_physics,
+            progress_calls: 0,
             steps: 0,
             frames: 0,
             message_bytes: 0,
@@ -136,16 +137,16 @@ impl Timer {
         millis
     }
 
-    /// Times the physics of the coming control step on a copy of the state. This time is not
+    /// Times the physics of the next control step on a copy of the state. This time is not
     /// part of the rollout.
     fn time_physics(&mut self, episode: &mut Episode<'_>) -> Result<(), sim::SimError> {
-        if self.copies {
+        if self.times_physics {
             let environment = episode.environment();
-            if self.alone.is_none() {
-                self.alone = Some(Data::new(environment.model())?);
+            if self.copy.is_none() {
+                self.copy = Some(Data::new(environment.model())?);
             }
-            if let Some(alone) = &mut self.alone {
-                self.bare = bare_millis(self.clock, alone, episode);
+            if let Some(copy) = &mut self.copy {
+                self.bare = bare_millis(self.clock, copy, episode);
             }
         }
         self.last = self.clock.now_millis();
@@ -154,11 +155,11 @@ impl Timer {
 }
 
 /// Times a control step's `mj_step`s on a copy of the state, milliseconds.
-fn bare_millis(clock: Clock, alone: &mut Data, episode: &mut Episode<'_>) -> f64 {
+fn bare_millis(clock: Clock, copy: &mut Data, episode: &mut Episode<'_>) -> f64 {
     let environment = episode.environment();
-    alone.copy_from(environment.model(), environment.data());
+    copy.copy_from(environment.model(), environment.data());
     let model = environment.model();
-    let (millis, ()) = clock.time(|| (0..SUBSTEPS).for_each(|_| alone.step(model)));
+    let (millis, ()) = clock.time(|| (0..SUBSTEPS).for_each(|_| copy.step(model)));
     millis
 }
 
@@ -197,21 +198,21 @@ impl Actor for OpenLoop<'_> {
 }
 
 /// Watcher that times the worker's loop.
-struct Lookout {
+struct PhaseWatcher {
     timer: Shared,
     problem: Option<sim::SimError>,
 }
 
-impl Watcher for Lookout {
+impl Watcher for PhaseWatcher {
     fn progress(&mut self, _control_steps: u32) -> ControlFlow<()> {
         let mut timer = self.timer.borrow_mut();
         let lap = timer.lap();
-        match timer.calls_of_progress {
+        match timer.progress_calls {
             0 => timer.phases.reset += lap,
             1 => timer.phases.settle += lap,
             _ => timer.phases.other += lap,
         }
-        timer.calls_of_progress += 1;
+        timer.progress_calls += 1;
         match self.problem {
             Some(_) => ControlFlow::Break(()),
             None => ControlFlow::Continue(()),
@@ -339,25 +340,25 @@ fn recorded(path: &Path, states: &InitialStates) -> Result<(u16, Vec<Action>)> {
 
 impl Bench {
     /// Runs one whole rollout.
-    fn rollout(&mut self, copies: bool) -> Result<Timer> {
-        let timer = Rc::new(RefCell::new(Timer::new(self.clock, copies)));
+    fn rollout(&mut self, times_physics: bool) -> Result<Timer> {
+        let timer = Rc::new(RefCell::new(Timer::new(self.clock, times_physics)));
         let mut actor = OpenLoop {
             timer: Rc::clone(&timer),
             description: self.description.clone(),
             actions: &self.actions,
         };
-        let mut lookout = Lookout {
+        let mut watcher = PhaseWatcher {
             timer: Rc::clone(&timer),
             problem: None,
         };
         let mut stage = Stage::of_the_protocol(&mut self.simulator);
         timer.borrow_mut().lap();
-        let outcome = worker::rollout::run(&mut stage, &mut actor, &self.assignment, &mut lookout);
-        if let Some(problem) = lookout.problem.take() {
+        let outcome = worker::rollout::run(&mut stage, &mut actor, &self.assignment, &mut watcher);
+        if let Some(problem) = watcher.problem.take() {
             return Err(problem).context("time the physics on a copy");
         }
         outcome?;
-        drop((actor, lookout));
+        drop((actor, watcher));
         let mut timer = Rc::into_inner(timer)
             .context("end the rollout: its timer is still in use")?
             .into_inner();
@@ -372,7 +373,7 @@ impl Bench {
             let timer = self.rollout(true)?;
             ensure!(
                 timer.steps == steps,
-                "time {steps} control steps: the goal was reached after {}; ask for fewer --steps",
+                "time {steps} control steps: the goal was reached after {}; give fewer --steps",
                 timer.steps
             );
             timers.push(timer);
@@ -383,7 +384,7 @@ impl Bench {
             Spread::from_values(&values).map_or(0.0, |spread| spread.median)
         };
         let settling_physics = Spread::from_values(&settling).map_or(0.0, |spread| spread.median);
-        // Computed per rollout, so that the reported share occurred in one of them.
+        // Computed per rollout, so that the reported share occurred in an actual rollout.
         let shares: Vec<f64> = timers
             .iter()
             .zip(&settling)
@@ -427,10 +428,10 @@ impl Bench {
     fn settling_physics(&mut self) -> Result<f64> {
         let row = &self.assignment.row;
         let mut episode = self.simulator.begin(row, Realisation::Matched)?;
-        let mut alone = Data::new(episode.environment().model())?;
+        let mut copy = Data::new(episode.environment().model())?;
         let mut millis = 0.0;
         for _ in 0..row.settle_steps {
-            millis += bare_millis(self.clock, &mut alone, &mut episode);
+            millis += bare_millis(self.clock, &mut copy, &mut episode);
             episode.environment().step(&NO_OP)?;
         }
         Ok(millis)

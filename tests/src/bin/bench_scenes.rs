@@ -72,7 +72,7 @@ struct Arguments {
     slot: bool,
 }
 
-/// Message of a slot about a scene.
+/// Message of a slot whose rollout has started.
 #[derive(Clone, Copy, Serialize, Deserialize)]
 struct Begun {
     /// Seconds until the rollout's first state was ready.
@@ -82,14 +82,14 @@ struct Begun {
 fn main() -> Result<()> {
     let arguments = Arguments::parse();
     match arguments.slot {
-        true => be_a_slot(&arguments),
+        true => run_slot(&arguments),
         false => measure(&arguments),
     }
 }
 
 /// Runs a slot: starts a rollout of each task read from standard input, reports how long the
 /// start took, then renders and steps it.
-fn be_a_slot(arguments: &Arguments) -> Result<()> {
+fn run_slot(arguments: &Arguments) -> Result<()> {
     if let Some(scenes) = &arguments.scenes {
         SceneFolder::choose(scenes.as_os_str());
     }
@@ -182,7 +182,7 @@ impl Slot {
         let commands = self
             .commands
             .as_mut()
-            .context("the slot was asked to end")?;
+            .context("the slot has been told to exit")?;
         writeln!(commands, "{task}").context("send a slot its task")
     }
 
@@ -283,19 +283,19 @@ fn measure(arguments: &Arguments) -> Result<()> {
     let start = || Slot::start(arguments, &scenes);
 
     let row =
-        |what: &str, value: String, target: &str| println!("{what:<48} {value:>22}  {target}");
+        |label: &str, value: String, target: &str| println!("{label:<48} {value:>22}  {target}");
     row("", "measured".to_owned(), "target");
-    let first = each(start()?, &tasks)?;
+    let first = start_times(start()?, &tasks)?;
     row("scene ready, first time: median, most", in_ms(&first), "");
-    let kept = files_in(&scenes).unwrap_or_default();
+    let bytes = total_size(&scenes).unwrap_or_default();
     row(
         "scene files together",
-        format!("{:.0} MiB", kept as f64 / MIB),
+        format!("{:.0} MiB", bytes as f64 / MIB),
         "",
     );
-    let ready = each(start()?, &tasks)?;
+    let ready = start_times(start()?, &tasks)?;
     row(
-        "scene ready, file there: median, most",
+        "scene ready, file present: median, most",
         in_ms(&ready),
         "<= 30 ms",
     );
@@ -416,7 +416,7 @@ fn measure(arguments: &Arguments) -> Result<()> {
 }
 
 /// Starts all tasks in one slot in sequence and returns how long each start took, s.
-fn each(mut slot: Slot, tasks: &[TaskRef]) -> Result<Vec<f64>> {
+fn start_times(mut slot: Slot, tasks: &[TaskRef]) -> Result<Vec<f64>> {
     let mut times = Vec::new();
     for task in tasks {
         slot.send(*task)?;
@@ -427,7 +427,8 @@ fn each(mut slot: Slot, tasks: &[TaskRef]) -> Result<Vec<f64>> {
     Ok(times)
 }
 
-fn files_in(folder: &Path) -> Result<u64> {
+/// Returns the total size of a folder's files, bytes.
+fn total_size(folder: &Path) -> Result<u64> {
     let sizes = fs::read_dir(folder)?.map(|entry| Ok(entry?.metadata()?.len()));
     sizes.sum()
 }

@@ -30,7 +30,7 @@ struct Arguments {
     /// Control steps of each rollout.
     #[arg(long, default_value_t = 120)]
     steps: usize,
-    /// Rollouts.
+    /// Rollouts that are timed.
     #[arg(long, default_value_t = 5)]
     rollouts: usize,
     /// Folder with the unpacked sources.
@@ -65,7 +65,7 @@ fn main() -> Result<()> {
     let state = states.get(0).context("find initial state 0")?;
 
     let (mut reset, mut settle, mut steps, mut bare) = (vec![], vec![], vec![], vec![]);
-    let mut alone = Data::new(environment.model())?;
+    let mut copy = Data::new(environment.model())?;
     for _ in 0..arguments.rollouts {
         reset.push(timed(|| environment.load(state)).0);
         let start = Instant::now();
@@ -74,9 +74,9 @@ fn main() -> Result<()> {
         }
         settle.push(start.elapsed().as_secs_f64() * 1e3);
         for step in 0..arguments.steps {
-            alone.copy_from(environment.model(), environment.data());
+            copy.copy_from(environment.model(), environment.data());
             let model = environment.model();
-            bare.push(timed(|| (0..SUBSTEPS).for_each(|_| alone.step(model))).0);
+            bare.push(timed(|| (0..SUBSTEPS).for_each(|_| copy.step(model))).0);
             let (millis, outcome) = timed(|| environment.step(&smooth_action(step)));
             outcome?;
             steps.push(millis);

@@ -129,13 +129,13 @@ fn judge(memory: &[Memory], tasks: usize) -> Result<()> {
         growth * 100.0,
         ALLOWED_GROWTH * 100.0
     );
-    let things = |used: &Memory| (used.threads, used.open_files);
+    let counts = |used: &Memory| (used.threads, used.open_files);
     if let (Some(before), Some(after)) = (warm_up.last(), last.last()) {
         ensure!(
-            things(before) == things(after),
+            counts(before) == counts(after),
             "keep threads and open files level: {:?} became {:?}",
-            things(before),
-            things(after)
+            counts(before),
+            counts(after)
         );
     }
     Ok(())

@@ -64,9 +64,9 @@ fn run(arguments: &Arguments) -> Result<bool> {
         .unwrap_or_else(Sources::default_dir);
     let sources = Sources::open(&sources)?;
     let tasks = select(find_tasks(&arguments.reference)?, &arguments.tasks)?;
-    let named = tasks.iter().map(|task| task.id().parse());
-    let named = named.collect::<Result<Vec<TaskRef>, _>>()?;
-    let pack = open_pack(&arguments.assets, &sources, named)?;
+    let references = tasks.iter().map(|task| task.id().parse());
+    let references = references.collect::<Result<Vec<TaskRef>, _>>()?;
+    let pack = open_pack(&arguments.assets, &sources, references)?;
     let drawer = Drawer::open(arguments.renderer)?;
     println!(
         "MuJoCo {}, drawn by {}",
@@ -102,7 +102,8 @@ fn run(arguments: &Arguments) -> Result<bool> {
     if let Some(multiple) = multiples.iter().copied().reduce(f64::max) {
         println!(
             "contact-rich steps: within {multiple:.1} times the original's own sensitivity to \
-             rounding ({} of {} tasks; in others the original is calm, or was not measured)",
+             rounding ({} of {} tasks; in the other tasks the original has none, or it was not \
+             measured)",
             multiples.len(),
             tasks.len()
         );

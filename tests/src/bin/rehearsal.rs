@@ -1,8 +1,8 @@
 //! Dress rehearsal of a week of operation in compressed time: every rollout of a policy, twice, on
-//! slots that come and go, with a policy outage, an upgrade of the coordinator, a full disk, clock
-//! jumps and a restored backup. All processes are real, except that slots are simulated. Report and
-//! results must equal those of the same campaign without faults, byte for byte. Exits with 1 if
-//! they do not.
+//! slots that start and stop, with a policy outage, an upgrade of the coordinator, a full disk,
+//! clock jumps and a restored backup. All processes are real, except that slots are simulated.
+//! Report and results must equal those of the same campaign without faults, byte for byte. Exits
+//! with 1 if they do not.
 
 use std::collections::BTreeMap;
 use std::path::PathBuf;
@@ -19,7 +19,7 @@ use tests::programs::program;
 /// Interval at which the progress of the campaign is polled.
 const POLL_INTERVAL: Duration = Duration::from_millis(500);
 /// Range of the interval between two random faults, milliseconds.
-const CALM_MILLIS: (u64, u64) = (1_000, 4_000);
+const INTERVAL_MILLIS: (u64, u64) = (1_000, 4_000);
 
 /// One-time events, each with the share of committed rollouts after which it happens.
 const EVENTS: [(f64, Event); 7] = [
@@ -44,10 +44,10 @@ struct Arguments {
     /// Workers at a time.
     #[arg(long, default_value_t = 5)]
     workers: usize,
-    /// Slots of each.
+    /// Slots of each worker.
     #[arg(long, default_value_t = 10)]
     slots: u32,
-    /// Seed of the churn.
+    /// Seed of the random faults.
     #[arg(long, default_value_t = 0)]
     seed: u64,
     /// Duration of each outage of policy and disk, seconds.
@@ -90,19 +90,21 @@ fn main() -> ExitCode {
     });
     let mut rehearsal = Rehearsal {
         fleet: &mut fleet,
-        happened: BTreeMap::new(),
+        occurrences: BTreeMap::new(),
         rng: ChaCha8Rng::seed_from_u64(arguments.seed),
         outage: Duration::from_secs(arguments.outage_secs),
         retried: 0,
     };
     rehearsal.run();
     let Rehearsal {
-        happened, retried, ..
+        occurrences,
+        retried,
+        ..
     } = rehearsal;
     let outcome = fleet.outcome();
     println!("disturbed: {:.0} s", started.elapsed().as_secs_f64());
-    for (what, times) in happened {
-        println!("  {what}: {times}");
+    for (label, times) in occurrences {
+        println!("  {label}: {times}");
     }
     println!("quarantined rollouts that the operator had tried again: {retried}");
     match outcome == expected {
@@ -112,8 +114,8 @@ fn main() -> ExitCode {
         }
         false => {
             let mut pairs = expected.lines().zip(outcome.lines());
-            let (ours, theirs) = pairs.find(|(one, other)| one != other).unwrap_or_default();
-            println!("report and results differ:\n  undisturbed {ours}\n  disturbed   {theirs}");
+            let (one, other) = pairs.find(|(one, other)| one != other).unwrap_or_default();
+            println!("report and results differ:\n  undisturbed {one}\n  disturbed   {other}");
             ExitCode::FAILURE
         }
     }
@@ -139,7 +141,7 @@ fn plan(arguments: &Arguments) -> Plan {
 struct Rehearsal<'a> {
     fleet: &'a mut Fleet,
     /// Number of times that each event happened.
-    happened: BTreeMap<String, u32>,
+    occurrences: BTreeMap<String, u32>,
     rng: ChaCha8Rng,
     /// Duration of outages of policy and disk.
     outage: Duration,
@@ -166,22 +168,22 @@ impl Rehearsal<'_> {
             }
             let share = count("committed") as f64 / count("total").max(1) as f64;
             if let Some((_, event)) = events.next_if(|(at, _)| share >= *at) {
-                self.happen(event, &mut backup);
+                self.trigger(event, &mut backup);
             } else if Instant::now() >= next_fault {
-                let fault = self.draw();
+                let fault = self.random_fault();
                 self.fleet.inject(fault);
                 self.count(name(fault));
-                let (least, most) = CALM_MILLIS;
-                let calm = least + self.rng.next_u64() % (most - least);
-                next_fault = Instant::now() + Duration::from_millis(calm);
+                let (least, most) = INTERVAL_MILLIS;
+                let interval = least + self.rng.next_u64() % (most - least);
+                next_fault = Instant::now() + Duration::from_millis(interval);
             } else {
                 sleep(POLL_INTERVAL);
             }
         }
     }
 
-    fn happen(&mut self, event: Event, backup: &mut Option<PathBuf>) {
-        let what = match event {
+    fn trigger(&mut self, event: Event, backup: &mut Option<PathBuf>) {
+        let label = match event {
             Event::PolicyOutage => {
                 self.fleet.inject(Fault::KillPolicy(self.outage));
                 "outage of the policy"
@@ -204,19 +206,19 @@ impl Rehearsal<'_> {
             }
             Event::Restore => {
                 self.fleet
-                    .restore(backup.as_ref().expect("it was made before"));
+                    .restore(backup.as_ref().expect("an earlier backup"));
                 "loss of the data folder, the backup restored"
             }
         };
-        self.count(what);
+        self.count(label);
     }
 
-    fn count(&mut self, what: &str) {
-        *self.happened.entry(what.to_owned()).or_default() += 1;
+    fn count(&mut self, label: &str) {
+        *self.occurrences.entry(label.to_owned()).or_default() += 1;
     }
 
     /// Draws a random fault, most often one of a worker.
-    fn draw(&mut self) -> Fault {
+    fn random_fault(&mut self) -> Fault {
         match self.rng.next_u64() % 10 {
             0..=2 => Fault::KillWorker,
             3..=5 => Fault::DrainWorker,

@@ -131,9 +131,9 @@ fn take(
             picture.from
         ));
     }
-    let wide = browser.value("document.documentElement.scrollWidth > window.innerWidth");
+    let is_too_wide = browser.value("document.documentElement.scrollWidth > window.innerWidth");
     ensure!(
-        wide == false,
+        is_too_wide == false,
         "show {}: it is wider than its screen",
         picture.name
     );

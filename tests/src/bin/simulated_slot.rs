@@ -1,11 +1,12 @@
 //! A simulated slot: handles a slot's commands, sends its events and queries the real
-//! policy over the real protocol, but runs no physics. Its outcomes depend on the
-//! rollout's id and the policy's actions alone, so that a campaign must give the same
+//! policy over the real protocol, but runs no physics. Its outcomes depend only on the
+//! rollout's id and the policy's actions, so that a campaign must give the same
 //! results under any faults. For tests of faults and of the live page, which do not
 //! need MuJoCo; its results are meaningless.
 //!
 //! The environment variable `SIMULATED_SLOT_OUTCOMES` names a file of result rows
-//! whose outcomes it repeats; `SIMULATED_SLOT_STEP_MILLIS` is the duration of a step.
+//! whose outcomes the slot repeats; `SIMULATED_SLOT_STEP_MILLIS` is the duration of a
+//! step.
 
 #![forbid(unsafe_code)]
 
@@ -51,9 +52,9 @@ fn main() {
     );
     while let Ok(assignment) = assignments.recv() {
         let attempt = assignment.attempt;
-        let tell = |event| send(&parent, &SlotEvent::Rollout { attempt, event });
+        let send_event = |event| send(&parent, &SlotEvent::Rollout { attempt, event });
         let is_abandoned = || *abandoned.lock().expect("unpoisoned") == Some(attempt);
-        tell(rollout(&assignment, &script, &tell, &is_abandoned));
+        send_event(rollout(&assignment, &script, &send_event, &is_abandoned));
     }
 }
 
@@ -86,14 +87,14 @@ impl Script {
     }
 }
 
-/// Plays a rollout to its end.
+/// Plays a rollout to its end, and returns its last event.
 fn rollout(
     assignment: &Assignment,
     script: &Script,
-    tell: &dyn Fn(RolloutEvent),
+    send_event: &dyn Fn(RolloutEvent),
     is_abandoned: &dyn Fn() -> bool,
 ) -> RolloutEvent {
-    match play(assignment, script, tell, is_abandoned) {
+    match play(assignment, script, send_event, is_abandoned) {
         Ok(Some(finished)) => RolloutEvent::Finished(Box::new(finished)),
         Ok(None) => RolloutEvent::Abandoned,
         Err(error) => RolloutEvent::Failed(Failure {
@@ -107,7 +108,7 @@ fn rollout(
 fn play(
     assignment: &Assignment,
     script: &Script,
-    tell: &dyn Fn(RolloutEvent),
+    send_event: &dyn Fn(RolloutEvent),
     is_abandoned: &dyn Fn() -> bool,
 ) -> Result<Option<Finished>, PolicyError> {
     let started = Instant::now();
@@ -123,8 +124,8 @@ fn play(
         assignment.policy_seed,
     )?;
     let mut parts = Parts::default();
-    let mut fate = Sha256::new();
-    fate.update(row.id.to_string());
+    let mut hash = Sha256::new();
+    hash.update(row.id.to_string());
     for step in 0..STEPS {
         if is_abandoned() {
             return Ok(None);
@@ -132,25 +133,25 @@ fn play(
         if step % STEPS_PER_QUERY == 0 {
             let query = step / STEPS_PER_QUERY;
             let observation = proto::policy::Observation::default();
-            let asked = Instant::now();
+            let sent = Instant::now();
             let actions = policy.infer(session, query, observation, description.horizon, None)?;
-            parts.policy_secs += asked.elapsed().as_secs_f64();
+            parts.policy_secs += sent.elapsed().as_secs_f64();
             for number in actions.iter().flatten() {
-                fate.update(number.to_le_bytes());
+                hash.update(number.to_le_bytes());
             }
         }
         thread::sleep(script.step);
         // The sleep counts as physics.
         parts.physics_secs += script.step.as_secs_f64();
-        tell(RolloutEvent::Progress(row.settle_steps + step + 1));
+        send_event(RolloutEvent::Progress(row.settle_steps + step + 1));
     }
-    let fate = fate.finalize();
+    let hash = hash.finalize();
     let repeated = script.outcomes.get(&row.id.to_string());
     let about = description.about;
     Ok(Some(Finished {
         result: RolloutResult {
-            success: repeated.map_or(fate[0].is_multiple_of(2), |success| *success),
-            steps: (20 + u32::from(fate[1])).min(row.max_steps),
+            success: repeated.map_or(hash[0].is_multiple_of(2), |success| *success),
+            steps: (20 + u32::from(hash[1])).min(row.max_steps),
             wall_secs: started.elapsed().as_secs_f64(),
             ik: None,
             clipped_actions: 0,
@@ -175,14 +176,14 @@ fn play(
             policy_settings: [("execute".to_owned(), about.execute.to_string())].into(),
             batch_mode: "single".to_owned(),
         },
-        motion: Motion::pack(&path(&fate), &[]),
+        motion: Motion::pack(&path(&hash), &[]),
         is_filmed_next: false,
     }))
 }
 
-/// Returns a made-up path: an arc whose size follows from the rollout's hash.
-fn path(fate: &[u8]) -> Vec<[i16; 3]> {
-    let (width, height) = (i16::from(fate[2]) * 8, i16::from(fate[3]) * 4);
+/// Returns a synthetic path: an arc whose size follows from the rollout's hash.
+fn path(hash: &[u8]) -> Vec<[i16; 3]> {
+    let (width, height) = (i16::from(hash[2]) * 8, i16::from(hash[3]) * 4);
     let point = |step: u32| {
         let angle = f64::from(step) * std::f64::consts::PI / f64::from(STEPS);
         [

@@ -65,8 +65,8 @@ pub struct Fleet {
     gateway: Option<Process>,
     policy: Option<Process>,
     workers: Vec<Worker>,
-    /// The last worker whose slots were all killed at once.
-    wounded: Option<u32>,
+    /// Process id of the last worker whose slots were all killed at once.
+    slot_victim: Option<u32>,
     /// Library that fakes the coordinator's wall clock, and the clock's offset.
     clock: Option<(PathBuf, &'static str)>,
 }
@@ -111,7 +111,7 @@ impl Fleet {
         let folder = tempfile::tempdir().expect("a temporary folder");
         // Another user must be able to read the folder, for the read-only database.
         let mode = std::fs::Permissions::from_mode(0o755);
-        std::fs::set_permissions(folder.path(), mode).expect("its own folder");
+        std::fs::set_permissions(folder.path(), mode).expect("a writable folder");
         let mut fleet = Self {
             folder,
             plan,
@@ -122,7 +122,7 @@ impl Fleet {
             gateway: None,
             policy: None,
             workers: Vec::new(),
-            wounded: None,
+            slot_victim: None,
             clock: None,
         };
         fleet.start_policy();
@@ -162,7 +162,7 @@ impl Fleet {
         while !self.is_finished() {
             let status = self.command_output(&["campaign", "status", CAMPAIGN]);
             let waited = start.elapsed();
-            assert!(waited < self.plan.patience, "it does not finish: {status}");
+            assert!(waited < self.plan.patience, "campaign unfinished: {status}");
             sleep(Duration::from_millis(300));
         }
         let report = self.command_output(&["report", CAMPAIGN, "--full"]);
@@ -201,7 +201,7 @@ impl Fleet {
         let start = Instant::now();
         let results = ["export", CAMPAIGN, "--format", "jsonl"];
         while self.command_output(&results).lines().count() < count {
-            assert!(start.elapsed() < PATIENCE, "too few are committed");
+            assert!(start.elapsed() < PATIENCE, "too few rollouts are committed");
             sleep(Duration::from_millis(50));
         }
     }
@@ -218,7 +218,7 @@ impl Fleet {
     }
 
     /// Returns the last lines of the log of all programs.
-    pub fn last_words(&self) -> String {
+    pub fn log_tail(&self) -> String {
         let log = std::fs::read_to_string(self.folder.path().join("log")).unwrap_or_default();
         let lines: Vec<&str> = log.lines().collect();
         lines[lines.len().saturating_sub(LAST_LINES)..].join("\n")
@@ -239,8 +239,8 @@ impl Fleet {
             .args(["--connect", &coordinator.url])
             .output()
             .expect("the command runs");
-        let complaint = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{arguments:?}: {complaint}");
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{arguments:?}: {errors}");
         String::from_utf8(output.stdout).expect("UTF-8")
     }
 
@@ -275,16 +275,16 @@ impl Fleet {
                 } = self.workers.remove(0);
                 victim.signal("-TERM");
                 self.start_worker(machine);
-                match self.wounded == Some(victim.id()) {
+                match self.slot_victim == Some(victim.id()) {
                     // With so many failures at once, the worker may already have given up.
                     true => drop(victim.end()),
                     false => victim.wait(),
                 }
             }
             Fault::KillSlot => {
-                let wounded = self.workers[0].process.id();
-                self.wounded = Some(wounded);
-                kill_all(&children(wounded));
+                let slot_victim = self.workers[0].process.id();
+                self.slot_victim = Some(slot_victim);
+                kill_all(&children(slot_victim));
             }
             Fault::KillGateway(down) => {
                 self.to_gateway.set_target(None);
@@ -331,7 +331,7 @@ impl Fleet {
             }
             Fault::ReadOnlyDatabase => {
                 self.kill_coordinator();
-                self.refuses_to_start_read_only();
+                self.check_read_only_start();
                 self.start_coordinator();
             }
         }
@@ -371,9 +371,9 @@ impl Fleet {
     /// If the coordinator does not come back.
     pub fn restore(&mut self, copy: &Path) {
         self.kill_coordinator();
-        std::fs::remove_dir_all(self.data()).expect("its own folder");
-        std::fs::create_dir(self.data()).expect("its own folder");
-        std::fs::copy(copy, self.data().join("coordinator.sqlite")).expect("its own file");
+        std::fs::remove_dir_all(self.data()).expect("a writable folder");
+        std::fs::create_dir(self.data()).expect("a writable folder");
+        std::fs::copy(copy, self.data().join("coordinator.sqlite")).expect("a writable file");
         self.start_coordinator();
     }
 
@@ -492,8 +492,8 @@ impl Fleet {
         assert!(output.status.success(), "{findings}{errors}");
     }
 
-    /// Checks that a coordinator without write access to the database reports this and exits.
-    fn refuses_to_start_read_only(&self) {
+    /// Checks that a coordinator without write access to the database exits with an error.
+    fn check_read_only_start(&self) {
         let Some(mut command) = without_write_access(&self.data()) else {
             return;
         };
@@ -554,17 +554,17 @@ fn without_write_access(folder: &Path) -> Option<Command> {
     None
 }
 
-fn set_modes(folder: &Path, of_folder: u32, of_files: u32) {
+fn set_modes(folder: &Path, folder_mode: u32, file_mode: u32) {
     let set = |path: &Path, mode| {
         let mode = std::fs::Permissions::from_mode(mode);
-        std::fs::set_permissions(path, mode).expect("its own file");
+        std::fs::set_permissions(path, mode).expect("a writable file");
     };
     for entry in std::fs::read_dir(folder).expect("a folder").flatten() {
         if entry.path().is_file() {
-            set(&entry.path(), of_files);
+            set(&entry.path(), file_mode);
         }
     }
-    set(folder, of_folder);
+    set(folder, folder_mode);
 }
 
 fn pause(process: &Process, time: Duration) {

@@ -13,7 +13,7 @@ const FAULTS: u64 = 3;
 /// and whole workers are never charged and therefore not limited.
 const MAX_CHARGED_FAULTS: usize = 2;
 /// Latest start of the last fault, milliseconds; the campaign is still running then.
-const LAST_BEGINNING_MS: u64 = 2_500;
+const LATEST_START_MS: u64 = 2_500;
 
 /// A wire that can be broken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -83,17 +83,17 @@ impl Schedule {
         while (faults.len() as u64) < FAULTS {
             let kind = rng.next_u64() % KINDS;
             let fault = draw(&mut rng, kind);
-            let broken = faults
+            let charged = faults
                 .iter()
                 .chain([&fault])
                 .filter(|fault| fault.is_charged());
-            if broken.count() <= MAX_CHARGED_FAULTS {
+            if charged.count() <= MAX_CHARGED_FAULTS {
                 faults.push(fault);
             }
         }
         let mut faults: Vec<_> = faults
             .into_iter()
-            .map(|fault| (between(&mut rng, 0, LAST_BEGINNING_MS), fault))
+            .map(|fault| (between(&mut rng, 0, LATEST_START_MS), fault))
             .collect();
         faults.sort_by_key(|(at, _)| *at);
         Self { seed, faults }

@@ -10,7 +10,7 @@ use std::time::Duration;
 use std::{slice, thread};
 
 /// Size of the forwarding buffer, bytes.
-const PIECE_BYTES: usize = 16 << 10;
+const BUFFER_BYTES: usize = 16 << 10;
 
 /// A proxy between two programs; closed when dropped.
 pub struct Wire {
@@ -22,9 +22,9 @@ pub struct Wire {
 struct State {
     /// Address of the server; without one, connections are closed at once.
     target: Mutex<Option<SocketAddr>>,
-    /// Both ends of every open connection; closed ones are removed when the next opens.
+    /// Both ends of every open connection; closed ones are removed when the next connection opens.
     open: Mutex<Vec<Weak<TcpStream>>>,
-    /// Delay before each forwarded piece, milliseconds.
+    /// Delay before each forwarded buffer, milliseconds.
     delay_ms: AtomicU64,
     /// True if the bytes of new connections are sent twice.
     duplicates: AtomicBool,
@@ -48,12 +48,12 @@ impl Wire {
         };
         let state = Arc::clone(&wire.state);
         thread::spawn(move || {
-            for caller in listener.incoming().flatten() {
+            for client in listener.incoming().flatten() {
                 if state.is_closed.load(Ordering::Relaxed) {
                     return;
                 }
                 let state = Arc::clone(&state);
-                thread::spawn(move || state.forward(caller));
+                thread::spawn(move || state.forward(client));
             }
         });
         wire
@@ -76,7 +76,7 @@ impl Wire {
     pub fn cut(&self) {
         let mut open = self.state.open.lock().expect("no panic");
         for stream in open.drain(..).filter_map(|stream| stream.upgrade()) {
-            // The other end may have closed it already.
+            // The other end may have closed the connection already.
             let _ = stream.shutdown(Shutdown::Both);
         }
     }
@@ -87,15 +87,15 @@ impl Wire {
         self.cut();
     }
 
-    /// Delays every piece by the given time.
+    /// Delays every forwarded buffer by the given time.
     pub fn delay(&self, by: Duration) {
         let millis = u64::try_from(by.as_millis()).expect("a short time");
         self.state.delay_ms.store(millis, Ordering::Relaxed);
     }
 
     /// Duplicates requests: sends a client's bytes to the server over a second connection too,
-    /// whose responses are discarded. Applies to new connections, so that the duplicate is a
-    /// complete conversation.
+    /// whose responses are discarded. Applies only to new connections, so that the second
+    /// connection receives all bytes of the first.
     pub fn duplicate(&self, duplicates: bool) {
         self.state.duplicates.store(duplicates, Ordering::Relaxed);
         self.cut();
@@ -127,7 +127,7 @@ impl Drop for Wire {
 }
 
 impl State {
-    fn forward(&self, caller: TcpStream) {
+    fn forward(&self, client: TcpStream) {
         let target = *self.target.lock().expect("no panic");
         let connect = || target.and_then(|target| TcpStream::connect(target).ok());
         if self.is_blocked.load(Ordering::SeqCst) {
@@ -137,28 +137,28 @@ impl State {
         let second = self.duplicates.load(Ordering::Relaxed).then(connect);
         let mut servers = vec![Arc::new(server)];
         servers.extend(second.flatten().map(Arc::new));
-        let caller = Arc::new(caller);
-        self.keep([&caller].into_iter().chain(&servers));
+        let client = Arc::new(client);
+        self.register([&client].into_iter().chain(&servers));
         // If the wire was blocked before this connection was registered, nothing has cut it.
         if self.is_blocked.load(Ordering::SeqCst) {
             return;
         }
         thread::scope(|threads| {
-            let lost = &self.loses_answers;
+            let discards = &self.loses_answers;
             for (place, server) in servers.iter().enumerate() {
                 // Responses on the duplicate connection are discarded.
-                let hears = if place == 0 {
-                    slice::from_ref(&caller)
+                let receivers = if place == 0 {
+                    slice::from_ref(&client)
                 } else {
                     &[]
                 };
-                threads.spawn(move || self.copy(server, hears, lost));
+                threads.spawn(move || self.copy(server, receivers, discards));
             }
-            self.copy(&caller, &servers, &AtomicBool::new(false));
+            self.copy(&client, &servers, &AtomicBool::new(false));
         });
     }
 
-    fn keep<'a>(&self, streams: impl Iterator<Item = &'a Arc<TcpStream>>) {
+    fn register<'a>(&self, streams: impl Iterator<Item = &'a Arc<TcpStream>>) {
         let mut open = self.open.lock().expect("no panic");
         open.retain(|stream| stream.strong_count() > 0);
         for stream in streams {
@@ -168,21 +168,21 @@ impl State {
         }
     }
 
-    /// Copies data until either end closes; then closes both. Data read while `lost` is set is
+    /// Copies data until either end closes; then closes both. Data read while `discards` is set is
     /// discarded.
-    fn copy(&self, mut from: &TcpStream, to: &[Arc<TcpStream>], lost: &AtomicBool) {
-        let mut piece = vec![0; PIECE_BYTES];
-        while let Ok(count @ 1..) = from.read(&mut piece) {
+    fn copy(&self, mut from: &TcpStream, to: &[Arc<TcpStream>], discards: &AtomicBool) {
+        let mut buffer = vec![0; BUFFER_BYTES];
+        while let Ok(count @ 1..) = from.read(&mut buffer) {
             let delay = self.delay_ms.load(Ordering::Relaxed);
             if delay > 0 {
                 thread::sleep(Duration::from_millis(delay));
             }
-            if lost.load(Ordering::Relaxed) {
+            if discards.load(Ordering::Relaxed) {
                 continue;
             }
             let sent = |(place, stream): (usize, &Arc<TcpStream>)| {
                 // The duplicate connection may close at any time.
-                (&**stream).write_all(&piece[..count]).is_ok() || place > 0
+                (&**stream).write_all(&buffer[..count]).is_ok() || place > 0
             };
             if !to.iter().enumerate().all(sent) {
                 break;

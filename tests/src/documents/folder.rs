@@ -54,7 +54,9 @@ impl Requirement {
                 (!dir.is_dir()).then(|| format!("no reference data at {}", dir.display()))
             }
             Self::PythonPackages => python_packages().is_none().then(|| {
-                "`cargo xtask test` names the Python packages that it downloaded".to_owned()
+                "ROLLOUT_PYTHON_PACKAGES is not set: `cargo xtask test` downloads the packages and \
+                 sets it"
+                    .to_owned()
             }),
             Self::TypeScriptBuild => (!checkout().join(BUILT).is_file())
                 .then(|| "`cargo xtask test` builds it where npm is installed".to_owned()),
@@ -124,7 +126,7 @@ pub struct Folder {
     root: TempDir,
     network: Network,
     /// Lock held while the machine's own network is used.
-    _turn: Option<File>,
+    _lock: Option<File>,
 }
 
 impl Folder {
@@ -134,32 +136,32 @@ impl Folder {
     /// If files cannot be written.
     pub fn make() -> Self {
         let network = Network::of_this_machine();
-        let turn = (network == Network::Machine).then(|| {
+        let lock = (network == Network::Machine).then(|| {
             let path = std::env::temp_dir().join("rollout-documents.lock");
             let file = File::create(path).expect("a lock file");
-            file.lock().expect("the turn of this page");
+            file.lock().expect("the lock");
             file
         });
         let root = tempfile::tempdir().expect("a folder");
         let folder = Self {
             root,
             network,
-            _turn: turn,
+            _lock: lock,
         };
         folder.fill().expect("a folder like the checkout");
         folder
     }
 
     fn fill(&self) -> std::io::Result<()> {
-        let here = self.checkout();
-        fs::create_dir_all(&here)?;
+        let target = self.checkout();
+        fs::create_dir_all(&target)?;
         fs::create_dir(self.outputs())?;
         for entry in fs::read_dir(checkout())? {
             let (name, path) = entry.map(|entry| (entry.file_name(), entry.path()))?;
             match name.to_str() {
                 Some(".git" | "target" | "demo-data") => {}
-                Some(copied) if COPIED.contains(&copied) => copy(&path, &here.join(name))?,
-                _ => symlink(path, here.join(name))?,
+                Some(copied) if COPIED.contains(&copied) => copy(&path, &target.join(name))?,
+                _ => symlink(path, target.join(name))?,
             }
         }
         let shared = checkout().join("../shared");
@@ -169,7 +171,7 @@ impl Folder {
         Ok(())
     }
 
-    /// Returns the folder that stands for the checkout.
+    /// Returns the folder that takes the place of the checkout.
     pub fn checkout(&self) -> PathBuf {
         self.root.path().join("rollout")
     }
@@ -218,9 +220,9 @@ fn copy(from: &Path, to: &Path) -> std::io::Result<()> {
     for entry in fs::read_dir(from)? {
         let entry = entry?;
         let (path, target) = (entry.path(), to.join(entry.file_name()));
-        let made = matches!(entry.file_name().to_str(), Some("node_modules" | "dist"));
+        let is_installed = matches!(entry.file_name().to_str(), Some("node_modules" | "dist"));
         match entry.file_type()? {
-            _ if made => symlink(path, target)?,
+            _ if is_installed => symlink(path, target)?,
             kind if kind.is_dir() => copy(&path, &target)?,
             _ => drop(fs::copy(path, target)?),
         }

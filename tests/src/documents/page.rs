@@ -42,7 +42,7 @@ pub enum Action {
         text: String,
     },
     /// Skips a block of commands.
-    Leave {
+    Skip {
         /// Reason given in the page's source.
         reason: String,
     },
@@ -95,11 +95,11 @@ pub fn steps(markdown: &str) -> Result<Vec<Step>, PageError> {
                 block = Some((first, language, String::new()));
             }
             Event::Text(text) => match &mut block {
-                Some((_, _, held)) => held.push_str(&text),
+                Some((_, _, content)) => content.push_str(&text),
                 None => comment = None,
             },
             Event::End(TagEnd::CodeBlock) => {
-                let (first, language, text) = block.take().expect("a block that began");
+                let (first, language, text) = block.take().expect("an open block");
                 let action = action(first, &language, &text, comment.take())?;
                 steps.extend(action.map(|action| Step {
                     line: first,
@@ -149,11 +149,11 @@ fn action(
         ("sh", Some(Comment::NotRun(reason))) if reason.is_empty() => {
             Err(error("a block that is not run needs a reason"))
         }
-        ("sh", Some(Comment::NotRun(reason))) => Ok(Some(Action::Leave { reason })),
+        ("sh", Some(Comment::NotRun(reason))) => Ok(Some(Action::Skip { reason })),
         ("sh", Some(Comment::File(_))) => Err(error("commands are run, not written into a file")),
         ("sh", needs) => {
             let needs = match needs {
-                Some(Comment::Needs(thing)) => Some(thing),
+                Some(Comment::Needs(requirement)) => Some(requirement),
                 _ => None,
             };
             let commands = commands(first, text);
@@ -198,7 +198,7 @@ fn commands(first: usize, text: &str) -> Vec<Command> {
                 text: line.to_owned(),
             },
         };
-        if goes_on(&command.text) {
+        if is_incomplete(&command.text) {
             open = Some(command);
         } else {
             commands.push(command);
@@ -208,7 +208,8 @@ fn commands(first: usize, text: &str) -> Vec<Command> {
     commands
 }
 
-fn goes_on(command: &str) -> bool {
+/// Returns true if the command continues on the next line.
+fn is_incomplete(command: &str) -> bool {
     let mut lines = command.lines();
     let first = lines.next().unwrap_or_default();
     if let Some((_, word)) = first.split_once("<<") {
@@ -223,7 +224,7 @@ fn goes_on(command: &str) -> bool {
 mod tests {
     use super::*;
 
-    fn ran(markdown: &str) -> Vec<(usize, String)> {
+    fn run_commands(markdown: &str) -> Vec<(usize, String)> {
         let steps = steps(markdown).expect("a page");
         let commands = steps.into_iter().flat_map(|step| match step.action {
             Action::Run { commands, .. } => commands,
@@ -245,7 +246,7 @@ mod tests {
             (11, "c"),
         ];
         assert_eq!(
-            ran(page),
+            run_commands(page),
             expected.map(|(line, text)| (line, text.to_owned()))
         );
     }
@@ -256,8 +257,11 @@ mod tests {
             <!-- not run: hours -->\nText.\n```sh\nc\n```\n";
         let steps = steps(page).expect("a page");
         let reason = String::from("hours");
-        assert_eq!(steps[0].action, Action::Leave { reason });
-        assert_eq!(ran(page), [(7, "b".to_owned()), (13, "c".to_owned())]);
+        assert_eq!(steps[0].action, Action::Skip { reason });
+        assert_eq!(
+            run_commands(page),
+            [(7, "b".to_owned()), (13, "c".to_owned())]
+        );
     }
 
     #[test]
@@ -269,7 +273,7 @@ mod tests {
     }
 
     #[test]
-    fn a_block_that_would_not_run_is_refused() {
+    fn unmarked_commands_and_comments_that_do_not_match_their_block_are_refused() {
         for page in [
             "```\ncoordinator report x   # first\n```\n",
             "    cargo xtask demo\n",

@@ -205,8 +205,8 @@ fn failure(problem: String, output: &Path) -> Failure {
     }
 }
 
-/// Makes a command run in the background, even if the page does not, because a reader would
-/// use another terminal. `$!` is then the id of the program itself.
+/// Returns the command with `&`, even if the page does not run it in the background, because a
+/// reader would use another terminal. `$!` is then the id of the program itself.
 fn in_background(command: &str) -> String {
     let bare = without_comment(command);
     format!("{} &", bare.trim_end().trim_end_matches('&'))
@@ -255,7 +255,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn servers_are_told_from_commands_that_end() {
+    fn servers_are_distinguished_from_commands_that_end() {
         for server in [
             "coordinator serve --data campaigns",
             "coordinator up",

@@ -50,7 +50,7 @@ pub fn failures(page: &str, text: &str) -> Vec<String> {
             Handling::Write(name, text) => {
                 fs::write(folder.checkout().join(name), text).expect("the page's file");
             }
-            Handling::Report(mark, why) => println!("{mark}: {page}:{}: {why}", step.line),
+            Handling::Report(label, reason) => println!("{label}: {page}:{}: {reason}", step.line),
         }
     }
     if let Err(failure) = session.finish() {
@@ -68,18 +68,19 @@ enum Handling<'a> {
 
 fn handling(step: &Step) -> Handling<'_> {
     match &step.action {
-        Action::Leave { reason } => Handling::Report("not run", reason.clone()),
+        Action::Skip { reason } => Handling::Report("not run", reason.clone()),
         Action::Write { name, text } => Handling::Write(name, text),
         Action::Run { commands, needs } => {
-            let reads = commands.iter().any(|command| command.text.contains(SHARED));
+            let reads_shared = commands.iter().any(|command| command.text.contains(SHARED));
             let named = needs.as_deref().map(|word| {
-                Requirement::parse(word).unwrap_or_else(|| panic!("line {}: {word}?", step.line))
+                Requirement::parse(word)
+                    .unwrap_or_else(|| panic!("line {}: unknown requirement {word:?}", step.line))
             });
             let requirements = named
                 .into_iter()
-                .chain(reads.then_some(Requirement::ReferenceData));
+                .chain(reads_shared.then_some(Requirement::ReferenceData));
             match requirements.filter_map(Requirement::unmet_reason).next() {
-                Some(why) => Handling::Report("skipped", why),
+                Some(reason) => Handling::Report("skipped", reason),
                 None => Handling::Run(commands),
             }
         }

@@ -60,7 +60,7 @@ pub struct ContactFindings {
     pub worst: f64,
     /// Largest difference while the original itself is insensitive; 0 if the sensitivity was
     /// not measured.
-    pub worst_while_calm: f64,
+    pub worst_while_insensitive: f64,
     /// Largest difference in multiples of the original's sensitivity after the insensitive
     /// phase; `None` if the sensitivity was not measured.
     pub sensitivities: Option<f64>,
@@ -99,13 +99,12 @@ impl fmt::Display for Worst {
 }
 
 impl Findings {
-    /// Returns the findings beyond the limits in words; empty if there are
-    /// none.
+    /// Describes each finding beyond its limit.
     pub fn violations(&self, limits: &Limits) -> Vec<String> {
         let mut found = Vec::new();
-        let mut check = |what: &str, worst: &Worst, limit: f64| {
+        let mut check = |label: &str, worst: &Worst, limit: f64| {
             if exceeds(worst.value, limit) {
-                found.push(format!("{what}: {:.3e} at {}", worst.value, worst.place));
+                found.push(format!("{label}: {:.3e} at {}", worst.value, worst.place));
             }
         };
         check("model arrays", &self.arrays, limits.arrays);
@@ -130,10 +129,10 @@ impl Findings {
                     "contact-rich steps: {multiple:.0} × the original's sensitivity"
                 ));
             }
-            if exceeds(contact.worst_while_calm, limits.smooth) {
+            if exceeds(contact.worst_while_insensitive, limits.smooth) {
                 found.push(format!(
                     "contact-rich steps: {:.3e}",
-                    contact.worst_while_calm
+                    contact.worst_while_insensitive
                 ));
             }
             if contact.success_flags > 0 {

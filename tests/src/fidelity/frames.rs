@@ -138,12 +138,12 @@ impl FrameFindings {
     fn add(&mut self, ours: &[u8], theirs: &[u8], place: &str) {
         let (mut equal, mut close, mut pixels) = (0_u32, 0_u32, 0_u32);
         for (ours, theirs) in ours.chunks_exact(3).zip(theirs.chunks_exact(3)) {
-            let off = ours.iter().zip(theirs).map(|(a, b)| a.abs_diff(*b));
-            let off = off.max().unwrap_or_default();
-            equal += u32::from(off == 0);
-            close += u32::from(off <= CLOSE_LEVELS);
+            let difference = ours.iter().zip(theirs).map(|(a, b)| a.abs_diff(*b));
+            let difference = difference.max().unwrap_or_default();
+            equal += u32::from(difference == 0);
+            close += u32::from(difference <= CLOSE_LEVELS);
             pixels += 1;
-            self.largest = self.largest.max(off);
+            self.largest = self.largest.max(difference);
         }
         let share = |count: u32| f64::from(count) / f64::from(pixels);
         self.equal.add(share(equal), place);
@@ -153,10 +153,10 @@ impl FrameFindings {
     /// Returns descriptions of the violated limits, including the reason for each limit.
     pub(super) fn violations(&self, limits: &FrameLimits) -> Vec<String> {
         let mut found = Vec::new();
-        let mut check = |least: &Least, limit: f64, what: &str| {
+        let mut check = |least: &Least, limit: f64, condition: &str| {
             if least.share < limit {
                 found.push(format!(
-                    "frames: {:.4} % of pixels {what} at {}, less than {:.4} %; compared with {}",
+                    "frames: {:.4} % of pixels {condition} at {}, less than {:.4} %; compared with {}",
                     least.share * 100.0,
                     least.place,
                     limit * 100.0,
@@ -236,10 +236,10 @@ mod tests {
 
     /// Compares a frame with a black one: for each `(count, levels)`, the next `count` pixels
     /// differ by `levels`.
-    fn findings(off: &[(usize, u8)]) -> FrameFindings {
+    fn findings(differing: &[(usize, u8)]) -> FrameFindings {
         let mut ours = vec![0; PIXELS * 3];
         let mut next = 0;
-        for &(count, levels) in off {
+        for &(count, levels) in differing {
             for pixel in ours.chunks_exact_mut(3).skip(next).take(count) {
                 pixel[1] = levels;
             }
@@ -250,8 +250,8 @@ mod tests {
         findings
     }
 
-    fn violations(off: &[(usize, u8)], relation: RendererRelation) -> Vec<String> {
-        findings(off).violations(&relation.limits())
+    fn violations(differing: &[(usize, u8)], relation: RendererRelation) -> Vec<String> {
+        findings(differing).violations(&relation.limits())
     }
 
     #[test]
@@ -303,7 +303,7 @@ mod tests {
     }
 
     #[test]
-    fn the_worst_frame_counts_and_is_named() {
+    fn findings_name_the_frame_with_the_smallest_share() {
         let mut findings = findings(&[(10, 1)]);
         let black = vec![0; PIXELS * 3];
         findings.add(&black, &black, "state 1, step 0, agentview");

@@ -13,11 +13,11 @@ use super::reference::{Array, ReferenceTask, read_npz};
 
 const SETTLING_STEPS: usize = 10;
 /// Sensitivity up to which the original counts as insensitive, m or rad.
-const CALM: f64 = 1e-11;
+const INSENSITIVE: f64 = 1e-11;
 
 type Arrays = BTreeMap<String, Array>;
 
-/// Loads each recorded initial state, settles, and follows its smooth motion.
+/// Loads each recorded initial state, settles, and replays its smooth motion.
 pub(super) fn compare_smooth(
     task: &ReferenceTask,
     environment: &mut Environment,
@@ -27,27 +27,28 @@ pub(super) fn compare_smooth(
     let start = task.arrays("init_dummy10.npz")?;
     for init in 0..array(&start, "state")?.len() {
         environment.load(array(&start, "state")?.row(init));
-        let mut see = |environment: &Environment, qpos: &str, success: &str| -> Result<()> {
-            let place = || format!("state {init}, {qpos}");
-            compare_positions(
-                &mut findings.settled,
-                environment,
-                array(&start, qpos)?.row(init),
-                place,
-            );
-            let expected = array(&start, success)?.values[init] != 0.0;
-            findings.success_flags += usize::from(environment.succeeded() != expected);
-            Ok(())
-        };
-        see(environment, "qpos0", "success0")?;
+        let mut compare_state =
+            |environment: &Environment, qpos: &str, success: &str| -> Result<()> {
+                let place = || format!("state {init}, {qpos}");
+                compare_positions(
+                    &mut findings.settled,
+                    environment,
+                    array(&start, qpos)?.row(init),
+                    place,
+                );
+                let expected = array(&start, success)?.values[init] != 0.0;
+                findings.success_flags += usize::from(environment.succeeded() != expected);
+                Ok(())
+            };
+        compare_state(environment, "qpos0", "success0")?;
         for _ in 0..SETTLING_STEPS {
             environment.step(&NO_OP)?;
         }
-        see(environment, "qpos10", "success10")?;
+        compare_state(environment, "qpos10", "success10")?;
         frames.compare(environment, init, 0)?;
         let recorded = format!("traj_{init}.npz");
         if task.path(&recorded).is_file() {
-            follow(
+            compare_trajectory(
                 &task.arrays(&recorded)?,
                 init,
                 environment,
@@ -59,7 +60,7 @@ pub(super) fn compare_smooth(
     Ok(())
 }
 
-fn follow(
+fn compare_trajectory(
     recorded: &Arrays,
     init: usize,
     environment: &mut Environment,
@@ -129,7 +130,7 @@ pub(super) fn compare_predicates(
     Ok(())
 }
 
-/// Follows the contact-rich recording.
+/// Replays the contact-rich recording.
 pub(super) fn compare_contact(
     task: &ReferenceTask,
     environment: &mut Environment,
@@ -166,17 +167,17 @@ pub(super) fn compare_contact(
 /// unknown, so that differences are reported but not judged.
 fn judge_contact(differences: &[f64], sampled: Option<&[f64]>) -> ContactFindings {
     let mut findings = ContactFindings::default();
-    let mut calm = sampled.is_some();
+    let mut is_insensitive = sampled.is_some();
     for (step, &difference) in differences.iter().enumerate() {
         findings.worst = larger(findings.worst, difference);
         let Some(sensitivity) = sampled.and_then(|sampled| sensitivity_at(sampled, step)) else {
             // The measurement of the sensitivity is shorter than the recording.
-            calm = false;
+            is_insensitive = false;
             continue;
         };
-        calm &= sensitivity <= CALM;
-        if calm {
-            findings.worst_while_calm = larger(findings.worst_while_calm, difference);
+        is_insensitive &= sensitivity <= INSENSITIVE;
+        if is_insensitive {
+            findings.worst_while_insensitive = larger(findings.worst_while_insensitive, difference);
         } else {
             let multiple = difference / sensitivity;
             findings.sensitivities = Some(larger(findings.sensitivities.unwrap_or(0.0), multiple));
@@ -249,9 +250,9 @@ mod tests {
 
     #[test]
     fn without_a_measured_sensitivity_only_success_flags_are_judged() {
-        let apart = [0.0, 1e-6, 0.06];
-        assert_eq!(violations(&apart, None), [""; 0]);
-        assert_eq!(judge_contact(&apart, None).worst, 0.06);
+        let differences = [0.0, 1e-6, 0.06];
+        assert_eq!(violations(&differences, None), [""; 0]);
+        assert_eq!(judge_contact(&differences, None).worst, 0.06);
     }
 
     #[test]

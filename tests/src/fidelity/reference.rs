@@ -54,8 +54,8 @@ pub fn find_tasks(reference: &Path) -> Result<Vec<ReferenceTask>> {
         reference.display()
     );
     // A path of `.` or `..` does not name its parent folder.
-    let whole = reference.canonicalize()?;
-    let root = whole.parent().unwrap_or(&whole);
+    let absolute = reference.canonicalize()?;
+    let root = absolute.parent().unwrap_or(&absolute);
     let mut tasks = Vec::new();
     for suite in folders(reference)? {
         for dir in folders(&suite)? {
@@ -222,7 +222,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_sensitivity_is_measured_or_there_is_none() {
+    fn the_sensitivity_is_none_unless_measured_for_the_task() {
         let root = tempfile::tempdir().unwrap();
         let tasks = root.path().join("tasks");
         fs::create_dir_all(tasks.join("libero_goal/03_task")).unwrap();

@@ -47,9 +47,9 @@ fn check(python: &Path, files: &[PathBuf]) -> (bool, String) {
 }
 
 /// Asserts that manifests and their command lines are valid; returns the kinds without a schema.
-fn assert_in_order(python: &Path, files: &[PathBuf]) -> serde_json::Value {
-    let (in_order, output) = check(python, files);
-    assert!(in_order, "{output}");
+fn assert_valid(python: &Path, files: &[PathBuf]) -> serde_json::Value {
+    let (is_valid, output) = check(python, files);
+    assert!(is_valid, "{output}");
     let (commands, last) = output.trim_end().rsplit_once('\n').expect("some lines");
     assert_eq!(commands.lines().count(), 3, "{commands}");
     for line in commands.lines() {
@@ -68,11 +68,11 @@ fn assert_in_order(python: &Path, files: &[PathBuf]) -> serde_json::Value {
 fn workers_have_given_back_their_rollouts_before_they_are_killed() {
     for name in ["base/workers.yaml", "job/workers.yaml"] {
         let text = fs::read_to_string(folder("kubernetes").join(name)).expect("a manifest");
-        let number = |behind: &str| -> u32 {
+        let number = |prefix: &str| -> u32 {
             let value = text
                 .lines()
-                .find_map(|line| line.trim().strip_prefix(behind));
-            value.expect(behind).trim().parse().expect("seconds")
+                .find_map(|line| line.trim().strip_prefix(prefix));
+            value.expect(prefix).trim().parse().expect("seconds")
         };
         let drain = number("- --drain-secs=");
         let grace = number("terminationGracePeriodSeconds:");
@@ -88,7 +88,7 @@ fn manifests_are_valid_and_their_references_exist() {
     let Some(python) = python("manifests_are_valid_and_their_references_exist") else {
         return;
     };
-    assert_eq!(assert_in_order(&python, &base()), serde_json::json!([]));
+    assert_eq!(assert_valid(&python, &base()), serde_json::json!([]));
 }
 
 #[test]
@@ -126,8 +126,8 @@ fn manifest_faults_are_named() {
     ] {
         assert!(text.contains(from), "{from}");
         fs::write(&broken, text.replace(from, to)).expect("a manifest");
-        let (in_order, output) = check(&python, &files);
-        assert!(!in_order && output.contains(named), "{to}: {output}");
+        let (is_valid, output) = check(&python, &files);
+        assert!(!is_valid && output.contains(named), "{to}: {output}");
     }
 }
 
@@ -139,18 +139,18 @@ fn kustomize_renders_valid_manifests_of_every_folder() {
         println!("skipped {test}: no kubectl");
         return;
     }
-    let made = tempfile::tempdir().expect("a folder");
+    let rendered = tempfile::tempdir().expect("a folder");
     for name in FOLDERS {
         let mut kustomize = Command::new("kubectl");
         let output = kustomize
             .arg("kustomize")
             .arg(folder("kubernetes").join(name));
         let output = output.output().expect("kubectl runs");
-        let complaint = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{name}: {complaint}");
-        let file = made.path().join(format!("{name}.yaml"));
+        let errors = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{name}: {errors}");
+        let file = rendered.path().join(format!("{name}.yaml"));
         fs::write(&file, output.stdout).expect("manifests");
-        let foreign = assert_in_order(&python, &[file, secrets()]);
+        let foreign = assert_valid(&python, &[file, secrets()]);
         let expected = if name == "keda" {
             &["ScaledObject"][..]
         } else {

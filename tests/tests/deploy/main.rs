@@ -24,7 +24,7 @@ fn runs(tool: &str, argument: &str) -> bool {
 const GIVE_BACK_SECS: u32 = 30;
 
 /// Returns the help of a command line's program. The first word is the program; a second
-/// one without dashes is its command.
+/// word without dashes is its command.
 fn help(words: &[String]) -> String {
     let (name, arguments) = words.split_first().expect("a program");
     let mut help = Command::new(program(name));

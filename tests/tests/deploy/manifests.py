@@ -98,7 +98,7 @@ class Manifests:
                 self.add_fault(document, f"no container has a port {name}")
 
     def policy(self, policy: dict) -> None:
-        own = self.selected(policy, policy["spec"]["podSelector"]["matchLabels"])
+        pods = self.selected(policy, policy["spec"]["podSelector"]["matchLabels"])
         for direction, peers in (("ingress", "from"), ("egress", "to")):
             for rule in policy["spec"].get(direction, []):
                 others: list[dict] = []
@@ -107,7 +107,7 @@ class Manifests:
                         others += self.selected(policy, peer["podSelector"]["matchLabels"])
                 for port in rule["ports"]:
                     if isinstance(port["port"], str):
-                        self.port(policy, own if direction == "ingress" else others, port["port"])
+                        self.port(policy, pods if direction == "ingress" else others, port["port"])
 
     def pod(self, document: dict, pod: dict) -> None:
         if not pod["securityContext"].get("runAsNonRoot"):

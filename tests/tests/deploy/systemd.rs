@@ -18,8 +18,8 @@ fn unit(name: &str) -> String {
     fs::read_to_string(folder("systemd").join(name)).expect("a unit")
 }
 
-/// Returns systemd's complaints about units with these texts.
-fn complaints(units: &[(&str, String)]) -> String {
+/// Returns systemd's warnings about units with these texts.
+fn warnings(units: &[(&str, String)]) -> String {
     let folder = tempfile::tempdir().expect("a folder");
     let paths = units.iter().map(|(name, text)| {
         let path = folder.path().join(name);
@@ -30,7 +30,7 @@ fn complaints(units: &[(&str, String)]) -> String {
     verify.args(["verify", "--man=no"]).args(paths);
     let output = verify.output().expect("systemd-analyze runs");
     let stderr = String::from_utf8_lossy(&output.stderr).into_owned();
-    // systemd may also complain about this machine's own units.
+    // systemd may also warn about this machine's own units.
     stderr
         .lines()
         .filter(|line| line.contains("rollout-"))
@@ -52,11 +52,11 @@ fn systemd_accepts_the_units() {
         return;
     }
     let units = UNITS.map(|(name, program)| (name, unit_with_test_program(name, program)));
-    assert_eq!(complaints(&units), "");
+    assert_eq!(warnings(&units), "");
     // An unknown setting is reported.
     let (name, program) = UNITS[2];
     let wrong = unit_with_test_program(name, program).replace("KillMode", "KilMode");
-    assert!(complaints(&[(name, wrong)]).contains("KilMode"));
+    assert!(warnings(&[(name, wrong)]).contains("KilMode"));
 }
 
 /// Returns the values of a setting, in the order of its lines.
@@ -68,7 +68,7 @@ fn values<'a>(unit: &'a str, setting: &str) -> Vec<&'a str> {
 }
 
 #[test]
-fn units_give_programs_flags_and_variables_that_they_have() {
+fn units_use_only_flags_and_variables_that_programs_have() {
     for (name, program) in UNITS {
         let text = unit(name);
         let started = values(&text, "ExecStart=").concat();
@@ -98,7 +98,7 @@ fn units_give_programs_flags_and_variables_that_they_have() {
 }
 
 #[test]
-fn servers_may_open_as_many_files_as_they_ask_for() {
+fn server_units_allow_the_open_files_that_programs_request() {
     // Upper limit of `transport::raise_file_limit`.
     for (name, _) in &UNITS[..2] {
         assert_eq!(values(&unit(name), "LimitNOFILE="), ["65536"], "{name}");

@@ -85,11 +85,11 @@ pub(crate) fn io_error() -> io::Error {
 /// Error of parsing JSON that lacks a field.
 pub(crate) fn json_error() -> libero_ctrl::JsonError {
     #[derive(Debug, serde::Deserialize)]
-    struct Asked {
-        #[expect(dead_code, reason = "only asked for")]
+    struct Counted {
+        #[expect(dead_code, reason = "only deserialised")]
         count: u32,
     }
-    let error = serde_json::from_str::<Asked>("{}").expect_err("no count");
+    let error = serde_json::from_str::<Counted>("{}").expect_err("no count");
     error.into()
 }
 
@@ -97,7 +97,7 @@ pub(crate) fn path() -> PathBuf {
     PathBuf::from("/data/some/file")
 }
 
-/// Returns an arbitrary text, as from a person or another program.
+/// Returns an arbitrary text, as from a user or another program.
 pub(crate) fn text() -> String {
     "pi05".to_owned()
 }
@@ -170,16 +170,16 @@ fn every_error_in_the_sources_is_listed() {
     for package in ["coordinator", "worker", "policy-gateway", "proto"] {
         walk(&root.join(package).join("src"), &mut names);
     }
-    for shelf in std::fs::read_dir(root.join("crates")).expect("shelves") {
-        for package in std::fs::read_dir(shelf.expect("a shelf").path()).expect("crates") {
+    for group in std::fs::read_dir(root.join("crates")).expect("groups of crates") {
+        for package in std::fs::read_dir(group.expect("a group").path()).expect("crates") {
             walk(&package.expect("a crate").path().join("src"), &mut names);
         }
     }
     assert!(names.len() > 40, "few errors were found: {names:?}");
-    let looked_at = all().enums;
+    let listed = all().enums;
     let missing: Vec<&String> = names
         .iter()
-        .filter(|name| !looked_at.contains(*name) && !PRIVATE.contains(&name.as_str()))
+        .filter(|name| !listed.contains(*name) && !PRIVATE.contains(&name.as_str()))
         .collect();
-    assert!(missing.is_empty(), "not looked at: {missing:?}");
+    assert!(missing.is_empty(), "not listed: {missing:?}");
 }

@@ -61,7 +61,7 @@ fn too_late() -> TooLate {
 fn scenes(messages: &mut Messages) {
     messages.add(
         "BddlError",
-        scene::Problem::parse("(define (problem x)").expect_err("it has no end"),
+        scene::Problem::parse("(define (problem x)").expect_err("no end"),
     );
     variants!(messages, SceneError,
         SceneError::Read { .. } => SceneError::Read {

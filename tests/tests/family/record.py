@@ -72,13 +72,13 @@ def main() -> None:
         single = "_level" in name
         states = load(str(inner / "init_files" / ("libero_newobj" if single else ".") / suite / f"{stem}.pruned_init"))
 
-        def say(what: str, numbers) -> None:
-            print(variant, what, *map(repr, map(float, numbers)), file=out, flush=True)
+        def write(kind: str, numbers) -> None:
+            print(variant, kind, *map(repr, map(float, numbers)), file=out, flush=True)
 
         def wait(env, steps: int) -> None:
             for _ in range(steps):
                 env.step(NO_OP)
-            say({10: "official", 15: "reset-only"}[steps], env.get_sim_state())
+            write({10: "official", 15: "reset-only"}[steps], env.get_sim_state())
             env.close()
 
         def reset():
@@ -98,13 +98,13 @@ def main() -> None:
             env.set_init_state(states[0])
             for _ in range(10):
                 env.step(NO_OP)
-            say("noise", [np.random.random_sample()])
+            write("noise", [np.random.random_sample()])
             env.close()
             continue
-        say("draw", [np.random.random_sample()])
+        write("draw", [np.random.random_sample()])
         camera = env.sim.model._model.camera("agentview")
-        say("camera", [*camera.pos, *camera.quat])
-        say("reset", env.get_sim_state())
+        write("camera", [*camera.pos, *camera.quat])
+        write("reset", env.get_sim_state())
         env.set_init_state(states.reshape(1, -1)[0] if single else states[0])
         wait(env, 10)
         wait(reset(), 15)

@@ -42,7 +42,7 @@ pub(crate) fn reach_goal(episode: &mut Episode<'_>) -> Result<(), String> {
         if predicate.arguments.len() == 2 {
             reached.push(index);
             state = put(episode, &state, &scene.goal, &reached)
-                .ok_or_else(|| format!("{predicate} does not become true by hand"))?;
+                .ok_or_else(|| format!("no placement of the object makes {predicate} true"))?;
         }
     }
     let environment = episode.environment();
@@ -58,7 +58,7 @@ pub(crate) fn reach_goal(episode: &mut Episode<'_>) -> Result<(), String> {
 
 /// Returns an `open` predicate for each drawer or door that objects enter and that stays open.
 fn openings(scene: &Scene) -> Vec<Predicate> {
-    let closed = |name: &String| {
+    let must_be_closed = |name: &String| {
         let close = |goal: &Predicate| goal.name == "close" && goal.arguments[0] == *name;
         scene.goal.iter().any(close)
     };
@@ -66,7 +66,7 @@ fn openings(scene: &Scene) -> Vec<Predicate> {
     for predicate in scene.goal.iter().filter(|predicate| predicate.name == "in") {
         let region = scene.region(&predicate.arguments[1]);
         if let Some(region) = region.filter(|region| !region.joints.is_empty())
-            && !closed(&region.name)
+            && !must_be_closed(&region.name)
         {
             openings.push(Predicate {
                 name: "open".to_owned(),
@@ -95,7 +95,7 @@ fn rest(environment: &mut Environment) -> Result<(), String> {
     Ok(())
 }
 
-/// Puts the joints of a region or an instance beyond the threshold.
+/// Puts the joints of a region or an instance beyond the predicate's threshold.
 fn move_joints(
     environment: &Environment,
     scene: &Scene,
@@ -109,7 +109,7 @@ fn move_joints(
         ("close", Articulation::OpenClose { close, .. }) => close,
         ("turnon", Articulation::OnOff { on, .. }) => Threshold::Above(on),
         ("turnoff", Articulation::OnOff { off, .. }) => Threshold::Below(off),
-        _ => return Err(format!("no rule exists to {predicate} {name}")),
+        _ => return Err(format!("{name} has no joint threshold for `{predicate}`")),
     };
     let model = environment.model();
     for joint in joints {
@@ -136,7 +136,7 @@ fn joints_of<'a>(scene: &'a Scene, name: &str) -> (&'a Instance, &'a [String]) {
         return (instance, &instance.joints);
     }
     let region = scene.region(name).expect("the goal was resolved");
-    let parent = region.parent.as_deref().expect("something to move");
+    let parent = region.parent.as_deref().expect("a parent with joints");
     let instance = scene.instance(parent).expect("the region's parent");
     (instance, &region.joints)
 }
@@ -156,14 +156,14 @@ fn put(
     };
     episode.environment().load(state);
     let place = entity(episode, place);
-    let preferred = own_part(goal, index, &place);
-    let as_it_lies = entity(episode, object);
-    let underside = as_it_lies.pos[2] - (as_it_lies.centre[2] - as_it_lies.half_extents[2]);
+    let preferred = share_offset(goal, index, &place);
+    let resting = entity(episode, object);
+    let underside = resting.pos[2] - (resting.centre[2] - resting.half_extents[2]);
     let lowest = place.centre[2] - place.half_extents[2] + underside;
     let address = free_joint(episode.environment(), object);
     let environment = episode.environment();
     let mut trials = 0;
-    for [x, y] in asides(preferred) {
+    for [x, y] in sideways_offsets(preferred) {
         let from = [place.pos[0] + x, place.pos[1] + y, lowest];
         if !lift_free(environment, state, address, from) {
             continue;
@@ -186,7 +186,7 @@ fn put(
 
 /// Returns the offset from the place's centre, m, for an object that shares the place with other
 /// objects of the goal: the middle of its share of the longer side.
-fn own_part(goal: &[Predicate], index: usize, place: &Entity) -> [f64; 2] {
+fn share_offset(goal: &[Predicate], index: usize, place: &Entity) -> [f64; 2] {
     let shares = |predicate: &Predicate| predicate.arguments.get(1) == Some(&place.name);
     let count = goal.iter().filter(|predicate| shares(predicate)).count();
     let before = goal[..index].iter().filter(|p| shares(p)).count();
@@ -237,12 +237,12 @@ fn free_joint(environment: &Environment, object: &str) -> usize {
 }
 
 /// Returns sideways offsets, m, in order of their distance from the preferred one.
-fn asides(preferred: [f64; 2]) -> Vec<[f64; 2]> {
+fn sideways_offsets(preferred: [f64; 2]) -> Vec<[f64; 2]> {
     let steps = || (-MAX_ASIDE..=MAX_ASIDE).map(|step| f64::from(step) * ASIDE);
-    let mut asides: Vec<_> = steps().flat_map(|x| steps().map(move |y| [x, y])).collect();
-    asides.sort_by(|a, b| {
+    let mut sideways_offsets: Vec<_> = steps().flat_map(|x| steps().map(move |y| [x, y])).collect();
+    sideways_offsets.sort_by(|a, b| {
         let away = |aside: &[f64; 2]| (aside[0] - preferred[0]).hypot(aside[1] - preferred[1]);
         away(a).total_cmp(&away(b))
     });
-    asides
+    sideways_offsets
 }

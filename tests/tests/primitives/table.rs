@@ -17,8 +17,8 @@ pub(crate) fn entities(episode: &mut Episode<'_>) -> Vec<Entity> {
         privileged: true,
         ..ObservationRequest::default()
     };
-    let seen = episode.observe(&request).expect("nothing is drawn");
-    seen.privileged.expect("asked for").entities
+    let observation = episode.observe(&request).expect("nothing is rendered");
+    observation.privileged.expect("privileged state").entities
 }
 
 /// Returns the deepest overlap of a movable object with anything, m, and the names of both geoms.
@@ -117,9 +117,9 @@ fn untrue_statements(init: &[Predicate], environment: &Environment) -> Vec<Predi
         [upper, lower] => is_object(upper) && !is_zone(lower),
         _ => true,
     });
-    let mut beginning = scene.clone();
-    beginning.goal = statements.clone();
-    let goal = Goal::resolve(&beginning, environment.model()).expect("LIBERO's own statements");
+    let mut initial = scene.clone();
+    initial.goal = statements.clone();
+    let goal = Goal::resolve(&initial, environment.model()).expect("LIBERO's own statements");
     let truths = goal.truths(environment.model(), environment.data());
     let pairs = statements.into_iter().zip(truths);
     pairs

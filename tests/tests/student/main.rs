@@ -31,7 +31,7 @@ fn a_campaign_of_all_axes_has_the_golden_results() {
     let found = results(data.path());
     assert!(
         found == GOLDEN,
-        "the student acts otherwise than on other machines; if its weights, a scene or the \
+        "the student acts differently from other machines; if its weights, a scene or the \
          renderer were changed on purpose, this is the new golden.jsonl:\n{found}"
     );
 }

@@ -17,9 +17,9 @@ use tonic::transport::{Error, Server};
 
 /// Service that implements one path, whose calls fail, and no other path.
 #[derive(Clone)]
-struct Knows(&'static str);
+struct SinglePath(&'static str);
 
-impl Service<Request<Body>> for Knows {
+impl Service<Request<Body>> for SinglePath {
     type Response = Response<Body>;
     type Error = Infallible;
     type Future = Ready<Result<Self::Response, Infallible>>;
@@ -37,7 +37,7 @@ impl Service<Request<Body>> for Knows {
     }
 }
 
-impl NamedService for Knows {
+impl NamedService for SinglePath {
     const NAME: &'static str = "rollout.coordinator.v1.OperatorService";
 }
 
@@ -48,7 +48,7 @@ pub(crate) type Servers = JoinSet<Result<(), Error>>;
 pub(crate) async fn serve_path(path: &'static str, servers: &mut Servers) -> SocketAddr {
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
     let address = listener.local_addr().expect("an address");
-    let server = Server::builder().add_service(Knows(path));
+    let server = Server::builder().add_service(SinglePath(path));
     servers.spawn(server.serve_with_incoming(TcpIncoming::from(listener)));
     address
 }

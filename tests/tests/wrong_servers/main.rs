@@ -1,5 +1,5 @@
-//! Tests every client against unexpected servers: the message says what the client tried, what it
-//! found and what to do, in this project's own words, and the client retries only if that can help.
+//! Tests every client against unexpected servers: the message names the attempt, the finding and
+//! the remedy, in this project's own words, and the client retries only if a retry can help.
 //! Real programs on real sockets.
 
 mod grpc;
@@ -111,19 +111,19 @@ fn over_tls(
 }
 
 /// Runs a client and checks its message.
-fn check(who: &str, case: &Case, mut command: Command) {
+fn check(client: &str, case: &Case, mut command: Command) {
     let output = command.output().expect("the program runs");
     let text = [output.stdout, output.stderr].map(|bytes| String::from_utf8(bytes).expect("UTF-8"));
     let text = text.concat();
-    let about = format!("{who} at {}:\n{text}", case.at);
-    assert!(!output.status.success(), "{about}");
+    let context = format!("{client} at {}:\n{text}", case.at);
+    assert!(!output.status.success(), "{context}");
     for words in case.expected.iter().chain([&&*case.at]) {
-        assert!(text.contains(words), "no {words:?}: {about}");
+        assert!(text.contains(words), "no {words:?}: {context}");
     }
-    assert_eq!(raw_phrase(&text), None, "{about}");
+    assert_eq!(raw_phrase(&text), None, "{context}");
     if case.is_final {
-        assert!(!text.contains("coordinator serve`"), "{about}");
-        assert!(!text.contains("trying again"), "{about}");
+        assert!(!text.contains("coordinator serve`"), "{context}");
+        assert!(!text.contains("trying again"), "{context}");
     }
 }
 
@@ -267,10 +267,10 @@ async fn clients_of_a_policy_explain_unexpected_servers() {
         serving
             .args(["--listen", "127.0.0.1:0", "--config"])
             .arg(&config);
-        let between = Process::serve(&mut serving);
-        let mut through = Command::new(program("policy-gateway"));
-        through.args(["check", &between.url]);
-        check("policy-gateway before it", &case, through);
+        let gateway = Process::serve(&mut serving);
+        let mut indirect = Command::new(program("policy-gateway"));
+        indirect.args(["check", &gateway.url]);
+        check("policy-gateway check through a gateway", &case, indirect);
 
         if has_sources() {
             let mut rollout = Command::new(program("worker"));

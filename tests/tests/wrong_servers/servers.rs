@@ -23,13 +23,13 @@ pub(crate) fn serve_text(first: &'static str, then: &'static str) -> SocketAddr 
     // Ends with the test's process.
     thread::spawn(move || {
         for stream in listener.incoming().flatten() {
-            thread::spawn(move || speak(stream, first, then));
+            thread::spawn(move || send_texts(stream, first, then));
         }
     });
     address
 }
 
-fn speak(mut stream: TcpStream, first: &str, then: &str) {
+fn send_texts(mut stream: TcpStream, first: &str, then: &str) {
     let _ = stream.write_all(first.as_bytes());
     if first.is_empty() && then.is_empty() {
         return;
@@ -69,16 +69,17 @@ impl Authority {
         params.not_after = date_time_ymd(until_year, 12, 31);
         let key = KeyPair::generate().expect("a key");
         let certificate = params.signed_by(&key, &self.issuer).expect("signed");
-        self.written(&certificate.pem(), &key.serialize_pem(), host, until_year)
+        self.write_files(&certificate.pem(), &key.serialize_pem(), host, until_year)
     }
 
     /// Returns the arguments of a server that presents the authority's own certificate.
     pub(crate) fn own_arguments(&self) -> [String; 4] {
         let key = self.issuer.key().serialize_pem();
-        self.written(&self.issuer.pem(), &key, "authority", 0)
+        self.write_files(&self.issuer.pem(), &key, "authority", 0)
     }
 
-    fn written(&self, certificate: &str, key: &str, host: &str, year: i32) -> [String; 4] {
+    /// Writes a certificate and its key, and returns the arguments of a server that uses them.
+    fn write_files(&self, certificate: &str, key: &str, host: &str, year: i32) -> [String; 4] {
         let write = |kind: &str, text: &str| {
             let file = self.folder.path().join(format!("{host}-{year}-{kind}.pem"));
             std::fs::write(&file, text).expect("written");

@@ -84,8 +84,8 @@ async fn an_unavailable_policy_charges_no_rollout() {
             ("silent", "no answer within 4 s"),
             ("overloaded", "the queue is full"),
             ("unknown", "no such policy here"),
-            ("of-another-version", "it speaks policy protocol version 2"),
-            ("hungry", "9 actions executed per query, of a horizon of 8"),
+            ("of-another-version", "it uses policy protocol version 2"),
+            ("hungry", "9 executed actions per query, but a horizon of 8"),
         ],
     )
     .await;

@@ -115,7 +115,7 @@ pub enum SpecError {
     /// A row of LIBERO's family or of a suite file in a manifest.
     #[error(
         "read campaign specification: row {id} of its manifest is of another benchmark, whose \
-         campaigns are specified with `variants` or `suite_file`: take it out"
+         campaigns are specified with `variants` or `suite_file`: remove the row"
     )]
     VariantRow {
         /// The row's id.

@@ -204,8 +204,8 @@ pub(crate) fn footprint(quat: Quat, half: Vec3) -> Footprint {
     }
 }
 
-/// Returns the horizontal part of the most upright body axis: zero if the body stands or lies
-/// square, towards its low side if it is tilted.
+/// Returns the horizontal part of the most upright body axis: zero if a body axis is vertical;
+/// otherwise it points to the low side of the tilted body.
 pub(crate) fn lean(quat: Quat) -> Vec3 {
     let most_upright = AXES
         .map(|axis| quat.rotate(axis))
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn a_turn_of_more_than_half_comes_back_the_other_way() {
+    fn a_rotation_by_more_than_pi_gives_the_vector_of_the_shorter_direction() {
         let v = Quat::turn(Vec3::UP, 1.5 * std::f64::consts::PI).rotation_vector();
         assert!(near(v.z, -FRAC_PI_2));
     }

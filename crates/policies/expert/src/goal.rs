@@ -64,11 +64,11 @@ const BETWEEN_M: f64 = 0.005;
 fn let_go(world: &World) -> Option<Command> {
     let handle = world.handle_at_grip(CLEAR_OF_HANDLE_M);
     let is_open = world.opening > OPEN_M;
-    let is_around = world.objects_at_grip(BETWEEN_M).next().is_some();
+    let has_object_at_grip = world.objects_at_grip(BETWEEN_M).next().is_some();
     let way_out = match (is_open, handle) {
         (true, Some(out)) => out * CLEAR_OF_HANDLE_M,
         (true, None) => return None,
-        (false, None) if !is_around => return None,
+        (false, None) if !has_object_at_grip => return None,
         (false, _) => Vec3::default(),
     };
     Some(Command {
@@ -184,22 +184,22 @@ fn open(world: &World, region: &str, to: f64) -> Result<Option<Skill>, ExpertErr
         region: region.to_owned(),
         to,
     };
-    let open = position < to.max(routine::OPEN_M);
-    Ok((!open).then(|| Skill::Routine(Routine::new(pull))))
+    let is_open = position < to.max(routine::OPEN_M);
+    Ok((!is_open).then(|| Skill::Routine(Routine::new(pull))))
 }
 
 fn turn_on(world: &World, stove: &str) -> Result<Option<Skill>, ExpertError> {
-    let on = routine::knob_is_on(routine::only_joint(world, stove)?);
+    let is_on = routine::knob_is_on(routine::only_joint(world, stove)?);
     let turn = RoutineTask::TurnKnob {
         stove: stove.to_owned(),
     };
-    Ok((!on).then(|| Skill::Routine(Routine::new(turn))))
+    Ok((!is_on).then(|| Skill::Routine(Routine::new(turn))))
 }
 
 /// Plans to close a drawer, given by its region, or a door, given by its fixture.
 fn close(world: &World, target: &str) -> Result<Option<Skill>, ExpertError> {
     let drawer = drawer_joint(target).and_then(|joint| world.joint(&joint).ok());
-    let (task, closed) = match drawer {
+    let (task, is_closed) = match drawer {
         Some(position) => (
             RoutineTask::PushDrawer {
                 region: target.to_owned(),
@@ -216,7 +216,7 @@ fn close(world: &World, target: &str) -> Result<Option<Skill>, ExpertError> {
             )
         }
     };
-    Ok((!closed).then(|| Skill::Routine(Routine::new(task))))
+    Ok((!is_closed).then(|| Skill::Routine(Routine::new(task))))
 }
 
 fn put_on(
@@ -248,10 +248,10 @@ fn put_on(
 /// Side of the target if two objects share it: -1 for the first, 1 for the second;
 /// otherwise 0.
 fn slot(goal: &[Predicate], predicate: &Predicate) -> f64 {
-    let same = |other: &&Predicate| {
+    let shares_target = |other: &&Predicate| {
         other.name == predicate.name && other.arguments.last() == predicate.arguments.last()
     };
-    let sharing: Vec<&Predicate> = goal.iter().filter(same).collect();
+    let sharing: Vec<&Predicate> = goal.iter().filter(shares_target).collect();
     match sharing.as_slice() {
         [first, _] if *first == predicate => -1.0,
         [_, _] => 1.0,

@@ -157,11 +157,11 @@ pub(crate) fn nearest(
 ) -> Option<Grasp> {
     let rank = |grasp: &Grasp| {
         let away = (object.centre + grasp.offset - world.grip).horizontal_norm();
-        let other = earlier.is_none_or(|earlier| {
+        let is_changed = earlier.is_none_or(|earlier| {
             let turned = half_turn(earlier.closing - grasp.closing).abs();
             (earlier.offset - grasp.offset).norm() > ALIKE_M || turned > ALIKE_RAD
         });
-        let change_cost = if other { CHANGE_COST } else { 0.0 };
+        let change_cost = if is_changed { CHANGE_COST } else { 0.0 };
         cost(world, object, purpose, grasp) + AWAY_WEIGHT * away.min(AWAY_M) + change_cost
     };
     let ranked = choices(world, object, purpose).into_iter();
@@ -182,10 +182,11 @@ fn knob(object: &Entity, shape: Footprint, depth: f64) -> Grasp {
 }
 
 /// Returns the grasp across the upright handle at the end of a mug's box.
-fn by_handle(object: &Entity, shape: Footprint, way: Vec3) -> Grasp {
+fn by_handle(object: &Entity, shape: Footprint, direction: Vec3) -> Grasp {
     Grasp {
-        offset: (way * (shape.wide - HANDLE_INSET_M)).at_height(object.half.z - HANDLE_DEPTH_M),
-        closing: way.y.atan2(way.x) + FRAC_PI_2,
+        offset: (direction * (shape.wide - HANDLE_INSET_M))
+            .at_height(object.half.z - HANDLE_DEPTH_M),
+        closing: direction.y.atan2(direction.x) + FRAC_PI_2,
         strain: 0.0,
     }
 }
@@ -240,14 +241,15 @@ fn cost(world: &World, object: &Entity, purpose: Purpose<'_>, grasp: &Grasp) -> 
         GraspRequirement::Across(way) => ASKEW_WEIGHT * Vec3::heading(grasp.closing).dot(way).abs(),
         GraspRequirement::Any | GraspRequirement::Handle => 0.0,
     };
+    // The grip point at the object, and at the destination.
     let here = object.centre + grasp.offset;
     let there = (purpose.destination + here - object.pos)
         .at_height(purpose.destination.z + here.z - object.bottom());
-    let beside = |solid: &Solid| solid.owner != object.name && solid.gap(object.centre) > 0.0;
-    let beyond = |solid: &Solid| solid.owner != object.name && solid.owner != purpose.owner;
+    let is_neighbour = |solid: &Solid| solid.owner != object.name && solid.gap(object.centre) > 0.0;
+    let is_in_the_way = |solid: &Solid| solid.owner != object.name && solid.owner != purpose.owner;
     let collisions = COLLISION_WEIGHT
-        * (collisions(world, here, grasp.closing, beside)
-            + collisions(world, there, grasp.closing, beyond)) as f64;
+        * (collisions(world, here, grasp.closing, is_neighbour)
+            + collisions(world, there, grasp.closing, is_in_the_way)) as f64;
     let into_wall = WALL_WEIGHT * into_wall(world, object, grasp);
     let stretch = STRETCH_WEIGHT * (world.overstretch(here) + world.overstretch(there));
     let downhill = TILT_WEIGHT * lean(object.quat).dot(grasp.offset);
@@ -278,9 +280,9 @@ fn into_wall(world: &World, object: &Entity, grasp: &Grasp) -> f64 {
         return 0.0;
     }
     let finger = object.centre + outward * (1.0 + FINGER_REACH_M / outward.norm());
-    let beyond = |region: &Entity, p: Vec3| (region.local(p).abs() - region.half).max_coordinate();
-    let containers = world.regions().filter(|r| beyond(r, object.centre) < 0.0);
-    containers.map(|r| beyond(r, finger)).fold(0.0, f64::max)
+    let outside = |region: &Entity, p: Vec3| (region.local(p).abs() - region.half).max_coordinate();
+    let containers = world.regions().filter(|r| outside(r, object.centre) < 0.0);
+    containers.map(|r| outside(r, finger)).fold(0.0, f64::max)
 }
 
 #[cfg(test)]
@@ -385,7 +387,7 @@ mod tests {
     }
 
     #[test]
-    fn in_a_drawer_the_rim_is_held_where_the_outer_finger_has_room() {
+    fn a_bowl_in_a_drawer_is_held_where_the_outer_finger_clears_the_drawer_wall() {
         let scene = scene().object("thing", [0.0, 0.0, 0.925], BOWL).region(
             "in_drawer",
             "cabinet_1",
@@ -398,7 +400,7 @@ mod tests {
     }
 
     #[test]
-    fn a_place_can_ask_for_the_palm_to_stay_parallel_to_its_front() {
+    fn an_across_requirement_keeps_the_closing_direction_parallel_to_the_front() {
         let scene = scene().object("thing", [0.0, 0.0, 0.025], BOWL);
         let grasp = best(&scene, GraspRequirement::Across(Vec3::new(0.0, 1.0, 0.0)));
         assert!(parallel(grasp.closing, 0.0), "{grasp:?}");
@@ -415,7 +417,7 @@ mod tests {
     }
 
     #[test]
-    fn far_away_the_rim_is_held_on_the_robot_s_side() {
+    fn a_distant_bowl_is_held_at_the_side_of_its_rim_nearest_the_robot() {
         // The hand rests 0.45 m in front of the robot.
         let scene = scene().object("thing", [0.33, 0.0, 0.025], BOWL);
         let grasp = best(&scene, GraspRequirement::Any);

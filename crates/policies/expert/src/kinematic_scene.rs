@@ -105,7 +105,7 @@ impl KinematicScene {
     }
 
     pub(crate) fn world(&self) -> World {
-        World::read(&self.state).expect("a scene of the right widths")
+        World::read(&self.state).expect("a valid scene")
     }
 
     /// Simulates one control step.

@@ -48,7 +48,7 @@ pub struct Expert {
     motion: Motion,
     /// Position of the shoulder, from the first observation, when the hand is at rest.
     shoulder: Option<Vec3>,
-    /// Number of consecutive own steps in which the hand was far from its target.
+    /// Number of consecutive steps of the expert in which the hand was far from its target.
     far_steps: u32,
     /// Remaining steps of a stuck hand's retreat.
     backing_steps: u32,
@@ -177,7 +177,7 @@ mod tests {
 
     /// Returns true if the bowl reaches its plate within `steps` steps. `override_action` may
     /// replace the expert's action at each step.
-    fn ends(steps: u32, override_action: impl Fn(u32, Action) -> Option<Action>) -> bool {
+    fn succeeds(steps: u32, override_action: impl Fn(u32, Action) -> Option<Action>) -> bool {
         let (mut scene, mut expert) = (scene(), Expert::default());
         (0..steps).any(|step| {
             let action = expert.act(&scene.state).expect("an action");
@@ -193,28 +193,28 @@ mod tests {
 
     #[test]
     fn an_expert_interrupted_at_every_step_succeeds() {
-        // Interrupted at every step, the expert keeps no phase.
-        assert!(ends(250, |_, action| Some(action)));
+        // An interrupted expert derives the phase of its skill from the state alone.
+        assert!(succeeds(250, |_, action| Some(action)));
     }
 
     #[test]
     fn the_expert_succeeds_after_another_controller_stops_moves_or_opens_the_hand() {
         let still = |gripper| move |_: Action| [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, gripper];
         let aside = |_: Action| [0.6, -0.6, 0.3, 0.0, 0.0, 0.0, 1.0];
-        let meddlers: [&dyn Fn(Action) -> Action; 3] = [&still(-1.0), &still(1.0), &aside];
-        for (number, meddler) in meddlers.iter().enumerate() {
+        let controllers: [&dyn Fn(Action) -> Action; 3] = [&still(-1.0), &still(1.0), &aside];
+        for (number, controller) in controllers.iter().enumerate() {
             for first in (10..120).step_by(10) {
-                let meddled = first..first + 12;
-                let ended = ends(300, |step, action| {
-                    meddled.contains(&step).then(|| meddler(action))
+                let overridden = first..first + 12;
+                let succeeded = succeeds(300, |step, action| {
+                    overridden.contains(&step).then(|| controller(action))
                 });
-                assert!(ended, "meddler {number} from step {first} on");
+                assert!(succeeded, "controller {number} from step {first} on");
             }
         }
     }
 
     #[test]
-    fn a_hand_that_holds_the_object_stays_closed_above_another_grasp() {
+    fn an_expert_that_takes_over_a_held_object_keeps_the_hand_closed() {
         let (mut scene, mut expert) = (scene(), Expert::default());
         for _ in 0..200 {
             if scene.state.entities[0].pos[2] > 0.05 {
@@ -223,7 +223,10 @@ mod tests {
             let action = expert.act(&scene.state).expect("an action");
             scene.apply(action);
         }
-        assert!(scene.state.entities[0].pos[2] > 0.05, "it lifts the bowl");
+        assert!(
+            scene.state.entities[0].pos[2] > 0.05,
+            "the expert lifts the bowl"
+        );
         // A new expert takes over a grasp that it has not observed.
         let mut newcomer = Expert::default();
         for _ in 0..4 {
@@ -234,7 +237,7 @@ mod tests {
                 return;
             }
         }
-        panic!("it opens");
+        panic!("the expert opens the hand");
     }
 
     #[test]

@@ -96,8 +96,8 @@ impl HandPose {
 }
 
 /// Returns the orientation of a hand that points down and closes along the horizontal direction
-/// `angle`. Two symmetric orientations do so; this is the one nearer to the robot's rest pose,
-/// which closes along the world's y: a quarter turn either way stays inside the last joint's range.
+/// `angle`: of the two symmetric ones, the orientation nearer to the robot's rest pose, in which
+/// the hand closes along the world's y. The last joint's range includes a quarter turn either way.
 pub(crate) fn pointing_down(angle: f64) -> Quat {
     let rest = Quat {
         w: 0.0,
@@ -229,7 +229,7 @@ fn highest_on_the_way(world: &World, goal: Vec3, load: HandLoad) -> Option<f64> 
         .max_by(f64::total_cmp)
 }
 
-/// Returns the horizontal displacement out from under a solid above the held object.
+/// Returns the horizontal direction out from under a solid above the held object.
 fn way_from_under(world: &World, load: HandLoad) -> Option<Vec3> {
     let HandLoad::With(object) = load else {
         return None;
@@ -300,8 +300,8 @@ impl Motion {
     /// Returns true if the fingers have closed on something.
     pub(crate) fn grasps(&self, world: &World) -> bool {
         let (shut, open) = GRASPED_M;
-        let between = shut < world.opening && world.opening < open;
-        between && self.finger_still_steps >= AT_REST_STEPS
+        let is_between = shut < world.opening && world.opening < open;
+        is_between && self.finger_still_steps >= AT_REST_STEPS
     }
 
     /// Returns true if fingers at a grasp should close: they are open, or have only just
@@ -368,7 +368,7 @@ mod tests {
     }
 
     #[test]
-    fn both_ways_to_close_along_a_line_give_the_pose_nearer_to_rest() {
+    fn opposite_closing_directions_give_the_orientation_nearer_to_the_rest_pose() {
         for angle in [-1.3, -0.4, 0.2, 1.0, 1.5] {
             let pose = pointing_down(angle);
             assert!(
@@ -424,7 +424,7 @@ mod tests {
     }
 
     #[test]
-    fn a_hand_that_stops_moving_is_noticed_after_as_many_steps() {
+    fn still_steps_counts_the_steps_since_the_hand_stopped() {
         let mut scene = scene();
         let mut motion = Motion::default();
         scene.apply([1.0, 0.0, 0.0, 0.0, 0.0, 0.0, -1.0]);

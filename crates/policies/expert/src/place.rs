@@ -139,7 +139,7 @@ impl Place {
         })
     }
 
-    /// Returns the name of the target's object or fixture: for a region, the one it is on.
+    /// Returns the name of the target's object or fixture: for a region, of what it is on.
     ///
     /// # Errors
     /// If the scene lacks the target.
@@ -181,12 +181,12 @@ impl Spot {
     }
 
     /// Returns true if the approach can begin, given the remaining displacement to the gate.
-    pub(crate) fn at_gate(&self, left: Vec3) -> bool {
+    pub(crate) fn at_gate(&self, remaining: Vec3) -> bool {
         let is_level = match self.entry {
             Entry::Onto | Entry::Into => true,
-            Entry::Through(_) => left.z.abs() < 2.0 * THERE_M,
+            Entry::Through(_) => remaining.z.abs() < 2.0 * THERE_M,
         };
-        is_level && left.horizontal_norm() < 2.0 * THERE_M
+        is_level && remaining.horizontal_norm() < 2.0 * THERE_M
     }
 
     /// Returns true if the held object can be released.

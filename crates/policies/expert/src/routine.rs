@@ -180,18 +180,18 @@ impl Routine {
 impl RoutineTask {
     /// Derives the number of the current stage from the state of the world.
     fn current_stage(&self, world: &World, motion: &Motion) -> Result<u32, ExpertError> {
-        let (Some(ready), Some(begun)) = (self.stage(0, world)?, self.stage(1, world)?) else {
+        let (Some(first), Some(second)) = (self.stage(0, world)?, self.stage(1, world)?) else {
             return Ok(0);
         };
-        let (from, to) = (ready.hand, begun.hand);
+        let (from, to) = (first.hand, second.hand);
         let is_on_the_way = from.is_on_path_to(to, world, ASIDE_M);
-        let is_there = (to.pos - world.grip).norm();
+        let distance = (to.pos - world.grip).norm();
         Ok(match self {
             Self::PullDrawer { .. } | Self::TurnKnob { .. } => {
                 let is_open = world.opening > OPEN_FINGERS_M;
-                if is_there < HELD_M && motion.grasps(world) && !is_open {
+                if distance < HELD_M && motion.grasps(world) && !is_open {
                     3
-                } else if is_there < AT_M && is_on_the_way && motion.may_close(world) {
+                } else if distance < AT_M && is_on_the_way && motion.may_close(world) {
                     2
                 } else {
                     u32::from(is_on_the_way && is_open)
@@ -223,17 +223,17 @@ impl RoutineTask {
     }
 }
 
-/// Returns true if a drawer is shut far enough to count.
+/// Returns true if a drawer is shut far enough to count as closed.
 pub(crate) fn drawer_is_closed(position: f64) -> bool {
     position > 0.0
 }
 
-/// Returns true if a microwave's door is shut far enough to count.
+/// Returns true if a microwave's door is shut far enough to count as closed.
 pub(crate) fn door_is_closed(position: f64) -> bool {
     position > -0.005
 }
 
-/// Returns true if a stove's knob is turned far enough to count.
+/// Returns true if a stove's knob is turned far enough to count as on.
 pub(crate) fn knob_is_on(position: f64) -> bool {
     position >= 0.5
 }

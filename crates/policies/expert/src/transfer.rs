@@ -35,7 +35,7 @@ const LIFT_M: f64 = 0.03;
 const CLOSING_STEPS: (u32, u32) = (5, 12);
 const OPENING_STEPS: u32 = 5;
 /// Number of steps after which a phase near obstacles ends regardless of progress, and after
-/// which a travel is given up.
+/// which a movement through free space is given up.
 const PATIENCE_STEPS: u32 = 60;
 const TRAVEL_STEPS: u32 = 120;
 /// Distance from the goal within which a hand that runs out of steps proceeds anyway, m.
@@ -151,9 +151,9 @@ impl Transfer {
             }
         } else if self.holds(world, motion)? {
             let hold = self.hold(earlier, world, object);
-            let left = Spot::hand_for(world, object, spot.gate) - world.grip;
-            let is_entering = is_over_rest && left.z > 0.0 && spot.way_out() == Vec3::UP;
-            match spot.at_gate(left) || is_entering {
+            let to_gate = Spot::hand_for(world, object, spot.gate) - world.grip;
+            let is_entering = is_over_rest && to_gate.z > 0.0 && spot.way_out() == Vec3::UP;
+            match spot.at_gate(to_gate) || is_entering {
                 true => Phase::Lower(hold),
                 false => Phase::Carry(hold),
             }
@@ -175,7 +175,7 @@ impl Transfer {
     fn hold(&self, earlier: Option<&Self>, world: &World, object: &Entity) -> Hold {
         if let Some(Phase::Lift(hold) | Phase::Carry(hold) | Phase::Lower(hold)) =
             earlier.map(|earlier| earlier.phase)
-            && !hold.lost(world, object)
+            && !hold.is_lost(world, object)
         {
             return hold;
         }
@@ -245,7 +245,7 @@ impl Transfer {
             Phase::Release { hand, way_out } => {
                 Next::Go(Phase::Retreat(hand.moved(way_out * RETREAT_M)))
             }
-            Phase::Retreat(hand) if near(world, hand) || self.overdue() => Next::Done,
+            Phase::Retreat(hand) if near(world, hand) || self.is_overdue() => Next::Done,
             Phase::Retreat(hand) => stay(hand, Fingers::Open, 1.0),
         })
     }
@@ -259,8 +259,8 @@ impl Transfer {
 
     fn approach(&self, world: &World, object: &Entity, grip: Grip) -> Next {
         let above = grip.hand(object).moved(Vec3::UP * HOVER_M);
-        let almost = (above.pos - world.grip).norm() < ALMOST_M;
-        if near(world, above) || (almost && self.overdue()) {
+        let is_close = (above.pos - world.grip).norm() < ALMOST_M;
+        if near(world, above) || (is_close && self.is_overdue()) {
             return Next::Go(Phase::Descend(grip));
         }
         if self.ticks >= TRAVEL_STEPS {
@@ -278,7 +278,7 @@ impl Transfer {
     fn descend(&self, world: &World, object: &Entity, grip: Grip, motion: &Motion) -> Next {
         let hand = grip.hand(object);
         let stopped = self.ticks > 5 && motion.still_steps() >= 3;
-        if (hand.pos - world.grip).norm() < DEEP_M || stopped || self.overdue() {
+        if (hand.pos - world.grip).norm() < DEEP_M || stopped || self.is_overdue() {
             return Next::Go(Phase::Close(HandPose {
                 pos: world.grip,
                 ..hand
@@ -307,7 +307,7 @@ impl Transfer {
     }
 
     fn lift(&self, world: &World, object: &Entity, hold: Hold) -> Next {
-        if hold.lost(world, object) || self.overdue() {
+        if hold.is_lost(world, object) || self.is_overdue() {
             return Next::Missed;
         }
         let goal = hold.lifted_from + Vec3::UP * (LIFT_M + NEAR_M);
@@ -318,7 +318,7 @@ impl Transfer {
     }
 
     fn carry(&self, world: &World, object: &Entity, hold: Hold) -> Result<Next, ExpertError> {
-        if hold.lost(world, object) || self.ticks >= TRAVEL_STEPS {
+        if hold.is_lost(world, object) || self.ticks >= TRAVEL_STEPS {
             return Ok(Next::Missed);
         }
         let spot = self.place.spot(world, object)?;
@@ -339,7 +339,7 @@ impl Transfer {
     ) -> Result<Next, ExpertError> {
         let spot = self.place.spot(world, object)?;
         let stopped = self.ticks > 3 && motion.still_steps() >= 2;
-        if spot.reached(world, object) || stopped || self.overdue() {
+        if spot.reached(world, object) || stopped || self.is_overdue() {
             let hand = HandPose {
                 pos: world.grip,
                 quat: hold.quat,
@@ -353,7 +353,7 @@ impl Transfer {
         Ok(hold_to(pos, hold, GENTLE))
     }
 
-    fn overdue(&self) -> bool {
+    fn is_overdue(&self) -> bool {
         self.ticks >= PATIENCE_STEPS
     }
 }
@@ -369,7 +369,7 @@ impl Grip {
 }
 
 impl Hold {
-    fn lost(&self, world: &World, object: &Entity) -> bool {
+    fn is_lost(&self, world: &World, object: &Entity) -> bool {
         (object.centre - world.grip - self.object_from_grip).norm() > LOST_M
     }
 }
@@ -389,8 +389,8 @@ fn current_phase(grasp: Grasp, world: &World, object: &Entity, motion: &Motion) 
             ..hand
         });
     }
-    let is_in_shaft = aside < 2.0 * NEAR_M && above < HOVER_M + 2.0 * NEAR_M;
-    match is_turned && is_in_shaft && world.opening > OPEN_M {
+    let is_above_grasp = aside < 2.0 * NEAR_M && above < HOVER_M + 2.0 * NEAR_M;
+    match is_turned && is_above_grasp && world.opening > OPEN_M {
         true => Phase::Descend(grip),
         false => Phase::Approach(grip),
     }
@@ -461,7 +461,7 @@ mod tests {
         for _ in 0..400 {
             let world = scene.world();
             motion.observe(&world);
-            let Some(command) = transfer.step(&world, &motion).expect("a readable scene") else {
+            let Some(command) = transfer.step(&world, &motion).expect("a valid scene") else {
                 return phases;
             };
             let shown = format!("{:?}", transfer.phase);
@@ -479,7 +479,7 @@ mod tests {
         panic!("the skill did not end; phases: {phases:?}");
     }
 
-    const WHOLE: [&str; 8] = [
+    const ALL_PHASES: [&str; 8] = [
         "Approach", "Descend", "Close", "Lift", "Carry", "Lower", "Release", "Retreat",
     ];
 
@@ -494,17 +494,17 @@ mod tests {
     #[test]
     fn a_can_goes_into_a_basket_phase_by_phase() {
         let mut scene = scene();
-        assert_eq!(run(&mut scene, |_, _| ()), WHOLE);
+        assert_eq!(run(&mut scene, |_, _| ()), ALL_PHASES);
         assert!(in_basket(&scene));
     }
 
     #[test]
-    fn a_missed_grasp_is_noticed_on_lifting_and_tried_again() {
+    fn a_missed_grasp_is_detected_on_lifting_and_tried_again() {
         let mut scene = scene();
         scene.failing_grasps = 1;
         let phases = run(&mut scene, |_, _| ());
         let missed = ["Approach", "Descend", "Close", "Lift"];
-        assert_eq!(phases, [&missed[..], &WHOLE[..]].concat());
+        assert_eq!(phases, [&missed[..], &ALL_PHASES[..]].concat());
         assert!(in_basket(&scene));
     }
 
@@ -518,7 +518,7 @@ mod tests {
                 lost = true;
             }
         });
-        assert_eq!(phases, [&WHOLE[..5], &WHOLE[..]].concat());
+        assert_eq!(phases, [&ALL_PHASES[..5], &ALL_PHASES[..]].concat());
         assert!(in_basket(&scene));
     }
 

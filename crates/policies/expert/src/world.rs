@@ -199,8 +199,8 @@ impl World {
             let along = from.dot(out);
             let beside = (from - out * along - Vec3::UP * from.z).norm();
             let (across, reach) = HANDLE_HALF_M;
-            let there = along.abs() < away && from.z.abs() < 2.0 * across && beside < reach;
-            (there && pointing.dot(out) < -0.7).then_some(out)
+            let is_at_handle = along.abs() < away && from.z.abs() < 2.0 * across && beside < reach;
+            (is_at_handle && pointing.dot(out) < -0.7).then_some(out)
         })
     }
 
@@ -225,9 +225,9 @@ impl World {
     pub(crate) fn front_of_cover(&self, region: &Entity) -> Option<Vec3> {
         let cover = self.entity(&top_side(&region.category)).ok()?;
         let beneath = cover.local(region.pos.at_height(cover.pos.z)).abs() - cover.half;
-        let covered = beneath.max_coordinate() < 0.0 && region.pos.z < cover.pos.z;
-        let drawer = self.front_of_drawer(region).is_some();
-        (covered && !drawer).then(|| self.entity(&region.category).ok().map(front))?
+        let is_covered = beneath.max_coordinate() < 0.0 && region.pos.z < cover.pos.z;
+        let is_in_drawer = self.front_of_drawer(region).is_some();
+        (is_covered && !is_in_drawer).then(|| self.entity(&region.category).ok().map(front))?
     }
 }
 
@@ -299,9 +299,9 @@ impl Solid {
         let inward = self.quat.inverse();
         let offset = inward.rotate((p - self.centre).at_height(0.0));
         let [a, b] = reach.map(|r| inward.rotate(r));
-        let own = offset.abs() - self.half - a.abs() - b.abs();
-        let apart = |r: Vec3| offset.dot(r).abs() > r.dot(r) + r.abs().dot(self.half);
-        own.max_coordinate() < 0.0 && !apart(a) && !apart(b)
+        let separation = offset.abs() - self.half - a.abs() - b.abs();
+        let is_separating = |r: Vec3| offset.dot(r).abs() > r.dot(r) + r.abs().dot(self.half);
+        separation.max_coordinate() < 0.0 && !is_separating(a) && !is_separating(b)
     }
 }
 

@@ -48,7 +48,7 @@ impl fmt::Display for Cause {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Unreachable(why) | Self::Misplaced(why) => write!(f, "cannot be reached: {why}"),
-            Self::Distrust(error) => write!(f, "cannot be asked: {error}"),
+            Self::Distrust(error) => write!(f, "cannot be queried: {error}"),
             Self::Disagrees(difference) => f.write_str(difference),
             Self::Silent => f.write_str("did not answer in time"),
             Self::Repeats(error) => write!(f, "gave different tasks the same error: {error}"),

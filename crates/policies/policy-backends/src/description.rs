@@ -1,4 +1,4 @@
-//! Batch size of a policy by its description, and the difference between two descriptions. Pure
+//! Batch size that a description permits, and the difference between two descriptions. Pure
 //! functions. The crate `policy-protocol` checks descriptions and answers.
 
 use proto::policy::DescribeResponse;
@@ -20,35 +20,41 @@ pub fn batch_size(described: &DescribeResponse) -> usize {
 /// Describes the first difference between two descriptions. The batch size is ignored, because it
 /// may differ between replicas.
 pub fn difference(one: &DescribeResponse, other: &DescribeResponse) -> Option<String> {
-    let said = |it: &DescribeResponse| {
+    let fields = |described: &DescribeResponse| {
         [
-            ("name", it.name.clone()),
-            ("checkpoint digest", it.checkpoint_digest.clone()),
-            ("checkpoint", it.checkpoint.clone()),
-            ("parameter count", it.parameters.to_string()),
-            ("horizon", it.horizon.to_string()),
-            ("execute", it.execute.to_string()),
-            ("cameras", format!("{:?}", it.cameras)),
-            ("robot readings", format!("{:?}", it.state)),
-            ("stateful", it.stateful.to_string()),
-            ("stochastic", it.stochastic.to_string()),
-            ("seeding", (!it.unseeded).to_string()),
-            ("language", it.language.to_string()),
-            ("privileged", it.privileged.to_string()),
-            ("real-time chunking", it.real_time_chunking.to_string()),
+            ("name", described.name.clone()),
+            ("checkpoint digest", described.checkpoint_digest.clone()),
+            ("checkpoint", described.checkpoint.clone()),
+            ("parameter count", described.parameters.to_string()),
+            ("horizon", described.horizon.to_string()),
+            ("execute", described.execute.to_string()),
+            ("cameras", format!("{:?}", described.cameras)),
+            ("robot readings", format!("{:?}", described.state)),
+            ("stateful", described.stateful.to_string()),
+            ("stochastic", described.stochastic.to_string()),
+            ("seeding", (!described.unseeded).to_string()),
+            ("language", described.language.to_string()),
+            ("privileged", described.privileged.to_string()),
+            (
+                "real-time chunking",
+                described.real_time_chunking.to_string(),
+            ),
         ]
     };
-    let setting = |of: &DescribeResponse, name: &str| {
-        let named = of.settings.iter().find(|setting| setting.name == name);
+    let setting = |described: &DescribeResponse, name: &str| {
+        let named = described
+            .settings
+            .iter()
+            .find(|setting| setting.name == name);
         named.map_or_else(|| "not given".to_owned(), |setting| setting.value.clone())
     };
     let names = one.settings.iter().chain(&other.settings);
     let names = names.map(|setting| setting.name.as_str());
-    said(one)
+    fields(one)
         .into_iter()
-        .zip(said(other))
-        .map(|((what, was), (_, is))| (what, was, is))
+        .zip(fields(other))
+        .map(|((field, was), (_, is))| (field, was, is))
         .chain(names.map(|name| (name, setting(one, name), setting(other, name))))
         .find(|(_, was, is)| was != is)
-        .map(|(what, was, is)| format!("its {what} is {is:?}, not {was:?}"))
+        .map(|(field, was, is)| format!("its {field} is {is:?}, not {was:?}"))
 }

@@ -74,10 +74,10 @@ impl FromStr for GrpcAddress {
             encrypted,
         };
         let uri = format!("http://{authority}").parse::<Uri>();
-        let complete = uri.is_ok_and(|uri| {
+        let is_complete = uri.is_ok_and(|uri| {
             uri.host().is_some_and(|host| !host.is_empty()) && uri.port_u16().is_some()
         });
-        if complete && address.endpoint().is_ok() {
+        if is_complete && address.endpoint().is_ok() {
             Ok(address)
         } else {
             Err(wrong())
@@ -140,11 +140,11 @@ impl GrpcBackend {
     ) -> Result<T, BackendError> {
         match call.await {
             Ok(response) => Ok(response.into_inner()),
-            Err(status) => Err(self.failed(status).await),
+            Err(status) => Err(self.error(status).await),
         }
     }
 
-    async fn failed(&self, status: Status) -> BackendError {
+    async fn error(&self, status: Status) -> BackendError {
         let address = self.address.authority.clone();
         match self.peer.trouble(&status).await {
             // An older server did answer, so its policy is at fault, not the connection.
@@ -220,7 +220,7 @@ impl Backend for GrpcBackend {
         if answered != asked {
             return Err(BackendError::BatchSize { asked, answered });
         }
-        let answer = |it: InferResult| match it.result {
+        let answer = |result: InferResult| match result.result {
             Some(infer_result::Result::Response(response)) => Ok(response),
             Some(infer_result::Result::Error(message)) => Err(BackendError::Policy { message }),
             None => Ok(InferResponse::default()),

@@ -1,8 +1,8 @@
 //! Clients of policy servers, one module per protocol, and the policies that need no server: all
 //! behind the trait [`Backend`], which a [`BackendSpec`] names and [`open()`] creates.
 //!
-//! A back-end neither checks answers nor retries: the gateway does, and those who examine a server
-//! see its answers unchanged.
+//! A back-end neither checks answers nor retries: the gateway does. The tools that examine a server
+//! thus receive its answers unchanged.
 
 #![forbid(unsafe_code)]
 

@@ -26,7 +26,7 @@ pub struct Array {
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum ArrayError {
     /// The value is not an array.
-    #[error("its actions are no array of numbers")]
+    #[error("its actions are not an array of numbers")]
     None,
     /// The array's element type is not supported.
     #[error("its actions have dtype {dtype:?}, not <f4 or <f8")]
@@ -38,7 +38,7 @@ pub enum ArrayError {
 
 /// Encodes an array.
 pub(super) fn array(keys: Keys, dtype: &str, shape: &[usize], data: Vec<u8>) -> Value {
-    let shape = shape.iter().map(|&it| Value::from(it)).collect();
+    let shape = shape.iter().map(|&side| Value::from(side)).collect();
     let entries = [
         ("__ndarray__", Value::Boolean(true)),
         ("data", Value::Binary(data)),
@@ -58,7 +58,7 @@ pub(super) fn map<const N: usize>(entries: [(&str, Value); N]) -> Value {
 }
 
 /// Encodes a message.
-pub(super) fn written(message: &Value) -> Vec<u8> {
+pub(super) fn encode(message: &Value) -> Vec<u8> {
     let mut bytes = vec![];
     write_value(&mut bytes, message).expect("a vector takes every byte");
     bytes
@@ -81,14 +81,17 @@ pub(super) fn numbers(value: &ValueRef<'_>) -> Result<Array, ArrayError> {
         return Err(ArrayError::None);
     };
     let numbers: Option<Vec<f32>> = match dtype {
-        "<f4" => whole(data).map(|them| {
-            them.iter()
+        "<f4" => elements(data).map(|elements| {
+            elements
+                .iter()
                 .map(|bytes| f32::from_le_bytes(*bytes))
                 .collect()
         }),
-        "<f8" => whole(data).map(|them| {
-            let them = them.iter().map(|bytes| f64::from_le_bytes(*bytes) as f32);
-            them.collect()
+        "<f8" => elements(data).map(|elements| {
+            elements
+                .iter()
+                .map(|bytes| f64::from_le_bytes(*bytes) as f32)
+                .collect()
         }),
         other => {
             return Err(ArrayError::Dtype {
@@ -106,7 +109,8 @@ pub(super) fn numbers(value: &ValueRef<'_>) -> Result<Array, ArrayError> {
     Ok(Array { shape, numbers })
 }
 
-fn whole<const N: usize>(data: &[u8]) -> Option<&[[u8; N]]> {
+/// Splits an array's data into elements of `N` bytes; `None` if bytes remain.
+fn elements<const N: usize>(data: &[u8]) -> Option<&[[u8; N]]> {
     let (numbers, []) = data.as_chunks() else {
         return None;
     };
@@ -119,10 +123,10 @@ pub(super) fn lookup<'a, 'b>(map: &'b ValueRef<'a>, key: &str) -> Option<&'b Val
         return None;
     };
     let is_key =
-        |it: &ValueRef<'_>| as_text(it) == Some(key) || as_bytes(it) == Some(key.as_bytes());
+        |name: &ValueRef<'_>| as_text(name) == Some(key) || as_bytes(name) == Some(key.as_bytes());
     entries
         .iter()
-        .find(|(it, _)| is_key(it))
+        .find(|(name, _)| is_key(name))
         .map(|(_, value)| value)
 }
 
@@ -144,7 +148,7 @@ fn as_shape(value: &ValueRef<'_>) -> Option<Vec<usize>> {
     let ValueRef::Array(sides) = value else {
         return None;
     };
-    let side = |it: &ValueRef<'_>| match it {
+    let side = |value: &ValueRef<'_>| match value {
         ValueRef::Integer(side) => side.as_u64().and_then(|side| usize::try_from(side).ok()),
         _ => None,
     };

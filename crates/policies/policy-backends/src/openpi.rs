@@ -1,7 +1,7 @@
 //! Back-end of unmodified openpi policy servers: a π0.5 server that speaks msgpack over WebSocket.
-//! Acts like openpi's LIBERO client: sends the same part of an observation, and executes as many
-//! actions of a chunk; and manages the connections. [`frame`] resizes frames, [`codec`] encodes
-//! and decodes messages.
+//! Acts like openpi's LIBERO client: sends the same part of an observation, and executes the same
+//! number of actions of a chunk. Also manages the connections. [`frame`] resizes frames, [`codec`]
+//! encodes and decodes messages.
 //!
 //! Such a server keeps no state between queries, does not name its checkpoint, and draws its noise
 //! from a single stream that cannot be seeded. The description declares all three.
@@ -31,8 +31,8 @@ mod address;
 pub mod codec;
 pub mod frame;
 
-/// Longest quoted part of a server's traceback, characters, from its end, which names the error.
-const TOLD_CHARS: usize = 600;
+/// Longest quoted part of a server's traceback, characters: the end, which names the error.
+const QUOTED_CHARS: usize = 600;
 /// Robot readings that form the eight numbers of the server's state, in order.
 const STATE: [StateField; 3] = [
     StateField::EefPos,
@@ -49,7 +49,7 @@ pub struct OpenpiBackend {
     server: Server,
     /// Instruction of every session, which is sent with every query.
     prompts: Mutex<SessionTable<String>>,
-    turns: Semaphore,
+    permits: Semaphore,
     /// Idle connections.
     idle: Mutex<Vec<Connection>>,
 }
@@ -63,7 +63,7 @@ impl OpenpiBackend {
         let schemes = ["ws://", "wss://"];
         // openpi's client sends its key with this scheme.
         let server = Server::new(
-            address.place.clone(),
+            address.host_port.clone(),
             access,
             ServerKind::Openpi,
             schemes,
@@ -75,20 +75,21 @@ impl OpenpiBackend {
             })?,
             address,
             prompts: Mutex::new(SessionTable::new(MAX_SESSIONS)),
-            turns: Semaphore::new(MAX_CONNECTIONS),
+            permits: Semaphore::new(MAX_CONNECTIONS),
             idle: Mutex::default(),
         })
     }
 
-    async fn turn(&self) -> Option<SemaphorePermit<'_>> {
+    /// Waits until fewer than [`MAX_CONNECTIONS`] queries are under way.
+    async fn permit(&self) -> Option<SemaphorePermit<'_>> {
         // The semaphore is never closed.
-        self.turns.acquire().await.ok()
+        self.permits.acquire().await.ok()
     }
 
     /// Connects, and reads the metadata that the server sends first.
     async fn connect(&self) -> Result<(Connection, Vec<u8>), BackendError> {
         let (connection, metadata) = self.server.connect(None).await?;
-        Ok((connection, answered(metadata)?))
+        Ok((connection, answer_bytes(metadata)?))
     }
 
     fn idle(&self) -> std::sync::MutexGuard<'_, Vec<Connection>> {
@@ -102,7 +103,7 @@ impl OpenpiBackend {
     /// Sends one query. If the caller stops waiting, the connection is dropped, so that no other
     /// caller gets its answer.
     async fn send_query(&self, message: Vec<u8>) -> Result<Vec<u8>, BackendError> {
-        let _turn = self.turn().await;
+        let _permit = self.permit().await;
         let idle = self.idle().pop();
         if let Some(mut connection) = idle {
             match exchange(&mut connection, message.clone()).await {
@@ -132,9 +133,9 @@ impl OpenpiBackend {
 #[tonic::async_trait]
 impl Backend for OpenpiBackend {
     async fn describe(&self, _suite: &str) -> Result<DescribeResponse, BackendError> {
-        let _turn = self.turn().await;
-        // Opens a new connection each time, because a server sends its metadata only at the start;
-        // they show whether it is still the same server.
+        let _permit = self.permit().await;
+        // Opens a new connection each time, because a server sends its metadata only at the start
+        // of a connection; the metadata show whether it is still the same server.
         let (connection, metadata) = self.connect().await?;
         let described = describe(&self.address, &metadata);
         let mut idle = self.idle();
@@ -155,11 +156,11 @@ impl Backend for OpenpiBackend {
     async fn infer(&self, request: InferRequest) -> Result<InferResponse, BackendError> {
         let prompt = self.prompts().get(&request.session).cloned();
         let prompt = prompt.ok_or(BackendError::SessionLost)?;
-        let wrong = |message| BackendError::Policy { message };
-        let message = question(&request, &prompt).map_err(wrong)?;
+        let failed = |message| BackendError::Policy { message };
+        let message = encode_query(&request, &prompt).map_err(failed)?;
         let answer = self.send_query(message).await?;
-        let chunk = codec::answer(&answer).map_err(|error| wrong(error.to_string()))?;
-        first_actions(&chunk, self.address.execute).map_err(wrong)
+        let chunk = codec::answer(&answer).map_err(|error| failed(error.to_string()))?;
+        first_actions(&chunk, self.address.execute).map_err(failed)
     }
 }
 
@@ -171,12 +172,12 @@ impl fmt::Display for OpenpiBackend {
 
 async fn exchange(connection: &mut Connection, message: Vec<u8>) -> Result<Vec<u8>, BackendError> {
     connection.send(message).await?;
-    answered(connection.receive().await?)
+    answer_bytes(connection.receive().await?)
 }
 
 /// Returns the answer's bytes. A server that raised an exception sends it as text and closes the
 /// connection.
-fn answered(received: Received) -> Result<Vec<u8>, BackendError> {
+fn answer_bytes(received: Received) -> Result<Vec<u8>, BackendError> {
     match received {
         Received::Binary(bytes) => Ok(bytes),
         Received::Text(traceback) => Err(BackendError::Policy {
@@ -187,7 +188,7 @@ fn answered(received: Received) -> Result<Vec<u8>, BackendError> {
 
 fn last_chars(text: &str) -> String {
     let text = text.trim();
-    let skipped = text.chars().count().saturating_sub(TOLD_CHARS);
+    let skipped = text.chars().count().saturating_sub(QUOTED_CHARS);
     text.chars().skip(skipped).collect()
 }
 
@@ -220,7 +221,7 @@ fn describe(address: &OpenpiAddress, metadata: &[u8]) -> DescribeResponse {
 }
 
 /// Encodes an observation as openpi's LIBERO client does.
-fn question(request: &InferRequest, prompt: &str) -> Result<Vec<u8>, String> {
+fn encode_query(request: &InferRequest, prompt: &str) -> Result<Vec<u8>, String> {
     let observation = request.observation.as_ref();
     let frame = |camera: &str| {
         let frame = shown::frame(observation, camera)?;
@@ -232,7 +233,7 @@ fn question(request: &InferRequest, prompt: &str) -> Result<Vec<u8>, String> {
     state.extend(shown::reading::<3>(observation, rotation)?);
     state.extend(shown::reading::<2>(observation, fingers)?);
     let [scene, wrist] = CAMERAS;
-    Ok(codec::observation(&codec::Shown {
+    Ok(codec::observation(&codec::ClientObservation {
         side: frame::SIDE,
         image: &frame(scene)?,
         wrist_image: &frame(wrist)?,
@@ -247,10 +248,10 @@ fn first_actions(chunk: &codec::Chunk, execute: u32) -> Result<InferResponse, St
     if count < execute as usize {
         return Err(format!(
             "it answered {count} actions, and {execute} are executed per query: write \
-             ?execute={count} behind its address, or serve a checkpoint with longer chunks"
+             ?execute={count} after its address, or serve a checkpoint with longer chunks"
         ));
     }
-    // An invalid width is refused later, by the checks of all answers.
+    // The gateway's checks refuse an invalid width.
     let numbers = chunk.numbers[..execute as usize * width].to_vec();
     Ok(InferResponse {
         actions: numbers,
@@ -263,7 +264,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_address_is_read_as_it_is_written() {
+    fn an_address_is_parsed_and_displayed_unchanged() {
         for text in ["ws://gpu7:8000", "wss://[::1]:8000?execute=10"] {
             let address: OpenpiAddress = text.parse().expect(text);
             assert_eq!(address.to_string(), text);

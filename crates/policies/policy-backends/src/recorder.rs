@@ -1,5 +1,5 @@
-//! Back-end that records the queries and answers of another one. Decides when a recording starts
-//! and ends, and limits its size; a session whose recording fails continues unrecorded.
+//! Back-end that records the queries and answers of another back-end. Decides when a recording
+//! starts and ends, and limits its size; a session whose recording fails continues unrecorded.
 
 use std::{
     collections::HashMap,
@@ -59,7 +59,7 @@ impl Recorder {
         }
     }
 
-    /// Runs `writing` on a blocking thread, so that other sessions are not delayed.
+    /// Runs `writing` on a blocking thread, so that writing does not delay other sessions.
     async fn write(&self, writing: impl FnOnce(&mut Open) + Send + 'static) {
         let shared = Arc::clone(&self.shared);
         let written = tokio::task::spawn_blocking(move || {
@@ -104,8 +104,8 @@ impl Open {
                 writer.discard();
                 self.bytes_left = 0;
                 tracing::error!(
-                    "recorded as much as was asked for: session {session:?} and later ones are \
-                     not; give a larger --max-mib"
+                    "the recordings have reached their size limit: session {session:?} and later \
+                     ones are not recorded; give a larger --max-mib"
                 );
             }
             Err(error) => {
@@ -122,8 +122,8 @@ impl Open {
     }
 
     fn end_idle(&mut self) {
-        let ended = |(last, _): &(Instant, Writer)| last.elapsed() > ENDED_AFTER;
-        let ended = self.sessions.extract_if(|_, session| ended(session));
+        let is_idle = |(last, _): &(Instant, Writer)| last.elapsed() > ENDED_AFTER;
+        let ended = self.sessions.extract_if(|_, session| is_idle(session));
         ended.for_each(|(session, (_, writer))| end(&session, writer));
     }
 }

@@ -48,8 +48,8 @@ pub struct Writer {
 }
 
 impl Writer {
-    /// Starts the recording of a session. An existing one of the same session is replaced when
-    /// this one is finished.
+    /// Starts the recording of a session. An existing recording of the same session is replaced
+    /// when the new one is finished.
     ///
     /// # Errors
     /// If the file cannot be written.
@@ -64,7 +64,7 @@ impl Writer {
             .map(|byte| format!("{byte:02x}"))
             .collect();
         let partial = folder.join(format!("{name}.partial"));
-        // Removes the file of a killed gateway, or a link, which must not be written through.
+        // Removes the file of a killed gateway, or a link, whose target must not be overwritten.
         let _ = std::fs::remove_file(&partial);
         let file = File::create_new(partial)?;
         let mut writer = Self {
@@ -93,9 +93,9 @@ impl Writer {
     pub fn finish(mut self) -> io::Result<PathBuf> {
         self.file.flush()?;
         self.file.get_ref().sync_all()?;
-        let whole = self.folder.join(format!("{}.{SUFFIX}", self.name));
-        std::fs::rename(self.partial(), &whole)?;
-        Ok(whole)
+        let complete = self.folder.join(format!("{}.{SUFFIX}", self.name));
+        std::fs::rename(self.partial(), &complete)?;
+        Ok(complete)
     }
 
     /// Removes the unfinished recording.
@@ -175,15 +175,15 @@ impl Reader {
     /// Reads a message's length; `None` at the end of the file.
     fn length(&mut self) -> Result<Option<usize>, RecordingError> {
         let mut length = 0_usize;
-        for place in 0..5 {
+        for position in 0..5 {
             let mut byte = [0];
             match self.file.read(&mut byte) {
-                Ok(0) if place == 0 => return Ok(None),
+                Ok(0) if position == 0 => return Ok(None),
                 Ok(1) => {}
                 Ok(_) => return Err(self.broken()),
                 Err(source) => return Err(io_error(&self.path, source)),
             }
-            length |= usize::from(byte[0] & 0x7f) << (7 * place);
+            length |= usize::from(byte[0] & 0x7f) << (7 * position);
             if byte[0] & 0x80 == 0 {
                 let fits = length <= proto::MAX_MESSAGE_BYTES;
                 return fits.then_some(Some(length)).ok_or_else(|| self.broken());
@@ -241,7 +241,9 @@ pub enum RecordingError {
         source: io::Error,
     },
     /// The file is damaged or not a recording.
-    #[error("read {path:?} as a recording: it is damaged or not one; record the session again")]
+    #[error(
+        "read {path:?} as a recording: it is damaged or no recording; record the session again"
+    )]
     Broken {
         /// Path of the file.
         path: PathBuf,
@@ -256,7 +258,7 @@ pub enum RecordingError {
         folder: PathBuf,
     },
     /// The folder has more recordings than the limit.
-    #[error("take more than {MAX_FILES} recordings from {folder:?}: put some elsewhere")]
+    #[error("take more than {MAX_FILES} recordings from {folder:?}: move some to another folder")]
     TooMany {
         /// Path of the folder.
         folder: PathBuf,
@@ -269,7 +271,7 @@ pub enum RecordingError {
     Policies {
         /// Path of the first recording.
         one: PathBuf,
-        /// Path of one that differs.
+        /// Path of a recording that differs.
         other: PathBuf,
         /// Description of the difference.
         difference: String,
@@ -321,13 +323,13 @@ mod tests {
     fn a_link_in_place_of_a_partial_recording_is_replaced_and_not_followed() {
         let folder = tempfile::tempdir().expect("a folder");
         let other = folder.path().join("other");
-        std::fs::write(&other, "of somebody").expect("written");
+        std::fs::write(&other, "unrelated").expect("written");
         let partial = write(folder.path(), 0).partial();
-        std::fs::remove_file(&partial).expect("was there");
+        std::fs::remove_file(&partial).expect("removed");
         std::os::unix::fs::symlink(&other, &partial).expect("a link");
         let whole = write(folder.path(), 1).finish().expect("written");
         assert!(!whole.is_symlink());
-        assert_eq!(std::fs::read(&other).expect("read"), b"of somebody");
+        assert_eq!(std::fs::read(&other).expect("read"), b"unrelated");
     }
 
     #[test]
@@ -353,7 +355,7 @@ mod tests {
     }
 
     #[test]
-    fn a_truncated_file_is_shorter_or_named_as_damaged() {
+    fn a_truncated_file_has_fewer_pairs_or_is_reported_as_damaged() {
         let folder = tempfile::tempdir().expect("a folder");
         let path = write(folder.path(), 2).finish().expect("finished");
         let whole = std::fs::read(&path).expect("read");

@@ -1,6 +1,6 @@
 //! Back-end that answers from recordings: an observation that equals the recorded one of the same
-//! episode gets the recorded actions. For any other, the error names the first difference. It
-//! needs neither computation nor a server.
+//! episode gets the recorded actions. For any other observation, the error names the first
+//! difference. Replay needs neither computation nor a server.
 //!
 //! An episode is identified by suite, instruction and seed. If there are several recordings of an
 //! episode, the one with the query's observation is used.
@@ -92,10 +92,12 @@ impl Backend for Replay {
     }
 
     async fn reset(&self, request: ResetRequest) -> Result<(), BackendError> {
-        let of_episode = |it: &ResetRequest| (it.suite.clone(), it.instruction.clone(), it.seed);
-        let known = self.recorded.iter();
-        let paths: Vec<_> = known
-            .filter(|(_, reset)| of_episode(reset) == of_episode(&request))
+        let key =
+            |reset: &ResetRequest| (reset.suite.clone(), reset.instruction.clone(), reset.seed);
+        let paths: Vec<_> = self
+            .recorded
+            .iter()
+            .filter(|(_, reset)| key(reset) == key(&request))
             .map(|(path, _)| path.clone())
             .collect();
         if paths.is_empty() {
@@ -118,10 +120,10 @@ impl Backend for Replay {
         let episodes = self.sessions().get(&query.session).cloned();
         let episodes = episodes.ok_or(BackendError::SessionLost)?;
         let observation = query.observation.unwrap_or_default();
-        let shown = digest(&observation);
+        let observed = digest(&observation);
         let answer = episodes
             .iter()
-            .find_map(|episode| episode.answer(query.query_index, shown));
+            .find_map(|episode| episode.answer(query.query_index, observed));
         match answer {
             Some(answer) => Ok(answer.clone()),
             None => {
@@ -153,12 +155,12 @@ impl RecordedEpisode {
     }
 
     /// Returns the recorded answer if the recorded observation has this digest.
-    fn answer(&self, query_index: u32, shown: [u8; 32]) -> Option<&InferResponse> {
+    fn answer(&self, query_index: u32, observed: [u8; 32]) -> Option<&InferResponse> {
         let step = self
             .steps
             .iter()
             .find(|step| step.query_index == query_index)?;
-        (step.digest == shown).then_some(&step.answer)
+        (step.digest == observed).then_some(&step.answer)
     }
 }
 
@@ -185,9 +187,9 @@ fn difference(path: &Path, query_index: u32, now: &Observation) -> Result<String
     while let Some(pair) = reader.pair()? {
         if pair.query.query_index == query_index {
             let recorded = pair.query.observation.unwrap_or_default();
-            let what = first_difference(&recorded, now);
+            let difference = first_difference(&recorded, now);
             return Ok(format!(
-                "the observation is not the recorded one ({}): {what}",
+                "the observation is not the recorded one ({}): {difference}",
                 path.display()
             ));
         }
@@ -205,7 +207,8 @@ fn first_difference(recorded: &Observation, now: &Observation) -> String {
         return format!("{} frames were recorded, and {} came", counts.0, counts.1);
     }
     for (was, is) in recorded.images.iter().zip(&now.images) {
-        let shape = |it: &proto::policy::Image| (it.camera.clone(), it.width, it.height);
+        let shape =
+            |image: &proto::policy::Image| (image.camera.clone(), image.width, image.height);
         if shape(was) != shape(is) {
             return format!(
                 "frame {:?} was recorded, and {:?} came",
@@ -230,8 +233,7 @@ fn first_difference(recorded: &Observation, now: &Observation) -> String {
             );
         }
     }
-    let readings = |it: &Observation| it.state.clone();
-    let pairs = readings(recorded).into_iter().zip(readings(now));
+    let pairs = recorded.state.clone().into_iter().zip(now.state.clone());
     let differs = |(was, is): &(StateReading, StateReading)| was != is;
     match pairs.into_iter().find(differs) {
         Some((was, is)) => format!(

@@ -1,5 +1,5 @@
-//! Bounded table of open sessions. Callers do not end every session, so the table discards the one
-//! idle for longest when it is full.
+//! Bounded table of open sessions. Callers do not end every session, so a full table discards the
+//! session idle for longest.
 
 use std::collections::HashMap;
 
@@ -34,11 +34,11 @@ impl<V> SessionTable<V> {
         }
     }
 
-    /// Opens a session, replacing one of the same name. If the table is full, discards the one
+    /// Opens a session, replacing one of the same name. If the table is full, discards the session
     /// idle for longest.
     pub fn open(&mut self, session: &str, value: V) -> &mut V {
         if !self.entries.contains_key(session) && self.entries.len() >= self.capacity {
-            self.forget_idlest();
+            self.discard_idlest();
         }
         let last_use = self.next_use();
         let entry = Entry { value, last_use };
@@ -78,7 +78,7 @@ impl<V> SessionTable<V> {
         self.uses
     }
 
-    fn forget_idlest(&mut self) {
+    fn discard_idlest(&mut self) {
         let idlest = self.entries.iter().min_by_key(|(_, entry)| entry.last_use);
         if let Some(session) = idlest.map(|(session, _)| session.clone()) {
             self.entries.remove(&session);
@@ -91,7 +91,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_full_table_forgets_the_session_idle_for_longest() {
+    fn a_full_table_discards_the_session_idle_for_longest() {
         let mut table = SessionTable::new(2);
         table.open("a", 1);
         table.open("b", 2);
@@ -103,7 +103,7 @@ mod tests {
     }
 
     #[test]
-    fn opening_a_session_again_replaces_it_and_costs_no_other() {
+    fn opening_a_session_again_replaces_it_and_discards_no_other() {
         let mut table = SessionTable::new(2);
         table.open("a", 1);
         table.open("b", 2);

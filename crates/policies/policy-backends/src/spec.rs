@@ -36,8 +36,8 @@ impl BackendSpec {
         match self {
             Self::Builtin(_) | Self::Student(_) | Self::Replay(_) => false,
             Self::Grpc(address) => address.encrypted,
-            Self::Openpi(address) => address.place.encrypted,
-            Self::VlaEval(address) => address.place.encrypted,
+            Self::Openpi(address) => address.host_port.encrypted,
+            Self::VlaEval(address) => address.host_port.encrypted,
         }
     }
 }

@@ -1,10 +1,10 @@
 //! Back-end of unmodified vla-eval model servers, which speak msgpack over WebSocket. Acts like
-//! vla-eval's LIBERO benchmark: in the order of messages, the observations sent, and the use of
-//! the actions; and manages the connections. `hello` negotiates the observations, `state` and
+//! vla-eval's LIBERO benchmark in the order of messages, the observations sent, and the use of
+//! the actions. Also manages the connections. `hello` negotiates the observations, `state` and
 //! `image` compute them, `message` encodes and decodes.
 //!
 //! Such a server identifies a session with a connection, which holds its chunks, histories and
-//! ensembles. So every episode has its own connection, which is closed with it.
+//! ensembles. So every episode has its own connection, which is closed when the episode ends.
 
 use std::{
     fmt,
@@ -41,8 +41,8 @@ mod image;
 mod message;
 mod state;
 
-/// Concurrent episodes per server, each with a connection; one more replaces the one that was idle
-/// longest.
+/// Most concurrent episodes per server, each with a connection; a further one replaces the episode
+/// that was idle for longest.
 pub const MAX_EPISODES: usize = 512;
 /// Time without a query after which an episode counts as ended.
 pub const ENDED_AFTER: Duration = Duration::from_secs(600);
@@ -88,7 +88,7 @@ impl VlaEvalBackend {
         let schemes = ["vla-eval://", "vla-evals://"];
         // The protocol has no tokens, but a proxy in front of the server may require one.
         let server = Server::new(
-            address.place.clone(),
+            address.host_port.clone(),
             access,
             ServerKind::VlaEval,
             schemes,
@@ -123,7 +123,7 @@ impl VlaEvalBackend {
         let terms = match hello {
             Some(hello) => hello::terms(&hello.as_ref(), &self.address),
             None => Err(
-                "it answered HELLO with something else; name the address of a vla-eval model \
+                "it did not answer HELLO with a HELLO; name the address of a vla-eval model \
                  server, or write ws://HOST:PORT for an openpi server"
                     .to_owned(),
             ),
@@ -139,7 +139,7 @@ impl VlaEvalBackend {
     }
 
     /// Returns a connection without an episode.
-    async fn fresh(&self) -> Result<Link, BackendError> {
+    async fn unused_link(&self) -> Result<Link, BackendError> {
         loop {
             let Some(mut link) = self.idle().pop() else {
                 return self.connect().await;
@@ -199,17 +199,17 @@ impl Backend for VlaEvalBackend {
     }
 
     async fn reset(&self, request: ResetRequest) -> Result<(), BackendError> {
-        let mut link = self.fresh().await?;
+        let mut link = self.unused_link().await?;
         let ResetRequest {
             session,
             suite,
             instruction,
             ..
         } = request;
-        if let Some(its) = link.terms.suite.as_ref().filter(|its| **its != suite) {
+        if let Some(served) = link.terms.suite.as_ref().filter(|served| **served != suite) {
             return Err(self.unsuited(format!(
-                "it has a checkpoint for {its}, and the episode is of {suite}; give the policy a \
-                 server per suite"
+                "it has a checkpoint for {served}, and the episode is of {suite}; give the policy \
+                 a server per suite"
             )));
         }
         link.send(Kind::EpisodeStart, message::task(&suite, &instruction))
@@ -248,33 +248,35 @@ impl Backend for VlaEvalBackend {
             open.last_use = Instant::now();
             Arc::clone(&open.episode)
         };
-        let mut place = episode.link.lock().await;
-        let expected = place.as_ref().map(|link| link.next_query);
+        let mut slot = episode.link.lock().await;
+        let expected = slot.as_ref().map(|link| link.next_query);
         if let Some(expected) = expected.filter(|index| *index != request.query_index) {
             return Err(BackendError::OutOfOrder { expected });
         }
-        let mut link = place.take().ok_or(BackendError::SessionLost)?;
+        let mut link = slot.take().ok_or(BackendError::SessionLost)?;
         let execute = self.address.execute;
         let format = self.address.image_format;
         let (terms, instruction) = (link.terms.clone(), episode.instruction.clone());
         // Compression takes milliseconds, so it runs on a blocking thread.
-        let shown = tokio::task::spawn_blocking(move || {
+        let encoded = tokio::task::spawn_blocking(move || {
             observation(request.observation.as_ref(), &terms, format, &instruction)
         });
-        let shown = shown.await.unwrap_or_else(|error| Err(error.to_string()));
-        let wrong = |message| BackendError::Policy { message };
-        let answer = match shown {
-            Ok(shown) => link.send_query(shown, execute).await?,
+        let observation = observation
+            .await
+            .unwrap_or_else(|error| Err(error.to_string()));
+        let failed = |message| BackendError::Policy { message };
+        let answer = match encoded {
+            Ok(encoded) => link.send_query(encoded, execute).await?,
             Err(message) => {
-                *place = Some(link);
-                return Err(wrong(message));
+                *slot = Some(link);
+                return Err(failed(message));
             }
         };
         link.next_query += u32::from(answer.is_ok());
         if answer.as_ref().err().is_none_or(AnswerError::is_in_step) {
-            *place = Some(link);
+            *slot = Some(link);
         }
-        answer.map_err(|error| wrong(error.to_string()))
+        answer.map_err(|error| failed(error.to_string()))
     }
 }
 
@@ -332,7 +334,7 @@ fn observation(
 /// Returns the seconds since 1970.
 #[allow(
     clippy::disallowed_methods,
-    reason = "a stamp for the server's logs, which decides nothing"
+    reason = "only a timestamp for the server's logs"
 )]
 fn now() -> f64 {
     let since = SystemTime::now().duration_since(UNIX_EPOCH);

@@ -40,14 +40,14 @@ pub(super) struct Schemes {
 
 /// Host and port of a server.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Place {
+pub struct HostPort {
     /// `host:port`.
     pub authority: String,
     /// True for TLS.
     pub encrypted: bool,
 }
 
-impl Place {
+impl HostPort {
     /// Parses `SCHEME://HOST:PORT`, optionally with a query but without a path.
     pub(super) fn read(uri: &Uri, schemes: Schemes) -> Option<Self> {
         let encrypted = match uri.scheme_str()? {
@@ -55,10 +55,10 @@ impl Place {
             scheme if scheme == schemes.encrypted => true,
             _ => return None,
         };
-        let complete = uri.host().is_some_and(|host| !host.is_empty())
+        let is_complete = uri.host().is_some_and(|host| !host.is_empty())
             && uri.port_u16().is_some()
             && uri.path() == "/";
-        complete.then(|| Self {
+        is_complete.then(|| Self {
             authority: uri.authority().map(ToString::to_string).unwrap_or_default(),
             encrypted,
         })
@@ -82,7 +82,7 @@ impl Place {
 
 /// Address of a server, with the credentials for it.
 pub(super) struct Server {
-    place: Place,
+    host_port: HostPort,
     access: Access,
     peer: Peer,
     /// Scheme of the `Authorization` header, such as `Bearer`.
@@ -91,15 +91,15 @@ pub(super) struct Server {
 
 impl Server {
     /// Creates a server without connecting. `clear` and `encrypted` are its URL prefixes, with
-    /// `://`. Returns `None` if the place is not a valid URI.
+    /// `://`. Returns `None` if the address is not a valid URI.
     pub(super) fn new(
-        place: Place,
+        host_port: HostPort,
         access: Access,
         kind: ServerKind,
         [clear, encrypted]: [&'static str; 2],
         authorization: &'static str,
     ) -> Option<Self> {
-        let endpoint = Endpoint::from_shared(place.uri()).ok()?;
+        let endpoint = Endpoint::from_shared(host_port.uri()).ok()?;
         let settings = Settings {
             clear,
             encrypted,
@@ -107,7 +107,7 @@ impl Server {
         };
         Some(Self {
             peer: Peer::new(endpoint, &access, kind, settings),
-            place,
+            host_port,
             access,
             authorization,
         })
@@ -115,7 +115,7 @@ impl Server {
 
     /// Returns `host:port`.
     pub(super) fn authority(&self) -> &str {
-        &self.place.authority
+        &self.host_port.authority
     }
 
     /// Connects, sends `first` if given, and waits for the server's first message.
@@ -123,13 +123,13 @@ impl Server {
         &self,
         first: Option<Vec<u8>>,
     ) -> Result<(Connection, Received), BackendError> {
-        let connecting = TcpStream::connect(&self.place.authority);
+        let connecting = TcpStream::connect(&self.host_port.authority);
         let stream = match tokio::time::timeout(CONNECT_TIMEOUT, connecting).await {
             Ok(Ok(stream)) => stream,
-            Ok(Err(_)) => return Err(self.absent().await),
+            Ok(Err(_)) => return Err(self.connection_error().await),
             Err(_) => return Err(self.unreachable(Found::NoAnswer)),
         };
-        let checked = match self.place.uri().parse() {
+        let checked = match self.host_port.uri().parse() {
             Ok(uri) => self.access.check_connection(&uri, &stream).await,
             Err(_) => Err(Found::UnknownHost),
         };
@@ -141,7 +141,7 @@ impl Server {
             };
             let mut connection = Connection {
                 socket,
-                authority: self.place.authority.clone(),
+                authority: self.host_port.authority.clone(),
                 peer: self.peer.clone(),
             };
             if let Some(first) = first {
@@ -159,12 +159,12 @@ impl Server {
         &self,
         stream: TcpStream,
     ) -> Result<WebSocketStream<Box<dyn Stream>>, tungstenite::Error> {
-        let mut request = self.place.uri().into_client_request()?;
+        let mut request = self.host_port.uri().into_client_request()?;
         if let Some(token) = self.access.authorization(request.uri(), self.authorization) {
             request.headers_mut().insert(AUTHORIZATION, token);
         }
         stream.set_nodelay(true)?;
-        let stream: Box<dyn Stream> = match self.place.encrypted {
+        let stream: Box<dyn Stream> = match self.host_port.encrypted {
             false => Box::new(stream),
             true => {
                 let host = request.uri().host().unwrap_or_default();
@@ -185,28 +185,28 @@ impl Server {
                 if matches!(response.status().as_u16(), 401 | 403) =>
             {
                 BackendError::Barred {
-                    address: self.place.authority.clone(),
+                    address: self.host_port.authority.clone(),
                     reason: format!("it answered HTTP {}", response.status()),
                 }
             }
             tungstenite::Error::Http(response) => {
                 self.unreachable(Found::web(response.status().as_u16()))
             }
-            _ => self.absent().await,
+            _ => self.connection_error().await,
         }
     }
 
     /// Returns the error for a server that cannot be reached, with a diagnosis of its address.
-    async fn absent(&self) -> BackendError {
+    async fn connection_error(&self) -> BackendError {
         BackendError::Unreachable {
-            address: self.place.authority.clone(),
+            address: self.host_port.authority.clone(),
             trouble: self.peer.look_around().await.into(),
         }
     }
 
     fn unreachable(&self, found: Found) -> BackendError {
         BackendError::Unreachable {
-            address: self.place.authority.clone(),
+            address: self.host_port.authority.clone(),
             trouble: self.peer.found(found).into(),
         }
     }
@@ -232,7 +232,7 @@ impl Connection {
     /// Sends a message.
     pub(super) async fn send(&mut self, message: Vec<u8>) -> Result<(), BackendError> {
         let sent = self.socket.send(Message::binary(message)).await;
-        sent.map_err(|_| self.lost())
+        sent.map_err(|_| self.connection_lost())
     }
 
     /// Waits for the next message.
@@ -246,12 +246,12 @@ impl Connection {
                 Some(Err(tungstenite::Error::Capacity(_))) => {
                     return Err(BackendError::Policy {
                         message: format!(
-                            "it sent a message of more than {} MiB, and actions take a few kB",
+                            "it sent a message of more than {} MiB, but actions take only a few kB",
                             MAX_MESSAGE_BYTES >> 20
                         ),
                     });
                 }
-                Some(Ok(Message::Close(_)) | Err(_)) | None => return Err(self.lost()),
+                Some(Ok(Message::Close(_)) | Err(_)) | None => return Err(self.connection_lost()),
             }
         }
     }
@@ -266,7 +266,7 @@ impl Connection {
         let _ = self.socket.close(None).await;
     }
 
-    fn lost(&self) -> BackendError {
+    fn connection_lost(&self) -> BackendError {
         BackendError::Unreachable {
             address: self.authority.clone(),
             trouble: self.peer.found(Found::Broken).into(),

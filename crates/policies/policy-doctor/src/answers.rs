@@ -13,13 +13,13 @@ pub(crate) struct Answers {
 }
 
 impl Answers {
-    /// Averages several answers to each situation, given as `asked[situation][seed]`. Chunks are
+    /// Averages several answers to each situation, given as `answers[situation][seed]`. Chunks are
     /// cut to the shortest length within a situation.
-    pub(crate) fn of(asked: Vec<Vec<Vec<Action>>>) -> Self {
+    pub(crate) fn averaged(answers: Vec<Vec<Vec<Action>>>) -> Self {
         let mut chunks = vec![];
         let mut squares = [0.0; 7];
         let mut freedom = 0_usize;
-        for seeds in asked {
+        for seeds in answers {
             let rows = seeds.iter().map(Vec::len).min().unwrap_or(0);
             let count = seeds.len() as f64;
             let mean = |row: usize, at: usize| {
@@ -50,7 +50,10 @@ impl Answers {
         let pairs = self.chunks.iter().zip(&other.chunks);
         let rows = pairs.flat_map(|(one, other)| one.iter().zip(other));
         let numbers = rows.flat_map(|(a, b)| (0..7).map(move |at| ((a[at] - b[at]).abs(), at)));
-        numbers.fold((0.0, 0), |most, it| if it.0 > most.0 { it } else { most })
+        numbers.fold((0.0, 0), |most, next| match next.0 > most.0 {
+            true => next,
+            false => most,
+        })
     }
 
     /// Returns the number of compared values.
@@ -69,15 +72,15 @@ mod tests {
             vec![vec![[1.0; 7], [5.0; 7]], vec![[3.0; 7]]],
             vec![vec![[0.0; 7]], vec![[2.0; 7]]],
         ];
-        let answers = Answers::of(asked);
+        let answers = Answers::averaged(asked);
         assert_eq!(answers.chunks, [[[2.0; 7]], [[1.0; 7]]]);
         assert_eq!(answers.spread, [2.0_f64.sqrt(); 7]);
         assert_eq!(answers.numbers(), 14);
     }
 
     #[test]
-    fn the_largest_difference_is_found_with_its_place() {
-        let one = Answers::of(vec![vec![vec![[0.0; 7]]]]);
+    fn the_largest_difference_is_returned_with_its_component() {
+        let one = Answers::averaged(vec![vec![vec![[0.0; 7]]]]);
         let mut other = one.clone();
         other.chunks[0][0][4] = -0.5;
         assert_eq!(one.largest_difference(&other), (0.5, 4));

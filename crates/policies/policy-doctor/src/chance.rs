@@ -1,5 +1,5 @@
-//! Randomness of a server's answers: whether they depend on the seed, and whether a repeated query
-//! gets the same answer.
+//! Randomness of a server's answers: their dependence on the seed, and the difference between
+//! answers to a repeated query.
 
 use crate::conformance::verdict::BATCH_TOLERANCE;
 use crate::{
@@ -23,11 +23,12 @@ pub(crate) struct Chance {
 }
 
 impl Chance {
-    /// Queries a server again, and with another seed; `answers` are those of [`SEED`].
+    /// Repeats a server's queries with the same seed and with another one; `answers` are the
+    /// answers to the first queries, with [`SEED`].
     ///
     /// # Errors
     /// If the server does not answer with actions.
-    pub(crate) async fn of(
+    pub(crate) async fn measure(
         panel: &Panel,
         side: Side,
         answers: &Answers,

@@ -15,15 +15,15 @@ use crate::{
     compare::compare,
     diagnosis::{self, Finding, Measures},
     recorded,
-    report::{self, Asked, ComparisonJson, ExaminationJson},
+    report::{self, ComparisonJson, DescribedServer, ExaminationJson},
     server::{ExaminationError, Server},
     situation::Situation,
     synthetic,
 };
 
-/// Situations that servers are shown.
+/// Options of both commands: the situations, the credentials and the form of the output.
 #[derive(Clone, Debug, Args)]
-struct Shown {
+struct CommonOptions {
     /// Send the observations that `policy-gateway record` recorded in this folder, in
     /// place of synthetic scenes
     #[arg(long, value_name = "DIR")]
@@ -54,7 +54,7 @@ pub struct Compare {
     b: BackendSpec,
 
     #[command(flatten)]
-    shown: Shown,
+    options: CommonOptions,
 }
 
 /// `doctor`.
@@ -76,7 +76,7 @@ pub struct Doctor {
     episodes: u32,
 
     #[command(flatten)]
-    shown: Shown,
+    options: CommonOptions,
 }
 
 /// Reason why a command failed. Reads after "failed to …".
@@ -97,25 +97,25 @@ impl Compare {
     /// # Errors
     /// If a server cannot be queried.
     pub async fn run(&self, say: &dyn Fn(&str)) -> Result<bool, CommandError> {
-        let access = self.shown.access()?;
-        let recorded = self.shown.recorded()?;
-        let suite = self.shown.suite_of(recorded.as_deref());
+        let access = self.options.access()?;
+        let recorded = self.options.recorded()?;
+        let suite = self.options.suite_of(recorded.as_deref());
         let a = Server::connect(&self.a, &access, &suite).await?;
         let b = Server::connect(&self.b, &access, &suite).await?;
         let situations = recorded.unwrap_or_else(|| {
             let cameras = synthetic::cameras(&[&a.described, &b.described]);
-            synthetic::situations(self.shown.suite, &cameras)
+            synthetic::situations(self.options.suite, &cameras)
         });
-        let asked = [&a, &b].map(|server| Asked::new(&server.url, &server.described));
-        if !self.shown.json {
-            for (letter, asked) in ["A", "B"].iter().zip(&asked) {
-                say(&asked.line(letter));
+        let described = [&a, &b].map(|server| DescribedServer::new(&server.url, &server.described));
+        if !self.options.json {
+            for (letter, server) in ["A", "B"].iter().zip(&described) {
+                say(&server.line(letter));
             }
         }
         let comparison = compare(a, b, situations).await?;
-        if self.shown.json {
-            let [a, b] = asked;
-            say(&json(&ComparisonJson::of(a, b, &comparison)));
+        if self.options.json {
+            let [a, b] = described;
+            say(&json(&ComparisonJson::new(a, b, &comparison)));
         } else {
             for line in report::comparison(&comparison) {
                 say(&line);
@@ -132,17 +132,17 @@ impl Doctor {
     /// # Errors
     /// If the server cannot be queried.
     pub async fn run(&self, say: &dyn Fn(&str)) -> Result<bool, CommandError> {
-        let access = self.shown.access()?;
-        let recorded = self.shown.recorded()?;
-        let suite = self.shown.suite_of(recorded.as_deref());
+        let access = self.options.access()?;
+        let recorded = self.options.recorded()?;
+        let suite = self.options.suite_of(recorded.as_deref());
         let server = Server::connect(&self.url, &access, &suite).await?;
         let situations = recorded.unwrap_or_else(|| {
             let cameras = synthetic::cameras(&[&server.described]);
-            synthetic::situations(self.shown.suite, &cameras)
+            synthetic::situations(self.options.suite, &cameras)
         });
-        let asked = Asked::new(&server.url, &server.described);
-        if !self.shown.json {
-            say(&asked.line(""));
+        let described = DescribedServer::new(&server.url, &server.described);
+        if !self.options.json {
+            say(&described.line(""));
         }
         let measures = Measures {
             answer_within: Duration::from_secs(self.answer_within),
@@ -150,14 +150,14 @@ impl Doctor {
         };
         let mut findings = vec![];
         let mut report = |finding: &Finding| {
-            if !self.shown.json {
+            if !self.options.json {
                 say(&report::finding(finding));
             }
             findings.push(finding.clone());
         };
         let sound = diagnosis::examine(&server, &situations, measures, &mut report).await?;
-        match self.shown.json {
-            true => say(&json(&ExaminationJson::of(asked, &findings))),
+        match self.options.json {
+            true => say(&json(&ExaminationJson::new(described, &findings))),
             false if sound => say("no fault found"),
             false => say("faults found: see FAIL above"),
         }
@@ -165,7 +165,7 @@ impl Doctor {
     }
 }
 
-impl Shown {
+impl CommonOptions {
     fn access(&self) -> Result<Access, AccessError> {
         self.access.access(&[Role::Operator, Role::Worker])
     }

@@ -83,10 +83,10 @@ pub async fn compare(
     let panel = Panel::new(a, b, situations)?;
     let both = Both::query(&panel, &|_| vec![SEED]).await?;
     let chances = [
-        Chance::of(&panel, Side::A, &both.a).await?,
-        Chance::of(&panel, Side::B, &both.b).await?,
+        Chance::measure(&panel, Side::A, &both.a).await?,
+        Chance::measure(&panel, Side::B, &both.b).await?,
     ];
-    let mut differences = of_chance(&panel, chances);
+    let mut differences = seed_differences(&panel, chances);
     let (further, note) = match chances.iter().all(Chance::is_repeatable) {
         true => paired(&panel, &both, chances).await?,
         false => averaged(&panel, chances).await?,
@@ -96,7 +96,7 @@ pub async fn compare(
             .iter_mut()
             .find(|difference| difference.kind == further.kind)
         {
-            Some(known) => known.text = format!("{} {}", known.text, further.text),
+            Some(earlier) => earlier.text = format!("{} {}", earlier.text, further.text),
             None => differences.push(further),
         }
     }
@@ -108,13 +108,13 @@ pub async fn compare(
 }
 
 /// Finds differences between the servers' use of the seed, regardless of the observations.
-fn of_chance(panel: &Panel, chances: [Chance; 2]) -> Vec<Difference> {
+fn seed_differences(panel: &Panel, chances: [Chance; 2]) -> Vec<Difference> {
     let sides = [(Side::A, "A"), (Side::B, "B")].into_iter().zip(chances);
     for ((side, letter), chance) in sides {
         if !chance.is_repeatable() && !panel.described(side).unseeded {
             let text = format!(
-                "{letter} answers the same observation with the same seed otherwise every time, \
-                 by up to {}, and does not say so: its noise does not come from the seed.",
+                "{letter} answers the same observation and seed differently every time, by up to \
+                 {}, and does not declare it: its noise does not come from the seed.",
                 size(chance.repeats)
             );
             return vec![Difference::new(Kind::Seed, text)];
@@ -129,7 +129,7 @@ fn of_chance(panel: &Panel, chances: [Chance; 2]) -> Vec<Difference> {
     let (follows, ignores, by) = ignored;
     let text = format!(
         "{follows}'s answers follow the seed (seeds {SEED} and {} differ by up to {}), \
-         {ignores}'s are the same for any.",
+         {ignores}'s are the same for every seed.",
         SEED + 1,
         size(by),
     );
@@ -142,7 +142,7 @@ async fn paired(
     both: &Both,
     chances: [Chance; 2],
 ) -> Result<(Vec<Difference>, String), ExaminationError> {
-    let random = chances.iter().any(|chance| chance.moves > REPEATABLE);
+    let is_random = chances.iter().any(|chance| chance.moves > REPEATABLE);
     let apart = both.apart();
     let seeds = |_: usize| vec![SEED];
     let course = Course {
@@ -151,11 +151,11 @@ async fn paired(
         floor: [REPEATABLE; 7],
         // No change to the observations makes different noise equal, so only single changes are
         // tried.
-        together: !random,
+        together: !is_random,
     };
-    let as_they_come = fit(&both.a, &both.b, &course.floor);
-    if random
-        && !as_they_come.explains
+    let unchanged = fit(&both.a, &both.b, &course.floor);
+    if is_random
+        && !unchanged.explains
         && let Some(found) = other_seed(panel, both).await?
     {
         let note = compared(panel, &both.a, "with one seed each");
@@ -164,7 +164,7 @@ async fn paired(
     match course.search(&both.a, &both.b).await? {
         Found::Explained(explanation) => {
             let note = format!(
-                "{}; the largest difference as they come is {}",
+                "{}; the largest difference, with unchanged observations, is {}",
                 compared(panel, &both.a, "with the same seed"),
                 size(apart.before)
             );
@@ -172,14 +172,14 @@ async fn paired(
         }
         Found::Nothing(_) if both.differ_by_rounding() => {
             let note = format!(
-                "{}; they differ by up to {}, less than {ROUNDING} of how much they vary, as \
-                 rounding (bfloat16), JPEG or another processor does",
+                "{}; they differ by up to {}, less than {ROUNDING} of their own variation, as \
+                 after rounding (bfloat16), through JPEG or on another processor",
                 compared(panel, &both.a, "with the same seed"),
                 size(apart.before)
             );
             Ok((vec![], note))
         }
-        Found::Nothing(_) if random => averaged(panel, chances).await,
+        Found::Nothing(_) if is_random => averaged(panel, chances).await,
         Found::Nothing(closest) => {
             let found = not_explained(both, apart, &closest);
             let note = compared(panel, &both.a, "with the same seed");
@@ -208,13 +208,13 @@ async fn other_seed(panel: &Panel, both: &Both) -> Result<Option<Difference>, Ex
             if left > REPEATABLE {
                 continue;
             }
-            let which = match relation {
-                "" => format!("seed {seed}, whatever its own seed is"),
-                _ => format!("seed {seed}, {relation} its own"),
+            let other_seed = match relation {
+                "" => format!("seed {seed}, a common default"),
+                _ => format!("seed {seed}, {relation} that"),
             };
             let text = format!(
-                "{other} answers with seed {SEED} what {letter} answers with {which}. With the \
-                 same seed they differ by up to {}; so, by {}.",
+                "{other} answers with seed {SEED} as {letter} does with {other_seed}. With the \
+                 same seed they differ by up to {}; with these seeds, by {}.",
                 size(both.apart().before),
                 size(left)
             );
@@ -244,7 +244,7 @@ async fn averaged(
     let apart = both.apart();
     let noise = chances.map(|chance| chance.moves.max(chance.repeats));
     let note = format!(
-        "{}; the means differ by up to {}, and single answers to the same by {}",
+        "{}; the means differ by up to {}, and single answers to the same observation by {}",
         compared(
             panel,
             &both.a,
@@ -260,7 +260,7 @@ async fn averaged(
     };
     if differences.is_empty() && chances.iter().all(Chance::follows_seed) {
         let text = format!(
-            "both follow the seed, and the same seed gives each other noise: by up to {}. The \
+            "both follow the seed, but the same seed gives them different noise: by up to {}. The \
              means of {AVERAGED} seeds are alike.",
             size(chances[0].moves.max(chances[1].moves)),
         );
@@ -274,7 +274,7 @@ fn floor(both: &Both, chances: [Chance; 2]) -> Limit {
     let [a, b] = chances.map(|chance| chance.moves > REPEATABLE || !chance.is_repeatable());
     std::array::from_fn(|at| {
         let (of_a, of_b) = (both.a.spread[at].powi(2), both.b.spread[at].powi(2));
-        // Noise that is the same for every seed does not average out, and shifts all means alike.
+        // Noise that is the same for every seed does not average out: it shifts all means alike.
         let frozen = match (a, b) {
             (true, false) => 2.0 * of_a,
             (false, true) => 2.0 * of_b,
@@ -296,11 +296,11 @@ fn not_explained(both: &Both, apart: Apart, closest: &Explanation) -> Vec<Differ
             .sum::<f64>()
             .sqrt()
     };
-    let as_they_come = fit(&both.a, &both.b, &[f64::INFINITY; 7]).left;
-    let mut shown = closest.shown.iter();
-    let scaled = shown.any(|(_, variant)| variant.topic() == Topic::Size);
-    match scaled && norm(&closest.fit.left) < LEFT_OF_SIZE * norm(&as_they_come) {
-        true => difference::of_shown(closest, apart),
+    let unchanged = fit(&both.a, &both.b, &[f64::INFINITY; 7]).left;
+    let mut changes = closest.changes.iter();
+    let is_scaled = changes.any(|(_, variant)| variant.topic() == Topic::Size);
+    match is_scaled && norm(&closest.fit.left) < LEFT_OF_SIZE * norm(&unchanged) {
+        true => difference::explained_by_observations(closest, apart),
         false => vec![unexplained(both, apart, closest)],
     }
 }
@@ -309,7 +309,7 @@ fn unexplained(both: &Both, apart: Apart, closest: &Explanation) -> Difference {
     let left = closest.fit.left.iter().copied().fold(0.0, f64::max);
     let attempt = difference::attempt(closest);
     let mut text = format!(
-        "their answers differ by up to {} ({}), and no difference that is looked for here \
+        "their answers differ by up to {} ({}), and none of the differences that are tried \
          explains it.",
         size(apart.before),
         NUMBERS[apart.at],
@@ -317,13 +317,13 @@ fn unexplained(both: &Both, apart: Apart, closest: &Explanation) -> Difference {
     for (letter, answers) in [("A", &both.a), ("B", &both.b)] {
         if varied(answers).iter().all(|number| *number <= REPEATABLE) {
             text.push_str(&format!(
-                " {letter} answers all observations alike: `policy-gateway doctor` looks into that."
+                " {letter} answers all observations alike: run `policy-gateway doctor` on it."
             ));
         }
     }
     if !attempt.is_empty() {
         text.push_str(&format!(
-            " It is least if {attempt}: then {} is left.",
+            " It is smallest if {attempt}: then {} remains.",
             size(left)
         ));
     }

@@ -28,9 +28,15 @@ pub(crate) fn differences(
             b,
         })
         .collect();
-    let setting = |of: &DescribeResponse, name: &str| {
-        let setting = of.settings.iter().find(|setting| setting.name == name);
-        setting.map_or_else(|| "not said".to_owned(), |setting| setting.value.clone())
+    let setting = |described: &DescribeResponse, name: &str| {
+        let setting = described
+            .settings
+            .iter()
+            .find(|setting| setting.name == name);
+        setting.map_or_else(
+            || "not declared".to_owned(),
+            |setting| setting.value.clone(),
+        )
     };
     let mut names: Vec<&str> = [a, b]
         .iter()
@@ -53,32 +59,38 @@ pub(crate) fn differences(
     differences
 }
 
-fn facts(of: &DescribeResponse) -> [(&'static str, String); 9] {
-    let yes = |it: bool| if it { "yes" } else { "no" }.to_owned();
-    let cameras = of.cameras.iter();
+fn facts(described: &DescribeResponse) -> [(&'static str, String); 9] {
+    let yes_or_no = |flag: bool| if flag { "yes" } else { "no" }.to_owned();
+    let cameras = described.cameras.iter();
     let cameras: Vec<String> = cameras
         .map(|camera| format!("{} {} × {}", camera.name, camera.width, camera.height))
         .collect();
-    let state: Vec<&str> = of
+    let state: Vec<&str> = described
         .state()
         .map(|field| field.as_str_name().trim_start_matches("STATE_FIELD_"))
         .collect();
-    let language = match of.language() {
+    let language = match described.language() {
         Language::FreeForm => "any instruction",
         Language::CanonicalOnly => "canonical instructions only",
-        Language::Ignored => "not looked at",
-        Language::Unspecified => "not said",
+        Language::Ignored => "ignored",
+        Language::Unspecified => "not declared",
     };
     [
         ("cameras", or_none(cameras.join(", "))),
         ("state", or_none(state.join(", "))),
-        ("actions per answer", of.horizon.to_string()),
-        ("actions executed of them", of.execute.to_string()),
+        ("actions per answer", described.horizon.to_string()),
+        ("actions executed per answer", described.execute.to_string()),
         ("language", language.to_owned()),
-        ("keeps something of an episode", yes(of.stateful)),
-        ("draws random numbers", yes(of.stochastic)),
-        ("takes a seed", yes(!of.unseeded)),
-        ("sees the simulator's state", yes(of.privileged)),
+        (
+            "keeps state within an episode",
+            yes_or_no(described.stateful),
+        ),
+        ("draws random numbers", yes_or_no(described.stochastic)),
+        ("takes a seed", yes_or_no(!described.unseeded)),
+        (
+            "receives the simulator's state",
+            yes_or_no(described.privileged),
+        ),
     ]
 }
 
@@ -120,16 +132,16 @@ mod tests {
             ..a.clone()
         };
         let found = differences(&a, &b);
-        let said: Vec<String> = found
+        let texts: Vec<String> = found
             .iter()
             .map(|difference| format!("{}: {} / {}", difference.what, difference.a, difference.b))
             .collect();
         let expected = [
             "cameras: none / agentview 224 × 224",
             "state: none / EEF_POS",
-            "actions executed of them: 8 / 5",
-            "statistics: not said / libero",
+            "actions executed per answer: 8 / 5",
+            "statistics: not declared / libero",
         ];
-        assert_eq!(said, expected);
+        assert_eq!(texts, expected);
     }
 }

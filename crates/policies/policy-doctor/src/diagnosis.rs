@@ -1,4 +1,4 @@
-//! `policy-gateway doctor URL`: looks for a server's usual mistakes. This module orders the
+//! `policy-gateway doctor URL`: checks a server for common mistakes. This module orders the
 //! checks: `patient` queries the server, `verdicts` judges the answers, `memory` watches the
 //! server's process.
 
@@ -19,7 +19,10 @@ mod verdicts;
 
 /// Check of the diagnosis.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-#[expect(missing_docs, reason = "the sentences below say it")]
+#[expect(
+    missing_docs,
+    reason = "the sentences of `Display` describe the points"
+)]
 pub enum Point {
     Actions,
     Range,
@@ -71,11 +74,11 @@ impl fmt::Display for Point {
             Self::Range => "actions lie within -1..1",
             Self::Motion => "the arm moves",
             Self::Observations => "other observations get other actions",
-            Self::Frames => "it looks at its frames",
+            Self::Frames => "other frames get other actions",
             Self::Instructions => "other instructions get other actions",
             Self::Gripper => "the gripper opens",
             Self::Latency => "it answers in time",
-            Self::Memory => "what it keeps of an episode goes with it",
+            Self::Memory => "an ended episode leaves no state behind",
         })
     }
 }
@@ -112,14 +115,14 @@ pub async fn examine(
 ) -> Result<bool, ExaminationError> {
     let mut patient = Patient::new(server, situations)?;
     let answered = patient.answer_all().await?;
-    let mut sound = true;
+    let mut is_sound = true;
     for point in Point::ALL {
         let verdict = verdict_on(point, &mut patient, &answered, measures).await;
         let verdict = verdict.unwrap_or_else(|error| fail(format!("failed to {error}")));
-        sound &= !matches!(verdict, Verdict::Fail { .. });
+        is_sound &= !matches!(verdict, Verdict::Fail { .. });
         report(&Finding { point, verdict });
     }
-    Ok(sound)
+    Ok(is_sound)
 }
 
 /// Checks one point.
@@ -136,7 +139,7 @@ async fn verdict_on(
     let described = &patient.server().described;
     let noise = answered.noise;
     Ok(match point {
-        Point::Actions => verdicts::actions(&answered.faults, answered.asked),
+        Point::Actions => verdicts::actions(&answered.faults, answered.count),
         Point::Memory => memory(patient, measures.episodes).await?,
         Point::Latency => verdicts::latency(&patient.latencies, measures.answer_within),
         _ if !answered.faults.is_empty() => skip("not all of its answers are actions"),
@@ -148,7 +151,7 @@ async fn verdict_on(
             let most = answered.between_situations;
             verdicts::observations(Change { most, noise }, patient.situations(), described)
         }
-        Point::Frames if described.cameras.is_empty() => skip("it asks for none"),
+        Point::Frames if described.cameras.is_empty() => skip("it requests no frames"),
         Point::Frames => {
             let mut changes = vec![];
             for camera in &described.cameras {
@@ -160,8 +163,8 @@ async fn verdict_on(
         Point::Instructions => match verdicts::reads_language(described) {
             Err(reason) => skip(reason),
             Ok(()) => {
-                let (most, asked) = patient.with_other_instructions().await?;
-                verdicts::instructions(Change { most, noise }, asked)
+                let (most, count) = patient.with_other_instructions().await?;
+                verdicts::instructions(Change { most, noise }, count)
             }
         },
     })

@@ -1,4 +1,4 @@
-//! Puts a difference between two servers into words: its kind, the numbers, and its usual meaning.
+//! Describes a difference between two servers: its kind, the numbers, and its usual meaning.
 
 use serde::Serialize;
 
@@ -23,7 +23,7 @@ pub(crate) const NUMBERS: [&str; 7] = [
 /// Kind of a difference between two servers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
 #[serde(rename_all = "snake_case")]
-#[expect(missing_docs, reason = "the words below say it")]
+#[expect(missing_docs, reason = "the sentences of `meaning` describe the kinds")]
 pub enum Kind {
     FrameOrientation,
     FrameSize,
@@ -62,51 +62,50 @@ impl Kind {
     pub(crate) fn meaning(self) -> &'static str {
         match self {
             Self::FrameOrientation => {
-                "One of the two shows its network frames turned otherwise. Frames arrive with the \
-                 bottom row first; most LIBERO checkpoints were trained on frames turned by 180°. \
-                 Compare how both prepare a frame."
+                "One of the two gives its network frames in another orientation. Frames arrive \
+                 with the bottom row first; most LIBERO checkpoints were trained on frames turned \
+                 by 180°. Compare how both prepare a frame."
             }
             Self::FrameSize => {
-                "One of the two scales its frames down on the way. Compare the size and the \
-                 filter of every step from the camera to the network."
+                "One of the two scales its frames down before its network. Compare the size and \
+                 the filter of every step from the camera to the network."
             }
             Self::Cameras => {
                 "One of the two feeds the scene camera into the slot of the wrist camera. Compare \
                  which camera feeds which image slot."
             }
-            Self::Colours => {
-                "One of the two shows its network blue for red. OpenCV reads and writes BGR."
-            }
+            Self::Colours => "One of the two exchanges red and blue. OpenCV reads and writes BGR.",
             Self::StateDefinition => {
-                "One of the two takes the robot's numbers for something else. Compare what its \
-                 network's state was in training, number by number."
+                "One of the two interprets the robot's readings differently. Compare the state \
+                 that its network was trained on, number by number."
             }
             Self::QuaternionSign => {
                 "A quaternion and its negative are one orientation, but another axis-angle. LIBERO \
                  keeps the simulator's sign. Compare how both convert it."
             }
             Self::Seed => {
-                "A rollout is repeated by its seed only where all noise comes from (seed, query). \
+                "A seed reproduces a rollout only if all noise is computed from seed and query. \
                  Success rates stay comparable; single rollouts do not."
             }
             Self::ChunkOffset => {
-                "One of the two leaves out the first actions of a chunk, or plays some twice. \
-                 Compare from which action on both execute a chunk."
+                "One of the two leaves out the first actions of a chunk, or executes some twice. \
+                 Compare the first action that both execute of a chunk."
             }
             Self::GripperConvention => {
                 "The simulator opens at -1 and closes at 1. RLDS data have 1 for open and 0 for \
-                 closed. Compare what both do with the last number of an action."
+                 closed. Compare how both use the last number of an action."
             }
             Self::GripperScale => {
-                "The simulator opens at -1 and closes at 1. Compare what both do with the last \
-                 number of an action."
+                "The simulator opens at -1 and closes at 1. Compare how both use the last number \
+                 of an action."
             }
             Self::UnNormalisation => {
                 "One of the two un-normalises with other statistics: of another data set, \
                  percentiles for means, or not at all. Compare the statistics that both load."
             }
             Self::Unexplained => {
-                "Look for other weights, another prompt, a crop, or two differences at once."
+                "Possible causes: other weights, another prompt, a crop, or two differences at \
+                 once."
             }
         }
     }
@@ -141,20 +140,23 @@ pub(crate) struct Apart {
 /// Returns the differences of an explanation, in the order of a policy's
 /// pipeline.
 pub(crate) fn explained(explanation: &Explanation, apart: Apart) -> Vec<Difference> {
-    let mut differences = shown(explanation);
+    let mut differences = of_observations(explanation);
     differences.extend(of_actions(&explanation.fit));
     with_sizes(differences, explanation, apart)
 }
 
 /// Returns only those differences of an explanation that concern observations.
-pub(crate) fn of_shown(explanation: &Explanation, apart: Apart) -> Vec<Difference> {
-    with_sizes(shown(explanation), explanation, apart)
+pub(crate) fn explained_by_observations(
+    explanation: &Explanation,
+    apart: Apart,
+) -> Vec<Difference> {
+    with_sizes(of_observations(explanation), explanation, apart)
 }
 
-fn shown(explanation: &Explanation) -> Vec<Difference> {
-    let shown = explanation.shown.iter();
-    shown
-        .map(|(side, variant)| Difference::new(kind(variant), seen(*side, variant)))
+fn of_observations(explanation: &Explanation) -> Vec<Difference> {
+    let changes = explanation.changes.iter();
+    changes
+        .map(|(side, variant)| Difference::new(kind(variant), variant_words(*side, variant)))
         .collect()
 }
 
@@ -166,7 +168,7 @@ fn with_sizes(
     let left = explanation.fit.left.iter().copied().fold(0.0, f64::max);
     for difference in &mut differences {
         difference.text = format!(
-            "{} As they come, their answers differ by up to {} ({}); so, by {}.",
+            "{} Unchanged, their answers differ by up to {} ({}); with this change, by {}.",
             difference.text,
             size(apart.before),
             NUMBERS[apart.at],
@@ -185,13 +187,13 @@ pub(crate) fn size(number: f64) -> String {
     }
 }
 
-/// Describes the changes to observations in an explanation that falls short.
+/// Describes the changes to observations in an explanation that leaves too large a difference.
 pub(crate) fn attempt(explanation: &Explanation) -> String {
-    let shown = explanation.shown.iter();
-    let shown: Vec<String> = shown
-        .map(|(side, variant)| format!("{} is shown {variant}", letter(*side)))
+    let changes = explanation.changes.iter();
+    let changes: Vec<String> = changes
+        .map(|(side, variant)| format!("{} is given {variant}", letter(*side)))
         .collect();
-    shown.join(", and ")
+    changes.join(", and ")
 }
 
 fn kind(variant: &Variant) -> Kind {
@@ -212,8 +214,8 @@ fn letter(side: Side) -> &'static str {
     }
 }
 
-fn seen(side: Side, variant: &Variant) -> String {
-    let (shown, other) = match side {
+fn variant_words(side: Side, variant: &Variant) -> String {
+    let (changed, other) = match side {
         Side::A => ("A", "B"),
         Side::B => ("B", "A"),
     };
@@ -221,7 +223,7 @@ fn seen(side: Side, variant: &Variant) -> String {
         Topic::Size => "nearly ",
         _ => "",
     };
-    format!("{other} answers {nearly}what {shown} answers when {shown} is shown {variant}.")
+    format!("{other} answers {nearly}as {changed} does when {changed} is given {variant}.")
 }
 
 /// Returns the differences that concern the actions themselves.
@@ -265,7 +267,7 @@ pub(crate) fn of_actions(fit: &Fit) -> Vec<Difference> {
             _ => None,
         });
         let text = format!(
-            "B's actions are A's scaled and moved: {}.",
+            "B's actions are A's scaled and shifted: {}.",
             each.collect::<Vec<_>>().join(", ")
         );
         differences.push(Difference::new(Kind::UnNormalisation, text));

@@ -37,11 +37,11 @@ impl Filter {
         if image.rgb.len() != 3 * large[0] * large[1] {
             return;
         }
-        // `cell` is the small frame's cell that covers a position of the large frame; `places` are
-        // the positions that a cell is computed from.
+        // `cell` is the small frame's cell that covers a position of the large frame; `positions`
+        // are those of the large frame that a cell is computed from.
         let cell = |at: usize, axis: usize| (2 * at + 1) * small[axis] / (2 * large[axis]);
         let begin = |cell: usize, axis: usize| cell * large[axis] / small[axis];
-        let places = |cell: usize, axis: usize| match self {
+        let positions = |cell: usize, axis: usize| match self {
             Self::Nearest => {
                 let middle = (2 * cell + 1) * large[axis] / (2 * small[axis]);
                 middle..middle + 1
@@ -49,7 +49,7 @@ impl Filter {
             _ => begin(cell, axis)..begin(cell + 1, axis),
         };
         let mean = |column: usize, row: usize, channel: usize| {
-            let (columns, rows) = (places(column, 0), places(row, 1));
+            let (columns, rows) = (positions(column, 0), positions(row, 1));
             let count = columns.len() * rows.len();
             let levels = rows.flat_map(|row| {
                 let line = row * large[0];
@@ -106,7 +106,7 @@ pub(crate) mod tests {
     }
 
     #[test]
-    fn frames_are_scaled_down_and_back_by_either_filter() {
+    fn mean_and_nearest_filters_scale_a_frame_down_and_back() {
         for (filter, expected) in [(Filter::Mean, [2; 4]), (Filter::Nearest, [3; 4])] {
             let mut scaled = image(&[1, 2, 2, 3]);
             filter.apply([1, 1], &mut scaled);

@@ -25,8 +25,8 @@ pub(crate) enum Map {
     },
 }
 
-/// Convention of the second server's gripper, as a function of the first one's, which is −1 (open)
-/// to 1 (closed) or the reverse.
+/// Convention of the second server's gripper, as a function of the first server's, which is −1
+/// (open) to 1 (closed) or the reverse.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Convention {
     /// The sign is inverted.
@@ -53,7 +53,7 @@ impl Convention {
         Self::Sign,
     ];
 
-    fn of(self, number: f64) -> f64 {
+    fn apply(self, number: f64) -> f64 {
         match self {
             Self::Inverted => -number,
             Self::Share => (number + 1.0) / 2.0,
@@ -66,10 +66,10 @@ impl Convention {
 }
 
 impl Map {
-    fn of(self, number: f64) -> f64 {
+    fn apply(self, number: f64) -> f64 {
         match self {
             Self::Same => number,
-            Self::Gripper(convention) => convention.of(number),
+            Self::Gripper(convention) => convention.apply(number),
             Self::Affine { scale, offset } => scale * number + offset,
         }
     }
@@ -91,8 +91,8 @@ pub(crate) type Limit = Action;
 /// Map from one server's actions to the other's.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Fit {
-    /// Index of the first server's action that corresponds to the second one's first action; if
-    /// negative, with the servers exchanged.
+    /// Index of the first server's action that corresponds to the second server's first action. A
+    /// negative value is the index for exchanged servers.
     pub shift: i32,
     /// Map of each component.
     pub maps: [Map; 7],
@@ -147,8 +147,8 @@ pub(crate) fn fit(one: &Answers, other: &Answers, limit: &Limit) -> Fit {
     let shifted = shifts.map(|shift| at_shift(one, other, shift, limit));
     let explaining = shifted.filter(|fit| fit.explains);
     let simplest = explaining.min_by(|a, b| {
-        let by_rest = || a.remainder(limit).total_cmp(&b.remainder(limit));
-        a.cost().cmp(&b.cost()).then_with(by_rest)
+        let by_remainder = || a.remainder(limit).total_cmp(&b.remainder(limit));
+        a.cost().cmp(&b.cost()).then_with(by_remainder)
     });
     match simplest {
         Some(fit) if !aligned.explains || fit.cost() < aligned.cost() => fit,
@@ -190,7 +190,7 @@ fn at_shift(one: &Answers, other: &Answers, shift: i32, limit: &Limit) -> Fit {
 
 /// Returns the remaining root-mean-square difference after a map.
 fn left(numbers: &[(f64, f64)], map: Map) -> f64 {
-    let squares = numbers.iter().map(|(a, b)| (map.of(*a) - b).powi(2));
+    let squares = numbers.iter().map(|(a, b)| (map.apply(*a) - b).powi(2));
     (squares.sum::<f64>() / numbers.len().max(1) as f64).sqrt()
 }
 
@@ -201,15 +201,15 @@ fn affine(numbers: &[(f64, f64)]) -> Option<Map> {
     if numbers.len() < 4 {
         return None;
     }
-    let mean = |of: fn(&(f64, f64)) -> f64| numbers.iter().map(of).sum::<f64>() / count;
+    let mean = |value: fn(&(f64, f64)) -> f64| numbers.iter().map(value).sum::<f64>() / count;
     let (mean_a, mean_b) = (mean(|pair| pair.0), mean(|pair| pair.1));
-    let varied: f64 = numbers.iter().map(|(a, _)| (a - mean_a).powi(2)).sum();
-    let together: f64 = numbers
+    let variance: f64 = numbers.iter().map(|(a, _)| (a - mean_a).powi(2)).sum();
+    let covariance: f64 = numbers
         .iter()
         .map(|(a, b)| (a - mean_a) * (b - mean_b))
         .sum();
-    let scale = match varied / count > 1e-12 {
-        true => together / varied,
+    let scale = match variance / count > 1e-12 {
+        true => covariance / variance,
         // A constant value only determines an offset.
         false => 1.0,
     };
@@ -246,7 +246,7 @@ mod tests {
     }
 
     #[test]
-    fn the_same_actions_need_no_map_and_others_have_none() {
+    fn equal_actions_fit_without_a_map_and_unrelated_actions_do_not_fit() {
         let same = fit(&answers(), &changed(|action| action[2] += 1e-4), &LIMIT);
         assert!(same.explains && same.is_identity());
         let squared = changed(|action| action[2] = action[2] * action[2]);
@@ -259,7 +259,7 @@ mod tests {
     #[test]
     fn a_gripper_convention_is_preferred_to_a_scale() {
         for convention in Convention::ALL {
-            let other = changed(|action| action[GRIPPER] = convention.of(action[GRIPPER]));
+            let other = changed(|action| action[GRIPPER] = convention.apply(action[GRIPPER]));
             let found = fit(&answers(), &other, &LIMIT);
             assert_eq!(found.maps[GRIPPER], Map::Gripper(convention));
             assert!(found.explains && found.cost() == 1);
@@ -276,7 +276,7 @@ mod tests {
     }
 
     #[test]
-    fn scale_and_offset_of_a_number_are_found() {
+    fn scale_and_offset_of_a_component_are_found() {
         let found = fit(
             &answers(),
             &changed(|action| action[1] = 0.5 * action[1] - 0.2),
@@ -290,7 +290,7 @@ mod tests {
     }
 
     #[test]
-    fn a_chunk_that_begins_later_is_told_from_one_that_begins_earlier() {
+    fn the_sign_of_a_shift_shows_the_server_whose_chunks_begin_later() {
         for (skip, shift) in [(1, 1), (2, 2)] {
             let mut later = answers();
             for chunk in &mut later.chunks {

@@ -1,5 +1,5 @@
 //! Layouts of a policy's state vector: the representations of a pose in published policies, and
-//! those of the same width that are easily confused. Pure functions.
+//! other layouts of the same width that are easily confused with them. Pure functions.
 
 use std::fmt;
 
@@ -262,17 +262,17 @@ mod tests {
                     numbers(&other, &situation()).expect("the situation has every reading");
                 assert_eq!(numbers.len(), own.len(), "{}", Parts(&other));
                 let pairs = numbers.iter().zip(&own);
-                let apart = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-                assert!(apart > 0.005, "{}", Parts(&other));
+                let difference = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
+                assert!(difference > 0.005, "{}", Parts(&other));
             }
         }
         assert!(others(&[], &[EefPos]).is_empty());
     }
 
     #[test]
-    fn parts_are_listed_as_people_say_them() {
+    fn parts_are_displayed_as_a_list_with_and() {
         let parts = [Field(EefPos), Part::RollPitchYaw, Part::Opening];
-        let said = "position, roll-pitch-yaw and distance between the fingers";
-        assert_eq!(Parts(&parts).to_string(), said);
+        let expected = "position, roll-pitch-yaw and distance between the fingers";
+        assert_eq!(Parts(&parts).to_string(), expected);
     }
 }

@@ -1,12 +1,12 @@
 //! Examination of policy servers, for the commands `check`, `compare` and `doctor` of
-//! `policy-gateway`. [`conformance`] checks that a server keeps to the policy protocol. The rest is
-//! for servers that do, but whose rollouts fail: [`compare`] finds differences between the
-//! pipelines of two servers, [`diagnosis`] common mistakes of one. Both query servers in synthetic
-//! or recorded situations, and judge only the answers.
+//! `policy-gateway`. [`conformance`] checks that a server conforms to the policy protocol. The
+//! other modules are for conforming servers whose rollouts fail: [`compare`] finds differences
+//! between the pipelines of two servers, [`diagnosis`] common mistakes of one server. Both query
+//! servers in synthetic or recorded situations, and judge only the answers.
 //!
 //! `situation` is the input of a query, from [`synthetic`] or `recorded`; `variant`, `filter` and
 //! `layout` modify it; [`server`] and `panel` send queries; `fit` and `search` explain differences;
-//! [`difference`] and `report` put them into words.
+//! [`difference`] and `report` write the results as text and JSON.
 
 #![forbid(unsafe_code)]
 

@@ -19,9 +19,9 @@ const HELD_QUERIES: u32 = 4;
 /// Identifies one of the two servers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Side {
-    /// The first one named.
+    /// The first server on the command line.
     A,
-    /// The server named second.
+    /// The second server on the command line.
     B,
 }
 
@@ -46,26 +46,26 @@ impl Panel {
         b: Server,
         situations: Vec<Situation>,
     ) -> Result<Self, ExaminationError> {
-        let shown = |server: &Server| -> Result<Vec<Observation>, ExaminationError> {
-            let shown = situations
+        let observations = |server: &Server| -> Result<Vec<Observation>, ExaminationError> {
+            let observations = situations
                 .iter()
                 .map(|situation| situation.observation(&server.described));
-            shown
+            observations
                 .collect::<Result<_, _>>()
                 .map_err(|missing| ExaminationError::Lacking {
                     url: server.url.clone(),
                     missing,
                 })
         };
-        let (shown_to_a, shown_to_b) = (shown(&a)?, shown(&b)?);
+        let (shown_to_a, shown_to_b) = (observations(&a)?, observations(&b)?);
         let described = [&a.described, &b.described];
-        let one_by_one = described.iter().all(|description| description.horizon == 1);
-        let held = one_by_one && described.iter().any(|description| description.stateful);
+        let is_single = described.iter().all(|description| description.horizon == 1);
+        let is_held = is_single && described.iter().any(|description| description.stateful);
         Ok(Self {
             shown_to_a,
             shown_to_b,
             situations,
-            queries: if held { HELD_QUERIES } else { 1 },
+            queries: if is_held { HELD_QUERIES } else { 1 },
             a,
             b,
         })
@@ -116,13 +116,13 @@ impl Panel {
         count: usize,
         seeds: impl Fn(usize) -> Vec<u64>,
     ) -> Result<Answers, ExaminationError> {
-        let shown = match side {
+        let observations = match side {
             Side::A => &self.shown_to_a,
             Side::B => &self.shown_to_b,
         };
-        let mut asked = vec![];
+        let mut all = vec![];
         for (at, situation) in self.situations.iter().take(count).enumerate() {
-            let mut observation = shown[at].clone();
+            let mut observation = observations[at].clone();
             for variant in variants {
                 variant.apply(situation, &mut observation);
             }
@@ -130,9 +130,9 @@ impl Panel {
             for seed in seeds(at) {
                 answers.push(self.chunk(side, situation, &observation, seed).await?);
             }
-            asked.push(answers);
+            all.push(answers);
         }
-        Ok(Answers::of(asked))
+        Ok(Answers::averaged(all))
     }
 
     /// Plays one episode and returns its actions.

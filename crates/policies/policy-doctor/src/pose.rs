@@ -95,7 +95,7 @@ mod tests {
             [0.0, 0.1, 0.9, 0.2],
         ] {
             let norm: f64 = quaternion.iter().map(|number| number * number).sum();
-            let quaternion = quaternion.map(|it: f64| it / norm.sqrt());
+            let quaternion = quaternion.map(|number: f64| number / norm.sqrt());
             assert!(close(&from_axis_angle(axis_angle(quaternion)), &quaternion));
             let sign = if quaternion[3] < 0.0 { -1.0 } else { 1.0 };
             let positive = quaternion.map(|number| sign * number);
@@ -112,8 +112,8 @@ mod tests {
             .iter()
             .map(|number| number * number)
             .sum::<f64>();
-        let whole = 2.0 * std::f64::consts::PI;
-        assert!((angle.sqrt() + (9.05_f64).sqrt() - whole).abs() < 1e-9);
+        let full_turn = 2.0 * std::f64::consts::PI;
+        assert!((angle.sqrt() + (9.05_f64).sqrt() - full_turn).abs() < 1e-9);
     }
 
     #[test]

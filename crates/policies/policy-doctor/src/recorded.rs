@@ -7,7 +7,7 @@ use policy_backends::recording::{self, Pair, Reader, RecordingError};
 use crate::situation::Situation;
 
 /// Takes up to `count` situations from the recordings of a folder, from as many sessions as
-/// possible and spread over the length of each.
+/// possible, and evenly spaced within each session.
 ///
 /// # Errors
 /// If there is no recording, or one is damaged.
@@ -16,10 +16,10 @@ pub(crate) fn situations(folder: &Path, count: usize) -> Result<Vec<Situation>, 
     let mut situations = vec![];
     for at in 0..count.min(files.len()) {
         let file = &files[at * files.len() / count.min(files.len())];
-        // The first sessions contribute one more if `count` is not divisible.
+        // The first sessions contribute one more if `count` is no multiple of their number.
         let sessions = count.min(files.len());
-        let of_this = count / sessions + usize::from(at < count % sessions);
-        situations.extend(of_session(file, of_this)?);
+        let share = count / sessions + usize::from(at < count % sessions);
+        situations.extend(of_session(file, share)?);
     }
     match situations.is_empty() {
         false => Ok(situations),
@@ -101,19 +101,19 @@ mod tests {
     }
 
     #[test]
-    fn situations_come_from_all_sessions_and_all_of_their_length() {
+    fn situations_come_from_all_sessions_at_even_intervals() {
         let folder = tempfile::tempdir().expect("a folder");
         assert!(situations(folder.path(), 4).is_err());
         record(folder.path(), "short", 1);
         record(folder.path(), "long", 10);
         let taken = situations(folder.path(), 4).expect("recordings");
-        let of = |session: &str| -> Vec<f64> {
+        let readings = |session: &str| -> Vec<f64> {
             let taken = taken
                 .iter()
                 .filter(|situation| situation.instruction == session);
             taken.map(|situation| situation.readings[0].1[0]).collect()
         };
-        assert_eq!(of("short"), [0.0]);
-        assert_eq!(of("long"), [0.0, 5.0]);
+        assert_eq!(readings("short"), [0.0]);
+        assert_eq!(readings("long"), [0.0, 5.0]);
     }
 }

@@ -17,13 +17,13 @@ const INDENT: usize = 6;
 
 /// A queried server, as it describes itself.
 #[derive(Clone, Debug, Serialize)]
-pub(crate) struct Asked {
+pub(crate) struct DescribedServer {
     url: String,
     name: String,
     checkpoint: String,
 }
 
-impl Asked {
+impl DescribedServer {
     /// Creates the entry of the server at `url`.
     pub(crate) fn new(url: &str, described: &DescribeResponse) -> Self {
         Self {
@@ -95,8 +95,8 @@ fn name_and_text(verdict: &Verdict) -> (&'static str, &str) {
 /// Output of `compare --json`.
 #[derive(Debug, Serialize)]
 pub(crate) struct ComparisonJson<'a> {
-    a: Asked,
-    b: Asked,
+    a: DescribedServer,
+    b: DescribedServer,
     is_same: bool,
     descriptions: &'a [DescriptionDifference],
     differences: Vec<DifferenceJson<'a>>,
@@ -112,7 +112,7 @@ struct DifferenceJson<'a> {
 
 impl<'a> ComparisonJson<'a> {
     /// Builds the report of a comparison of two servers.
-    pub(crate) fn of(a: Asked, b: Asked, comparison: &'a Comparison) -> Self {
+    pub(crate) fn new(a: DescribedServer, b: DescribedServer, comparison: &'a Comparison) -> Self {
         let differences = comparison.differences.iter();
         Self {
             a,
@@ -134,7 +134,7 @@ impl<'a> ComparisonJson<'a> {
 /// Output of `doctor --json`.
 #[derive(Debug, Serialize)]
 pub(crate) struct ExaminationJson<'a> {
-    server: Asked,
+    server: DescribedServer,
     is_sound: bool,
     findings: Vec<FindingJson<'a>>,
 }
@@ -148,7 +148,7 @@ struct FindingJson<'a> {
 
 impl<'a> ExaminationJson<'a> {
     /// Builds the report of all findings at a server.
-    pub(crate) fn of(server: Asked, findings: &'a [Finding]) -> Self {
+    pub(crate) fn new(server: DescribedServer, findings: &'a [Finding]) -> Self {
         let finding = |finding: &'a Finding| {
             let (verdict, text) = name_and_text(&finding.verdict);
             FindingJson {

@@ -1,5 +1,5 @@
 //! Searches for the usual differences between two pipelines that explain two servers' different
-//! answers. The explanation with the fewest assumptions comes first.
+//! answers, and prefers the explanation with the fewest assumptions.
 
 use crate::{
     answers::Answers,
@@ -25,7 +25,7 @@ pub(crate) struct Course<'a> {
     pub panel: &'a Panel,
     /// Seeds of a situation; answers to several are averaged.
     pub seeds: &'a (dyn Fn(usize) -> Vec<u64> + Sync),
-    /// Differences up to this size count as none.
+    /// Largest difference that counts as none.
     pub floor: Limit,
     /// True if several simultaneous differences are searched for.
     pub together: bool,
@@ -35,14 +35,14 @@ pub(crate) struct Course<'a> {
 #[derive(Clone, Debug)]
 pub(crate) struct Explanation {
     /// Changes to either server's observations that make the answers alike.
-    pub shown: Vec<(Side, Variant)>,
+    pub changes: Vec<(Side, Variant)>,
     /// Map from A's actions to B's.
     pub fit: Fit,
 }
 
 impl Explanation {
     fn cost(&self) -> u32 {
-        self.fit.cost() + self.shown.len() as u32
+        self.fit.cost() + self.changes.len() as u32
     }
 }
 
@@ -51,7 +51,7 @@ impl Explanation {
 pub(crate) enum Found {
     /// This explanation makes the answers alike.
     Explained(Explanation),
-    /// No explanation makes the answers alike; this one comes closest.
+    /// No explanation makes the answers alike; this one leaves the smallest difference.
     Nothing(Explanation),
 }
 
@@ -65,24 +65,24 @@ impl Course<'_> {
     pub(crate) async fn search(&self, a: &Answers, b: &Answers) -> Result<Found, ExaminationError> {
         let mut limit = self.limit(fit(a, b, &[f64::INFINITY; 7]).left);
         let plain = Explanation {
-            shown: vec![],
+            changes: vec![],
             fit: fit(a, b, &limit),
         };
         let mut explained = match self.beyond(&plain, &limit, a, b).await? {
             Found::Explained(explained) => explained,
             nothing => return Ok(nothing),
         };
-        while explained.shown.len() < MOST_TOGETHER && self.together {
+        while explained.changes.len() < MOST_TOGETHER && self.together {
             let further = self.limit(explained.fit.left);
             if further == limit || explained.fit.is_within(&self.floor) {
                 break;
             }
             limit = further;
-            let (one, other) = self.answers(&explained.shown, a, b).await?;
+            let (one, other) = self.answers(&explained.changes, a, b).await?;
             let fit = fit(&one, &other, &limit);
-            let shown = explained.shown.clone();
+            let changes = explained.changes.clone();
             match self
-                .beyond(&Explanation { shown, fit }, &limit, a, b)
+                .beyond(&Explanation { changes, fit }, &limit, a, b)
                 .await?
             {
                 Found::Explained(more) => explained = more,
@@ -97,7 +97,7 @@ impl Course<'_> {
         std::array::from_fn(|at| self.floor[at].max(LEFT * apart[at]))
     }
 
-    /// Finds the simplest explanation that extends the known one.
+    /// Finds the simplest explanation that extends `known`.
     async fn beyond(
         &self,
         known: &Explanation,
@@ -109,7 +109,7 @@ impl Course<'_> {
         if known.fit.explains && known.fit.cost() <= 1 {
             return Ok(Found::Explained(known.clone()));
         }
-        let rest = |it: &Explanation| it.fit.remainder(limit);
+        let remainder = |explanation: &Explanation| explanation.fit.remainder(limit);
         let mut closest = known.clone();
         let mut explanations: Vec<Explanation> = known
             .fit
@@ -119,15 +119,15 @@ impl Course<'_> {
             .into_iter()
             .collect();
         let depth = match self.together {
-            true => MOST_TOGETHER - known.shown.len(),
+            true => MOST_TOGETHER - known.changes.len(),
             false => 1,
         };
         for _ in 0..depth {
             let mut candidates = vec![];
-            for shown in self.further(&closest.shown) {
-                let (one, other) = self.answers(&shown, a, b).await?;
+            for changes in self.further(&closest.changes) {
+                let (one, other) = self.answers(&changes, a, b).await?;
                 let fit = fit(&one, &other, limit);
-                candidates.push(Explanation { shown, fit });
+                candidates.push(Explanation { changes, fit });
             }
             explanations.extend(
                 candidates
@@ -136,34 +136,36 @@ impl Course<'_> {
                     .cloned(),
             );
             let simplest = explanations.iter().min_by(|one, other| {
-                let by_rest = || rest(one).total_cmp(&rest(other));
-                one.cost().cmp(&other.cost()).then_with(by_rest)
+                let by_remainder = || remainder(one).total_cmp(&remainder(other));
+                one.cost().cmp(&other.cost()).then_with(by_remainder)
             });
             if let Some(simplest) = simplest {
                 return Ok(Found::Explained(simplest.clone()));
             }
             let nearest = candidates
                 .into_iter()
-                .min_by(|one, other| rest(one).total_cmp(&rest(other)));
+                .min_by(|one, other| remainder(one).total_cmp(&remainder(other)));
             match nearest {
-                Some(nearest) if rest(&nearest) < PROGRESS * rest(&closest) => closest = nearest,
+                Some(nearest) if remainder(&nearest) < PROGRESS * remainder(&closest) => {
+                    closest = nearest
+                }
                 _ => break,
             }
         }
         Ok(Found::Nothing(closest))
     }
 
-    /// Returns all extensions by one change, on a topic that is not yet used.
-    fn further(&self, shown: &[(Side, Variant)]) -> Vec<Vec<(Side, Variant)>> {
-        let touched: Vec<Topic> = shown.iter().map(|(_, it)| it.topic()).collect();
+    /// Returns all extensions of `changes` by one change, on a topic that `changes` does not have.
+    fn further(&self, changes: &[(Side, Variant)]) -> Vec<Vec<(Side, Variant)>> {
+        let used: Vec<Topic> = changes.iter().map(|(_, variant)| variant.topic()).collect();
         let mut further = vec![];
         for side in [Side::A, Side::B] {
             for variant in self.panel.variants(side) {
-                let again = side == Side::B
+                let is_tried_on_a = side == Side::B
                     && variant.is_its_own_inverse()
                     && self.panel.variants(Side::A).contains(&variant);
-                if !again && !touched.contains(&variant.topic()) {
-                    further.push([shown, &[(side, variant)]].concat());
+                if !is_tried_on_a && !used.contains(&variant.topic()) {
+                    further.push([changes, &[(side, variant)]].concat());
                 }
             }
         }
@@ -173,25 +175,25 @@ impl Course<'_> {
     /// Returns both servers' answers under these changes.
     async fn answers(
         &self,
-        shown: &[(Side, Variant)],
+        changes: &[(Side, Variant)],
         a: &Answers,
         b: &Answers,
     ) -> Result<(Answers, Answers), ExaminationError> {
-        let one = self.changed(Side::A, shown).await?;
-        let other = self.changed(Side::B, shown).await?;
+        let one = self.changed(Side::A, changes).await?;
+        let other = self.changed(Side::B, changes).await?;
         Ok((
             one.unwrap_or_else(|| a.clone()),
             other.unwrap_or_else(|| b.clone()),
         ))
     }
 
-    /// Returns one server's answers under its changes; `None` if it has none.
+    /// Returns one server's answers under its changes; `None` if `changes` holds no change for it.
     async fn changed(
         &self,
         side: Side,
-        shown: &[(Side, Variant)],
+        changes: &[(Side, Variant)],
     ) -> Result<Option<Answers>, ExaminationError> {
-        let of_side = shown.iter().filter(|(whose, _)| *whose == side);
+        let of_side = changes.iter().filter(|(changed, _)| *changed == side);
         let variants: Vec<Variant> = of_side.map(|(_, variant)| variant.clone()).collect();
         if variants.is_empty() {
             return Ok(None);

@@ -1,5 +1,5 @@
 //! Client of a server under comparison or diagnosis: calls a route's back-end directly, so that
-//! its answers are seen unchanged.
+//! the gateway does not change its answers.
 
 use std::{
     sync::{

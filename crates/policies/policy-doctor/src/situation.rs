@@ -1,5 +1,5 @@
-//! Situation of the robot, from which observations for servers with different inputs are made:
-//! frames of the requested size, readings of the requested kind.
+//! Situation of the robot, converted to observations for servers with different inputs: frames of
+//! the requested size, readings of the requested kind.
 
 use policy_backends::openpi::frame::resize;
 use proto::policy::{
@@ -33,7 +33,7 @@ pub enum MissingInput {
         /// Name of the camera.
         camera: String,
     },
-    /// No reading of this field, nor one from which it follows.
+    /// No reading of this field, nor of one from which it can be derived.
     #[error("the robot reading {}", field.as_str_name())]
     Reading {
         /// Field of the robot's state.
@@ -76,7 +76,7 @@ impl Situation {
 
     /// Returns a reading as stored, or derived from another representation of the orientation.
     pub fn reading(&self, field: StateField) -> Option<Vec<f64>> {
-        if let Some((_, values)) = self.readings.iter().find(|(known, _)| *known == field) {
+        if let Some((_, values)) = self.readings.iter().find(|(stored, _)| *stored == field) {
             return Some(values.clone());
         }
         let quaternion = self.quaternion()?;
@@ -149,9 +149,9 @@ mod tests {
             state: vec![StateField::EefQuatXyzw.into()],
             ..DescribeResponse::default()
         };
-        let made = situation.observation(&described).expect("it is there");
-        assert_eq!(made.images[0].rgb, vec![9; 18]);
-        assert!((made.state[0].values[3] - 0.5_f64.cos()).abs() < 1e-9);
+        let observation = situation.observation(&described).expect("all inputs");
+        assert_eq!(observation.images[0].rgb, vec![9; 18]);
+        assert!((observation.state[0].values[3] - 0.5_f64.cos()).abs() < 1e-9);
 
         described.state = vec![StateField::JointPos.into()];
         let missing = situation.observation(&described).expect_err("no joints");

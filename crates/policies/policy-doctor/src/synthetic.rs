@@ -1,5 +1,5 @@
-//! Synthetic situations: a table with texture at every scale and no symmetry, with a different arm
-//! pose and task in each situation. Equal in every run.
+//! Synthetic situations, equal in every run: a table with texture at every scale and no symmetry,
+//! with a different arm pose and task in each situation.
 
 use std::f64::consts::PI;
 
@@ -20,14 +20,14 @@ const CLOSE_UP: usize = 5;
 pub fn situations(suite: Suite, cameras: &[&str]) -> Vec<Situation> {
     let tasks: Vec<TaskRef> = suite.tasks().collect();
     let situation = |at: usize| {
-        let mut chance = Chance(at as u64 + 1);
-        let hand = Hand::at_random(&mut chance, at);
+        let mut random = Random(at as u64 + 1);
+        let hand = Hand::at_random(&mut random, at);
         let frames = cameras.iter().map(|camera| frame(camera, at));
         Situation {
             suite: suite.name().to_owned(),
             instruction: tasks[at % tasks.len()].instruction(),
             frames: frames.collect(),
-            readings: hand.readings(&mut chance),
+            readings: hand.readings(&mut random),
             privileged: Some(privileged(&hand, at)),
         }
     };
@@ -46,9 +46,9 @@ pub fn cameras<'a>(described: &[&'a DescribeResponse]) -> Vec<&'a str> {
 }
 
 /// SplitMix64 generator, which is the same on every platform.
-struct Chance(u64);
+struct Random(u64);
 
-impl Chance {
+impl Random {
     /// Returns the next number, between -1 and 1.
     fn number(&mut self) -> f64 {
         self.0 = self.0.wrapping_add(0x9e37_79b9_7f4a_7c15);
@@ -78,9 +78,9 @@ struct Hand {
 impl Hand {
     /// Generates a hand that points roughly downwards. The sign of w, which distinguishes the two
     /// quaternions of an orientation, alternates between situations.
-    fn at_random(chance: &mut Chance, at: usize) -> Self {
+    fn at_random(random: &mut Random, at: usize) -> Self {
         let sign = if at.is_multiple_of(2) { 1.0 } else { -1.0 };
-        let [y, z, w] = [0.15, 0.3, 0.12].map(|size| size * chance.number());
+        let [y, z, w] = [0.15, 0.3, 0.12].map(|size| size * random.number());
         let quaternion = [1.0, y, z, sign * (0.08 + w.abs())];
         let norm = quaternion
             .iter()
@@ -89,18 +89,18 @@ impl Hand {
             .sqrt();
         Self {
             position: [
-                -0.1 + 0.12 * chance.number(),
-                0.18 * chance.number(),
-                0.2 + 0.12 * chance.number(),
+                -0.1 + 0.12 * random.number(),
+                0.18 * random.number(),
+                0.2 + 0.12 * random.number(),
             ],
             quaternion: quaternion.map(|number| number / norm),
-            opening: 0.022 + 0.018 * chance.number(),
+            opening: 0.022 + 0.018 * random.number(),
         }
     }
 
-    fn readings(&self, chance: &mut Chance) -> Vec<(StateField, Vec<f64>)> {
+    fn readings(&self, random: &mut Random) -> Vec<(StateField, Vec<f64>)> {
         let rest = [0.0, -0.16, 0.0, -2.44, 0.0, 2.23, PI / 4.0];
-        let mut around = |centre: f64, size: f64| centre + size * chance.number();
+        let mut around = |centre: f64, size: f64| centre + size * random.number();
         vec![
             (StateField::EefPos, self.position.to_vec()),
             (StateField::EefQuatXyzw, self.quaternion.to_vec()),
@@ -120,18 +120,21 @@ impl Hand {
 
 /// Returns the privileged scene of the conformance check, with its box moved.
 fn privileged(hand: &Hand, at: usize) -> PrivilegedState {
-    let wanting = DescribeResponse {
+    let described = DescribeResponse {
         privileged: true,
         ..DescribeResponse::default()
     };
-    let mut state = scene::observation(&wanting, 0)
+    let mut state = scene::observation(&described, 0)
         .privileged
         .unwrap_or_default();
-    let mut chance = Chance(1000 + at as u64);
-    let moved = [0.06 * chance.number(), 0.06 * chance.number(), 0.0];
+    let mut random = Random(1000 + at as u64);
+    let moved = [0.06 * random.number(), 0.06 * random.number(), 0.0];
     if let Some(thing) = state.entities.first_mut() {
         for place in [&mut thing.pos, &mut thing.centre] {
-            place.iter_mut().zip(moved).for_each(|(it, by)| *it += by);
+            place
+                .iter_mut()
+                .zip(moved)
+                .for_each(|(number, shift)| *number += shift);
         }
     }
     state.grip_pos = hand.position.to_vec();
@@ -147,8 +150,8 @@ struct Thing {
     colour: [f64; 3],
 }
 
-fn things(chance: &mut Chance, at: usize) -> Vec<Thing> {
-    // Only the first object is colourful, so that a policy that looks for colour finds one object.
+fn things(random: &mut Random, at: usize) -> Vec<Thing> {
+    // Only the first object is colourful, so that a policy that searches for colour finds one.
     let colours = [
         [225.0, 35.0, 45.0],
         [150.0, 110.0, 75.0],
@@ -158,9 +161,9 @@ fn things(chance: &mut Chance, at: usize) -> Vec<Thing> {
     let mut things: Vec<Thing> = colours
         .into_iter()
         .map(|colour| Thing {
-            centre: [0; 2].map(|_| 0.5 + 0.36 * chance.number()),
-            half: [0; 2].map(|_| 0.085 + 0.04 * chance.number()),
-            round: chance.number() < 0.0,
+            centre: [0; 2].map(|_| 0.5 + 0.36 * random.number()),
+            half: [0; 2].map(|_| 0.085 + 0.04 * random.number()),
+            round: random.number() < 0.0,
             colour,
         })
         .collect();
@@ -176,14 +179,14 @@ fn frame(camera: &str, at: usize) -> Image {
     let name = camera
         .bytes()
         .fold(17, |sum, byte| mix(sum ^ u64::from(byte)));
-    let mut chance = Chance(name ^ at as u64);
-    let things = things(&mut chance, at);
-    let light = [chance.number(), chance.number()].map(|it| 25.0 * it);
+    let mut random = Random(name ^ at as u64);
+    let things = things(&mut random, at);
+    let light = [random.number(), random.number()].map(|number| 25.0 * number);
     let spots = spots(name ^ at as u64);
     let mut rgb = Vec::with_capacity(3 * SIDE * SIDE);
     for row in 0..SIDE {
         for column in 0..SIDE {
-            let place = [column, row].map(|it| (it as f64 + 0.5) / SIDE as f64);
+            let place = [column, row].map(|pixel| (pixel as f64 + 0.5) / SIDE as f64);
             let grain = mix(name ^ (at * SIDE * SIDE + row * SIDE + column) as u64);
             let lit = 40.0 * (place[1] - 0.4)
                 + light[0] * place[0]
@@ -217,8 +220,8 @@ impl Thing {
 fn spots(key: u64) -> impl Fn(usize, usize) -> f64 {
     let layer = move |cell: usize, column: usize, row: usize| {
         let corner = |x: usize, y: usize| unit(mix(key ^ mix((cell * 4096 + y) as u64) ^ x as u64));
-        let ease = |it: usize| {
-            let t = (it % cell) as f64 / cell as f64;
+        let ease = |pixel: usize| {
+            let t = (pixel % cell) as f64 / cell as f64;
             t * t * (3.0 - 2.0 * t)
         };
         let (x, y) = (column / cell, row / cell);
@@ -234,7 +237,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn situations_are_the_same_twice_and_each_another() {
+    fn situations_are_reproducible_and_differ_from_each_other() {
         let cameras = ["agentview", "robot0_eye_in_hand"];
         let one = situations(Suite::Goal, &cameras);
         let again = situations(Suite::Goal, &cameras);

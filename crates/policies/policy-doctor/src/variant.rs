@@ -193,12 +193,15 @@ impl Variant {
 
 /// Returns the variants with sizes below the server's own, the other server's size first.
 fn sizes(described: &DescribeResponse, other: &DescribeResponse) -> Vec<Variant> {
-    let size = |it: &DescribeResponse| it.cameras.first().map(|it| [it.width, it.height]);
+    let size = |description: &DescribeResponse| {
+        let camera = description.cameras.first()?;
+        Some([camera.width, camera.height])
+    };
     let Some([width, height]) = size(described) else {
         return vec![];
     };
-    let known = SIDES.map(|side| [side, side]);
-    let others = size(other).into_iter().chain(known);
+    let usual = SIDES.map(|side| [side, side]);
+    let others = size(other).into_iter().chain(usual);
     let mut sizes: Vec<[u32; 2]> = vec![];
     for [w, h] in others {
         if w < width && h < height && !sizes.contains(&[w, h]) {
@@ -302,7 +305,7 @@ mod tests {
     use crate::filter::tests::image;
 
     #[test]
-    fn frames_are_turned_as_people_see_them() {
+    fn frames_are_turned_in_the_upright_picture() {
         // Bottom row 1 2, top row 3 4.
         for (turn, expected) in [
             (Turn::UpsideDown, [3, 4, 1, 2]),
@@ -319,11 +322,11 @@ mod tests {
     }
 
     #[test]
-    fn a_sign_is_flipped_in_either_form_of_the_orientation() {
+    fn the_sign_of_quaternions_and_of_axis_angles_is_flipped() {
         let quaternion = [0.96, 0.0, 0.2, -0.196];
         let mut values = quaternion.to_vec();
         SignRule::PositiveW.apply(StateField::EefQuatXyzw, &mut values);
-        assert_eq!(values, quaternion.map(|it: f64| -it));
+        assert_eq!(values, quaternion.map(|number: f64| -number));
         let kept = values.clone();
         SignRule::PositiveW.apply(StateField::EefQuatXyzw, &mut values);
         assert_eq!(values, kept);

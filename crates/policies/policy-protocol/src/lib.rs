@@ -218,7 +218,7 @@ pub enum ActionFault {
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum DescriptionFault {
     #[error(
-        "it speaks policy protocol version {theirs}, and this program version \
+        "it uses policy protocol version {theirs}, and this program uses version \
          {PROTOCOL_VERSION}; upgrade the older side"
     )]
     Version { theirs: u32 },
@@ -226,7 +226,7 @@ pub enum DescriptionFault {
     #[error("it has no name")]
     Nameless,
     #[error(
-        "its {field} has {bytes} bytes, and results hold {} of it",
+        "its {field} has {bytes} bytes, and results hold at most {}",
         proto::MAX_TEXT_BYTES
     )]
     Text {
@@ -238,25 +238,25 @@ pub enum DescriptionFault {
     #[error("its horizon is {horizon}, not within 1..={MAX_HORIZON}")]
     Horizon { horizon: u32 },
     /// The number of executed actions is 0 or exceeds the horizon.
-    #[error("it wants {execute} actions executed per query, of a horizon of {horizon}")]
+    #[error("it declares {execute} executed actions per query, but a horizon of {horizon}")]
     Execute { execute: u32, horizon: u32 },
-    #[error("it wants robot reading {field}, which this protocol version does not have")]
+    #[error("it requests robot reading {field}, which this protocol version does not have")]
     StateField { field: i32 },
-    #[error("it wants robot reading {field} twice")]
+    #[error("it requests robot reading {field} twice")]
     RepeatedStateField { field: i32 },
-    #[error("it wants {count} frames per query, and at most {MAX_CAMERAS} are drawn")]
+    #[error("it requests {count} frames per query, but at most {MAX_CAMERAS} are rendered")]
     Cameras { count: usize },
-    #[error("it wants frames of {width}×{height} pixels from camera {camera:?} twice")]
+    #[error("it requests frames of {width}×{height} pixels from camera {camera:?} twice")]
     RepeatedCamera {
         camera: String,
         width: u32,
         height: u32,
     },
-    #[error("it wants frames of camera {name:?}, and a scene has {}", CAMERAS.join(" and "))]
+    #[error("it requests frames of camera {name:?}, but a scene has {}", CAMERAS.join(" and "))]
     Camera { name: String },
     /// The side of a frame is 0 or exceeds [`MAX_FRAME_SIDE`].
     #[error(
-        "it wants frames of {width}×{height} pixels from camera {camera:?}, and sides are 1 to \
+        "it requests frames of {width}×{height} pixels from camera {camera:?}, but sides are 1 to \
          {MAX_FRAME_SIDE}"
     )]
     FrameSide {
@@ -286,7 +286,7 @@ mod tests {
     fn whole_finite_actions_within_the_horizon_are_returned_number_by_number() {
         let numbers: Vec<f32> = (0..14_u8).map(|n| f32::from(n) / 16.0).collect();
         let response = answer(&numbers, 7);
-        let read = actions(&response, 2).expect("sound");
+        let read = actions(&response, 2).expect("valid actions");
         assert_eq!(read.as_flattened(), numbers);
     }
 
@@ -296,7 +296,7 @@ mod tests {
     }
 
     #[test]
-    fn every_invalid_answer_is_named() {
+    fn every_invalid_answer_is_refused_with_its_fault() {
         let mut infinite = [0.0; 14];
         infinite[9] = f32::INFINITY;
         let cases = [
@@ -333,7 +333,7 @@ mod tests {
     }
 
     #[test]
-    fn a_description_that_fits_no_rollout_is_named() {
+    fn every_invalid_description_is_refused_with_its_fault() {
         let camera = |name: &str, width, height| CameraRequest {
             name: name.to_owned(),
             width,

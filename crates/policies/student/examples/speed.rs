@@ -40,20 +40,20 @@ fn measure(
 ) -> Result<(), student::QueryError> {
     // Caches and the allocator are warm from the second call on.
     network.act(queries)?;
-    let (mut computed, mut passed) = (Vec::new(), Vec::new());
+    let (mut cpu_times, mut wall_times) = (Vec::new(), Vec::new());
     let share = 1e3 / queries.len() as f64;
     for _ in 0..calls {
         let (start, wall) = (processor_seconds(), Instant::now());
         network.act(queries)?;
-        passed.push(wall.elapsed().as_secs_f64() * share);
-        computed.push((processor_seconds() - start) * share);
+        wall_times.push(wall.elapsed().as_secs_f64() * share);
+        cpu_times.push((processor_seconds() - start) * share);
     }
     println!(
-        "{:?} products, batch of {}, ms a query: {}; by the wall's clock: {}",
+        "{:?} products, batch of {}, CPU time per query, ms: {}; wall time: {}",
         network.products(),
         queries.len(),
-        spread(computed),
-        spread(passed)
+        spread(cpu_times),
+        spread(wall_times)
     );
     Ok(())
 }

@@ -4,8 +4,8 @@
 #[derive(Debug, Clone, PartialEq, Eq, thiserror::Error)]
 pub enum WeightsError {
     #[error(
-        "the weights file, {bytes} bytes, is no safetensors file or is not whole: export it or \
-         copy it again"
+        "the weights file, {bytes} bytes, is not a complete safetensors file: export it or copy \
+         it again"
     )]
     Unreadable {
         /// Length of the file, bytes.
@@ -63,7 +63,7 @@ pub enum WeightsError {
     },
     #[error(
         "tensor {tensor} of the weights file holds {value} at place {place}, where a number above \
-         0 is expected: export a spread of at least a rounding error for numbers that never vary"
+         0 is expected: export a standard deviation of at least a rounding error for constants"
     )]
     NotPositive {
         tensor: String,
@@ -72,7 +72,7 @@ pub enum WeightsError {
         value: String,
     },
     #[error(
-        "the weights file has a tensor {tensor}, which this network does not: give weights of \
+        "the weights file has a tensor {tensor}, which this network lacks: give weights of \
          this network"
     )]
     Unknown { tensor: String },
@@ -83,7 +83,7 @@ pub enum WeightsError {
 pub enum QueryError {
     #[error(
         "query {query}: the picture of {camera} has {found} bytes; expected are {expected}, 256 × \
-         256 pixels of 3 bytes: ask the camera for that size"
+         256 pixels of 3 bytes: request frames of that size"
     )]
     Picture {
         /// Index of the query, counted from 0.

@@ -2,23 +2,23 @@
 
 const LANES: usize = 16;
 
-/// Sums `of(value)` over all values. Lane `j` sums indices `j`, `j + 16`, … in ascending
+/// Sums `term(value)` over all values. Lane `j` sums indices `j`, `j + 16`, … in ascending
 /// order; the lanes are then added by halving.
 ///
 /// # Panics
 /// If the number of values is not a multiple of sixteen.
 #[inline]
-pub(crate) fn sum(values: &[f32], of: impl Fn(f32) -> f32) -> f32 {
+pub(crate) fn sum(values: &[f32], term: impl Fn(f32) -> f32) -> f32 {
     let (rows, rest) = values.as_chunks::<LANES>();
     assert!(
         rest.is_empty(),
-        "{} values are not whole rows",
+        "{} values, not a multiple of {LANES}",
         values.len()
     );
     let mut lanes = [0.0; LANES];
     for row in rows {
         for (lane, value) in lanes.iter_mut().zip(row) {
-            *lane += of(*value);
+            *lane += term(*value);
         }
     }
     let mut width = LANES / 2;
@@ -40,7 +40,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn lanes_are_summed_down_and_then_in_halves() {
+    fn each_lane_is_summed_before_lanes_are_added_by_halving() {
         // A large number in lane 0 absorbs a small one of the same lane, but not the sum of
         // small ones in other lanes.
         let mut values = [0.0; 32];

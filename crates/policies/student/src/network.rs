@@ -179,8 +179,8 @@ impl Network {
     fn states(&self, queries: &[Query<'_>]) -> Vec<f32> {
         let mut states: Vec<f32> = queries.iter().flat_map(Query::state).collect();
         for state in states.chunks_exact_mut(STATE) {
-            let usual = self.state_mean.iter().zip(&self.state_std);
-            for (value, (mean, spread)) in state.iter_mut().zip(usual) {
+            let statistics = self.state_mean.iter().zip(&self.state_std);
+            for (value, (mean, spread)) in state.iter_mut().zip(statistics) {
                 *value = (*value - mean) / spread;
             }
         }

@@ -105,17 +105,17 @@ mod tests {
         }
     }
 
-    fn close(found: f32, wanted: f32) {
-        assert!((found - wanted).abs() < 1e-4, "{found}, not {wanted}");
+    fn assert_close(found: f32, expected: f32) {
+        assert!((found - expected).abs() < 1e-4, "{found}, not {expected}");
     }
 
     #[test]
-    fn groups_are_normalised_scaled_shifted_and_cut_at_zero() {
+    fn groups_are_normalised_scaled_shifted_and_clamped_at_zero() {
         let mut values = values();
         norm().relu(&mut values);
         for (place, value) in values.iter().enumerate() {
             let unit = if place % 2 == 0 { -1.0 } else { 1.0 };
-            close(*value, (2.0 * unit + (place / 16) as f32).max(0.0));
+            assert_close(*value, (2.0 * unit + (place / 16) as f32).max(0.0));
         }
     }
 
@@ -125,11 +125,11 @@ mod tests {
         film.extend([-1.0; 16]);
         norm().film_relu(&mut values, Film(&film));
         // Channel 3: 1.5 (±2 + 3) - 1
-        close(values[48], 0.5);
-        close(values[49], 6.5);
+        assert_close(values[48], 0.5);
+        assert_close(values[49], 6.5);
         // Channel 0: 1.5 (±2) - 1
         assert_eq!(values[0], 0.0);
-        close(values[1], 2.0);
+        assert_close(values[1], 2.0);
     }
 
     #[test]
@@ -138,8 +138,8 @@ mod tests {
         let skip: Vec<f32> = (0..256).map(|place| place as f32).collect();
         norm().add_relu(&mut values, &skip);
         // The last two values of channel 15.
-        close(values[254], -2.0 + 15.0 + 254.0);
-        close(values[255], 2.0 + 15.0 + 255.0);
+        assert_close(values[254], -2.0 + 15.0 + 254.0);
+        assert_close(values[255], 2.0 + 15.0 + 255.0);
         assert_eq!(values[0], 0.0);
     }
 }

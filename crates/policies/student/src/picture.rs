@@ -17,7 +17,7 @@ const VALUES: [f32; 256] = {
 };
 
 /// Converts `rgb` (256 x 256 pixels, row 0 at the bottom) to red, green and blue planes of
-/// 128 x 128 numbers, row 0 at the top. Each is the rounded mean of four bytes.
+/// 128 x 128 numbers, row 0 at the top. Each number is the rounded mean of four bytes.
 pub(crate) fn planes(rgb: &[u8], planes: &mut Vec<f32>) {
     const WIDTH: usize = PICTURE_SIDE * 3;
     planes.resize(3 * SIDE * SIDE, 0.0);
@@ -52,7 +52,7 @@ mod tests {
     use crate::query::PICTURE_BYTES;
 
     #[test]
-    fn the_top_row_comes_first_and_four_bytes_make_one() {
+    fn planes_start_with_the_top_row_and_average_four_bytes() {
         let mut rgb = vec![0; PICTURE_BYTES];
         // The picture's upper right corner: the last row on the wire, its last
         // two pixels; and the row below.

@@ -67,7 +67,7 @@ mod tests {
         scores[5 * SIDE * SIDE + 2 * SIDE + 15] = 80.0;
         let mut found = vec![0.0; 3 * POINTS];
         locate::<SIDE>(&scores, &mut found);
-        let at = |channel: usize| [0, 1, 2].map(|what| found[what * POINTS + channel]);
+        let at = |channel: usize| [0, 1, 2].map(|figure| found[figure * POINTS + channel]);
         let [column, row, peak] = at(5);
         assert!((column - 1.0).abs() < 1e-6, "{column}");
         assert!((row - (-1.0 + 4.0 / 15.0)).abs() < 1e-6, "{row}");

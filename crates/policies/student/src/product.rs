@@ -245,13 +245,17 @@ mod tests {
             products.add(a, b, &mut MatrixMut::new(&mut c, rows, columns));
             bits(&c)
         };
-        let wanted: Vec<f32> = (0..rows * columns)
+        let expected: Vec<f32> = (0..rows * columns)
             .map(|at| by_definition(a, b, start[at], at / columns, at % columns))
             .collect();
         let size = [rows, depth, columns];
-        assert_eq!(compute(Products::Plain), bits(&wanted), "plainly, {size:?}");
+        assert_eq!(
+            compute(Products::Plain),
+            bits(&expected),
+            "plainly, {size:?}"
+        );
         let found = compute(Products::of_this_machine());
-        assert_eq!(found, bits(&wanted), "on this machine, {size:?}");
+        assert_eq!(found, bits(&expected), "on this machine, {size:?}");
     }
 
     #[test]
@@ -289,7 +293,7 @@ mod tests {
     }
 
     #[test]
-    fn a_part_of_a_matrix_is_added_to_and_the_rest_is_left_alone() {
+    fn adding_to_a_part_of_a_matrix_leaves_the_rest_unchanged() {
         let (left, right) = (numbers(1, 20 * 30), numbers(2, 30 * 9));
         let (a, b) = (Matrix::new(&left, 20, 30), Matrix::new(&right, 30, 9));
         let mut whole = vec![0.0; 20 * 9];

@@ -49,10 +49,10 @@ mod tests {
     #[test]
     fn words_are_runs_of_ascii_letters_and_digits() {
         let found: Vec<_> = words("Put the chef's Moka-Pot\ton 2 PLATES, é\u{212a}!").collect();
-        let wanted = [
+        let expected = [
             "put", "the", "chef", "s", "moka", "pot", "on", "2", "plates",
         ];
-        assert_eq!(found, wanted);
+        assert_eq!(found, expected);
         assert_eq!(words(" -- ").count(), 0);
     }
 

@@ -19,7 +19,7 @@ pub(crate) struct Tensors<'a> {
     name: String,
     is_fine: bool,
     /// Names of the tensors not taken so far.
-    left: BTreeSet<String>,
+    remaining: BTreeSet<String>,
     parameters: usize,
 }
 
@@ -44,7 +44,7 @@ impl<'a> Tensors<'a> {
         let name = entry("name").filter(|name| !name.is_empty());
         Ok(Self {
             name: name.ok_or(WeightsError::Name)?,
-            left: file.names().into_iter().map(str::to_owned).collect(),
+            remaining: file.names().into_iter().map(str::to_owned).collect(),
             file,
             is_fine,
             parameters: 0,
@@ -88,7 +88,7 @@ impl<'a> Tensors<'a> {
 
     /// Checks that all tensors were taken.
     pub(crate) fn finish(self) -> Result<(), WeightsError> {
-        match self.left.into_iter().next() {
+        match self.remaining.into_iter().next() {
             Some(tensor) => Err(WeightsError::Unknown { tensor }),
             None => Ok(()),
         }
@@ -121,7 +121,7 @@ impl<'a> Tensors<'a> {
                 expected: kind,
             });
         }
-        self.left.remove(tensor);
+        self.remaining.remove(tensor);
         Ok(view.data())
     }
 }

@@ -71,7 +71,7 @@ fn every_input_changes_the_answer() {
 }
 
 #[test]
-fn no_query_is_no_answer() {
+fn an_empty_batch_gets_no_answers() {
     assert_eq!(network().act(&[]), Ok(Vec::new()));
 }
 
@@ -94,7 +94,7 @@ fn pictures_of_other_sizes_are_refused() {
     assert_eq!(
         refusal.to_string(),
         "query 1: the picture of wrist has 49152 bytes; expected are 196608, 256 × 256 pixels of \
-         3 bytes: ask the camera for that size"
+         3 bytes: request frames of that size"
     );
     let none = Query {
         agentview: &[],

@@ -64,11 +64,11 @@ fn a_batch_changes_no_bit() {
     let (network, owned_queries) = (network(), owned_queries());
     let queries: Vec<_> = owned_queries.iter().map(OwnedQuery::query).collect();
     let together = network.outputs(&queries).expect("answers");
-    let mut apart = Vec::new();
+    let mut separate = Vec::new();
     for query in &queries {
-        apart.extend(network.outputs(&[*query]).expect("an answer"));
+        separate.extend(network.outputs(&[*query]).expect("an answer"));
     }
-    assert_eq!(digest(&together), digest(&apart));
+    assert_eq!(digest(&together), digest(&separate));
     // More queries than the kernels' tiles have rows (16), in another order.
     let many: Vec<_> = (0..37).map(|index| queries[index * 3 % 5]).collect();
     for (index, output) in network.outputs(&many).expect("answers").iter().enumerate() {
@@ -86,16 +86,16 @@ fn threads_share_a_network() {
             .expect("an answer"),
     );
     std::thread::scope(|scope| {
-        let ask = || {
+        let query = || {
             digest(
                 &network
                     .outputs(&[owned_queries[0].query()])
                     .expect("an answer"),
             )
         };
-        let threads = [scope.spawn(ask), scope.spawn(ask)];
+        let threads = [scope.spawn(query), scope.spawn(query)];
         for thread in threads {
-            assert_eq!(thread.join().expect("an end"), expected);
+            assert_eq!(thread.join().expect("a digest"), expected);
         }
     });
 }

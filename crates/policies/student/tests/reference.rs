@@ -10,7 +10,7 @@ use student::{Network, PICTURE_BYTES, PICTURE_SIDE, Query};
 const TOLERANCE: f32 = 1e-4;
 
 #[test]
-fn answers_are_pytorchs() {
+fn answers_equal_those_of_pytorch() {
     let folder = Path::new(env!("CARGO_MANIFEST_DIR"));
     let references = fs::read_dir(folder.join("tests/reference")).expect("references");
     let mut count = 0;
@@ -60,16 +60,19 @@ fn check(folder: &Path, path: &Path) {
         // The exported arm components are clamped, as in actions.
         let arm = output.arm.as_flattened().iter();
         let arm = arm.map(|value| value.clamp(-1.0, 1.0));
-        close(arm, &arms[index], &format!("query {index}, arm"));
+        assert_close(arm, &arms[index], &format!("query {index}, arm"));
         let found = output.gripper_logits.into_iter();
-        close(found, &logits[index], &format!("query {index}, gripper"));
+        assert_close(found, &logits[index], &format!("query {index}, gripper"));
     }
 }
 
-fn close(found: impl Iterator<Item = f32>, wanted: &[f32], what: &str) {
-    for (place, (found, wanted)) in found.zip(wanted).enumerate() {
-        let off = (found - wanted).abs() / wanted.abs().max(1.0);
-        assert!(off <= TOLERANCE, "{what} {place}: {found}, not {wanted}");
+fn assert_close(found: impl Iterator<Item = f32>, expected: &[f32], label: &str) {
+    for (place, (found, expected)) in found.zip(expected).enumerate() {
+        let deviation = (found - expected).abs() / expected.abs().max(1.0);
+        assert!(
+            deviation <= TOLERANCE,
+            "{label} {place}: {found}, not {expected}"
+        );
     }
 }
 

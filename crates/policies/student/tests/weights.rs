@@ -31,7 +31,7 @@ fn weights_have_a_name_and_a_digest() {
 }
 
 #[test]
-fn a_tensor_that_is_missing_is_named() {
+fn a_missing_tensor_is_named() {
     for tensor in Weights::random(3).tensors.keys() {
         let refusal = error_after(|weights| {
             weights.tensors.remove(tensor);
@@ -85,7 +85,7 @@ fn a_tensor_of_another_type_is_named() {
 }
 
 #[test]
-fn numbers_that_cannot_be_computed_with_are_named() {
+fn numbers_that_are_not_finite_or_not_positive_are_named() {
     let refusal = error_after(|weights| {
         let tensor = weights.tensors.get_mut("text2.bias").expect("a tensor");
         tensor.bytes[10..12].copy_from_slice(&half::f16::NAN.to_le_bytes());
@@ -111,12 +111,12 @@ fn numbers_that_cannot_be_computed_with_are_named() {
 }
 
 #[test]
-fn a_tensor_too_many_is_named() {
+fn an_unknown_tensor_is_named() {
     let refusal = error_after(|weights| {
         let tensor = weights.tensors["gripper.bias"].clone();
         weights.tensors.insert("value.bias".to_owned(), tensor);
     });
-    let expected = "the weights file has a tensor value.bias, which this network does not: give \
+    let expected = "the weights file has a tensor value.bias, which this network lacks: give \
                   weights of this network";
     assert_eq!(refusal.to_string(), expected);
 }
@@ -144,7 +144,7 @@ fn another_format_is_named() {
 }
 
 #[test]
-fn a_file_that_is_cut_or_of_another_kind_is_refused() {
+fn a_truncated_file_and_a_file_of_another_format_are_refused() {
     let bytes = Weights::random(3).bytes();
     for length in [0, 7, 8, 100, bytes.len() / 2, bytes.len() - 1] {
         let refusal = Network::from_safetensors(&bytes[..length]).expect_err("a refusal");
@@ -154,8 +154,8 @@ fn a_file_that_is_cut_or_of_another_kind_is_refused() {
     let refusal = Network::from_safetensors(&text).expect_err("a refusal");
     assert_eq!(
         refusal.to_string(),
-        "the weights file, 144 bytes, is no safetensors file or is not whole: export it or copy \
-         it again"
+        "the weights file, 144 bytes, is not a complete safetensors file: export it or copy it \
+         again"
     );
 }
 

@@ -29,8 +29,8 @@ impl BuiltinPolicy for expert::Expert {
         observation: &Observation,
     ) -> Result<Vec<Action>, String> {
         let state = observation.privileged.as_ref();
-        let state = state
-            .ok_or("the observation carries no privileged state, which the expert asks for")?;
+        let state =
+            state.ok_or("the observation lacks the privileged state that the expert requests")?;
         let acted = self.act(&read(state)?);
         acted
             .map(|action| vec![action])
@@ -69,7 +69,9 @@ fn entity(entity: &wire::Entity) -> Result<Entity, String> {
             Kind::Object => EntityKind::Object,
             Kind::Fixture => EntityKind::Fixture,
             Kind::Site => EntityKind::Site,
-            Kind::Unspecified => return Err(format!("'{}' is of no kind", entity.name)),
+            Kind::Unspecified => {
+                return Err(format!("the kind of '{}' is not specified", entity.name));
+            }
         },
         category: entity.category.clone(),
         pos: numbers(&entity.pos, &entity.name, "pos")?,

@@ -43,7 +43,7 @@ impl Weights {
     }
 
     /// Returns the name of the asset pack used in training, as in provenance.
-    fn taught_on(self) -> &'static str {
+    fn training_pack(self) -> &'static str {
         match self {
             Self::Libero | Self::LiberoRandomised => "libero",
             Self::Boxes => "primitives",
@@ -110,12 +110,12 @@ pub(crate) fn read(path: &Path) -> Result<Policy, WeightsFileError> {
 /// Returns the policy with built-in weights.
 pub(crate) fn shipped_policy(weights: Weights, checkpoint: String) -> Policy {
     let mut policy = policy(Arc::clone(weights.network()), checkpoint);
-    // The weights of `student-boxes` carry other names in their files, whose digests are published
-    // and must not change.
+    // The weights files of `student-boxes` hold other names. Their digests are published, so the
+    // files must not change.
     policy.described.name = weights.name().to_owned();
     policy.described.settings = vec![Setting {
         name: TAUGHT_ON.to_owned(),
-        value: weights.taught_on().to_owned(),
+        value: weights.training_pack().to_owned(),
     }];
     policy
 }
@@ -198,7 +198,7 @@ fn reading<const N: usize>(observation: &Observation, at: usize) -> Result<[f64;
     let values = found.and_then(|reading| reading.values.as_slice().try_into().ok());
     values.ok_or_else(|| {
         format!(
-            "reading {at} of the observation is not {} with {N} numbers, which the student asks for",
+            "reading {at} of the observation is not the requested {} with {N} numbers",
             STATE[at].as_str_name()
         )
     })
@@ -252,11 +252,11 @@ mod tests {
         let (described, mut plate) = session("put the bowl on the plate");
         let (_, mut stove) = session("turn on the stove");
         let seen = observation(&described);
-        let actions = plate.infer(0, &seen).expect("a chunk");
+        let actions = plate.infer(0, &seen).expect("actions");
         assert_eq!(actions.len(), described.horizon as usize);
         assert!(actions.iter().flatten().all(|v| (-1.0..=1.0).contains(v)));
-        assert_eq!(actions, plate.infer(5, &seen).expect("the same"));
-        assert_ne!(actions, stove.infer(0, &seen).expect("another"));
+        assert_eq!(actions, plate.infer(5, &seen).expect("actions"));
+        assert_ne!(actions, stove.infer(0, &seen).expect("actions"));
         assert_eq!(described.checkpoint_digest.len(), 64);
         assert!(described.parameters < 2_000_000 && !described.privileged);
     }

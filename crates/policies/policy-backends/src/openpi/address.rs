@@ -5,7 +5,7 @@ use std::{fmt, str::FromStr};
 use thiserror::Error;
 use tonic::codegen::http::Uri;
 
-use crate::websocket::{Place, Schemes};
+use crate::websocket::{HostPort, Schemes};
 
 const SCHEMES: Schemes = Schemes {
     clear: "ws",
@@ -22,7 +22,7 @@ pub const MAX_EXECUTE: u32 = 100;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct OpenpiAddress {
     /// Host, port and encryption.
-    pub place: Place,
+    pub host_port: HostPort,
     /// Actions executed per chunk.
     pub execute: u32,
 }
@@ -31,18 +31,18 @@ impl FromStr for OpenpiAddress {
     type Err = OpenpiAddressError;
 
     fn from_str(text: &str) -> Result<Self, OpenpiAddressError> {
-        let read = || {
+        let parse = || {
             let uri: Uri = text.parse().ok()?;
-            let place = Place::read(&uri, SCHEMES)?;
+            let host_port = HostPort::read(&uri, SCHEMES)?;
             let execute = match uri.query() {
                 None => DEFAULT_EXECUTE,
                 Some(query) => query.strip_prefix("execute=")?.parse().ok()?,
             };
             (1..=MAX_EXECUTE)
                 .contains(&execute)
-                .then_some(Self { place, execute })
+                .then_some(Self { host_port, execute })
         };
-        read().ok_or_else(|| OpenpiAddressError {
+        parse().ok_or_else(|| OpenpiAddressError {
             text: text.to_owned(),
         })
     }
@@ -50,7 +50,7 @@ impl FromStr for OpenpiAddress {
 
 impl fmt::Display for OpenpiAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.place.text(SCHEMES))?;
+        f.write_str(&self.host_port.text(SCHEMES))?;
         match self.execute {
             DEFAULT_EXECUTE => Ok(()),
             execute => write!(f, "?execute={execute}"),

@@ -7,7 +7,7 @@ use crate::numpy::{self, Array, ArrayError, Keys, array, lookup, map};
 
 /// Observation as openpi's LIBERO client sends it.
 #[derive(Clone, Copy, Debug)]
-pub struct Shown<'a> {
+pub struct ClientObservation<'a> {
     /// Height and width of both frames, pixels.
     pub side: usize,
     /// Scene camera's frame, RGB, row by row, row 0 at the top.
@@ -30,28 +30,28 @@ pub struct Chunk {
 }
 
 /// Encodes an observation.
-pub fn observation(shown: &Shown<'_>) -> Vec<u8> {
+pub fn observation(input: &ClientObservation<'_>) -> Vec<u8> {
     let frame = |rgb: &[u8]| {
         array(
             Keys::Bytes,
             "|u1",
-            &[shown.side, shown.side, 3],
+            &[input.side, input.side, 3],
             rgb.to_vec(),
         )
     };
-    let state = shown
+    let state = input
         .state
         .iter()
         .flat_map(|number| number.to_le_bytes())
         .collect();
-    numpy::written(&map([
-        ("observation/image", frame(shown.image)),
-        ("observation/wrist_image", frame(shown.wrist_image)),
+    numpy::encode(&map([
+        ("observation/image", frame(input.image)),
+        ("observation/wrist_image", frame(input.wrist_image)),
         (
             "observation/state",
-            array(Keys::Bytes, "<f8", &[shown.state.len()], state),
+            array(Keys::Bytes, "<f8", &[input.state.len()], state),
         ),
-        ("prompt", shown.prompt.into()),
+        ("prompt", input.prompt.into()),
     ]))
 }
 
@@ -113,20 +113,20 @@ mod tests {
     }
 
     #[test]
-    fn an_observation_is_written_byte_by_byte_as_openpi_client_writes_it() {
+    fn an_observation_is_encoded_byte_for_byte_as_by_openpi_client() {
         let image: Vec<u8> = (0..12).collect();
-        let written = observation(&Shown {
+        let encoded = observation(&ClientObservation {
             side: 2,
             image: &image,
             wrist_image: &turned(&image),
             state: &[0.5, -1.0, 0.0, 0.0, 0.0, 0.0, 0.04, -0.04],
             prompt: "pick up",
         });
-        assert_eq!(written, bytes(OBSERVATION));
+        assert_eq!(encoded, bytes(OBSERVATION));
     }
 
     #[test]
-    fn actions_are_read_in_either_precision_and_the_rest_is_left_alone() {
+    fn actions_are_decoded_in_either_precision_and_other_entries_are_ignored() {
         let action = [0.0, 0.5, -1.0, 0.25, 0.0, 0.0, 1.0];
         let chunk = answer(&bytes(ANSWER)).expect("actions");
         assert_eq!(chunk.shape, [2, 7]);
@@ -136,12 +136,12 @@ mod tests {
     }
 
     #[test]
-    fn an_answer_without_actions_is_named() {
-        let actions = |array: Value| numpy::written(&map([("actions", array)]));
+    fn an_answer_without_valid_actions_is_an_error_that_names_the_fault() {
+        let actions = |array: Value| numpy::encode(&map([("actions", array)]));
         let array = |dtype, shape: &[usize], data| array(Keys::Bytes, dtype, shape, data);
         let cases = [
             (vec![0xdf], AnswerError::NoMessage),
-            (numpy::written(&map([])), AnswerError::NoActions),
+            (numpy::encode(&map([])), AnswerError::NoActions),
             (actions(Value::from(3)), ArrayError::None.into()),
             // The shape declares more values than were sent.
             (

@@ -26,9 +26,9 @@ pub fn resize(rgb: &[u8], from: [usize; 2], to: [usize; 2]) -> Vec<u8> {
     if from == to {
         return rgb.to_vec();
     }
-    let across = windows(from[0], to[0]);
+    let columns = windows(from[0], to[0]);
     let rows = rgb.chunks_exact(3 * from[0]);
-    let narrow: Vec<u8> = rows.flat_map(|row| mix(&across, row, 3)).collect();
+    let narrow: Vec<u8> = rows.flat_map(|row| mix(&columns, row, 3)).collect();
     mix(&windows(from[1], to[1]), &narrow, 3 * to[0]).collect()
 }
 
@@ -91,7 +91,7 @@ mod tests {
     }
 
     #[test]
-    fn a_frame_is_what_openpis_client_makes_of_it_to_the_last_bit() {
+    fn a_prepared_frame_equals_that_of_openpis_client_bit_for_bit() {
         let prepared = prepare(&turned(&pattern(256)), 256);
         let at = |x: usize, y: usize| &prepared[3 * (y * SIDE + x)..][..3];
         assert_eq!(at(0, 0), [45, 88, 138]);
@@ -114,14 +114,14 @@ mod tests {
     }
 
     #[test]
-    fn the_last_pixel_comes_first() {
+    fn a_turned_frame_has_its_first_pixel_last() {
         let mut frame = vec![0; 3 * SIDE * SIDE];
         frame[0] = 9;
         assert_eq!(turned(&frame)[3 * SIDE * SIDE - 3..], [9, 0, 0]);
     }
 
     #[test]
-    fn a_frame_of_the_right_size_is_left_alone() {
+    fn a_frame_of_the_right_size_is_unchanged() {
         assert_eq!(
             prepare(&[7; 3 * SIDE * SIDE], SIDE),
             vec![7; 3 * SIDE * SIDE]

@@ -6,7 +6,7 @@ use thiserror::Error;
 use tonic::codegen::http::Uri;
 
 use super::image::ImageFormat;
-use crate::websocket::{Place, Schemes};
+use crate::websocket::{HostPort, Schemes};
 
 const SCHEMES: Schemes = Schemes {
     clear: "vla-eval",
@@ -23,7 +23,7 @@ pub const MAX_EXECUTE: u32 = 100;
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct VlaEvalAddress {
     /// Host, port and encryption.
-    pub place: Place,
+    pub host_port: HostPort,
     /// `execute=N`: actions executed per answer.
     pub execute: u32,
     /// `image_format=png|raw|jpeg`: encoding of frames.
@@ -40,7 +40,7 @@ pub struct Parameters {
     pub send_wrist_image: Option<bool>,
     /// Sends the robot's state.
     pub send_state: Option<bool>,
-    /// Keeps the sign of the hand's quaternion.
+    /// Keeps the sign of the hand's quaternion, even if w is negative.
     pub quat_no_antipodal: Option<bool>,
 }
 
@@ -65,10 +65,10 @@ impl FromStr for VlaEvalAddress {
     type Err = VlaEvalAddressError;
 
     fn from_str(text: &str) -> Result<Self, VlaEvalAddressError> {
-        let read = || {
+        let parse = || {
             let uri: Uri = text.parse().ok()?;
             let mut address = Self {
-                place: Place::read(&uri, SCHEMES)?,
+                host_port: HostPort::read(&uri, SCHEMES)?,
                 execute: DEFAULT_EXECUTE,
                 image_format: ImageFormat::default(),
                 parameters: Parameters::default(),
@@ -79,7 +79,7 @@ impl FromStr for VlaEvalAddress {
             }
             Some(address)
         };
-        read().ok_or_else(|| VlaEvalAddressError {
+        parse().ok_or_else(|| VlaEvalAddressError {
             text: text.to_owned(),
         })
     }
@@ -87,13 +87,13 @@ impl FromStr for VlaEvalAddress {
 
 impl fmt::Display for VlaEvalAddress {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.write_str(&self.place.text(SCHEMES))?;
+        f.write_str(&self.host_port.text(SCHEMES))?;
         let Parameters {
             send_wrist_image,
             send_state,
             quat_no_antipodal,
         } = self.parameters;
-        let text = |it: bool| it.to_string();
+        let text = |flag: bool| flag.to_string();
         let execute = (self.execute != DEFAULT_EXECUTE).then(|| self.execute.to_string());
         let format =
             (self.image_format != ImageFormat::default()).then(|| self.image_format.to_string());
@@ -119,7 +119,7 @@ impl fmt::Display for VlaEvalAddress {
 #[derive(Debug, Error)]
 #[error(
     "read {text:?} as a vla-eval model server's address: write vla-eval://HOST:PORT (vla-evals:// \
-     over TLS), and behind it, if need be, ?NAME=VALUE&NAME=VALUE with execute=1 to {MAX_EXECUTE}, \
+     over TLS), optionally followed by ?NAME=VALUE&NAME=VALUE with execute=1 to {MAX_EXECUTE}, \
      image_format=png, raw or jpeg, and send_wrist_image, send_state or quat_no_antipodal=true or \
      false"
 )]
@@ -133,7 +133,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn an_address_is_read_as_it_is_written() {
+    fn an_address_is_parsed_and_displayed_unchanged() {
         let right = [
             "vla-eval://gpu7:8000",
             "vla-evals://[::1]:8000?execute=10",

@@ -1,5 +1,6 @@
-//! Interprets a vla-eval server's HELLO: which observations the server needs, and whether it can
-//! be run at all, by the rules of vla-eval's orchestrator and LIBERO benchmark. Pure functions.
+//! Interprets a vla-eval server's HELLO by the rules of vla-eval's orchestrator and LIBERO
+//! benchmark: derives the observations that the server needs, and refuses a server that cannot be
+//! run. Pure functions.
 
 use proto::policy::{DescribeResponse, Language, Setting, StateField};
 use rmpv::{Value, ValueRef};
@@ -7,7 +8,7 @@ use sha2::{Digest, Sha256};
 
 use super::{address::VlaEvalAddress, message::VERSION};
 use crate::{
-    numpy::{as_text, lookup, written},
+    numpy::{as_text, encode, lookup},
     shown::camera,
 };
 
@@ -51,29 +52,30 @@ pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Te
     if version != Some(&VERSION.into()) {
         let version = version.map_or_else(
             || "an unnamed version".to_owned(),
-            |it| format!("version {it}"),
+            |version| format!("version {version}"),
         );
         return Err(format!(
-            "it speaks {version} of vla-eval's protocol, and this gateway version {VERSION}; \
+            "it uses {version} of vla-eval's protocol, and this gateway uses version {VERSION}; \
              upgrade the older side"
         ));
     }
     check_actions(hello)?;
     let none = ValueRef::Map(vec![]);
-    let asked = lookup(hello, "observation_params").unwrap_or(&none);
+    let requested = lookup(hello, "observation_params").unwrap_or(&none);
     let given = address.parameters;
-    if flag(asked, "absolute_action", None)? {
+    if flag(requested, "absolute_action", None)? {
         return Err(
-            "it asks for absolute_action, so its actions are poses, and LIBERO-CTRL's are \
-             motions, which is what the actuation axis perturbs; serve a checkpoint of relative \
-             actions"
+            "it requests absolute_action, so its actions are poses, but LIBERO-CTRL's actions are \
+             motions, which the actuation axis perturbs; serve a checkpoint of relative actions"
                 .to_owned(),
         );
     }
-    let wrist = flag(asked, "send_wrist_image", given.send_wrist_image)?;
-    let state = flag(asked, "send_state", given.send_state)?;
-    let flips = !flag(asked, "quat_no_antipodal", given.quat_no_antipodal)?;
-    let suite = lookup(asked, "suite").and_then(as_text).map(str::to_owned);
+    let wrist = flag(requested, "send_wrist_image", given.send_wrist_image)?;
+    let state = flag(requested, "send_state", given.send_state)?;
+    let flips = !flag(requested, "quat_no_antipodal", given.quat_no_antipodal)?;
+    let suite = lookup(requested, "suite")
+        .and_then(as_text)
+        .map(str::to_owned);
     let text = |key| lookup(hello, key).and_then(as_text).unwrap_or_default();
     let cameras = &CAMERAS[..if wrist { 2 } else { 1 }];
     let slots: Vec<_> = cameras
@@ -91,7 +93,7 @@ pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Te
     };
     let campaign = CAMPAIGN_PARAMETERS.into_iter();
     let campaign: Vec<_> = campaign
-        .filter(|name| lookup(asked, name).is_some())
+        .filter(|name| lookup(requested, name).is_some())
         .collect();
     let recorded = |key| lookup(hello, key).map_or_else(|| "none".to_owned(), declaration);
     let settings = [
@@ -183,13 +185,13 @@ fn check_actions(hello: &ValueRef<'_>) -> Result<(), String> {
 }
 
 /// Returns a flag: the address's value, else the server's request, else false.
-fn flag(asked: &ValueRef<'_>, name: &str, given: Option<bool>) -> Result<bool, String> {
-    match (given, lookup(asked, name)) {
+fn flag(requested: &ValueRef<'_>, name: &str, given: Option<bool>) -> Result<bool, String> {
+    match (given, lookup(requested, name)) {
         (Some(given), _) => Ok(given),
         (None, None | Some(ValueRef::Nil)) => Ok(false),
-        (None, Some(ValueRef::Boolean(asked))) => Ok(*asked),
+        (None, Some(ValueRef::Boolean(requested))) => Ok(*requested),
         (None, Some(other)) => Err(format!(
-            "it asks for {name} = {other}, which is neither true nor false; mend the server's \
+            "it requests {name} = {other}, which is neither true nor false; correct the server's \
              observation parameters"
         )),
     }
@@ -227,7 +229,7 @@ fn or_none(text: &str) -> String {
 
 fn digest(hello: &ValueRef<'_>) -> String {
     let hello: Value = hello.to_owned();
-    let digest = Sha256::digest(written(&hello));
+    let digest = Sha256::digest(encode(&hello));
     digest[..8]
         .iter()
         .map(|byte| format!("{byte:02x}"))
@@ -251,15 +253,15 @@ mod tests {
     fn a_long_declaration_is_truncated_to_the_recorded_length() {
         let long = "é".repeat(10 * RECORDED_BYTES);
         let parameters = Value::Map(vec![(long.as_str().into(), true.into())]);
-        let described = terms_for(parameters).expect("nothing to refuse").described;
+        let described = terms_for(parameters).expect("valid terms").described;
         let lengths = described.settings.iter().map(|setting| setting.value.len());
         assert_eq!(lengths.max(), Some(RECORDED_BYTES));
     }
 
     #[test]
     fn null_parameters_count_as_absent() {
-        for nothing in [Value::Nil, Value::Map(vec![]), "".into()] {
-            let terms = terms_for(nothing).expect("nothing to refuse");
+        for absent in [Value::Nil, Value::Map(vec![]), "".into()] {
+            let terms = terms_for(absent).expect("valid terms");
             assert!(!terms.wrist && !terms.state && terms.flips);
         }
     }

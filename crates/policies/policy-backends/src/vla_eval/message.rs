@@ -15,7 +15,7 @@ const HARNESS_VERSION: &str = "0.8.0";
 /// Name of the LIBERO benchmark in vla-eval's configurations.
 const BENCHMARK: &str = "vla_eval.benchmarks.libero.benchmark:LIBEROBenchmark";
 /// Longest quoted part of a server's error, characters.
-const TOLD_CHARS: usize = 600;
+const QUOTED_CHARS: usize = 600;
 
 /// Type of a client's message.
 #[derive(Clone, Copy, Debug)]
@@ -35,7 +35,7 @@ pub(super) fn message(kind: Kind, payload: Value, number: u64, time: f64) -> Vec
         Kind::Observation => "observation",
         Kind::EpisodeEnd => "episode_end",
     };
-    numpy::written(&map([
+    numpy::encode(&map([
         ("type", kind.into()),
         ("payload", payload),
         ("seq", number.into()),
@@ -64,7 +64,7 @@ pub(super) fn task(suite: &str, instruction: &str) -> Value {
 struct Reply<'a, 'b> {
     kind: &'b str,
     payload: &'b ValueRef<'a>,
-    /// Sequence number of the message that it answers.
+    /// Sequence number of the client's message that this one answers.
     number: u64,
 }
 
@@ -119,7 +119,7 @@ fn error_text(payload: &ValueRef<'_>) -> String {
         Some(text) => text.trim().to_owned(),
         None => payload.to_string(),
     };
-    let skipped = text.chars().count().saturating_sub(TOLD_CHARS);
+    let skipped = text.chars().count().saturating_sub(QUOTED_CHARS);
     text.chars().skip(skipped).collect()
 }
 
@@ -127,7 +127,7 @@ fn actions(payload: &ValueRef<'_>, execute: u32) -> Result<InferResponse, Answer
     let actions = lookup(payload, "actions").or_else(|| lookup(payload, "action"));
     let actions = actions.ok_or(AnswerError::None)?;
     let Array { shape, numbers } = match actions {
-        ValueRef::Array(items) => listed(items).ok_or(ArrayError::None)?,
+        ValueRef::Array(items) => number_list(items).ok_or(ArrayError::None)?,
         other => numpy::numbers(other)?,
     };
     let (count, width) = match *shape {
@@ -150,13 +150,13 @@ fn actions(payload: &ValueRef<'_>, execute: u32) -> Result<InferResponse, Answer
     }
     Ok(InferResponse {
         actions,
-        // An invalid width is refused later, by the checks of all answers.
+        // The gateway's checks refuse an invalid width.
         action_width: u32::try_from(width).unwrap_or(u32::MAX),
     })
 }
 
 /// Decodes a list of numbers in place of an array.
-fn listed(items: &[ValueRef<'_>]) -> Option<Array> {
+fn number_list(items: &[ValueRef<'_>]) -> Option<Array> {
     let number = |item: &ValueRef<'_>| match item {
         ValueRef::F32(number) => Some(*number),
         ValueRef::F64(number) => Some(*number as f32),
@@ -183,7 +183,7 @@ pub enum AnswerError {
     },
     /// The answer belongs to another observation.
     #[error(
-        "it answered message {number} where message {asked} was asked: serve it without \
+        "it answered message {number} instead of message {asked}: serve it without \
          continuous_inference"
     )]
     OutOfStep {
@@ -219,8 +219,8 @@ pub enum AnswerError {
     /// The answer is a chunk, and one action is executed per answer.
     #[error(
         "it answered a chunk of {count} actions, and one is executed per query: write \
-         ?execute={count} (or less) behind its address, or give the server a chunk_size, so that \
-         it hands them out itself"
+         ?execute={count} (or less) after its address, or give the server a chunk_size, so that \
+         it answers single actions of the chunk"
     )]
     Chunk {
         /// Number of actions in the answer.
@@ -228,7 +228,7 @@ pub enum AnswerError {
     },
     /// The answer is one action, and several are executed per answer.
     #[error(
-        "it answered one action, and {execute} are executed per query: leave out ?execute behind \
+        "it answered one action, and {execute} are executed per query: leave out ?execute after \
          its address"
     )]
     Single {
@@ -238,7 +238,7 @@ pub enum AnswerError {
     /// The chunk has too few actions.
     #[error(
         "it answered {count} actions, and {execute} are executed per query: write \
-         ?execute={count} behind its address, or serve longer chunks"
+         ?execute={count} after its address, or serve longer chunks"
     )]
     Short {
         /// Number of actions in the answer.
@@ -289,11 +289,11 @@ mod tests {
     }
 
     #[test]
-    fn messages_are_written_byte_by_byte_as_vla_eval_writes_them() {
+    fn messages_are_encoded_byte_for_byte_as_by_vla_eval() {
         let frame: Vec<u8> = (0..12).collect();
-        let frame = image::encode(ImageFormat::Raw, 2, &frame).expect("nothing to fail");
+        let frame = image::encode(ImageFormat::Raw, 2, &frame).expect("encoded");
         let numbers = [0.5, -1.0, 0.0, 0.0, 0.0, 0.0, 0.04, -0.04];
-        let states = numbers.iter().flat_map(|it: &f64| it.to_le_bytes());
+        let states = numbers.iter().flat_map(|number: &f64| number.to_le_bytes());
         let of_controller = numbers
             .iter()
             .flat_map(|number| (*number as f32).to_le_bytes());
@@ -342,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn an_error_says_what_the_server_says_and_when() {
+    fn an_error_holds_the_servers_text_and_its_time_in_the_episode() {
         let text = || "observation_failed: ValueError: no".to_owned();
         assert_eq!(answered(ERROR, 1), Err(AnswerError::Policy(text())));
         let earlier = answer(&bytes(ERROR), 4, 1);

@@ -26,10 +26,10 @@ pub(super) fn states(
 }
 
 /// Returns `controller_states`: the same quantities for the site that robosuite's controller
-/// moves, in single precision. That site has the same position as that of `states`, and is rotated
-/// against the hand by −90° about its z axis. vla-eval reads them at the end of a control step.
-/// Here they are those of the instant of observation, up to 50 ms earlier, because LIBERO's
-/// readings and frames lag.
+/// moves, in single precision. The site has the position of `states`, and is rotated against the
+/// hand by −90° about its z axis. vla-eval reads these values at the end of a control step. Here
+/// they are of the instant of observation, up to 50 ms earlier, because LIBERO's readings and
+/// frames lag.
 ///
 /// `hand` is the hand's rotation matrix in row-major order.
 pub(super) fn controller_states(position: [f64; 3], hand: [f64; 9], fingers: [f64; 2]) -> [f32; 8] {
@@ -116,7 +116,7 @@ mod tests {
 
     #[test]
     fn rotations_are_those_of_vla_evals_own_functions() {
-        // Quaternion; its axis-angle, flipped and not; that of the controller's site.
+        // Quaternion; its axis-angle, flipped and unflipped; axis-angle of the controller's site.
         let cases = [
             (
                 [0.6, 0.0, 0.0, -0.8],
@@ -150,8 +150,8 @@ mod tests {
             ),
         ];
         let (position, fingers) = ([0.1, 0.2, 0.3], [0.04, -0.04]);
-        for (quaternion, flipped, as_it_is, of_controller) in cases {
-            for (flips, expected) in [(true, flipped), (false, as_it_is)] {
+        for (quaternion, flipped, unflipped, of_controller) in cases {
+            for (flips, expected) in [(true, flipped), (false, unflipped)] {
                 let [x, y, z, a, b, c, left, right] = states(position, quaternion, fingers, flips);
                 assert_eq!(([x, y, z], [left, right]), (position, fingers));
                 assert_near([a, b, c], expected);

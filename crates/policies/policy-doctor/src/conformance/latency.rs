@@ -64,15 +64,15 @@ pub async fn measure(target: &Target) -> Result<Latency, ConformanceError> {
         policy: described.name.clone(),
         checkpoint: described.checkpoint.clone(),
         real_time_chunking: described.real_time_chunking,
-        ..Latency::of(latencies)
+        ..Latency::from_latencies(latencies)
     })
 }
 
 impl Latency {
-    /// Computes the figures of at least one latency, without the names.
-    fn of(mut latencies: Vec<Duration>) -> Self {
+    /// Computes the figures from at least one latency; leaves the names empty.
+    fn from_latencies(mut latencies: Vec<Duration>) -> Self {
         latencies.sort();
-        let within = |hundredths: usize| {
+        let percentile = |hundredths: usize| {
             let place = (latencies.len() * hundredths).div_ceil(100).max(1) - 1;
             let latency = latencies.get(place).copied().unwrap_or_default();
             latency.as_secs_f64() * 1000.0
@@ -87,9 +87,9 @@ impl Latency {
             checkpoint: String::new(),
             at_once: CONCURRENCY,
             answers: latencies.len(),
-            median_ms: within(50),
-            p95_ms: within(95),
-            slowest_ms: within(100),
+            median_ms: percentile(50),
+            p95_ms: percentile(95),
+            slowest_ms: percentile(100),
             control_hz: CONTROL_HZ,
             delay_steps,
             real_time_chunking: false,
@@ -104,14 +104,14 @@ impl Latency {
         Delays::measured(self.delay_steps.clone())
     }
 
-    /// Describes the latency in a sentence, and whether the server uses real-time chunking.
+    /// Describes the latency and the use of real-time chunking in a sentence.
     pub fn in_words(&self) -> String {
         let step = |milliseconds: f64| steps(Duration::from_secs_f64(milliseconds / 1000.0));
         let steps =
             |milliseconds: f64| terminal::counted(step(milliseconds).into(), "control step");
         let rtc = match self.real_time_chunking {
-            true => "heeds",
-            false => "does not heed",
+            true => "uses",
+            false => "does not use",
         };
         format!(
             "latency with {} rollouts at once: median {:.0} ms, {} at {} Hz; 95 % within {:.0} ms, \
@@ -143,7 +143,7 @@ mod tests {
     fn latencies_are_counted_in_control_steps_rounded_up() {
         let milliseconds = [1, 50, 51, 120, 149, 150, 151, 160, 170, 420];
         let latencies = milliseconds.map(Duration::from_millis).to_vec();
-        let latency = Latency::of(latencies);
+        let latency = Latency::from_latencies(latencies);
         let counts: Vec<(u16, u64)> = latency.delay_steps.clone().into_iter().collect();
         assert_eq!(counts, [(1, 2), (2, 1), (3, 3), (4, 3), (9, 1)]);
         assert_eq!(latency.median_ms.round(), 149.0);
@@ -154,8 +154,8 @@ mod tests {
             "{words}"
         );
         let text = serde_json::to_string(&latency).expect("JSON");
-        let read = Delays::from_json(&text).expect("a campaign reads it");
+        let read = Delays::from_json(&text).expect("delays");
         assert_eq!(read.to_string(), "1*200+2*100+3*300+4*300+9*100");
-        assert_eq!(latency.delays().expect("the same"), read);
+        assert_eq!(latency.delays().expect("delays"), read);
     }
 }

@@ -60,7 +60,7 @@ pub(super) struct Probe {
     client: PolicyClient<Connection>,
     target: Target,
     described: DescribeResponse,
-    /// Number of this run, which distinguishes its sessions from those of earlier runs.
+    /// Process id, which distinguishes this run's sessions from those of other runs.
     run: u32,
 }
 
@@ -153,7 +153,7 @@ impl Probe {
             .into_inner();
         Ok(match answer.status() {
             ServingStatus::Serving => verdict::pass(""),
-            other => verdict::fail(format!("it says {}", other.as_str_name())),
+            other => verdict::fail(format!("it reports {}", other.as_str_name())),
         })
     }
 
@@ -204,7 +204,7 @@ impl Probe {
         Ok((answers, retries))
     }
 
-    /// Plays two episodes in alternation; returns the first one's answers.
+    /// Plays two episodes in alternation; returns the answers of the episode with `seed`.
     ///
     /// # Errors
     /// If the server answers with an error instead of actions.
@@ -244,7 +244,7 @@ impl Probe {
     }
 
     /// Plays concurrent episodes in batches of the policy's largest size; returns the answers of
-    /// the first one, whose seed is `seed`.
+    /// the first episode, whose seed is `seed`.
     ///
     /// # Errors
     /// If the server answers with an error instead of actions.
@@ -265,16 +265,16 @@ impl Probe {
                 .clone()
                 .infer_batch(InferBatchRequest { queries })
                 .await?;
-            let mine = batch
+            let first = batch
                 .into_inner()
                 .results
                 .into_iter()
                 .next()
-                .and_then(|first| first.result);
-            answers.push(match mine {
+                .and_then(|result| result.result);
+            answers.push(match first {
                 Some(infer_result::Result::Response(response)) => response,
                 Some(infer_result::Result::Error(text)) => return Err(Status::internal(text)),
-                None => return Err(Status::internal("a batch came back without its results")),
+                None => return Err(Status::internal("the answer to a batch lacks a result")),
             });
         }
         Ok(answers)

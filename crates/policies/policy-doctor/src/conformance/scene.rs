@@ -27,7 +27,7 @@ pub const TASKS: [(&str, &str); 4] = [
 
 /// Returns the instruction of a suite's task; for an unknown suite, that of the first suite.
 pub fn instruction(suite: &str) -> &'static str {
-    let task = TASKS.iter().find(|(known, _)| *known == suite);
+    let task = TASKS.iter().find(|(name, _)| *name == suite);
     task.unwrap_or(&TASKS[0]).1
 }
 

@@ -75,8 +75,8 @@ pub(crate) fn description(
 /// Checks the shape of every answer of an episode, in order of query index.
 pub(crate) fn shapes(answers: &[InferResponse], horizon: u32) -> Verdict {
     let faults = answers.iter().enumerate();
-    let mut faults =
-        faults.filter_map(|(at, it)| Some((at, policy_protocol::actions(it, horizon).err()?)));
+    let mut faults = faults
+        .filter_map(|(at, answer)| Some((at, policy_protocol::actions(answer, horizon).err()?)));
     match faults.next() {
         Some((at, fault)) => fail(format!("at query {at}, {fault}")),
         None => pass(""),
@@ -122,7 +122,7 @@ pub(crate) fn batch(alone: &[InferResponse], batched: &[InferResponse]) -> Verdi
     if first_difference(alone, batched).is_none() {
         return pass("bit for bit");
     }
-    let comparable = alone.len() == batched.len()
+    let is_comparable = alone.len() == batched.len()
         && alone
             .iter()
             .zip(batched)
@@ -131,7 +131,7 @@ pub(crate) fn batch(alone: &[InferResponse], batched: &[InferResponse]) -> Verdi
         .zip(numbers(batched))
         .map(|(a, b)| (a - b).abs());
     let largest = differences.fold(0.0, f32::max);
-    if comparable && largest <= BATCH_TOLERANCE {
+    if is_comparable && largest <= BATCH_TOLERANCE {
         pass(format!(
             "but they move actions by up to {largest:e}: batches cost reproducibility"
         ))
@@ -193,8 +193,8 @@ mod tests {
     use super::*;
 
     fn answers(numbers: &[f32]) -> Vec<InferResponse> {
-        let answer = |&it| InferResponse {
-            actions: vec![it; 7],
+        let answer = |&number| InferResponse {
+            actions: vec![number; 7],
             action_width: 7,
         };
         numbers.iter().map(answer).collect()
@@ -205,7 +205,7 @@ mod tests {
     }
 
     #[test]
-    fn a_difference_is_found_at_its_query_even_between_zeros() {
+    fn a_difference_is_reported_with_its_query_even_between_zeros() {
         assert_eq!(same(&answers(&[1.0, 0.0]), &answers(&[1.0, 0.0])), pass(""));
         assert!(fails(
             &same(&answers(&[1.0, 0.0]), &answers(&[1.0, -0.0])),
@@ -218,7 +218,7 @@ mod tests {
     }
 
     #[test]
-    fn a_seed_must_do_what_the_policy_declares() {
+    fn answers_must_depend_on_the_seed_as_declared() {
         let (one, other) = (answers(&[0.1]), answers(&[0.2]));
         assert_eq!(seeds(true, &one, &other), pass(""));
         assert_eq!(seeds(false, &one, &one), pass(""));
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn a_little_beyond_one_is_clipped_and_a_lot_is_another_unit() {
+    fn values_just_beyond_one_pass_and_implausible_values_fail() {
         assert_eq!(range(&answers(&[-1.0, 1.0])), pass(""));
         assert!(
             matches!(range(&answers(&[-1.02])), Verdict::Pass { note } if note.contains("1.02"))
@@ -242,7 +242,7 @@ mod tests {
     }
 
     #[test]
-    fn a_batch_may_move_low_order_bits_and_no_more() {
+    fn a_batch_may_change_only_low_order_bits() {
         let alone = answers(&[0.5]);
         assert_eq!(batch(&alone, &alone), pass("bit for bit"));
         let moved = batch(&alone, &answers(&[0.500_01]));

@@ -27,7 +27,7 @@ impl Process {
                 .and_then(|name| name.parse().ok());
             if let Some(id) = id
                 && id != std::process::id()
-                && holds(&entry.path().join("fd"), &sockets)
+                && holds_socket(&entry.path().join("fd"), &sockets)
             {
                 ids.push(id);
             }
@@ -62,8 +62,8 @@ fn port_of_this_machine(url: &str) -> Option<u16> {
     let (_, rest) = url.split_once("://")?;
     let authority = rest.split(['/', '?']).next()?;
     let (host, port) = authority.rsplit_once(':')?;
-    let here = host == "localhost" || host == "[::1]" || host.starts_with("127.");
-    port.parse().ok().filter(|_| here)
+    let is_local = host == "localhost" || host == "[::1]" || host.starts_with("127.");
+    port.parse().ok().filter(|_| is_local)
 }
 
 /// Returns the sockets that listen at a port, in the form of the links in a process's fd folder.
@@ -74,13 +74,14 @@ fn sockets(port: u16) -> Vec<String> {
     lines
         .filter_map(|line| {
             let fields: Vec<&str> = line.split_whitespace().collect();
-            let listens = fields.get(1)?.ends_with(&of_port) && *fields.get(3)? == LISTENING;
-            listens.then(|| fields.get(9).map(|inode| format!("socket:[{inode}]")))?
+            let is_listening = fields.get(1)?.ends_with(&of_port) && *fields.get(3)? == LISTENING;
+            is_listening.then(|| fields.get(9).map(|inode| format!("socket:[{inode}]")))?
         })
         .collect()
 }
 
-fn holds(folder: &Path, sockets: &[String]) -> bool {
+/// Returns true if a process's fd folder links to one of the sockets.
+fn holds_socket(folder: &Path, sockets: &[String]) -> bool {
     let Ok(entries) = fs::read_dir(folder) else {
         return false;
     };
@@ -89,7 +90,7 @@ fn holds(folder: &Path, sockets: &[String]) -> bool {
         .filter_map(|entry| fs::read_link(entry.path()).ok());
     links.any(|link| {
         link.to_str()
-            .is_some_and(|it| sockets.iter().any(|s| s == it))
+            .is_some_and(|target| sockets.iter().any(|socket| socket == target))
     })
 }
 
@@ -98,7 +99,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn only_addresses_of_this_machine_have_a_port_here() {
+    fn port_of_this_machine_is_none_for_other_machines() {
         assert_eq!(port_of_this_machine("grpc://127.0.0.1:5000/x"), Some(5000));
         assert_eq!(
             port_of_this_machine("ws://[::1]:8000?execute=5"),
@@ -110,13 +111,13 @@ mod tests {
     }
 
     #[test]
-    fn a_socket_that_listens_is_found_by_its_port() {
+    fn a_listening_socket_is_found_by_its_port() {
         let listener = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
         let port = listener.local_addr().expect("bound").port();
         let sockets = sockets(port);
         assert_eq!(sockets.len(), 1);
-        assert!(holds(Path::new("/proc/self/fd"), &sockets));
-        // This process must not be taken for the server.
+        assert!(holds_socket(Path::new("/proc/self/fd"), &sockets));
+        // This process must not be mistaken for the server.
         let url = format!("grpc://127.0.0.1:{port}");
         assert_eq!(Process::listening_at(&url), None);
     }

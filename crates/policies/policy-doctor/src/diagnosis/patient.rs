@@ -22,7 +22,7 @@ const EPISODE_QUERIES: usize = 2;
 pub(super) struct Patient<'a> {
     server: &'a Server,
     situations: &'a [Situation],
-    shown: Vec<Observation>,
+    observations: Vec<Observation>,
     /// Latency of every query, in order.
     pub(super) latencies: Vec<Duration>,
 }
@@ -31,7 +31,7 @@ pub(super) struct Patient<'a> {
 #[derive(Default)]
 pub(super) struct Answered {
     /// Number of answers.
-    pub(super) asked: usize,
+    pub(super) count: usize,
     /// Faults of the answers that are not valid chunks of actions.
     pub(super) faults: Vec<ActionFault>,
     /// Actions of all valid answers.
@@ -47,14 +47,14 @@ impl<'a> Patient<'a> {
         server: &'a Server,
         situations: &'a [Situation],
     ) -> Result<Self, ExaminationError> {
-        let shown = situations
+        let observations = situations
             .iter()
             .map(|situation| situation.observation(&server.described));
-        let shown: Result<Vec<Observation>, _> = shown.collect();
+        let observations: Result<Vec<Observation>, _> = observations.collect();
         Ok(Self {
             server,
             situations,
-            shown: shown.map_err(|missing| ExaminationError::Lacking {
+            observations: observations.map_err(|missing| ExaminationError::Lacking {
                 url: server.url.clone(),
                 missing,
             })?,
@@ -71,35 +71,35 @@ impl<'a> Patient<'a> {
         self.situations.len()
     }
 
-    /// Queries each situation in an episode of its own, some of them twice, then all of them in one
-    /// shared episode; always with the same instruction.
+    /// Queries each situation in an episode of its own, repeats some of these queries, then queries
+    /// all situations in one shared episode. The instruction is always the same.
     pub(super) async fn answer_all(&mut self) -> Result<Answered, ExaminationError> {
         let mut answered = Answered::default();
         let mut first: Vec<Vec<Action>> = vec![];
         let situation = &self.situations[0];
         let (suite, instruction) = (&situation.suite, &situation.instruction);
         for at in 0..self.situations.len() {
-            let shown = self.shown[at].clone();
-            let response = self.query(at, shown, Some(instruction)).await?;
-            let actions = answered.take(self.server, &response);
+            let observation = self.observations[at].clone();
+            let response = self.query(at, observation, Some(instruction)).await?;
+            let actions = answered.record(self.server, &response);
             for earlier in &first {
                 let apart = largest_difference(earlier, &actions);
                 answered.between_situations = answered.between_situations.max(apart);
             }
             first.push(actions);
         }
-        for (at, earlier) in first.iter().enumerate().take(self.tried()) {
-            let shown = self.shown[at].clone();
-            let response = self.query(at, shown, Some(instruction)).await?;
-            let again = answered.take(self.server, &response);
+        for (at, earlier) in first.iter().enumerate().take(self.tried_situations()) {
+            let observation = self.observations[at].clone();
+            let response = self.query(at, observation, Some(instruction)).await?;
+            let again = answered.record(self.server, &response);
             let apart = largest_difference(earlier, &again);
             answered.noise = answered.noise.max(apart);
         }
         let mut episode = self.server.episode(suite, instruction, SEED).await?;
-        for shown in &self.shown {
-            let answer = episode.query(shown.clone()).await?;
+        for observation in &self.observations {
+            let answer = episode.query(observation.clone()).await?;
             self.latencies.push(answer.took);
-            answered.take(self.server, &answer.response);
+            answered.record(self.server, &answer.response);
         }
         episode.end().await;
         Ok(answered)
@@ -112,9 +112,11 @@ impl<'a> Patient<'a> {
     ) -> Result<f64, ExaminationError> {
         let flipped = Variant::Turned(Turn::UpsideDown, Some(camera.to_owned()));
         let mut most = 0.0_f64;
-        for at in 0..self.tried() {
-            let unchanged = self.actions(at, self.shown[at].clone(), None).await?;
-            let mut changed = self.shown[at].clone();
+        for at in 0..self.tried_situations() {
+            let unchanged = self
+                .actions(at, self.observations[at].clone(), None)
+                .await?;
+            let mut changed = self.observations[at].clone();
             flipped.apply(&self.situations[at], &mut changed);
             let to_flipped = self.actions(at, changed.clone(), None).await?;
             for image in changed
@@ -138,22 +140,24 @@ impl<'a> Patient<'a> {
         &mut self,
     ) -> Result<(f64, usize), ExaminationError> {
         let mut most = 0.0_f64;
-        let mut asked = 0;
-        for at in 0..self.tried() {
+        let mut count = 0;
+        for at in 0..self.tried_situations() {
             let situation = &self.situations[at];
             let suite: Suite = situation.suite.parse().unwrap_or(Suite::Object);
             let tasks = suite.tasks().map(|task| task.instruction());
             let others = tasks.filter(|task| *task != situation.instruction);
             let other = others.skip(at).step_by(4).take(2);
-            let own = self.actions(at, self.shown[at].clone(), None).await?;
+            let unchanged = self
+                .actions(at, self.observations[at].clone(), None)
+                .await?;
             for instruction in other {
-                let shown = self.shown[at].clone();
-                let answer = self.actions(at, shown, Some(&instruction)).await?;
-                most = most.max(largest_difference(&own, &answer));
-                asked += 1;
+                let observation = self.observations[at].clone();
+                let answer = self.actions(at, observation, Some(&instruction)).await?;
+                most = most.max(largest_difference(&unchanged, &answer));
+                count += 1;
             }
         }
-        Ok((most, asked))
+        Ok((most, count))
     }
 
     /// Plays a short episode; returns the total latency of its queries.
@@ -164,8 +168,8 @@ impl<'a> Patient<'a> {
         let mut episode = self.server.episode(suite, instruction, at as u64).await?;
         let mut took = Duration::ZERO;
         for query in 0..EPISODE_QUERIES {
-            let shown = &self.shown[(at + query) % self.shown.len()];
-            let answer = episode.query(shown.clone()).await?;
+            let observation = &self.observations[(at + query) % self.observations.len()];
+            let answer = episode.query(observation.clone()).await?;
             self.latencies.push(answer.took);
             took += answer.took;
         }
@@ -173,7 +177,8 @@ impl<'a> Patient<'a> {
         Ok(took)
     }
 
-    fn tried(&self) -> usize {
+    /// Returns the number of situations that a check with changed inputs uses.
+    fn tried_situations(&self) -> usize {
         TRIED.min(self.situations.len())
     }
 
@@ -213,8 +218,8 @@ impl<'a> Patient<'a> {
 
 impl Answered {
     /// Counts an answer and returns its actions; empty if the answer is not a valid chunk.
-    fn take(&mut self, server: &Server, response: &InferResponse) -> Vec<Action> {
-        self.asked += 1;
+    fn record(&mut self, server: &Server, response: &InferResponse) -> Vec<Action> {
+        self.count += 1;
         match server.actions(response) {
             Ok(actions) => {
                 self.actions.extend(&actions);

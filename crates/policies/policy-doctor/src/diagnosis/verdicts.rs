@@ -33,27 +33,27 @@ pub(super) struct Change {
 
 impl Change {
     /// Returns true if the change affects answers; `None` if noise hides the effect.
-    fn is_seen(self) -> Option<bool> {
-        let is_seen = self.most > SAME.max(3.0 * self.noise);
-        (is_seen || self.noise <= REPEATABLE).then_some(is_seen)
+    fn has_effect(self) -> Option<bool> {
+        let has_effect = self.most > SAME.max(3.0 * self.noise);
+        (has_effect || self.noise <= REPEATABLE).then_some(has_effect)
     }
 
-    fn hidden(self) -> Verdict {
+    fn hidden_by_noise(self) -> Verdict {
         skip(format!(
-            "answers to the same question differ by {:.1e}, which hides it",
+            "answers to the same query differ by {:.1e}, which hides any effect",
             self.noise
         ))
     }
 }
 
 /// Checks that answers are valid actions.
-pub(super) fn actions(faults: &[ActionFault], asked: usize) -> Verdict {
+pub(super) fn actions(faults: &[ActionFault], count: usize) -> Verdict {
     match faults.first() {
         None => pass(""),
         Some(fault) => fail(format!(
-            "{} of {asked} answers are none: {fault}. NaN usually comes from half precision, or \
-             from statistics that lack a dimension: run the policy in float32 and look at what it \
-             loads.",
+            "{} of {count} answers are not valid actions: {fault}. NaN usually comes from half \
+             precision, or from statistics that lack a dimension: run the policy in float32 and \
+             check the files that it loads.",
             faults.len()
         )),
     }
@@ -71,13 +71,13 @@ pub(super) fn range(actions: &[Action]) -> Verdict {
         pass("")
     } else if largest <= f64::from(LARGEST_PLAUSIBLE) {
         pass(format!(
-            "{beyond} of {count} numbers lie beyond, up to {largest:.2}: workers clip them"
+            "{beyond} of {count} numbers lie beyond it, up to {largest:.2}: workers clip them"
         ))
     } else {
         fail(format!(
-            "{beyond} of {count} numbers lie beyond, up to {largest:.2}. Usually the actions are \
-             not un-normalised, or with another data set's statistics: compare what the server \
-             loads with what its authors' evaluation loads."
+            "{beyond} of {count} numbers lie beyond that range, up to {largest:.2}. Usually the \
+             actions are not un-normalised, or with another data set's statistics: compare the \
+             files that the server loads with those that its authors' evaluation loads."
         ))
     }
 }
@@ -87,19 +87,19 @@ pub(super) fn is_constant(actions: &[Action]) -> bool {
     let Some(first) = actions.first() else {
         return true;
     };
-    let numbers = |action: &Action| {
+    let difference = |action: &Action| {
         let pairs = action.iter().zip(first);
         pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
     };
-    actions.iter().all(|action| numbers(action) <= SAME)
+    actions.iter().all(|action| difference(action) <= SAME)
 }
 
 /// Checks that the actions move the arm.
 pub(super) fn motion(actions: &[Action]) -> Verdict {
     let still = |action: &Action| action[..GRIPPER].iter().all(|number| number.abs() <= SAME);
     let count = actions.len();
-    let advice = "Usually weights are missing or random, or statistics are of no variation: look \
-                  at what the server loads.";
+    let advice = "Usually weights are missing or random, or the variance in the statistics is 0: \
+                  check the files that the server loads.";
     if actions.iter().all(still) {
         fail(format!(
             "translation and rotation of all {count} actions are 0. {advice}"
@@ -124,17 +124,17 @@ pub(super) fn observations(
     situations: usize,
     described: &DescribeResponse,
 ) -> Verdict {
-    let shown = !described.cameras.is_empty() || !described.state.is_empty();
-    if !shown && !described.privileged {
-        return skip("it asks for no observation");
+    let has_inputs = !described.cameras.is_empty() || !described.state.is_empty();
+    if !has_inputs && !described.privileged {
+        return skip("it requests no observation");
     }
-    match change.is_seen() {
-        None => change.hidden(),
+    match change.has_effect() {
+        None => change.hidden_by_noise(),
         Some(true) => pass(""),
         Some(false) => fail(format!(
-            "{situations} observations get the same answer, within {:.1e}. Usually an answer is \
-             kept from the first query, or the inputs do not reach the network: log what it is \
-             given.",
+            "{situations} observations get the same answer, within {:.1e}. Usually the answer to \
+             the first query is cached, or the inputs do not reach the network: log the network's \
+             inputs.",
             change.most
         )),
     }
@@ -144,21 +144,27 @@ pub(super) fn observations(
 pub(super) fn frames(changes: &[(String, Change)]) -> Verdict {
     let unseen: Vec<&str> = changes
         .iter()
-        .filter(|(_, change)| change.is_seen() == Some(false))
+        .filter(|(_, change)| change.has_effect() == Some(false))
         .map(|(camera, _)| camera.as_str())
         .collect();
     if !unseen.is_empty() {
         let all = unseen.len() == changes.len();
-        let rest = if all { "" } else { "; those of the others do" };
+        let rest = match all {
+            true => "",
+            false => "; frames of the other cameras do",
+        };
         return fail(format!(
             "frames of {} that are flipped vertically, or black, change no action{rest}. Usually \
-             an image slot of the network is fed with nothing: compare the names of cameras and \
-             slots, or do not ask for these frames.",
+             an image slot of the network stays empty: compare the names of cameras and slots, or \
+             do not request these frames.",
             unseen.join(" and ")
         ));
     }
-    match changes.iter().find(|(_, it)| it.is_seen().is_none()) {
-        Some((_, change)) => change.hidden(),
+    match changes
+        .iter()
+        .find(|(_, change)| change.has_effect().is_none())
+    {
+        Some((_, change)) => change.hidden_by_noise(),
         None => pass(""),
     }
 }
@@ -170,20 +176,20 @@ pub(super) fn frames(changes: &[(String, Change)]) -> Verdict {
 pub(super) fn reads_language(described: &DescribeResponse) -> Result<(), &'static str> {
     match described.language() {
         Language::FreeForm | Language::CanonicalOnly => Ok(()),
-        Language::Ignored => Err("it says that it looks at no instruction"),
-        Language::Unspecified => Err("it does not say whether it reads instructions"),
+        Language::Ignored => Err("it declares that it ignores instructions"),
+        Language::Unspecified => Err("it does not declare whether it reads instructions"),
     }
 }
 
 /// Checks that the instruction affects the answers.
-pub(super) fn instructions(change: Change, asked: usize) -> Verdict {
-    match change.is_seen() {
-        None => change.hidden(),
+pub(super) fn instructions(change: Change, count: usize) -> Verdict {
+    match change.has_effect() {
+        None => change.hidden_by_noise(),
         Some(true) => pass(""),
         Some(false) => fail(format!(
-            "{asked} other instructions change no action. Usually the text does not reach the \
-             network, or it was tuned on one task: log the prompt. If it reads none, describe \
-             its language as ignored."
+            "{count} other instructions change no action. Usually the text does not reach the \
+             network, or it was tuned on one task: log the prompt. If it reads no instruction, \
+             declare its language as ignored."
         )),
     }
 }
@@ -201,8 +207,8 @@ pub(super) fn gripper(actions: &[Action]) -> Verdict {
         false => "Usually the gripper's statistics are wrong.",
     };
     fail(format!(
-        "its number lies within {least:.3}..{most:.3} in all {} actions, and only what is below 0 \
-         opens (-1 open, 1 closed). {convention}",
+        "its number lies within {least:.3}..{most:.3} in all {} actions, and only numbers below 0 \
+         open it (-1 open, 1 closed). {convention}",
         actions.len()
     ))
 }
@@ -210,7 +216,7 @@ pub(super) fn gripper(actions: &[Action]) -> Verdict {
 /// Checks the latencies. The first query is separate, because it may include a compilation.
 pub(super) fn latency(latencies: &[Duration], answer_within: Duration) -> Verdict {
     let Some((first, later)) = latencies.split_first() else {
-        return skip("nothing was asked");
+        return skip("no query was sent");
     };
     let mut sorted = later.to_vec();
     sorted.sort_unstable();
@@ -220,8 +226,8 @@ pub(super) fn latency(latencies: &[Duration], answer_within: Duration) -> Verdic
     };
     let (median, late) = (at(0.5), at(0.99));
     let slowest = latencies.iter().max().copied().unwrap_or_default();
-    let ms = |it: Duration| it.as_secs_f64() * 1e3;
-    let seen = format!(
+    let ms = |duration: Duration| duration.as_secs_f64() * 1e3;
+    let figures = format!(
         "first {:.1} ms, then median {:.1} ms, 99th percentile {:.1} ms of {} queries",
         ms(*first),
         ms(median),
@@ -235,18 +241,18 @@ pub(super) fn latency(latencies: &[Duration], answer_within: Duration) -> Verdic
             false => "Serve it from a faster device",
         };
         fail(format!(
-            "{seen}. A gateway takes a server that needs more than {limit} s for an outage. {why}, \
+            "{figures}. A gateway treats a server that needs more than {limit} s as out. {why}, \
              or raise answer_within_secs."
         ))
     } else if late > answer_within / 2 {
-        pass(format!("{seen}; a gateway waits {limit} s"))
+        pass(format!("{figures}; a gateway waits {limit} s"))
     } else {
-        pass(seen)
+        pass(figures)
     }
 }
 
-/// Checks that a process does not grow from episode to episode. `resident` holds its memory after
-/// each, bytes.
+/// Checks that a process does not grow from episode to episode. `resident` holds its memory, in
+/// bytes, after each episode.
 pub(super) fn memory(process: &str, resident: &[u64]) -> Verdict {
     let count = resident.len();
     let third = count / 3;
@@ -270,7 +276,7 @@ pub(super) fn memory(process: &str, resident: &[u64]) -> Verdict {
         ));
     }
     pass(format!(
-        "{process} holds {:.0} MiB after {count} episodes; a GPU's memory is not looked at",
+        "{process} holds {:.0} MiB after {count} episodes; a GPU's memory is not measured",
         mib(resident[end])
     ))
 }
@@ -283,27 +289,27 @@ pub(super) fn slowing(took: &[Duration]) -> Verdict {
         return skip("too few episodes were played");
     }
     let median = |at: usize| {
-        let mut some = took[at * third..(at + 1) * third].to_vec();
-        some.sort_unstable();
-        some[third / 2]
+        let mut sorted = took[at * third..(at + 1) * third].to_vec();
+        sorted.sort_unstable();
+        sorted[third / 2]
     };
     let [first, second, last] = [0, 1, 2].map(median);
     let slower = |one: Duration, other: Duration| other.as_secs_f64() > SLOWER * one.as_secs_f64();
     let count = took.len();
-    let ms = |it: Duration| it.as_secs_f64() * 1e3;
+    let ms = |duration: Duration| duration.as_secs_f64() * 1e3;
     if slower(first, second) && slower(second, last) && last - first > SLOWER_IN_ALL {
         return fail(format!(
             "episodes take longer and longer: medians of {:.0}, {:.0} and {:.0} ms by thirds of \
-             {count}, though every one was ended (End). Usually something is kept by session and \
-             searched.",
+             {count}, though every episode was ended (End). Usually the server searches state that \
+             it keeps per session.",
             ms(first),
             ms(second),
             ms(last),
         ));
     }
     pass(format!(
-        "{count} episodes did not slow it down; its process is not on this machine, or not to be \
-         seen"
+        "{count} episodes did not slow it down; its memory was not measured, because its process \
+         is not on this machine or not accessible"
     ))
 }
 
@@ -320,8 +326,8 @@ mod tests {
     }
 
     #[test]
-    fn a_change_within_noise_is_not_judged() {
-        let change = |most, noise| Change { most, noise }.is_seen();
+    fn a_change_hidden_by_noise_is_neither_confirmed_nor_denied() {
+        let change = |most, noise| Change { most, noise }.has_effect();
         assert_eq!(change(0.1, 0.0), Some(true));
         assert_eq!(change(0.0, 0.0), Some(false));
         assert_eq!(change(2e-5, 1e-5), Some(false));
@@ -331,7 +337,7 @@ mod tests {
 
     #[test]
     fn steady_growth_is_a_leak_and_growth_at_the_start_is_not() {
-        let mib = |it: f64| (it * f64::from(1 << 20)) as u64;
+        let mib = |number: f64| (number * f64::from(1 << 20)) as u64;
         let leaking: Vec<u64> = (0..30).map(|at| mib(100.0 + f64::from(at))).collect();
         assert!(fails(&memory("process 7", &leaking), "1.00 MiB each"));
         let starting: Vec<u64> = (0..30)
@@ -345,8 +351,12 @@ mod tests {
     }
 
     #[test]
-    fn episodes_that_take_longer_and_longer_are_told_from_a_slow_one() {
-        let took = |of: fn(u64) -> u64| (0..30).map(|at| Duration::from_millis(of(at))).collect();
+    fn steadily_slower_episodes_fail_and_one_slow_episode_does_not() {
+        let took = |millis: fn(u64) -> u64| {
+            (0..30)
+                .map(|at| Duration::from_millis(millis(at)))
+                .collect()
+        };
         let growing: Vec<Duration> = took(|at| 20 + 10 * at);
         assert!(fails(&slowing(&growing), "longer and longer"));
         let jumping: Vec<Duration> = took(|at| if at == 20 { 900 } else { 20 });
@@ -354,7 +364,7 @@ mod tests {
     }
 
     #[test]
-    fn a_late_first_answer_is_told_from_a_slow_server() {
+    fn a_late_first_answer_gets_other_advice_than_a_slow_server() {
         let within = Duration::from_secs(50);
         let mut latencies = vec![Duration::from_millis(20); 40];
         assert!(passes(&latency(&latencies, within)));
@@ -365,7 +375,7 @@ mod tests {
     }
 
     #[test]
-    fn an_open_gripper_is_enough_and_a_share_is_named() {
+    fn one_opening_action_passes_and_values_of_zero_to_one_fail_with_a_conversion() {
         let with = |number: f64| {
             let mut action = [0.1; 7];
             action[GRIPPER] = number;

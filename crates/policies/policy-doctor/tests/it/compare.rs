@@ -12,28 +12,28 @@ use policy_doctor::{
 use proto::policy::StateField;
 
 use crate::{
-    planted::{Action, Planted, Seen, halved_and_doubled, hash, upside_down},
+    planted::{Action, NetworkInput, Planted, halved_and_doubled, hash, upside_down},
     scripted::{Running, serve},
 };
 
 async fn server(url: &str) -> Server {
     let spec = url.parse().expect("a back-end");
     let server = Server::connect(&spec, &transport::Access::none(), "libero_goal").await;
-    server.expect("it describes itself")
+    server.expect("a description")
 }
 
 async fn compared(a: &str, b: &str) -> Comparison {
     let (a, b) = (server(a).await, server(b).await);
     let cameras = synthetic::cameras(&[&a.described, &b.described]);
     let situations = synthetic::situations(Suite::Goal, &cameras);
-    compare(a, b, situations).await.expect("both answer")
+    compare(a, b, situations).await.expect("a comparison")
 }
 
 fn url(server: &Running) -> String {
     format!("grpc://{}", server.address)
 }
 
-/// Compares two policies in either order; returns the comparison with the second one as B.
+/// Compares two policies in either order; returns the comparison with the second policy as B.
 async fn both_ways(one: Planted, other: Planted, expected: &[Kind]) -> Comparison {
     let (one, other) = (serve(one).await, serve(other).await);
     let found = compared(&url(&one), &url(&other)).await;
@@ -50,7 +50,7 @@ async fn both_ways(one: Planted, other: Planted, expected: &[Kind]) -> Compariso
 }
 
 /// Asserts that a mistake is named with these words, and that nothing else is reported.
-async fn names(mistaken: Planted, kind: Kind, words: &str) {
+async fn assert_named(mistaken: Planted, kind: Kind, words: &str) {
     let found = both_ways(Planted::sound(), mistaken, &[kind]).await;
     let text = &found.differences[0].text;
     assert!(text.contains(words), "{words:?} in {text}");
@@ -58,9 +58,9 @@ async fn names(mistaken: Planted, kind: Kind, words: &str) {
 
 /// Returns a policy that changes the axis-angle in its state of position, axis-angle and fingers.
 fn rotation(change: impl Fn([f64; 3]) -> [f64; 3] + Send + Sync + 'static) -> Planted {
-    Planted::sound().preparing(move |seen: &mut Seen| {
-        let own = [seen.state[3], seen.state[4], seen.state[5]];
-        seen.state[3..6].copy_from_slice(&change(own));
+    Planted::sound().preparing(move |input: &mut NetworkInput| {
+        let axis_angle = [input.state[3], input.state[4], input.state[5]];
+        input.state[3..6].copy_from_slice(&change(axis_angle));
     })
 }
 
@@ -76,47 +76,48 @@ pub(crate) const SOUND: [fn() -> Planted; 4] = [
     || {
         let mut unseeded = Planted::drawing(0.1);
         unseeded.described.unseeded = true;
-        unseeded.preparing(|seen| seen.seed = seen.asked_before)
+        unseeded.preparing(|input| input.seed = input.earlier_queries)
     },
     // Batch kernels change low-order bits.
     || {
-        Planted::sound().preparing(|seen| {
-            let moved = 1e-5 * hash(&[9, seen.asked_before]);
-            seen.state.iter_mut().for_each(|number| *number += moved);
+        Planted::sound().preparing(|input| {
+            let moved = 1e-5 * hash(&[9, input.earlier_queries]);
+            input.state.iter_mut().for_each(|number| *number += moved);
         })
     },
 ];
 
 #[tokio::test]
-async fn frames_fed_upside_down_are_named() {
-    let flipping = Planted::sound().preparing(|seen| seen.frames.iter_mut().for_each(upside_down));
-    names(
+async fn vertically_flipped_frames_are_named() {
+    let flipping =
+        Planted::sound().preparing(|input| input.frames.iter_mut().for_each(upside_down));
+    assert_named(
         flipping,
         Kind::FrameOrientation,
         "frames flipped vertically",
     )
     .await;
-    let one = Planted::sound().preparing(|seen| upside_down(&mut seen.frames[1]));
+    let one = Planted::sound().preparing(|input| upside_down(&mut input.frames[1]));
     let words = "frames of robot0_eye_in_hand flipped vertically";
-    names(one, Kind::FrameOrientation, words).await;
+    assert_named(one, Kind::FrameOrientation, words).await;
 }
 
 #[tokio::test]
-async fn frames_fed_turned_are_named() {
-    let turning = Planted::sound().preparing(|seen| {
-        for frame in &mut seen.frames {
+async fn frames_turned_by_180_degrees_are_named() {
+    let turning = Planted::sound().preparing(|input| {
+        for frame in &mut input.frames {
             let turned: Vec<u8> = frame.rgb.rchunks_exact(3).flatten().copied().collect();
             frame.rgb = turned.into();
         }
     });
-    names(turning, Kind::FrameOrientation, "turned by 180°").await;
+    assert_named(turning, Kind::FrameOrientation, "turned by 180°").await;
 }
 
 #[tokio::test]
-async fn frames_scaled_down_on_the_way_are_named() {
+async fn frames_scaled_down_and_up_again_are_named() {
     let shrinking =
-        Planted::sound().preparing(|seen| seen.frames.iter_mut().for_each(halved_and_doubled));
-    names(
+        Planted::sound().preparing(|input| input.frames.iter_mut().for_each(halved_and_doubled));
+    assert_named(
         shrinking,
         Kind::FrameSize,
         "scaled to 64 × 64 pixels and back (means",
@@ -125,11 +126,11 @@ async fn frames_scaled_down_on_the_way_are_named() {
 }
 
 #[tokio::test]
-async fn cameras_and_colours_in_each_others_places_are_named() {
-    let swapping = Planted::sound().preparing(|seen| seen.frames.reverse());
-    names(swapping, Kind::Cameras, "two cameras exchanged").await;
-    let bgr = Planted::sound().preparing(|seen| {
-        for frame in &mut seen.frames {
+async fn swapped_cameras_and_colour_channels_are_named() {
+    let swapping = Planted::sound().preparing(|input| input.frames.reverse());
+    assert_named(swapping, Kind::Cameras, "two cameras exchanged").await;
+    let bgr = Planted::sound().preparing(|input| {
+        for frame in &mut input.frames {
             let pixels = frame.rgb.chunks_exact(3);
             let reversed: Vec<u8> = pixels
                 .flat_map(|pixel| [pixel[2], pixel[1], pixel[0]])
@@ -137,13 +138,13 @@ async fn cameras_and_colours_in_each_others_places_are_named() {
             frame.rgb = reversed.into();
         }
     });
-    names(bgr, Kind::Colours, "BGR").await;
+    assert_named(bgr, Kind::Colours, "BGR").await;
 }
 
 #[tokio::test]
 async fn roll_pitch_yaw_in_place_of_axis_angle_is_named() {
-    let mistaken = rotation(|own| pose::roll_pitch_yaw(pose::from_axis_angle(own)));
-    names(
+    let mistaken = rotation(|vector| pose::roll_pitch_yaw(pose::from_axis_angle(vector)));
+    assert_named(
         mistaken,
         Kind::StateDefinition,
         "position, roll-pitch-yaw and two finger",
@@ -172,33 +173,34 @@ async fn joints_in_place_of_a_pose_are_named() {
 
 #[tokio::test]
 async fn a_quaternion_of_the_other_sign_is_named() {
-    let positive = rotation(|own| {
-        let quaternion = pose::from_axis_angle(own);
+    let positive = rotation(|vector| {
+        let quaternion = pose::from_axis_angle(vector);
         let sign = if quaternion[3] < 0.0 { -1.0 } else { 1.0 };
         pose::axis_angle(quaternion.map(|number| sign * number))
     });
-    names(positive, Kind::QuaternionSign, "so that w is not negative").await;
-    let other = rotation(|own| pose::axis_angle(pose::from_axis_angle(own).map(|number| -number)));
-    names(other, Kind::QuaternionSign, "quaternion's sign flipped").await;
+    assert_named(positive, Kind::QuaternionSign, "so that w is not negative").await;
+    let other =
+        rotation(|vector| pose::axis_angle(pose::from_axis_angle(vector).map(|number| -number)));
+    assert_named(other, Kind::QuaternionSign, "quaternion's sign flipped").await;
 }
 
 #[tokio::test]
 async fn a_gripper_in_another_convention_is_named() {
     let inverted = acting(|action| action[6] = -action[6]);
-    names(
+    assert_named(
         inverted,
         Kind::GripperConvention,
         "one opens where the other closes",
     )
     .await;
     let share = acting(|action| action[6] = (action[6] + 1.0) / 2.0);
-    names(share, Kind::GripperConvention, "B = (A + 1) / 2").await;
+    assert_named(share, Kind::GripperConvention, "B = (A + 1) / 2").await;
 }
 
 #[tokio::test]
 async fn a_gripper_in_another_scale_is_named() {
     let scaled = acting(|action| action[6] *= 0.25);
-    names(scaled, Kind::GripperScale, "A's × 0.250").await;
+    assert_named(scaled, Kind::GripperScale, "A's × 0.250").await;
 }
 
 #[tokio::test]
@@ -208,15 +210,15 @@ async fn actions_un_normalised_with_other_statistics_are_named() {
             *number = *number * (0.4 + 0.2 * at as f64) - 0.05;
         }
     });
-    names(moved, Kind::UnNormalisation, "x = A's × 0.400 - 0.050").await;
+    assert_named(moved, Kind::UnNormalisation, "x = A's × 0.400 - 0.050").await;
     let one = acting(|action| action[2] *= 3.0);
-    names(one, Kind::UnNormalisation, "moved: z = A's × 3.000.").await;
+    assert_named(one, Kind::UnNormalisation, "shifted: z = A's × 3.000.").await;
 }
 
 #[tokio::test]
 async fn a_chunk_that_begins_later_is_named() {
     let late = Planted::sound().finishing(|actions| drop(actions.drain(..2)));
-    names(
+    assert_named(
         late,
         Kind::ChunkOffset,
         "action k of B is action k + 2 of A",
@@ -226,13 +228,16 @@ async fn a_chunk_that_begins_later_is_named() {
 
 #[tokio::test]
 async fn differences_in_seed_use_are_named() {
-    type Change = fn(&mut Seen);
+    type Change = fn(&mut NetworkInput);
     let seeding = |change: Change| Planted::drawing(0.2).preparing(change);
     let cases: [(Change, &str); 4] = [
-        (|seen| seen.seed += 1, "one more than its own"),
-        (|seen| seen.seed = 42, "seed 42, whatever its own seed is"),
-        (|seen| seen.seed = seen.asked_before, "otherwise every time"),
-        (|seen| seen.seed ^= 0x55, "other noise"),
+        (|input| input.seed += 1, "one more than that"),
+        (|input| input.seed = 42, "seed 42, a common default"),
+        (
+            |input| input.seed = input.earlier_queries,
+            "differently every time",
+        ),
+        (|input| input.seed ^= 0x55, "different noise"),
     ];
     for (change, words) in cases {
         let honest = Planted::drawing(0.2);
@@ -243,24 +248,24 @@ async fn differences_in_seed_use_are_named() {
 }
 
 #[tokio::test]
-async fn a_mistake_is_named_through_noise_of_other_seeds() {
-    let flipping = Planted::drawing(0.05).preparing(|seen| {
-        seen.seed ^= 0x55;
-        seen.frames.iter_mut().for_each(upside_down);
+async fn a_mistake_is_named_despite_noise_of_different_seeds() {
+    let flipping = Planted::drawing(0.05).preparing(|input| {
+        input.seed ^= 0x55;
+        input.frames.iter_mut().for_each(upside_down);
     });
     both_ways(Planted::drawing(0.05), flipping, &[Kind::FrameOrientation]).await;
 }
 
 #[tokio::test]
-async fn mistakes_that_come_together_are_named_together() {
+async fn simultaneous_mistakes_are_all_named() {
     let both = Planted::sound()
-        .preparing(|seen| seen.frames.iter_mut().for_each(upside_down))
+        .preparing(|input| input.frames.iter_mut().for_each(upside_down))
         .finishing(|actions| actions.iter_mut().for_each(|action| action[6] = -action[6]));
     let expected = [Kind::FrameOrientation, Kind::GripperConvention];
     both_ways(Planted::sound(), both, &expected).await;
-    let both = Planted::sound().preparing(|seen| {
-        seen.frames.iter_mut().for_each(upside_down);
-        seen.state[6..]
+    let both = Planted::sound().preparing(|input| {
+        input.frames.iter_mut().for_each(upside_down);
+        input.state[6..]
             .iter_mut()
             .for_each(|number| *number = number.abs());
     });
@@ -270,8 +275,13 @@ async fn mistakes_that_come_together_are_named_together() {
 
 #[tokio::test]
 async fn other_weights_have_no_explanation() {
-    let other = Planted::sound().preparing(|seen| seen.instruction.push('!'));
-    names(other, Kind::Unexplained, "no difference that is looked for").await;
+    let other = Planted::sound().preparing(|input| input.instruction.push('!'));
+    assert_named(
+        other,
+        Kind::Unexplained,
+        "none of the differences that are tried",
+    )
+    .await;
 }
 
 #[tokio::test]
@@ -282,16 +292,16 @@ async fn description_differences_are_reported_and_are_no_mistakes() {
         StateField::GripperPos,
     ];
     // Converts the quaternion to the axis-angle that the other policy requests.
-    let converting = Planted::sound().with_state(&pose).preparing(|seen| {
-        let quaternion: [f64; 4] = seen.state[3..7].try_into().expect("four numbers");
-        seen.state.splice(3..7, pose::axis_angle(quaternion));
+    let converting = Planted::sound().with_state(&pose).preparing(|input| {
+        let quaternion: [f64; 4] = input.state[3..7].try_into().expect("four numbers");
+        input.state.splice(3..7, pose::axis_angle(quaternion));
     });
     let found = both_ways(Planted::sound(), converting, &[]).await;
     assert_eq!(found.descriptions[0].what, "state");
 }
 
 #[tokio::test]
-async fn servers_that_answer_alike_are_not_accused() {
+async fn no_difference_is_reported_for_servers_that_answer_alike() {
     let one_by_one = || {
         let mut one_by_one = Planted::sound();
         one_by_one.described.horizon = 1;

@@ -1,5 +1,5 @@
-//! The conformance check passes servers that keep to the protocol, and fails other servers on
-//! exactly the points that they violate.
+//! The conformance check passes conforming servers, and fails other servers on exactly the points
+//! that they violate.
 
 use policy_doctor::conformance::Point::{
     self, Batch, Isolation, Order, OtherSeed, Range, Restart, Retry, SameSeed, Shape, Unopened,
@@ -23,7 +23,7 @@ where
 }
 
 #[tokio::test]
-async fn a_policy_that_ignores_the_version_fails_on_that_alone() {
+async fn a_policy_that_ignores_the_version_fails_only_on_the_version() {
     check(stochastic(), |query| proper(&query), &[]).await;
 }
 
@@ -39,9 +39,10 @@ async fn answers_that_are_no_actions_fail_on_their_shape_or_range() {
 }
 
 #[tokio::test]
-async fn noise_that_depends_on_the_order_of_requests_fails_wherever_it_shows() {
-    let drawing =
-        |query: Query| proper(&query).map(|_| chunk(&[query.asked_before as f32 / 1000.0; 7], 7));
+async fn noise_that_depends_on_the_order_of_requests_fails_on_every_point_that_compares_answers() {
+    let drawing = |query: Query| {
+        proper(&query).map(|_| chunk(&[query.earlier_queries as f32 / 1000.0; 7], 7))
+    };
     check(
         stochastic(),
         drawing,

@@ -21,15 +21,15 @@ const MEASURES: Measures = Measures {
 async fn examined(url: &str, measures: Measures) -> Vec<Finding> {
     let spec = url.parse().expect("a back-end");
     let server = Server::connect(&spec, &transport::Access::none(), "libero_goal").await;
-    let server = server.expect("it describes itself");
+    let server = server.expect("a description");
     let cameras = synthetic::cameras(&[&server.described]);
     let situations = synthetic::situations(Suite::Goal, &cameras);
     let mut findings = vec![];
     let mut report = |finding: &Finding| findings.push(finding.clone());
-    let sound = examine(&server, &situations, measures, &mut report).await;
-    let sound = sound.expect("it answers");
-    let failed = |it: &Finding| matches!(it.verdict, Verdict::Fail { .. });
-    assert_eq!(sound, !findings.iter().any(failed));
+    let is_sound = examine(&server, &situations, measures, &mut report).await;
+    let is_sound = is_sound.expect("an examination");
+    let failed = |finding: &Finding| matches!(finding.verdict, Verdict::Fail { .. });
+    assert_eq!(is_sound, !findings.iter().any(failed));
     let points: Vec<Point> = findings.iter().map(|finding| finding.point).collect();
     assert_eq!(points, Point::ALL);
     findings
@@ -58,10 +58,10 @@ async fn finds(policy: Planted, expected: &[Point], words: &str) {
 
 #[tokio::test]
 async fn unused_frames_are_found_by_camera() {
-    let blind = Planted::sound().preparing(|seen| seen.frames.clear());
+    let blind = Planted::sound().preparing(|input| input.frames.clear());
     let words = "frames of agentview and robot0_eye_in_hand";
     finds(blind, &[Point::Frames], words).await;
-    let half_blind = Planted::sound().preparing(|seen| seen.frames.truncate(1));
+    let half_blind = Planted::sound().preparing(|input| input.frames.truncate(1));
     finds(half_blind, &[Point::Frames], "frames of robot0_eye_in_hand").await;
 }
 
@@ -97,8 +97,8 @@ async fn an_arm_that_does_not_move_is_found() {
 }
 
 #[tokio::test]
-async fn an_instruction_that_is_not_read_is_found_unless_it_is_declared() {
-    let deaf = || Planted::sound().preparing(|seen| seen.instruction.clear());
+async fn ignored_instructions_are_found_unless_declared() {
+    let deaf = || Planted::sound().preparing(|input| input.instruction.clear());
     finds(deaf(), &[Point::Instructions], "8 other instructions").await;
     let mut declared = deaf();
     declared.described.language = Language::Ignored.into();
@@ -106,10 +106,10 @@ async fn an_instruction_that_is_not_read_is_found_unless_it_is_declared() {
 }
 
 #[tokio::test]
-async fn an_answer_that_follows_no_observation_is_found() {
-    let absent = Planted::sound().preparing(|seen| {
-        seen.frames.clear();
-        seen.state.clear();
+async fn answers_that_ignore_all_observations_are_found() {
+    let absent = Planted::sound().preparing(|input| {
+        input.frames.clear();
+        input.state.clear();
     });
     let points = [Point::Observations, Point::Frames];
     finds(absent, &points, "8 observations get the same answer").await;
@@ -131,11 +131,11 @@ async fn answers_that_come_too_late_are_found() {
     let failed = failures(slow, measures).await;
     assert_eq!(failed.len(), 1, "{failed:?}");
     assert_eq!(failed[0].0, Point::Latency);
-    assert!(failed[0].1.contains("takes a server"), "{failed:?}");
+    assert!(failed[0].1.contains("treats a server"), "{failed:?}");
 }
 
 #[tokio::test]
-async fn servers_that_make_no_mistake_are_not_accused() {
+async fn servers_without_mistakes_pass_every_check() {
     let joints = || {
         let mut joints = Planted::sound().with_state(&[StateField::JointPos]);
         joints.described.cameras.clear();

@@ -27,13 +27,13 @@ const PATCHES: usize = 32;
 const BEYOND: usize = 4;
 
 /// Input of the policy's network.
-pub(crate) struct Seen {
+pub(crate) struct NetworkInput {
     pub(crate) frames: Vec<Image>,
     pub(crate) state: Vec<f64>,
     pub(crate) instruction: String,
     pub(crate) seed: u64,
     /// Number of earlier queries, over all sessions.
-    pub(crate) asked_before: u64,
+    pub(crate) earlier_queries: u64,
 }
 
 /// Change to a network's actions.
@@ -42,12 +42,12 @@ type Finish = dyn Fn(&mut Vec<Action>) + Send + Sync;
 /// The policy, with its preprocessing and postprocessing.
 pub(crate) struct Planted {
     pub(crate) described: DescribeResponse,
-    /// Standard amplitude of its noise.
+    /// Amplitude of the noise in the actions.
     noise: f64,
-    prepare: Box<dyn Fn(&mut Seen) + Send + Sync>,
+    prepare: Box<dyn Fn(&mut NetworkInput) + Send + Sync>,
     finish: Box<Finish>,
     sessions: Mutex<HashMap<String, ResetRequest>>,
-    asked: AtomicU64,
+    queries: AtomicU64,
 }
 
 impl Planted {
@@ -78,7 +78,7 @@ impl Planted {
             prepare: Box::new(|_| {}),
             finish: Box::new(|_| {}),
             sessions: Mutex::default(),
-            asked: AtomicU64::new(0),
+            queries: AtomicU64::new(0),
         }
     }
 
@@ -96,12 +96,15 @@ impl Planted {
     }
 
     /// Changes the input of the policy's network.
-    pub(crate) fn preparing(self, prepare: impl Fn(&mut Seen) + Send + Sync + 'static) -> Self {
+    pub(crate) fn preparing(
+        self,
+        prepare: impl Fn(&mut NetworkInput) + Send + Sync + 'static,
+    ) -> Self {
         let prepare = Box::new(prepare);
         Self { prepare, ..self }
     }
 
-    /// Changes the output of the network, which has some actions more than the answer.
+    /// Changes the output of the network, which has [`BEYOND`] actions more than the answer.
     pub(crate) fn finishing(
         self,
         finish: impl Fn(&mut Vec<Action>) + Send + Sync + 'static,
@@ -117,17 +120,17 @@ impl Planted {
         let reset = reset.ok_or_else(|| Status::unavailable("the session is not open"))?;
         let observation = request.observation.unwrap_or_default();
         let readings = observation.state.into_iter();
-        let mut seen = Seen {
+        let mut input = NetworkInput {
             state: readings.flat_map(|reading| reading.values).collect(),
             frames: observation.images,
             instruction: reset.instruction,
             seed: reset.seed,
-            asked_before: self.asked.fetch_add(1, Ordering::SeqCst),
+            earlier_queries: self.queries.fetch_add(1, Ordering::SeqCst),
         };
-        (self.prepare)(&mut seen);
+        (self.prepare)(&mut input);
         let query = u64::from(request.query_index);
         let horizon = self.described.horizon as usize;
-        let mut actions = network(&seen, query, horizon + BEYOND, self.noise);
+        let mut actions = network(&input, query, horizon + BEYOND, self.noise);
         (self.finish)(&mut actions);
         let actions = actions.into_iter().take(horizon).flatten();
         Ok(InferResponse {
@@ -149,9 +152,9 @@ pub(crate) fn hash(words: &[u64]) -> f64 {
 }
 
 /// Computes chunks that change smoothly with every input.
-fn network(seen: &Seen, query: u64, count: usize, noise: f64) -> Vec<Action> {
+fn network(input: &NetworkInput, query: u64, count: usize, noise: f64) -> Vec<Action> {
     let mut features = [0.0; 14];
-    for (slot, frame) in seen.frames.iter().enumerate() {
+    for (slot, frame) in input.frames.iter().enumerate() {
         let (width, height) = (frame.width as usize, frame.height as usize);
         let scale = 2.5 / (3.0 * (PATCHES * PATCHES) as f64).sqrt();
         for patch in 0..PATCHES * PATCHES {
@@ -167,10 +170,10 @@ fn network(seen: &Seen, query: u64, count: usize, noise: f64) -> Vec<Action> {
             }
         }
     }
-    let text = seen.instruction.bytes().map(u64::from).collect::<Vec<_>>();
+    let text = input.instruction.bytes().map(u64::from).collect::<Vec<_>>();
     for (feature, sum) in features.iter_mut().enumerate() {
         let feature = feature as u64;
-        for (at, number) in seen.state.iter().enumerate() {
+        for (at, number) in input.state.iter().enumerate() {
             let phase = 3.0 * hash(&[1, at as u64, feature]);
             *sum += 0.25 * (2.0 * number + phase).sin();
         }
@@ -178,8 +181,8 @@ fn network(seen: &Seen, query: u64, count: usize, noise: f64) -> Vec<Action> {
     }
     let number = |row: usize, at: usize| {
         let wave = (features[at] + (0.3 + 0.1 * at as f64) * row as f64).sin();
-        let chance = noise * hash(&[3, seen.seed, query, row as u64, at as u64]);
-        0.7 * (wave + 0.5 * features[7 + at]).tanh() + chance
+        let deviation = noise * hash(&[3, input.seed, query, row as u64, at as u64]);
+        0.7 * (wave + 0.5 * features[7 + at]).tanh() + deviation
     };
     (0..count)
         .map(|row| std::array::from_fn(|at| number(row, at)))
@@ -250,6 +253,6 @@ impl Policy for Planted {
         &self,
         _: Request<InferBatchRequest>,
     ) -> Result<Response<InferBatchResponse>, Status> {
-        Err(Status::unimplemented("one at a time"))
+        Err(Status::unimplemented("the policy takes no batches"))
     }
 }

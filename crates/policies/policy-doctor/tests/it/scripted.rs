@@ -144,7 +144,7 @@ pub(crate) struct Query {
     pub(crate) seed: Option<u64>,
     pub(crate) query_index: u32,
     /// Number of earlier queries, over all sessions.
-    pub(crate) asked_before: u32,
+    pub(crate) earlier_queries: u32,
 }
 
 /// A policy with a given description, whose answers a function computes. It does not check the
@@ -153,7 +153,7 @@ pub(crate) struct Scripted {
     described: Box<dyn Fn() -> DescribeResponse + Send + Sync>,
     answer: Box<dyn Fn(Query) -> Result<InferResponse, Status> + Send + Sync>,
     seeds: Mutex<HashMap<String, u64>>,
-    asked: AtomicU32,
+    queries: AtomicU32,
 }
 
 impl Scripted {
@@ -165,11 +165,11 @@ impl Scripted {
             described: Box::new(move || described.clone()),
             answer: Box::new(answer),
             seeds: Mutex::default(),
-            asked: AtomicU32::new(0),
+            queries: AtomicU32::new(0),
         }
     }
 
-    /// The same, but a function computes the description anew for each call.
+    /// Replaces the description by a function that is called for each Describe.
     pub(crate) fn describing(
         mut self,
         described: impl Fn() -> DescribeResponse + Send + Sync + 'static,
@@ -215,11 +215,11 @@ impl Policy for Scripted {
             .expect("no test panics here")
             .get(&session)
             .copied();
-        let asked_before = self.asked.fetch_add(1, Ordering::SeqCst);
+        let earlier_queries = self.queries.fetch_add(1, Ordering::SeqCst);
         (self.answer)(Query {
             seed,
             query_index,
-            asked_before,
+            earlier_queries,
         })
         .map(Response::new)
     }
@@ -228,7 +228,7 @@ impl Policy for Scripted {
         &self,
         _: Request<InferBatchRequest>,
     ) -> Result<Response<InferBatchResponse>, Status> {
-        Err(Status::unimplemented("one at a time"))
+        Err(Status::unimplemented("the policy takes no batches"))
     }
 }
 

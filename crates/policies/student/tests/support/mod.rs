@@ -44,9 +44,9 @@ pub struct Weights {
 impl Weights {
     pub fn random(seed: u64) -> Self {
         let metadata = [("format", "rollout-student/1"), ("name", "student")];
-        let own = |(key, value): (&str, &str)| (key.to_owned(), value.to_owned());
+        let to_owned = |(key, value): (&str, &str)| (key.to_owned(), value.to_owned());
         let mut weights = Self {
-            metadata: metadata.map(own).into(),
+            metadata: metadata.map(to_owned).into(),
             tensors: BTreeMap::new(),
         };
         let mut random = Random(seed);
@@ -128,7 +128,7 @@ impl Weights {
             let view = TensorView::new(tensor.dtype, tensor.shape.clone(), &tensor.bytes);
             (
                 name.as_str(),
-                view.expect("as many bytes as the shape says"),
+                view.expect("the number of bytes that the shape needs"),
             )
         });
         safetensors::serialize(tensors, Some(metadata)).expect("a file")
