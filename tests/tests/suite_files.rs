@@ -323,7 +323,7 @@ async fn a_campaign_of_ten_tasks_of_libero_90_has_the_outcomes_of_worker_variant
     #[rustfmt::skip]
     let create = [
         "campaign", "create", "--name", "ninety", "--policy", "noop", "--endpoint", url,
-        "--suite-file", file_text,
+        "--suite-file", file_text, "--record", "all",
     ];
     let created = campaigns.succeed(&create);
     assert!(created.contains("10 rollouts"), "{created}");
@@ -374,6 +374,25 @@ async fn a_campaign_of_ten_tasks_of_libero_90_has_the_outcomes_of_worker_variant
         shown.contains("close the top drawer of the cabinet"),
         "{shown}"
     );
+
+    // An archive with films is read by another coordinator.
+    let films = data.join("artifacts/ninety");
+    let count = || fs::read_dir(&films).map_or(0, Iterator::count);
+    let start = Instant::now();
+    while count() < 10 {
+        assert!(
+            start.elapsed() < Duration::from_secs(120),
+            "{} films",
+            count()
+        );
+        std::thread::sleep(Duration::from_millis(200));
+    }
+    let archive = folder.path().join("ninety.tar");
+    let archive = archive.to_str().expect("UTF-8");
+    campaigns.succeed(&["campaign", "archive", "ninety", "--output", archive]);
+    let other = Campaigns::start(&folder.path().join("other"));
+    other.succeed(&["campaign", "import", archive]);
+    assert_eq!(other.outcomes("ninety"), campaigns.outcomes("ninety"));
 
     for arguments in [
         &["explain", "ninety", "--create"][..],

@@ -104,9 +104,8 @@ pub enum Command {
     /// Makes the missing videos of campaigns that record transitions, from the recorded actions,
     /// until none is left; queries no policy
     Film(FilmArguments),
-    /// Counts variants of LIBERO-Plus or LIBERO-PRO, or the rollouts of a suite file, and lists
-    /// missing files; with --endpoint, runs them, variants with the unperturbed rollouts of their
-    /// tasks
+    /// Counts rollouts of LIBERO-Plus, LIBERO-PRO or a suite file and lists missing files; with
+    /// --endpoint, runs them, variants with the unperturbed rollouts of their tasks
     Variants(Box<VariantsArguments>),
     /// Lists, verifies and fetches asset packs
     Assets(AssetsArguments),

@@ -374,10 +374,11 @@ fn write(path: &Path, from: impl Read) -> Result<(u64, String), Failed> {
     Ok(copied)
 }
 
-/// Returns true if this program could have generated the film name. Another extension could make a
-/// browser render the file as a page, and other characters could form a path.
+/// Returns true if this program could have generated the film name, which has a colon for rollouts
+/// of LIBERO's family and of suite files. Another extension could make a browser render the file as
+/// a page, and other characters could form a path.
 fn is_film(file: &str) -> bool {
-    let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"._-".contains(&byte);
+    let is_plain = |byte: u8| byte.is_ascii_alphanumeric() || b"._-:".contains(&byte);
     file.ends_with(FILM_SUFFIX) && !file.starts_with('.') && file.bytes().all(is_plain)
 }
 
