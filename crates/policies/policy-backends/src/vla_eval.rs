@@ -261,9 +261,7 @@ impl Backend for VlaEvalBackend {
         let encoded = tokio::task::spawn_blocking(move || {
             observation(request.observation.as_ref(), &terms, format, &instruction)
         });
-        let observation = observation
-            .await
-            .unwrap_or_else(|error| Err(error.to_string()));
+        let encoded = encoded.await.unwrap_or_else(|error| Err(error.to_string()));
         let failed = |message| BackendError::Policy { message };
         let answer = match encoded {
             Ok(encoded) => link.send_query(encoded, execute).await?,

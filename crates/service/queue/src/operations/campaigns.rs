@@ -179,7 +179,7 @@ fn ended_error(campaign: &Campaign) -> QueueError {
 /// Refuses to change a campaign that is cancelled or stopped.
 pub(super) fn check_not_ended(campaign: &Campaign) -> Result<(), QueueError> {
     match campaign.state.is_over() {
-        true => Err(ended(campaign)),
+        true => Err(ended_error(campaign)),
         false => Ok(()),
     }
 }
