@@ -22,7 +22,7 @@ TEXTURES = {
     "yellow_linen_wall_texture.png": ((222, 208, 166), (222, 208, 166)),
 }
 
-# Name, centre, half-sizes and orientation of the walls, which are drawn only.
+# Name, centre, half-sizes and orientation of the walls, which are visible but do not collide.
 CORNERED_WALLS = [
     ("wall_leftcorner_visual", (-1.25, 2.25, 1.5), (1.06, 1.5, 0.01), (0.6532815, 0.6532815, 0.2705981, 0.2705981)),
     ("wall_rightcorner_visual", (-1.25, -2.25, 1.5), (1.06, 1.5, 0.01), (0.6532815, 0.6532815, -0.2705981, -0.2705981)),

@@ -44,7 +44,7 @@ def test_tied_tensors_are_compared_under_either_name():
     both["head"] = both["embed"]
     assert str(found(both, one, tied)) == ""
     assert str(found({"embed": np.full(2, 5)}, both, tied)) == ""
-    # A tensor that was not copied stays random, whatever its other name holds.
+    # A tied tensor must equal the file's, even if its other name was loaded.
     assert found({**both, "embed": np.zeros(2)}, one, tied).content == ["embed"]
     assert found(both, one).missing == ["embed"]
 

@@ -8,13 +8,13 @@ use std::ops::ControlFlow;
 use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::time::SystemTime;
 
 use assets::{Bar, Deadlines, FileFacts, Origin, Report, Table, size_in_words};
 use libero_ctrl::{ManifestRow, TaskRef};
+use libero_family::Lack;
 use libero_family::protocol::Benchmark;
 use scene::pack::{LIBERO, PRIMITIVES, digest_of_folder};
-use scene::{AssetPack, Sources, TaskFiles};
+use scene::{AssetPack, FileStamps, Sources, TaskFiles};
 use terminal::counted;
 
 use crate::args::{AssetsArguments, AssetsCommand, FetchArguments, TaskChoice};
@@ -74,9 +74,6 @@ pub fn provide(
     Ok(())
 }
 
-/// Sizes and times of change of a BDDL file and its initial states; `None` for a missing file.
-pub type Stamps = [Option<(u64, SystemTime)>; 2];
-
 /// Reason why a row's files are not there. The messages read after "failed to …".
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Unprovided {
@@ -87,7 +84,7 @@ pub enum Unprovided {
         /// Message with the remedy.
         error: String,
         /// The task files as they are.
-        files: Stamps,
+        files: FileStamps,
     },
 }
 
@@ -165,29 +162,29 @@ impl Provider {
     fn files_of_variant(&self, row: &ManifestRow) -> Result<TaskFiles, Unprovided> {
         let fault =
             |error: &(dyn std::error::Error + 'static)| Unprovided::Fetch(transport::chain(error));
+        // Before the check: a file that is corrected meanwhile counts as changed.
+        let files = self.stamps(row);
         let lack = variants::lack(row, &self.pack, &self.sources).map_err(|error| fault(&error))?;
         match lack {
-            None => variants::files(row, &self.sources).map_err(|error| fault(&error)),
+            // A state that does not exist is a fault of this rollout, whose error names it.
+            None | Some(Lack::States { .. }) => {
+                variants::files(row, &self.sources).map_err(|error| fault(&error))
+            }
             Some(lack) => Err(Unprovided::Lack {
                 error: format!("run {}: this worker lacks {lack}", row.id),
-                files: self.stamps(row),
+                files,
             }),
         }
     }
 
     /// Returns true if the files of a row that were missing or wrong may have been corrected.
-    pub fn has_changed(&self, row: &ManifestRow, files: &Stamps) -> bool {
+    pub fn has_changed(&self, row: &ManifestRow, files: &FileStamps) -> bool {
         self.stamps(row) != *files
     }
 
-    fn stamps(&self, row: &ManifestRow) -> Stamps {
-        let Ok(files) = variants::files(row, &self.sources) else {
-            return Stamps::default();
-        };
-        [files.bddl, files.init].map(|path| {
-            let facts = path.metadata().ok()?;
-            Some((facts.len(), facts.modified().ok()?))
-        })
+    fn stamps(&self, row: &ManifestRow) -> FileStamps {
+        let files = variants::files(row, &self.sources);
+        files.map_or_else(|_| FileStamps::default(), |files| files.stamps())
     }
 
     /// Cancels running fetches, and any later one.

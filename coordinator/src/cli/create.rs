@@ -60,7 +60,7 @@ Examples:
     coordinator campaign create --name plus --policy student \\
         --endpoint http://127.0.0.1:7412 --suite libero-plus --runnable
   The tasks of a further benchmark, as a suite file describes them:
-    coordinator campaign create --name libero_90 --policy student \
+    coordinator campaign create --name libero_90 --policy student \\
         --endpoint http://127.0.0.1:7412 --suite-file examples/suites/libero_90.json
   The specification as a file, to be edited and used:
     coordinator campaign create --name first --policy student \\
@@ -244,7 +244,7 @@ struct DesignFlags {
     #[arg(long, value_name = "SEED", default_value_t = 0, hide_short_help = true,
         value_parser = number_from(0_u64, ""))]
     design_seed: u64,
-    /// Directions: `shared`, configuration 3 has the same direction in all tasks, as in the paper;
+    /// Directions: `shared`, a configuration has the same direction in all tasks, as in the paper;
     /// or `own`, each task has its own directions, drawn from --design-seed, so that results
     /// generalise beyond ten directions.
     #[arg(long, value_parser = one_of::<Directions>(DIRECTIONS), default_value = "shared",

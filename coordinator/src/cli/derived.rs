@@ -33,7 +33,7 @@ pub(super) struct DerivedCampaign<'a> {
     pub(super) record: Option<Record>,
     /// True if flags were given that apply only to a campaign to be created.
     pub(super) has_creation_flags: bool,
-    /// True if the campaign must exist unless it is created.
+    /// True if a missing campaign is an error unless a flag requests its creation or a dry run.
     pub(super) must_exist: bool,
 }
 

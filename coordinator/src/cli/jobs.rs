@@ -45,20 +45,20 @@ Examples:
 pub(super) struct ListArguments {
     /// Name of the campaign.
     campaign: String,
-    /// Only those in this state.
+    /// Only rollouts in this state.
     #[arg(long, value_parser = ["queued", "leased", "committed", "quarantined"])]
     state: Option<String>,
-    /// Only those with this outcome.
+    /// Only rollouts with this outcome.
     #[arg(long, value_parser = ["success", "failure"])]
     outcome: Option<String>,
-    /// Only those of a task, such as `libero_object/0`, or of a suite.
+    /// Only rollouts of a task, such as `libero_object/0`, or of a suite.
     #[arg(long)]
     task: Option<String>,
-    /// Only those of a condition: `nominal`, `simultaneous`, an axis, or several axes
+    /// Only rollouts of a condition: `nominal`, `simultaneous`, an axis, or several axes
     /// such as `camera+robot`.
     #[arg(long, value_name = "CONDITION")]
     condition: Option<String>,
-    /// Only those of a level: `L2`, `r2.5`.
+    /// Only rollouts of a level: `L2`, `r2.5`.
     #[arg(long)]
     level: Option<String>,
     /// Most rollouts to list.
@@ -91,7 +91,7 @@ pub(super) struct RetryArguments {
     /// Rollout ids; `ID#r1` is a second replicate.
     #[arg(required_unless_present = "all")]
     rollouts: Vec<String>,
-    /// Everything in quarantine.
+    /// Requeue all rollouts in quarantine.
     #[arg(long, conflicts_with = "rollouts")]
     all: bool,
     #[command(flatten)]

@@ -25,7 +25,7 @@ pub(super) struct ListArguments {
 
 #[derive(Args, Debug)]
 pub(super) struct StatusArguments {
-    /// Name of the campaign; all campaigns without it.
+    /// Name of the campaign; all campaigns if omitted.
     campaign: Option<String>,
     /// Follow until everything is finished.
     #[arg(long)]

@@ -6,7 +6,7 @@ use std::process::Stdio;
 
 use anyhow::Context;
 use clap::Args;
-use libero_ctrl::Condition;
+use libero_ctrl::{Condition, Suite};
 use report::Subject;
 use tokio::process::Command;
 
@@ -46,10 +46,11 @@ pub(super) async fn why(arguments: WhyArguments) -> Result<(), CommandError> {
         (Some(folder), _) => {
             doctor.arg("--recorded").arg(folder);
         }
-        (None, Some(first)) => {
+        // The doctor has observations of LIBERO's suites only.
+        (None, Some(first)) if first.id.task().suite() != Suite::Own => {
             doctor.args(["--suite", &first.id.task().suite().to_string()]);
         }
-        (None, None) => {}
+        (None, _) => {}
     }
     for (flag, file) in arguments.connection.access_files() {
         doctor.arg(flag).arg(file);

@@ -228,6 +228,10 @@ const OTHER_CLOCKS: [(&str, &str); 8] = [
         "compared for equality: a file with another instant is verified again",
     ),
     (
+        "crates/simulation/scene/src/task.rs",
+        "compared for equality: task files with another instant are checked and compiled again",
+    ),
+    (
         "crates/simulation/sim/src/scene_files.rs",
         "compared for equality: a program with another instant compiles scenes again",
     ),
@@ -238,10 +242,6 @@ const OTHER_CLOCKS: [(&str, &str); 8] = [
     (
         "crates/simulation/sim/src/scene_files/folder.rs",
         "compared for equality: a file that was written again is another one",
-    ),
-    (
-        "worker/src/assets.rs",
-        "compared for equality: task files with another instant are checked again",
     ),
 ];
 

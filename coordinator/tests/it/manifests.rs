@@ -187,8 +187,8 @@ async fn an_imported_manifest_is_run_unchanged() {
     let folder = tempfile::tempdir().expect("a temporary folder");
     let all = expand(folder.path(), "all.jsonl", &["--version", "v0.1"]);
     let mut rows = rows(&all);
-    // The rows are a configuration's language row and its nominal row; the nominal row comes last
-    // and is spelt differently.
+    // The rows are a configuration's language row and its nominal row. The nominal row comes last,
+    // and its id has another spelling than the released one.
     rows.retain(|row| {
         let id = row["rollout_id"].as_str().expect("text");
         id == "goal/t7/language/L3/c02" || id.starts_with("goal/t7/clean/")

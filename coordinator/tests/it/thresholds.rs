@@ -267,7 +267,7 @@ async fn unmeasurable_thresholds_are_refused_before_creation() {
     let deleted = serve.command(&delete);
     let error = text(&deleted.stderr);
     assert!(
-        error.contains("`first-thresholds` follows from it"),
+        error.contains("`first-thresholds` is derived from it"),
         "{error}"
     );
     let output = serve.command(&first(&["--tolerance", "2"]));

@@ -72,7 +72,7 @@ def fake_readings(rng: np.random.Generator) -> dict[State, np.ndarray]:
     """Returns every kind of reading, all of one posture: the fingers point
     down, and the hand is turned about the vertical."""
     turn = rng.uniform(-AWAY, AWAY)
-    # A half turn about a horizontal axis, whose direction is half the turn angle.
+    # The orientation is a half turn about a horizontal axis at the angle `turn / 2`.
     axis = np.array([np.cos(turn / 2), np.sin(turn / 2), 0.0])
     opening = rng.uniform(0.03, 0.04)
     return {

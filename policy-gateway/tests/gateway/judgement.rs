@@ -74,7 +74,7 @@ async fn the_exit_code_is_0_or_1_and_the_output_fits_80_columns() {
         (
             &["compare", &sound, &flips],
             1,
-            "FAIL  frame orientation: B answers what A",
+            "FAIL  frame orientation: B answers as A does",
             "not the same",
         ),
         (

@@ -18,7 +18,7 @@ from typing import Any, Protocol
 import numpy as np
 
 SIDE = 256
-#: Steps of settling in each framework.
+#: Settling steps at the start of a rollout, by framework.
 SETTLING = {"rlinf": 15, "simplevla": 10}
 _NOTHING = [0.0] * 6 + [-1.0]
 
@@ -156,7 +156,7 @@ class SimpleVLA:
 
 
 class Rows:
-    """The same rollouts as rows of rollout_libero's `TrainingEnvironment`, in this process."""
+    """SimpleVLA-RL's rollouts as rows of `TrainingEnvironment`, in this process."""
 
     loop = "TrainingEnvironment"
 
@@ -182,7 +182,7 @@ class Rows:
 
 
 def _env_worker() -> Callable[..., None]:
-    """Returns the framework's function, or the one that stands for it."""
+    """Returns SimpleVLA-RL's `env_worker`, or `_roll_out` if there is no checkout."""
     checkout = Path(os.environ.get("ROLLOUT_FRAMEWORKS") or "/nowhere") / "SimpleVLA-RL"
     if not checkout.is_dir():
         return _roll_out
@@ -195,7 +195,7 @@ def _env_worker() -> Callable[..., None]:
 
 def _told_if_it_fails(work: Callable[..., None], answers: Any, *start: Any) -> None:
     try:
-        # Not a validation, the first step of training, and no limit of steps.
+        # Arguments: no validation, training step 0, and practically no limit of steps.
         work(*start, False, 0, 1 << 30)
     except Exception as error:
         answers.put(f"{type(error).__name__}: {error}")

@@ -14,6 +14,7 @@ use proto::coordinator::{
     SignOffRequest,
 };
 use rollout_types::{AttemptId, Backoff, Waits};
+use scene::FileStamps;
 use terminal::counted;
 use tokio::sync::{mpsc, watch};
 use tokio::task::{self, JoinError, JoinSet};
@@ -32,7 +33,6 @@ use super::slot_state::{
     Work,
 };
 use super::upload::{Upload, Uploader, remove};
-use crate::assets::Stamps;
 use crate::message::{Assignment, Failure, FailureKind, RolloutEvent, SlotCommand, SlotEvent};
 
 /// Interval of the checks for timeouts, and longest delay before a new lease is acknowledged.
@@ -84,7 +84,7 @@ pub(super) struct Supervisor {
     /// Earliest time of the next claim after a failed fetch.
     claims_from: Instant,
     /// Rollouts that lacked task files, with the files as they were, by the keys of their tasks.
-    lacks: BTreeMap<String, (ManifestRow, Stamps)>,
+    lacks: BTreeMap<String, (ManifestRow, FileStamps)>,
     /// Coordinator's last reason for having no work.
     idle_reason: String,
     events: mpsc::Sender<Event>,

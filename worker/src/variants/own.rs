@@ -1,7 +1,7 @@
 //! Checks the files of a suite file's tasks.
 
-use std::fs;
 use std::path::Path;
+use std::{fmt, fs};
 
 use libero_ctrl::OwnTask;
 use libero_ctrl::presets::ENV_SEED;
@@ -9,7 +9,6 @@ use libero_family::Lack;
 use scene::{AssetPack, InitialStates, SceneError, Sources, TaskFiles, compose, needed_files};
 use sha2::{Digest, Sha256};
 
-use super::error::VariantsError;
 use crate::digest::hex;
 
 /// Initial states of a task.
@@ -29,38 +28,34 @@ impl States {
     }
 }
 
+/// Largest task file, bytes: a hundred times LIBERO's.
+const MAX_FILE_BYTES: u64 = 64 << 20;
+
 /// Checks that a task's files exist, are those of the suite file, and make a scene. Returns its
 /// initial states, or what it lacks.
-///
-/// # Errors
-/// If an existing file cannot be read.
-pub(super) fn check(
-    own: &OwnTask,
-    pack: &AssetPack,
-    sources: &Sources,
-) -> Result<Result<States, Lack>, VariantsError> {
+pub(super) fn check(own: &OwnTask, pack: &AssetPack, sources: &Sources) -> Result<States, Lack> {
     let folder = Sources::suite_folder(sources.dir(), &own.folder);
     let text = |path: &Path| path.display().to_string();
     if !folder.is_dir() {
-        return Ok(Err(Lack::Folder(text(&folder))));
+        return Err(Lack::Folder(text(&folder)));
     }
     let files = TaskFiles::of_suite_file(sources, own);
     let mut missing = [&files.bddl, &files.init].into_iter();
     if let Some(path) = missing.find(|path| !path.is_file()) {
-        return Ok(Err(Lack::File(text(path))));
+        return Err(Lack::File(text(path)));
     }
     if let Some(expected) = &own.changes.sha256 {
-        let found = digest([&files.bddl, &files.init])?;
+        let found = digest([&files.bddl, &files.init]).map_err(Lack::Scene)?;
         if found != *expected {
-            return Ok(Err(Lack::OtherFiles {
+            return Err(Lack::OtherFiles {
                 bddl: text(&files.bddl),
                 expected: expected.clone(),
                 found,
-            }));
+            });
         }
     }
     let states = try_scene(&files, pack, sources);
-    Ok(states.map_err(|error| Lack::Scene(transport::chain(&error))))
+    states.map_err(|error| Lack::Scene(transport::chain(&error)))
 }
 
 fn try_scene(files: &TaskFiles, pack: &AssetPack, sources: &Sources) -> Result<States, SceneError> {
@@ -80,15 +75,17 @@ fn try_scene(files: &TaskFiles, pack: &AssetPack, sources: &Sources) -> Result<S
     })
 }
 
-/// Returns the SHA-256 of files in sequence, hex.
-fn digest(paths: [&Path; 2]) -> Result<String, VariantsError> {
+/// Returns the SHA-256 of files in sequence, hex, or the reason why a file cannot be read.
+fn digest(paths: [&Path; 2]) -> Result<String, String> {
     let mut digest = Sha256::new();
     for path in paths {
-        let bytes = fs::read(path).map_err(|source| VariantsError::File {
-            path: path.to_owned(),
-            source,
-        })?;
-        digest.update(bytes);
+        let problem = |problem: &dyn fmt::Display| format!("read {}: {problem}", path.display());
+        let bytes = path.metadata().map_err(|error| problem(&error))?.len();
+        if bytes > MAX_FILE_BYTES {
+            let size = format!("it has {bytes} bytes, more than {MAX_FILE_BYTES}");
+            return Err(problem(&size));
+        }
+        digest.update(fs::read(path).map_err(|error| problem(&error))?);
     }
     Ok(hex(&digest.finalize()))
 }

@@ -83,7 +83,7 @@ struct Service {
 pub(crate) struct ScriptedCoordinator {
     service: Service,
     address: SocketAddr,
-    /// A runtime of its own, so that its connections end with it.
+    /// Separate runtime of the server: its shutdown closes all connections of the server.
     runtime: Option<Runtime>,
 }
 
@@ -212,7 +212,8 @@ impl ScriptedCoordinator {
         .await;
     }
 
-    /// Waits until the last heartbeat reports that this number of videos are made or sent.
+    /// Waits until the last heartbeat reports that the worker is rendering or sending this number
+    /// of videos.
     pub(crate) async fn wait_for_filming(&self, videos: u32) {
         self.wait_for("a heartbeat about videos", |state| {
             let last = state.heartbeats.last()?;

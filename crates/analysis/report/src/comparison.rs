@@ -23,7 +23,8 @@ pub struct Comparison {
     pub notes: Vec<String>,
     #[serde(flatten)]
     pub statistics: paired::Comparison,
-    /// Intervals that hold at any look, if both ran in the same drawn order.
+    /// Confidence sequences of the difference, valid however often the results are inspected;
+    /// `None` unless both policies ran in the same random order.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub sequential: Option<SequentialComparison>,
     /// Settings of the intervals.

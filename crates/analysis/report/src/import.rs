@@ -94,7 +94,7 @@ struct Row {
     init_id: Option<u16>,
     axis: Option<Condition>,
     level: Option<Level>,
-    suite: Option<Suite>,
+    suite: Option<String>,
     task_id: Option<u8>,
     config: Option<u16>,
     policy: Option<String>,
@@ -261,6 +261,16 @@ impl Reading {
             }
         })?;
         row.check_consistency()?;
+        if let Some(protocol) = &row.protocol {
+            // Rules of a suite file are `NAME@DIGEST`.
+            let is_of_suite_file = protocol.contains('@');
+            if is_of_suite_file != (row.rollout_id.task().suite() == Suite::Own) {
+                return Err(format!(
+                    "protocol `{protocol}` is not one of {}",
+                    row.rollout_id
+                ));
+            }
+        }
         let key = (row.rollout_id, row.replicate);
         if let Some(earlier) = self.lines.insert(key, self.number) {
             return Err(format!("{} is on line {earlier} too", row.rollout_id));
@@ -337,7 +347,9 @@ impl Row {
             ("level", self.level.is_none_or(|level| level == id.level())),
             (
                 "suite",
-                self.suite.is_none_or(|suite| suite == task.suite()),
+                self.suite
+                    .as_deref()
+                    .is_none_or(|suite| suite == task.suite().name()),
             ),
             (
                 "task_id",

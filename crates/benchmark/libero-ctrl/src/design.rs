@@ -515,7 +515,7 @@ mod tests {
                 &both[1..],
                 0.02,
                 Some(vec![4]),
-                "`placebo_configs` is about",
+                "`placebo_configs` applies to the placebo level only",
             ),
             (&both, 0.02, Some(vec![3]), "`placebo_configs` has 3"),
             (&both, 0.02, Some(vec![]), "`placebo_configs` is empty"),

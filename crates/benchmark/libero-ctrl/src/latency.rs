@@ -1,6 +1,6 @@
 //! The latency axis, an addition to the six of the protocol: the policy's responses are delayed by
-//! whole control steps. The axis perturbs no value of the scene. Its rows run under `overlap` with
-//! their own delay, and simultaneous perturbation excludes it.
+//! whole control steps. The axis perturbs no value of the scene. Its rows run under the execution
+//! model `overlap` with the delay of their level. Simultaneous perturbation excludes the axis.
 
 use std::fmt;
 use std::str::FromStr;

@@ -67,8 +67,12 @@ impl OwnTask {
     }
 }
 
+/// Longest path of a task file in its folder, bytes.
+const MAX_PATH_BYTES: usize = 255;
+
 /// Returns true if a path stays in its folder, on every system.
 pub(crate) fn stays_inside(path: &str) -> bool {
     let is_plain = |part: &str| !matches!(part, "" | "." | "..");
-    path.split('/').all(is_plain) && !path.contains(['\\', ':', '\0'])
+    let is_excluded = |letter: char| matches!(letter, '\\' | ':') || letter.is_control();
+    path.len() <= MAX_PATH_BYTES && path.split('/').all(is_plain) && !path.contains(is_excluded)
 }

@@ -23,6 +23,8 @@ const MAX_TASKS: usize = 256;
 const MAX_BUDGET: u32 = 100_000;
 /// Most control steps before the policy starts.
 const MAX_WAITS: u32 = 1000;
+/// Longest prompt, bytes, as in results.
+const MAX_PROMPT_BYTES: usize = 4096;
 /// Digits of a file's digest in names of protocols.
 const DIGEST_DIGITS: usize = 16;
 /// Highest number of a corruption of LIBERO-Plus.
@@ -222,6 +224,7 @@ impl SuiteFile {
             return Err(value("suites", &format!("{tasks} tasks"), &remedy));
         }
         let mut names = BTreeSet::new();
+        let mut tasks = Vec::new();
         for (index, suite) in self.suites.iter().enumerate() {
             let field = |name: &str| format!("suites[{index}].{name}");
             check_name(&field("name"), &suite.name)?;
@@ -240,7 +243,17 @@ impl SuiteFile {
                 check_range(&field("budget"), budget, 1, MAX_BUDGET)?;
             }
             for (place, task) in suite.tasks.iter().enumerate() {
-                task.check(&|name| field(&format!("tasks[{place}].{name}")))?;
+                let field = |name: &str| field(&format!("tasks[{place}].{name}"));
+                task.check(&field)?;
+                let instruction = self.instruction(task);
+                let budget = suite.budget.unwrap_or(self.budget);
+                let conditions = (self.own_task(suite, task), instruction, budget);
+                if tasks.contains(&conditions) {
+                    let remedy = "an earlier task has the same files and conditions, and would \
+                                  count twice; remove one";
+                    return Err(value(&field("name"), &quoted(&task.name), remedy));
+                }
+                tasks.push(conditions);
             }
         }
         Ok(())
@@ -343,6 +356,15 @@ impl FileTask {
         {
             let remedy = "write a sentence, or leave the field out";
             return Err(value(&field("prompt"), "empty", remedy));
+        }
+        let prompt = self.prompt.as_deref().unwrap_or_default();
+        if prompt.len() > MAX_PROMPT_BYTES || prompt.contains(char::is_control) {
+            let remedy = format!("write at most {MAX_PROMPT_BYTES} bytes on one line");
+            return Err(value(
+                &field("prompt"),
+                "too long or of several lines",
+                &remedy,
+            ));
         }
         let Changes {
             view,
@@ -566,6 +588,16 @@ mod tests {
             r#""budget": 500"#,
             r#""budget": 0"#,
             "`suites[1].budget` is 0",
+        );
+        check(
+            "open the drawer",
+            r"open\nit",
+            "at most 4096 bytes on one line",
+        );
+        check(
+            r#""push_it""#,
+            r#""push_it", "push_it""#,
+            "would count twice",
         );
         let many = vec![r#""push_it""#; 255].join(",");
         check(

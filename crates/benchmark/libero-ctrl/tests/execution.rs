@@ -34,7 +34,7 @@ fn invalid_texts_are_refused_with_the_problem_and_the_valid_forms() {
         ("hold:", "a number is missing"),
         ("hold:+3", "`+3` is not a number"),
         ("hold:201", "a delay of 201"),
-        ("hold:99999999999", "no number"),
+        ("hold:99999999999", "`99999999999` is not a number"),
         ("hold:3,rtc", "`3,rtc` is not a number"),
         ("overlap:3*0", "weight 0"),
         ("overlap:3*1001", "weight 1001"),

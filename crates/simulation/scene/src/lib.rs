@@ -41,4 +41,4 @@ pub use instance::{Instance, InstanceKind, RegionSite};
 pub use needs::needed_files;
 pub use pack::AssetPack;
 pub use sources::Sources;
-pub use task::TaskFiles;
+pub use task::{FileStamps, TaskFiles};

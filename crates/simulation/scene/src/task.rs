@@ -1,6 +1,7 @@
 //! Files of a task: its BDDL problem and its initial states.
 
 use std::path::PathBuf;
+use std::time::SystemTime;
 
 use libero_ctrl::{OwnTask, TaskRef};
 use libero_family::plus::Variant;
@@ -18,7 +19,19 @@ pub struct TaskFiles {
     pub init: PathBuf,
 }
 
+/// Length, bytes, and time of modification of the BDDL file and of the states; `None` of a missing
+/// file. A change of a file changes them.
+pub type FileStamps = [Option<(u64, SystemTime)>; 2];
+
 impl TaskFiles {
+    /// Returns the stamps of both files as they are now.
+    pub fn stamps(&self) -> FileStamps {
+        [&self.bddl, &self.init].map(|path| {
+            let facts = path.metadata().ok()?;
+            Some((facts.len(), facts.modified().ok()?))
+        })
+    }
+
     /// Returns the files of one of the 40 evaluation tasks.
     pub fn of_task(sources: &Sources, task: TaskRef) -> Self {
         let (suite, stem) = (task.suite().name(), task.name());

@@ -5,7 +5,7 @@ use std::sync::Arc;
 use libero_ctrl::presets::ENV_SEED;
 use libero_family::plus::CameraPose as WrittenPose;
 use scene::arena::arena;
-use scene::{AssetPack, InitialStates, Sources, TaskFiles, compose};
+use scene::{AssetPack, FileStamps, InitialStates, Sources, TaskFiles, compose};
 
 use crate::compiled_scene::CompiledScene;
 use crate::environment::Environment;
@@ -30,6 +30,8 @@ pub struct ReadyScene {
     /// Pose of the perturbed camera as written in the arena, before MuJoCo normalises it.
     pub(crate) written_camera: Option<WrittenPose>,
     pub(crate) files: TaskFiles,
+    /// Stamps of the files when they were read.
+    pub(crate) stamps: FileStamps,
 }
 
 impl ReadyScene {
@@ -42,6 +44,8 @@ impl ReadyScene {
         pack: &AssetPack,
         sources: &Sources,
     ) -> Result<Self, SimError> {
+        // Before the files are read: a change during the reading is noticed later.
+        let stamps = files.stamps();
         let problem = files.problem()?;
         let states = InitialStates::read(&files.init)?;
         let scene = compose(&problem, pack, sources, ENV_SEED)?;
@@ -68,6 +72,7 @@ impl ReadyScene {
             look_at,
             written_camera: arena(&problem.name).and_then(|arena| arena.camera(PERTURBED_CAMERA)),
             files,
+            stamps,
         })
     }
 

@@ -124,11 +124,9 @@ impl Simulator {
 
     /// Moves the scene of these files to the front of the cache, compiling it if necessary.
     fn make_ready(&mut self, files: TaskFiles) -> Result<(), SimError> {
-        if let Some(index) = self
-            .scenes
-            .iter()
-            .position(|(scene, _)| scene.files == files)
-        {
+        let stamps = files.stamps();
+        let is_ready = |scene: &ReadyScene| scene.files == files && scene.stamps == stamps;
+        if let Some(index) = self.scenes.iter().position(|(scene, _)| is_ready(scene)) {
             self.scenes[..=index].rotate_right(1);
             return Ok(());
         }

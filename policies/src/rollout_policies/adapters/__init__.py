@@ -29,7 +29,7 @@ MODULES = {
     "minerva": "minerva",
 }
 
-#: Policies that draw their noise outside the network, so that a batch can be given it row by row.
+#: Policies whose noise is drawn outside the network, so that each query of a batch gets its own.
 BATCHING = ("pi05", "smolvla")
 #: Policies whose checkpoints name their image slots.
 WITH_SLOTS = ("pi05", "smolvla", "vla-jepa", "minerva")

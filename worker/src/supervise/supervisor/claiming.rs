@@ -6,12 +6,13 @@ use libero_ctrl::{ManifestRow, RolloutId};
 use libero_family::TaskKey;
 use proto::coordinator::{ClaimRequest, ClaimResponse, Lease};
 use rollout_types::AttemptId;
+use scene::FileStamps;
 use tokio::time::Instant;
 use tonic::{Code, Status};
 use transport::chain;
 
 use super::Supervisor;
-use crate::assets::{Stamps, Unprovided};
+use crate::assets::Unprovided;
 use crate::ids::random_id;
 use crate::message::{
     Assignment, Failure, FailureKind, Session, SlotCommand, VideoOf, VideoRequest,
@@ -54,7 +55,7 @@ impl Supervisor {
     fn lacking_keys(&mut self) -> BTreeSet<String> {
         let mut keys = self.config.lacking_keys();
         let provider = self.config.provider.as_ref();
-        let may_run = |row: &ManifestRow, files: &Stamps| {
+        let may_run = |row: &ManifestRow, files: &FileStamps| {
             provider.is_some_and(|provider| provider.has_changed(row, files))
         };
         self.lacks.retain(|_, (row, files)| !may_run(row, files));
@@ -113,7 +114,8 @@ impl Supervisor {
         // Variants of a task have files of their own.
         let has_the_files_of = |last: &ManifestRow, row: &ManifestRow| {
             let files = |id: RolloutId| (id.task(), id.variant());
-            files(last.id) == files(row.id) && last.own == row.own
+            // A user may change the files of a suite file at any time.
+            files(last.id) == files(row.id) && row.own.is_none()
         };
         let row = assignment.row.clone();
         let last = self.slots[slot].assignment.as_ref();

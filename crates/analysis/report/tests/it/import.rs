@@ -106,6 +106,14 @@ fn a_file_of_variants_has_one_protocol_and_the_report_of_its_benchmark() {
     assert_eq!(family.protocol, "pro-official");
     assert_eq!((family.all.rollouts, family.all.broken), (1, 1));
 
+    let own = concat!(
+        r#"{"rollout_id": "own/t0/own:near/i00", "success": true, "suite": "own", "#,
+        r#""protocol": "kitchen@0123456789abcdef"}"#
+    );
+    let subject = import(file(&[own]).path()).expect("read");
+    let family = document(vec![subject]).family.expect("of a suite file");
+    assert_eq!((family.all.rollouts, family.all.successes), (1, 1));
+
     let other = unperturbed.replace("pro-official", "pro-bddl");
     for (second, expected) in [
         (
@@ -113,6 +121,10 @@ fn a_file_of_variants_has_one_protocol_and_the_report_of_its_benchmark() {
             "line 2: it is under protocol `pro-bddl`, earlier lines are under protocol `pro-official`",
         ),
         (ROW.to_owned(), "line 2: it is without `protocol`"),
+        (
+            unperturbed.replace("pro-official", "kitchen@0123456789abcdef"),
+            "line 2: protocol `kitchen@0123456789abcdef` is not one of goal/t0/pro:unperturbed/i03",
+        ),
     ] {
         let message = refused(&[&swapped, &second]);
         assert!(message.contains(expected), "{message}");

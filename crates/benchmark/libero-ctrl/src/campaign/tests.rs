@@ -422,7 +422,7 @@ fn a_suite_file_alone_sets_the_rollouts() {
         (
             "tasks",
             serde_json::json!(["all"]),
-            "`tasks` beside `suite_file`",
+            "`tasks` and `suite_file` both define the rollouts",
         ),
         ("replicates", 2.into(), "write 1"),
         ("suite_file", other, "`waits` is 2000: write 0 to 1000"),
@@ -433,7 +433,7 @@ fn a_suite_file_alone_sets_the_rollouts() {
     let rows = read.expand().expect("rows");
     let error = imported(&rows, None).expect_err("rows of a suite file");
     assert!(
-        error.to_string().contains("`suite_file`: take it out"),
+        error.to_string().contains("`suite_file`: remove the row"),
         "{error}"
     );
 }

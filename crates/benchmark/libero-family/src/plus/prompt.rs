@@ -1,5 +1,5 @@
-//! Prompt of the policy. LIBERO-Plus derives the prompt from the file's name, which reveals the
-//! change to the policy; harnesses correct this in different ways.
+//! Prompt of the policy. LIBERO-Plus derives the prompt from the name of the variant's BDDL file,
+//! which reveals the change to the policy; harnesses correct this in different ways.
 
 use std::fmt;
 use std::str::FromStr;

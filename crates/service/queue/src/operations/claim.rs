@@ -173,8 +173,8 @@ impl Context<'_> {
         let mut done: BTreeSet<CampaignId> = BTreeSet::new();
         let mut leased: Option<BTreeMap<CampaignId, u32>> = None;
         while !pending.is_empty() {
-            // Read again after every campaign: a lease may be the probe that other campaigns of the
-            // policy wait for.
+            // Reads the campaigns again after every grant: the granted lease may be the probe of a
+            // paused policy, and the policy's other campaigns wait until the probe ends.
             let waiting = self.cache.waiting(&mut self.tx).await?;
             let now = self.now;
             let suits = |campaign: &&Campaign| {
@@ -225,8 +225,8 @@ impl Context<'_> {
         Ok(assigned)
     }
 
-    /// Leases jobs that have repeatedly lost their policy, each as the policy's only lease. Removes
-    /// served claims from `pending`.
+    /// Leases jobs whose policy has repeatedly failed during their attempts, each as the policy's
+    /// only lease. Removes served claims from `pending`.
     async fn lease_alone_to(
         &mut self,
         pin: &Pin,

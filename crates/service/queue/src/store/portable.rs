@@ -73,7 +73,7 @@ const COPIED: [Copied; 10] = [
     Copied {
         table: "job",
         from: "temp.moved_job m CROSS JOIN source.job s ON s.id = m.old
-               NOT_COPIED JOIN source.result r ON r.job_id = s.id WHERE TRUE",
+               LEFT JOIN source.result r ON r.job_id = s.id WHERE TRUE",
         values: &[
             ("id", "m.new"),
             CAMPAIGN,
