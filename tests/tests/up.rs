@@ -4,6 +4,7 @@
 use std::io::{BufRead, BufReader, Read};
 use std::path::Path;
 use std::process::{Child, Command, Output, Stdio};
+use std::time::Duration;
 
 use tests::programs::program;
 
@@ -126,7 +127,10 @@ impl Up {
         let mut output = String::new();
         let out = self.child.stdout.as_mut().expect("a pipe");
         out.read_to_string(&mut output).expect("UTF-8");
-        self.log.extend(self.lines.try_iter());
+        // The thread that reads the log may be behind the process, whose end closes the channel.
+        while let Ok(line) = self.lines.recv_timeout(Duration::from_secs(10)) {
+            self.log.push(line);
+        }
         output.push_str(&self.log.join("\n"));
         (code, output)
     }
@@ -188,10 +192,10 @@ fn no_program_outlives_a_killed_coordinator_up() {
         };
         while alive() {
             assert!(
-                start.elapsed() < std::time::Duration::from_secs(30),
+                start.elapsed() < Duration::from_secs(30),
                 "{name} is still running"
             );
-            std::thread::sleep(std::time::Duration::from_millis(20));
+            std::thread::sleep(Duration::from_millis(20));
         }
     }
 }
