@@ -116,5 +116,5 @@ def test_after_an_unrecoverable_error_the_rest_of_a_batch_is_not_queried(serving
 
 def test_the_gateway_has_the_same_words_of_unrecoverable_errors():
     source = pathlib.Path(__file__).parents[2] / "policy-gateway" / "src" / "health.rs"
-    words = re.search(r"BROKEN_WORDS: \[&str; \d+\] = \[(.*?)\]", source.read_text(), re.DOTALL)
+    words = re.search(r"FATAL_PHRASES: \[&str; \d+\] = \[(.*?)\]", source.read_text(), re.DOTALL)
     assert tuple(re.findall(r'"(.*?)"', words[1])) == BROKEN_WORDS
