@@ -41,7 +41,7 @@ and their steps more diverse."""
 FAILURES_WEIGHT = 3.0
 """Factor on the number of environments of a task that the student always fails."""
 BUDGETS = 2
-"""Step limit of an episode, in multiples of the benchmark's: a learning student is slow."""
+"""Default step limit of an episode, in multiples of the benchmark's: a learning student is slow."""
 OUTCOMES = "outcomes.json"
 """File in the folder of shards: by task, the number of successes and of episodes in which the
 student drove alone."""
@@ -96,7 +96,6 @@ class Tally:
         if alone:
             parts.append("student alone % " + _rates(alone))
         return "  ".join(parts)
-
 
     def alone(self) -> dict[str, list[int]]:
         """Returns by task the numbers of successes and of episodes in which the student drove
@@ -163,6 +162,8 @@ class Group:
         wordings: Sequence[Sequence[str]],
         *,
         steps_per_frame: int,
+        budgets: int,
+        solved_only: bool,
         perturbed: float,
         threads: int,
         seed: Sequence[int],
@@ -175,6 +176,7 @@ class Group:
         self._writer, self._tally, self._pilot = writer, tally, pilot
         self._wordings = wordings
         self._k = steps_per_frame
+        self._solved_only = solved_only
         self._perturbed = perturbed
         self._device = device
         self._rng = np.random.default_rng(seed)
@@ -187,7 +189,7 @@ class Group:
             width=RENDERED,
             orientation="upright",
             init_states="sampled",
-            max_steps=[BUDGETS * rollout_libero.Task.of(name).max_steps for name in names],
+            max_steps=[budgets * rollout_libero.Task.of(name).max_steps for name in names],
             autoreset_mode=AutoresetMode.NEXT_STEP,
         )
         self._by_expert = ExpertDrives(n, self._rng)
@@ -334,7 +336,7 @@ class Group:
         task = int(self._tasks[index])
         if outcome != Outcome.UNFINISHED:
             self._tally.add_episode(task, driver, outcome == Outcome.SUCCESS)
-        if steps == 0:
+        if steps == 0 or (self._solved_only and outcome != Outcome.SUCCESS):
             return
         self._writer.add(
             Episode(
@@ -373,9 +375,10 @@ def read_outcomes(folders: Sequence[Path]) -> dict[str, list[int]]:
 
 
 def tasks_of_environments(
-    count: int, suites: Sequence[str], outcomes: Mapping[str, Sequence[int]]
+    count: int, prefixes: Sequence[str], outcomes: Mapping[str, Sequence[int]]
 ) -> list[int]:
-    """Returns the tasks of ``count`` environments. Tasks of libero_10 and tasks that the student
+    """Returns the tasks of ``count`` environments, of those whose names begin with one of the
+    prefixes. Tasks of libero_10 and tasks that the student
     fails get more environments; each task gets at least one, if there is room."""
     shares = np.zeros(len(TASK_NAMES))
     for number, name in enumerate(TASK_NAMES):
@@ -383,9 +386,11 @@ def tasks_of_environments(
         # Smoothing: two more tries are assumed, one of them successful.
         failing = 1 - (solved + 1) / (tried + 2) if outcomes else 0.0
         weight = 1 + (FAILURES_WEIGHT - 1) * failing
-        suite = name.split("/")[0]
-        shares[number] = (suite in suites) * weight * (SEVERAL if suite == "libero_10" else 1.0)
+        long = name.startswith("libero_10/")
+        shares[number] = name.startswith(tuple(prefixes)) * weight * (SEVERAL if long else 1.0)
     chosen = np.flatnonzero(shares)
+    if not len(chosen):
+        raise SystemExit(f"no task begins with {' or '.join(prefixes)}; an example is libero_10/9")
     if count < len(chosen):
         return [int(chosen[at * len(chosen) // count]) for at in range(count)]
     given = (shares > 0).astype(int)
@@ -425,7 +430,7 @@ def collect(arguments: argparse.Namespace) -> None:
     # A resumed run must not repeat the scenes of earlier runs.
     run = next_number(arguments.into)
     outcomes = read_outcomes(arguments.failures) if arguments.failures else {}
-    groups_of = tasks_of_environments(arguments.envs, arguments.suites, outcomes)
+    groups_of = tasks_of_environments(arguments.envs, arguments.tasks, outcomes)
     compile_scenes(groups_of, arguments.assets, arguments.threads)
     count = min(arguments.groups, len(groups_of))
     writer = Writer(arguments.into)
@@ -439,6 +444,8 @@ def collect(arguments: argparse.Namespace) -> None:
                 pilot,
                 wordings,
                 steps_per_frame=STEPS_PER_FRAME,
+                budgets=arguments.budgets,
+                solved_only=arguments.solved_only,
                 perturbed=arguments.perturbed,
                 threads=arguments.threads,
                 seed=[arguments.seed, run, at],
@@ -477,7 +484,6 @@ def collect(arguments: argparse.Namespace) -> None:
 
 
 def main() -> None:
-    suites = list(dict.fromkeys(name.split("/")[0] for name in TASK_NAMES))
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("--into", type=Path, required=True, help="folder of shards")
     parser.add_argument("--seconds", type=float, default=300.0, help="duration, start included")
@@ -493,7 +499,14 @@ def main() -> None:
     parser.add_argument("--envs", type=int, default=100, help="number of environments")
     parser.add_argument("--groups", type=int, default=2, help="alternating groups of environments")
     parser.add_argument("--threads", type=int, default=16, help="threads per group")
-    parser.add_argument("--suites", nargs="+", choices=suites, default=suites)
+    parser.add_argument("--tasks", nargs="+", default=["libero"], help="prefixes of task names")
+    parser.add_argument(
+        "--budgets", type=int, default=BUDGETS,
+        help="step limit of an episode, in multiples of the benchmark's",
+    )  # fmt: skip
+    parser.add_argument(
+        "--solved-only", action="store_true", help="file only the episodes that end in success"
+    )
     parser.add_argument(
         "--failures", type=Path, nargs="+", metavar="FOLDER",
         help="folders of earlier shards: tasks that the student failed alone get more environments",

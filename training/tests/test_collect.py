@@ -77,7 +77,8 @@ def shards_of(folder: Path, monkeypatch: pytest.MonkeyPatch, **given: Any) -> li
     monkeypatch.setattr(collect, "compile_scenes", lambda *_: None)
     usual: dict[str, Any] = {
         "into": folder, "seconds": 2.5, "driver": "expert", "weights": None, "perturbed": 0.0,
-        "envs": 4, "groups": 2, "threads": 1, "suites": ["libero_goal"], "failures": None,
+        "envs": 4, "groups": 2, "threads": 1, "tasks": ["libero_goal"], "failures": None,
+        "budgets": 2, "solved_only": False,
         "assets": "primitives", "seed": 0, "device": "cpu",
     }  # fmt: skip
     collect.collect(argparse.Namespace(**(usual | given)))
@@ -125,8 +126,7 @@ def test_perturbations_differ_from_the_benchmarks(
 
 
 def test_four_of_ten_environments_are_of_libero_10() -> None:
-    suites = list(dict.fromkeys(name.split("/")[0] for name in TASK_NAMES))
-    tasks = collect.tasks_of_environments(100, suites, {})
+    tasks = collect.tasks_of_environments(100, ["libero"], {})
     assert len(tasks) == 100
     assert sum(TASK_NAMES[task].startswith("libero_10") for task in tasks) == 40
     assert set(tasks) == set(range(40))
@@ -136,10 +136,27 @@ def test_four_of_ten_environments_are_of_libero_10() -> None:
 
 def test_tasks_that_the_student_fails_get_more_environments() -> None:
     outcomes = {name: (10, 10) for name in TASK_NAMES} | {TASK_NAMES[23]: (0, 10)}
-    suites = list(dict.fromkeys(name.split("/")[0] for name in TASK_NAMES))
-    tasks = collect.tasks_of_environments(120, suites, outcomes)
+    tasks = collect.tasks_of_environments(120, ["libero"], outcomes)
     assert set(tasks) == set(range(40)) and len(tasks) == 120
     assert tasks.count(23) > 2 * tasks.count(22)
+
+
+def test_solved_only_files_no_other_episode(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    outcomes = [shard.outcome for shard in shards_of(tmp_path / "all", monkeypatch)]
+    assert set(np.concatenate(outcomes)) > {Outcome.SUCCESS}
+    solved = [
+        shard.outcome for shard in shards_of(tmp_path / "solved", monkeypatch, solved_only=True)
+    ]
+    assert set(np.concatenate(solved)) == {Outcome.SUCCESS}
+
+
+def test_tasks_are_chosen_by_prefix() -> None:
+    tasks = collect.tasks_of_environments(8, ["libero_goal/3", "libero_10/9"], {})
+    assert {TASK_NAMES[task] for task in tasks} == {"libero_goal/3", "libero_10/9"}
+    with pytest.raises(SystemExit, match="libero_11"):
+        collect.tasks_of_environments(8, ["libero_11"], {})
 
 
 def test_the_student_needs_a_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
