@@ -39,11 +39,11 @@ pub struct Gate {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GateVerdict {
-    /// All nominal rollouts have results, and the difference is within [`GATE_TOLERANCE`].
+    /// Enough nominal rollouts have results, and the difference is within [`GATE_TOLERANCE`].
     Passed,
-    /// All nominal rollouts have results, and the difference exceeds [`GATE_TOLERANCE`].
+    /// Enough nominal rollouts have results, and the difference exceeds [`GATE_TOLERANCE`].
     Failed,
-    /// Too few nominal rollouts have results: fewer than are behind the published figure.
+    /// Fewer nominal rollouts have results than the published figure is based on.
     Undecided,
 }
 
@@ -61,20 +61,20 @@ impl Gate {
     /// Evaluates the gate: |successes / n − published| ≤ [`GATE_TOLERANCE`] with
     /// n ≥ [`GATE_ROLLOUTS`].
     pub fn new(published: f64, nominal: Count) -> Self {
-        Self::over(GATE_ROLLOUTS, published, nominal)
+        Self::evaluate(GATE_ROLLOUTS, published, nominal)
     }
 
     /// Evaluates the gate of one suite, with n ≥ [`GATE_ROLLOUTS_OF_A_SUITE`].
     pub fn of_suite(published: f64, nominal: Count) -> Self {
-        Self::over(GATE_ROLLOUTS_OF_A_SUITE, published, nominal)
+        Self::evaluate(GATE_ROLLOUTS_OF_A_SUITE, published, nominal)
     }
 
-    fn over(rollouts: u64, published: f64, nominal: Count) -> Self {
+    fn evaluate(min_rollouts: u64, published: f64, nominal: Count) -> Self {
         let difference = nominal.rate().map(|rate| rate - published);
         // A difference of exactly the tolerance passes, despite rounding.
-        let close = |difference: f64| difference.abs() <= GATE_TOLERANCE + 1e-9;
+        let is_within = |difference: f64| difference.abs() <= GATE_TOLERANCE + 1e-9;
         let verdict = match difference {
-            Some(difference) if nominal.n >= rollouts => match close(difference) {
+            Some(difference) if nominal.n >= min_rollouts => match is_within(difference) {
                 true => GateVerdict::Passed,
                 false => GateVerdict::Failed,
             },
@@ -99,8 +99,8 @@ impl Gate {
             weight * weight * rate * (1.0 - rate) / (task.n as f64 - 1.0)
         });
         let error = variance.sum::<f64>().sqrt();
-        let is_enough = tasks.iter().all(|task| task.n > 1) && error > 0.0;
-        self.equivalence_p = self.difference.filter(|_| is_enough).map(|difference| {
+        let has_variance = tasks.iter().all(|task| task.n > 1) && error > 0.0;
+        self.equivalence_p = self.difference.filter(|_| has_variance).map(|difference| {
             let df = (n - tasks.len() as u64) as f64;
             upper_tail((GATE_TOLERANCE - difference.abs()) / error, df)
         });
