@@ -5,11 +5,11 @@
 //! The configurations of one level are a finite population of N units in strata
 //! (tasks). Units are drawn without replacement, one of every stratum in each
 //! round ([`Order`]). An interval is about the value over *all* N units, drawn or
-//! not, so that it shrinks to a point when all are drawn.
+//! not, so that it shrinks to a point when all units are drawn.
 //!
 //! # Guarantee
 //! With probability 95 % over the drawn order, *every* interval of a
-//! [`SequentialMeasures`] holds at *every* look. One may therefore look at any
+//! [`SequentialMeasures`] holds at *every* look. The reader may therefore look at any
 //! time, stop for any reason, and read any of the five intervals. Intervals for
 //! a fixed sample size, such as a bootstrap's, do not allow this.
 //!
@@ -49,7 +49,7 @@
 //! the same, Estimating means of bounded random variables by betting, JRSS B 86
 //! (2024), 1–27 (bets); J. V. Spertus, M. Sridhar and P. B. Stark, Sequential
 //! stratified inference for the mean, arXiv 2409.06680 (strata's means as
-//! nuisance parameters, over which one minimises); J. Ville, Étude critique de
+//! nuisance parameters, over which the evidence is minimised); J. Ville, Étude critique de
 //! la notion de collectif (1939).
 
 mod campaign;
@@ -63,7 +63,7 @@ mod new_tasks;
 mod order;
 mod prefix;
 mod sequence;
-mod together;
+mod simultaneous;
 
 pub use campaign::{CampaignLook, SEQUENTIAL_ALPHA, drawn_order};
 pub use compared::{ComparedLook, NotInOneOrder, compared_looks};

@@ -127,7 +127,8 @@ impl Excess {
 /// The rollouts of a placebo are exchangeable, because no perturbation is large enough to matter.
 /// The average has the same expectation as the measure itself and a smaller variance
 /// (D. Blackwell, Annals of Mathematical Statistics 18 (1947), 105–110). A lone failure is
-/// emergent if it is the simultaneous rollout. A simultaneous success beside any failure is compensated.
+/// emergent if it is the simultaneous rollout. A simultaneous success beside any failure is
+/// compensated.
 fn expected(successes: usize, rollouts: usize) -> (f64, f64) {
     let part = |count: usize| count as f64 / rollouts as f64;
     let failures = rollouts - successes;
