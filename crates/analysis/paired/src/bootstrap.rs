@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 /// Lower and upper end of a 95 % interval.
 pub type Interval = [f64; 2];
 
-/// Largest number of resampling threads; more cost more to start than they save.
+/// Largest number of resampling threads; further threads take longer to start than they save.
 const MAX_THREADS: usize = 8;
 
 /// Settings of the bootstrap. The default is the protocol's: 4,000 replicates
@@ -119,8 +119,8 @@ impl Bootstrap {
             draws.fill(0);
             for _ in 0..clusters {
                 // Lemire's multiply-shift: the upper half of the product is in 0..clusters.
-                let wide = u128::from(rng.next_u64()) * clusters as u128;
-                draws[(wide >> 64) as usize] += 1;
+                let product = u128::from(rng.next_u64()) * clusters as u128;
+                draws[(product >> 64) as usize] += 1;
             }
             statistics(&draws, row);
         }
@@ -164,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn the_number_of_threads_changes_nothing() {
+    fn intervals_do_not_depend_on_the_number_of_threads() {
         let bootstrap = Bootstrap {
             replicates: 1001,
             seed: 7,

@@ -150,12 +150,12 @@ mod tests {
     fn configurations(changes: &[&[i8]]) -> Vec<Configuration> {
         let tasks = TaskRef::all().zip(changes);
         let task_configurations = |(task, changes): (TaskRef, &&[i8])| {
-            let one = move |&change: &i8| Configuration {
+            let configuration = move |&change: &i8| Configuration {
                 task,
                 alone: [(Axis::Camera, change < 0)].into(),
                 simultaneous: change > 0,
             };
-            changes.iter().map(one).collect::<Vec<_>>()
+            changes.iter().map(configuration).collect::<Vec<_>>()
         };
         tasks.flat_map(task_configurations).collect()
     }

@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn five_points_pass_and_more_do_not() {
+    fn a_difference_of_five_points_passes_and_a_greater_one_fails() {
         check(0.971, 1934, 2000, GateVerdict::Passed);
         check(0.95, 2000, 2000, GateVerdict::Passed);
         check(0.95, 1799, 2000, GateVerdict::Failed);
@@ -144,15 +144,15 @@ mod tests {
                 .with_tasks(&tasks)
                 .equivalence_p
         };
-        let (at, near) = (p(0.90).expect("varies"), p(0.94).expect("varies"));
+        let [equal, different] = [0.90, 0.94].map(|published| p(published).expect("variance"));
         // SciPy: stats.t.sf(0.05 / (0.2 * 0.8 / 49 / 4) ** 0.5, 98).
-        assert!((at - 0.042_0).abs() < 5e-4, "{at}");
-        assert!(near > 0.3, "{near}");
+        assert!((equal - 0.042_0).abs() < 5e-4, "{equal}");
+        assert!(different > 0.3, "{different}");
     }
 
     /// A suite's gate needs 500 rollouts, not the 2,000 of all suites.
     #[test]
-    fn all_rollouts_of_a_suite_decide_its_gate() {
+    fn five_hundred_rollouts_decide_the_gate_of_a_suite() {
         let gate = |n| Gate::of_suite(0.97, Count { successes: 480, n }).verdict;
         assert_eq!(gate(500), GateVerdict::Passed);
         assert_eq!(gate(499), GateVerdict::Undecided);

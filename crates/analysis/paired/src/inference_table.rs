@@ -178,7 +178,7 @@ pub(crate) fn push_inference(text: &mut String, cells: &[&Cell], suffix: &str) {
     push_losses(text, cells, suffix);
 }
 
-/// Writes the table of success lost under each condition, against matched nominal
+/// Appends the table of success lost under each condition, against matched nominal
 /// rollouts.
 fn push_losses(text: &mut String, cells: &[&Cell], suffix: &str) {
     let heads = [
@@ -228,7 +228,7 @@ fn push_losses(text: &mut String, cells: &[&Cell], suffix: &str) {
     }
 }
 
-/// Returns the legend of the table's lines.
+/// Returns the legend entries of the table's lines.
 pub(crate) fn meanings(cells: &[&Cell]) -> Vec<(&'static str, &'static str)> {
     let inferred: Vec<&Inference> = cells
         .iter()

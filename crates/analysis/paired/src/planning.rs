@@ -26,12 +26,12 @@ pub struct Assumed {
     pub s_sim: f64,
     /// Share of configurations whose outcome simultaneity changes.
     pub r_d: f64,
-    /// Correlation of simultaneous success.
-    pub of_success: f64,
-    /// Correlation of simultaneous − conjunction, which is −1, 0 or 1.
-    pub of_change: f64,
-    /// Correlation of the indicator that the outcome changes.
-    pub of_changed: f64,
+    /// Correlation of simultaneous success within a task.
+    pub success_correlation: f64,
+    /// Correlation within a task of simultaneous − conjunction, which is −1, 0 or 1.
+    pub change_correlation: f64,
+    /// Correlation within a task of the indicator that the outcome changes.
+    pub changed_correlation: f64,
 }
 
 /// Number of configurations planned at a level.
@@ -72,39 +72,40 @@ pub struct Detectable {
 }
 
 impl Assumed {
-    /// The student's published outcomes (`examples/student`): all of v0.1, and the placebo level.
+    /// Summary of the student's published outcomes (`examples/student`): all of v0.1, and the
+    /// placebo level.
     pub const STUDENT: [Self; 4] = [
         Self {
             level: Level::L0,
             s_sim: 0.95,
             r_d: 0.065,
-            of_success: 0.5274,
-            of_change: 0.1444,
-            of_changed: 0.1457,
+            success_correlation: 0.5274,
+            change_correlation: 0.1444,
+            changed_correlation: 0.1457,
         },
         Self {
             level: Level::L1,
             s_sim: 0.7225,
             r_d: 0.2075,
-            of_success: 0.3487,
-            of_change: 0.0404,
-            of_changed: 0.0765,
+            success_correlation: 0.3487,
+            change_correlation: 0.0404,
+            changed_correlation: 0.0765,
         },
         Self {
             level: Level::L2,
             s_sim: 0.4175,
             r_d: 0.27,
-            of_success: 0.2765,
-            of_change: 0.0462,
-            of_changed: 0.0852,
+            success_correlation: 0.2765,
+            change_correlation: 0.0462,
+            changed_correlation: 0.0852,
         },
         Self {
             level: Level::L3,
             s_sim: 0.0875,
             r_d: 0.155,
-            of_success: 0.1527,
-            of_change: 0.0512,
-            of_changed: 0.0404,
+            success_correlation: 0.1527,
+            change_correlation: 0.0512,
+            changed_correlation: 0.0404,
         },
     ];
 
@@ -148,9 +149,9 @@ impl Assumed {
             level,
             s_sim: share(|configuration| configuration.simultaneous),
             r_d: share(is_changed),
-            of_success: task_correlation_of(|configuration| configuration.simultaneous),
-            of_change: task_correlation(configurations).unwrap_or_default(),
-            of_changed: task_correlation_of(is_changed),
+            success_correlation: task_correlation_of(|configuration| configuration.simultaneous),
+            change_correlation: task_correlation(configurations).unwrap_or_default(),
+            changed_correlation: task_correlation_of(is_changed),
         }
     }
 
@@ -167,9 +168,9 @@ impl Assumed {
     /// correlation within tasks does not contribute to the error.
     pub const fn of_these_tasks(self) -> Self {
         Self {
-            of_success: 0.0,
-            of_change: 0.0,
-            of_changed: 0.0,
+            success_correlation: 0.0,
+            change_correlation: 0.0,
+            changed_correlation: 0.0,
             ..self
         }
     }
@@ -199,9 +200,12 @@ impl Assumed {
             } => (r_d, floor),
         };
         Detectable {
-            difference: paired(2.0 * self.s_sim * (1.0 - self.s_sim), self.of_success),
-            i: paired(self.r_d, self.of_change),
-            r_d: excess(base, self.of_changed, [planned, reference]),
+            difference: paired(
+                2.0 * self.s_sim * (1.0 - self.s_sim),
+                self.success_correlation,
+            ),
+            i: paired(self.r_d, self.change_correlation),
+            r_d: excess(base, self.changed_correlation, [planned, reference]),
         }
     }
 }
@@ -275,9 +279,9 @@ mod tests {
             level: Level::L2,
             s_sim: 0.6,
             r_d,
-            of_success: correlation,
-            of_change: correlation,
-            of_changed: correlation,
+            success_correlation: correlation,
+            change_correlation: correlation,
+            changed_correlation: correlation,
         }
     }
 

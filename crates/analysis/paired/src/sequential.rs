@@ -9,8 +9,8 @@
 //!
 //! # Guarantee
 //! With probability 95 % over the drawn order, *every* interval of a
-//! [`SequentialMeasures`] holds at *every* look. The reader may therefore look at any
-//! time, stop for any reason, and read any of the five intervals. Intervals for
+//! [`SequentialMeasures`] holds at *every* look. An operator may therefore look at
+//! any time, stop for any reason, and read any of the five intervals. Intervals for
 //! a fixed sample size, such as a bootstrap's, do not allow this.
 //!
 //! # Proof
@@ -26,10 +26,10 @@
 //! candidate θ for the population's total is the evidence against the best-supported strata
 //! totals that sum to θ: E(θ) = min {M(T_1, …, T_K): Σ T_k = θ}. At the true total, E is at
 //! most the martingale at the true totals of strata. By Ville's inequality, the probability
-//! that it ever reaches 1/α is at most α, so that {θ: E(θ) < 1/α} holds the true total at
-//! all looks at once with a probability of at least 1 − α. For each bet, −log of the
-//! denominators is convex in each T_k, so that the minimum is found exactly, one unit of θ
-//! after the other (the file `e_process`).
+//! that E ever reaches 1/α is at most α, so that {θ: E(θ) < 1/α} contains the true total at
+//! all looks simultaneously with a probability of at least 1 − α. For each bet, −log of the
+//! denominators is convex in each T_k, so that the minimum is found exactly, for one
+//! candidate θ after the other (the file `e_process`).
 //!
 //! The five measures share α = 5 % equally (Bonferroni).
 //!

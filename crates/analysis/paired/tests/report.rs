@@ -376,7 +376,7 @@ fn a_report_of_nominal_rollouts_alone_has_only_nominal_success() {
 }
 
 #[test]
-fn replicates_are_compared_with_the_first() {
+fn later_replicates_are_compared_with_replicate_0() {
     let mut records = campaign([[S, S, S, F], [S, F, S, S], [F, S, S, S]]);
     let mut again = records.clone();
     for record in &mut again {

@@ -22,11 +22,11 @@ const FEW_ORDERS: u64 = 10;
 /// Returns the number of orders, over all levels, for which `holds` returns false.
 fn misses(orders: u64, design: Design, holds: impl Fn(&Population, &Order<Unit>) -> bool) -> usize {
     let populations = Level::PERTURBED.map(Population::published);
-    let of_level = |population: &Population| {
+    let misses_of = |population: &Population| {
         let orders = (0..orders).map(|seed| population.order(seed, design));
         orders.filter(|order| !holds(population, order)).count()
     };
-    populations.iter().map(of_level).sum()
+    populations.iter().map(misses_of).sum()
 }
 
 /// Returns the number of misses over all levels that is exceeded with a probability below

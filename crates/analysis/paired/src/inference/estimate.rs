@@ -124,8 +124,9 @@ fn around(
 }
 
 /// Returns the complementary log-log interval value^exp(±t·√V / (value·|ln value|)); `None`
-/// without variance or if the value is 0 or 1. An interval on the log scale missed a product of
-/// six rates near 1 in 6 to 10 % of simulated campaigns, nearly always from above.
+/// without variance or if the value is 0 or 1. In 6 to 10 % of simulated
+/// campaigns, an interval on the log scale missed a product of six rates close to 1, nearly always
+/// from above.
 ///
 /// Source: J. D. Kalbfleisch and R. L. Prentice, The Statistical Analysis of Failure Time
 /// Data (1980), section 1.3, for survival curves, which are also products of shares.

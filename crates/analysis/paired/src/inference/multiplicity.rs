@@ -115,7 +115,7 @@ mod tests {
     }
 
     #[test]
-    fn strata_leave_fewer_degrees_of_freedom() {
+    fn strata_widen_intervals_by_leaving_fewer_degrees_of_freedom() {
         let mut rng = ChaCha12Rng::seed_from_u64(2);
         let mut values = Vec::new();
         for _ in 0..4 {

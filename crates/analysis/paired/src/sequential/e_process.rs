@@ -4,7 +4,7 @@
 /// Sizes of the bets in both directions, relative to the values' unit; they grow
 /// as a stratum runs out ([`Stratum::stake`]). Each is nearly optimal for one
 /// width of the interval, from the width after a fifth of the population to that after
-/// nine tenths; the average of all is never far from the best.
+/// nine tenths; the average over all sizes is never far from the best.
 const SIZES: [f64; 4] = [0.15, 0.25, 0.4, 0.7];
 
 /// Largest share of the capital that a bet may lose on one draw.

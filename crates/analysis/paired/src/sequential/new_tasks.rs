@@ -10,7 +10,7 @@
 //! depend on earlier rounds alone, and a task's mean x,
 //! (1 + s·(x − c)) / (1 + s·(μ_h − c)) has the expectation 1, so that the product over all
 //! tasks is a nonnegative martingale. −log of the denominators is convex in μ_h, so that by
-//! Jensen's inequality the product is at least the one in which the average m replaces every
+//! Jensen's inequality the product is at least its value with the average m in place of every
 //! μ_h, as s and c are the same for all tasks of a round. By Ville's inequality, the
 //! probability that the average of this lower bound over two bets ever reaches 1/α at the true m
 //! is at most α. There are no further assumptions about the tasks. Rounds that lack a suite are

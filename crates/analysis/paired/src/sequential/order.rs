@@ -109,9 +109,9 @@ fn below(rng: &mut impl Rng, n: u64) -> u64 {
     // Rejects draws whose lower half is below this threshold; they would bias some integers.
     let surplus = n.wrapping_neg() % n;
     loop {
-        let wide = u128::from(rng.next_u64()) * u128::from(n);
-        if wide as u64 >= surplus {
-            return (wide >> 64) as u64;
+        let product = u128::from(rng.next_u64()) * u128::from(n);
+        if product as u64 >= surplus {
+            return (product >> 64) as u64;
         }
     }
 }

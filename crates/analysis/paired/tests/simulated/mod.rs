@@ -108,8 +108,8 @@ fn floor(nominal: f64) -> [f64; 2] {
     [all * (1.0 - nominal), (1.0 - all) * nominal]
 }
 
-/// Points and weights that integrate smooth functions of a standard normal number: the
-/// trapezoidal rule, whose error for these falls faster than any power of the step.
+/// Returns points and weights that integrate smooth functions of a standard normal number: the
+/// trapezoidal rule, whose error for such functions falls faster than any power of the step.
 fn normal_points() -> impl Iterator<Item = (f64, f64)> {
     const STEP: f64 = 0.5;
     let weight = |z: f64| STEP * (-z * z / 2.0).exp() / std::f64::consts::TAU.sqrt();
@@ -143,23 +143,23 @@ impl Population {
 
     /// Draws the effects of tasks on each condition at L2, then on nominal rollouts.
     pub(crate) fn tasks(&self, tasks: usize, chance: &mut Chance) -> Effects {
-        let of_task = |_| {
+        let draw_task = |_| {
             let task_effect = self.deviations[0] * chance.normal();
             std::array::from_fn(|_| task_effect + self.deviations[1] * chance.normal())
         };
-        (0..tasks).map(of_task).collect()
+        (0..tasks).map(draw_task).collect()
     }
 
     /// Draws the effects of directions; they have none on nominal rollouts.
     pub(crate) fn directions(&self, directions: u16, chance: &mut Chance) -> Effects {
-        let of_direction = |_| {
+        let draw_direction = |_| {
             let mut effects = [0.0; CONDITIONS + 1];
             for effect in &mut effects[..CONDITIONS] {
                 *effect = self.deviations[2] * chance.normal();
             }
             effects
         };
-        (0..directions).map(of_direction).collect()
+        (0..directions).map(draw_direction).collect()
     }
 
     fn probabilities(
