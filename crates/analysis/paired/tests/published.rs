@@ -142,7 +142,7 @@ fn records(text: &str) -> Vec<Record> {
     text.lines().map(record).collect()
 }
 
-/// OpenVLA-OFT's 8,400 published outcomes, from the example data.
+/// Returns the report on OpenVLA-OFT's 8,400 published outcomes, from the example data.
 fn openvla_oft() -> Report {
     let records = records(EXAMPLE);
     assert_eq!(records.len(), 8400);
@@ -174,7 +174,8 @@ fn published_outcomes_reproduce_their_cells_exactly() {
     }
 }
 
-/// The paper's interval of I at L2, and those of an independent bootstrap of 200,000 replicates.
+/// Compares the intervals with the paper's interval of I at L2 and with those of an independent
+/// bootstrap of 200,000 replicates.
 /// With 4,000 replicates, an end is uncertain by about 0.15 points.
 #[test]
 fn intervals_agree_with_the_published_ones_within_monte_carlo_error() {

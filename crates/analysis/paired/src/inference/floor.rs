@@ -61,7 +61,7 @@ impl Excess {
         let mut counts = [0_u64; 2];
         let mut axes: Option<usize> = None;
         let columns = [LEVEL, PLACEBO];
-        for (side, configurations) in [matched, placebo].into_iter().enumerate() {
+        for (source, configurations) in [matched, placebo].into_iter().enumerate() {
             for matched in configurations {
                 let Some(configuration) = matched.configuration() else {
                     continue;
@@ -71,7 +71,7 @@ impl Excess {
                 if *axes.get_or_insert(all) != all {
                     return None;
                 }
-                let (emergent, compensated) = match side {
+                let (emergent, compensated) = match source {
                     0 => (
                         f64::from(u8::from(alone == all && !configuration.simultaneous)),
                         f64::from(u8::from(alone < all && configuration.simultaneous)),
@@ -80,10 +80,13 @@ impl Excess {
                 };
                 let row = rows.entry((matched.task, matched.config));
                 let row = row.or_insert_with(|| vec![0.0; 6]);
-                for (column, value) in columns[side].into_iter().zip([1.0, emergent, compensated]) {
+                for (column, value) in columns[source]
+                    .into_iter()
+                    .zip([1.0, emergent, compensated])
+                {
                     row[column] = value;
                 }
-                counts[side] += 1;
+                counts[source] += 1;
             }
         }
         let rows: Vec<Row> = rows

@@ -204,8 +204,8 @@ impl Population {
     ///
     /// Given the effect that a task has on all conditions, the outcomes under different conditions
     /// are independent, so that only integrals over one normal number are needed. An average over
-    /// drawn tasks would add sampling error: for 2,000 tasks, one seventh of the standard error of a
-    /// campaign of 40 tasks.
+    /// drawn tasks would add sampling error: for 2,000 tasks, one seventh of the standard error of
+    /// a campaign of 40 tasks.
     pub(crate) fn truth_of_all_tasks(
         &self,
         suites: usize,
