@@ -12,8 +12,9 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 use serde_json::json;
 
 const POLICIES: u64 = 6;
+/// Configurations of each task, condition and level.
 const CONFIGS: u16 = 10;
-/// Number of timed repetitions; the reported spread is over these.
+/// Number of timed repetitions; the median and the extremes are over these.
 const REPETITIONS: usize = 9;
 
 /// Returns the ids and initial states of LIBERO-CTRL v0.1.

@@ -13,7 +13,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use libero_ctrl::Level;
 use paired::{Cell, Comparison, Estimate, Interval, Options, report};
 
-// The tests use the other functions of this module.
+// The tests use the other functions of the module.
 #[allow(dead_code)]
 #[path = "../tests/simulated/mod.rs"]
 mod simulated;
@@ -25,20 +25,22 @@ use simulated::{CONFIGURATIONS, Chance, Population, estimates};
 const CAMPAIGNS: u64 = 1000;
 /// Numbers of tasks and of the suites that they are drawn from.
 const SIZES: [(usize, usize); 4] = [(5, 1), (10, 1), (20, 2), (40, 4)];
+/// Names of the targets of inference in the table: the drawn tasks and directions, new tasks, and
+/// new tasks and directions.
 const TARGETS: [&str; 3] = ["these", "new tasks", "new both"];
 
-/// Counts of the intervals computed and of those that contain the true value.
+/// Number of computed intervals, and number of those that contain the true value.
 #[derive(Clone, Copy, Default)]
 struct Coverage {
-    made: u64,
-    held: u64,
+    computed: u64,
+    covering: u64,
 }
 
 impl Coverage {
     fn add(&mut self, interval: Option<Interval>, truth: f64) {
         if let Some([low, high]) = interval {
-            self.made += 1;
-            self.held += u64::from((low..=high).contains(&truth));
+            self.computed += 1;
+            self.covering += u64::from((low..=high).contains(&truth));
         }
     }
 }
@@ -49,11 +51,11 @@ struct Table(BTreeMap<(String, usize), Coverage>);
 
 impl Table {
     fn add(&mut self, name: &str, target: usize, interval: Option<Interval>, truth: f64) {
-        let one = self.0.entry((name.to_owned(), target)).or_default();
-        one.add(interval, truth);
+        let coverage = self.0.entry((name.to_owned(), target)).or_default();
+        coverage.add(interval, truth);
     }
 
-    /// Adds the interval for each target.
+    /// Adds the estimate's interval for each target.
     fn add_each(&mut self, name: &str, estimate: &Estimate, truths: [f64; 3]) {
         let intervals = [
             estimate.these_tasks,
@@ -66,10 +68,10 @@ impl Table {
     }
 
     fn add_comparison(&mut self, comparison: &Comparison, truths: [&Truth; 3]) {
-        let mut together = Vec::new();
+        let mut all_hold = Vec::new();
         for cell in &comparison.cells {
             let (row, label) = (row(cell.condition), cell.condition.label());
-            let name = |of: &str| format!("{of}, {label}");
+            let name = |measure: &str| format!("{measure}, {label}");
             let truths_of = |measure: usize| truths.map(|truth| truth[measure][row]);
             let difference = cell.difference.as_ref().expect("outcomes");
             let progress = cell.progress.as_ref().expect("progress");
@@ -86,20 +88,20 @@ impl Table {
             let percentiles = difference.difference_ci95;
             self.add(&name("A - B, percentiles"), 1, percentiles, truth);
             if let Some([low, high]) = difference.simultaneous_ci95 {
-                together.push((low..=high).contains(&truth));
+                all_hold.push((low..=high).contains(&truth));
             }
         }
         let all = self.0.entry(("all rows together".to_owned(), 1));
         let all = all.or_default();
-        all.made += u64::from(!together.is_empty());
-        all.held += u64::from(!together.is_empty() && together.iter().all(|holds| *holds));
+        all.computed += u64::from(!all_hold.is_empty());
+        all.covering += u64::from(!all_hold.is_empty() && all_hold.iter().all(|holds| *holds));
     }
 }
 
 fn simulate(tasks: usize, suites: usize, campaigns: u64, seed: u64) -> Table {
     let population = Population::usual();
     let mut chance = Chance::new(seed + tasks as u64);
-    let everywhere = population.truth_of_all_tasks(suites, None);
+    let all_tasks_truth = population.truth_of_all_tasks(suites, None);
     let mut coverage = Table::default();
     for _ in 0..campaigns {
         let drawn = population.tasks(tasks, &mut chance);
@@ -113,15 +115,15 @@ fn simulate(tasks: usize, suites: usize, campaigns: u64, seed: u64) -> Table {
             population.truth_of_all_tasks(suites, Some(&directions)),
         ];
         for (name, estimate) in estimates(cell) {
-            let truths = [truths[0][name], truths[1][name], everywhere[name]];
+            let truths = [truths[0][name], truths[1][name], all_tasks_truth[name]];
             coverage.add_each(name, &estimate, truths);
         }
         let measures = cell.paired.as_ref().expect("complete");
-        for (name, of, interval) in [
+        for (name, measure, interval) in [
             ("I, percentiles", "I", measures.i_ci95),
             ("R_d, percentiles", "R_d", measures.r_d_ci95),
         ] {
-            coverage.add(name, 1, interval, truths[1][of]);
+            coverage.add(name, 1, interval, truths[1][measure]);
         }
     }
     coverage
@@ -130,15 +132,15 @@ fn simulate(tasks: usize, suites: usize, campaigns: u64, seed: u64) -> Table {
 fn simulate_two(tasks: usize, suites: usize, campaigns: u64, seed: u64) -> Table {
     let policies = TwoPolicies::usual();
     let mut chance = Chance::new(seed + tasks as u64);
-    let everywhere = policies.truth_of_all_tasks(suites, None);
+    let all_tasks_truth = policies.truth_of_all_tasks(suites, None);
     let mut coverage = Table::default();
     for _ in 0..campaigns {
         let drawn = policies.tasks(tasks, &mut chance);
         let directions = policies.directions(&mut chance);
         let comparison = policies.compare(&drawn, suites, &directions, &mut chance);
-        let these = policies.truth(&drawn, suites, &directions);
+        let drawn_truth = policies.truth(&drawn, suites, &directions);
         let new_tasks = policies.truth_of_all_tasks(suites, Some(&directions));
-        coverage.add_comparison(&comparison, [&these, &new_tasks, &everywhere]);
+        coverage.add_comparison(&comparison, [&drawn_truth, &new_tasks, &all_tasks_truth]);
     }
     coverage
 }
@@ -149,19 +151,19 @@ fn print(title: &str, sizes: &[Table]) {
     println!();
     let keys = sizes.iter().flat_map(|table| table.0.keys());
     for key in keys.collect::<BTreeSet<_>>() {
-        let of_sizes = sizes.iter().map(|table| table.0.get(key));
-        let of_sizes: Vec<Coverage> = of_sizes
+        let by_size = sizes.iter().map(|table| table.0.get(key));
+        let by_size: Vec<Coverage> = by_size
             .map(|coverage| coverage.copied().unwrap_or_default())
             .collect();
-        // Some figures have no interval for some target, whatever the number of tasks.
-        if of_sizes.iter().all(|coverage| coverage.made == 0) {
+        // Skips the targets for which a figure never has an interval.
+        if by_size.iter().all(|coverage| coverage.computed == 0) {
             continue;
         }
         print!("{:<34}{:<11}", key.0, TARGETS[key.1]);
-        for Coverage { made, held } in of_sizes {
-            match made {
+        for Coverage { computed, covering } in by_size {
+            match computed {
                 0 => print!("{:>8}", "-"),
-                _ => print!("{:>8.1}", 100.0 * held as f64 / made as f64),
+                _ => print!("{:>8.1}", 100.0 * covering as f64 / computed as f64),
             }
         }
         println!();
@@ -169,16 +171,18 @@ fn print(title: &str, sizes: &[Table]) {
 }
 
 fn main() {
-    let given: Result<Vec<u64>, _> = std::env::args()
+    let arguments: Result<Vec<u64>, _> = std::env::args()
         .skip(1)
         .map(|argument| argument.parse())
         .collect();
-    let (campaigns, seed) = match given.as_deref() {
+    let (campaigns, seed) = match arguments.as_deref() {
         Ok([]) => (CAMPAIGNS, 0),
         Ok([campaigns]) if *campaigns > 0 => (*campaigns, 0),
         Ok([campaigns, seed]) if *campaigns > 0 => (*campaigns, *seed),
         _ => {
-            eprintln!("give the number of campaigns, at least 1, and a seed, as whole numbers");
+            eprintln!(
+                "usage: coverage [CAMPAIGNS [SEED]], whole numbers, with at least 1 campaign"
+            );
             std::process::exit(2);
         }
     };

@@ -5,14 +5,14 @@
 //!
 //! New tasks are drawn for every campaign. An early end is wrong if the mean over all tasks is
 //! 0 or has the other sign. `I excludes 0` is a rule about the campaign's own configurations:
-//! its early ends are not savings for this target, but show that the rule must not be
-//! interpreted in this way. The last column is for the same target with a single look at the
-//! end: the t interval for new tasks.
+//! its early ends are not savings for new tasks, but show that the rule says nothing about new
+//! tasks. The last two columns are for new tasks with a single look at the end: the t interval for
+//! new tasks.
 
 use libero_ctrl::{Level, Measure, Stop, Strata};
 use paired::{Bootstrap, CampaignLook, Cell, Options, Records, report};
 
-// The tests use the remaining functions.
+// The tests use the other functions of the module.
 #[allow(dead_code)]
 #[path = "../tests/simulated/mod.rs"]
 mod simulated;
@@ -21,6 +21,8 @@ use simulated::{Chance, NetEffect};
 
 /// Default number of campaigns of each kind.
 const CAMPAIGNS: u64 = 1000;
+/// Kinds of campaigns: a label, which names the mean effect of simultaneity in points, and the
+/// effects of the tasks.
 const KINDS: [(&str, NetEffect); 6] = [
     ("none, tasks alike", effect(0.0, 0.0, 0.0)),
     ("none, half differ by 20", effect(0.0, 0.5, 0.2)),
@@ -39,16 +41,18 @@ const fn effect(mean: f64, share: f64, spread: f64) -> NetEffect {
 }
 
 fn main() {
-    let given: Result<Vec<u64>, _> = std::env::args()
+    let arguments: Result<Vec<u64>, _> = std::env::args()
         .skip(1)
         .map(|argument| argument.parse())
         .collect();
-    let (campaigns, seed) = match given.as_deref() {
+    let (campaigns, seed) = match arguments.as_deref() {
         Ok([]) => (CAMPAIGNS, 0),
         Ok([campaigns]) if *campaigns > 0 => (*campaigns, 0),
         Ok([campaigns, seed]) if *campaigns > 0 => (*campaigns, *seed),
         _ => {
-            eprintln!("give the number of campaigns, at least 1, and a seed, as whole numbers");
+            eprintln!(
+                "usage: new_tasks [CAMPAIGNS [SEED]], whole numbers, with at least 1 campaign"
+            );
             std::process::exit(2);
         }
     };
@@ -74,24 +78,24 @@ fn main() {
         let mut ended = [0.0; 3];
         let mut wrong = [0.0; 3];
         let mut saved = 0.0;
-        for at in 0..campaigns {
+        for campaign in 0..campaigns {
             let all = kind.campaign(&mut chance);
             let records = Records::new(&all).expect("each rollout once");
-            let mut note = |which: usize, positive: bool| {
-                ended[which] += 1.0;
-                let right = kind.mean != 0.0 && positive == (kind.mean > 0.0);
-                wrong[which] += f64::from(u8::from(!right));
+            let mut count_end = |column: usize, is_positive: bool| {
+                ended[column] += 1.0;
+                let is_right = kind.mean != 0.0 && is_positive == (kind.mean > 0.0);
+                wrong[column] += f64::from(u8::from(!is_right));
             };
-            for (which, (rule, strata)) in rules.into_iter().enumerate() {
+            for (column, (rule, strata)) in rules.into_iter().enumerate() {
                 let stop = Stop {
                     rule: rule.parse().expect("a rule"),
-                    seed: at,
+                    seed: campaign,
                     strata,
                 };
                 if let Some(look) = CampaignLook::when_met(&records, &stop) {
                     let interval = look.levels[&Level::L2].intervals[&Measure::I];
-                    note(which, interval.low() > 0.0);
-                    if which == 0 {
+                    count_end(column, interval.low() > 0.0);
+                    if column == 0 {
                         saved += 1.0 - look.used.len() as f64 / look.units as f64;
                     }
                 }
@@ -103,7 +107,7 @@ fn main() {
             if let Some([low, high]) = inference.paired.i.new_tasks
                 && (low > 0.0 || high < 0.0)
             {
-                note(2, low > 0.0);
+                count_end(2, low > 0.0);
             }
         }
         let percent = |count: f64| 100.0 * count / campaigns as f64;

@@ -13,8 +13,8 @@ use replay::{Design, Population};
 
 /// Default number of orders per level.
 const ORDERS: u64 = 2000;
-/// Designs of orders, each with a divisor of the number of orders. Designs that look after
-/// every configuration or every four take longer to compute and run fewer orders.
+/// Designs of orders, each with a divisor of the number of orders. Designs with rounds of four
+/// configurations or of one update the intervals more often, and so run fewer orders.
 const DESIGNS: [(&str, Design, u64); 3] = [
     ("rounds of tasks", Design::Tasks, 1),
     ("rounds of suites", Design::Suites, 10),
@@ -33,7 +33,7 @@ const RULES: [&str; 7] = [
 
 const NOTES: &str = "
 fixed n: one measure, one look, 95 % normal interval with the finite-population
-correction, planned with the variance and mean that turn out in the end.
+correction, planned with the true variance and mean.
 Published savings of sequential tests of two policies: 32-70 % (STEP, Snyder et
 al. 2025, arXiv 2503.10966; N-SCORE, Beyond binary success, 2026).";
 
@@ -47,8 +47,8 @@ const Z: f64 = 1.959963984540054;
 fn fixed_n(population: &Population, rule: &StopRule) -> usize {
     let units = population.units.len();
     let half_width = |n: usize, measure| {
-        let left_over = 1.0 - n as f64 / units as f64;
-        Z * (variance(population, measure) / n as f64 * left_over).sqrt()
+        let correction = 1.0 - n as f64 / units as f64;
+        Z * (variance(population, measure) / n as f64 * correction).sqrt()
     };
     let mean = |measure| population.total(measure) as f64 / units as f64;
     let holds = |clause: &Clause, n| match *clause {
@@ -57,8 +57,8 @@ fn fixed_n(population: &Population, rule: &StopRule) -> usize {
             half_width(n, measure) < (mean(measure) - value).abs()
         }
     };
-    let enough = |n: &usize| rule.clauses().iter().all(|clause| holds(clause, *n));
-    (1..=units).find(enough).unwrap_or(units)
+    let meets_rule = |n: &usize| rule.clauses().iter().all(|clause| holds(clause, *n));
+    (1..=units).find(meets_rule).unwrap_or(units)
 }
 
 /// Returns the variance of a measure over single configurations, with the divisor N − 1.
@@ -74,8 +74,9 @@ fn variance(population: &Population, measure: Measure) -> f64 {
 /// Result of replaying one level.
 struct Replayed {
     orders: u64,
+    /// Orders in which all intervals hold at all looks.
     held: u64,
-    /// Share of configurations that each order saves, by rule.
+    /// Share of configurations that each order saves, ascending, by rule.
     saved: Vec<Vec<f64>>,
 }
 
@@ -113,18 +114,18 @@ fn percent(share: f64) -> String {
 }
 
 fn main() {
-    let orders = match std::env::args().nth(1).map(|given| given.parse()) {
+    let orders = match std::env::args().nth(1).map(|argument| argument.parse()) {
         None => ORDERS,
         Some(Ok(orders)) if orders > 0 => orders,
         Some(_) => {
-            eprintln!("read the number of orders: it is a whole number above 0");
+            eprintln!("usage: sequential [ORDERS], a whole number above 0");
             std::process::exit(2);
         }
     };
     let rules: Vec<StopRule> = RULES.map(|text| text.parse().expect("a rule")).to_vec();
     let populations = Level::PERTURBED.map(Population::published);
-    let replayed = DESIGNS.map(|(_, design, part)| {
-        let orders = orders.div_ceil(part);
+    let replayed = DESIGNS.map(|(_, design, divisor)| {
+        let orders = orders.div_ceil(divisor);
         populations
             .each_ref()
             .map(|population| replay_level(population, &rules, orders, design))
@@ -151,12 +152,12 @@ fn print_coverage(replayed: &[[Replayed; 3]; 3]) {
 }
 
 fn print_saved(populations: &[Population; 3], rules: &[StopRule], replayed: &[[Replayed; 3]; 3]) {
-    println!("\nrollouts saved by stopping, % (mean and median), and orders that stop early, %");
+    println!("\nrollouts saved by early stops, % (mean and median), and orders that stop early, %");
     println!("                        by task             by suite    simple      fixed n");
     println!("                         early  mean   med   mean   med   mean   med    n saved");
     for (i, rule) in rules.iter().enumerate() {
         for (level, population) in populations.iter().enumerate() {
-            let [task, suite, simple] = replayed.each_ref().map(|of| &of[level].saved[i]);
+            let [task, suite, simple] = replayed.each_ref().map(|levels| &levels[level].saved[i]);
             let early = task.iter().filter(|&&saved| saved > 0.0).count();
             let n = fixed_n(population, rule);
             println!(

@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 /// Lower and upper end of a 95 % interval.
 pub type Interval = [f64; 2];
 
-/// Largest number of resampling threads; more cost more to start than they save.
+/// Largest number of resampling threads; further threads take longer to start than they save.
 const MAX_THREADS: usize = 8;
 
 /// Settings of the bootstrap. The default is the protocol's: 4,000 replicates
@@ -87,17 +87,18 @@ impl Bootstrap {
             let statistics = &statistics;
             let resampling =
                 |share| scope.spawn(move || self.resample(share, clusters, count, statistics));
-            let running: Vec<_> = shares.map(resampling).collect();
-            let done = running.into_iter();
-            done.flat_map(|thread| thread.join().expect("a statistic does not panic"))
+            let threads: Vec<_> = shares.map(resampling).collect();
+            let threads = threads.into_iter();
+            threads
+                .flat_map(|thread| thread.join().expect("a statistic does not panic"))
                 .collect()
         });
-        let of_one = |i: usize| {
+        let interval_of = |i: usize| {
             let mut values: Vec<f64> = values.iter().skip(i).step_by(count).copied().collect();
             values.sort_unstable_by(f64::total_cmp);
             [quantile(&values, 0.025), quantile(&values, 0.975)]
         };
-        Some((0..count).map(of_one).collect())
+        Some((0..count).map(interval_of).collect())
     }
 
     /// Computes the statistics of a range of resamplings.
@@ -118,8 +119,8 @@ impl Bootstrap {
             draws.fill(0);
             for _ in 0..clusters {
                 // Lemire's multiply-shift: the upper half of the product is in 0..clusters.
-                let wide = u128::from(rng.next_u64()) * clusters as u128;
-                draws[(wide >> 64) as usize] += 1;
+                let product = u128::from(rng.next_u64()) * clusters as u128;
+                draws[(product >> 64) as usize] += 1;
             }
             statistics(&draws, row);
         }
@@ -154,7 +155,7 @@ mod tests {
     }
 
     #[test]
-    fn the_interval_of_a_mean_is_that_of_its_normal_approximation() {
+    fn the_interval_of_a_mean_agrees_with_the_normal_approximation() {
         let [[low, high]] = Bootstrap::default().intervals(40, mean).expect("clusters");
         // The standard deviation of one value is √8.25; that of the mean of 40 is √(8.25 / 40).
         let half_width = 1.96 * (8.25_f64 / 40.0).sqrt();
@@ -163,7 +164,7 @@ mod tests {
     }
 
     #[test]
-    fn the_number_of_threads_changes_nothing() {
+    fn intervals_do_not_depend_on_the_number_of_threads() {
         let bootstrap = Bootstrap {
             replicates: 1001,
             seed: 7,
@@ -177,8 +178,8 @@ mod tests {
 
     #[test]
     fn every_resampling_draws_as_many_clusters_as_there_are() {
-        let drawn = |draws: &[u32]| [f64::from(draws.iter().sum::<u32>())];
-        let interval = Bootstrap::default().intervals(7, drawn);
+        let total = |draws: &[u32]| [f64::from(draws.iter().sum::<u32>())];
+        let interval = Bootstrap::default().intervals(7, total);
         assert_eq!(interval, Some([[7.0, 7.0]]));
     }
 

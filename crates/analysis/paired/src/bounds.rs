@@ -43,24 +43,24 @@ pub struct Bounds {
 /// Truth value of a statement that depends on unknown outcomes.
 #[derive(Clone, Copy)]
 struct Possible {
-    surely: bool,
-    maybe: bool,
+    is_certain: bool,
+    is_possible: bool,
 }
 
 impl Possible {
-    /// Returns `None` for a missing rollout.
-    fn of(outcome: Outcome) -> Option<Self> {
+    /// Returns the truth value of "the rollout succeeds"; `None` for a missing rollout.
+    fn new(outcome: Outcome) -> Option<Self> {
         match outcome {
             Outcome::Missing => None,
             Outcome::Quarantined => Some(Self {
-                surely: false,
-                maybe: true,
+                is_certain: false,
+                is_possible: true,
             }),
             Outcome::Success | Outcome::Failure => {
-                let surely = outcome == Outcome::Success;
+                let is_certain = outcome == Outcome::Success;
                 Some(Self {
-                    surely,
-                    maybe: surely,
+                    is_certain,
+                    is_possible: is_certain,
                 })
             }
         }
@@ -68,21 +68,21 @@ impl Possible {
 
     fn and(self, other: Self) -> Self {
         Self {
-            surely: self.surely && other.surely,
-            maybe: self.maybe && other.maybe,
+            is_certain: self.is_certain && other.is_certain,
+            is_possible: self.is_possible && other.is_possible,
         }
     }
 
     fn not(self) -> Self {
         Self {
-            surely: !self.maybe,
-            maybe: !self.surely,
+            is_certain: !self.is_possible,
+            is_possible: !self.is_certain,
         }
     }
 
     fn count(self, [low, high]: &mut [u64; 2]) {
-        *low += u64::from(self.surely);
-        *high += u64::from(self.maybe);
+        *low += u64::from(self.is_certain);
+        *high += u64::from(self.is_possible);
     }
 }
 
@@ -120,14 +120,14 @@ impl Bounds {
 
 impl Ranges {
     fn add(&mut self, matched: &Matched) -> Option<()> {
-        let simultaneous = Possible::of(matched.simultaneous)?;
+        let simultaneous = Possible::new(matched.simultaneous)?;
         let mut alone = BTreeMap::new();
         for (&axis, &outcome) in &matched.alone {
-            alone.insert(axis, Possible::of(outcome)?);
+            alone.insert(axis, Possible::new(outcome)?);
         }
         let mut conjunction = Possible {
-            surely: true,
-            maybe: true,
+            is_certain: true,
+            is_possible: true,
         };
         for (axis, possible) in alone {
             possible.count(self.s_axis.entry(axis).or_default());
@@ -141,10 +141,10 @@ impl Ranges {
         );
         emergent.count(&mut self.b);
         compensated.count(&mut self.c);
-        self.changed[0] += u64::from(emergent.surely || compensated.surely);
-        self.changed[1] += u64::from(emergent.maybe || compensated.maybe);
-        self.i[0] += i64::from(simultaneous.surely) - i64::from(conjunction.maybe);
-        self.i[1] += i64::from(simultaneous.maybe) - i64::from(conjunction.surely);
+        self.changed[0] += u64::from(emergent.is_certain || compensated.is_certain);
+        self.changed[1] += u64::from(emergent.is_possible || compensated.is_possible);
+        self.i[0] += i64::from(simultaneous.is_certain) - i64::from(conjunction.is_possible);
+        self.i[1] += i64::from(simultaneous.is_possible) - i64::from(conjunction.is_certain);
         Some(())
     }
 

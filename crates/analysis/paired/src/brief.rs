@@ -7,11 +7,11 @@ use crate::count::Count;
 use crate::finding::{Finding, FindingKind};
 use crate::report::{Cell, Report};
 use crate::table::gate_lines;
-use crate::text::{NOTHING, listed, percent, push_columns, push_wrapped, separate};
+use crate::text::{ABSENT, listed, percent, push_columns, push_wrapped, separate};
 
 /// Writes the report for readers who do not know the protocol's symbols: notes, three
-/// sentences, success by condition in percent, and further remarks. It covers replicate 0;
-/// sentences about a level are about the last level.
+/// sentences, success by condition in percent, the gates, and sentences about directions and
+/// missing outcomes. It covers replicate 0; sentences about a level are about the last level.
 pub fn brief(report: &Report) -> String {
     let mut text = String::new();
     for note in &report.notes {
@@ -32,7 +32,7 @@ pub fn brief(report: &Report) -> String {
     for finding in further {
         push_wrapped(&mut text, "", &finding.sentence);
     }
-    if let Some(sentence) = unfinished(report) {
+    if let Some(sentence) = incomplete(report) {
         push_wrapped(&mut text, "", &sentence);
     }
     text
@@ -51,8 +51,8 @@ fn nominal(report: &Report) -> Option<Count> {
 
 /// Appends the success table: a row per level, a column per condition.
 fn push_success(text: &mut String, report: &Report) {
-    let is_late = cells(report).any(|cell| cell.latency.is_some());
-    if report.axes.is_empty() && !is_late {
+    let has_latency = cells(report).any(|cell| cell.latency.is_some());
+    if report.axes.is_empty() && !has_latency {
         return;
     }
     let has_simultaneous = cells(report).any(|cell| cell.simultaneous.is_some());
@@ -60,7 +60,7 @@ fn push_success(text: &mut String, report: &Report) {
     let columns: Vec<Condition> = [Condition::Clean]
         .into_iter()
         .chain(singles)
-        .chain(is_late.then_some(Condition::Latency))
+        .chain(has_latency.then_some(Condition::Latency))
         .chain(has_simultaneous.then_some(Condition::Combination))
         .collect();
     let head = columns
@@ -77,7 +77,7 @@ fn push_success(text: &mut String, report: &Report) {
                 _ => cell.simultaneous,
             };
             match count.and_then(|count| count.rate()) {
-                None => NOTHING.to_owned(),
+                None => ABSENT.to_owned(),
                 rate => percent(rate),
             }
         };
@@ -91,7 +91,8 @@ fn push_success(text: &mut String, report: &Report) {
     push_columns(text, &rows);
 }
 
-fn unfinished(report: &Report) -> Option<String> {
+/// Writes the sentence about rollouts without an outcome, if there are any.
+fn incomplete(report: &Report) -> Option<String> {
     let mut gaps: Vec<_> = report
         .nominal
         .iter()

@@ -27,7 +27,7 @@ pub enum Obstacle {
 }
 
 impl Obstacle {
-    /// Returns the difference in words.
+    /// Describes the difference: `another scene`.
     pub const fn name(self) -> &'static str {
         match self {
             Self::InitialState => "another initial state",
@@ -41,15 +41,15 @@ impl Obstacle {
 /// One of two policies that are compared.
 #[derive(Clone, Copy, Debug)]
 pub struct Compared<'a> {
-    /// Its rollouts, with or without an outcome.
+    /// Rollouts of the policy, with or without an outcome.
     pub records: &'a [Record],
     /// Progress of the rollouts with an outcome, as far as known.
     pub progress: &'a [Progress],
-    /// Assignment of directions to configurations in its campaign.
+    /// Assignment of directions to configurations in the policy's campaign.
     pub directions: Directions,
 }
 
-/// Records alone, whose directions are shared.
+/// Records without progress, of a campaign whose tasks share their directions.
 impl<'a> From<&'a [Record]> for Compared<'a> {
     fn from(records: &'a [Record]) -> Self {
         Self {
@@ -105,7 +105,7 @@ const MAX_NAMED: usize = 3;
 
 type Key = (u32, RolloutId);
 
-/// The rollouts of one cell, and their progress.
+/// The rollouts of one cell, and the progress of those with an outcome for both policies.
 type Cell = (Vec<Pair>, Vec<ProgressPair>);
 
 impl Comparison {
@@ -122,7 +122,7 @@ impl Comparison {
         obstacle: impl Fn(&Record) -> Option<Obstacle>,
     ) -> Self {
         let both: [Compared<'a>; 2] = [a.into(), b.into()];
-        let [of_a, of_b] = both.map(|side| {
+        let [records_a, records_b] = both.map(|side| {
             let by_key = side
                 .records
                 .iter()
@@ -145,13 +145,13 @@ impl Comparison {
             ..Self::default()
         };
         let mut cells: BTreeMap<(u32, Level, Condition), Cell> = BTreeMap::new();
-        for (key, record) in &of_a {
-            let Some(other) = of_b.get(key) else {
+        for (key, record) in &records_a {
+            let Some(other) = records_b.get(key) else {
                 comparison.only_in_a += 1;
                 continue;
             };
             let id = record.id;
-            let found = if id.condition() == Condition::Combination
+            let reason = if id.condition() == Condition::Combination
                 && axes[0].get(&id.level()) != axes[1].get(&id.level())
             {
                 Some(Obstacle::Axes)
@@ -160,12 +160,12 @@ impl Comparison {
             } else {
                 obstacle(record)
             };
-            if let Some(obstacle) = found {
+            if let Some(obstacle) = reason {
                 comparison.unpaired.entry(obstacle).or_default().push(id);
                 continue;
             }
             let cell = (record.replicate, id.level(), id.condition());
-            let (pairs, came) = cells.entry(cell).or_default();
+            let (pairs, progress_pairs) = cells.entry(cell).or_default();
             let pair = Pair {
                 task: id.task(),
                 number: id.config().unwrap_or(record.init_id),
@@ -176,7 +176,7 @@ impl Comparison {
             if let [Some(a), Some(b)] = progress.each_ref().map(|by_key| by_key.get(key))
                 && has_outcomes
             {
-                came.push(ProgressPair {
+                progress_pairs.push(ProgressPair {
                     task: pair.task,
                     number: pair.number,
                     progress: [**a, **b],
@@ -184,10 +184,10 @@ impl Comparison {
             }
             pairs.push(pair);
         }
-        let is_only_in_b = |key: &&Key| !of_a.contains_key(key);
-        comparison.only_in_b = of_b.keys().filter(is_only_in_b).count() as u64;
+        let is_only_in_b = |key: &&Key| !records_a.contains_key(key);
+        comparison.only_in_b = records_b.keys().filter(is_only_in_b).count() as u64;
         let (keys, sets): (Vec<_>, Vec<Cell>) = cells.into_iter().unzip();
-        let (sets, came): (Vec<_>, Vec<_>) = sets.into_iter().unzip();
+        let (sets, progress_pairs): (Vec<_>, Vec<_>) = sets.into_iter().unzip();
         // Initial states, which take the place of directions in nominal rollouts, have the
         // same numbers in all tasks.
         let directions = keys.iter().map(|(_, _, condition)| match condition {
@@ -196,14 +196,14 @@ impl Comparison {
         });
         let directions: Vec<Directions> = directions.collect();
         let differences = Difference::of_sets(&sets, &directions, bootstrap);
-        let progress = ProgressDifference::of_each(&came, &directions);
+        let progress = ProgressDifference::of_each(&progress_pairs, &directions);
         let cells = keys.into_iter().zip(&sets).zip(differences).zip(progress);
         comparison.cells = cells
             .map(
                 |((((replicate, level, condition), pairs), difference), progress)| {
                     let missing = pairs
                         .iter()
-                        .filter(|pair| is_either(pair, Outcome::Missing));
+                        .filter(|pair| has_either(pair, Outcome::Missing));
                     let missing = missing.count() as u64;
                     let n = difference.as_ref().map_or(0, |difference| difference.n);
                     let shared = pairs.len() as u64;
@@ -233,8 +233,7 @@ impl Comparison {
         cells.map(|difference| difference.n).sum()
     }
 
-    /// Returns the rollouts that are in no figure and the reason, one line
-    /// each.
+    /// Returns a line for each reason why rollouts are in no figure, with the rollouts.
     pub fn left_out(&self) -> Vec<String> {
         let reasons = self.unpaired.iter();
         let mut lines: Vec<String> = reasons
@@ -287,12 +286,12 @@ fn counted(rollouts: u64) -> String {
     }
 }
 
-fn is_either(pair: &Pair, outcome: Outcome) -> bool {
+fn has_either(pair: &Pair, outcome: Outcome) -> bool {
     pair.a == outcome || pair.b == outcome
 }
 
-/// Returns, by level, the axes that are perturbed alone, which are those that *simultaneous*
-/// perturbs.
+/// Returns the axes that are perturbed alone at each level; *simultaneous* perturbs the same
+/// axes.
 fn axes(records: &[Record]) -> BTreeMap<Level, BTreeSet<Axis>> {
     let mut axes: BTreeMap<Level, BTreeSet<Axis>> = BTreeMap::new();
     for record in records {

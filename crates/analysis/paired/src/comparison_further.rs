@@ -7,17 +7,18 @@ use crate::bootstrap::Interval;
 use crate::comparison::{ComparedCell, Comparison};
 use crate::difference::Difference;
 use crate::progress::{MeanDifference, ProgressDifference};
-use crate::text::{NOTHING, p_value, push_columns, separate};
+use crate::text::{ABSENT, p_value, push_columns, separate};
 
 /// Appends the intervals for further targets and the equivalence test, then the profile of
 /// tasks.
 pub(crate) fn push_further(text: &mut String, comparison: &Comparison) {
-    let cells = || first(comparison).filter_map(|cell| Some((cell, cell.difference.as_ref()?)));
+    let cells =
+        || first_cells(comparison).filter_map(|cell| Some((cell, cell.difference.as_ref()?)));
     let further = cells().map(|(cell, difference)| {
         let values = vec![
-            ends(difference.estimate.new_tasks_and_directions, points),
-            ends(difference.simultaneous_ci95, points),
-            difference.equivalence_p.map_or_else(nothing, p_value),
+            interval_text(difference.estimate.new_tasks_and_directions, points),
+            interval_text(difference.simultaneous_ci95, points),
+            difference.equivalence_p.map_or_else(absent, p_value),
             format!(
                 "{}:{}",
                 difference.profile.a_better, difference.profile.b_better
@@ -27,52 +28,53 @@ pub(crate) fn push_further(text: &mut String, comparison: &Comparison) {
     });
     let heads = ["directions", "all rows", "5 pts p", "tasks A:B"];
     push_block(text, "A - B for further targets", &heads, further.collect());
-    let by_task = cells().map(|(cell, difference)| (cell.name(), profile(difference)));
+    let by_task = cells().map(|(cell, difference)| (cell.name(), profile_columns(difference)));
     let heads = ["A better %", "95 %", "least", "most"];
     push_block(text, "A - B by task", &heads, by_task.collect());
 }
 
-fn profile(difference: &Difference) -> Vec<String> {
+fn profile_columns(difference: &Difference) -> Vec<String> {
     let better = &difference.profile.improvement;
     let mut values = vec![
         format!("{:.0}", 100.0 * better.value),
-        ends(better.new_tasks, |value| format!("{:.0}", 100.0 * value)),
+        interval_text(better.new_tasks, |value| format!("{:.0}", 100.0 * value)),
     ];
     values.extend(match difference.profile.extremes() {
         Some(extremes) => extremes.map(|(task, change)| {
             let (suite, index) = (task.suite().short_name(), task.index());
             format!("{suite}/t{index} {:+.0}", 100.0 * change)
         }),
-        None => [nothing(), nothing()],
+        None => [absent(), absent()],
     });
     values
 }
 
-/// Appends partial progress: the goal's predicates, and steps. Empty if none is known.
+/// Appends partial progress: a block for the goal's predicates, and a block for steps. A block
+/// without known values is omitted.
 pub(crate) fn push_progress(text: &mut String, comparison: &Comparison) {
     let heads = ["n", "A", "B", "A - B", "95 %", "Holm p"];
     let rows = |measure: fn(&ProgressDifference) -> Option<MeanDifference>, scale: f64| {
-        let rows = first(comparison).filter_map(|cell| {
+        let rows = first_cells(comparison).filter_map(|cell| {
             let progress = measure(cell.progress.as_ref()?)?;
-            Some((cell.name(), mean(&progress, scale)))
+            Some((cell.name(), progress_columns(&progress, scale)))
         });
         rows.collect::<Vec<_>>()
     };
-    let title = "partial progress: predicates of the goal that held together at most, %";
+    let title = "partial progress: largest share of the goal's predicates held at once, %";
     push_block(text, title, &heads, rows(|progress| progress.goal, 100.0));
-    let title = "partial progress: steps until success, or until the end";
+    let title = "partial progress: steps until success or the end of the rollout";
     push_block(text, title, &heads, rows(|progress| progress.steps, 1.0));
 }
 
-fn mean(difference: &MeanDifference, scale: f64) -> Vec<String> {
+fn progress_columns(difference: &MeanDifference, scale: f64) -> Vec<String> {
     let signed = |value: f64| format!("{:+.1}", scale * value);
     vec![
         difference.n.to_string(),
         format!("{:.1}", scale * difference.mean_a),
         format!("{:.1}", scale * difference.mean_b),
         signed(difference.difference.value),
-        ends(difference.difference.new_tasks, signed),
-        difference.holm_p.map_or_else(nothing, p_value),
+        interval_text(difference.difference.new_tasks, signed),
+        difference.holm_p.map_or_else(absent, p_value),
     ]
 }
 
@@ -80,42 +82,45 @@ fn mean(difference: &MeanDifference, scale: f64) -> Vec<String> {
 pub(crate) fn further_meanings(comparison: &Comparison) -> Vec<(&'static str, String)> {
     let directions = match comparison.directions {
         Directions::Shared => {
-            "95 % interval about new tasks and new directions (of nominal, initial states)"
+            "95 % interval about new tasks and new directions (in the row nominal, new initial \
+             states)"
         }
         Directions::Own => {
-            "95 % interval about new tasks and new directions: every task has directions of its own, \
-             so that tasks stand for both (of nominal, new initial states)"
+            "95 % interval about new tasks and new directions: every task has directions of its \
+             own, so that the interval about new tasks covers both (in the row nominal, new \
+             initial states)"
         }
     };
     let mut entries = vec![
         ("directions", directions),
         (
             "all rows",
-            "intervals about new tasks that hold together with 95 %",
+            "intervals about new tasks that all hold simultaneously with a probability of 95 %",
         ),
         (
             "5 pts p",
-            "test that A and B differ by more than 5 points: if small, they are equivalent",
+            "p-value of the hypothesis that A and B differ by more than 5 points: if it is small, \
+             A and B are equivalent",
         ),
         (
             "tasks A:B",
-            "tasks in which A, and in which B, succeeds more often",
+            "number of tasks in which A succeeds more often, and in which B does",
         ),
         (
             "A better",
-            "probability of improvement: that A succeeds more often in a task drawn at random, ties \
-             counting half, with its interval about new tasks",
+            "probability of improvement: that A succeeds more often in a task drawn at random, \
+             where ties count half; with the interval about new tasks",
         ),
         (
             "least, most",
-            "the tasks in which A - B is least and most, in points",
+            "tasks with the least and the greatest A - B, in points",
         ),
     ];
-    if first(comparison).any(|cell| cell.progress.is_some()) {
+    if first_cells(comparison).any(|cell| cell.progress.is_some()) {
         entries.push((
             "progress",
-            "secondary to success; all rollouts count, a failure with the steps of its whole budget; \
-             intervals about new tasks, Holm p of a t test over tasks, corrected for the rows",
+            "secondary to success; a failure counts with all steps of its budget; intervals are \
+             about new tasks; Holm p is of a t test over tasks, corrected for the rows",
         ));
     }
     let entries = entries.into_iter();
@@ -125,7 +130,7 @@ pub(crate) fn further_meanings(comparison: &Comparison) -> Vec<(&'static str, St
 }
 
 /// Returns the cells of replicate 0.
-fn first(comparison: &Comparison) -> impl Iterator<Item = &ComparedCell> {
+fn first_cells(comparison: &Comparison) -> impl Iterator<Item = &ComparedCell> {
     let cells = comparison.cells.iter();
     cells.filter(|cell| cell.replicate == 0)
 }
@@ -147,11 +152,11 @@ fn points(value: f64) -> String {
     format!("{:+.1}", 100.0 * value)
 }
 
-fn nothing() -> String {
-    NOTHING.to_owned()
+fn absent() -> String {
+    ABSENT.to_owned()
 }
 
-fn ends(interval: Option<Interval>, format: impl Fn(f64) -> String) -> String {
+fn interval_text(interval: Option<Interval>, format: impl Fn(f64) -> String) -> String {
     let ends = interval.map(|ends| ends.map(format));
-    ends.map_or_else(nothing, |[low, high]| format!("[{low}, {high}]"))
+    ends.map_or_else(absent, |[low, high]| format!("[{low}, {high}]"))
 }

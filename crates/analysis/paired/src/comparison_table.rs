@@ -6,8 +6,8 @@ use crate::bootstrap::Bootstrap;
 use crate::comparison::{ComparedCell, Comparison};
 use crate::comparison_further::{further_meanings, push_further, push_progress};
 use crate::difference::Difference;
-use crate::legend::of_intervals;
-use crate::text::{NOTHING, p_value, push_columns, push_legend, push_wrapped, separate};
+use crate::legend::interval_entries;
+use crate::text::{ABSENT, p_value, push_columns, push_legend, push_wrapped, separate};
 
 /// Writes the comparison as a table with its legend. Rates are in percent, differences in
 /// percentage points. [`Comparison::left_out`] lists the rollouts that it excludes.
@@ -60,7 +60,7 @@ fn rows(comparison: &Comparison) -> Vec<(String, Vec<String>)> {
                 format!(" {label}")
             }
         };
-        let values = cell.difference.as_ref().map_or_else(nothing, values);
+        let values = cell.difference.as_ref().map_or_else(empty_values, values);
         rows.push((label, values));
         above = Some(cell);
     }
@@ -68,8 +68,8 @@ fn rows(comparison: &Comparison) -> Vec<(String, Vec<String>)> {
 }
 
 /// Returns the columns of a cell without a rollout to compare.
-fn nothing() -> Vec<String> {
-    let mut values = vec![NOTHING.to_owned(); heads().1.len()];
+fn empty_values() -> Vec<String> {
+    let mut values = vec![ABSENT.to_owned(); heads().1.len()];
     "0".clone_into(&mut values[0]);
     values
 }
@@ -88,7 +88,7 @@ fn values(difference: &Difference) -> Vec<String> {
     let interval = match (difference.difference_ci95, difference.no_interval) {
         (Some([low, high]), _) => format!("[{}, {}]", point(low), point(high)),
         (None, Some(why)) => why.to_string(),
-        (None, None) => NOTHING.to_owned(),
+        (None, None) => ABSENT.to_owned(),
     };
     vec![
         difference.n.to_string(),
@@ -123,19 +123,22 @@ fn legend(comparison: &Comparison, bootstrap: &Bootstrap) -> Vec<(&'static str, 
     if comparison.cells.iter().any(|cell| cell.replicate > 0) {
         add(
             "replicate",
-            "each of A against the one of the same number of B",
+            "replicates of A and B with the same number are compared",
         );
     }
     add(
         "n",
-        "rollouts with an outcome of both; every figure is over these",
+        "rollouts with an outcome for both policies; all figures are over these rollouts",
     );
-    add("A %, B %", "success rates over them");
+    add("A %, B %", "success rates over these rollouts");
     add(
         "A - B",
-        "their difference, in points: above 0, A succeeds more often",
+        "difference of the success rates, in points: above 0, A succeeds more often",
     );
-    add("A only, B only", "rollouts that only one of them solves");
+    add(
+        "A only, B only",
+        "rollouts that only A solves, and that only B solves",
+    );
     add(
         "Holm p",
         "exact two-sided sign-flip test of A - B over tasks, corrected for the rows of the table",
@@ -154,7 +157,7 @@ fn legend(comparison: &Comparison, bootstrap: &Bootstrap) -> Vec<(&'static str, 
         .map(|difference| difference.no_interval)
         .collect();
     if !absent.is_empty() {
-        entries.extend(of_intervals(bootstrap, absent));
+        entries.extend(interval_entries(bootstrap, absent));
     }
     entries
 }

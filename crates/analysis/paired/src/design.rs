@@ -126,8 +126,8 @@ mod tests {
 
     #[test]
     fn four_times_the_tasks_detect_half_the_effect() {
-        let small = minimum_detectable_effect(&design(40, 0.27, 0.0)).expect("some");
-        let large = minimum_detectable_effect(&design(160, 0.27, 0.0)).expect("some");
+        let small = minimum_detectable_effect(&design(40, 0.27, 0.0)).expect("detectable");
+        let large = minimum_detectable_effect(&design(160, 0.27, 0.0)).expect("detectable");
         assert!((small / large - 2.0).abs() < 0.02, "{small} {large}");
         // About 2.8 standard errors of the mean over 400 configurations.
         let rough = 2.8 * (0.27_f64 / 400.0).sqrt();
@@ -135,10 +135,10 @@ mod tests {
     }
 
     #[test]
-    fn correlated_configurations_detect_less() {
-        let apart = minimum_detectable_effect(&design(40, 0.27, 0.0));
-        let alike = minimum_detectable_effect(&design(40, 0.27, 0.1));
-        assert!(alike > apart);
+    fn correlated_configurations_detect_only_larger_effects() {
+        let independent = minimum_detectable_effect(&design(40, 0.27, 0.0));
+        let correlated = minimum_detectable_effect(&design(40, 0.27, 0.1));
+        assert!(correlated > independent);
     }
 
     #[test]
@@ -149,15 +149,15 @@ mod tests {
 
     fn configurations(changes: &[&[i8]]) -> Vec<Configuration> {
         let tasks = TaskRef::all().zip(changes);
-        let of_task = |(task, changes): (TaskRef, &&[i8])| {
-            let one = move |&change: &i8| Configuration {
+        let task_configurations = |(task, changes): (TaskRef, &&[i8])| {
+            let configuration = move |&change: &i8| Configuration {
                 task,
                 alone: [(Axis::Camera, change < 0)].into(),
                 simultaneous: change > 0,
             };
-            changes.iter().map(one).collect::<Vec<_>>()
+            changes.iter().map(configuration).collect::<Vec<_>>()
         };
-        tasks.flat_map(of_task).collect()
+        tasks.flat_map(task_configurations).collect()
     }
 
     #[test]

@@ -68,7 +68,7 @@ pub struct Difference {
     pub holm_p: f64,
     /// 95 % interval that holds simultaneously with those of all other rows.
     pub simultaneous_ci95: Option<Interval>,
-    /// p-value of the difference being beyond ±5 points, see
+    /// p-value of the hypothesis that the difference lies beyond ±5 points, see
     /// [`equivalence_p`](crate::equivalence_p).
     pub equivalence_p: Option<f64>,
     /// Comparison of the policies by task.
@@ -85,8 +85,8 @@ pub struct Profile {
     /// Tasks in which B succeeds more often.
     pub b_better: u64,
     /// Probability of improvement with intervals: the probability that A does better than B
-    /// in a task drawn at random, where ties count half. It has no interval for these tasks, nor
-    /// for new directions where tasks share theirs.
+    /// in a task drawn at random, where ties count half. It has no interval for the tasks of
+    /// the sample, and none for new directions if tasks share their directions.
     ///
     /// Source: R. Agarwal et al., Deep reinforcement learning at the edge of the
     /// statistical precipice, NeurIPS 2021.
@@ -134,9 +134,9 @@ impl Tally {
 }
 
 impl Difference {
-    /// Computes the difference of each set of pairs whose directions all tasks share; `None`
-    /// if no rollout of the set has an outcome for both policies. The order of pairs does not
-    /// matter. Sets with the same number of tasks share one pass of resampling.
+    /// Computes the difference of each set of pairs, where all tasks share the same directions;
+    /// `None` for a set without a rollout that has an outcome for both policies. The order of
+    /// pairs does not matter. Sets with the same number of tasks share one pass of resampling.
     pub fn of_each(sets: &[Vec<Pair>], bootstrap: &Bootstrap) -> Vec<Option<Self>> {
         Self::of_sets(sets, &vec![Directions::Shared; sets.len()], bootstrap)
     }
@@ -148,18 +148,18 @@ impl Difference {
         directions: &[Directions],
         bootstrap: &Bootstrap,
     ) -> Vec<Option<Self>> {
-        let clusters: Vec<Vec<Tally>> = sets.iter().map(|pairs| of_tasks(pairs)).collect();
-        let mut of_size: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
+        let clusters: Vec<Vec<Tally>> = sets.iter().map(|pairs| tallies(pairs)).collect();
+        let mut sets_by_size: BTreeMap<usize, Vec<usize>> = BTreeMap::new();
         for (set, tasks) in clusters.iter().enumerate() {
             if tasks.len() >= MIN_TASKS {
-                of_size.entry(tasks.len()).or_default().push(set);
+                sets_by_size.entry(tasks.len()).or_default().push(set);
             }
         }
         let mut intervals: Vec<Option<Interval>> = vec![None; sets.len()];
-        for (tasks, members) in of_size {
+        for (tasks, members) in sets_by_size {
             let computed = bootstrap.intervals_of_many(tasks, members.len(), |draws, values| {
                 for (value, &member) in values.iter_mut().zip(&members) {
-                    *value = drawn(&clusters[member], draws);
+                    *value = resampled_difference(&clusters[member], draws);
                 }
             });
             for (member, interval) in members.iter().zip(computed.into_iter().flatten()) {
@@ -202,12 +202,12 @@ impl Difference {
             sign_flip_p,
             holm_p: sign_flip_p,
             simultaneous_ci95: None,
-            profile: Profile::of(pairs, directions)?,
+            profile: Profile::new(pairs, directions)?,
             n: total.n(),
             tasks: clusters.len() as u64,
             s_a: total.rate(total.both + total.a_only),
             s_b: total.rate(total.both + total.b_only),
-            difference: drawn(clusters, &vec![1; clusters.len()]),
+            difference: resampled_difference(clusters, &vec![1; clusters.len()]),
             difference_ci95: interval.ok(),
             no_interval: interval.err(),
             both: total.both,
@@ -220,7 +220,7 @@ impl Difference {
 }
 
 impl DifferenceBounds {
-    /// Computes the bounds over some pairs; `None` if none is quarantined for either policy.
+    /// Computes the bounds over some pairs; `None` if no pair has a quarantined rollout.
     pub fn of(pairs: &[Pair]) -> Option<Self> {
         let (mut n, mut affected, mut lowest, mut highest) = (0_u64, 0_u64, 0_i64, 0_i64);
         for Pair { a, b, .. } in pairs {
@@ -243,7 +243,7 @@ impl DifferenceBounds {
 }
 
 /// Returns the tally of each task that has a pair with both outcomes, ordered by task.
-fn of_tasks(pairs: &[Pair]) -> Vec<Tally> {
+fn tallies(pairs: &[Pair]) -> Vec<Tally> {
     let mut tasks: BTreeMap<TaskRef, Tally> = BTreeMap::new();
     for Pair { task, a, b, .. } in pairs {
         if let (Some(a), Some(b)) = (a.success(), b.success()) {
@@ -253,8 +253,9 @@ fn of_tasks(pairs: &[Pair]) -> Vec<Tally> {
     tasks.into_values().collect()
 }
 
-/// Returns the difference over tasks, weighted by the number of times that each was drawn.
-fn drawn(clusters: &[Tally], draws: &[u32]) -> f64 {
+/// Returns the difference over tasks, each weighted by the number of times that the resampling
+/// drew the task.
+fn resampled_difference(clusters: &[Tally], draws: &[u32]) -> f64 {
     let (mut net, mut n) = (0.0, 0.0);
     for (task, &times) in clusters.iter().zip(draws) {
         let times = f64::from(times);
@@ -285,24 +286,24 @@ fn estimate(pairs: &[Pair], directions: Directions) -> Option<Estimate> {
 
 impl Profile {
     /// Returns the tasks in which A is farthest behind B and farthest ahead of it, each with
-    /// A − B; of equal ones the first.
+    /// A − B; of tasks with equal differences, the first.
     pub fn extremes(&self) -> Option<[(TaskRef, f64); 2]> {
         let pick =
-            |worst: Option<(TaskRef, f64)>, (&task, &change): (&TaskRef, &f64), sign: f64| {
-                match worst {
-                    Some((_, there)) if sign * there <= sign * change => worst,
+            |extreme: Option<(TaskRef, f64)>, (&task, &change): (&TaskRef, &f64), sign: f64| {
+                match extreme {
+                    Some((_, value)) if sign * value <= sign * change => extreme,
                     _ => Some((task, change)),
                 }
             };
         let [least, most] = [1.0, -1.0].map(|sign| {
             self.tasks
                 .iter()
-                .fold(None, |worst, task| pick(worst, task, sign))
+                .fold(None, |extreme, task| pick(extreme, task, sign))
         });
         Some([least?, most?])
     }
 
-    fn of(pairs: &[Pair], directions: Directions) -> Option<Self> {
+    fn new(pairs: &[Pair], directions: Directions) -> Option<Self> {
         let mut sums: BTreeMap<TaskRef, [f64; 2]> = BTreeMap::new();
         for row in rows(pairs) {
             let sum = sums.entry(row.task).or_default();
@@ -338,7 +339,7 @@ impl Profile {
         let improvement = Estimate::of(&sample, Scale::Share, &|sums| sums[1] / sums[0]);
         let mut improvement = defined(improvement);
         if directions == Directions::Shared {
-            // The spread of tasks under the same directions says nothing of other directions.
+            // The spread of tasks under the same directions says nothing about other directions.
             improvement.new_tasks_and_directions = None;
         }
         Some(Self {
@@ -397,13 +398,14 @@ fn correct_for_multiplicity(differences: &mut [Option<Difference>], bootstrap: &
     }
 }
 
-/// Returns the numbers of tasks in strata of suites, or in a single stratum if any suite has only
-/// one task, as in the standard errors. Tasks are ordered by suite.
+/// Returns the number of tasks in each stratum, as for the standard errors: each suite is a
+/// stratum, or all tasks are a single stratum if any suite has only one task. `tasks` are ordered
+/// by suite.
 fn strata(tasks: &[TaskRef]) -> Vec<usize> {
-    let of_suites = tasks.chunk_by(|a, b| a.suite() == b.suite());
-    let of_suites: Vec<usize> = of_suites.map(<[TaskRef]>::len).collect();
-    match of_suites.contains(&1) {
+    let by_suite = tasks.chunk_by(|a, b| a.suite() == b.suite());
+    let by_suite: Vec<usize> = by_suite.map(<[TaskRef]>::len).collect();
+    match by_suite.contains(&1) {
         true => vec![tasks.len()],
-        false => of_suites,
+        false => by_suite,
     }
 }

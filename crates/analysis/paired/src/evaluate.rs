@@ -1,5 +1,6 @@
-//! Evaluation of records into a report: groups them into cells, keeps the complete
-//! configurations and notes the excluded ones. The formulas are in `measures`.
+//! Evaluation of records into a report: groups them into cells, computes
+//! the paired measures over the complete configurations and counts the missing outcomes. The
+//! formulas are in `measures`.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -138,9 +139,9 @@ fn nominal_by_task(records: &Records, suite: Option<Suite>) -> Vec<Count> {
 /// Computes the cell of all configurations of one level and replicate.
 fn cell(records: &Records, matched: &[Matched], clean: Option<f64>, bootstrap: &Bootstrap) -> Cell {
     let mut conditions: Vec<Condition> = records.axes().map(Condition::Single).collect();
-    let is_late = matched.iter().any(|matched| matched.latency.is_some());
-    conditions.extend(is_late.then_some(Condition::Latency));
-    if records.combines {
+    let has_latency = matched.iter().any(|matched| matched.latency.is_some());
+    conditions.extend(has_latency.then_some(Condition::Latency));
+    if records.has_simultaneous {
         conditions.push(Condition::Combination);
     }
     let mut counts = BTreeMap::new();
@@ -177,7 +178,7 @@ fn cell(records: &Records, matched: &[Matched], clean: Option<f64>, bootstrap: &
         replicate: matched[0].replicate,
         level: matched[0].level,
         alone: alone.collect(),
-        latency: is_late.then(|| SingleAxis::new(counts[&Condition::Latency], clean)),
+        latency: has_latency.then(|| SingleAxis::new(counts[&Condition::Latency], clean)),
         subsets: subsets(matched),
         simultaneous: counts.get(&Condition::Combination).copied(),
         completeness: Completeness {
@@ -195,7 +196,7 @@ fn cell(records: &Records, matched: &[Matched], clean: Option<f64>, bootstrap: &
 }
 
 /// Counts the outcomes under each subset of the axes. Subsets run only for some
-/// configurations, so that their counts differ.
+/// configurations, so that the numbers of rollouts differ between subsets.
 fn subsets(matched: &[Matched]) -> BTreeMap<AxisSet, Count> {
     let mut counts: BTreeMap<AxisSet, Count> = BTreeMap::new();
     for (&axes, &outcome) in matched.iter().flat_map(|matched| &matched.subsets) {

@@ -1,5 +1,5 @@
 //! Findings of a report as sentences. Every sentence follows from figures of the report;
-//! docs/REPORT.md lists the condition under which each is written.
+//! docs/REPORT.md lists the condition under which each sentence is written.
 
 use std::collections::BTreeMap;
 
@@ -26,7 +26,7 @@ const EQUIVALENCE_ALPHA: f64 = 0.05;
 pub fn findings(report: &Report) -> Vec<Finding> {
     let cells = report.cells.iter().filter(|cell| cell.replicate == 0);
     let cells: Vec<&Cell> = cells.collect();
-    let claims = Claims::of(&cells);
+    let claims = Claims::new(&cells);
     let mut findings: Vec<Finding> = success(report, &cells).into_iter().collect();
     for cell in cells.iter().filter(|cell| cell.level != Level::L0) {
         findings.extend(cost(cell));
@@ -45,7 +45,7 @@ enum Hypothesis {
     Compensated,
     /// I is not below 0; tested if no noise floor is known.
     BelowZero,
-    /// All directions are alike.
+    /// Simultaneous success is the same under all directions.
     Directions,
 }
 
@@ -53,7 +53,7 @@ enum Hypothesis {
 struct Claims(BTreeMap<(Level, Hypothesis), f64>);
 
 impl Claims {
-    fn of(cells: &[&Cell]) -> Self {
+    fn new(cells: &[&Cell]) -> Self {
         let mut tested: BTreeMap<(Level, Hypothesis), f64> = BTreeMap::new();
         for cell in cells.iter().filter(|cell| cell.level != Level::L0) {
             let Some(inference) = &cell.inference else {
@@ -144,14 +144,14 @@ fn cost(cell: &Cell) -> Option<Finding> {
         |a: &&(&str, &Loss), b: &&(&str, &Loss)| a.1.loss.value.total_cmp(&b.1.loss.value);
     let (most, loss) = *singles.iter().max_by(by_loss)?;
     let level = cell.level;
-    let costs = |loss: &Loss| loss.holm_p < FINDING_ALPHA && loss.loss.value > 0.0;
-    let is_none = |loss: &Loss| loss.equivalence_p.is_some_and(|p| p < EQUIVALENCE_ALPHA);
-    let names = |is: &dyn Fn(&Loss) -> bool| -> Vec<String> {
-        let named = singles.iter().filter(|(_, loss)| is(loss));
+    let is_costly = |loss: &Loss| loss.holm_p < FINDING_ALPHA && loss.loss.value > 0.0;
+    let is_equivalent = |loss: &Loss| loss.equivalence_p.is_some_and(|p| p < EQUIVALENCE_ALPHA);
+    let names = |predicate: &dyn Fn(&Loss) -> bool| -> Vec<String> {
+        let named = singles.iter().filter(|(_, loss)| predicate(loss));
         named.map(|(name, _)| (*name).to_owned()).collect()
     };
-    let equivalent = names(&|loss| !costs(loss) && is_none(loss));
-    let mut sentence = match costs(loss) {
+    let equivalent = names(&|loss| !is_costly(loss) && is_equivalent(loss));
+    let mut sentence = match is_costly(loss) {
         true => format!(
             "Of the single axes at {level}, {most} costs the most: {} points{} of success, against \
              nominal rollouts of the same initial states",
@@ -176,7 +176,7 @@ fn cost(cell: &Cell) -> Option<Finding> {
     Some(Finding {
         kind: FindingKind::Cost,
         level: Some(level),
-        claims: costs(loss),
+        claims: is_costly(loss),
         holm_p: Some(loss.holm_p),
         sentence,
     })
@@ -212,10 +212,10 @@ fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding
         .iter()
         .filter(|(hypothesis, .., excess)| is_shown(*hypothesis, excess));
     let parts: Vec<String> = shown
-        .map(|(_, what, which, measure, excess)| {
+        .map(|(_, effect, outcomes, measure, excess)| {
             format!(
-                "{what} beyond chance: {} % of configurations {which}, {} points{} above the noise \
-                 floor",
+                "{effect} beyond chance: {} % of configurations {outcomes}, {} points{} above the \
+                 noise floor",
                 percent(Some(measure.value)),
                 percent(Some(excess.value)),
                 spread(excess)
@@ -224,8 +224,9 @@ fn simultaneity(cell: &Cell, report: &Report, claims: &Claims) -> Option<Finding
         .collect();
     let sentence = match parts.as_slice() {
         [] => format!(
-            "At {level}, simultaneity is not shown to change more outcomes than chance does: emergent \
-             failures are {} points{}, compensated successes {} points{} from the noise floor.",
+            "At {level}, simultaneity is not shown to change more outcomes than chance does: \
+             emergent failures are {} points{}, compensated successes {} points{} from the \
+             noise floor.",
             points(excess.excess.r_e.value),
             spread(&excess.excess.r_e),
             points(excess.excess.r_c.value),
@@ -251,27 +252,29 @@ fn without_floor(cell: &Cell, report: &Report, claims: &Claims) -> Option<Findin
     let claims = p < FINDING_ALPHA && i.value < 0.0;
     let sentence = match claims {
         true => format!(
-            "At {level}, failures emerge: more configurations fail only simultaneously than succeed \
-             only so, by {} points{}, and chance without any effect of an axis does the opposite.",
+            "At {level}, failures emerge: more configurations fail only simultaneously than \
+             succeed only simultaneously, by {} points{}. By chance alone, without an effect of \
+             any axis, this difference has the opposite sign.",
             percent(Some(-i.value)),
             spread(&i.negated())
         ),
         false => {
             let r_d = percent(Some(inference.paired.r_d.value));
             // A share of 0 among a few rollouts gives no upper bound of chance.
-            let seen = flips(cell, report).filter(|(_, flips)| *flips > 0.0);
-            let bound = seen.map_or_else(String::new, |(of, flips)| {
+            let flips = flips(cell, report).filter(|(_, flips)| *flips > 0.0);
+            let bound = flips.map_or_else(String::new, |(subject, flips)| {
                 let [r_d, _] = chance_bounds(flips, cell.alone.len());
                 format!(
-                    " {of} in {} %, and chance of that size can change up to {} % by itself.",
+                    " {subject} in {} %, and chance of that size can change up to {} % of the \
+                     outcomes by itself.",
                     percent(Some(flips)),
                     percent(Some(r_d)),
                 )
             });
             format!(
-                "At {level}, the simultaneous outcome of {r_d} % of configurations is not the one that \
-                 the single axes imply; how many of them differ by chance is unknown without a \
-                 placebo (`--levels L0,{level}`).{bound}"
+                "At {level}, the simultaneous outcome of {r_d} % of configurations is not the one \
+                 that the single axes imply; how many of them differ by chance is unknown without \
+                 a placebo (`--levels L0,{level}`).{bound}"
             )
         }
     };
@@ -317,9 +320,9 @@ fn directions(cell: &Cell, claims: &Claims) -> Option<Finding> {
         claims: true,
         holm_p: Some(p),
         sentence: format!(
-            "At {}, success depends on the direction: simultaneously, {} to {} % succeed under the {} \
-             directions. Beyond these directions, only the intervals for new tasks and directions \
-             hold.",
+            "At {}, success depends on the direction: simultaneously, {} to {} % succeed under \
+             the {} directions. Beyond these directions, only the intervals for new tasks and \
+             directions hold.",
             cell.level,
             percent(Some(low)),
             percent(Some(high)),

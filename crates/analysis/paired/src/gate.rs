@@ -39,11 +39,11 @@ pub struct Gate {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum GateVerdict {
-    /// All nominal rollouts have results, and the difference is within [`GATE_TOLERANCE`].
+    /// Enough nominal rollouts have results, and the difference is within [`GATE_TOLERANCE`].
     Passed,
-    /// All nominal rollouts have results, and the difference exceeds [`GATE_TOLERANCE`].
+    /// Enough nominal rollouts have results, and the difference exceeds [`GATE_TOLERANCE`].
     Failed,
-    /// Too few nominal rollouts have results: fewer than are behind the published figure.
+    /// Fewer nominal rollouts have results than the published figure is based on.
     Undecided,
 }
 
@@ -61,20 +61,20 @@ impl Gate {
     /// Evaluates the gate: |successes / n − published| ≤ [`GATE_TOLERANCE`] with
     /// n ≥ [`GATE_ROLLOUTS`].
     pub fn new(published: f64, nominal: Count) -> Self {
-        Self::over(GATE_ROLLOUTS, published, nominal)
+        Self::evaluate(GATE_ROLLOUTS, published, nominal)
     }
 
     /// Evaluates the gate of one suite, with n ≥ [`GATE_ROLLOUTS_OF_A_SUITE`].
     pub fn of_suite(published: f64, nominal: Count) -> Self {
-        Self::over(GATE_ROLLOUTS_OF_A_SUITE, published, nominal)
+        Self::evaluate(GATE_ROLLOUTS_OF_A_SUITE, published, nominal)
     }
 
-    fn over(rollouts: u64, published: f64, nominal: Count) -> Self {
+    fn evaluate(min_rollouts: u64, published: f64, nominal: Count) -> Self {
         let difference = nominal.rate().map(|rate| rate - published);
         // A difference of exactly the tolerance passes, despite rounding.
-        let close = |difference: f64| difference.abs() <= GATE_TOLERANCE + 1e-9;
+        let is_within = |difference: f64| difference.abs() <= GATE_TOLERANCE + 1e-9;
         let verdict = match difference {
-            Some(difference) if nominal.n >= rollouts => match close(difference) {
+            Some(difference) if nominal.n >= min_rollouts => match is_within(difference) {
                 true => GateVerdict::Passed,
                 false => GateVerdict::Failed,
             },
@@ -99,8 +99,8 @@ impl Gate {
             weight * weight * rate * (1.0 - rate) / (task.n as f64 - 1.0)
         });
         let error = variance.sum::<f64>().sqrt();
-        let is_enough = tasks.iter().all(|task| task.n > 1) && error > 0.0;
-        self.equivalence_p = self.difference.filter(|_| is_enough).map(|difference| {
+        let has_variance = tasks.iter().all(|task| task.n > 1) && error > 0.0;
+        self.equivalence_p = self.difference.filter(|_| has_variance).map(|difference| {
             let df = (n - tasks.len() as u64) as f64;
             upper_tail((GATE_TOLERANCE - difference.abs()) / error, df)
         });
@@ -118,7 +118,7 @@ mod tests {
     }
 
     #[test]
-    fn five_points_pass_and_more_do_not() {
+    fn a_difference_of_five_points_passes_and_a_greater_one_fails() {
         check(0.971, 1934, 2000, GateVerdict::Passed);
         check(0.95, 2000, 2000, GateVerdict::Passed);
         check(0.95, 1799, 2000, GateVerdict::Failed);
@@ -144,15 +144,15 @@ mod tests {
                 .with_tasks(&tasks)
                 .equivalence_p
         };
-        let (at, near) = (p(0.90).expect("varies"), p(0.94).expect("varies"));
+        let [equal, different] = [0.90, 0.94].map(|published| p(published).expect("variance"));
         // SciPy: stats.t.sf(0.05 / (0.2 * 0.8 / 49 / 4) ** 0.5, 98).
-        assert!((at - 0.042_0).abs() < 5e-4, "{at}");
-        assert!(near > 0.3, "{near}");
+        assert!((equal - 0.042_0).abs() < 5e-4, "{equal}");
+        assert!(different > 0.3, "{different}");
     }
 
     /// A suite's gate needs 500 rollouts, not the 2,000 of all suites.
     #[test]
-    fn all_rollouts_of_a_suite_decide_its_gate() {
+    fn five_hundred_rollouts_decide_the_gate_of_a_suite() {
         let gate = |n| Gate::of_suite(0.97, Count { successes: 480, n }).verdict;
         assert_eq!(gate(500), GateVerdict::Passed);
         assert_eq!(gate(499), GateVerdict::Undecided);

@@ -36,7 +36,7 @@ pub struct Inference {
     /// success; absent without matched nominal rollouts.
     pub relative: Option<Relative>,
     /// The loss under each condition, against the nominal rollouts of the same initial
-    /// states; empty without them.
+    /// states; empty without such nominal rollouts.
     pub losses: Losses,
     /// Test of whether simultaneous success depends on the direction; absent if directions are
     /// not shared between tasks, and for the placebo.

@@ -8,12 +8,14 @@ use crate::inference::Inference;
 use crate::inference::estimate::Estimate;
 use crate::inference::floor::Excess;
 use crate::report::Cell;
-use crate::text::{NOTHING, p_value, points, push_columns, push_row, rate, separate};
+use crate::text::{ABSENT, p_value, points, push_columns, push_row, rate, separate};
 
-const LABEL: usize = 20;
-const COLUMN: usize = 19;
+/// Width of the column of labels.
+const LABEL_WIDTH: usize = 20;
+/// Width of the column of a level.
+const COLUMN_WIDTH: usize = 19;
 /// Largest number of levels side by side.
-const CELLS: usize = 3;
+const MAX_CELLS: usize = 3;
 
 /// One line: its label and the function that formats a level's value.
 type Line = (&'static str, fn(&Inference) -> String);
@@ -53,7 +55,7 @@ const LINES: [Line; 21] = [
         inference
             .directions
             .as_ref()
-            .map_or_else(nothing, |test| p_value(test.p))
+            .map_or_else(absent, |test| p_value(test.p))
     }),
     ("b / S_conj", |inference| {
         share(inference.eligible.emergent.as_ref())
@@ -62,7 +64,7 @@ const LINES: [Line; 21] = [
         inference
             .eligible
             .emergent
-            .map_or_else(nothing, |estimate| rates(estimate.new_tasks))
+            .map_or_else(absent, |estimate| rates(estimate.new_tasks))
     }),
     ("c / (1 - S_conj)", |inference| {
         share(inference.eligible.compensated.as_ref())
@@ -71,7 +73,7 @@ const LINES: [Line; 21] = [
         inference
             .eligible
             .compensated
-            .map_or_else(nothing, |estimate| rates(estimate.new_tasks))
+            .map_or_else(absent, |estimate| rates(estimate.new_tasks))
     }),
     ("relative indep.", |inference| {
         share(
@@ -84,7 +86,7 @@ const LINES: [Line; 21] = [
     ("  new tasks", |inference| {
         inference
             .relative
-            .map_or_else(nothing, |relative| rates(relative.prediction.new_tasks))
+            .map_or_else(absent, |relative| rates(relative.prediction.new_tasks))
     }),
     ("S_sim - relative", |inference| {
         change(
@@ -97,7 +99,7 @@ const LINES: [Line; 21] = [
     ("  new tasks", |inference| {
         inference
             .relative
-            .map_or_else(nothing, |relative| changes(relative.difference.new_tasks))
+            .map_or_else(absent, |relative| changes(relative.difference.new_tasks))
     }),
     ("nominal, matched", |inference| {
         share(
@@ -110,7 +112,7 @@ const LINES: [Line; 21] = [
     ("  new tasks", |inference| {
         inference
             .relative
-            .map_or_else(nothing, |relative| rates(relative.nominal.new_tasks))
+            .map_or_else(absent, |relative| rates(relative.nominal.new_tasks))
     }),
 ];
 
@@ -141,7 +143,7 @@ const EXCESS_LINES: [ExcessLine; 12] = [
 /// Appends the table: intervals for each target, rates among eligible configurations,
 /// relative independence, and the excess over the noise floor.
 pub(crate) fn push_inference(text: &mut String, cells: &[&Cell], suffix: &str) {
-    for cells in cells.chunks(CELLS) {
+    for cells in cells.chunks(MAX_CELLS) {
         let inferred: Vec<(Level, &Inference)> = cells
             .iter()
             .filter_map(|cell| Some((cell.level, cell.inference.as_ref()?)))
@@ -150,12 +152,15 @@ pub(crate) fn push_inference(text: &mut String, cells: &[&Cell], suffix: &str) {
             continue;
         }
         separate(text);
-        let _ = writeln!(text, "how sure, and about what: 95 % intervals, %{suffix}");
+        let _ = writeln!(
+            text,
+            "95 % intervals about these tasks, new tasks and new directions, %{suffix}"
+        );
         let levels = inferred.iter().map(|(level, _)| level.to_string());
-        push_row(text, LABEL, COLUMN, "", levels);
+        push_row(text, LABEL_WIDTH, COLUMN_WIDTH, "", levels);
         for (label, value) in LINES {
             let values = inferred.iter().map(|(_, inference)| value(inference));
-            push_row(text, LABEL, COLUMN, label, values);
+            push_row(text, LABEL_WIDTH, COLUMN_WIDTH, label, values);
         }
         if inferred
             .iter()
@@ -166,14 +171,14 @@ pub(crate) fn push_inference(text: &mut String, cells: &[&Cell], suffix: &str) {
         for (label, value) in EXCESS_LINES {
             let values = inferred.iter();
             let values =
-                values.map(|(_, inference)| inference.excess.as_ref().map_or_else(nothing, value));
-            push_row(text, LABEL, COLUMN, label, values);
+                values.map(|(_, inference)| inference.excess.as_ref().map_or_else(absent, value));
+            push_row(text, LABEL_WIDTH, COLUMN_WIDTH, label, values);
         }
     }
     push_losses(text, cells, suffix);
 }
 
-/// Writes the table of success lost under each condition, against matched nominal
+/// Appends the table of success lost under each condition, against matched nominal
 /// rollouts.
 fn push_losses(text: &mut String, cells: &[&Cell], suffix: &str) {
     let heads = [
@@ -196,19 +201,19 @@ fn push_losses(text: &mut String, cells: &[&Cell], suffix: &str) {
         };
         rows.push((cell.level.to_string(), Vec::new()));
         for (condition, loss) in &inference.losses {
-            let one = |value: f64| format!("{:.1}", 100.0 * value);
+            let percent = |value: f64| format!("{:.1}", 100.0 * value);
             let interval = loss.loss.new_tasks;
-            let interval = interval.map_or_else(nothing, |[low, high]| {
-                format!("[{}, {}]", one(low), one(high))
+            let interval = interval.map_or_else(absent, |[low, high]| {
+                format!("[{}, {}]", percent(low), percent(high))
             });
             let values = vec![
                 loss.n.to_string(),
-                one(loss.nominal.value),
-                one(loss.success.value),
-                one(loss.loss.value),
+                percent(loss.nominal.value),
+                percent(loss.success.value),
+                percent(loss.loss.value),
                 interval,
                 p_value(loss.holm_p),
-                loss.equivalence_p.map_or_else(nothing, p_value),
+                loss.equivalence_p.map_or_else(absent, p_value),
             ];
             rows.push((format!(" {}", condition.label()), values));
         }
@@ -223,7 +228,7 @@ fn push_losses(text: &mut String, cells: &[&Cell], suffix: &str) {
     }
 }
 
-/// Returns the legend of the table's lines.
+/// Returns the legend entries of the table's lines.
 pub(crate) fn meanings(cells: &[&Cell]) -> Vec<(&'static str, &'static str)> {
     let inferred: Vec<&Inference> = cells
         .iter()
@@ -235,7 +240,7 @@ pub(crate) fn meanings(cells: &[&Cell]) -> Vec<(&'static str, &'static str)> {
     let mut entries = vec![
         (
             "these tasks",
-            "about these tasks and directions: other initial states, and chance",
+            "about these tasks and directions, with other initial states and chance outcomes",
         ),
         (
             "new tasks",
@@ -243,17 +248,20 @@ pub(crate) fn meanings(cells: &[&Cell]) -> Vec<(&'static str, &'static str)> {
         ),
         (
             "and directions",
-            "about new tasks and new directions; configuration c of all tasks shares one",
+            "about new tasks and new directions; all tasks share the direction of configuration c",
         ),
         (
             "sign-flip p",
-            "exact test over tasks; McNemar takes rollouts as independent",
+            "exact test over tasks; McNemar's test assumes independent rollouts",
         ),
         (
             "b / S_conj",
-            "emergent, of the configurations that succeed under every axis alone",
+            "share of emergent failures among configurations that succeed under every axis alone",
         ),
-        ("c / (1 - S_conj)", "compensated, of the others"),
+        (
+            "c / (1 - S_conj)",
+            "share of compensated successes among all other configurations",
+        ),
     ];
     if inferred
         .iter()
@@ -261,7 +269,8 @@ pub(crate) fn meanings(cells: &[&Cell]) -> Vec<(&'static str, &'static str)> {
     {
         entries.push((
             "relative indep.",
-            "nominal x product of (axis / nominal): independent axes, nominal failures counted once",
+            "nominal x product of (axis / nominal): the prediction for independent axes that \
+             counts nominal failures once",
         ));
         entries.push((
             "Holm p",
@@ -269,38 +278,39 @@ pub(crate) fn meanings(cells: &[&Cell]) -> Vec<(&'static str, &'static str)> {
         ));
         entries.push((
             "beyond 5, p",
-            "test that the loss is beyond 5 points either way: if small, there is none",
+            "p-value of the hypothesis that the loss lies outside +-5 points: if it is small, \
+             success is equivalent to nominal",
         ));
     }
     if inferred.iter().any(|inference| inference.excess.is_some()) {
         entries.push((
             "floor",
-            "the same measures of the placebo level: what chance makes of them",
+            "the measures of the placebo level, where only chance changes outcomes",
         ));
     }
     entries
 }
 
-fn nothing() -> String {
-    NOTHING.to_owned()
+fn absent() -> String {
+    ABSENT.to_owned()
 }
 
 fn share(estimate: Option<&Estimate>) -> String {
-    estimate.map_or_else(nothing, |estimate| rate(estimate.value))
+    estimate.map_or_else(absent, |estimate| rate(estimate.value))
 }
 
 fn change(estimate: Option<&Estimate>) -> String {
-    estimate.map_or_else(nothing, |estimate| points(estimate.value))
+    estimate.map_or_else(absent, |estimate| points(estimate.value))
 }
 
 fn rates(interval: Option<[f64; 2]>) -> String {
-    interval.map_or_else(nothing, |[low, high]| {
+    interval.map_or_else(absent, |[low, high]| {
         format!("[{}, {}]", rate(low), rate(high))
     })
 }
 
 fn changes(interval: Option<[f64; 2]>) -> String {
-    interval.map_or_else(nothing, |[low, high]| {
+    interval.map_or_else(absent, |[low, high]| {
         format!("[{}, {}]", points(low), points(high))
     })
 }

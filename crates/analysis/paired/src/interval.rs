@@ -15,14 +15,14 @@ use crate::bootstrap::{Bootstrap, Interval};
 /// standard errors, which covers the truth with probability
 /// P(|t_{G−1}| ≤ 1.96·√((G − 1)/G)): 75 % for three tasks, 85 % for five, 90.4 %
 /// for ten, 94 % for forty. With fewer than four tasks, an end of the interval is
-/// simply the most extreme task, because that one is drawn G times with
+/// simply the most extreme task, because that task is drawn G times with
 /// probability G^−G > 2.5 %; with two tasks the interval covers the truth in half
 /// of all cases. docs/REPORT.md has simulations.
 ///
 /// Sources: T. Hesterberg, What teachers should know about the bootstrap, The
 /// American Statistician 69 (2015), 371–386, section 4 (the interval is too
-/// narrow by √((n − 1)/n), and takes z for t); A. C. Cameron, J. B. Gelbach and
-/// D. L. Miller, Bootstrap-based improvements for inference with clustered
+/// narrow by √((n − 1)/n), and uses normal instead of t quantiles); A. C. Cameron,
+/// J. B. Gelbach and D. L. Miller, Bootstrap-based improvements for inference with clustered
 /// errors, Review of Economics and Statistics 90 (2008), 414–427 (resampling
 /// few clusters rejects too often).
 pub const MIN_TASKS: usize = 10;
@@ -57,8 +57,8 @@ impl fmt::Display for NoInterval {
     }
 }
 
-/// Returns intervals of `N` statistics over `tasks` tasks, and the first reason why one is
-/// absent.
+/// Returns intervals of `N` statistics over `tasks` tasks, and the reason why the first absent
+/// interval is withheld.
 pub(crate) fn intervals<const N: usize>(
     bootstrap: &Bootstrap,
     tasks: usize,
@@ -105,7 +105,7 @@ pub(crate) fn interval_or_reason(
 mod tests {
     use super::*;
 
-    fn of(values: &[f64]) -> (Option<Interval>, Option<NoInterval>) {
+    fn mean_interval(values: &[f64]) -> (Option<Interval>, Option<NoInterval>) {
         let ([interval], why) = intervals(&Bootstrap::default(), values.len(), |draws| {
             let sum: f64 = draws
                 .iter()
@@ -118,11 +118,17 @@ mod tests {
     }
 
     #[test]
-    fn fewer_than_ten_tasks_have_no_interval_however_they_differ() {
+    fn fewer_than_ten_tasks_have_no_interval_even_if_they_differ() {
         let values: Vec<f64> = (0..10).map(f64::from).collect();
-        assert_eq!(of(&values[..2]), (None, Some(NoInterval::TooFewTasks)));
-        assert_eq!(of(&values[..9]), (None, Some(NoInterval::TooFewTasks)));
-        let (interval, why) = of(&values);
+        assert_eq!(
+            mean_interval(&values[..2]),
+            (None, Some(NoInterval::TooFewTasks))
+        );
+        assert_eq!(
+            mean_interval(&values[..9]),
+            (None, Some(NoInterval::TooFewTasks))
+        );
+        let (interval, why) = mean_interval(&values);
         let [low, high] = interval.expect("ten tasks");
         assert!(low < 4.5 && 4.5 < high, "{low} {high}");
         assert_eq!(why, None);
@@ -146,7 +152,7 @@ mod tests {
                 }
             });
             for (column, found) in columns.iter().zip(many) {
-                let (interval, why) = of(&column[..tasks]);
+                let (interval, why) = mean_interval(&column[..tasks]);
                 assert_eq!(found.ok(), interval);
                 assert_eq!(found.err(), why);
             }
@@ -155,7 +161,13 @@ mod tests {
 
     #[test]
     fn a_value_that_no_resampling_changes_has_no_interval() {
-        assert_eq!(of(&[0.0; 40]), (None, Some(NoInterval::NoSpread)));
-        assert_eq!(of(&[1.0 / 3.0; 40]), (None, Some(NoInterval::NoSpread)));
+        assert_eq!(
+            mean_interval(&[0.0; 40]),
+            (None, Some(NoInterval::NoSpread))
+        );
+        assert_eq!(
+            mean_interval(&[1.0 / 3.0; 40]),
+            (None, Some(NoInterval::NoSpread))
+        );
     }
 }

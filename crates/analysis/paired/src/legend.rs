@@ -23,10 +23,7 @@ pub fn legend(reports: &[&Report]) -> String {
     }
     if has_pairs {
         add("simultaneous", "all of these axes in one rollout");
-        add(
-            "n complete",
-            "configurations of which every outcome is known",
-        );
+        add("n complete", "configurations with all outcomes known");
         add(
             "S_indep",
             "product of the axes' success rates, which counts nominal failures once per axis",
@@ -63,15 +60,15 @@ pub fn legend(reports: &[&Report]) -> String {
         add("McNemar p", "exact two-sided test of b against c");
         add(
             "detectable |I|",
-            "smallest |I| that so many configurations, with so many changes, show in 4 of 5 \
-             repetitions",
+            "smallest |I| that a test at 5 % detects with a power of 80 %, given the number of \
+             configurations and R_d",
         );
     }
     if has_pairs && reports.iter().any(|report| !report.overstated.is_empty()) {
         add(
             "*",
-            "overstated: the campaign ended because it was large at that look; its confidence \
-             sequence bounds it",
+            "overstated: the campaign ended because this measure was large at that look; the \
+             confidence sequence of the measure remains valid",
         );
     }
     if cells().any(|cell| cell.solvable.is_some()) {
@@ -93,15 +90,15 @@ pub fn legend(reports: &[&Report]) -> String {
     let replication = reports.iter().flat_map(|report| &report.replication);
     let changes = replication.flat_map(|replication| replication.changes.values());
     let measures = cells().flat_map(|cell| cell.paired.iter().chain(&cell.solvable));
-    let why = measures.map(|measures| measures.no_interval);
-    let why: Vec<_> = why
+    let absent = measures.map(|measures| measures.no_interval);
+    let absent: Vec<_> = absent
         .chain(changes.map(|change| change.no_interval))
         .collect();
     if cells().any(|cell| cell.paired.is_some()) {
         let bootstrap = reports
             .first()
             .map_or_else(Bootstrap::default, |report| report.bootstrap);
-        entries.extend(of_intervals(&bootstrap, why));
+        entries.extend(interval_entries(&bootstrap, absent));
     }
     let mut text = String::new();
     push_legend(&mut text, &entries);
@@ -109,7 +106,7 @@ pub fn legend(reports: &[&Report]) -> String {
 }
 
 /// Returns the legend entries that define intervals and the marks of absent ones.
-pub(crate) fn of_intervals(
+pub(crate) fn interval_entries(
     bootstrap: &Bootstrap,
     absent: impl IntoIterator<Item = Option<NoInterval>>,
 ) -> Vec<(&'static str, String)> {
@@ -128,7 +125,7 @@ pub(crate) fn of_intervals(
     }
     if absent.contains(&NoInterval::NoSpread) {
         let meaning = "no interval: all tasks have the same value, so that resampling them says \
-                       nothing of its uncertainty";
+                       nothing about the uncertainty of the value";
         entries.push((NoInterval::NoSpread.name(), meaning.to_owned()));
     }
     entries

@@ -21,7 +21,7 @@ pub struct Configuration {
 }
 
 impl Configuration {
-    /// Success under every axis alone: Π_a Y_a.
+    /// Returns true if the configuration succeeds under every axis alone: Π_a Y_a.
     pub fn conjunction(&self) -> bool {
         self.alone.values().all(|&success| success)
     }
@@ -37,7 +37,7 @@ impl Configuration {
 pub struct Measures {
     /// Number of configurations.
     pub n: u64,
-    /// Number of their tasks.
+    /// Number of tasks of these configurations.
     pub tasks: u64,
     /// Success rate under each axis alone.
     pub s_axis: BTreeMap<Axis, f64>,
@@ -90,10 +90,10 @@ impl Measures {
     pub fn of(configurations: &[Configuration], bootstrap: &Bootstrap) -> Option<Self> {
         let axes: Vec<Axis> = configurations.first()?.alone.keys().copied().collect();
         let clusters = Tally::of_tasks(configurations, &axes);
-        let total = Tally::drawn(&clusters, &vec![1; clusters.len()]);
+        let total = Tally::resampled(&clusters, &vec![1; clusters.len()]);
         let point = total.rates();
         let (shown, no_interval) = intervals(bootstrap, clusters.len(), |draws| {
-            Tally::drawn(&clusters, draws).rates().with_intervals()
+            Tally::resampled(&clusters, draws).rates().with_intervals()
         });
         let [d_ci95, i_ci95, r_e_ci95, r_c_ci95, r_d_ci95] = shown;
         let failures = total.n - total.simultaneous;
@@ -154,13 +154,13 @@ impl Tally {
         clusters.into_values().collect()
     }
 
-    /// Sums the tallies, each weighted by the number of times that its task was drawn.
-    pub(crate) fn drawn(clusters: &[Self], draws: &[u32]) -> Self {
-        let mut drawn = Self::default();
+    /// Sums the tallies, each weighted by the number of times that the resampling drew its task.
+    pub(crate) fn resampled(clusters: &[Self], draws: &[u32]) -> Self {
+        let mut total = Self::default();
         for (tally, &times) in clusters.iter().zip(draws) {
-            drawn.merge(tally, u64::from(times));
+            total.merge(tally, u64::from(times));
         }
-        drawn
+        total
     }
 
     fn add(&mut self, configuration: &Configuration, axes: &[Axis]) {

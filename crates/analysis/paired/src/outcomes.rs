@@ -58,8 +58,8 @@ impl From<bool> for Outcome {
 pub struct Record {
     /// Identity of the rollout.
     pub id: RolloutId,
-    /// The initial state that it started from; pairs a configuration with its
-    /// nominal rollout.
+    /// Initial state at the start of the rollout; pairs a configuration with its nominal
+    /// rollout.
     pub init_id: u16,
     /// Number of the replicate, from 0.
     pub replicate: u32,
@@ -69,7 +69,7 @@ pub struct Record {
 
 /// Error: the same rollout and replicate is recorded twice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("report on {id}, replicate {replicate}: it is recorded twice, keep one")]
+#[error("report on {id}: replicate {replicate} is recorded twice; keep one record")]
 pub struct DuplicateRecord {
     /// The rollout.
     pub id: RolloutId,
@@ -91,17 +91,17 @@ pub struct Matched {
     /// The initial state of all its rollouts.
     pub init_id: u16,
     /// Outcome of the nominal rollout from the same initial state; also missing if the
-    /// campaign does not run it.
+    /// campaign runs no nominal rollouts.
     pub nominal: Outcome,
     /// Outcomes under each axis alone, all axes of the campaign.
     pub alone: BTreeMap<Axis, Outcome>,
-    /// Outcome with a late policy, which counts in no conjunction; `None` if the campaign does not
-    /// run it at this level.
+    /// Outcome under the latency axis, which no conjunction includes; `None` if the campaign does
+    /// not run it at this level.
     pub latency: Option<Outcome>,
     /// Outcomes under proper subsets of two or more axes, as far as recorded.
     pub subsets: BTreeMap<AxisSet, Outcome>,
-    /// Outcome under simultaneous perturbation; also missing if the campaign does not run
-    /// it.
+    /// Outcome under simultaneous perturbation; also missing if the campaign runs no
+    /// simultaneous rollouts.
     pub simultaneous: Outcome,
 }
 
@@ -174,7 +174,7 @@ impl Matched {
     }
 
     /// Returns every transition that the possible outcomes of quarantined rollouts allow:
-    /// exactly one if none is quarantined. `None` if a rollout is missing.
+    /// exactly one if no rollout is quarantined. `None` if a rollout is missing.
     pub fn possible_transitions(&self) -> Option<Vec<Transition>> {
         let mut conjunction = [1, 1];
         for outcome in self.alone.values() {
@@ -201,7 +201,7 @@ impl Matched {
             Condition::Latency => self.latency.unwrap_or_default(),
             Condition::Subset(axes) => self.subsets.get(&axes).copied().unwrap_or_default(),
             Condition::Combination => self.simultaneous,
-            // Variants are in no configuration.
+            // Variants belong to no configuration.
             Condition::Variant => Outcome::Missing,
         }
     }
@@ -212,9 +212,10 @@ impl Matched {
 pub struct Records {
     pub(crate) outcomes: BTreeMap<(u32, RolloutId), Outcome>,
     pub(crate) axes: BTreeSet<Axis>,
-    /// Levels at which the policy is late.
-    pub(crate) late: BTreeSet<Level>,
-    pub(crate) combines: bool,
+    /// Levels at which rollouts under the latency axis are recorded.
+    pub(crate) latency_levels: BTreeSet<Level>,
+    /// True if simultaneous rollouts are recorded.
+    pub(crate) has_simultaneous: bool,
     pub(crate) matched: Vec<Matched>,
 }
 
@@ -237,9 +238,9 @@ impl Records {
                     matching.axes.insert(axis);
                 }
                 Condition::Latency => {
-                    matching.late.insert(id.level());
+                    matching.latency_levels.insert(id.level());
                 }
-                Condition::Combination => matching.combines = true,
+                Condition::Combination => matching.has_simultaneous = true,
             }
         }
         matching.matched = matching.matched(records);
@@ -293,7 +294,10 @@ impl Records {
                 init_id,
                 nominal: self.outcome(replicate, RolloutId::clean(id.task(), init_id)),
                 alone: self.axes().map(|axis| (axis, Outcome::Missing)).collect(),
-                latency: self.late.contains(&id.level()).then_some(Outcome::Missing),
+                latency: self
+                    .latency_levels
+                    .contains(&id.level())
+                    .then_some(Outcome::Missing),
                 subsets: BTreeMap::new(),
                 simultaneous: Outcome::Missing,
             });

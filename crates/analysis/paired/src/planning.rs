@@ -26,12 +26,12 @@ pub struct Assumed {
     pub s_sim: f64,
     /// Share of configurations whose outcome simultaneity changes.
     pub r_d: f64,
-    /// Correlation of simultaneous success.
-    pub of_success: f64,
-    /// Correlation of simultaneous − conjunction, which is −1, 0 or 1.
-    pub of_change: f64,
-    /// Correlation of the indicator that the outcome changes.
-    pub of_changed: f64,
+    /// Correlation of simultaneous success within a task.
+    pub success_correlation: f64,
+    /// Correlation within a task of simultaneous − conjunction, which is −1, 0 or 1.
+    pub change_correlation: f64,
+    /// Correlation within a task of the indicator that the outcome changes.
+    pub changed_correlation: f64,
 }
 
 /// Number of configurations planned at a level.
@@ -72,44 +72,44 @@ pub struct Detectable {
 }
 
 impl Assumed {
-    /// The student's published outcomes (`examples/student`): all of v0.1, and the placebo level.
+    /// Summary of the student's published outcomes (`examples/student`): all of v0.1, and the
+    /// placebo level.
     pub const STUDENT: [Self; 4] = [
         Self {
             level: Level::L0,
             s_sim: 0.95,
             r_d: 0.065,
-            of_success: 0.5274,
-            of_change: 0.1444,
-            of_changed: 0.1457,
+            success_correlation: 0.5274,
+            change_correlation: 0.1444,
+            changed_correlation: 0.1457,
         },
         Self {
             level: Level::L1,
             s_sim: 0.7225,
             r_d: 0.2075,
-            of_success: 0.3487,
-            of_change: 0.0404,
-            of_changed: 0.0765,
+            success_correlation: 0.3487,
+            change_correlation: 0.0404,
+            changed_correlation: 0.0765,
         },
         Self {
             level: Level::L2,
             s_sim: 0.4175,
             r_d: 0.27,
-            of_success: 0.2765,
-            of_change: 0.0462,
-            of_changed: 0.0852,
+            success_correlation: 0.2765,
+            change_correlation: 0.0462,
+            changed_correlation: 0.0852,
         },
         Self {
             level: Level::L3,
             s_sim: 0.0875,
             r_d: 0.155,
-            of_success: 0.1527,
-            of_change: 0.0512,
-            of_changed: 0.0404,
+            success_correlation: 0.1527,
+            change_correlation: 0.0512,
+            changed_correlation: 0.0404,
         },
     ];
 
-    /// Summarises known outcomes by ascending level: those of complete configurations in the
-    /// first replicate.
+    /// Summarises the outcomes of complete configurations in replicate 0, by ascending level.
     ///
     /// # Errors
     /// If a rollout and replicate is recorded twice.
@@ -125,21 +125,23 @@ impl Assumed {
         }
         let levels = levels.into_iter();
         Ok(levels
-            .map(|(level, configurations)| Self::of_level(level, &configurations))
+            .map(|(level, configurations)| Self::from_configurations(level, &configurations))
             .collect())
     }
 
-    fn of_level(level: Level, configurations: &[Configuration]) -> Self {
-        let share = |is: fn(&Configuration) -> bool| {
+    fn from_configurations(level: Level, configurations: &[Configuration]) -> Self {
+        let share = |predicate: fn(&Configuration) -> bool| {
             let count = configurations
                 .iter()
-                .filter(|configuration| is(configuration))
+                .filter(|configuration| predicate(configuration))
                 .count();
             count as f64 / configurations.len() as f64
         };
-        let over_tasks = |is: fn(&Configuration) -> bool| {
-            correlation(configurations, |configuration| f64::from(is(configuration)))
-                .unwrap_or_default()
+        let task_correlation_of = |predicate: fn(&Configuration) -> bool| {
+            correlation(configurations, |configuration| {
+                f64::from(predicate(configuration))
+            })
+            .unwrap_or_default()
         };
         let is_changed: fn(&Configuration) -> bool =
             |configuration| configuration.simultaneous != configuration.conjunction();
@@ -147,9 +149,9 @@ impl Assumed {
             level,
             s_sim: share(|configuration| configuration.simultaneous),
             r_d: share(is_changed),
-            of_success: over_tasks(|configuration| configuration.simultaneous),
-            of_change: task_correlation(configurations).unwrap_or_default(),
-            of_changed: over_tasks(is_changed),
+            success_correlation: task_correlation_of(|configuration| configuration.simultaneous),
+            change_correlation: task_correlation(configurations).unwrap_or_default(),
+            changed_correlation: task_correlation_of(is_changed),
         }
     }
 
@@ -166,9 +168,9 @@ impl Assumed {
     /// correlation within tasks does not contribute to the error.
     pub const fn of_these_tasks(self) -> Self {
         Self {
-            of_success: 0.0,
-            of_change: 0.0,
-            of_changed: 0.0,
+            success_correlation: 0.0,
+            change_correlation: 0.0,
+            changed_correlation: 0.0,
             ..self
         }
     }
@@ -190,17 +192,20 @@ impl Assumed {
                 task_correlation,
             })
         };
-        let [base, there] = match against {
-            Against::AnotherPolicy => [(self.r_d, planned); 2],
+        let (base, reference) = match against {
+            Against::AnotherPolicy => (self.r_d, planned),
             Against::Floor {
                 r_d,
                 planned: floor,
-            } => [(r_d, planned), (r_d, floor)],
+            } => (r_d, floor),
         };
         Detectable {
-            difference: paired(2.0 * self.s_sim * (1.0 - self.s_sim), self.of_success),
-            i: paired(self.r_d, self.of_change),
-            r_d: excess(base.0, self.of_changed, [base.1, there.1]),
+            difference: paired(
+                2.0 * self.s_sim * (1.0 - self.s_sim),
+                self.success_correlation,
+            ),
+            i: paired(self.r_d, self.change_correlation),
+            r_d: excess(base, self.changed_correlation, [planned, reference]),
         }
     }
 }
@@ -210,38 +215,40 @@ impl Planned {
     /// times the design effect 1 + (m − 1)·ρ.
     fn variance(self, share: f64, correlation: f64) -> f64 {
         let effect = 1.0 + (self.configs_per_task - 1.0).max(0.0) * correlation;
-        share * (1.0 - share) * effect / self.of_all()
+        share * (1.0 - share) * effect / self.total()
     }
 
     /// Returns the number of configurations of all tasks.
     pub fn count(self) -> u32 {
-        self.of_all().round() as u32
+        self.total().round() as u32
     }
 
-    fn of_all(self) -> f64 {
+    fn total(self) -> f64 {
         f64::from(self.tasks) * self.configs_per_task
     }
 }
 
-/// Returns the smallest detectable excess of a share over `base`, with separate configurations
-/// for each: solves δ = z₀.₉₇₅·σ(pooled) + z₀.₈·σ(base + δ, base). Smaller differences are
-/// detectable if both share the same, positively correlated configurations.
+/// Returns the smallest detectable excess of a share over `base`. The two shares are of separate
+/// configurations: those of the level and those of the reference. Solves
+/// δ = z₀.₉₇₅·σ(pooled) + z₀.₈·σ(base + δ, base). Smaller differences are detectable if both shares
+/// are of the same, positively correlated configurations.
 ///
 /// Source: J. L. Fleiss, B. Levin, M. C. Paik, Statistical Methods for Rates and Proportions,
 /// third edition (2003), section 4.2.
-fn excess(base: f64, correlation: f64, [here, there]: [Planned; 2]) -> Option<f64> {
-    let spread = |one: f64, other: f64| {
-        (here.variance(one, correlation) + there.variance(other, correlation)).sqrt()
+fn excess(base: f64, correlation: f64, [compared, reference]: [Planned; 2]) -> Option<f64> {
+    let spread = |share: f64, reference_share: f64| {
+        (compared.variance(share, correlation) + reference.variance(reference_share, correlation))
+            .sqrt()
     };
     // Negative if the excess is detectable.
     let lacking = |excess: f64| {
         let share = base + excess;
-        let all = here.of_all() + there.of_all();
-        let pooled = (here.of_all() * share + there.of_all() * base) / all;
+        let all = compared.total() + reference.total();
+        let pooled = (compared.total() * share + reference.total() * base) / all;
         Z_TEST * spread(pooled, pooled) + Z_POWER * spread(share, base) - excess
     };
     let (mut low, mut high) = (0.0, 1.0 - base);
-    if !(here.of_all() > 0.0 && there.of_all() > 0.0) || lacking(high) > 0.0 {
+    if !(compared.total() > 0.0 && reference.total() > 0.0) || lacking(high) > 0.0 {
         return None;
     }
     for _ in 0..BISECTIONS {
@@ -272,30 +279,30 @@ mod tests {
             level: Level::L2,
             s_sim: 0.6,
             r_d,
-            of_success: correlation,
-            of_change: correlation,
-            of_changed: correlation,
+            success_correlation: correlation,
+            change_correlation: correlation,
+            changed_correlation: correlation,
         }
     }
 
     #[test]
     fn a_detectable_excess_is_found_in_four_of_five_campaigns() {
-        let [here, there] = [planned(40, 10.0), planned(40, 2.0)];
+        let [compared, reference] = [planned(40, 10.0), planned(40, 2.0)];
         let base = 0.05;
-        let excess = excess(base, 0.0, [here, there]).expect("some");
+        let excess = excess(base, 0.0, [compared, reference]).expect("detectable");
         let mut rng = ChaCha8Rng::seed_from_u64(33);
-        let mut share = |of: Planned, rate: f64| {
+        let mut share = |planned: Planned, rate: f64| {
             let uniform = || f64::from(rng.next_u32()) / f64::from(u32::MAX);
-            let n = of.of_all();
+            let n = planned.total();
             let hits = std::iter::repeat_with(uniform).take(n as usize);
             hits.filter(|draw| *draw < rate).count() as f64 / n
         };
         let campaigns = 2_000;
         let is_found = |_: &u32| {
-            let (one, other) = (share(here, base + excess), share(there, base));
-            let pooled = (one * here.of_all() + other * there.of_all()) / 480.0;
-            let variance = here.variance(pooled, 0.0) + there.variance(pooled, 0.0);
-            (one - other).abs() > Z_TEST * variance.sqrt()
+            let (rate, reference_rate) = (share(compared, base + excess), share(reference, base));
+            let pooled = (rate * compared.total() + reference_rate * reference.total()) / 480.0;
+            let variance = compared.variance(pooled, 0.0) + reference.variance(pooled, 0.0);
+            (rate - reference_rate).abs() > Z_TEST * variance.sqrt()
         };
         let found = (0..campaigns).filter(is_found).count();
         let power = found as f64 / f64::from(campaigns);
@@ -310,25 +317,26 @@ mod tests {
         };
         let usual = assumed(0.27, 0.05);
         let all = |detectable: Detectable| {
-            [detectable.difference, detectable.i, detectable.r_d].map(|value| value.expect("some"))
+            [detectable.difference, detectable.i, detectable.r_d]
+                .map(|value| value.expect("detectable"))
         };
-        let of = |assumed: Assumed, tasks, against| {
+        let smallest = |assumed: Assumed, tasks, against| {
             all(assumed.detectable(planned(tasks, 10.0), against))
         };
-        let here = of(usual, 40, floor(10.0));
+        let baseline = smallest(usual, 40, floor(10.0));
         for (better, worse) in [
             (
-                of(usual, 100, Against::AnotherPolicy),
-                of(usual, 40, Against::AnotherPolicy),
+                smallest(usual, 100, Against::AnotherPolicy),
+                smallest(usual, 40, Against::AnotherPolicy),
             ),
-            (of(assumed(0.27, 0.0), 40, floor(10.0)), here),
+            (smallest(assumed(0.27, 0.0), 40, floor(10.0)), baseline),
         ] {
             for (better, worse) in better.into_iter().zip(worse) {
                 assert!(0.0 < better && better < worse, "{better} {worse}");
             }
         }
-        let fewer = of(usual, 40, floor(2.0));
-        assert!(fewer[2] > here[2] && fewer[..2] == here[..2]);
+        let fewer = smallest(usual, 40, floor(2.0));
+        assert!(fewer[2] > baseline[2] && fewer[..2] == baseline[..2]);
         let few_tasks = usual.detectable(planned(9, 10.0), Against::AnotherPolicy);
         assert_eq!(few_tasks.i, None);
     }
@@ -341,7 +349,7 @@ mod tests {
             ..assumed(0.2, 0.0)
         });
         for (level, nearest) in [("L2", "L1"), ("r7", "L3"), ("r0.1", "L1"), ("L3", "L3")] {
-            let found = Assumed::nearest(&all, at(level)).expect("some");
+            let found = Assumed::nearest(&all, at(level)).expect("a perturbed level");
             assert_eq!(found.level, at(nearest), "{level}");
         }
         assert_eq!(Assumed::nearest(&all[..1], Level::L2), None);

@@ -1,5 +1,5 @@
 //! Partial progress of rollouts, and its paired difference between two policies. Success is
-//! the main measure: progress says more where both policies fail, or both succeed.
+//! the main measure; progress distinguishes policies in rollouts that both fail or both solve.
 
 use std::collections::BTreeSet;
 
@@ -33,7 +33,7 @@ impl Progress {
     }
 }
 
-/// The progress of one rollout of both policies, A and B, as far as both are known.
+/// The progress of one rollout under both policies, A and B.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct ProgressPair {
     pub(crate) task: TaskRef,
@@ -48,14 +48,14 @@ pub struct ProgressDifference {
     /// Largest share of the goal's predicates that held together at any step.
     pub goal: Option<MeanDifference>,
     /// Control steps until success; a failure counts with the steps until its end, which is
-    /// the step budget. No rollout is left out for its outcome.
+    /// the step budget. Successes and failures are both included.
     pub steps: Option<MeanDifference>,
 }
 
 /// Paired difference of two means.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct MeanDifference {
-    /// Rollouts in which the value is known of both policies.
+    /// Rollouts whose value is known for both policies.
     pub n: u64,
     /// Tasks of these rollouts.
     pub tasks: u64,
@@ -72,11 +72,11 @@ pub struct MeanDifference {
     pub holm_p: Option<f64>,
 }
 
-/// Value of one rollout, if it is known.
+/// Function that returns the compared value of a rollout; `None` if it is unknown.
 type Value = fn(&Progress) -> Option<f64>;
 
 impl ProgressDifference {
-    /// Computes the differences of each set of pairs; `None` if no value is known of both
+    /// Computes the differences of each set of pairs; `None` if no value is known for both
     /// policies. `directions` has one entry per set.
     pub(crate) fn of_each(
         sets: &[Vec<ProgressPair>],
@@ -85,7 +85,7 @@ impl ProgressDifference {
         let each = |value: Value, scale: Scale| {
             let sets = sets.iter().zip(directions);
             let each = sets
-                .map(|(pairs, directions)| MeanDifference::of(pairs, *directions, scale, value));
+                .map(|(pairs, directions)| MeanDifference::new(pairs, *directions, scale, value));
             with_holm(each.collect())
         };
         let goals = each(Progress::goal_share, Scale::Difference);
@@ -99,7 +99,7 @@ impl ProgressDifference {
 }
 
 impl MeanDifference {
-    fn of(
+    fn new(
         pairs: &[ProgressPair],
         directions: Directions,
         scale: Scale,

@@ -11,8 +11,8 @@ use crate::interval::{NoInterval, intervals};
 use crate::measures::{Configuration, Tally};
 use crate::outcomes::{Matched, Records, Transition};
 
-/// Comparison of a replicate with replicate 0 over their common rollouts. Source: section 6
-/// of the protocol.
+/// Comparison of a replicate with replicate 0 over the rollouts that have an outcome in both.
+/// Source: section 6 of the protocol.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Replication {
     /// The replicate that is compared with replicate 0.
@@ -92,12 +92,14 @@ impl Replication {
         let mut by_condition: BTreeMap<Condition, Flips> = BTreeMap::new();
         for (&(number, id), outcome) in &records.outcomes {
             let first = records.outcome(0, id).success();
-            if let (true, Some(now), Some(then)) = (number == replicate, outcome.success(), first) {
-                flips.add(now != then);
+            if let (true, Some(later), Some(first)) =
+                (number == replicate, outcome.success(), first)
+            {
+                flips.add(later != first);
                 by_condition
                     .entry(id.condition())
                     .or_default()
-                    .add(now != then);
+                    .add(later != first);
             }
         }
         Self {
@@ -114,51 +116,53 @@ fn changes(all: &[Matched], replicate: u32, bootstrap: &Bootstrap) -> BTreeMap<L
     let first = all.iter().filter(|matched| matched.replicate == 0);
     let first: BTreeMap<_, _> = first.map(|matched| (key(matched), matched)).collect();
     let mut pairs: BTreeMap<Level, [Vec<Configuration>; 2]> = BTreeMap::new();
-    for now in all.iter().filter(|matched| matched.replicate == replicate) {
-        let then = first.get(&key(now)).and_then(|then| then.configuration());
-        if let (Some(then), Some(now_complete)) = (then, now.configuration()) {
-            let [thens, nows] = pairs.entry(now.level).or_default();
-            thens.push(then);
-            nows.push(now_complete);
+    for matched in all.iter().filter(|matched| matched.replicate == replicate) {
+        let first = first.get(&key(matched));
+        let first = first.and_then(|first| first.configuration());
+        if let (Some(first), Some(later)) = (first, matched.configuration()) {
+            let [firsts, laters] = pairs.entry(matched.level).or_default();
+            firsts.push(first);
+            laters.push(later);
         }
     }
     let pairs = pairs.into_iter();
     pairs
-        .map(|(level, [then, now])| (level, Change::between(&then, &now, bootstrap)))
+        .map(|(level, [first, later])| (level, Change::between(&first, &later, bootstrap)))
         .collect()
 }
 
 impl Change {
-    /// Compares the same configurations, in the same order.
-    fn between(then: &[Configuration], now: &[Configuration], bootstrap: &Bootstrap) -> Self {
-        let axes: Vec<_> = then[0].alone.keys().copied().collect();
-        let clusters = [then, now].map(|outcomes| Tally::of_tasks(outcomes, &axes));
+    /// Compares the outcomes of the same configurations, in the same order, in replicate 0 and in
+    /// a later one.
+    fn between(first: &[Configuration], later: &[Configuration], bootstrap: &Bootstrap) -> Self {
+        let axes: Vec<_> = first[0].alone.keys().copied().collect();
+        let clusters = [first, later].map(|outcomes| Tally::of_tasks(outcomes, &axes));
         let changes = |draws: &[u32]| {
             let rates = |side: usize| {
-                Tally::drawn(&clusters[side], draws)
+                Tally::resampled(&clusters[side], draws)
                     .rates()
                     .with_intervals()
             };
-            let (then, now) = (rates(0), rates(1));
-            std::array::from_fn::<f64, 5, _>(|i| now[i] - then[i])
+            let (first, later) = (rates(0), rates(1));
+            std::array::from_fn::<f64, 5, _>(|i| later[i] - first[i])
         };
         let tasks = clusters[0].len();
         let once = vec![1; tasks];
         let [d, i, r_e, r_c, r_d] = changes(&once);
         let (shown, no_interval) = intervals(bootstrap, tasks, changes);
         let [d_ci95, i_ci95, r_e_ci95, r_c_ci95, r_d_ci95] = shown;
-        let s_sim = |side: usize| Tally::drawn(&clusters[side], &once).rates().s_sim;
+        let s_sim = |side: usize| Tally::resampled(&clusters[side], &once).rates().s_sim;
         let transition = |c: &Configuration| Transition::between(c.conjunction(), c.simultaneous);
         let (mut same, mut changed, mut again) = (0, 0, 0);
-        for (then, now) in then.iter().zip(now) {
-            let (then, now) = (transition(then), transition(now));
-            let is_change = matches!(then, Transition::Emergent | Transition::Compensated);
-            same += u64::from(then == now);
+        for (first, later) in first.iter().zip(later) {
+            let (first, later) = (transition(first), transition(later));
+            let is_change = matches!(first, Transition::Emergent | Transition::Compensated);
+            same += u64::from(first == later);
             changed += u64::from(is_change);
-            again += u64::from(is_change && then == now);
+            again += u64::from(is_change && first == later);
         }
         Self {
-            n: then.len() as u64,
+            n: first.len() as u64,
             same_transition: same,
             changed,
             changed_again: again,

@@ -21,11 +21,11 @@ pub struct Options {
     /// Caveats printed at the top, one sentence each, such as a different asset pack, a
     /// privileged policy, or mixed versions.
     pub notes: Vec<String>,
-    /// Settings of the intervals.
+    /// Settings of the bootstrap intervals.
     pub bootstrap: Bootstrap,
     /// The policy's published nominal success rate, a fraction, for the gate.
     pub published_nominal: Option<f64>,
-    /// Nominal success rates published of single suites, fractions, for a gate each.
+    /// Published nominal success rates of single suites, fractions; each suite gets a gate.
     pub published_by_suite: Vec<(Suite, f64)>,
     /// Nominal successes reported by another source; used if no nominal rollout is
     /// recorded.
@@ -45,7 +45,7 @@ pub struct Report {
     pub axes: Vec<Axis>,
     /// Nominal success, per replicate.
     pub nominal: Vec<Nominal>,
-    /// The reproduction gate, where a published figure is known.
+    /// The reproduction gate; absent if no published figure is known.
     pub gate: Option<Gate>,
     /// The gates of single suites whose published figures are known.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
@@ -64,7 +64,7 @@ pub struct Report {
     pub findings: Vec<Finding>,
     /// Quarantined rollouts, which no rate includes: `ID` or `ID#rK`.
     pub quarantined: Vec<String>,
-    /// Settings of the intervals.
+    /// Settings of the bootstrap intervals.
     pub bootstrap: Bootstrap,
 }
 
@@ -101,17 +101,17 @@ pub struct Cell {
     /// Success under each single axis over all results, including those of incomplete
     /// configurations.
     pub alone: BTreeMap<Axis, SingleAxis>,
-    /// Success with a late policy, over all results; absent where the campaign has none.
+    /// Success under the latency axis, over all results; absent if the campaign does not run it.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub latency: Option<SingleAxis>,
     /// Success under proper subsets of two or more axes, over all results; empty if the
     /// campaign runs none.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub subsets: BTreeMap<AxisSet, Count>,
-    /// Success of the simultaneous rollouts over all their results; absent where
-    /// the campaign has none.
+    /// Success of the simultaneous rollouts over all their results; absent if the campaign runs no
+    /// simultaneous rollouts.
     pub simultaneous: Option<Count>,
-    /// Counts of complete configurations, on which the paired measures rest.
+    /// Counts of complete configurations, over which the paired measures are computed.
     pub completeness: Completeness,
     /// Paired measures; absent if no configuration is complete or the campaign runs no
     /// simultaneous rollouts.
@@ -155,6 +155,6 @@ pub struct Completeness {
 pub struct Gap {
     /// Rollouts without a result yet.
     pub missing: u64,
-    /// Quarantined.
+    /// Rollouts in quarantine.
     pub quarantined: u64,
 }

@@ -5,12 +5,12 @@
 //! The configurations of one level are a finite population of N units in strata
 //! (tasks). Units are drawn without replacement, one of every stratum in each
 //! round ([`Order`]). An interval is about the value over *all* N units, drawn or
-//! not, so that it shrinks to a point when all are drawn.
+//! not, so that it shrinks to a point when all units are drawn.
 //!
 //! # Guarantee
 //! With probability 95 % over the drawn order, *every* interval of a
-//! [`SequentialMeasures`] holds at *every* look. One may therefore look at any
-//! time, stop for any reason, and read any of the five intervals. Intervals for
+//! [`SequentialMeasures`] holds at *every* look. An operator may therefore look at
+//! any time, stop for any reason, and read any of the five intervals. Intervals for
 //! a fixed sample size, such as a bootstrap's, do not allow this.
 //!
 //! # Proof
@@ -26,10 +26,10 @@
 //! candidate θ for the population's total is the evidence against the best-supported strata
 //! totals that sum to θ: E(θ) = min {M(T_1, …, T_K): Σ T_k = θ}. At the true total, E is at
 //! most the martingale at the true totals of strata. By Ville's inequality, the probability
-//! that it ever reaches 1/α is at most α, so that {θ: E(θ) < 1/α} holds the true total at
-//! all looks at once with a probability of at least 1 − α. For each bet, −log of the
-//! denominators is convex in each T_k, so that the minimum is found exactly, one unit of θ
-//! after the other (the file `e_process`).
+//! that E ever reaches 1/α is at most α, so that {θ: E(θ) < 1/α} contains the true total at
+//! all looks simultaneously with a probability of at least 1 − α. For each bet, −log of the
+//! denominators is convex in each T_k, so that the minimum is found exactly, for one
+//! candidate θ after the other (the file `e_process`).
 //!
 //! The five measures share α = 5 % equally (Bonferroni).
 //!
@@ -49,7 +49,7 @@
 //! the same, Estimating means of bounded random variables by betting, JRSS B 86
 //! (2024), 1–27 (bets); J. V. Spertus, M. Sridhar and P. B. Stark, Sequential
 //! stratified inference for the mean, arXiv 2409.06680 (strata's means as
-//! nuisance parameters, over which one minimises); J. Ville, Étude critique de
+//! nuisance parameters, over which the evidence is minimised); J. Ville, Étude critique de
 //! la notion de collectif (1939).
 
 mod campaign;
@@ -63,7 +63,7 @@ mod new_tasks;
 mod order;
 mod prefix;
 mod sequence;
-mod together;
+mod simultaneous;
 
 pub use campaign::{CampaignLook, SEQUENTIAL_ALPHA, drawn_order};
 pub use compared::{ComparedLook, NotInOneOrder, compared_looks};

@@ -16,14 +16,16 @@ use crate::inference_table::push_inference;
 use crate::measures::Measures;
 use crate::report::{Cell, Gap, Nominal, NominalSource, Report};
 use crate::text::{
-    NOTHING, p_value, percent, points, points_interval, push_columns, push_row, push_wrapped, rate,
+    ABSENT, p_value, percent, points, points_interval, push_columns, push_row, push_wrapped, rate,
     rate_interval, separate,
 };
 
-const PAIRED_LABEL: usize = 20;
-const PAIRED_COLUMN: usize = 19;
-/// Largest number of paired cells side by side.
-const PAIRED_CELLS: usize = 3;
+/// Width of the column of labels in tables with a column per level.
+const LABEL_WIDTH: usize = 20;
+/// Width of the column of a level.
+const COLUMN_WIDTH: usize = 19;
+/// Largest number of levels side by side.
+const MAX_CELLS: usize = 3;
 /// Largest number of quarantined rollouts named; the others are counted.
 const MAX_NAMED: usize = 6;
 
@@ -50,11 +52,11 @@ pub fn table(report: &Report) -> String {
             .iter()
             .filter(|cell| cell.replicate == replicate)
             .collect();
-        let suffix = of_replicate(replicate, report);
+        let suffix = replicate_suffix(replicate, report);
         push_rates(&mut text, report, &cells, &suffix);
         push_subsets(&mut text, &cells, &suffix);
         if cells.iter().any(|cell| cell.simultaneous.is_some()) {
-            for cells in cells.chunks(PAIRED_CELLS) {
+            for cells in cells.chunks(MAX_CELLS) {
                 push_paired(&mut text, cells, &suffix, &report.overstated);
             }
             push_inference(&mut text, &cells, &suffix);
@@ -65,7 +67,7 @@ pub fn table(report: &Report) -> String {
     text
 }
 
-fn of_replicate(replicate: u32, report: &Report) -> String {
+fn replicate_suffix(replicate: u32, report: &Report) -> String {
     match report.replication.is_empty() {
         true => String::new(),
         false => format!(", replicate {replicate}"),
@@ -85,7 +87,7 @@ fn quarantined(names: &[String]) -> String {
 }
 
 fn nominal_line(nominal: &Nominal, report: &Report) -> String {
-    let suffix = of_replicate(nominal.replicate, report);
+    let suffix = replicate_suffix(nominal.replicate, report);
     let Count { successes, n } = nominal.count;
     let rate = percent(nominal.count.rate());
     let missing = match gap_text(&nominal.gap) {
@@ -124,11 +126,15 @@ fn gate_line(suffix: &str, gate: &Gate, rollouts: u64, remedy: &str) -> String {
             gate.nominal.n
         ),
     };
-    let difference = gate.difference.map_or_else(|| NOTHING.to_owned(), points);
+    let difference = gate.difference.map_or_else(|| ABSENT.to_owned(), points);
     let equivalence = match gate.equivalence_p {
-        Some(p) if p < 0.05 => format!("; the rate is certainly within it (p = {})", p_value(p)),
+        Some(p) if p < 0.05 => format!(
+            "; the rate is significantly within the tolerance (p = {})",
+            p_value(p)
+        ),
         Some(p) if gate.verdict == GateVerdict::Passed => format!(
-            "; the rate is not certainly within it (p = {}): more nominal rollouts would tell",
+            "; the rate is not significantly within the tolerance (p = {}): run more nominal \
+             rollouts",
             p_value(p)
         ),
         _ => String::new(),
@@ -142,17 +148,17 @@ fn gate_line(suffix: &str, gate: &Gate, rollouts: u64, remedy: &str) -> String {
 }
 
 fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], suffix: &str) {
-    let is_late = cells.iter().any(|cell| cell.latency.is_some());
-    if report.axes.is_empty() && !is_late {
+    let has_latency = cells.iter().any(|cell| cell.latency.is_some());
+    if report.axes.is_empty() && !has_latency {
         return;
     }
     separate(text);
-    let losses = |cell: &&Cell| {
+    let has_loss = |cell: &&Cell| {
         let mut axes = cell.alone.values().chain(&cell.latency);
         axes.any(|axis| axis.clean_relative_loss.is_some())
     };
-    let losses = cells.iter().any(losses);
-    let title = match losses {
+    let has_loss = cells.iter().any(has_loss);
+    let title = match has_loss {
         true => "success, its counts, and the loss against nominal, %",
         false => "success, and its counts, %",
     };
@@ -160,7 +166,7 @@ fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], suffix: &str)
     let has_simultaneous = cells.iter().any(|cell| cell.simultaneous.is_some());
     let singles = report.axes.iter().copied().map(Condition::Single);
     let columns: Vec<Condition> = singles
-        .chain(is_late.then_some(Condition::Latency))
+        .chain(has_latency.then_some(Condition::Latency))
         .chain(has_simultaneous.then_some(Condition::Combination))
         .collect();
     let row = |label: &str, value: &dyn Fn(Condition) -> String| -> (String, Vec<String>) {
@@ -187,22 +193,22 @@ fn push_rates(text: &mut String, report: &Report, cells: &[&Cell], suffix: &str)
         };
         let success = |condition| match count(condition).and_then(|count| count.rate()) {
             Some(success) => rate(success),
-            None => NOTHING.to_owned(),
+            None => ABSENT.to_owned(),
         };
         let counts = |condition| match count(condition) {
             Some(Count { successes, n }) => format!("{successes}/{n}"),
-            None => NOTHING.to_owned(),
+            None => ABSENT.to_owned(),
         };
         rows.push(row(&cell.level.to_string(), &success));
         rows.push(row(" counts", &counts));
-        if losses {
+        if has_loss {
             rows.push(row(" loss", &loss));
         }
     }
     push_columns(text, &rows);
 }
 
-/// Success under several axes, one line for each set of them.
+/// Appends success under subsets of two or more axes, a line for each subset.
 fn push_subsets(text: &mut String, cells: &[&Cell], suffix: &str) {
     let sets: BTreeSet<AxisSet> = cells
         .iter()
@@ -216,9 +222,9 @@ fn push_subsets(text: &mut String, cells: &[&Cell], suffix: &str) {
         text,
         "success under several axes, and its counts, %{suffix}"
     );
-    for cells in cells.chunks(PAIRED_CELLS) {
+    for cells in cells.chunks(MAX_CELLS) {
         let levels = cells.iter().map(|cell| cell.level.to_string());
-        push_row(text, PAIRED_LABEL, PAIRED_COLUMN, "", levels);
+        push_row(text, LABEL_WIDTH, COLUMN_WIDTH, "", levels);
         for set in &sets {
             let success = cells.iter().map(|cell| match cell.subsets.get(set) {
                 Some(count) => format!(
@@ -227,23 +233,23 @@ fn push_subsets(text: &mut String, cells: &[&Cell], suffix: &str) {
                     count.successes,
                     count.n
                 ),
-                None => NOTHING.to_owned(),
+                None => ABSENT.to_owned(),
             });
             // A name that is too long for the column gets its own line.
             let name = set.name();
-            let label = match name.len() < PAIRED_LABEL {
+            let label = match name.len() < LABEL_WIDTH {
                 true => name,
                 false => {
                     let _ = writeln!(text, "{name}");
                     ""
                 }
             };
-            push_row(text, PAIRED_LABEL, PAIRED_COLUMN, label, success);
+            push_row(text, LABEL_WIDTH, COLUMN_WIDTH, label, success);
         }
     }
 }
 
-/// One line of the paired block.
+/// One line of the block of paired measures: its label and the function that formats a value.
 type Line = (&'static str, fn(&Measures) -> String);
 
 const PAIRED_LINES: [Line; 17] = [
@@ -273,7 +279,7 @@ const SOLVABLE_LINES: [Line; 4] = [
     ("    95 %", |m| points_interval(m.i_ci95, m.no_interval)),
 ];
 
-/// One line of the worst and best case.
+/// One line of the block of worst and best cases.
 type BoundsLine = (&'static str, fn(&Bounds) -> String);
 
 /// Lines of the ranges of measures over all possible outcomes of quarantined rollouts.
@@ -284,7 +290,7 @@ const BOUNDS_LINES: [BoundsLine; 4] = [
     ("  R_c", |b| rate_interval(Some(b.r_c), None)),
 ];
 
-/// Marks the label of a measure that the campaign's early end overstates.
+/// Appends a star to the label if the campaign's early end overstates the measure.
 fn starred(label: &str, overstated: &BTreeSet<Measure>) -> String {
     let measure = match label {
         "S_sim" => Some(Measure::SSim),
@@ -307,27 +313,27 @@ fn push_paired(text: &mut String, cells: &[&Cell], suffix: &str, overstated: &BT
         "paired outcomes of complete configurations, %{suffix}"
     );
     let levels = cells.iter().map(|cell| cell.level.to_string());
-    push_row(text, PAIRED_LABEL, PAIRED_COLUMN, "", levels);
+    push_row(text, LABEL_WIDTH, COLUMN_WIDTH, "", levels);
     let complete = cells.iter().map(|cell| {
         let completeness = &cell.completeness;
         format!("{} of {}", completeness.complete, completeness.expected)
     });
-    push_row(text, PAIRED_LABEL, PAIRED_COLUMN, "n complete", complete);
+    push_row(text, LABEL_WIDTH, COLUMN_WIDTH, "n complete", complete);
     for (label, value) in PAIRED_LINES {
         let values = cells
             .iter()
             .map(|cell| value_or_dash(cell.paired.as_ref(), value));
         let label = starred(label, overstated);
-        push_row(text, PAIRED_LABEL, PAIRED_COLUMN, &label, values);
+        push_row(text, LABEL_WIDTH, COLUMN_WIDTH, &label, values);
     }
     let detectable = cells.iter().map(|cell| match cell.minimum_detectable_i {
         Some(i) => format!("{:.2}", 100.0 * i),
-        None => NOTHING.to_owned(),
+        None => ABSENT.to_owned(),
     });
     push_row(
         text,
-        PAIRED_LABEL,
-        PAIRED_COLUMN,
+        LABEL_WIDTH,
+        COLUMN_WIDTH,
         "detectable |I|",
         detectable,
     );
@@ -336,22 +342,22 @@ fn push_paired(text: &mut String, cells: &[&Cell], suffix: &str, overstated: &BT
             let values = cells
                 .iter()
                 .map(|cell| value_or_dash(cell.solvable.as_ref(), value));
-            push_row(text, PAIRED_LABEL, PAIRED_COLUMN, label, values);
+            push_row(text, LABEL_WIDTH, COLUMN_WIDTH, label, values);
         }
     }
     if cells.iter().any(|cell| cell.bounds.is_some()) {
         for (label, value) in BOUNDS_LINES {
             let values = cells.iter().map(|cell| match &cell.bounds {
                 Some(bounds) => value(bounds),
-                None => NOTHING.to_owned(),
+                None => ABSENT.to_owned(),
             });
-            push_row(text, PAIRED_LABEL, PAIRED_COLUMN, label, values);
+            push_row(text, LABEL_WIDTH, COLUMN_WIDTH, label, values);
         }
     }
 }
 
 fn push_gaps(text: &mut String, cells: &[&Cell]) {
-    let mut separated = false;
+    let mut is_separated = false;
     for cell in cells {
         let gaps = cell.completeness.gaps.iter();
         let gaps: Vec<String> = gaps
@@ -362,9 +368,9 @@ fn push_gaps(text: &mut String, cells: &[&Cell]) {
         if gaps.is_empty() {
             continue;
         }
-        if !separated {
+        if !is_separated {
             separate(text);
-            separated = true;
+            is_separated = true;
         }
         let prefix = format!("incomplete {}: ", cell.level);
         push_wrapped(text, &prefix, &gaps.join("; "));
@@ -416,8 +422,8 @@ fn push_replication(text: &mut String, report: &Report) {
             effect.map_or_else(String::new, |effect| format!("; design effect {effect:.1}"));
         let line = format!(
             "variance of S_sim at {level}, {replicates} replicates: {} between tasks, {} between \
-             configurations, {} chance{effect}; standard error {} points, {} with one more replicate, \
-             {} with ten more configurations of every task",
+             configurations, {} chance{effect}; standard error {} points, {} with one more \
+             replicate, {} with ten more configurations of every task",
             share(tasks),
             share(configurations),
             share(replicate),
@@ -439,5 +445,5 @@ fn gap_text(gap: &Gap) -> Option<String> {
 }
 
 fn value_or_dash(measures: Option<&Measures>, value: fn(&Measures) -> String) -> String {
-    measures.map_or_else(|| NOTHING.to_owned(), value)
+    measures.map_or_else(|| ABSENT.to_owned(), value)
 }

@@ -9,27 +9,27 @@ use crate::interval::NoInterval;
 pub(crate) const WIDTH: usize = 80;
 
 /// Mark of an absent value.
-pub(crate) const NOTHING: &str = "-";
+pub(crate) const ABSENT: &str = "-";
 
 /// Appends words wrapped to the terminal's width: the first line after `prefix`, the others
 /// indented to align with it.
 pub fn push_wrapped(text: &mut String, prefix: &str, words: &str) {
     let indent = " ".repeat(prefix.chars().count());
     let mut line = prefix.to_owned();
-    let mut empty = true;
+    let mut is_empty = true;
     for word in words.split_whitespace() {
-        let needed = line.chars().count() + usize::from(!empty) + word.chars().count();
-        if !empty && needed > WIDTH {
+        let needed = line.chars().count() + usize::from(!is_empty) + word.chars().count();
+        if !is_empty && needed > WIDTH {
             text.push_str(&line);
             text.push('\n');
             line.clone_from(&indent);
-            empty = true;
+            is_empty = true;
         }
-        if !empty {
+        if !is_empty {
             line.push(' ');
         }
         line.push_str(word);
-        empty = false;
+        is_empty = false;
     }
     text.push_str(&line);
     text.push('\n');
@@ -65,11 +65,11 @@ pub(crate) fn push_columns(text: &mut String, rows: &[(String, Vec<String>)]) {
     let label = rows.iter().map(|(label, _)| width(label)).max();
     let label = label.unwrap_or_default();
     let columns = rows.first().map_or(0, |(_, values)| values.len());
-    let of_column = |column: usize| {
+    let column_width = |column: usize| {
         let cells = rows.iter().filter_map(|(_, values)| values.get(column));
         cells.map(width).max().unwrap_or_default()
     };
-    let widths: Vec<usize> = (0..columns).map(of_column).collect();
+    let widths: Vec<usize> = (0..columns).map(column_width).collect();
     let needed = label + widths.iter().sum::<usize>();
     // Uses a wider gap if the table still fits.
     let gap = match needed + 2 * columns <= WIDTH {
@@ -103,7 +103,7 @@ pub(crate) fn rate(value: f64) -> String {
 /// Formats a rate in percent with one decimal, `87.5`, or a mark for `None`.
 pub(crate) fn percent(value: Option<f64>) -> String {
     let text = value.map(|value| format!("{:.1}", 100.0 * value));
-    text.unwrap_or_else(|| NOTHING.to_owned())
+    text.unwrap_or_else(|| ABSENT.to_owned())
 }
 
 /// Formats a difference in percentage points with two decimals: `+0.25`.
@@ -111,17 +111,17 @@ pub(crate) fn points(value: f64) -> String {
     format!("{:+.2}", 100.0 * value)
 }
 
-/// Formats an interval of rates, or the reason why there is none.
+/// Formats an interval of rates, or the reason why it is absent.
 pub(crate) fn rate_interval(interval: Option<Interval>, why: Option<NoInterval>) -> String {
-    interval_of(rate, interval, why)
+    format_interval(rate, interval, why)
 }
 
-/// Formats an interval of differences, or the reason why there is none.
+/// Formats an interval of differences, or the reason why it is absent.
 pub(crate) fn points_interval(interval: Option<Interval>, why: Option<NoInterval>) -> String {
-    interval_of(points, interval, why)
+    format_interval(points, interval, why)
 }
 
-fn interval_of(
+fn format_interval(
     number: fn(f64) -> String,
     interval: Option<Interval>,
     why: Option<NoInterval>,
@@ -129,7 +129,7 @@ fn interval_of(
     match (interval, why) {
         (Some([low, high]), _) => format!("[{}, {}]", number(low), number(high)),
         (None, Some(why)) => why.to_string(),
-        (None, None) => NOTHING.to_owned(),
+        (None, None) => ABSENT.to_owned(),
     }
 }
 

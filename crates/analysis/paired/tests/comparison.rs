@@ -21,10 +21,10 @@ fn task(index: usize) -> TaskRef {
     TaskRef::all().nth(index).expect("one of forty")
 }
 
-/// Pairs, one task each, in the tasks' order.
+/// Returns a pair for each task, in the order of tasks.
 fn pairs(outcomes: &[(Outcome, Outcome)]) -> Vec<Pair> {
-    let of = outcomes.iter().enumerate();
-    of.map(|(index, &(a, b))| Pair {
+    let rows = outcomes.iter().enumerate();
+    rows.map(|(index, &(a, b))| Pair {
         task: task(index),
         number: 0,
         a,
@@ -39,7 +39,7 @@ fn difference(pairs: Vec<Pair>) -> Option<Difference> {
 }
 
 #[test]
-fn ten_rollouts_of_ten_tasks_differ_as_worked_out_by_hand() {
+fn the_difference_over_ten_rollouts_equals_that_worked_out_by_hand() {
     // Three pairs are solved only by A, one only by B, four by both, and two by neither.
     let result = difference(pairs(&[
         (S, F),
@@ -66,7 +66,7 @@ fn ten_rollouts_of_ten_tasks_differ_as_worked_out_by_hand() {
 }
 
 #[test]
-fn the_interval_of_ten_tasks_of_which_half_differ_is_that_of_ten_tosses() {
+fn the_interval_of_ten_tasks_of_which_half_differ_is_that_of_ten_coin_tosses() {
     // A resampling counts the tasks that only A solves: Bin(10, ½), of which
     // P(≤ 1) = 1.1 %, P(≤ 2) = 5.5 %. So the 2.5th percentile is 2 of 10.
     let half = [(S, F), (F, F)].repeat(5);
@@ -93,7 +93,7 @@ fn a_difference_that_all_tasks_share_has_no_width_and_therefore_no_interval() {
 }
 
 #[test]
-fn rollouts_without_both_outcomes_are_in_no_rate() {
+fn rollouts_without_an_outcome_for_both_policies_are_in_no_rate() {
     let result = difference(pairs(&[(S, F), (S, M), (Q, F), (F, Q), (M, M)])).expect("one");
     assert_eq!((result.n, result.a_only), (1, 1));
     assert_eq!(difference(pairs(&[(S, M), (Q, F)])), None);
@@ -127,7 +127,7 @@ fn compare(a: &[Record], b: &[Record]) -> Comparison {
 }
 
 #[test]
-fn conditions_are_compared_one_by_one_nominal_first_over_common_rollouts() {
+fn each_condition_is_compared_over_the_common_rollouts() {
     let a = [
         record(SENSOR, 0, 7, S),
         record(Condition::Combination, 0, 7, S),
@@ -160,7 +160,7 @@ fn conditions_are_compared_one_by_one_nominal_first_over_common_rollouts() {
 }
 
 #[test]
-fn rollouts_of_one_id_that_differ_are_not_paired_but_named() {
+fn rollouts_with_the_same_id_and_another_setup_are_not_paired_but_listed() {
     let a = [
         record(CAMERA, 0, 7, S),
         record(CAMERA, 1, 8, S),
@@ -198,7 +198,7 @@ fn rollouts_of_one_id_that_differ_are_not_paired_but_named() {
 }
 
 #[test]
-fn replicates_are_paired_with_those_of_their_number() {
+fn replicates_are_paired_by_number() {
     let mut a = vec![record(CAMERA, 0, 7, S)];
     a.push(Record {
         replicate: 1,
@@ -278,14 +278,15 @@ fn the_table_fits_a_terminal_and_explains_every_symbol() {
 fn outcomes() -> impl Strategy<Value = Vec<Pair>> {
     let outcome_of = |code: u8| [S, F, Q, M][usize::from(code)];
     vec((0..14_usize, 0..4_u8, 0..4_u8), 1..80).prop_map(move |drawn| {
-        let of = drawn.into_iter();
-        of.map(|(index, a, b)| Pair {
-            task: task(index),
-            number: 0,
-            a: outcome_of(a),
-            b: outcome_of(b),
-        })
-        .collect()
+        let pairs = drawn.into_iter();
+        pairs
+            .map(|(index, a, b)| Pair {
+                task: task(index),
+                number: 0,
+                a: outcome_of(a),
+                b: outcome_of(b),
+            })
+            .collect()
     })
 }
 
@@ -305,20 +306,21 @@ proptest! {
     })]
 
     #[test]
-    fn exchanging_the_policies_turns_every_sign(pairs in outcomes()) {
+    fn exchanging_the_policies_negates_the_difference(pairs in outcomes()) {
         let bootstrap = Bootstrap { replicates: 100, seed: 3 };
         let both = Difference::of_each(&[pairs.clone(), exchanged(&pairs)], &bootstrap);
-        let [Some(there), Some(back)] = both.as_slice() else {
+        let [Some(original), Some(reversed)] = both.as_slice() else {
             prop_assert_eq!(both, [None, None]);
             return Ok(());
         };
-        prop_assert!((there.difference + back.difference).abs() < 1e-12);
-        prop_assert_eq!((there.a_only, there.b_only), (back.b_only, back.a_only));
-        prop_assert_eq!((there.both, there.neither), (back.both, back.neither));
-        prop_assert!((there.mcnemar_p - back.mcnemar_p).abs() < 1e-12);
-        prop_assert_eq!(there.no_interval, back.no_interval);
-        if let (Some([low, high]), Some(back)) = (there.difference_ci95, back.difference_ci95) {
-            prop_assert!((low + back[1]).abs() < 1e-12 && (high + back[0]).abs() < 1e-12);
+        prop_assert!((original.difference + reversed.difference).abs() < 1e-12);
+        prop_assert_eq!((original.a_only, original.b_only), (reversed.b_only, reversed.a_only));
+        prop_assert_eq!((original.both, original.neither), (reversed.both, reversed.neither));
+        prop_assert!((original.mcnemar_p - reversed.mcnemar_p).abs() < 1e-12);
+        prop_assert_eq!(original.no_interval, reversed.no_interval);
+        let intervals = (original.difference_ci95, reversed.difference_ci95);
+        if let (Some([low, high]), Some(reversed)) = intervals {
+            prop_assert!((low + reversed[1]).abs() < 1e-12 && (high + reversed[0]).abs() < 1e-12);
         }
     }
 
@@ -331,18 +333,20 @@ proptest! {
         let alone = Difference::of_each(std::slice::from_ref(&pairs), &bootstrap);
         let among = Difference::of_each(&[other, pairs], &bootstrap);
         // Corrections for multiple rows depend on the other rows.
-        let by_itself = |difference: &Option<Difference>| {
+        let without_corrections = |difference: &Option<Difference>| {
             difference.clone().map(|difference| Difference {
                 holm_p: difference.sign_flip_p,
                 simultaneous_ci95: None,
                 ..difference
             })
         };
-        prop_assert_eq!(by_itself(&alone[0]), by_itself(&among[1]));
+        prop_assert_eq!(without_corrections(&alone[0]), without_corrections(&among[1]));
     }
 
     #[test]
-    fn bounds_are_reached_and_never_left(pairs in outcomes(), choices in any::<u64>()) {
+    fn bounds_are_sharp_and_contain_every_possible_difference(
+        pairs in outcomes(), choices in any::<u64>(),
+    ) {
         let Some(bounds) = DifferenceBounds::of(&pairs) else {
             let is_quarantined = |pair: &Pair| {
                 let has = |outcome| pair.a == outcome || pair.b == outcome;
@@ -351,23 +355,24 @@ proptest! {
             prop_assert!(!pairs.iter().any(is_quarantined));
             return Ok(());
         };
-        let settle = |fates: [&mut dyn FnMut() -> bool; 2]| {
-            let [of_a, of_b] = fates;
+        let settle = |outcomes: [&mut dyn FnMut() -> bool; 2]| {
+            let [outcomes_a, outcomes_b] = outcomes;
             let mut settled = pairs.clone();
             for pair in &mut settled {
-                for (outcome, fate) in [(&mut pair.a, &mut *of_a), (&mut pair.b, &mut *of_b)] {
+                let sources = [(&mut pair.a, &mut *outcomes_a), (&mut pair.b, &mut *outcomes_b)];
+                for (outcome, next) in sources {
                     if *outcome == Q {
-                        *outcome = Outcome::from(fate());
+                        *outcome = Outcome::from(next());
                     }
                 }
             }
             let bootstrap = Bootstrap { replicates: 1, seed: 1 };
             Difference::of_each(&[settled], &bootstrap).remove(0)
         };
-        let (mut next, mut after) = (0, 32);
+        let (mut bit_a, mut bit_b) = (0, 32);
         let drawn = settle([
-            &mut || { next += 1; choices >> (next % 32) & 1 == 1 },
-            &mut || { after += 1; choices >> (after % 64) & 1 == 1 },
+            &mut || { bit_a += 1; choices >> (bit_a % 32) & 1 == 1 },
+            &mut || { bit_b += 1; choices >> (bit_b % 64) & 1 == 1 },
         ]);
         let low = settle([&mut || false, &mut || true]).expect("some pair");
         let high = settle([&mut || true, &mut || false]).expect("some pair");

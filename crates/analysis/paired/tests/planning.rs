@@ -25,9 +25,9 @@ fn built_in_assumptions_agree_with_the_students_published_outcomes() {
         let rates = [
             assumed.s_sim,
             assumed.r_d,
-            assumed.of_success,
-            assumed.of_change,
-            assumed.of_changed,
+            assumed.success_correlation,
+            assumed.change_correlation,
+            assumed.changed_correlation,
         ];
         (assumed.level, rates.map(|rate| (rate * 1e4).round() / 1e4))
     };

@@ -4,16 +4,16 @@ use libero_ctrl::{Condition, Directions, Level, RolloutId, TaskRef};
 use paired::{Bootstrap, Compared, Comparison, Outcome, Progress, Record, comparison_table};
 use rollout_types::GoalProgress;
 
-// The example `coverage` uses the remaining functions.
+// The examples use the other functions of the module.
 #[allow(dead_code)]
 mod simulated;
 
 use simulated::{CONFIGURATIONS, Chance, Population};
 
-/// One simultaneous rollout of each of ten tasks of a suite, and one nominal one.
+/// Returns a simultaneous and a nominal rollout of each of ten tasks of a suite.
 fn records(success: impl Fn(usize) -> bool) -> Vec<Record> {
     let tasks = TaskRef::all().take(10).enumerate();
-    let of_task = tasks.flat_map(|(at, task)| {
+    let records = tasks.flat_map(|(at, task)| {
         let id = RolloutId::perturbed(task, Condition::Combination, Level::L2, 0).expect("an id");
         [id, RolloutId::clean(task, 2)].map(|id| Record {
             id,
@@ -22,16 +22,17 @@ fn records(success: impl Fn(usize) -> bool) -> Vec<Record> {
             outcome: Outcome::from(success(at)),
         })
     });
-    of_task.collect()
+    records.collect()
 }
 
-/// Progress of the simultaneous rollouts: steps, and predicates of three that held.
-fn progress(records: &[Record], of: impl Fn(usize) -> (u32, u32)) -> Vec<Progress> {
+/// Returns the progress of the simultaneous rollouts. `values` returns the steps of a task's
+/// rollout, and the number of its three predicates that held.
+fn progress(records: &[Record], values: impl Fn(usize) -> (u32, u32)) -> Vec<Progress> {
     let perturbed = records
         .iter()
         .filter(|record| record.id.level() == Level::L2);
     let progress = perturbed.enumerate().map(|(at, record)| {
-        let (steps, held) = of(at);
+        let (steps, held) = values(at);
         Progress {
             id: record.id,
             replicate: 0,
@@ -50,7 +51,7 @@ fn compare(a: Compared<'_>, b: Compared<'_>) -> Comparison {
     Comparison::of(a, b, &Bootstrap::default(), |_| None)
 }
 
-fn with<'a>(records: &'a [Record], progress: &'a [Progress]) -> Compared<'a> {
+fn compared<'a>(records: &'a [Record], progress: &'a [Progress]) -> Compared<'a> {
     Compared {
         progress,
         ..Compared::from(records)
@@ -62,12 +63,12 @@ fn is_near(value: f64, expected: f64) -> bool {
 }
 
 #[test]
-fn steps_and_predicates_differ_as_worked_out_by_hand() {
+fn differences_in_steps_and_predicates_equal_those_worked_out_by_hand() {
     let (a, b) = (records(|_| true), records(|_| false));
     // A takes 1, 2, …, 10 steps more than B, and has one predicate of three more.
-    let of_a = progress(&a, |at| (101 + at as u32, 3));
-    let of_b = progress(&b, |_| (100, 2));
-    let comparison = compare(with(&a, &of_a), with(&b, &of_b));
+    let progress_a = progress(&a, |at| (101 + at as u32, 3));
+    let progress_b = progress(&b, |_| (100, 2));
+    let comparison = compare(compared(&a, &progress_a), compared(&b, &progress_b));
     let nominal = &comparison.cells[0];
     assert_eq!(
         (nominal.condition, nominal.progress),
@@ -89,7 +90,7 @@ fn steps_and_predicates_differ_as_worked_out_by_hand() {
         "{:?}",
         steps.p
     );
-    assert_eq!(steps.holm_p, steps.p, "it is the only row with a spread");
+    assert_eq!(steps.holm_p, steps.p, "only this row has a spread");
     assert!(is_near(goal.difference.value, 1.0 / 3.0));
     assert_eq!((goal.p, goal.holm_p), (None, None), "all tasks are alike");
     let text = comparison_table(&comparison, &Bootstrap::default());
@@ -99,53 +100,54 @@ fn steps_and_predicates_differ_as_worked_out_by_hand() {
     );
     assert!(text.contains("+5.5  [+3.3, +7.7]"), "{text}");
 
-    let back = compare(with(&b, &of_b), with(&a, &of_a));
-    let back = back.cells[1]
+    let reverse = compare(compared(&b, &progress_b), compared(&a, &progress_a));
+    let reverse = reverse.cells[1]
         .progress
         .and_then(|progress| progress.steps)
         .expect("steps");
-    assert_eq!(back.difference.value, -steps.difference.value);
-    assert_eq!(back.p, steps.p);
+    assert_eq!(reverse.difference.value, -steps.difference.value);
+    assert_eq!(reverse.p, steps.p);
 }
 
 #[test]
 fn progress_known_for_one_policy_only_is_excluded() {
     let (a, mut b) = (records(|_| true), records(|at| at % 2 == 0));
     b[0].outcome = Outcome::Quarantined;
-    let of_a = progress(&a, |_| (100, 3));
-    let mut of_b = progress(&b, |_| (120, 3));
-    of_b[1].goal = None;
-    of_b.pop();
-    let comparison = compare(with(&a, &of_a), with(&b, &of_b));
+    let progress_a = progress(&a, |_| (100, 3));
+    let mut progress_b = progress(&b, |_| (120, 3));
+    progress_b[1].goal = None;
+    progress_b.pop();
+    let comparison = compare(compared(&a, &progress_a), compared(&b, &progress_b));
     let found = comparison.cells[1].progress.expect("progress");
     assert_eq!(found.steps.map(|mean| mean.n), Some(8));
     assert_eq!(found.goal.map(|mean| mean.n), Some(7));
-    let none = compare(with(&a, &of_a), Compared::from(b.as_slice()));
+    let none = compare(compared(&a, &progress_a), Compared::from(b.as_slice()));
     assert!(none.cells.iter().all(|cell| cell.progress.is_none()));
     let text = comparison_table(&none, &Bootstrap::default());
     assert!(!text.contains("partial progress"), "{text}");
 }
 
 #[test]
-fn only_campaigns_that_both_have_own_directions_are_compared_with_them() {
+fn own_directions_are_assumed_only_if_both_campaigns_have_them() {
     let population = Population::usual();
     let mut chance = Chance::new(9);
     let effects = population.tasks(20, &mut chance);
     let directions = population.directions(CONFIGURATIONS, &mut chance);
     let [a, b] = [0, 1].map(|_| population.campaign(&effects, 4, &directions, &mut chance));
     let [own, shared] = [Directions::Own, Directions::Shared];
-    let of = |of_a, of_b| {
-        let [a, b] = [(&a, of_a), (&b, of_b)].map(|(records, directions)| Compared {
-            directions,
-            ..Compared::from(records.as_slice())
-        });
+    let compare_with = |directions_a, directions_b| {
+        let [a, b] =
+            [(&a, directions_a), (&b, directions_b)].map(|(records, directions)| Compared {
+                directions,
+                ..Compared::from(records.as_slice())
+            });
         compare(a, b)
     };
-    let both = of(own, own);
+    let both = compare_with(own, own);
     assert_eq!(both.directions, own);
     let (mut nominal, mut differ) = (0, false);
-    for (cell, of_shared) in both.cells.iter().zip(of(shared, shared).cells) {
-        let [own, shared] = [cell.difference.as_ref(), of_shared.difference.as_ref()]
+    for (cell, shared_cell) in both.cells.iter().zip(compare_with(shared, shared).cells) {
+        let [own, shared] = [cell.difference.as_ref(), shared_cell.difference.as_ref()]
             .map(|difference| difference.expect("outcomes").estimate);
         assert_eq!(own.new_tasks, shared.new_tasks);
         if cell.condition == Condition::Clean {
@@ -157,7 +159,7 @@ fn only_campaigns_that_both_have_own_directions_are_compared_with_them() {
         }
     }
     assert!(nominal == 1 && differ);
-    assert_eq!(of(own, shared).directions, shared);
+    assert_eq!(compare_with(own, shared).directions, shared);
     let text = comparison_table(&both, &Bootstrap::default());
     assert!(text.contains("directions of its own"), "{text}");
 }

@@ -1,5 +1,5 @@
-//! Comparison with the results that the authors of the protocol published. Tests that need more
-//! than the example data are skipped, by name, if it is missing.
+//! Comparison with the results that the authors of the protocol published. A test that needs more
+//! than the example data is skipped, with a message, if the data are missing.
 
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -33,23 +33,23 @@ fn outcome(success: bool) -> Outcome {
     }
 }
 
-fn check_cell(cell: &Cell, published: &Value, what: &str) {
+fn check_cell(cell: &Cell, published: &Value, label: &str) {
     let measures = cell.paired.as_ref().expect("a complete cell");
     let percent = |key: &str| published[key].as_f64().expect(key) / 100.0;
     let close = |value: f64, expected: f64, key: &str| {
         assert!(
             (value - expected).abs() < 1e-12,
-            "{what} {key}: {value} is not {expected}"
+            "{label} {key}: {value} is not {expected}"
         );
     };
-    assert_eq!(measures.n, 400, "{what}");
+    assert_eq!(measures.n, 400, "{label}");
     for (axis, &rate) in &measures.s_axis {
         close(rate, percent(axis.name()), axis.name());
     }
     close(measures.s_conj, percent("and"), "S_conj");
     close(measures.s_sim, percent("sim"), "S_sim");
-    assert_eq!(Some(measures.b), published["b"].as_u64(), "{what} b");
-    assert_eq!(Some(measures.c), published["c"].as_u64(), "{what} c");
+    assert_eq!(Some(measures.b), published["b"].as_u64(), "{label} b");
+    assert_eq!(Some(measures.c), published["c"].as_u64(), "{label} c");
     close(measures.i, percent("sim") - percent("and"), "I");
     close(measures.i, measures.r_c - measures.r_e, "I = R_c - R_e");
     let independent: f64 = Axis::ALL.iter().map(|axis| percent(axis.name())).product();
@@ -62,24 +62,27 @@ fn check_cell(cell: &Cell, published: &Value, what: &str) {
 }
 
 /// Returns 400 configurations with the counts of a published cell. The combinations of failures are
-/// made up; every measure depends on the counts alone.
-fn of_counts(published: &Value, level: Level) -> Vec<Record> {
+/// arbitrary; every measure depends on the counts alone.
+fn records_with_counts(published: &Value, level: Level) -> Vec<Record> {
     let count = |key: &str| (published[key].as_f64().expect(key) * 4.0).round() as usize;
     let emergent = published["b"].as_u64().expect("b") as usize;
     let compensated = published["c"].as_u64().expect("c") as usize;
     let conjunction = count("and");
-    let others = 400 - conjunction;
+    let failing = 400 - conjunction;
     // The first `conjunction` configurations succeed under every axis alone. The axes' failures are
-    // spread over the others, so that each of them has at least one.
+    // spread over the other configurations, so that each has at least one failure.
     let mut alone = vec![[true; 6]; 400];
     let mut next = 0;
     for (i, axis) in Axis::ALL.iter().enumerate() {
         for _ in 0..400 - count(axis.name()) {
-            alone[conjunction + next % others][i] = false;
+            alone[conjunction + next % failing][i] = false;
             next += 1;
         }
     }
-    assert!(next >= others, "fewer failures than failing configurations");
+    assert!(
+        next >= failing,
+        "fewer failures than failing configurations"
+    );
     let tasks: Vec<TaskRef> = TaskRef::all().collect();
     let mut records = Vec::new();
     for (index, alone) in alone.into_iter().enumerate() {
@@ -115,10 +118,10 @@ fn all_published_cells_are_reproduced_from_their_counts() {
         };
         for (level, published) in levels {
             let level: Level = level.parse().expect("a level");
-            let records = of_counts(published, level);
+            let records = records_with_counts(published, level);
             let report = report(&records, &Options::default()).expect("no duplicates");
-            let what = format!("{policy} {level}");
-            check_cell(&report.cells[0], published, &what);
+            let label = format!("{policy} {level}");
+            check_cell(&report.cells[0], published, &label);
             cells += 1;
         }
     }
@@ -139,7 +142,7 @@ fn records(text: &str) -> Vec<Record> {
     text.lines().map(record).collect()
 }
 
-/// OpenVLA-OFT's 8,400 published outcomes, from the example data.
+/// Returns the report on OpenVLA-OFT's 8,400 published outcomes, from the example data.
 fn openvla_oft() -> Report {
     let records = records(EXAMPLE);
     assert_eq!(records.len(), 8400);
@@ -147,7 +150,7 @@ fn openvla_oft() -> Report {
 }
 
 #[test]
-fn the_example_data_are_the_published_outcomes() {
+fn the_example_data_equal_the_published_outcomes() {
     let Some(published) = read("openvla_oft_eval/rollouts.jsonl") else {
         return;
     };
@@ -171,16 +174,17 @@ fn published_outcomes_reproduce_their_cells_exactly() {
     }
 }
 
-/// The paper's interval of I at L2, and those of an independent bootstrap of 200,000 replicates.
+/// Compares the intervals with the paper's interval of I at L2 and with those of an independent
+/// bootstrap of 200,000 replicates.
 /// With 4,000 replicates, an end is uncertain by about 0.15 points.
 #[test]
-fn intervals_are_the_published_ones_within_monte_carlo_error() {
+fn intervals_agree_with_the_published_ones_within_monte_carlo_error() {
     let report = openvla_oft();
-    let check = |interval: Option<Interval>, expected: [f64; 2], what: &str| {
+    let check = |interval: Option<Interval>, expected: [f64; 2], label: &str| {
         let interval = interval.expect("forty tasks");
         for (end, expected) in interval.into_iter().zip(expected) {
-            let off = (100.0 * end - expected).abs();
-            assert!(off < 0.6, "{what}: {interval:?} is not {expected:?}");
+            let error = (100.0 * end - expected).abs();
+            assert!(error < 0.6, "{label}: {interval:?} is not {expected:?}");
         }
     };
     let measures: Vec<_> = report

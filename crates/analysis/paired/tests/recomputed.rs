@@ -13,7 +13,7 @@ use paired::{
 use rollout_types::GoalProgress;
 use serde_json::{Value, json};
 
-// The example `coverage` uses the remaining functions.
+// The examples use the other functions of the module.
 #[allow(dead_code)]
 mod simulated;
 
@@ -26,7 +26,7 @@ const COMPARISONS: u64 = 20;
 /// Published rate in the gates of all campaigns, over all suites and for each suite.
 const PUBLISHED: f64 = 0.87;
 
-/// Records and progress of an example.
+/// Returns the records and the progress of an example.
 fn example(name: &str) -> (Vec<Record>, Vec<Progress>) {
     let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../examples");
     let path = root.join(name).join("rollouts.jsonl");
@@ -55,7 +55,7 @@ fn example(name: &str) -> (Vec<Record>, Vec<Progress>) {
     text.lines().map(record).unzip()
 }
 
-/// Outcomes and report in the form that the script reads.
+/// Returns a campaign's outcomes and report in the form that the script reads.
 fn campaign(name: &str, rows: &[Record]) -> Value {
     let records = Records::new(rows).expect("each rollout once");
     let options = Options {
@@ -118,32 +118,32 @@ fn campaign(name: &str, rows: &[Record]) -> Value {
     })
 }
 
-/// Pairs of outcomes and the comparison in the form that the script reads.
+/// Returns the pairs of outcomes and the comparison in the form that the script reads.
 fn comparison(name: &str, a: Compared<'_>, b: Compared<'_>) -> Value {
     let found = Comparison::of(a, b, &Bootstrap::default(), |_| None);
-    let of_b: BTreeMap<RolloutId, &Record> =
+    let records_b: BTreeMap<RolloutId, &Record> =
         b.records.iter().map(|record| (record.id, record)).collect();
     let progress = [a, b].map(|side| {
         let by_id = side.progress.iter().map(|progress| (progress.id, progress));
         by_id.collect::<BTreeMap<RolloutId, &Progress>>()
     });
     let cell = |cell: &ComparedCell| {
-        let of_cell = |record: &&Record| {
+        let is_in_cell = |record: &&Record| {
             (record.id.level(), record.id.condition()) == (cell.level, cell.condition)
         };
-        let pairs = a.records.iter().filter(of_cell).filter_map(|a| {
-            let b = of_b.get(&a.id)?;
-            let came = progress.each_ref().map(|by_id| by_id.get(&a.id));
+        let pairs = a.records.iter().filter(is_in_cell).filter_map(|a| {
+            let b = records_b.get(&a.id)?;
+            let progress_of_pair = progress.each_ref().map(|by_id| by_id.get(&a.id));
             Some(json!([
                 a.id.task().suite() as u8,
                 a.id.task().index(),
                 a.id.config().unwrap_or(a.init_id),
                 u8::from(a.outcome.success()?),
                 u8::from(b.outcome.success()?),
-                came.map(|progress| progress
+                progress_of_pair.map(|progress| progress
                     .and_then(|progress| progress.goal)
                     .map(|goal| [goal.at_most, goal.predicates])),
-                came.map(|progress| progress.and_then(|progress| progress.steps)),
+                progress_of_pair.map(|progress| progress.and_then(|progress| progress.steps)),
             ]))
         });
         json!({
@@ -158,7 +158,7 @@ fn comparison(name: &str, a: Compared<'_>, b: Compared<'_>) -> Value {
     json!({"name": name, "compared": found.cells.iter().map(cell).collect::<Vec<_>>()})
 }
 
-/// Steps and predicates of rollouts; every seventh rollout has no known predicates.
+/// Returns random steps and predicates of rollouts; one rollout in seven has no known predicates.
 fn simulated_progress(records: &[Record], chance: &mut Chance) -> Vec<Progress> {
     let progress = records.iter().map(|record| {
         let success = record.outcome == Outcome::Success;
@@ -189,7 +189,7 @@ fn simulated_progress(records: &[Record], chance: &mut Chance) -> Vec<Progress> 
     progress.collect()
 }
 
-/// Two policies of one population over the same tasks and directions; every second pair of
+/// Compares two policies of one population over the same tasks and directions; every second pair of
 /// campaigns declares that each task has directions of its own.
 fn simulated_comparison(seed: u64) -> Value {
     let (tasks, suites) = [(2, 1), (5, 1), (10, 2), (20, 4)][seed as usize % 4];
@@ -198,12 +198,12 @@ fn simulated_comparison(seed: u64) -> Value {
     let effects = population.tasks(tasks, &mut chance);
     let directions = population.directions(CONFIGURATIONS, &mut chance);
     let [a, b] = [0, 1].map(|_| population.campaign(&effects, suites, &directions, &mut chance));
-    let [of_a, of_b] = [&a, &b].map(|records| simulated_progress(records, &mut chance));
+    let [progress_a, progress_b] = [&a, &b].map(|records| simulated_progress(records, &mut chance));
     let directions = match (seed / 4).is_multiple_of(2) {
         true => Directions::Shared,
         false => Directions::Own,
     };
-    let [a, b] = [(&a, &of_a), (&b, &of_b)].map(|(records, progress)| Compared {
+    let [a, b] = [(&a, &progress_a), (&b, &progress_b)].map(|(records, progress)| Compared {
         records,
         progress,
         directions,
@@ -211,8 +211,8 @@ fn simulated_comparison(seed: u64) -> Value {
     comparison(&format!("simulated comparison {seed}"), a, b)
 }
 
-/// Two, five, ten, … tasks, with a placebo in every second campaign and replicates in every
-/// third.
+/// Simulates a campaign of two to twenty tasks. Every second campaign has a placebo, and every
+/// third has replicates.
 fn simulated_campaign(seed: u64) -> Value {
     let (tasks, suites) = [(2, 1), (5, 1), (10, 2), (10, 1), (20, 4)][seed as usize % 5];
     let population = Population::usual();
@@ -238,7 +238,7 @@ fn simulated_campaign(seed: u64) -> Value {
 }
 
 #[test]
-fn all_examples_and_two_hundred_campaigns_are_recomputed_by_numpy_and_scipy() {
+fn reports_of_all_examples_and_two_hundred_campaigns_agree_with_numpy_and_scipy() {
     let python = std::env::var_os("ROLLOUT_PYTHON").unwrap_or_else(|| "python3".into());
     let probe = Command::new(&python)
         .args(["-c", "import numpy, scipy"])

@@ -18,15 +18,15 @@ fn number(value: &Value) -> f64 {
     value.as_f64().expect("a number")
 }
 
-/// One data set as configurations; see reference/expected.py for its form.
+/// Returns one data set as configurations; see reference/expected.py for its form.
 fn configurations(data_set: &Value) -> Vec<Configuration> {
     let tasks = data_set["tasks"].as_array().expect("tasks");
     let tasks = TaskRef::all().zip(tasks);
-    let of_task = |(task, text): (TaskRef, &Value)| {
+    let parse_task = |(task, text): (TaskRef, &Value)| {
         let text = text.as_str().expect("a text");
         let digits = (0..text.len()).step_by(2).map(|at| &text[at..at + 2]);
         let bits = digits.map(|digits| u8::from_str_radix(digits, 16).expect("hexadecimal"));
-        let one = move |bits: u8| Configuration {
+        let configuration = move |bits: u8| Configuration {
             task,
             alone: BTreeMap::from_iter(
                 (0..)
@@ -35,9 +35,9 @@ fn configurations(data_set: &Value) -> Vec<Configuration> {
             ),
             simultaneous: bits >> 6 == 1,
         };
-        bits.map(one).collect::<Vec<_>>()
+        bits.map(configuration).collect::<Vec<_>>()
     };
-    tasks.flat_map(of_task).collect()
+    tasks.flat_map(parse_task).collect()
 }
 
 /// Compares point estimates exactly, and intervals within the Monte-Carlo error of 4,000
@@ -45,22 +45,22 @@ fn configurations(data_set: &Value) -> Vec<Configuration> {
 ///
 /// An end of the interval is the 2.5th percentile of a nearly normal sample of 4,000, whose
 /// standard error is √(0.025·0.975/4000) / φ(1.96) = 0.042 deviations. The tolerance is five of
-/// these, and one step between two possible rates.
-fn check(measures: &Measures, expected: &Value, what: &str) {
+/// these standard errors, plus one step between two possible rates.
+fn check(measures: &Measures, expected: &Value, label: &str) {
     let m = measures;
-    assert_eq!(Some(m.n), expected["n"].as_u64(), "{what}");
-    assert_eq!(Some(m.b), expected["b"].as_u64(), "{what}");
-    assert_eq!(Some(m.c), expected["c"].as_u64(), "{what}");
+    assert_eq!(Some(m.n), expected["n"].as_u64(), "{label}");
+    assert_eq!(Some(m.b), expected["b"].as_u64(), "{label}");
+    assert_eq!(Some(m.c), expected["c"].as_u64(), "{label}");
     let close = |value: f64, key: &str| {
         let expected = number(&expected[key]);
         assert!(
             (value - expected).abs() < 1e-12,
-            "{what} {key}: {value} is not {expected}"
+            "{label} {key}: {value} is not {expected}"
         );
     };
     for (axis, rate) in &m.s_axis {
         let expected = number(&expected["s_axis"][axis.name()]);
-        assert!((rate - expected).abs() < 1e-12, "{what} {axis}");
+        assert!((rate - expected).abs() < 1e-12, "{label} {axis}");
     }
     for (value, key) in [
         (m.s_indep, "s_indep"),
@@ -72,7 +72,7 @@ fn check(measures: &Measures, expected: &Value, what: &str) {
     let p = number(&expected["mcnemar_p"]);
     assert!(
         (m.mcnemar_p - p).abs() <= 1e-9 * p,
-        "{what}: p {} is not {p}",
+        "{label}: p {} is not {p}",
         m.mcnemar_p
     );
     let with_intervals = [
@@ -85,33 +85,33 @@ fn check(measures: &Measures, expected: &Value, what: &str) {
     for (value, interval, key) in with_intervals {
         close(value, key);
         if m.tasks < MIN_TASKS as u64 {
-            assert_eq!(interval, None, "{what}: of {} tasks", m.tasks);
-            assert_eq!(m.no_interval, Some(NoInterval::TooFewTasks), "{what}");
+            assert_eq!(interval, None, "{label}: interval of {} tasks", m.tasks);
+            assert_eq!(m.no_interval, Some(NoInterval::TooFewTasks), "{label}");
             continue;
         }
         let interval = interval.expect("enough tasks");
-        check_interval(interval, expected, key, m.n, what);
+        check_interval(interval, expected, key, m.n, label);
     }
 }
 
-fn check_interval(interval: [f64; 2], expected: &Value, key: &str, n: u64, what: &str) {
+fn check_interval(interval: [f64; 2], expected: &Value, key: &str, n: u64, label: &str) {
     let deviation = number(&expected[format!("{key}_deviation")]);
     let tolerance = 5.0 * 0.042 * deviation + 1.0 / n as f64;
     let ends = expected[format!("{key}_ci95")].as_array().expect("two");
     for (end, expected) in interval.into_iter().zip(ends.iter().map(number)) {
-        let off = (end - expected).abs();
+        let error = (end - expected).abs();
         assert!(
-            off <= tolerance,
-            "{what} {key}: {interval:?} is not {ends:?}"
+            error <= tolerance,
+            "{label} {key}: {interval:?} is not {ends:?}"
         );
     }
 }
 
-/// One set of pairs; see reference/expected.py for its form.
+/// Returns one set of pairs; see reference/expected.py for its form.
 fn pairs(data_set: &Value) -> Vec<Pair> {
     let tasks = data_set["tasks"].as_array().expect("tasks");
     let tasks = TaskRef::all().zip(tasks);
-    let of_task = |(task, text): (TaskRef, &Value)| {
+    let parse_task = |(task, text): (TaskRef, &Value)| {
         let text = text.as_str().expect("a text").to_owned();
         let digits: Vec<u32> = text.chars().filter_map(|c| c.to_digit(4)).collect();
         assert_eq!(digits.len(), text.len(), "{text}");
@@ -123,7 +123,7 @@ fn pairs(data_set: &Value) -> Vec<Pair> {
             b: success(bits >> 1),
         })
     };
-    tasks.flat_map(of_task).collect()
+    tasks.flat_map(parse_task).collect()
 }
 
 #[test]
@@ -133,8 +133,8 @@ fn twelve_random_pairs_of_policies_agree_with_numpy_and_scipy() {
     assert_eq!(data_sets.len(), 12);
     let sets: Vec<Vec<Pair>> = data_sets.iter().map(pairs).collect();
     let all = Difference::of_each(&sets, &Bootstrap::default());
-    for (number_of, (data_set, difference)) in data_sets.iter().zip(all).enumerate() {
-        let (what, expected) = (format!("pairs {number_of}"), &data_set["expected"]);
+    for (index, (data_set, difference)) in data_sets.iter().zip(all).enumerate() {
+        let (label, expected) = (format!("pairs {index}"), &data_set["expected"]);
         let difference = difference.expect("not empty");
         let counts = [
             (difference.n, "n"),
@@ -145,42 +145,42 @@ fn twelve_random_pairs_of_policies_agree_with_numpy_and_scipy() {
             (difference.neither, "neither"),
         ];
         for (count, key) in counts {
-            assert_eq!(Some(count), expected[key].as_u64(), "{what} {key}");
+            assert_eq!(Some(count), expected[key].as_u64(), "{label} {key}");
         }
         for (value, key) in [
             (difference.s_a, "s_a"),
             (difference.s_b, "s_b"),
             (difference.difference, "difference"),
         ] {
-            let off = (value - number(&expected[key])).abs();
-            assert!(off < 1e-12, "{what} {key}: {value}");
+            let error = (value - number(&expected[key])).abs();
+            assert!(error < 1e-12, "{label} {key}: {value}");
         }
         let p = number(&expected["mcnemar_p"]);
         assert!(
             (difference.mcnemar_p - p).abs() <= 1e-9 * p,
-            "{what}: {}",
+            "{label}: {}",
             difference.mcnemar_p
         );
         let interval = difference.difference_ci95.expect("enough tasks");
-        check_interval(interval, expected, "difference", difference.n, &what);
+        check_interval(interval, expected, "difference", difference.n, &label);
     }
 }
 
 #[test]
-fn twenty_random_data_sets_have_the_measures_and_intervals_of_numpy() {
+fn measures_and_intervals_of_twenty_random_data_sets_agree_with_numpy() {
     let expected = expected();
     let data_sets = expected["data_sets"].as_array().expect("data sets");
     assert_eq!(data_sets.len(), 20);
-    for (number, data_set) in data_sets.iter().enumerate() {
+    for (index, data_set) in data_sets.iter().enumerate() {
         let configurations = configurations(data_set);
         let measures = Measures::of(&configurations, &Bootstrap::default());
-        let what = format!("data set {number}");
-        check(&measures.expect("not empty"), &data_set["expected"], &what);
+        let label = format!("data set {index}");
+        check(&measures.expect("not empty"), &data_set["expected"], &label);
     }
 }
 
 #[test]
-fn the_example_data_have_the_measures_and_intervals_of_numpy() {
+fn measures_and_intervals_of_the_example_data_agree_with_numpy() {
     let rows = include_str!("../../../../examples/openvla_oft/rollouts.jsonl").lines();
     let records: Vec<Record> = rows
         .map(|row| {
@@ -213,7 +213,7 @@ fn the_example_data_have_the_measures_and_intervals_of_numpy() {
 }
 
 #[test]
-fn p_values_are_those_of_scipy() {
+fn p_values_agree_with_scipy() {
     for case in expected()["mcnemar"].as_array().expect("cases") {
         let count = |key: &str| case[key].as_u64().expect("a count");
         let (p, expected) = (mcnemar_exact(count("b"), count("c")), number(&case["p"]));
@@ -222,7 +222,7 @@ fn p_values_are_those_of_scipy() {
 }
 
 #[test]
-fn quantiles_are_those_of_numpy() {
+fn quantiles_agree_with_numpy() {
     for case in expected()["quantiles"].as_array().expect("cases") {
         let numbers = |key: &str| -> Vec<f64> {
             let values = case[key].as_array().expect("numbers").iter();

@@ -23,8 +23,8 @@ fn task(index: usize) -> TaskRef {
     TaskRef::all().nth(index).expect("one of forty")
 }
 
-/// Configurations over the first sixteen tasks, so that many have intervals and
-/// some too few tasks.
+/// Draws configurations over the first sixteen tasks, so that many cases have intervals and some
+/// have too few tasks.
 fn configurations() -> impl Strategy<Value = Vec<Configuration>> {
     vec((0..16_usize, any::<[bool; 4]>()), 1..80).prop_map(|drawn| {
         let configuration =
@@ -38,7 +38,7 @@ fn configurations() -> impl Strategy<Value = Vec<Configuration>> {
 }
 
 proptest! {
-    // A failing case prints its input; there is no folder to keep it in.
+    // A failing case prints its input and is not written to a file.
     #![proptest_config(ProptestConfig {
         failure_persistence: None,
         ..ProptestConfig::default()
@@ -52,7 +52,7 @@ proptest! {
         prop_assert!((m.d + m.i - (m.s_sim - m.s_indep)).abs() < 1e-12);
         prop_assert!((m.r_d - (m.b + m.c) as f64 / n).abs() < 1e-12);
         let lowest = m.s_axis.values().copied().fold(1.0, f64::min);
-        prop_assert!(m.s_conj <= lowest + 1e-12, "no conjunction beats its weakest part");
+        prop_assert!(m.s_conj <= lowest + 1e-12, "a conjunction is at most its lowest rate");
         prop_assert!((0.0..=1.0).contains(&m.mcnemar_p));
         if let Some(share) = m.emergent_share {
             prop_assert!((0.0..=1.0).contains(&share));
@@ -62,17 +62,17 @@ proptest! {
     #[test]
     fn the_order_of_configurations_does_not_matter(
         mut configurations in configurations(),
-        by in 0..80_usize,
+        shift in 0..80_usize,
     ) {
         let before = Measures::of(&configurations, &quick());
-        let by = by % configurations.len();
-        configurations.rotate_left(by);
+        let shift = shift % configurations.len();
+        configurations.rotate_left(shift);
         configurations.reverse();
         prop_assert_eq!(Measures::of(&configurations, &quick()), before);
     }
 
     #[test]
-    fn other_names_for_the_tasks_change_no_estimate(configurations in configurations()) {
+    fn renaming_the_tasks_changes_no_estimate(configurations in configurations()) {
         let renamed: Vec<Configuration> = configurations
             .iter()
             .map(|configuration| Configuration {
@@ -91,7 +91,7 @@ proptest! {
     }
 
     #[test]
-    fn bounds_are_reached_and_never_left(
+    fn bounds_contain_every_possible_value(
         drawn in vec((0..4_usize, [0..3_u8, 0..3, 0..3]), 1..6),
         choices in any::<u32>(),
     ) {
@@ -114,16 +114,15 @@ proptest! {
         let quarantined = records(&mut |code| outcome_of(code));
         let quarantined = report(&quarantined, &options).expect("no duplicates");
         let mut next = 0;
-        // Arbitrary outcomes of the quarantined rollouts, all failures, and all
-        // successes.
-        let mut fates: Vec<Box<dyn FnMut() -> bool>> = vec![
+        // The quarantined rollouts get arbitrary outcomes, then all failures, then all successes.
+        let mut choosers: Vec<Box<dyn FnMut() -> bool>> = vec![
             Box::new(move || { next += 1; choices >> (next % 32) & 1 == 1 }),
             Box::new(|| false),
             Box::new(|| true),
         ];
-        for fate in &mut fates {
+        for choose in &mut choosers {
             let mut settle = |code| match outcome_of(code) {
-                Q => Outcome::from(fate()),
+                Q => Outcome::from(choose()),
                 outcome => outcome,
             };
             let settled = report(&records(&mut settle), &options).expect("no duplicates");
@@ -192,8 +191,8 @@ fn nominal(task_index: usize, config: u16, outcome: Outcome) -> Record {
     }
 }
 
-/// Two axes and their combination on three tasks with one configuration each.
-/// `outcomes`: nominal, camera, sensor, simultaneous.
+/// Returns a campaign of two axes over three tasks with one configuration each. `outcomes` are
+/// nominal, camera, sensor and simultaneous.
 fn campaign(outcomes: [[Outcome; 4]; 3]) -> Vec<Record> {
     let rows = outcomes.into_iter().enumerate();
     rows.flat_map(|(task, [clean, camera, sensor, simultaneous])| {
@@ -213,7 +212,7 @@ const M: Outcome = Outcome::Missing;
 const Q: Outcome = Outcome::Quarantined;
 
 #[test]
-fn a_campaign_of_two_axes_is_measured_on_its_own_axes() {
+fn measures_of_a_campaign_are_over_the_axes_that_it_perturbs() {
     let records = campaign([[S, S, S, F], [S, F, S, S], [F, S, S, S]]);
     let report = report(&records, &Options::default()).expect("no duplicates");
     assert_eq!(report.axes, [Axis::Camera, Axis::Sensor]);
@@ -228,12 +227,12 @@ fn a_campaign_of_two_axes_is_measured_on_its_own_axes() {
     let loss = cell.alone[&Axis::Camera].clean_relative_loss;
     assert!(
         loss.expect("known").abs() < 1e-12,
-        "2/3 of 2/3 nominal is no loss"
+        "2/3 against 2/3 nominal is no loss"
     );
 }
 
 #[test]
-fn chance_is_bounded_only_by_rollouts_that_end_differently() {
+fn a_bound_of_chance_is_stated_only_if_nearly_identical_rollouts_end_differently() {
     let sentences = |language: Outcome| {
         let rows = (0..3).flat_map(|task| {
             [
@@ -264,8 +263,8 @@ fn an_incomplete_cell_counts_complete_configurations_and_lists_gaps() {
         (cell.completeness.complete, cell.completeness.expected),
         (1, 3)
     );
-    assert_eq!(cell.paired.as_ref().expect("one is").b, 1);
-    assert_eq!(cell.paired.as_ref().expect("one is").i_ci95, None);
+    assert_eq!(cell.paired.as_ref().expect("one is complete").b, 1);
+    assert_eq!(cell.paired.as_ref().expect("one is complete").i_ci95, None);
     let sensor = &cell.alone[&Axis::Sensor].count;
     assert_eq!(
         (sensor.successes, sensor.n),
@@ -306,7 +305,7 @@ fn quarantined_rollouts_are_bounded_by_the_worst_and_the_best_case() {
 }
 
 #[test]
-fn reported_nominal_counts_serve_without_nominal_rollouts() {
+fn reported_nominal_counts_are_used_if_no_nominal_rollout_is_recorded() {
     let mut records = campaign([[S, S, S, F], [S, F, S, S], [F, S, S, S]]);
     let options = Options {
         published_nominal: Some(0.971),
@@ -316,10 +315,10 @@ fn reported_nominal_counts_serve_without_nominal_rollouts() {
         }),
         ..Options::default()
     };
-    let own = report(&records, &options).expect("no duplicates");
-    assert_eq!(own.nominal[0].count, Count { successes: 2, n: 3 });
+    let recorded = report(&records, &options).expect("no duplicates");
+    assert_eq!(recorded.nominal[0].count, Count { successes: 2, n: 3 });
     assert_eq!(
-        own.gate.expect("a published figure").verdict,
+        recorded.gate.expect("a published figure").verdict,
         GateVerdict::Undecided
     );
 
@@ -356,7 +355,7 @@ fn notes_come_first_and_fit_a_terminal() {
 }
 
 #[test]
-fn one_axis_has_rates_and_nothing_to_pair() {
+fn one_axis_alone_has_rates_and_no_paired_measures() {
     let records = [
         nominal(0, 0, S),
         perturbed(0, Condition::Single(Axis::Camera), 0, F),
@@ -370,20 +369,20 @@ fn one_axis_has_rates_and_nothing_to_pair() {
 }
 
 #[test]
-fn nominal_rollouts_alone_make_a_report() {
+fn a_report_of_nominal_rollouts_alone_has_only_nominal_success() {
     let records = [nominal(0, 0, S), nominal(1, 0, F)];
     let report = report(&records, &Options::default()).expect("no duplicates");
     assert_eq!(table(&report), "nominal success: 50.0 % (1/2)\n");
 }
 
 #[test]
-fn replicates_are_compared_with_the_first() {
+fn later_replicates_are_compared_with_replicate_0() {
     let mut records = campaign([[S, S, S, F], [S, F, S, S], [F, S, S, S]]);
     let mut again = records.clone();
     for record in &mut again {
         record.replicate = 1;
     }
-    // The first configuration's combination succeeds: no longer an emergent failure.
+    // The first configuration's simultaneous rollout succeeds: no longer an emergent failure.
     again[3].outcome = S;
     again[4].outcome = M;
     records.extend(again);
@@ -413,9 +412,9 @@ fn a_rollout_recorded_twice_is_refused() {
     );
 }
 
-/// Latency is not one of the six axes: it has a rate of its own and changes no other figure.
+/// Latency is not one of the six axes: it has its own rate and changes no other figure.
 #[test]
-fn a_late_policy_has_a_rate_and_is_in_no_paired_measure() {
+fn latency_has_a_success_rate_and_is_in_no_paired_measure() {
     let record = |condition: Condition, index: usize, outcome| Record {
         id: RolloutId::perturbed(task(index), condition, Level::L2, 0).expect("an id"),
         init_id: 0,
@@ -435,11 +434,11 @@ fn a_late_policy_has_a_rate_and_is_in_no_paired_measure() {
     }
     let options = Options::default();
     let without = report(&records, &options).expect("no duplicates");
-    let late = |index: usize| match index {
+    let latency_outcome = |index: usize| match index {
         3 => Outcome::Missing,
         _ => Outcome::Failure,
     };
-    records.extend((0..4).map(|index| record(Condition::Latency, index, late(index))));
+    records.extend((0..4).map(|index| record(Condition::Latency, index, latency_outcome(index))));
     let with = report(&records, &options).expect("no duplicates");
     assert_eq!((&with.axes, with.cells.len()), (&without.axes, 1));
     let (cell, before) = (&with.cells[0], &without.cells[0]);

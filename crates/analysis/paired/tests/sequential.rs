@@ -14,22 +14,22 @@ mod replay;
 
 use replay::{ALPHA, Design, Population, Unit, value};
 
-/// Orders per level.
+/// Number of orders per level.
 const ORDERS: u64 = 100;
-/// Number of orders with a look after each configuration, which take longer.
+/// Number of orders per level for the designs with shorter rounds, which take longer.
 const FEW_ORDERS: u64 = 10;
 
-/// Returns the number of orders, over all levels, in which a kind of interval misses at any look.
+/// Returns the number of orders, over all levels, for which `holds` returns false.
 fn misses(orders: u64, design: Design, holds: impl Fn(&Population, &Order<Unit>) -> bool) -> usize {
     let populations = Level::PERTURBED.map(Population::published);
-    let of_level = |population: &Population| {
+    let misses_of = |population: &Population| {
         let orders = (0..orders).map(|seed| population.order(seed, design));
         orders.filter(|order| !holds(population, order)).count()
     };
-    populations.iter().map(of_level).sum()
+    populations.iter().map(misses_of).sum()
 }
 
-/// The number of misses in all levels that is exceeded with a probability below
+/// Returns the number of misses over all levels that is exceeded with a probability below
 /// 10⁻⁷ if each order misses with a probability of [`ALPHA`], by the binomial
 /// distribution.
 fn most_misses(orders: u64) -> usize {
@@ -83,7 +83,7 @@ fn fixed_size_interval_holds(
 }
 
 #[test]
-fn an_interval_of_a_fixed_sample_size_fails_the_same_test() {
+fn intervals_for_a_fixed_sample_size_do_not_hold_at_all_looks() {
     let missed = misses(ORDERS, Design::Tasks, |population, order| {
         let mut measures = Measure::OF_ONE_POLICY.into_iter();
         measures.all(|measure| fixed_size_interval_holds(population, order, measure))
@@ -92,7 +92,7 @@ fn an_interval_of_a_fixed_sample_size_fails_the_same_test() {
 }
 
 #[test]
-fn once_all_configurations_are_seen_an_interval_is_the_measure() {
+fn after_all_configurations_an_interval_is_the_exact_measure() {
     for level in Level::PERTURBED {
         let population = Population::published(level);
         let order = population.order(1, Design::Tasks);
@@ -104,7 +104,7 @@ fn once_all_configurations_are_seen_an_interval_is_the_measure() {
             configurations.push(configuration(unit.0, *transition));
         }
         let look = sequential.look();
-        let measures = Measures::of(&configurations, &Bootstrap::default()).expect("some");
+        let measures = Measures::of(&configurations, &Bootstrap::default()).expect("not empty");
         let expected = [
             measures.s_sim,
             measures.r_e,
@@ -133,7 +133,7 @@ fn configuration(task: TaskRef, transition: Transition) -> Configuration {
 /// A unit of a small population: its stratum and number.
 type Small = (usize, usize);
 
-/// The order of strata with three units each.
+/// Draws an order of strata with three units each.
 fn small_order(strata: usize) -> Order<Small> {
     let units = (0..strata).flat_map(|stratum| (0..3).map(move |number| (stratum, number)));
     Order::new(1, units, |&(stratum, _)| stratum)
@@ -156,8 +156,8 @@ fn triples() -> Vec<[Transition; 3]> {
     triples.filter(|triple| triple.is_sorted()).collect()
 }
 
-/// Returns true if all intervals hold at all looks if the units of each stratum
-/// have these transitions.
+/// Returns true if all intervals hold at all looks, where `strata` are the transitions of the units
+/// of each stratum.
 fn all_hold(order: &Order<Small>, strata: &[[Transition; 3]], alpha: f64) -> bool {
     let mut sequential = SequentialMeasures::new(order, alpha);
     order.units().all(|unit| {
@@ -175,7 +175,8 @@ fn all_hold(order: &Order<Small>, strata: &[[Transition; 3]], alpha: f64) -> boo
     })
 }
 
-/// Share of all orders of both strata's units in which some interval misses.
+/// Returns the share of all orders of both strata's units in which some interval excludes the true
+/// total.
 fn share_missed(order: &Order<Small>, strata: [[Transition; 3]; 2], alpha: f64) -> f64 {
     let orders = PERMUTATIONS.iter();
     let orders = orders.flat_map(|first| PERMUTATIONS.iter().map(move |second| [first, second]));
@@ -200,8 +201,8 @@ fn the_five_intervals_hold_together_over_all_orders_of_all_small_populations() {
     }
 }
 
-/// Returns all units of an order, sorted by a random key each, as if they arrived in that order.
-fn arrivals(order: &Order<Unit>, keys: &[u64]) -> Vec<Unit> {
+/// Returns all units of an order in the sequence in which they complete: by random keys.
+fn by_completion(order: &Order<Unit>, keys: &[u64]) -> Vec<Unit> {
     let mut units: Vec<Unit> = order.units().copied().collect();
     let key: BTreeMap<Unit, u64> = units.iter().copied().zip(keys.iter().copied()).collect();
     units.sort_by_key(|unit| key[unit]);
@@ -212,7 +213,7 @@ proptest! {
     #![proptest_config(ProptestConfig::with_cases(8))]
 
     #[test]
-    fn only_the_drawn_order_up_to_its_first_gap_is_used(
+    fn intervals_use_the_drawn_order_up_to_its_first_incomplete_unit(
         seed: u64, keys in proptest::collection::vec(any::<u64>(), 400),
     ) {
         let population = Population::published(Level::L2);
@@ -223,21 +224,21 @@ proptest! {
             in_order.complete(unit, &[population.transition(unit)]).expect("in the order");
             looks.push(in_order.look().intervals);
         }
-        let mut mixed = SequentialMeasures::new(&order, ALPHA);
-        let mut arrived = std::collections::BTreeSet::new();
-        for unit in arrivals(&order, &keys) {
-            mixed.complete(&unit, &[population.transition(&unit)]).expect("in the order");
-            arrived.insert(unit);
-            let look = mixed.look();
-            let without_gap = order.units().take_while(|unit| arrived.contains(unit)).count();
+        let mut sequential = SequentialMeasures::new(&order, ALPHA);
+        let mut completed = std::collections::BTreeSet::new();
+        for unit in by_completion(&order, &keys) {
+            sequential.complete(&unit, &[population.transition(&unit)]).expect("in the order");
+            completed.insert(unit);
+            let look = sequential.look();
+            let without_gap = order.units().take_while(|unit| completed.contains(unit)).count();
             prop_assert_eq!(look.used, without_gap);
-            prop_assert_eq!(look.waiting, arrived.len() - without_gap);
+            prop_assert_eq!(look.waiting, completed.len() - without_gap);
             prop_assert_eq!(&look.intervals, &looks[without_gap]);
         }
     }
 
     #[test]
-    fn intervals_only_ever_narrow(seed: u64) {
+    fn intervals_never_widen(seed: u64) {
         let population = Population::published(Level::L3);
         let order = population.order(seed, Design::Tasks);
         let mut sequential = SequentialMeasures::new(&order, ALPHA);
@@ -284,7 +285,7 @@ fn the_five_measures_share_alpha_equally() {
     let order = population.order(2, Design::Tasks);
     let mut measures = SequentialMeasures::new(&order, 0.5);
     // A difference of +1 where simultaneity compensates, −1 where failures emerge.
-    let mut of_i = SequentialDifference::new(&order, 0.5 / 5.0);
+    let mut net_change = SequentialDifference::new(&order, 0.5 / 5.0);
     for unit in order.units() {
         let transition = population.transition(unit);
         measures
@@ -292,30 +293,30 @@ fn the_five_measures_share_alpha_equally() {
             .expect("in the order");
         let a = Outcome::from(transition == Transition::Compensated);
         let b = Outcome::from(transition == Transition::Emergent);
-        of_i.complete(unit, a, b).expect("in the order");
+        net_change.complete(unit, a, b).expect("in the order");
         assert_eq!(
             measures.look().intervals[&Measure::I],
-            of_i.look().intervals[&Measure::Difference]
+            net_change.look().intervals[&Measure::Difference]
         );
     }
 }
 
 #[test]
-fn a_rollout_without_an_outcome_of_both_policies_is_a_gap() {
+fn later_rollouts_wait_for_a_rollout_without_outcomes_of_both_policies() {
     let order = small_order(1);
     let units: Vec<Small> = order.units().copied().collect();
     let mut sequential = SequentialDifference::new(&order, ALPHA);
-    let (won, missing) = (Outcome::Success, Outcome::Missing);
+    let (success, missing) = (Outcome::Success, Outcome::Missing);
     for (unit, b) in units
         .iter()
         .zip([Outcome::Failure, missing, Outcome::Failure])
     {
-        sequential.complete(unit, won, b).expect("in the order");
+        sequential.complete(unit, success, b).expect("in the order");
     }
     let look = sequential.look();
     assert_eq!((look.used, look.waiting), (1, 1));
     sequential
-        .complete(&units[1], won, Outcome::Failure)
+        .complete(&units[1], success, Outcome::Failure)
         .expect("in the order");
     let expected = RateInterval {
         least: 3,
@@ -328,7 +329,7 @@ fn a_rollout_without_an_outcome_of_both_policies_is_a_gap() {
 }
 
 #[test]
-fn a_configuration_counts_once_and_only_if_it_is_in_the_order() {
+fn repeated_configurations_are_ignored_and_unknown_ones_are_errors() {
     let order = small_order(1);
     let unit = *order.units().next().expect("a unit");
     let mut sequential = SequentialMeasures::new(&order, ALPHA);
@@ -344,7 +345,7 @@ fn a_configuration_counts_once_and_only_if_it_is_in_the_order() {
     let error = sequential.complete(&(7, 0), &[Transition::Emergent]);
     assert_eq!(
         error.expect_err("not in the order").to_string(),
-        "take the outcome of (7, 0): it is not in the drawn order of 3 configurations"
+        "outcome of (7, 0): the unit is not in the drawn order of 3 configurations"
     );
 }
 
@@ -421,16 +422,16 @@ fn matched(camera: Outcome, robot: Outcome, simultaneous: Outcome) -> Matched {
 fn fillings(outcomes: &[Outcome]) -> Vec<Vec<bool>> {
     let mut all = vec![Vec::new()];
     for outcome in outcomes {
-        let ends = match outcome.success() {
+        let choices = match outcome.success() {
             Some(success) => vec![success],
             None => vec![false, true],
         };
         all = all
             .iter()
             .flat_map(|filled| {
-                ends.iter().map(|&end| {
+                choices.iter().map(|&choice| {
                     let mut filled = filled.clone();
-                    filled.push(end);
+                    filled.push(choice);
                     filled
                 })
             })
@@ -440,7 +441,7 @@ fn fillings(outcomes: &[Outcome]) -> Vec<Vec<bool>> {
 }
 
 #[test]
-fn a_rule_ends_a_campaign_at_the_first_look_at_which_it_holds() {
+fn narrower_widths_are_met_after_more_configurations() {
     let population = Population::published(Level::L3);
     let order = population.order(5, Design::Tasks);
     let rules: Vec<StopRule> = ["width(I) < 2", "width(I) < 0.12", "width(I) < 0.001"]
@@ -449,9 +450,9 @@ fn a_rule_ends_a_campaign_at_the_first_look_at_which_it_holds() {
     let (_, met) = population.replay(&order, &rules);
     let met: Vec<usize> = met
         .into_iter()
-        .map(|met| met.expect("met in the end"))
+        .map(|met| met.expect("met by all configurations"))
         .collect();
-    assert!(met[0] < 40, "anything seen narrows an interval: {met:?}");
+    assert!(met[0] < 40, "the first rounds narrow the interval: {met:?}");
     assert!(met[1] > met[0] && met[1] < 400, "{met:?}");
     assert!(met[2] > met[1], "{met:?}");
 }

@@ -1,4 +1,4 @@
-//! Tests of early stops of campaigns, on published outcomes.
+//! Tests of early stops of campaigns, on published and on simulated outcomes.
 
 use std::collections::BTreeSet;
 
@@ -8,7 +8,7 @@ use paired::{
 };
 use serde::Deserialize;
 
-// The example `coverage` uses the remaining functions.
+// The examples use the other functions of the module.
 #[allow(dead_code)]
 mod simulated;
 
@@ -49,25 +49,25 @@ fn when_met(records: &[Record], stop: &Stop) -> Option<CampaignLook> {
     CampaignLook::when_met(&records, stop)
 }
 
-/// Number of configurations after which a rule is met at one level alone.
+/// Returns the index in the drawn order of the configuration at which one level alone meets a rule.
 fn met_at(records: &Records, level: Level, stop: &Stop) -> Option<usize> {
     let matched = records.configurations().iter();
-    let of_level: Vec<_> = matched
+    let level_configurations: Vec<_> = matched
         .filter(|configuration| configuration.level == level)
         .collect();
     let order = drawn_order(
         stop,
-        of_level
+        level_configurations
             .iter()
             .map(|configuration| (configuration.task, configuration.config)),
     );
     let mut sequential = SequentialMeasures::new(&order, SEQUENTIAL_ALPHA);
     order.units().position(|unit| {
-        let matched = of_level
+        let matched = level_configurations
             .iter()
             .find(|configuration| (configuration.task, configuration.config) == *unit);
         let possible = matched.and_then(|matched| matched.possible_transitions());
-        let taken = sequential.complete(unit, &possible.expect("it is known"));
+        let taken = sequential.complete(unit, &possible.expect("published outcomes are known"));
         taken.expect("a configuration of the order");
         sequential.look().meets(&stop.rule)
     })
@@ -80,8 +80,8 @@ fn a_campaign_ends_when_its_rule_has_been_met_at_every_level() {
     for strata in [Strata::Suites, Strata::Tasks] {
         let stop = stop("width(I) < 0.2", strata);
         let levels = Level::PERTURBED.map(|level| met_at(&records, level, &stop));
-        let last = levels.into_iter().flatten().max().expect("it is met");
-        let look = CampaignLook::when_met(&records, &stop).expect("it is met");
+        let last = levels.into_iter().flatten().max().expect("the rule is met");
+        let look = CampaignLook::when_met(&records, &stop).expect("the rule is met");
         assert_eq!(look.used.len(), last + 1);
         assert_eq!(look.units, 400);
         assert!(look.levels.values().all(|look| look.used == last + 1));
@@ -89,15 +89,15 @@ fn a_campaign_ends_when_its_rule_has_been_met_at_every_level() {
 }
 
 #[test]
-fn outcomes_after_the_look_change_nothing_and_those_before_are_needed() {
+fn a_look_ignores_later_outcomes_and_requires_all_earlier_ones() {
     let mut records = published();
     let stop = stop("width(S_sim) < 0.25", Strata::Suites);
-    let look = when_met(&records, &stop).expect("it is met");
+    let look = when_met(&records, &stop).expect("the rule is met");
     let used: BTreeSet<Unit> = look.used.iter().copied().collect();
-    for (place, record) in records.iter_mut().enumerate() {
+    for (index, record) in records.iter_mut().enumerate() {
         let unit = record.id.config().map(|config| (record.id.task(), config));
         if unit.is_none_or(|unit| !used.contains(&unit)) {
-            record.outcome = match place % 3 {
+            record.outcome = match index % 3 {
                 0 => Outcome::Missing,
                 1 => Outcome::Quarantined,
                 _ => record.outcome,
@@ -107,15 +107,15 @@ fn outcomes_after_the_look_change_nothing_and_those_before_are_needed() {
     assert_eq!(when_met(&records, &stop), Some(look.clone()));
 
     // In the configuration at which the rule was met, one rollout is open at one level.
-    let (task, config) = *look.used.last().expect("some");
+    let (task, config) = *look.used.last().expect("a configuration");
     let is_last =
         |record: &&mut Record| record.id.task() == task && record.id.config() == Some(config);
-    let open = records
+    let last_rollout = records
         .iter_mut()
         .filter(is_last)
         .last()
         .expect("a rollout");
-    open.outcome = Outcome::Missing;
+    last_rollout.outcome = Outcome::Missing;
     assert_eq!(when_met(&records, &stop), None);
     let records = Records::new(&records).expect("no rollout twice");
     let now = CampaignLook::now(&records, &stop).expect("configurations");
@@ -123,9 +123,9 @@ fn outcomes_after_the_look_change_nothing_and_those_before_are_needed() {
 }
 
 #[test]
-fn a_rule_that_only_the_last_configuration_meets_ends_nothing_early() {
+fn a_rule_first_met_at_the_last_configuration_ends_no_campaign_early() {
     let records = published();
-    // The interval has no width only after all configurations.
+    // The width of the interval is 0 only after all configurations.
     assert_eq!(
         when_met(&records, &stop("width(I) < 0.0001", Strata::Tasks)),
         None
@@ -140,38 +140,42 @@ fn a_rule_that_only_the_last_configuration_meets_ends_nothing_early() {
 }
 
 #[test]
-fn a_configuration_counts_once_its_nominal_rollout_and_its_subsets_have_ended_too() {
+fn a_configuration_counts_only_after_its_nominal_rollout_and_subsets_have_ended() {
     let published = published();
     let stop = stop("width(S_sim) < 0.25", Strata::Suites);
-    let look = when_met(&published, &stop).expect("it is met");
-    let last = *look.used.last().expect("some");
-    let is_of = |record: &Record, (task, config): Unit| {
+    let look = when_met(&published, &stop).expect("the rule is met");
+    let last = *look.used.last().expect("a configuration");
+    let belongs_to = |record: &Record, (task, config): Unit| {
         record.id.task() == task && record.id.config() == Some(config)
     };
-    let of_last = published.iter().find(|record| is_of(record, last));
-    let of_last = of_last.expect("a rollout");
+    let last_record = published.iter().find(|record| belongs_to(record, last));
+    let last_record = last_record.expect("a rollout");
     let pair = AxisSet::of(Axis::Camera).union(AxisSet::of(Axis::Robot));
     let further = [
-        RolloutId::clean(last.0, of_last.init_id),
+        RolloutId::clean(last.0, last_record.init_id),
         RolloutId::perturbed(last.0, Condition::Subset(pair), Level::L2, last.1).expect("a pair"),
     ];
     for id in further {
-        let with = |outcome: Outcome| {
+        let with_further = |outcome: Outcome| {
             let record = Record {
                 id,
                 outcome,
-                ..*of_last
+                ..*last_record
             };
             [&published[..], &[record]].concat()
         };
         for outcome in [Outcome::Success, Outcome::Quarantined] {
-            assert_eq!(when_met(&with(outcome), &stop), Some(look.clone()), "{id}");
+            assert_eq!(
+                when_met(&with_further(outcome), &stop),
+                Some(look.clone()),
+                "{id}"
+            );
         }
-        let met = when_met(&with(Outcome::Missing), &stop);
+        let met = when_met(&with_further(Outcome::Missing), &stop);
         assert_eq!(met, None, "{id}");
 
-        let all = with(Outcome::Failure);
-        let counted = CampaignLook::counted_when_met(&all, &stop).expect("it is met");
+        let all = with_further(Outcome::Failure);
+        let counted = CampaignLook::counted_when_met(&all, &stop).expect("the rule is met");
         // Seven conditions at three levels, and the added record.
         assert_eq!(counted.len(), 21 * look.used.len() + 1, "{id}");
         let used: BTreeSet<Unit> = look.used.iter().copied().collect();
@@ -183,7 +187,7 @@ fn a_configuration_counts_once_its_nominal_rollout_and_its_subsets_have_ended_to
     }
 }
 
-/// Suites of 100 and 30 configurations, of which 80 and 16 succeed: 73.8 %.
+/// Returns suites of 100 and 30 configurations, of which 80 and 16 succeed: 73.8 %.
 fn unequal_suites() -> Vec<Record> {
     let mut records = Vec::new();
     for at in 0..13 {
@@ -212,29 +216,31 @@ fn unequal_suites() -> Vec<Record> {
 }
 
 #[test]
-fn estimates_weigh_suites_as_the_campaign_has_them_however_early_it_ends() {
+fn estimates_weight_suites_by_their_number_of_configurations() {
     let all = unequal_suites();
     let records = Records::new(&all).expect("no rollout twice");
-    let (mut weighed, mut drawn, mut ends) = (0.0, 0.0, 0.0);
+    let (mut weighted, mut drawn, mut ends) = (0.0, 0.0, 0.0);
     for seed in 0..100 {
         let stop = Stop {
             seed,
             ..stop("width(S_sim) < 0.35", Strata::Suites)
         };
-        let look = CampaignLook::when_met(&records, &stop).expect("it is met");
-        weighed += look.estimates(&records, &stop)[&Level::L2][&Measure::SSim];
+        let look = CampaignLook::when_met(&records, &stop).expect("the rule is met");
+        weighted += look.estimates(&records, &stop)[&Level::L2][&Measure::SSim];
         let used: BTreeSet<Unit> = look.used.iter().copied().collect();
-        let of_used = records.configurations().iter();
-        let of_used = of_used.filter(|matched| used.contains(&(matched.task, matched.config)));
-        let successes = of_used.filter(|matched| matched.simultaneous == Outcome::Success);
+        let used_configurations = records.configurations().iter();
+        let used_configurations =
+            used_configurations.filter(|matched| used.contains(&(matched.task, matched.config)));
+        let successes =
+            used_configurations.filter(|matched| matched.simultaneous == Outcome::Success);
         drawn += successes.count() as f64 / used.len() as f64;
         ends += 1.0;
     }
-    let [weighed, drawn] = [weighed, drawn].map(|sum| 100.0 * sum / ends);
-    assert!((weighed - 73.8).abs() < 1.0, "{weighed}");
+    let [weighted, drawn] = [weighted, drawn].map(|sum| 100.0 * sum / ends);
+    assert!((weighted - 73.8).abs() < 1.0, "{weighted}");
     assert!(
-        weighed - drawn > 3.0,
-        "{drawn}: what was drawn is in proportion, nothing is tested"
+        weighted - drawn > 3.0,
+        "{drawn}: the drawn configurations are in proportion, so that the test shows nothing"
     );
 }
 
@@ -246,8 +252,8 @@ fn new_tasks(seed: u64) -> Stop {
 }
 
 #[test]
-fn a_rule_about_new_tasks_ends_nothing_without_an_effect_and_most_with_a_large_one() {
-    let ends = |mean: f64| {
+fn a_rule_about_new_tasks_ends_few_campaigns_without_an_effect_and_most_with_a_large_one() {
+    let count_ends = |mean: f64| {
         let effect = NetEffect {
             mean,
             share: 0.5,
@@ -258,7 +264,7 @@ fn a_rule_about_new_tasks_ends_nothing_without_an_effect_and_most_with_a_large_o
         for seed in 0..100 {
             let records = effect.campaign(&mut chance);
             if let Some(look) = when_met(&records, &new_tasks(seed)) {
-                // Only whole tasks count, equally many of each of four suites: multiples of 40.
+                // Only rounds with one whole task of each of four suites count: multiples of 40.
                 assert!(look.used.len().is_multiple_of(40), "{}", look.used.len());
                 let interval = look.levels[&Level::L2].intervals[&Measure::I];
                 assert!(interval.high() < 0.0);
@@ -268,12 +274,12 @@ fn a_rule_about_new_tasks_ends_nothing_without_an_effect_and_most_with_a_large_o
         met
     };
     // At an error rate of 5 %, more than 13 false stops in 100 have a probability of 0.0005.
-    assert!(ends(0.0) <= 13);
-    assert!(ends(-0.25) >= 90);
+    assert!(count_ends(0.0) <= 13);
+    assert!(count_ends(-0.25) >= 90);
 }
 
 #[test]
-fn a_rule_about_new_tasks_is_met_by_outcomes_up_to_the_end_of_a_round_only() {
+fn a_rule_about_new_tasks_depends_only_on_the_outcomes_up_to_its_look() {
     let effect = NetEffect {
         mean: -0.3,
         share: 0.0,
@@ -281,7 +287,7 @@ fn a_rule_about_new_tasks_is_met_by_outcomes_up_to_the_end_of_a_round_only() {
     };
     let mut records = effect.campaign(&mut Chance::new(4));
     let stop = new_tasks(1);
-    let look = when_met(&records, &stop).expect("it is met");
+    let look = when_met(&records, &stop).expect("the rule is met");
     let used: BTreeSet<Unit> = look.used.iter().copied().collect();
     for record in &mut records {
         let unit = (record.id.task(), record.id.config().expect("perturbed"));
@@ -290,7 +296,7 @@ fn a_rule_about_new_tasks_is_met_by_outcomes_up_to_the_end_of_a_round_only() {
         }
     }
     assert_eq!(when_met(&records, &stop), Some(look.clone()));
-    let last = *look.used.last().expect("some");
+    let last = *look.used.last().expect("a configuration");
     for record in &mut records {
         if (record.id.task(), record.id.config()) == (last.0, Some(last.1)) {
             record.outcome = Outcome::Missing;

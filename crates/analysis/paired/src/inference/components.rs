@@ -15,7 +15,7 @@ use crate::outcomes::Matched;
 pub struct Components {
     /// The level.
     pub level: Level,
-    /// Replicates that every counted configuration has.
+    /// Number of replicates; every counted configuration has an outcome in each.
     pub replicates: u64,
     /// Counted configurations.
     pub n: u64,
@@ -25,7 +25,8 @@ pub struct Components {
     pub configurations: f64,
     /// Variance between replicates of a configuration: chance.
     pub replicate: f64,
-    /// Design effect: variance of the rate, relative to that of as many independent outcomes.
+    /// Design effect: variance of the rate, relative to the variance of as many independent
+    /// outcomes; absent if all outcomes are equal.
     pub design_effect: Option<f64>,
     /// Standard error of the design as run.
     pub standard_error: f64,
@@ -54,20 +55,24 @@ impl Components {
         let mut levels: BTreeMap<Level, BTreeMap<(TaskRef, u16), Vec<f64>>> = BTreeMap::new();
         for matched in matched {
             if let Some(success) = matched.simultaneous.success() {
-                let of_level = levels.entry(matched.level).or_default();
-                let outcomes = of_level.entry((matched.task, matched.config)).or_default();
+                let configurations = levels.entry(matched.level).or_default();
+                let outcomes = configurations
+                    .entry((matched.task, matched.config))
+                    .or_default();
                 outcomes.push(f64::from(u8::from(success)));
             }
         }
-        let of_level = |(level, configurations): (Level, BTreeMap<(TaskRef, u16), Vec<f64>>)| {
-            let whole = configurations.into_iter();
-            let whole = whole.filter(|(_, outcomes)| outcomes.len() == replicates.len());
-            Self::of(level, replicates.len(), whole)
+        let components = |(level, configurations): (Level, BTreeMap<(TaskRef, u16), Vec<f64>>)| {
+            let complete = configurations.into_iter();
+            let complete = complete.filter(|(_, outcomes)| outcomes.len() == replicates.len());
+            Self::new(level, replicates.len(), complete)
         };
-        levels.into_iter().filter_map(of_level).collect()
+        levels.into_iter().filter_map(components).collect()
     }
 
-    fn of(
+    /// Computes the components of one level from configurations with an outcome in every
+    /// replicate.
+    fn new(
         level: Level,
         replicates: usize,
         configurations: impl Iterator<Item = ((TaskRef, u16), Vec<f64>)>,
@@ -97,10 +102,10 @@ impl Components {
         }
         let m = n / t;
         let chance = within / (n * (k - 1.0));
-        let of_configurations = k * between_configurations / (n - t);
-        let of_tasks = k * between_tasks / (t - 1.0);
-        let configurations = ((of_configurations - chance) / k).max(0.0);
-        let tasks = ((of_tasks - of_configurations) / (k * m)).max(0.0);
+        let ms_configurations = k * between_configurations / (n - t);
+        let ms_tasks = k * between_tasks / (t - 1.0);
+        let configurations = ((ms_configurations - chance) / k).max(0.0);
+        let tasks = ((ms_tasks - ms_configurations) / (k * m)).max(0.0);
         let variance = |m: f64, k: f64| (tasks + (configurations + chance / k) / m) / t;
         let independent = mean * (1.0 - mean) / (n * k);
         Some(Self {
@@ -123,17 +128,17 @@ mod tests {
     use super::*;
 
     #[test]
-    fn variance_between_replicates_only_counts_as_chance() {
-        let of = |outcomes: [[f64; 2]; 4]| {
+    fn variance_only_between_replicates_is_attributed_to_chance() {
+        let components = |outcomes: [[f64; 2]; 4]| {
             let keys = TaskRef::all()
                 .take(2)
                 .flat_map(|task| [(task, 0), (task, 1)]);
             let configurations = keys
                 .zip(outcomes)
                 .map(|(key, outcomes)| (key, outcomes.to_vec()));
-            Components::of(Level::L2, 2, configurations).expect("two of each")
+            Components::new(Level::L2, 2, configurations).expect("two tasks and replicates")
         };
-        let chance = of([[0.0, 1.0], [1.0, 0.0], [0.0, 1.0], [1.0, 0.0]]);
+        let chance = components([[0.0, 1.0], [1.0, 0.0], [0.0, 1.0], [1.0, 0.0]]);
         assert_eq!(
             (chance.tasks, chance.configurations, chance.replicate),
             (0.0, 0.0, 0.5)
@@ -141,7 +146,7 @@ mod tests {
         // A variance of 0.5 over eight outcomes, or over twelve with a third replicate.
         assert!((chance.standard_error.powi(2) - 0.5 / 8.0).abs() < 1e-12);
         assert!((chance.one_more_replicate.powi(2) - 0.5 / 12.0).abs() < 1e-12);
-        let tasks = of([[0.0, 0.0], [0.0, 0.0], [1.0, 1.0], [1.0, 1.0]]);
+        let tasks = components([[0.0, 0.0], [0.0, 0.0], [1.0, 1.0], [1.0, 1.0]]);
         assert_eq!(
             (tasks.tasks, tasks.configurations, tasks.replicate),
             (0.5, 0.0, 0.0)

@@ -19,8 +19,8 @@ const PERMUTATIONS: u32 = 1999;
 pub struct DirectionTest {
     /// Simultaneous success under each direction, over all tasks.
     pub rates: BTreeMap<u16, f64>,
-    /// p-value of the hypothesis that all directions are alike: the share of permutations of
-    /// outcomes within tasks that spread the directions' rates at least as far.
+    /// p-value of the hypothesis that success is the same under all directions: the share of
+    /// permutations of outcomes within tasks that spread the directions' rates at least as far.
     pub p: f64,
 }
 
@@ -39,8 +39,8 @@ impl DirectionTest {
         let mut tasks: BTreeMap<TaskRef, Vec<(u16, bool)>> = BTreeMap::new();
         for matched in matched {
             if let Some(success) = matched.simultaneous.success() {
-                let of_task = tasks.entry(matched.task).or_default();
-                of_task.push((matched.config, success));
+                let outcomes = tasks.entry(matched.task).or_default();
+                outcomes.push((matched.config, success));
             }
         }
         let mut numbers: Vec<u16> = tasks.values().flatten().map(|(c, _)| *c).collect();
@@ -49,25 +49,26 @@ impl DirectionTest {
         if numbers.len() < 2 || tasks.len() < 2 {
             return None;
         }
-        let place = |number: u16| numbers.binary_search(&number).expect("one of the numbers");
+        let index_of = |number: u16| numbers.binary_search(&number).expect("one of the numbers");
         let successes = tasks.values().flatten().filter(|(_, success)| *success);
         let trials: usize = tasks.values().map(Vec::len).sum();
-        // Σ (n − s)² / n and Σ s² / n differ by a constant: the rarer outcome is permuted.
+        // The outcome, true or false, that occurs less often. Only the rarer outcome is permuted,
+        // because Σ (n − s)² / n and Σ s² / n differ by a constant.
         let rarer = 2 * successes.count() <= trials;
         let mut sizes = vec![0.0; numbers.len()];
         let mut rare = vec![0.0; numbers.len()];
         // Per task, the indices of its directions and the number of rarer outcomes.
-        let mut places: Vec<(Vec<usize>, usize)> = Vec::new();
+        let mut indices: Vec<(Vec<usize>, usize)> = Vec::new();
         for outcomes in tasks.values() {
-            let of_task = outcomes.iter().map(|(number, _)| place(*number));
-            places.push((
-                of_task.clone().collect(),
+            let task_indices = outcomes.iter().map(|(number, _)| index_of(*number));
+            indices.push((
+                task_indices.clone().collect(),
                 outcomes
                     .iter()
                     .filter(|(_, success)| *success == rarer)
                     .count(),
             ));
-            for (at, (_, success)) in of_task.zip(outcomes) {
+            for (at, (_, success)) in task_indices.zip(outcomes) {
                 sizes[at] += 1.0;
                 rare[at] += f64::from(u8::from(*success == rarer));
             }
@@ -76,26 +77,26 @@ impl DirectionTest {
             let squares = rare.iter().zip(&sizes);
             squares.map(|(sum, n)| sum * sum / n).sum()
         };
-        let least = spread(&rare) - 1e-9;
+        let observed = spread(&rare) - 1e-9;
         let rates = rare.iter().zip(&sizes).map(|(sum, n)| match rarer {
             true => sum / n,
             false => 1.0 - sum / n,
         });
         let rates = numbers.iter().copied().zip(rates).collect();
         let mut rng = ChaCha12Rng::seed_from_u64(Bootstrap::default().seed);
-        let mut as_far = 0_u32;
+        let mut at_least_as_far = 0_u32;
         for _ in 0..PERMUTATIONS {
             rare.fill(0.0);
-            for (places, count) in &mut places {
+            for (indices, count) in &mut indices {
                 for drawn in 0..*count {
-                    let left = places.len() - drawn;
-                    places.swap(drawn, drawn + below(left, &mut rng));
-                    rare[places[drawn]] += 1.0;
+                    let remaining = indices.len() - drawn;
+                    indices.swap(drawn, drawn + below(remaining, &mut rng));
+                    rare[indices[drawn]] += 1.0;
                 }
             }
-            as_far += u32::from(spread(&rare) >= least);
+            at_least_as_far += u32::from(spread(&rare) >= observed);
         }
-        let p = f64::from(as_far + 1) / f64::from(PERMUTATIONS + 1);
+        let p = f64::from(at_least_as_far + 1) / f64::from(PERMUTATIONS + 1);
         Some(Self { rates, p })
     }
 

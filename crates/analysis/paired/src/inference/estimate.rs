@@ -60,8 +60,8 @@ impl Estimate {
             return None;
         }
         let variances = sample.variances(statistic);
-        let enough = sample.tasks() >= FEWEST_TASKS;
-        let task_wide = |variance: Option<Variance>| variance.filter(|_| enough);
+        let has_enough_tasks = sample.tasks() >= FEWEST_TASKS;
+        let over_tasks = |variance: Option<Variance>| variance.filter(|_| has_enough_tasks);
         let interval = |variance: Option<Variance>, units: usize| {
             let variance = variance?;
             match scale {
@@ -73,14 +73,14 @@ impl Estimate {
                 Scale::Mean => around(value, variance),
             }
         };
-        let tasks = task_wide(variances.new_tasks);
+        let tasks = over_tasks(variances.new_tasks);
         let spread = tasks.filter(|variance| variance.value > NO_VARIANCE);
         Some(Self {
             value,
             these_tasks: interval(variances.these_tasks, sample.rows()),
             new_tasks: interval(tasks, sample.tasks()),
             new_tasks_and_directions: interval(
-                task_wide(variances.new_tasks_and_directions),
+                over_tasks(variances.new_tasks_and_directions),
                 sample.tasks(),
             ),
             standard_error: spread.map(|variance| variance.value.sqrt()),
@@ -124,8 +124,9 @@ fn around(
 }
 
 /// Returns the complementary log-log interval value^exp(±t·√V / (value·|ln value|)); `None`
-/// without variance or if the value is 0 or 1. An interval on the log scale missed a product of
-/// six rates near 1 in 6 to 10 % of simulated campaigns, nearly always from above.
+/// without variance or if the value is 0 or 1. In 6 to 10 % of simulated
+/// campaigns, an interval on the log scale missed a product of six rates close to 1, nearly always
+/// from above.
 ///
 /// Source: J. D. Kalbfleisch and R. L. Prentice, The Statistical Analysis of Failure Time
 /// Data (1980), section 1.3, for survival curves, which are also products of shares.
@@ -177,7 +178,7 @@ pub(crate) fn share(part: usize, whole: usize) -> impl Fn(&[f64]) -> f64 {
     move |sums| sums[part] / sums[whole]
 }
 
-/// Unwraps an estimate that is defined because the rows are not empty.
+/// Unwraps an estimate over at least one row, which is always defined.
 pub(crate) fn defined(estimate: Option<Estimate>) -> Estimate {
     estimate.expect("a share of at least one configuration is defined")
 }
@@ -188,7 +189,7 @@ mod tests {
 
     #[test]
     fn an_interval_of_a_product_is_wider_towards_the_far_bound() {
-        let of = |value| {
+        let distances = |value| {
             let variance = Variance {
                 value: 0.0025,
                 df: 9.0,
@@ -197,7 +198,7 @@ mod tests {
             assert!(0.0 < low && low < value && value < high && high < 1.0);
             [value - low, high - value]
         };
-        let [[below, above], [further_below, less_above]] = [of(0.1), of(0.9)];
+        let [[below, above], [further_below, less_above]] = [distances(0.1), distances(0.9)];
         assert!(above > below && further_below > less_above);
         let none = Variance {
             value: 0.0,

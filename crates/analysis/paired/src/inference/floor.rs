@@ -41,14 +41,17 @@ pub struct Excess {
     pub excess: Simultaneity,
 }
 
-/// Columns of a row: complete at the level, emergent, compensated; then complete in the
-/// placebo and the expected values of both there.
+/// Columns of a row for the level: 1 if the configuration is complete, and whether it is emergent
+/// and compensated.
 const LEVEL: [usize; 3] = [0, 1, 2];
+/// Columns of a row for the placebo: 1 if the configuration is complete, and the probabilities that
+/// it is emergent and compensated, from [`expected`].
 const PLACEBO: [usize; 3] = [3, 4, 5];
 
 impl Excess {
     /// Computes the excess over the complete configurations of the level and the placebo.
-    /// `None` if either has none or if their axes differ.
+    /// `None` if the level or the placebo has no complete configuration, or if their axes
+    /// differ.
     pub(crate) fn of(
         matched: &[Matched],
         placebo: &[Matched],
@@ -58,7 +61,7 @@ impl Excess {
         let mut counts = [0_u64; 2];
         let mut axes: Option<usize> = None;
         let columns = [LEVEL, PLACEBO];
-        for (which, configurations) in [matched, placebo].into_iter().enumerate() {
+        for (source, configurations) in [matched, placebo].into_iter().enumerate() {
             for matched in configurations {
                 let Some(configuration) = matched.configuration() else {
                     continue;
@@ -68,7 +71,7 @@ impl Excess {
                 if *axes.get_or_insert(all) != all {
                     return None;
                 }
-                let (emergent, compensated) = match which {
+                let (emergent, compensated) = match source {
                     0 => (
                         f64::from(u8::from(alone == all && !configuration.simultaneous)),
                         f64::from(u8::from(alone < all && configuration.simultaneous)),
@@ -77,11 +80,13 @@ impl Excess {
                 };
                 let row = rows.entry((matched.task, matched.config));
                 let row = row.or_insert_with(|| vec![0.0; 6]);
-                for (column, value) in columns[which].into_iter().zip([1.0, emergent, compensated])
+                for (column, value) in columns[source]
+                    .into_iter()
+                    .zip([1.0, emergent, compensated])
                 {
                     row[column] = value;
                 }
-                counts[which] += 1;
+                counts[source] += 1;
             }
         }
         let rows: Vec<Row> = rows
@@ -93,9 +98,10 @@ impl Excess {
             })
             .collect();
         let sample = Sample::new(&rows, directions)?;
-        let simultaneity = |scale, of: &dyn Fn(&[f64], [f64; 2]) -> f64| {
-            let estimate =
-                |scale, weights: [f64; 2]| Estimate::of(&sample, scale, &|sums| of(sums, weights));
+        let simultaneity = |scale, statistic: &dyn Fn(&[f64], [f64; 2]) -> f64| {
+            let estimate = |scale, weights: [f64; 2]| {
+                Estimate::of(&sample, scale, &|sums| statistic(sums, weights))
+            };
             Some(Simultaneity {
                 r_e: estimate(scale, [1.0, 0.0])?,
                 r_c: estimate(scale, [0.0, 1.0])?,
@@ -121,10 +127,11 @@ impl Excess {
 /// emergent failure and a compensated success, if each rollout is equally likely to be the
 /// simultaneous one.
 ///
-/// No rollout of a placebo is perturbed, so that they are exchangeable; the average has the
-/// same expectation as the measure itself and a smaller variance (D. Blackwell, Annals of
-/// Mathematical Statistics 18 (1947), 105–110). A lone failure is emergent if it is the
-/// simultaneous rollout. A simultaneous success beside any failure is compensated.
+/// The rollouts of a placebo are exchangeable, because no perturbation is large enough to matter.
+/// The average has the same expectation as the measure itself and a smaller variance
+/// (D. Blackwell, Annals of Mathematical Statistics 18 (1947), 105–110). A lone failure is
+/// emergent if it is the simultaneous rollout. A simultaneous success beside any failure is
+/// compensated.
 fn expected(successes: usize, rollouts: usize) -> (f64, f64) {
     let part = |count: usize| count as f64 / rollouts as f64;
     let failures = rollouts - successes;
@@ -151,7 +158,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_average_over_roles_has_the_expectation_of_the_measure() {
+    fn the_average_over_choices_of_the_simultaneous_rollout_has_the_expectation_of_the_measure() {
         let p: f64 = 0.9;
         let (mut emergent, mut compensated) = (0.0, 0.0);
         for outcomes in 0..1_u32 << 7 {

@@ -28,9 +28,9 @@ pub struct Loss {
     pub success: Estimate,
     /// `nominal` − `success`.
     pub loss: Estimate,
-    /// Configurations of which only the nominal rollout succeeds.
+    /// Configurations in which only the nominal rollout succeeds.
     pub nominal_only: u64,
-    /// Configurations that succeed only under the condition.
+    /// Configurations in which only the rollout under the condition succeeds.
     pub condition_only: u64,
     /// Exact two-sided sign-flip p-value of the loss over tasks.
     pub sign_flip_p: f64,
@@ -43,7 +43,7 @@ pub struct Loss {
     pub equivalence_p: Option<f64>,
 }
 
-/// Columns: 1, nominal, success.
+/// Columns of a row: 1, nominal success, success under the condition.
 const N: usize = 0;
 const NOMINAL: usize = 1;
 const SUCCESS: usize = 2;
@@ -59,7 +59,7 @@ impl Loss {
             if losses.contains_key(&condition) {
                 continue;
             }
-            if let Some(loss) = Self::of(matched, condition, directions) {
+            if let Some(loss) = Self::under(matched, condition, directions) {
                 losses.insert(condition, loss);
             }
         }
@@ -70,7 +70,8 @@ impl Loss {
         losses
     }
 
-    fn of(matched: &[Matched], condition: Condition, directions: Directions) -> Option<Self> {
+    /// Computes the loss under one condition; `None` if no configuration has both outcomes.
+    fn under(matched: &[Matched], condition: Condition, directions: Directions) -> Option<Self> {
         let mut net: BTreeMap<TaskRef, i64> = BTreeMap::new();
         let (mut nominal_only, mut condition_only) = (0, 0);
         let rows = matched.iter().filter_map(|matched| {

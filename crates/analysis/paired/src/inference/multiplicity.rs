@@ -5,8 +5,8 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 
 use crate::bootstrap::{Bootstrap, quantile};
 
-/// Adjusts p-values for multiple testing: rejecting all hypotheses with an adjusted value
-/// below 5 % makes any false rejection with a probability of at most 5 %. The j-th smallest of
+/// Adjusts p-values for multiple testing. If all hypotheses with an adjusted value below 5 % are
+/// rejected, the probability of any false rejection is at most 5 %. The j-th smallest of
 /// m becomes max_{i ≤ j} min(1, (m − i + 1)·p_(i)).
 ///
 /// Source: S. Holm, A simple sequentially rejective multiple test procedure,
@@ -17,8 +17,8 @@ pub fn holm(p_values: &[f64]) -> Vec<f64> {
     let mut adjusted = vec![0.0; p_values.len()];
     let mut greatest: f64 = 0.0;
     for (rank, &at) in order.iter().enumerate() {
-        let left = (p_values.len() - rank) as f64;
-        greatest = greatest.max((left * p_values[at]).min(1.0));
+        let remaining = (p_values.len() - rank) as f64;
+        greatest = greatest.max((remaining * p_values[at]).min(1.0));
         adjusted[at] = greatest;
     }
     adjusted
@@ -27,9 +27,9 @@ pub fn holm(p_values: &[f64]) -> Vec<f64> {
 /// Returns the half-width, in standard errors, of simultaneous 95 % intervals of several
 /// statistics of the same tasks: the 95th percentile of max_k |Σ_g w_g u_gk| / s*_k over
 /// random signs w, with u the jackknife's pseudo-values of task g and statistic k and s* the
-/// standard error under the same signs. `strata` has the numbers of consecutive tasks in each
-/// stratum of the statistics' own standard errors: s* is stratified alike, because one that
-/// pools four suites made intervals of 40 tasks too narrow. `None` with fewer than two tasks in
+/// standard error under the same signs. `strata` has the number of consecutive tasks in each
+/// stratum. s* has the same strata as the statistics' own standard errors, because an s* pooled
+/// over four suites made the intervals of 40 tasks too narrow. `None` with fewer than two tasks in
 /// a stratum or without variance.
 ///
 /// Sources: J. P. Romano and M. Wolf, Exact and approximate stepdown methods for multiple
@@ -48,14 +48,14 @@ pub fn max_t(pseudo_values: &[Vec<f64>], strata: &[usize], bootstrap: &Bootstrap
             let signs: Vec<f64> = (0..tasks)
                 .map(|_| if rng.next_u32() & 1 == 1 { 1.0 } else { -1.0 })
                 .collect();
-            let of_each = statistics.iter().map(|values| {
+            let t_values = statistics.iter().map(|values| {
                 let (sum, variance) = under_signs(values, &signs, strata);
                 match variance > 0.0 {
                     true => sum.abs() / variance.sqrt(),
                     false => f64::INFINITY,
                 }
             });
-            of_each.fold(0.0, f64::max)
+            t_values.fold(0.0, f64::max)
         })
         .collect();
     greatest.sort_unstable_by(f64::total_cmp);
@@ -97,7 +97,7 @@ mod tests {
     }
 
     #[test]
-    fn one_statistic_is_as_wide_as_students_t_and_many_are_wider() {
+    fn the_half_width_of_one_statistic_is_that_of_students_t_and_of_many_is_greater() {
         let mut rng = ChaCha12Rng::seed_from_u64(1);
         let mut column = || -> Vec<f64> {
             let values: Vec<f64> = (0..40)
@@ -115,20 +115,21 @@ mod tests {
     }
 
     #[test]
-    fn strata_leave_fewer_degrees_of_freedom() {
+    fn strata_widen_intervals_by_leaving_fewer_degrees_of_freedom() {
         let mut rng = ChaCha12Rng::seed_from_u64(2);
         let mut values = Vec::new();
         for _ in 0..4 {
-            let own: Vec<f64> = (0..3)
+            let stratum: Vec<f64> = (0..3)
                 .map(|_| rng.next_u32() as f64 / f64::from(u32::MAX))
                 .collect();
-            let mean = own.iter().sum::<f64>() / 3.0;
-            values.extend(own.iter().map(|value| value - mean));
+            let mean = stratum.iter().sum::<f64>() / 3.0;
+            values.extend(stratum.iter().map(|value| value - mean));
         }
-        let of = |strata: &[usize]| max_t(&[values.clone()], strata, &Bootstrap::default());
-        let [pooled, stratified] = [of(&[12]), of(&[3; 4])].map(|width| width.expect("a spread"));
+        let critical = |strata: &[usize]| max_t(&[values.clone()], strata, &Bootstrap::default());
+        let [pooled, stratified] =
+            [critical(&[12]), critical(&[3; 4])].map(|width| width.expect("a spread"));
         assert!(stratified > 1.03 * pooled, "{stratified} {pooled}");
-        assert_eq!(of(&[11, 1]), None);
+        assert_eq!(critical(&[11, 1]), None);
         // With two pairs of tasks, one in four assignments of signs leaves no variance.
         let pairs = vec![vec![0.1, -0.1, 0.3, -0.3]];
         assert_eq!(max_t(&pairs, &[2, 2], &Bootstrap::default()), None);

@@ -20,7 +20,7 @@ pub struct PairedEstimates {
     pub s_indep: Estimate,
     /// Share that succeeds under every axis alone.
     pub s_conj: Estimate,
-    /// Share that succeeds simultaneously.
+    /// Share that succeeds under simultaneous perturbation.
     pub s_sim: Estimate,
     /// `s_conj` − `s_indep`.
     pub d: Estimate,
@@ -39,10 +39,10 @@ pub struct PairedEstimates {
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Eligible {
     /// b / (n·S_conj): share of simultaneous failures among the configurations that succeed
-    /// under every axis alone. Absent if no configuration does.
+    /// under every axis alone. Absent if no configuration succeeds under every axis alone.
     pub emergent: Option<Estimate>,
     /// c / (n·(1 − S_conj)): share of simultaneous successes among all other configurations.
-    /// Absent if there are none.
+    /// Absent if there are no others.
     pub compensated: Option<Estimate>,
 }
 
@@ -74,7 +74,7 @@ const COMPENSATED: usize = 4;
 const AXES: usize = 5;
 
 fn row(matched: &Matched, configuration: &Configuration) -> Row {
-    let number = |is: bool| f64::from(u8::from(is));
+    let number = |value: bool| f64::from(u8::from(value));
     let (conjunction, simultaneous) = (configuration.conjunction(), configuration.simultaneous);
     let mut values = vec![
         1.0,
@@ -91,49 +91,52 @@ fn row(matched: &Matched, configuration: &Configuration) -> Row {
     }
 }
 
-fn complete(matched: &[Matched]) -> Vec<Row> {
+/// Returns a row for each complete configuration.
+fn complete_rows(matched: &[Matched]) -> Vec<Row> {
     let rows = matched.iter();
     rows.filter_map(|matched| Some(row(matched, &matched.configuration()?)))
         .collect()
 }
 
-fn product(sums: &[f64]) -> f64 {
+fn axis_product(sums: &[f64]) -> f64 {
     sums[AXES..].iter().map(|sum| sum / sums[N]).product()
 }
 
 impl PairedEstimates {
     /// Returns `None` if no configuration is complete.
     pub(crate) fn of(matched: &[Matched], directions: Directions) -> Option<Self> {
-        let rows = complete(matched);
+        let rows = complete_rows(matched);
         let sample = Sample::new(&rows, directions)?;
-        let of = |scale, statistic: &dyn Fn(&[f64]) -> f64| {
+        let estimate = |scale, statistic: &dyn Fn(&[f64]) -> f64| {
             defined(Estimate::of(&sample, scale, statistic))
         };
         Some(Self {
-            s_indep: of(Scale::Product, &product),
-            s_conj: of(Scale::Share, &share(CONJUNCTION, N)),
-            s_sim: of(Scale::Share, &share(SIMULTANEOUS, N)),
-            d: of(Scale::Difference, &|s| s[CONJUNCTION] / s[N] - product(s)),
-            i: of(Scale::Difference, &|s| {
+            s_indep: estimate(Scale::Product, &axis_product),
+            s_conj: estimate(Scale::Share, &share(CONJUNCTION, N)),
+            s_sim: estimate(Scale::Share, &share(SIMULTANEOUS, N)),
+            d: estimate(Scale::Difference, &|s| {
+                s[CONJUNCTION] / s[N] - axis_product(s)
+            }),
+            i: estimate(Scale::Difference, &|s| {
                 (s[SIMULTANEOUS] - s[CONJUNCTION]) / s[N]
             }),
-            r_e: of(Scale::Share, &share(EMERGENT, N)),
-            r_c: of(Scale::Share, &share(COMPENSATED, N)),
-            r_d: of(Scale::Share, &|s| (s[EMERGENT] + s[COMPENSATED]) / s[N]),
+            r_e: estimate(Scale::Share, &share(EMERGENT, N)),
+            r_c: estimate(Scale::Share, &share(COMPENSATED, N)),
+            r_d: estimate(Scale::Share, &|s| (s[EMERGENT] + s[COMPENSATED]) / s[N]),
         })
     }
 }
 
 impl Eligible {
     pub(crate) fn of(matched: &[Matched], directions: Directions) -> Self {
-        let rows = complete(matched);
+        let rows = complete_rows(matched);
         let sample = Sample::new(&rows, directions);
-        let of = |statistic: &dyn Fn(&[f64]) -> f64| {
+        let estimate = |statistic: &dyn Fn(&[f64]) -> f64| {
             Estimate::of(sample.as_ref()?, Scale::Share, statistic)
         };
         Self {
-            emergent: of(&share(EMERGENT, CONJUNCTION)),
-            compensated: of(&|s| s[COMPENSATED] / (s[N] - s[CONJUNCTION])),
+            emergent: estimate(&share(EMERGENT, CONJUNCTION)),
+            compensated: estimate(&|s| s[COMPENSATED] / (s[N] - s[CONJUNCTION])),
         }
     }
 }

@@ -41,7 +41,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_share_of_signs_is_that_of_an_enumeration() {
+    fn the_p_value_equals_that_of_an_enumeration_of_all_signs() {
         let net = [3, -1, 2, 0, 5, 1, -2_i64];
         let observed = net.iter().sum::<i64>().abs();
         let far = (0..1_u32 << net.len()).filter(|signs| {

@@ -7,7 +7,7 @@ const TERMS: u32 = 500;
 /// Relative error at which the continued fraction is taken to have converged.
 const PRECISION: f64 = 1e-15;
 
-/// P(|T| > `t`) of Student's t with `df` degrees of freedom: I_x(df/2, ½) at
+/// Returns P(|T| > `t`) of Student's t with `df` degrees of freedom: I_x(df/2, ½) at
 /// x = df / (df + t²), the regularised incomplete beta function.
 ///
 /// Source: M. Abramowitz and I. Stegun, Handbook of Mathematical Functions (1964),
@@ -19,7 +19,7 @@ pub(crate) fn two_sided_tail(t: f64, df: f64) -> f64 {
     incomplete_beta(df / (df + t * t), df / 2.0, 0.5)
 }
 
-/// P(T > `t`).
+/// Returns P(T > `t`).
 pub(crate) fn upper_tail(t: f64, df: f64) -> f64 {
     let half = two_sided_tail(t, df) / 2.0;
     if t >= 0.0 { half } else { 1.0 - half }
@@ -62,6 +62,7 @@ fn incomplete_beta(x: f64, a: f64, b: f64) -> f64 {
     }
 }
 
+/// Returns the value of the continued fraction of [`incomplete_beta`].
 fn fraction(x: f64, a: f64, b: f64) -> f64 {
     let nonzero = |value: f64| {
         if value.abs() < f64::MIN_POSITIVE {
@@ -91,7 +92,7 @@ fn fraction(x: f64, a: f64, b: f64) -> f64 {
     value
 }
 
-/// ln Γ, by Stirling's series after shifting the argument above 10.
+/// Returns ln Γ(z) by Stirling's series after shifting the argument above 10.
 ///
 /// Source: Abramowitz and Stegun, 6.1.41.
 fn ln_gamma(z: f64) -> f64 {
@@ -110,9 +111,9 @@ fn ln_gamma(z: f64) -> f64 {
 mod tests {
     use super::*;
 
-    /// Expected values are from SciPy's `stats.t`.
+    /// Expected values from SciPy's `stats.t`.
     #[test]
-    fn quantiles_and_tails_are_those_of_the_tables() {
+    fn quantiles_and_tails_agree_with_scipy() {
         for (df, expected) in [
             (1.0, 12.706204736432095),
             (4.0, 2.7764451051977987),

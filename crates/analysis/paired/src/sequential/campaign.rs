@@ -1,4 +1,4 @@
-//! Looks at a campaign that may end early: its confidence sequences by level.
+//! Interim looks at a campaign that may end early: its confidence sequences by level.
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -10,7 +10,8 @@ use crate::sequential::measures::SequentialMeasures;
 use crate::sequential::new_tasks::NewTasks;
 use crate::sequential::order::{Order, Unit};
 
-/// Largest probability that an interval of a level, or of a comparison, ever misses.
+/// Largest probability that any interval of a level, or of a comparison, excludes the true value
+/// at any look.
 pub const SEQUENTIAL_ALPHA: f64 = 0.05;
 
 /// A look at a campaign that may end early. All levels rest on the same
@@ -35,13 +36,13 @@ pub fn drawn_order(stop: &Stop, units: impl IntoIterator<Item = Unit>) -> Order<
         Strata::Suites => Order::new(stop.seed, units, |(task, _)| task.suite()),
         Strata::Tasks => Order::new(stop.seed, units, |(task, _)| *task),
         Strata::WholeTasks => {
-            let mut of_tasks: BTreeMap<TaskRef, BTreeSet<u16>> = BTreeMap::new();
+            let mut configs_by_task: BTreeMap<TaskRef, BTreeSet<u16>> = BTreeMap::new();
             for (task, config) in units {
-                of_tasks.entry(task).or_default().insert(config);
+                configs_by_task.entry(task).or_default().insert(config);
             }
-            let tasks = of_tasks.keys().copied();
-            Order::new(stop.seed, tasks, |task| task.suite()).of_parts(|task| {
-                let configs = of_tasks[task].iter();
+            let tasks = configs_by_task.keys().copied();
+            Order::new(stop.seed, tasks, |task| task.suite()).expand(|task| {
+                let configs = configs_by_task[task].iter();
                 configs.map(|config| (*task, *config)).collect()
             })
         }
@@ -51,7 +52,7 @@ pub fn drawn_order(stop: &Stop, units: impl IntoIterator<Item = Unit>) -> Order<
 /// The confidence sequences of one level, for the target of the rule.
 enum Sequences {
     /// Sequences about the campaign's configurations.
-    These(Box<SequentialMeasures<Unit>>),
+    Configurations(Box<SequentialMeasures<Unit>>),
     /// Sequences about new tasks.
     NewTasks(NewTasks),
 }
@@ -59,7 +60,10 @@ enum Sequences {
 impl Sequences {
     fn new(order: &Order<Unit>, stop: &Stop) -> Self {
         if !stop.rule.is_about_new_tasks() {
-            return Self::These(Box::new(SequentialMeasures::new(order, SEQUENTIAL_ALPHA)));
+            return Self::Configurations(Box::new(SequentialMeasures::new(
+                order,
+                SEQUENTIAL_ALPHA,
+            )));
         }
         let measures = stop.rule.clauses().iter().map(|clause| clause.measure());
         let measures: BTreeSet<Measure> = measures.collect();
@@ -69,7 +73,7 @@ impl Sequences {
     /// Adds the next configuration of the order.
     fn complete(&mut self, unit: &Unit, possible: &[Transition]) {
         match self {
-            Self::These(sequence) => {
+            Self::Configurations(sequence) => {
                 let taken = sequence.complete(unit, possible);
                 taken.expect("a configuration of the order");
             }
@@ -79,7 +83,7 @@ impl Sequences {
 
     fn look(&self) -> Look {
         match self {
-            Self::These(sequence) => sequence.look(),
+            Self::Configurations(sequence) => sequence.look(),
             Self::NewTasks(sequence) => sequence.look(),
         }
     }
@@ -109,9 +113,9 @@ impl CampaignLook {
     }
 
     /// Returns the records that count in a campaign that stopped early: those of the
-    /// configurations that its last look rests on, with their nominal rollouts. The others
-    /// would bias figures, because whether one finished depends on its duration and
-    /// therefore on its outcome. `None` if the rule is not met.
+    /// configurations that its last look rests on, with their nominal rollouts. All other records
+    /// would bias figures, because a rollout that has finished tends to be short, and duration
+    /// depends on the outcome. `None` if the rule is not met.
     pub fn counted_when_met(records: &[Record], stop: &Stop) -> Option<Vec<Record>> {
         let matched = Records::new(records).ok()?;
         Some(Self::when_met(&matched, stop)?.counted(records))
@@ -120,10 +124,10 @@ impl CampaignLook {
     fn counted(&self, records: &[Record]) -> Vec<Record> {
         let used: BTreeSet<Unit> = self.used.iter().copied().collect();
         let is_used = |record: &Record| unit(record.id).is_some_and(|unit| used.contains(&unit));
-        let of_used = records.iter().filter(|record| is_used(record));
-        let states: BTreeSet<RolloutId> = of_used.map(nominal).collect();
-        let counts = |record: &&Record| is_used(record) || states.contains(&record.id);
-        records.iter().filter(counts).copied().collect()
+        let used_records = records.iter().filter(|record| is_used(record));
+        let states: BTreeSet<RolloutId> = used_records.map(nominal).collect();
+        let is_counted = |record: &&Record| is_used(record) || states.contains(&record.id);
+        records.iter().filter(is_counted).copied().collect()
     }
 }
 
@@ -136,7 +140,7 @@ fn nominal(record: &Record) -> RolloutId {
     RolloutId::clean(record.id.task(), record.init_id)
 }
 
-/// A walk through the drawn order.
+/// Walk through the drawn order that adds one configuration per step.
 struct Walk<'a> {
     order: Vec<Unit>,
     configurations: BTreeMap<(Level, Unit), &'a Matched>,
@@ -149,9 +153,9 @@ struct Walk<'a> {
 impl<'a> Walk<'a> {
     /// Starts the walk before the first configuration.
     fn begin(records: &'a Records, stop: &Stop) -> Option<Self> {
-        let of_first_replicate = records.configurations().iter();
-        let of_first_replicate = of_first_replicate.filter(|matched| matched.replicate == 0);
-        let configurations: BTreeMap<(Level, Unit), &Matched> = of_first_replicate
+        let first_replicate = records.configurations().iter();
+        let first_replicate = first_replicate.filter(|matched| matched.replicate == 0);
+        let configurations: BTreeMap<(Level, Unit), &Matched> = first_replicate
             .map(|matched| ((matched.level, (matched.task, matched.config)), matched))
             .collect();
         let units: BTreeSet<Unit> = configurations.keys().map(|(_, unit)| *unit).collect();
@@ -192,11 +196,11 @@ impl<'a> Walk<'a> {
         if self.open.contains(&unit) {
             return false;
         }
-        let of_level = |level: &Level| -> Option<Vec<Transition>> {
+        let transitions = |level: &Level| -> Option<Vec<Transition>> {
             let matched = self.configurations.get(&(*level, unit))?;
             matched.possible_transitions()
         };
-        let possible: Option<Vec<_>> = self.sequences.keys().map(of_level).collect();
+        let possible: Option<Vec<_>> = self.sequences.keys().map(transitions).collect();
         let Some(possible) = possible else {
             return false;
         };

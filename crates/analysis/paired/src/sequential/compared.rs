@@ -47,9 +47,11 @@ pub fn compared_looks(
     }
     let order = drawn_order(order, units.iter().copied());
     let mut looks = Vec::new();
-    for (&(level, condition), of_a) in &a {
-        let of_b = b.get(&(level, condition));
-        let Some(of_b) = of_b.filter(|of_b| [of_a.len(), of_b.len()] == [units.len(); 2]) else {
+    for (&(level, condition), outcomes_a) in &a {
+        let outcomes_b = b.get(&(level, condition));
+        let Some(outcomes_b) = outcomes_b
+            .filter(|outcomes_b| [outcomes_a.len(), outcomes_b.len()] == [units.len(); 2])
+        else {
             continue;
         };
         let is_unpaired = |&(task, config): &Unit| {
@@ -62,7 +64,7 @@ pub fn compared_looks(
         let mut difference = SequentialDifference::new(&order, SEQUENTIAL_ALPHA);
         let mut met_after = None;
         for unit in order.units() {
-            let taken = difference.complete(unit, of_a[unit], of_b[unit]);
+            let taken = difference.complete(unit, outcomes_a[unit], outcomes_b[unit]);
             taken.expect("a configuration of the order");
             let look = difference.look();
             if met_after.is_none() && rule.is_some_and(|rule| look.meets(rule)) {
@@ -87,8 +89,8 @@ fn outcomes(records: &[Record]) -> Outcomes {
     for record in records.iter().filter(|record| record.replicate == 0) {
         let id = record.id;
         if let Some(config) = id.config() {
-            let of_cell = outcomes.entry((id.level(), id.condition())).or_default();
-            of_cell.insert((id.task(), config), record.outcome);
+            let cell = outcomes.entry((id.level(), id.condition())).or_default();
+            cell.insert((id.task(), config), record.outcome);
         }
     }
     outcomes

@@ -8,7 +8,7 @@ use crate::outcomes::Outcome;
 use crate::sequential::look::Look;
 use crate::sequential::order::Order;
 use crate::sequential::prefix::NotInOrder;
-use crate::sequential::together::Together;
+use crate::sequential::simultaneous::SimultaneousSequences;
 
 /// The confidence sequence of success rate A − success rate B over the same
 /// rollouts: those of one condition at one level, in strata of tasks.
@@ -16,7 +16,7 @@ use crate::sequential::together::Together;
 /// Rollouts may complete in any order and are used in the drawn order, like the
 /// configurations of [`SequentialMeasures`](crate::SequentialMeasures).
 #[derive(Clone, Debug)]
-pub struct SequentialDifference<U>(Together<U, 1>);
+pub struct SequentialDifference<U>(SimultaneousSequences<U, 1>);
 
 impl<U: Ord + Clone + fmt::Debug> SequentialDifference<U> {
     /// Creates the sequence before the first rollout. The interval holds at all looks with a
@@ -26,11 +26,11 @@ impl<U: Ord + Clone + fmt::Debug> SequentialDifference<U> {
     /// If `alpha` is not between 0 and 1, or the order has no unit.
     pub fn new(order: &Order<U>, alpha: f64) -> Self {
         let measures = [(Measure::Difference, [-1, 1])];
-        Self(Together::new(order, measures, alpha))
+        Self(SimultaneousSequences::new(order, measures, alpha))
     }
 
-    /// Adds a rollout's outcomes under A and under B; ignored while either is missing. If one
-    /// is quarantined, the interval is valid for both of its possible outcomes. Only the
+    /// Adds a rollout's outcomes under A and under B; ignored while either is missing. If an
+    /// outcome is quarantined, the interval is valid whether it is a success or a failure. Only the
     /// first outcomes given for a rollout count.
     ///
     /// # Errors

@@ -4,11 +4,11 @@
 /// Sizes of the bets in both directions, relative to the values' unit; they grow
 /// as a stratum runs out ([`Stratum::stake`]). Each is nearly optimal for one
 /// width of the interval, from the width after a fifth of the population to that after
-/// nine tenths; the average of all is never far from the best.
+/// nine tenths; the average over all sizes is never far from the best.
 const SIZES: [f64; 4] = [0.15, 0.25, 0.4, 0.7];
 
 /// Largest share of the capital that a bet may lose on one draw.
-const MOST_LOST: f64 = 0.9;
+const MAX_LOSS: f64 = 0.9;
 
 /// Weight of the prior of the centre: a number of virtual draws with the middle value of
 /// the range.
@@ -53,10 +53,10 @@ struct Stratum {
     remaining: i64,
     drawn: i64,
     /// Least and greatest sum that the drawn units can have.
-    seen: [i64; 2],
+    sum: [i64; 2],
 }
 
-/// One size of bet, for or against.
+/// A bet of one size, on large values or, if the size is negative, on small ones.
 #[derive(Clone, Debug)]
 struct Bet {
     size: f64,
@@ -68,26 +68,26 @@ struct Bet {
 }
 
 impl Stratum {
-    /// Least and greatest total that is still possible.
+    /// Returns the least and greatest total that is still possible.
     fn totals(&self, [least, greatest]: [i64; 2]) -> [i64; 2] {
         [
-            self.seen[0] + least * self.remaining,
-            self.seen[1] + greatest * self.remaining,
+            self.sum[0] + least * self.remaining,
+            self.sum[1] + greatest * self.remaining,
         ]
     }
 
-    /// Returns the mean of the drawn units, shrunk towards that of all strata.
+    /// Returns the mean of the drawn units, shrunk towards the mean over all strata.
     fn centre(&self, pooled: f64) -> f64 {
-        (middle(self.seen) + POOLED_DRAWS * pooled) / (self.drawn as f64 + POOLED_DRAWS)
+        (middle(self.sum) + POOLED_DRAWS * pooled) / (self.drawn as f64 + POOLED_DRAWS)
     }
 
     /// Returns the stake of a bet on the next draw. It grows as fewer units remain, because
     /// a wrong total then shifts the expectation of the next unit further.
     fn stake(&self, size: f64, mean_size: f64, centre: f64, [least, greatest]: [i64; 2]) -> f64 {
         let stake = size * mean_size / self.remaining as f64;
-        let most = MOST_LOST / (centre - least as f64);
-        let least = -MOST_LOST / (greatest as f64 - centre);
-        stake.clamp(least, most)
+        let max_stake = MAX_LOSS / (centre - least as f64);
+        let min_stake = -MAX_LOSS / (greatest as f64 - centre);
+        stake.clamp(min_stake, max_stake)
     }
 }
 
@@ -98,7 +98,7 @@ impl EProcess {
         let strata = sizes.iter().map(|&size| Stratum {
             remaining: size as i64,
             drawn: 0,
-            seen: [0, 0],
+            sum: [0, 0],
         });
         let totals = |&size: &usize| size * (range[1] - range[0]) as usize + 1;
         let bet = |size: f64| Bet {
@@ -125,16 +125,16 @@ impl EProcess {
 
     /// Returns the mean of all drawn units and the virtual prior draws.
     fn pooled(&self) -> f64 {
-        let seen: f64 = self.strata.iter().map(|stratum| middle(stratum.seen)).sum();
+        let sum: f64 = self.strata.iter().map(|stratum| middle(stratum.sum)).sum();
         let drawn: i64 = self.strata.iter().map(|stratum| stratum.drawn).sum();
-        (seen + PRIOR_DRAWS * middle(self.range)) / (drawn as f64 + PRIOR_DRAWS)
+        (sum + PRIOR_DRAWS * middle(self.range)) / (drawn as f64 + PRIOR_DRAWS)
     }
 
     fn draw(&mut self, index: usize, value: [i64; 2], pooled: f64) {
         let stratum = &self.strata[index];
         let centre = stratum.centre(pooled);
         let [lowest, highest] = stratum.totals(self.range);
-        let first = self.range[0] * (stratum.drawn + stratum.remaining);
+        let initial_least = self.range[0] * (stratum.drawn + stratum.remaining);
         for bet in &mut self.bets {
             let stake = stratum.stake(bet.size, self.mean_size, centre, self.range);
             // The e-value is smallest at the least value if the bet is on large values and
@@ -142,22 +142,23 @@ impl EProcess {
             let worst = usize::from(stake < 0.0);
             bet.gains += (stake * (value[worst] as f64 - centre)).ln_1p();
             for total in lowest..=highest {
-                let left = (total - stratum.seen[worst]) as f64;
-                let expected = left / stratum.remaining as f64;
-                bet.costs[index][(total - first) as usize] -= (stake * (expected - centre)).ln_1p();
+                let remaining_sum = (total - stratum.sum[worst]) as f64;
+                let expected = remaining_sum / stratum.remaining as f64;
+                bet.costs[index][(total - initial_least) as usize] -=
+                    (stake * (expected - centre)).ln_1p();
             }
         }
         let stratum = &mut self.strata[index];
         stratum.drawn += 1;
         stratum.remaining -= 1;
-        stratum.seen[0] += value[0];
-        stratum.seen[1] += value[1];
+        stratum.sum[0] += value[0];
+        stratum.sum[1] += value[1];
     }
 
     /// Returns the e-values of all candidates.
     pub(crate) fn e_values(&self) -> EValues {
         EValues {
-            logs: self.bets.iter().map(|bet| self.least(bet)).collect(),
+            logs: self.bets.iter().map(|bet| self.log_capital(bet)).collect(),
         }
     }
 
@@ -165,15 +166,17 @@ impl EProcess {
     /// totals.
     ///
     /// Costs are convex in each stratum's total. The best totals for a candidate are
-    /// therefore those of the previous candidate with one more in the cheapest
+    /// therefore those of the previous candidate with one more unit in the cheapest
     /// stratum: the steps of all strata in ascending order. Source: T. Ibaraki
     /// and N. Katoh, Resource Allocation Problems (1988), section 4.2.
-    fn least(&self, bet: &Bet) -> Vec<f64> {
+    fn log_capital(&self, bet: &Bet) -> Vec<f64> {
         let mut log = bet.gains;
         let mut steps = Vec::new();
         for (stratum, costs) in self.strata.iter().zip(&bet.costs) {
-            let first = self.range[0] * (stratum.drawn + stratum.remaining);
-            let [lowest, highest] = stratum.totals(self.range).map(|t| (t - first) as usize);
+            let initial_least = self.range[0] * (stratum.drawn + stratum.remaining);
+            let [lowest, highest] = stratum
+                .totals(self.range)
+                .map(|t| (t - initial_least) as usize);
             log += costs[lowest];
             steps.extend(
                 costs[lowest..=highest]

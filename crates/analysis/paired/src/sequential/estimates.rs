@@ -41,9 +41,9 @@ impl CampaignLook {
                 continue;
             }
             let task = matched.task;
-            let of_task = (stop.strata == Strata::Tasks).then_some(task);
+            let task_stratum = (stop.strata == Strata::Tasks).then_some(task);
             let strata = levels.entry(matched.level).or_default();
-            let stratum = strata.entry((task.suite(), of_task)).or_default();
+            let stratum = strata.entry((task.suite(), task_stratum)).or_default();
             stratum.units += 1.0;
             let known = matched.transition();
             if let Some(transition) = known.filter(|_| used.contains(&(task, matched.config))) {
@@ -56,19 +56,25 @@ impl CampaignLook {
         let is_known =
             |strata: &BTreeMap<_, Stratum>| strata.values().all(|stratum| stratum.known > 0.0);
         levels.retain(|_, strata| is_known(strata));
-        let weighs_alike = stop.rule.is_about_new_tasks();
-        let of_level = |(level, strata): (Level, BTreeMap<_, Stratum>)| {
-            let weight = |stratum: &Stratum| if weighs_alike { 1.0 } else { stratum.units };
+        let has_equal_weights = stop.rule.is_about_new_tasks();
+        let level_estimates = |(level, strata): (Level, BTreeMap<_, Stratum>)| {
+            let weight = |stratum: &Stratum| {
+                if has_equal_weights {
+                    1.0
+                } else {
+                    stratum.units
+                }
+            };
             let all: f64 = strata.values().map(weight).sum();
             let intervals = self.levels[&level].intervals.iter();
             let estimates = intervals.map(|(&measure, interval)| {
-                let of_stratum =
+                let weighted_mean =
                     |stratum: &Stratum| weight(stratum) * stratum.sums[&measure] / stratum.known;
-                let mean = strata.values().map(of_stratum).sum::<f64>() / all;
+                let mean = strata.values().map(weighted_mean).sum::<f64>() / all;
                 (measure, mean.clamp(interval.low(), interval.high()))
             });
             (level, estimates.collect())
         };
-        levels.into_iter().map(of_level).collect()
+        levels.into_iter().map(level_estimates).collect()
     }
 }

@@ -1,4 +1,4 @@
-//! Looks of a sequential analysis: the intervals after a number of units.
+//! Looks (interim analyses) of a sequential analysis: the intervals after a number of units.
 
 use std::collections::BTreeMap;
 
@@ -19,17 +19,17 @@ pub struct RateInterval {
 }
 
 impl RateInterval {
-    /// Lower end, a fraction.
+    /// Returns the lower end, a fraction.
     pub fn low(&self) -> f64 {
         self.least as f64 / self.units as f64
     }
 
-    /// Upper end, a fraction.
+    /// Returns the upper end, a fraction.
     pub fn high(&self) -> f64 {
         self.greatest as f64 / self.units as f64
     }
 
-    /// Upper end − lower end, a fraction; 0 once the value is known.
+    /// Returns upper end − lower end, a fraction; 0 once the value is known exactly.
     pub fn width(&self) -> f64 {
         (self.greatest - self.least) as f64 / self.units as f64
     }
@@ -47,7 +47,7 @@ pub struct Look {
     /// Number of units that the intervals rest on: the drawn order up to its first
     /// incomplete unit.
     pub used: usize,
-    /// Number of complete units that are not used because an earlier one is incomplete.
+    /// Number of complete units that are not used because an earlier unit is incomplete.
     pub waiting: usize,
     /// Units of the population.
     pub units: usize,
@@ -102,7 +102,7 @@ mod tests {
 
     #[test]
     fn a_width_is_compared_without_rounding() {
-        // 32 of 400 is 0.08: 0.12 − 0.04 in floating point is less.
+        // 32 of 400 is 0.08; in floating point, 0.12 − 0.04 is less than 0.08.
         let look = |greatest| look(&[(Measure::I, [16, greatest])]);
         assert!(!look(48).meets(&rule("width(I) < 0.08")));
         assert!(look(47).meets(&rule("width(I) < 0.08")));

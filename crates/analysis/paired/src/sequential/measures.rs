@@ -8,17 +8,17 @@ use crate::outcomes::Transition;
 use crate::sequential::look::Look;
 use crate::sequential::order::Order;
 use crate::sequential::prefix::NotInOrder;
-use crate::sequential::together::Together;
+use crate::sequential::simultaneous::SimultaneousSequences;
 
 /// Confidence sequences of `S_sim`, `R_e`, `R_c`, `R_d` and `I` over the
 /// configurations of one level.
 ///
 /// Configurations may be added as they complete, in any order. They are used in
-/// the drawn order, up to the first incomplete one; later ones wait. A successful
-/// rollout ends sooner than one that runs out of steps, so that the configurations
-/// that happen to be complete are biased towards quick ones.
+/// the drawn order, up to the first incomplete one; later configurations wait. A successful
+/// rollout ends sooner than a rollout that runs out of steps, so that the configurations
+/// that happen to be complete are biased towards success.
 #[derive(Clone, Debug)]
-pub struct SequentialMeasures<U>(Together<U, 5>);
+pub struct SequentialMeasures<U>(SimultaneousSequences<U, 5>);
 
 impl<U: Ord + Clone + fmt::Debug> SequentialMeasures<U> {
     /// Creates the sequences before the first configuration. The five intervals hold
@@ -30,7 +30,7 @@ impl<U: Ord + Clone + fmt::Debug> SequentialMeasures<U> {
     pub fn new(order: &Order<U>, alpha: f64) -> Self {
         let measures =
             Measure::OF_ONE_POLICY.map(|measure| (measure, values(measure, &Transition::ALL)));
-        Self(Together::new(order, measures, alpha))
+        Self(SimultaneousSequences::new(order, measures, alpha))
     }
 
     /// Adds a complete configuration with its possible transitions: exactly one, or several
@@ -56,12 +56,12 @@ impl<U: Ord + Clone + fmt::Debug> SequentialMeasures<U> {
     }
 }
 
-/// Value of a measure for one configuration; the measure is the mean of the values.
+/// Returns the value of a measure for one configuration; the measure is the mean of the values.
 pub(crate) fn value(measure: Measure, transition: Transition) -> i64 {
-    let is = |of: Transition| i64::from(transition == of);
-    let [emergent, compensated] = [Transition::Emergent, Transition::Compensated].map(is);
+    let indicator = |other: Transition| i64::from(transition == other);
+    let [emergent, compensated] = [Transition::Emergent, Transition::Compensated].map(indicator);
     match measure {
-        Measure::SSim => is(Transition::StillSucceeds) + compensated,
+        Measure::SSim => indicator(Transition::StillSucceeds) + compensated,
         Measure::RE => emergent,
         Measure::RC => compensated,
         Measure::RD => emergent + compensated,

@@ -10,17 +10,17 @@
 //! depend on earlier rounds alone, and a task's mean x,
 //! (1 + s·(x − c)) / (1 + s·(μ_h − c)) has the expectation 1, so that the product over all
 //! tasks is a nonnegative martingale. −log of the denominators is convex in μ_h, so that by
-//! Jensen's inequality the product is at least the one in which the average m replaces every
+//! Jensen's inequality the product is at least its value with the average m in place of every
 //! μ_h, as s and c are the same for all tasks of a round. By Ville's inequality, the
-//! probability that the average of the latter over two bets ever reaches 1/α at the true m is
-//! at most α. There are no further assumptions about the tasks. Rounds that lack a suite are
+//! probability that the average of this lower bound over two bets ever reaches 1/α at the true m
+//! is at most α. There are no further assumptions about the tasks. Rounds that lack a suite are
 //! ignored.
 //!
 //! # Sample size
-//! A task's mean may have any value in the range. A task that fails in all of its configurations
-//! remains possible, however many observed tasks do not, so that 40 tasks exclude I = 0 only if
-//! |I| is at least about 0.15. The command `cargo run --release -p paired --example new_tasks`
-//! prints error rates and savings.
+//! A task's mean may have any value in the range. However many tasks have been observed, new
+//! tasks that fail in all of their configurations remain possible, so that 40 tasks exclude I = 0
+//! only if |I| is at least about 0.15. The command
+//! `cargo run --release -p paired --example new_tasks` prints error rates and savings.
 //!
 //! # Sources
 //! I. Waudby-Smith and A. Ramdas, Estimating means of bounded random variables by betting,
@@ -36,9 +36,9 @@ use crate::sequential::look::{Look, RateInterval};
 use crate::sequential::measures::values;
 use crate::sequential::order::{Drawn, Order, Unit};
 
-/// Size of the two bets, for and against, as a share of the largest bet that cannot lose all
-/// capital. For a difference detectable with few tasks, the optimal bet exceeds the largest
-/// that the range of values allows.
+/// Size of the two bets, on large and on small values, as a share of the largest bet that cannot
+/// lose all capital. For a difference detectable with few tasks, the optimal bet exceeds the
+/// largest bet that the range of values allows.
 const SIZE: f64 = 0.9;
 
 /// Weight of the prior of the centre: a number of virtual tasks with the middle value of the
@@ -48,7 +48,7 @@ const PRIOR_TASKS: f64 = 1.0;
 /// Number of candidates for a mean per unit of its range.
 const CANDIDATES: i64 = 2000;
 
-/// Confidence sequences of some measures about new tasks. They hold simultaneously, at all
+/// Confidence sequences of some measures about new tasks. The intervals hold simultaneously, at all
 /// looks, with a probability of at least 1 − α.
 #[derive(Clone, Debug)]
 pub(crate) struct NewTasks {
@@ -61,9 +61,9 @@ pub(crate) struct NewTasks {
     counted: usize,
     used: usize,
     /// Number of complete configurations of the current task.
-    of_task: usize,
+    completed_in_task: usize,
     /// Number of complete tasks of the current round.
-    of_round: usize,
+    completed_in_round: usize,
     means: BTreeMap<Measure, Mean>,
 }
 
@@ -78,15 +78,15 @@ struct Mean {
     /// Least and greatest mean of each task of the current round.
     round: Vec<[f64; 2]>,
     /// Sum of the midpoints of all earlier means, and their number.
-    seen: [f64; 2],
+    earlier: [f64; 2],
     bets: [Bet; 2],
-    /// Candidates that are not ruled out.
+    /// Least and greatest candidate that is not ruled out.
     kept: [i64; 2],
 }
 
 #[derive(Clone, Debug)]
 struct Bet {
-    /// Relative size; negative for the bet against.
+    /// Relative size; negative for the bet on small values.
     size: f64,
     /// Log of the product of the numerators.
     gains: f64,
@@ -102,22 +102,22 @@ impl NewTasks {
             *sizes.entry(*task).or_default() += 1;
         }
         let alpha = alpha / measures.len() as f64;
-        let of_each = measures.into_iter();
         let suites = order.sizes().len();
-        let has_all = |round: &&Vec<Drawn<Unit>>| {
+        let has_all_suites = |round: &&Vec<Drawn<Unit>>| {
             let strata: BTreeSet<usize> = round.iter().map(|drawn| drawn.stratum).collect();
             strata.len() == suites
         };
-        let whole = order.rounds().iter().take_while(has_all);
+        let complete = order.rounds().iter().take_while(has_all_suites);
         Self {
-            counted: whole.map(Vec::len).sum(),
+            counted: complete.map(Vec::len).sum(),
             suites,
             units: order.units().count(),
             sizes,
             used: 0,
-            of_task: 0,
-            of_round: 0,
-            means: of_each
+            completed_in_task: 0,
+            completed_in_round: 0,
+            means: measures
+                .into_iter()
                 .map(|measure| (measure, Mean::new(measure, alpha)))
                 .collect(),
         }
@@ -129,16 +129,16 @@ impl NewTasks {
         if self.used > self.counted {
             return;
         }
-        self.of_task += 1;
+        self.completed_in_task += 1;
         let size = self.sizes[task];
-        let ends_task = self.of_task == size;
+        let ends_task = self.completed_in_task == size;
         if ends_task {
-            self.of_task = 0;
-            self.of_round += 1;
+            self.completed_in_task = 0;
+            self.completed_in_round += 1;
         }
-        let ends_round = self.of_round == self.suites;
+        let ends_round = self.completed_in_round == self.suites;
         if ends_round {
-            self.of_round = 0;
+            self.completed_in_round = 0;
         }
         for (&measure, mean) in &mut self.means {
             let value = values(measure, possible);
@@ -182,7 +182,7 @@ impl Mean {
             range,
             task: [0; 2],
             round: Vec::new(),
-            seen: [0.0; 2],
+            earlier: [0.0; 2],
             bets: [bet(SIZE), bet(-SIZE)],
             kept,
         }
@@ -195,7 +195,7 @@ impl Mean {
 
     fn end_round(&mut self) {
         let [least, greatest] = self.range.map(|end| end as f64);
-        let [sum, tasks] = self.seen;
+        let [sum, tasks] = self.earlier;
         let middle = (least + greatest) / 2.0;
         let centre = (sum + PRIOR_TASKS * middle) / (tasks + PRIOR_TASKS);
         let round = std::mem::take(&mut self.round);
@@ -217,12 +217,12 @@ impl Mean {
             }
         }
         for mean in &round {
-            self.seen[0] += (mean[0] + mean[1]) / 2.0;
-            self.seen[1] += 1.0;
+            self.earlier[0] += (mean[0] + mean[1]) / 2.0;
+            self.earlier[1] += 1.0;
         }
         let e_value = |at: i64| {
-            let of_bet = |bet: &Bet| (bet.gains + bet.costs[(at - first) as usize]).exp();
-            self.bets.iter().map(of_bet).sum::<f64>() / self.bets.len() as f64
+            let capital = |bet: &Bet| (bet.gains + bet.costs[(at - first) as usize]).exp();
+            self.bets.iter().map(capital).sum::<f64>() / self.bets.len() as f64
         };
         let is_kept = |at: &i64| e_value(*at) * self.alpha < 1.0;
         let [low, high] = self.kept;
@@ -257,21 +257,21 @@ mod tests {
         Order::new(1, suites.into_iter().flatten(), |task: &TaskRef| {
             task.suite()
         })
-        .of_parts(|task| vec![(*task, 0)])
+        .expand(|task| vec![(*task, 0)])
     }
 
-    /// Computes the exact probability that the mean is ever missed, over all outcomes of tasks
-    /// that succeed with the probability of their suite.
-    fn missed(of_suites: [f64; 2], alpha: f64) -> f64 {
+    /// Computes the exact probability that an interval ever excludes the mean, over all outcomes of
+    /// tasks that succeed with the rate of their suite.
+    fn miss_probability(rates: [f64; 2], alpha: f64) -> f64 {
         let order = order();
         let drawn: Vec<_> = order.rounds().iter().flatten().collect();
-        let mean = (of_suites[0] + of_suites[1]) / 2.0;
+        let mean = (rates[0] + rates[1]) / 2.0;
         let mut missed = 0.0;
         for outcomes in 0..1_u32 << drawn.len() {
             let mut sequence = NewTasks::new(&order, [Measure::SSim].into(), alpha);
             let (mut probability, mut is_missed) = (1.0, false);
             for (at, draw) in drawn.iter().enumerate() {
-                let p = of_suites[draw.stratum];
+                let p = rates[draw.stratum];
                 let success = outcomes >> at & 1 == 1;
                 probability *= if success { p } else { 1.0 - p };
                 let possible = match success {
@@ -287,25 +287,28 @@ mod tests {
     }
 
     #[test]
-    fn the_mean_of_suites_that_differ_is_covered_over_all_outcomes() {
+    fn the_intervals_cover_the_mean_of_unequal_suites_over_all_outcomes() {
         let mut greatest: f64 = 0.0;
-        for of_suites in [[0.2, 0.6], [0.5, 0.5], [0.1, 0.9], [0.9, 0.7]] {
+        for rates in [[0.2, 0.6], [0.5, 0.5], [0.1, 0.9], [0.9, 0.7]] {
             for alpha in [0.1, 0.3, 0.6] {
-                let missed = missed(of_suites, alpha);
-                assert!(missed <= alpha, "{of_suites:?}: {missed} at {alpha}");
+                let missed = miss_probability(rates, alpha);
+                assert!(missed <= alpha, "{rates:?}: {missed} at {alpha}");
                 greatest = greatest.max(missed);
             }
         }
-        assert!(greatest > 0.0, "nothing is ever missed, nothing is tested");
+        assert!(
+            greatest > 0.0,
+            "no interval ever excludes the mean, so that the test shows nothing"
+        );
     }
 
     #[test]
-    fn a_round_that_lacks_a_suite_counts_for_nothing() {
+    fn a_round_that_lacks_a_suite_is_ignored() {
         let suites = [(0, 1), (10, 3)].map(|(first, tasks)| TaskRef::all().skip(first).take(tasks));
         let order = Order::new(1, suites.into_iter().flatten(), |task: &TaskRef| {
             task.suite()
         })
-        .of_parts(|task| vec![(*task, 0), (*task, 1)]);
+        .expand(|task| vec![(*task, 0), (*task, 1)]);
         let mut sequence = NewTasks::new(&order, [Measure::SSim].into(), 0.9);
         let looks: Vec<_> = order
             .units()
@@ -314,8 +317,11 @@ mod tests {
                 sequence.look().intervals[&Measure::SSim]
             })
             .collect();
-        assert_eq!(looks[0], looks[2], "a task in part, or a suite");
-        assert_ne!(looks[2], looks[3], "two whole tasks");
+        assert_eq!(
+            looks[0], looks[2],
+            "an incomplete task or round changes no interval"
+        );
+        assert_ne!(looks[2], looks[3], "a complete round narrows the interval");
         assert_eq!(looks[3], looks[7]);
     }
 }

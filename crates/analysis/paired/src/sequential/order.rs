@@ -20,7 +20,7 @@ pub struct Order<U> {
 /// A unit of an [`Order`].
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Drawn<U> {
-    /// Index of its stratum.
+    /// Index of the unit's stratum.
     pub stratum: usize,
     /// The unit.
     pub unit: U,
@@ -64,9 +64,9 @@ impl<U: Ord> Order<U> {
     }
 
     /// Replaces each unit by its parts, in sequence.
-    pub(crate) fn of_parts<P>(self, mut parts: impl FnMut(&U) -> Vec<P>) -> Order<P> {
+    pub(crate) fn expand<P>(self, mut parts: impl FnMut(&U) -> Vec<P>) -> Order<P> {
         let mut sizes = vec![0; self.sizes.len()];
-        let mut of_round = |round: Vec<Drawn<U>>| {
+        let mut expand_round = |round: Vec<Drawn<U>>| {
             let mut drawn = Vec::new();
             for Drawn { stratum, unit } in round {
                 let parts = parts(&unit);
@@ -75,7 +75,7 @@ impl<U: Ord> Order<U> {
             }
             drawn
         };
-        let rounds = self.rounds.into_iter().map(&mut of_round).collect();
+        let rounds = self.rounds.into_iter().map(&mut expand_round).collect();
         Order { rounds, sizes }
     }
 
@@ -95,7 +95,7 @@ impl<U: Ord> Order<U> {
     }
 }
 
-/// Shuffles items, every order equally likely. Source: R. Durstenfeld, Algorithm
+/// Shuffles items; every order is equally likely. Source: R. Durstenfeld, Algorithm
 /// 235, Communications of the ACM 7 (1964), 420.
 fn shuffle<T>(rng: &mut impl Rng, items: &mut [T]) {
     for last in (1..items.len()).rev() {
@@ -109,9 +109,9 @@ fn below(rng: &mut impl Rng, n: u64) -> u64 {
     // Rejects draws whose lower half is below this threshold; they would bias some integers.
     let surplus = n.wrapping_neg() % n;
     loop {
-        let wide = u128::from(rng.next_u64()) * u128::from(n);
-        if wide as u64 >= surplus {
-            return (wide >> 64) as u64;
+        let product = u128::from(rng.next_u64()) * u128::from(n);
+        if product as u64 >= surplus {
+            return (product >> 64) as u64;
         }
     }
 }
@@ -123,7 +123,7 @@ mod tests {
 
     type Unit = (u8, u16);
 
-    fn of_sizes(seed: u64, sizes: &[u16]) -> Order<Unit> {
+    fn order_of_sizes(seed: u64, sizes: &[u16]) -> Order<Unit> {
         let units = sizes.iter().enumerate();
         let units = units.flat_map(|(task, &size)| (0..size).map(move |i| (task as u8, i)));
         Order::new(seed, units, |&(task, _)| task)
@@ -134,12 +134,12 @@ mod tests {
         fn a_round_has_one_unit_of_every_stratum_with_units_left(
             seed: u64, sizes in proptest::collection::vec(1_u16..6, 1..6),
         ) {
-            let order = of_sizes(seed, &sizes);
+            let order = order_of_sizes(seed, &sizes);
             for (round, drawn) in order.rounds().iter().enumerate() {
                 let mut strata: Vec<usize> = drawn.iter().map(|drawn| drawn.stratum).collect();
                 strata.sort_unstable();
-                let left = (0..sizes.len()).filter(|&task| usize::from(sizes[task]) > round);
-                prop_assert_eq!(strata, left.collect::<Vec<_>>());
+                let remaining = (0..sizes.len()).filter(|&task| usize::from(sizes[task]) > round);
+                prop_assert_eq!(strata, remaining.collect::<Vec<_>>());
             }
             let mut units: Vec<Unit> = order.units().copied().collect();
             units.sort_unstable();
@@ -148,11 +148,11 @@ mod tests {
         }
 
         #[test]
-        fn the_sequence_in_which_units_are_given_changes_nothing(seed: u64) {
+        fn the_drawn_order_does_not_depend_on_the_sequence_of_the_input(seed: u64) {
             let units = [(0_u8, 0_u16), (0, 1), (1, 0), (1, 1), (2, 0)];
-            let given = Order::new(seed, units, |&(task, _)| task);
+            let order = Order::new(seed, units, |&(task, _)| task);
             let twice_and_reversed = units.into_iter().rev().chain(units);
-            prop_assert_eq!(Order::new(seed, twice_and_reversed, |&(task, _)| task), given);
+            prop_assert_eq!(Order::new(seed, twice_and_reversed, |&(task, _)| task), order);
         }
     }
 
@@ -172,7 +172,7 @@ mod tests {
     fn every_order_is_equally_likely() {
         let mut counts: BTreeMap<Vec<Unit>, u32> = BTreeMap::new();
         for seed in 0..23_040 {
-            let order = of_sizes(seed, &[3, 2]);
+            let order = order_of_sizes(seed, &[3, 2]);
             *counts.entry(order.units().copied().collect()).or_default() += 1;
         }
         // 3!·2! orders within strata, 2!·2! within the two rounds of two.
@@ -184,7 +184,7 @@ mod tests {
 
     #[test]
     fn the_order_of_a_seed_never_changes() {
-        let order = of_sizes(7, &[3, 2]);
+        let order = order_of_sizes(7, &[3, 2]);
         let units: Vec<Unit> = order.units().copied().collect();
         assert_eq!(units, [(0, 1), (1, 1), (1, 0), (0, 2), (0, 0)]);
     }

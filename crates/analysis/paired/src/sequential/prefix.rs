@@ -7,7 +7,7 @@ use crate::sequential::order::{Drawn, Order};
 
 /// Error: the unit is not in the drawn order.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("take the outcome of {unit}: it is not in the drawn order of {units} configurations")]
+#[error("outcome of {unit}: the unit is not in the drawn order of {units} configurations")]
 pub struct NotInOrder {
     /// The unit given.
     pub unit: String,
@@ -20,40 +20,45 @@ pub struct NotInOrder {
 pub(crate) struct Prefix<U, V> {
     order: Vec<Drawn<U>>,
     /// Position of each unit in the order.
-    places: BTreeMap<U, usize>,
+    positions: BTreeMap<U, usize>,
     values: Vec<Option<V>>,
+    /// Number of released units.
     used: usize,
-    arrived: usize,
+    /// Number of units with a value.
+    stored: usize,
 }
 
 impl<U: Ord + Clone + fmt::Debug, V: Copy> Prefix<U, V> {
     pub(crate) fn new(order: &Order<U>) -> Self {
         let order: Vec<Drawn<U>> = order.rounds().iter().flatten().cloned().collect();
-        let places = order.iter().enumerate();
+        let positions = order.iter().enumerate();
         Self {
-            places: places.map(|(i, drawn)| (drawn.unit.clone(), i)).collect(),
+            positions: positions
+                .map(|(i, drawn)| (drawn.unit.clone(), i))
+                .collect(),
             values: vec![None; order.len()],
             order,
             used: 0,
-            arrived: 0,
+            stored: 0,
         }
     }
 
     /// Stores the value of a unit. Later values for the same unit are ignored.
-    pub(crate) fn arrive(&mut self, unit: &U, value: V) -> Result<(), NotInOrder> {
-        let place = self.places.get(unit).ok_or_else(|| NotInOrder {
+    pub(crate) fn store(&mut self, unit: &U, value: V) -> Result<(), NotInOrder> {
+        let position = self.positions.get(unit).ok_or_else(|| NotInOrder {
             unit: format!("{unit:?}"),
             units: self.order.len(),
         })?;
-        let slot = &mut self.values[*place];
+        let slot = &mut self.values[*position];
         if slot.is_none() {
             *slot = Some(value);
-            self.arrived += 1;
+            self.stored += 1;
         }
         Ok(())
     }
 
-    /// Returns the stratum and value of the next unit of the drawn order, if it has arrived.
+    /// Releases the next unit of the drawn order: its stratum and value; `None` if it has no value
+    /// yet.
     pub(crate) fn next(&mut self) -> Option<(usize, V)> {
         let value = (*self.values.get(self.used)?)?;
         self.used += 1;
@@ -65,9 +70,9 @@ impl<U: Ord + Clone + fmt::Debug, V: Copy> Prefix<U, V> {
         self.used
     }
 
-    /// Returns the number of units that have arrived and wait for an earlier one.
+    /// Returns the number of units with a value that wait for an earlier unit.
     pub(crate) fn waiting(&self) -> usize {
-        self.arrived - self.used
+        self.stored - self.used
     }
 
     /// Returns the number of units in the order.

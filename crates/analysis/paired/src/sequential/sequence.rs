@@ -19,7 +19,7 @@ pub(crate) struct ConfidenceSequence {
 
 impl ConfidenceSequence {
     /// Creates the sequence of a population with strata of `sizes` and values in `range`. The
-    /// probability that it ever misses the total is at most `alpha`.
+    /// probability that the interval ever excludes the true total is at most `alpha`.
     pub(crate) fn new(sizes: &[usize], range: [i64; 2], alpha: f64) -> Self {
         let units = sizes.iter().sum::<usize>() as i64;
         let possible = range.map(|end| end * units);
@@ -39,11 +39,11 @@ impl ConfidenceSequence {
         for end in [0, 1] {
             self.possible[end] += value[end] - self.range[end];
         }
-        self.keep_possible();
+        self.clamp_totals();
     }
 
     /// Ends a round and updates the totals from the e-process. Updating after every draw
-    /// would be valid too, but a partial round says little about a candidate, whose total may
+    /// would be valid too, but a partial round excludes few candidates, because their totals may
     /// lie in the strata that the round has not reached.
     pub(crate) fn end_round(&mut self) {
         self.process.draw_round(&std::mem::take(&mut self.round));
@@ -59,12 +59,12 @@ impl ConfidenceSequence {
         }
     }
 
-    fn keep_possible(&mut self) {
+    fn clamp_totals(&mut self) {
         let [least, greatest] = self.possible;
         self.totals = self.totals.map(|end| end.clamp(least, greatest));
     }
 
-    /// Least and greatest total that are not ruled out.
+    /// Returns the least and greatest total that are not ruled out.
     pub(crate) fn totals(&self) -> [i64; 2] {
         self.totals
     }
@@ -77,7 +77,7 @@ mod tests {
     /// A unit: its true value and the range reported for it.
     type Unit = (i64, [i64; 2]);
 
-    /// The units of the strata.
+    /// The units of each stratum.
     type Strata = Vec<Vec<Unit>>;
 
     /// Returns every order of a stratum's units.
@@ -133,12 +133,12 @@ mod tests {
     /// value.
     fn rounds(strata: &Strata) -> Vec<Vec<(usize, [i64; 2])>> {
         let longest = strata.iter().map(Vec::len).max().unwrap_or_default();
-        let of_round = |round: usize| {
+        let units_of_round = |round: usize| {
             let drawn = strata.iter().enumerate();
             let drawn = drawn.filter_map(|(k, units)| Some((k, units.get(round)?.1)));
             drawn.collect()
         };
-        (0..longest).map(of_round).collect()
+        (0..longest).map(units_of_round).collect()
     }
 
     fn total(strata: &Strata) -> i64 {
@@ -177,8 +177,8 @@ mod tests {
 
     /// Enumerates every population of some kinds of units and all its orders, and asserts
     /// that the e-value of the true total has an expectation of at most 1 after each round
-    /// and that the total is ever missed with a probability of at most α. Returns the
-    /// greatest probability at the greatest α.
+    /// and that the interval ever excludes the true total with a probability of at most α.
+    /// Returns the greatest of these probabilities.
     fn check(range: [i64; 2], kinds: &[Unit], sizes: &[usize]) -> f64 {
         let mut greatest: f64 = 0.0;
         let strata: Vec<_> = sizes.iter().map(|&size| multisets(kinds, size)).collect();
@@ -212,7 +212,7 @@ mod tests {
 
     const RATE: [Unit; 2] = [(0, [0, 0]), (1, [1, 1])];
     const DIFFERENCE: [Unit; 3] = [(-1, [-1, -1]), (0, [0, 0]), (1, [1, 1])];
-    /// Units of which two have unknown values.
+    /// Kinds of units, two of them quarantined: their values are unknown.
     const QUARANTINE: [Unit; 4] = [(0, [0, 0]), (1, [1, 1]), (0, [0, 1]), (1, [0, 1])];
 
     #[test]
@@ -221,7 +221,7 @@ mod tests {
             let missed = check([0, 1], &RATE, sizes);
             assert!(
                 missed > 0.0,
-                "{sizes:?}: nothing is ever missed, nothing is tested"
+                "{sizes:?}: no interval ever excludes the total, so that the test shows nothing"
             );
         }
     }
@@ -232,19 +232,19 @@ mod tests {
             let missed = check([-1, 1], &DIFFERENCE, sizes);
             assert!(
                 missed > 0.0,
-                "{sizes:?}: nothing is ever missed, nothing is tested"
+                "{sizes:?}: no interval ever excludes the total, so that the test shows nothing"
             );
         }
     }
 
     #[test]
-    fn strata_of_unequal_sizes_are_covered_too() {
+    fn totals_over_strata_of_unequal_sizes_are_covered() {
         assert!(check([0, 1], &RATE, &[5, 2, 1]) > 0.0);
         assert!(check([-1, 1], &DIFFERENCE, &[4, 2]) > 0.0);
     }
 
     #[test]
-    fn totals_with_unknown_values_are_covered_too() {
+    fn totals_with_quarantined_units_are_covered() {
         assert!(check([0, 1], &QUARANTINE, &[5]) > 0.0);
         check([0, 1], &QUARANTINE, &[3, 3]);
     }

@@ -29,7 +29,7 @@ INTERVALS = ["d", "i", "r_e", "r_c", "r_d"]
 
 
 def measures(y):
-    """All measures of an array of outcomes: configurations x 7."""
+    """Returns all measures of an array of outcomes, configurations x 7."""
     alone, together = y[:, :6], y[:, 6]
     conjunction = alone.all(axis=1)
     s_axis = alone.mean(axis=0)
@@ -50,7 +50,7 @@ def measures(y):
 
 
 def resampled(tasks, rng):
-    """The measures with an interval, for every resampling of whole tasks."""
+    """Returns the measures with an interval, for every resampling of whole tasks."""
     sums = np.array(
         [
             [
@@ -92,14 +92,14 @@ def expected(tasks, rng):
 
 
 def random_tasks(rng):
-    """Tasks of unequal difficulty, axes with correlated failures, and simultaneous
+    """Returns tasks of unequal difficulty, axes with correlated failures, and simultaneous
     perturbation that is harder or easier than the axes alone."""
     ease = rng.normal(rng.uniform(0.5, 2.5), 0.8, size=rng.integers(4, 41))
     shift = rng.uniform(-1.5, 1.0)
     tasks = []
-    for own in ease:
-        luck = rng.normal(own, 0.7, size=rng.integers(1, 11))[:, None]
-        logit = luck + rng.normal(0.8, 0.8, size=(1, 7))
+    for task_ease in ease:
+        config_ease = rng.normal(task_ease, 0.7, size=rng.integers(1, 11))[:, None]
+        logit = config_ease + rng.normal(0.8, 0.8, size=(1, 7))
         logit[:, 6] += shift
         tasks.append(rng.random(logit.shape) < 1 / (1 + np.exp(-logit)))
     return tasks
@@ -110,21 +110,21 @@ def text(y):
 
 
 def random_pairs(rng):
-    """Two policies with correlated task difficulties and unequal numbers of
+    """Returns outcomes of two policies with correlated task difficulties and unequal numbers of
     rollouts."""
     ease = rng.normal(rng.uniform(-1.0, 2.0), 1.0, size=rng.integers(10, 41))
     shift = rng.uniform(-1.0, 1.0)
     tasks = []
-    for own in ease:
+    for task_ease in ease:
         gap = rng.normal(shift, 0.8)
-        luck = rng.normal(own, 0.8, size=rng.integers(1, 31))
-        logit = np.stack([luck + gap / 2, luck - gap / 2], axis=1)
+        rollout_ease = rng.normal(task_ease, 0.8, size=rng.integers(1, 31))
+        logit = np.stack([rollout_ease + gap / 2, rollout_ease - gap / 2], axis=1)
         tasks.append(rng.random(logit.shape) < 1 / (1 + np.exp(-logit)))
     return tasks
 
 
 def difference(tasks, rng):
-    """A - B over the same rollouts, with its interval by resampling whole tasks."""
+    """Returns A - B over the same rollouts, with its interval by resampling whole tasks."""
     y = np.concatenate(tasks)
     a, b = y[:, 0], y[:, 1]
     net = np.array([float(t[:, 0].sum()) - float(t[:, 1].sum()) for t in tasks])
@@ -157,8 +157,8 @@ def example(level):
     rows = {}
     for line in EXAMPLE.read_text().splitlines():
         row = json.loads(line)
-        suite, task, condition, of, config = row["rollout_id"].split("/")
-        if of == level:
+        suite, task, condition, row_level, config = row["rollout_id"].split("/")
+        if row_level == level:
             rows[suite, task, condition, config] = row["success"]
     columns = [*AXES, "combination"]
     tasks = sorted({key[:2] for key in rows})
@@ -179,15 +179,15 @@ def main():
               (91, 47), (0, 400), (700, 900), (2000, 2100)]
     samples = [rng.normal(size=n) for n in [1, 2, 3, 10, 101]]
     shares = [0, 0.025, 0.3, 0.5, 0.975, 1]
-    # A separate generator, so that the expectations above stay the same.
-    rng_of_pairs = np.random.default_rng(20260905)
+    # A separate generator, so that the data sets above do not depend on the number of pairs.
+    pairs_rng = np.random.default_rng(20260905)
     paired_sets = []
     for _ in range(PAIRED_SETS):
-        tasks = random_pairs(rng_of_pairs)
+        tasks = random_pairs(pairs_rng)
         paired_sets.append(
             {
                 "tasks": [pairs_text(y) for y in tasks],
-                "expected": difference(tasks, rng_of_pairs),
+                "expected": difference(tasks, pairs_rng),
             }
         )
     document = {

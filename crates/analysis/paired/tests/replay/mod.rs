@@ -6,7 +6,7 @@ use serde::Deserialize;
 
 const OUTCOMES: &str = include_str!("../../../../../examples/openvla_oft/rollouts.jsonl");
 
-/// Probability that any interval ever misses.
+/// Largest probability that any interval excludes the true value at any look.
 pub(crate) const ALPHA: f64 = 0.05;
 
 /// A configuration's task and number.
@@ -47,7 +47,7 @@ impl Population {
                 outcome: Outcome::from(row.success),
             }
         });
-        let records = Records::new(&rows.collect::<Vec<_>>()).expect("no row twice");
+        let records = Records::new(&rows.collect::<Vec<_>>()).expect("no duplicates");
         let matched = records.configurations().iter();
         let units = matched
             .filter(|configuration| configuration.level == level)
@@ -70,8 +70,8 @@ impl Population {
     }
 
     pub(crate) fn transition(&self, unit: &Unit) -> Transition {
-        let place = self.units.binary_search_by(|(other, _)| other.cmp(unit));
-        self.units[place.expect("a configuration")].1
+        let position = self.units.binary_search_by(|(other, _)| other.cmp(unit));
+        self.units[position.expect("a configuration")].1
     }
 
     /// Iterates over the values of a measure, one per configuration.
@@ -81,7 +81,7 @@ impl Population {
             .map(move |(_, transition)| value(measure, *transition))
     }
 
-    /// The total over all configurations.
+    /// Returns the total of a measure over all configurations.
     pub(crate) fn total(&self, measure: Measure) -> i64 {
         self.values(measure).sum()
     }

@@ -9,7 +9,7 @@ use rand_chacha::rand_core::{Rng, SeedableRng};
 
 pub(crate) mod two;
 
-/// Number of configurations of every task, and of directions.
+/// Number of configurations of every task, which is also the number of directions.
 pub(crate) const CONFIGURATIONS: u16 = 10;
 const AXES: usize = Axis::ALL.len();
 /// Conditions at a level: each axis alone, and simultaneous.
@@ -24,19 +24,19 @@ impl Chance {
         Self(ChaCha12Rng::seed_from_u64(seed))
     }
 
-    /// Uniform in 0..1.
+    /// Draws a number uniformly from 0 to 1.
     pub(crate) fn uniform(&mut self) -> f64 {
         f64::from(self.0.next_u32()) / f64::from(u32::MAX)
     }
 
-    /// Standard normal, by Box and Muller.
+    /// Draws a standard normal number by the method of Box and Muller.
     pub(crate) fn normal(&mut self) -> f64 {
         let radius = (-2.0 * self.uniform().max(1e-300).ln()).sqrt();
         radius * (std::f64::consts::TAU * self.uniform()).cos()
     }
 }
 
-/// A rollout of the simulated campaign.
+/// Returns the record of a simulated rollout.
 pub(crate) fn record(
     task: TaskRef,
     condition: Condition,
@@ -56,7 +56,7 @@ pub(crate) fn record(
     }
 }
 
-/// The conditions at a level.
+/// Returns the conditions at a level: each axis alone, then simultaneous.
 pub(crate) fn conditions() -> impl Iterator<Item = Condition> {
     let singles = Axis::ALL.into_iter().map(Condition::Single);
     singles.chain([Condition::Combination])
@@ -69,14 +69,16 @@ struct Probabilities {
     /// Probabilities for the placebo's seven rollouts: that all six single axes succeed and the
     /// simultaneous one fails, and that a single axis fails and the simultaneous one succeeds.
     floor: [f64; 2],
-    /// Each axis alone at L2, then simultaneous.
+    /// Success probability under each axis alone at L2, then under simultaneous perturbation.
     perturbed: [f64; CONDITIONS],
 }
 
-/// Terms that add up to true values.
+/// Sums over configurations, from which all true values follow: 1, nominal success, conjunction,
+/// emergent, compensated, the two probabilities of the floor, then success under each condition.
 type Sums = [f64; 7 + CONDITIONS];
 
 impl Probabilities {
+    /// Returns the addends of one configuration.
     fn sums(&self) -> Sums {
         let conjunction: f64 = self.perturbed[..AXES].iter().product();
         let simultaneous = self.perturbed[AXES];
@@ -100,13 +102,14 @@ fn logistic(logit: f64) -> f64 {
     1.0 / (1.0 + (-logit).exp())
 }
 
+/// Returns `Probabilities::floor` for a probability of nominal success.
 fn floor(nominal: f64) -> [f64; 2] {
     let all = nominal.powi(AXES as i32);
     [all * (1.0 - nominal), (1.0 - all) * nominal]
 }
 
-/// Points and weights that integrate smooth functions of a standard normal number: the
-/// trapezoidal rule, whose error for these falls faster than any power of the step.
+/// Returns points and weights that integrate smooth functions of a standard normal number: the
+/// trapezoidal rule, whose error for such functions falls faster than any power of the step.
 fn normal_points() -> impl Iterator<Item = (f64, f64)> {
     const STEP: f64 = 0.5;
     let weight = |z: f64| STEP * (-z * z / 2.0).exp() / std::f64::consts::TAU.sqrt();
@@ -138,25 +141,25 @@ impl Population {
         }
     }
 
-    /// Effects of tasks, the last one nominal.
+    /// Draws the effects of tasks on each condition at L2, then on nominal rollouts.
     pub(crate) fn tasks(&self, tasks: usize, chance: &mut Chance) -> Effects {
-        let of_task = |_| {
+        let draw_task = |_| {
             let task_effect = self.deviations[0] * chance.normal();
             std::array::from_fn(|_| task_effect + self.deviations[1] * chance.normal())
         };
-        (0..tasks).map(of_task).collect()
+        (0..tasks).map(draw_task).collect()
     }
 
-    /// Effects of directions; none on nominal rollouts.
+    /// Draws the effects of directions; they have none on nominal rollouts.
     pub(crate) fn directions(&self, directions: u16, chance: &mut Chance) -> Effects {
-        let of_direction = |_| {
+        let draw_direction = |_| {
             let mut effects = [0.0; CONDITIONS + 1];
             for effect in &mut effects[..CONDITIONS] {
                 *effect = self.deviations[2] * chance.normal();
             }
             effects
         };
-        (0..directions).map(of_direction).collect()
+        (0..directions).map(draw_direction).collect()
     }
 
     fn probabilities(
@@ -176,8 +179,8 @@ impl Population {
         }
     }
 
-    /// The true values of all figures over tasks and directions, tasks of suite k at
-    /// positions k, k + suites, ….
+    /// Returns the true values of all figures over tasks and directions. Tasks take the suites in
+    /// turn: those of suite k are at positions k, k + suites, ….
     pub(crate) fn truth(
         &self,
         tasks: &Effects,
@@ -196,23 +199,23 @@ impl Population {
         figures(&sums)
     }
 
-    /// Returns the exact true values over all tasks of the first suites, under some directions or
-    /// under all of them.
+    /// Returns the exact true values over all tasks of the first suites, under the given directions
+    /// or under all directions.
     ///
-    /// Given the effects that a task has in all conditions, its conditions are independent, so that
-    /// only integrals over one normal number are needed. An average over drawn tasks would add
-    /// sampling error: for 2,000 tasks, one seventh of the standard error of a campaign of 40
-    /// tasks.
+    /// Given the effect that a task has on all conditions, the outcomes under different conditions
+    /// are independent, so that only integrals over one normal number are needed. An average over
+    /// drawn tasks would add sampling error: for 2,000 tasks, one seventh of the standard error of
+    /// a campaign of 40 tasks.
     pub(crate) fn truth_of_all_tasks(
         &self,
         suites: usize,
         directions: Option<&Effects>,
     ) -> BTreeMap<&'static str, f64> {
-        let [of_task, of_condition, of_direction] = self.deviations;
+        let [task_deviation, condition_deviation, direction_deviation] = self.deviations;
         let none: Effects = vec![[0.0; CONDITIONS + 1]];
         let spread = match directions {
-            Some(_) => of_condition,
-            None => of_condition.hypot(of_direction),
+            Some(_) => condition_deviation,
+            None => condition_deviation.hypot(direction_deviation),
         };
         let expected = |logit: f64| -> f64 {
             let points = normal_points();
@@ -222,10 +225,10 @@ impl Population {
         for ease in &self.ease[..suites] {
             for direction in directions.unwrap_or(&none) {
                 for (z_task, weight) in normal_points() {
-                    let logit = ease + of_task * z_task;
+                    let logit = ease + task_deviation * z_task;
                     let mut nominal = [0.0; 3];
                     for (z, w) in normal_points() {
-                        let p = logistic(logit + of_condition * z);
+                        let p = logistic(logit + condition_deviation * z);
                         let [e, c] = floor(p);
                         let values = [p, e, c];
                         nominal
@@ -250,7 +253,7 @@ impl Population {
         figures(&sums)
     }
 
-    /// A campaign over tasks and directions at L0 and L2, with nominal rollouts. Tasks
+    /// Simulates a campaign over tasks and directions at L0 and L2, with nominal rollouts. Tasks
     /// take the suites in turn.
     pub(crate) fn campaign(
         &self,
@@ -325,14 +328,14 @@ fn figures(sums: &Sums) -> BTreeMap<&'static str, f64> {
 /// Returns task number `at` of a campaign over the first `suites` suites.
 pub(crate) fn task(at: usize, suites: usize) -> TaskRef {
     let suite = Suite::ALL[at % suites];
-    let of_suite = TaskRef::all().filter(|task| task.suite() == suite);
-    of_suite
+    let suite_tasks = TaskRef::all().filter(|task| task.suite() == suite);
+    suite_tasks
         .into_iter()
         .nth(at / suites)
         .expect("ten tasks a suite")
 }
 
-/// All figures of a cell that have an interval for each target, by the names of
+/// Returns all figures of a cell that have an interval for each target, by the names of
 /// [`Population::truth`].
 pub(crate) fn estimates(cell: &Cell) -> BTreeMap<&'static str, Estimate> {
     let inference = cell.inference.as_ref().expect("a complete configuration");
@@ -372,13 +375,13 @@ pub(crate) fn estimates(cell: &Cell) -> BTreeMap<&'static str, Estimate> {
     estimates
 }
 
-/// A policy whose rollouts fail by chance, and its planted effect.
+/// Planted effect of a policy whose rollouts also fail by chance.
 #[derive(Clone, Copy)]
 pub(crate) enum Planted {
     /// No effect: every rollout is a coin flip under every condition.
     Coins,
     /// One axis makes three of ten configurations fail, alone and simultaneously. One in seven of
-    /// the others fails only simultaneously: 10 points of all configurations.
+    /// the other configurations fails only simultaneously: 10 points of all configurations.
     Interaction,
     /// The camera makes three directions of ten fail in half of the tasks, alone and
     /// simultaneously.
@@ -386,27 +389,27 @@ pub(crate) enum Planted {
 }
 
 impl Planted {
-    /// Success probability of a rollout without a planted failure.
-    const fn luck(self) -> f64 {
+    /// Returns the success probability of a rollout without a planted failure.
+    const fn base_success(self) -> f64 {
         match self {
             Self::Coins => 0.95,
             Self::Interaction | Self::Directions => 0.98,
         }
     }
 
-    /// A campaign of 40 tasks and ten configurations at L0 and L2, with nominal rollouts.
+    /// Simulates a campaign of 40 tasks and ten configurations at L0 and L2, with nominal rollouts.
     pub(crate) fn campaign(self, chance: &mut Chance) -> Vec<Record> {
         let mut records = Vec::new();
         for at in 0..40 {
             let task = task(at, 4);
-            let is_touched = chance.uniform() < 0.5;
+            let has_failing_directions = chance.uniform() < 0.5;
             for config in 0..CONFIGURATIONS {
-                let [camera, together] = match self {
+                let [camera, simultaneous] = match self {
                     Self::Coins => [false; 2],
                     Self::Interaction => [chance.uniform() < 0.3, chance.uniform() < 1.0 / 7.0],
-                    Self::Directions => [is_touched && config < 3, false],
+                    Self::Directions => [has_failing_directions && config < 3, false],
                 };
-                let mut coin = |fails: bool| !fails && chance.uniform() < self.luck();
+                let mut coin = |fails: bool| !fails && chance.uniform() < self.base_success();
                 records.push(record(
                     task,
                     Condition::Clean,
@@ -417,7 +420,7 @@ impl Planted {
                 for condition in conditions() {
                     let fails = match condition {
                         Condition::Single(Axis::Camera) => camera,
-                        Condition::Combination => camera || together,
+                        Condition::Combination => camera || simultaneous,
                         _ => false,
                     };
                     records.push(record(task, condition, Level::L0, config, coin(false)));
@@ -429,7 +432,7 @@ impl Planted {
     }
 }
 
-/// Net effects of simultaneity in tasks that are drawn from a population.
+/// Distribution of the net effect of simultaneity over the tasks of a population.
 #[derive(Clone, Copy)]
 pub(crate) struct NetEffect {
     /// Mean effect over all tasks.
@@ -441,15 +444,20 @@ pub(crate) struct NetEffect {
 }
 
 impl NetEffect {
-    /// Returns a campaign of 40 tasks at L2: one configuration in ten changes by chance, others
-    /// with the probability given by their task's effect.
+    /// Simulates a campaign of 40 tasks at L2. One configuration in ten changes by chance, the
+    /// others with the probability given by their task's effect.
     pub(crate) fn campaign(self, chance: &mut Chance) -> Vec<Record> {
         let mut records = Vec::new();
         for at in 0..40 {
             let task = task(at, 4);
-            let side = if chance.uniform() < 0.5 { 1.0 } else { -1.0 };
-            let differs = chance.uniform() < self.share;
-            let effect = self.mean + if differs { side * self.spread } else { 0.0 };
+            let sign = if chance.uniform() < 0.5 { 1.0 } else { -1.0 };
+            let has_deviation = chance.uniform() < self.share;
+            let effect = self.mean
+                + if has_deviation {
+                    sign * self.spread
+                } else {
+                    0.0
+                };
             for config in 0..CONFIGURATIONS {
                 let coin = chance.uniform();
                 let change = match coin {

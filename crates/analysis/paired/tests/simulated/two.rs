@@ -19,9 +19,9 @@ pub(crate) const MEASURES: [&str; 4] = ["A - B", "goal", "steps", "A better"];
 /// True values of A − B by measure and row; the last measure is the probability of improvement.
 pub(crate) type Truth = [[f64; ROWS]; 4];
 
-/// Returns the row of a condition in [`Truth`].
+/// Returns the row of a condition in [`Truth`]; the last row for nominal rollouts.
 pub(crate) fn row(condition: Condition) -> usize {
-    let row = conditions().position(|of| of == condition);
+    let row = conditions().position(|other| other == condition);
     row.unwrap_or(CONDITIONS)
 }
 
@@ -29,7 +29,7 @@ pub(crate) fn row(condition: Condition) -> usize {
 struct Policy {
     population: Population,
     /// Probability that a failed rollout satisfied one of the goal's two predicates.
-    half: f64,
+    half_done: f64,
     /// Mean number of control steps of a success in a task of mean length.
     steps: f64,
 }
@@ -40,11 +40,12 @@ impl Policy {
         self.population.ease[suite] - costs.get(row).copied().unwrap_or_default()
     }
 
-    /// Returns the means of success, the goal's share and steps.
+    /// Returns the means of success, the goal's share and steps, given the probability of success
+    /// and the task's length.
     fn means(&self, success: f64, length: f64) -> [f64; 3] {
         [
             success,
-            success + (1.0 - success) * self.half / 2.0,
+            success + (1.0 - success) * self.half_done / 2.0,
             success * self.steps * length + (1.0 - success) * BUDGET,
         ]
     }
@@ -54,7 +55,7 @@ impl Policy {
         let succeeds = chance.uniform() < success;
         let at_most = match succeeds {
             true => 2,
-            false => u32::from(chance.uniform() < self.half),
+            false => u32::from(chance.uniform() < self.half_done),
         };
         let steps = match succeeds {
             // Random rounding preserves the mean.
@@ -72,22 +73,22 @@ impl Policy {
     }
 }
 
-/// Tasks or directions as they affect both policies.
+/// Effects of tasks or directions on both policies.
 pub(crate) struct PairedEffects {
     /// Effects on A and on B.
     effects: [Effects; 2],
-    /// Lengths of tasks, with mean 1.
+    /// Relative lengths of tasks, with mean 1; empty for directions.
     lengths: Vec<f64>,
 }
 
-/// Two policies with correlated task difficulty and different success costs per axis.
+/// Two policies with correlated task difficulty and different costs of the axes.
 pub(crate) struct TwoPolicies([Policy; 2]);
 
 impl TwoPolicies {
     pub(crate) const fn usual() -> Self {
         let first = Policy {
             population: Population::usual(),
-            half: 0.5,
+            half_done: 0.5,
             steps: 120.0,
         };
         let second = Policy {
@@ -96,7 +97,7 @@ impl TwoPolicies {
                 costs: [0.6, 1.2, 0.7, 0.1, 0.9, 0.1, 1.4],
                 deviations: Population::usual().deviations,
             },
-            half: 0.3,
+            half_done: 0.3,
             steps: 140.0,
         };
         Self([first, second])
@@ -106,16 +107,17 @@ impl TwoPolicies {
         self.0[0].population.deviations
     }
 
-    /// Draws tasks. Both policies share a task's own effect, and have separate ones of its
-    /// conditions.
+    /// Draws tasks. The effect of a task on all conditions is common to both policies; the effects
+    /// of a task on single conditions are separate.
     pub(crate) fn tasks(&self, tasks: usize, chance: &mut Chance) -> PairedEffects {
-        let [of_task, of_condition, _] = self.deviations();
-        let task_effects: Vec<f64> = (0..tasks).map(|_| of_task * chance.normal()).collect();
+        let [task_deviation, condition_deviation, _] = self.deviations();
+        let task_effects = (0..tasks).map(|_| task_deviation * chance.normal());
+        let task_effects: Vec<f64> = task_effects.collect();
         let mut effects = || -> Effects {
-            let of_task = |task_effect: &f64| {
-                std::array::from_fn(|_| task_effect + of_condition * chance.normal())
+            let condition_effects = |task_effect: &f64| {
+                std::array::from_fn(|_| task_effect + condition_deviation * chance.normal())
             };
-            task_effects.iter().map(of_task).collect()
+            task_effects.iter().map(condition_effects).collect()
         };
         PairedEffects {
             effects: [effects(), effects()],
@@ -127,10 +129,10 @@ impl TwoPolicies {
     pub(crate) fn directions(&self, chance: &mut Chance) -> PairedEffects {
         let drawn = [(); 3].map(|()| self.0[0].population.directions(CONFIGURATIONS, chance));
         let [common, first, second] = drawn;
-        let sum = |own: Effects| -> Effects {
-            let each = common.iter().zip(own);
-            let sum = each.map(|(common, own)| {
-                std::array::from_fn(|row| (common[row] + own[row]) * 0.5_f64.sqrt())
+        let sum = |separate: Effects| -> Effects {
+            let each = common.iter().zip(separate);
+            let sum = each.map(|(common, separate)| {
+                std::array::from_fn(|row| (common[row] + separate[row]) * 0.5_f64.sqrt())
             });
             sum.collect()
         };
@@ -140,8 +142,9 @@ impl TwoPolicies {
         }
     }
 
-    /// Returns A − B over tasks and directions, tasks of suite k at positions k, k + suites, ….
-    /// The probability of improvement, which is about new tasks, is NaN.
+    /// Returns A − B over tasks and directions. Tasks take the suites in turn: those of suite k are
+    /// at positions k, k + suites, …. The probability of improvement, which is about new tasks, is
+    /// NaN.
     pub(crate) fn truth(
         &self,
         tasks: &PairedEffects,
@@ -150,14 +153,14 @@ impl TwoPolicies {
     ) -> Truth {
         let mut truth = [[0.0; ROWS]; 4];
         truth[3] = [f64::NAN; ROWS];
-        for (sign, which) in [(1.0, 0), (-1.0, 1)] {
-            let policy = &self.0[which];
+        for (sign, index) in [(1.0, 0), (-1.0, 1)] {
+            let policy = &self.0[index];
             for (at, (effects, length)) in
-                tasks.effects[which].iter().zip(&tasks.lengths).enumerate()
+                tasks.effects[index].iter().zip(&tasks.lengths).enumerate()
             {
                 for row in 0..ROWS {
                     let logit = policy.logit(at % suites, row) + effects[row];
-                    let directions = directions.effects[which].iter();
+                    let directions = directions.effects[index].iter();
                     let each = directions.map(|direction| logistic(logit + direction[row]));
                     let success = each.sum::<f64>() / f64::from(CONFIGURATIONS);
                     for (truth, mean) in truth.iter_mut().zip(policy.means(success, *length)) {
@@ -169,28 +172,28 @@ impl TwoPolicies {
         truth
     }
 
-    /// Returns the exact A − B over all tasks of the first suites, under some directions or under
-    /// all of them. The probability of improvement, which has no interval about new directions,
-    /// is NaN under all of them.
+    /// Returns the exact A − B over all tasks of the first suites, under the given directions or
+    /// under all directions. The probability of improvement, which has no interval about new
+    /// directions, is NaN under all directions.
     pub(crate) fn truth_of_all_tasks(
         &self,
         suites: usize,
         directions: Option<&PairedEffects>,
     ) -> Truth {
-        let [of_task, of_condition, of_direction] = self.deviations();
+        let [task_deviation, condition_deviation, direction_deviation] = self.deviations();
         let none: Effects = vec![[0.0; ROWS]];
         let mut truth = [[0.0; ROWS]; 4];
-        for (sign, which) in [(1.0, 0), (-1.0, 1)] {
-            let policy = &self.0[which];
-            let of_directions = directions.map(|directions| &directions.effects[which]);
-            let directions = of_directions.unwrap_or(&none);
+        for (sign, index) in [(1.0, 0), (-1.0, 1)] {
+            let policy = &self.0[index];
+            let given = directions.map(|directions| &directions.effects[index]);
+            let directions = given.unwrap_or(&none);
             for row in 0..ROWS {
                 // Nominal rollouts have no direction.
-                let unknown = match of_directions {
-                    None if row < CONDITIONS => of_direction,
+                let unknown = match given {
+                    None if row < CONDITIONS => direction_deviation,
                     _ => 0.0,
                 };
-                let spread = of_task.hypot(of_condition).hypot(unknown);
+                let spread = task_deviation.hypot(condition_deviation).hypot(unknown);
                 let mut success = 0.0;
                 for suite in 0..suites {
                     for direction in directions {
@@ -216,23 +219,24 @@ impl TwoPolicies {
     /// Returns the probability that, in a random task, A succeeds in more configurations than B;
     /// ties count half.
     ///
-    /// Given the directions and the effect that a task has in all conditions, the policies are
-    /// independent.
+    /// Given the directions and the effect that a task has on all conditions, the outcomes of the
+    /// policies are independent.
     fn improvement(&self, suites: usize, directions: &PairedEffects) -> [f64; ROWS] {
-        let [of_task, of_condition, _] = self.deviations();
+        let [task_deviation, condition_deviation, _] = self.deviations();
         let mut improvement = [0.0; ROWS];
         for suite in 0..suites {
             for (row, improvement) in improvement.iter_mut().enumerate() {
-                for (own, weight) in normal_points() {
-                    let [a, b] = [0, 1].map(|which| {
-                        let logit = self.0[which].logit(suite, row) + of_task * own;
+                for (z_task, weight) in normal_points() {
+                    let [a, b] = [0, 1].map(|index| {
+                        let logit = self.0[index].logit(suite, row) + task_deviation * z_task;
                         let mut counts = [0.0; CONFIGURATIONS as usize + 1];
                         for (z, weight) in normal_points() {
-                            let logit = logit + of_condition * z;
-                            let each = directions.effects[which].iter();
-                            let of = successes(each.map(|effects| logistic(logit + effects[row])));
-                            let terms = counts.iter_mut().zip(of);
-                            terms.for_each(|(count, of)| *count += weight * of);
+                            let logit = logit + condition_deviation * z;
+                            let each = directions.effects[index].iter();
+                            let probabilities =
+                                successes(each.map(|effects| logistic(logit + effects[row])));
+                            let terms = counts.iter_mut().zip(probabilities);
+                            terms.for_each(|(count, p)| *count += weight * p);
                         }
                         counts
                     });
@@ -247,8 +251,8 @@ impl TwoPolicies {
         improvement
     }
 
-    /// Compares a campaign of both policies at L2, with nominal rollouts. Tasks take the suites
-    /// in turn.
+    /// Simulates a campaign of each policy at L2, with nominal rollouts, and compares them. Tasks
+    /// take the suites in turn.
     pub(crate) fn compare(
         &self,
         tasks: &PairedEffects,
@@ -256,7 +260,7 @@ impl TwoPolicies {
         directions: &PairedEffects,
         chance: &mut Chance,
     ) -> Comparison {
-        let [a, b] = [0, 1].map(|which| self.campaign(which, tasks, suites, directions, chance));
+        let [a, b] = [0, 1].map(|index| self.campaign(index, tasks, suites, directions, chance));
         let [a, b] = [&a, &b].map(|(records, progress)| Compared {
             records,
             progress,
@@ -267,16 +271,16 @@ impl TwoPolicies {
 
     fn campaign(
         &self,
-        which: usize,
+        index: usize,
         tasks: &PairedEffects,
         suites: usize,
         directions: &PairedEffects,
         chance: &mut Chance,
     ) -> (Vec<Record>, Vec<Progress>) {
-        let policy = &self.0[which];
+        let policy = &self.0[index];
         let (mut records, mut progress) = (Vec::new(), Vec::new());
-        for (at, effects) in tasks.effects[which].iter().enumerate() {
-            for (config, direction) in (0..).zip(&directions.effects[which]) {
+        for (at, effects) in tasks.effects[index].iter().enumerate() {
+            for (config, direction) in (0..).zip(&directions.effects[index]) {
                 let conditions = conditions().chain([Condition::Clean]);
                 for (row, condition) in conditions.enumerate() {
                     let logit = policy.logit(at % suites, row) + effects[row] + direction[row];

@@ -12,15 +12,15 @@ use crate::sequential::sequence::ConfidenceSequence;
 /// Confidence sequences of `N` measures, which hold simultaneously, at all looks, with
 /// a probability of at least 1 − α.
 #[derive(Clone, Debug)]
-pub(crate) struct Together<U, const N: usize> {
+pub(crate) struct SimultaneousSequences<U, const N: usize> {
     prefix: Prefix<U, [[i64; 2]; N]>,
     /// Number of units after which each round ends.
     round_ends: Vec<usize>,
     sequences: [(Measure, ConfidenceSequence); N],
 }
 
-impl<U: Ord + Clone + fmt::Debug, const N: usize> Together<U, N> {
-    /// Creates the sequences; each measure comes with the range of a unit's values. They
+impl<U: Ord + Clone + fmt::Debug, const N: usize> SimultaneousSequences<U, N> {
+    /// Creates the sequences; each measure comes with the range of a unit's values. The sequences
     /// share α equally (Bonferroni).
     pub(crate) fn new(order: &Order<U>, measures: [(Measure, [i64; 2]); N], alpha: f64) -> Self {
         assert!(alpha > 0.0 && alpha < 1.0, "α is between 0 and 1");
@@ -41,7 +41,7 @@ impl<U: Ord + Clone + fmt::Debug, const N: usize> Together<U, N> {
 
     /// Adds a unit with the range of its value for each measure.
     pub(crate) fn complete(&mut self, unit: &U, values: [[i64; 2]; N]) -> Result<(), NotInOrder> {
-        self.prefix.arrive(unit, values)?;
+        self.prefix.store(unit, values)?;
         while let Some((stratum, values)) = self.prefix.next() {
             let ends_round = self.round_ends.binary_search(&self.prefix.used()).is_ok();
             for ((_, sequence), value) in self.sequences.iter_mut().zip(values) {

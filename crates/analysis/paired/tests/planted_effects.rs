@@ -1,11 +1,11 @@
-//! The sentences of reports distinguish a policy of coin flips, one with a planted interaction and
-//! one with planted directions.
+//! The sentences of reports distinguish three simulated policies: random outcomes without any
+//! effect, a planted interaction, and planted effects of directions.
 
 use std::collections::BTreeSet;
 
 use paired::{Bootstrap, FindingKind, Options, report};
 
-// The example `coverage` uses the remaining functions.
+// The examples use the other functions of the module.
 #[allow(dead_code)]
 mod simulated;
 
@@ -13,7 +13,7 @@ use simulated::{Chance, Planted};
 
 const CAMPAIGNS: u64 = 100;
 
-/// Number of campaigns, of a hundred, whose sentences about simultaneity and directions
+/// Returns the number of campaigns, of a hundred, whose sentences about simultaneity and directions
 /// claim what was planted and nothing else.
 fn count_correct(planted: Planted, expected: &[(FindingKind, &str)]) -> usize {
     let options = Options {
@@ -24,13 +24,13 @@ fn count_correct(planted: Planted, expected: &[(FindingKind, &str)]) -> usize {
         },
         ..Options::default()
     };
-    let is_right = |seed: &u64| {
+    let is_correct = |seed: &u64| {
         let records = planted.campaign(&mut Chance::new(*seed));
         let report = report(&records, &options).expect("each rollout once");
-        let about = |kind| matches!(kind, FindingKind::Simultaneity | FindingKind::Directions);
+        let is_tested = |kind| matches!(kind, FindingKind::Simultaneity | FindingKind::Directions);
         let findings = report.findings.iter();
         let findings: Vec<_> = findings
-            .filter(|finding| finding.claims && about(finding.kind))
+            .filter(|finding| finding.claims && is_tested(finding.kind))
             .collect();
         let kinds: BTreeSet<_> = findings.iter().map(|finding| finding.kind).collect();
         kinds == expected.iter().map(|(kind, _)| *kind).collect()
@@ -42,11 +42,11 @@ fn count_correct(planted: Planted, expected: &[(FindingKind, &str)]) -> usize {
                     && !finding.sentence.contains("compensated")
             })
     };
-    (0..CAMPAIGNS).filter(is_right).count()
+    (0..CAMPAIGNS).filter(is_correct).count()
 }
 
 #[test]
-fn sentences_distinguish_coins_an_interaction_and_directions() {
+fn sentences_distinguish_chance_an_interaction_and_an_effect_of_directions() {
     let emerge = (FindingKind::Simultaneity, "failures emerge beyond chance");
     let depends = (FindingKind::Directions, "success depends on the direction");
     for (planted, name, expected) in [
