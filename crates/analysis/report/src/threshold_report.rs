@@ -127,7 +127,7 @@ impl ThresholdReport {
         thresholds: &Thresholds,
     ) -> Result<(), BudgetTooSmall> {
         let measurement = Measurement::of(&campaign.counted(), &[], thresholds);
-        let is_empty = measurement.rays().next().is_none() && measurement.of_rays() > 0;
+        let is_empty = measurement.rays().next().is_none() && measurement.ray_count() > 0;
         match thresholds.budget {
             Some(budget) if is_empty => Err(BudgetTooSmall {
                 budget,
@@ -176,7 +176,7 @@ impl ThresholdReport {
                 && measurement.plan().is_empty(),
             looked_for: measured.len() as u64,
             found: measured.iter().filter(|measured| measured.is_found).count() as u64,
-            beyond_budget: (measurement.of_rays() - measured.len()) as u64,
+            beyond_budget: (measurement.ray_count() - measured.len()) as u64,
             rollouts: by.records.len() as u64,
             waiting: waiting as u64,
             curves: measurement.curves(&Bootstrap::default()),

@@ -52,8 +52,8 @@ impl Outcomes<Level> {
     /// Returns the radii beyond 0 whose outcome is known to be a success, or a failure, in
     /// ascending order.
     pub(crate) fn levels(&self, success: bool) -> impl DoubleEndedIterator<Item = Level> {
-        let is_such = move |outcome: Outcome| outcome.success() == Some(success);
+        let matches = move |outcome: Outcome| outcome.success() == Some(success);
         self.perturbed()
-            .filter_map(move |(level, outcome)| is_such(outcome).then_some(level))
+            .filter_map(move |(level, outcome)| matches(outcome).then_some(level))
     }
 }

@@ -19,7 +19,7 @@ pub struct Lattice {
     outcomes: Outcomes<AxisSet>,
 }
 
-/// Error in the axes of a campaign or an outcome.
+/// Error in the axes of a campaign or of a rollout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LatticeError {
     /// The campaign has fewer than two axes.
@@ -41,7 +41,7 @@ pub enum LatticeError {
     TooFewRepeats {
         /// Number of the campaign's axes.
         axes: usize,
-        /// Most replicates of a subset.
+        /// Largest number of replicates of a subset.
         repeats: u32,
         /// Fewest replicates with which each subset can be decided.
         fewest: u32,

@@ -26,9 +26,10 @@ pub struct Sample {
 ///
 /// Configurations are started in a random order that depends on the seed and
 /// their ids alone. A configuration is started only if the budget covers its whole
-/// lattice in addition to the possible needs of those in progress, so that each one
-/// started can be finished. At the end, when none is in progress, the rest of the
-/// budget goes to one configuration after the other, and the last may remain unfinished.
+/// lattice in addition to the largest possible cost of the configurations in progress, so that
+/// every started configuration can be finished. When none is in progress and the budget no longer
+/// covers a whole lattice, one configuration at a time is started nevertheless, and the last may
+/// remain unfinished.
 ///
 /// Spending is counted from the requested rollouts: pass every configuration of the sample each
 /// time, including explained ones.
@@ -105,18 +106,18 @@ mod tests {
     /// Returns configurations in which only the pair of the first two axes and the full set
     /// are known to fail.
     fn transitions(count: usize) -> BTreeMap<RolloutId, Lattice> {
-        let named = |task| RolloutId::perturbed(task, Condition::Combination, Level::L2, 3);
-        let names = TaskRef::all().map(|task| named(task).expect("a perturbed level"));
-        let begun = |name| {
+        let id = |task| RolloutId::perturbed(task, Condition::Combination, Level::L2, 3);
+        let ids = TaskRef::all().map(|task| id(task).expect("a perturbed level"));
+        let lattice_of = |id| {
             let mut lattice = Lattice::new(AxisSet::ALL, Evidence::Once).expect("six axes");
             let campaign = lattice.singles().chain([AxisSet::EMPTY, AxisSet::ALL]);
             for set in campaign.collect::<Vec<_>>() {
                 let result = lattice.record_source(set, outcome(set));
                 result.expect("a subset");
             }
-            (name, lattice)
+            (id, lattice)
         };
-        names.take(count).map(begun).collect()
+        ids.take(count).map(lattice_of).collect()
     }
 
     fn outcome(set: AxisSet) -> Outcome {
@@ -146,7 +147,7 @@ mod tests {
             }
             widest = widest.max(batches.len());
             for (name, batch) in batches {
-                let lattice = all.get_mut(&name).expect("it was passed");
+                let lattice = all.get_mut(&name).expect("a planned configuration");
                 for Request { set, rollouts } in batch {
                     for _ in 0..rollouts {
                         lattice.record(set, outcome(set)).expect("a subset");
@@ -172,7 +173,10 @@ mod tests {
             assert_eq!(spent, budget.min(30 * 17));
             let expected = (budget / 17).min(30) as usize;
             assert_eq!(finished(&all).len(), expected, "budget {budget}");
-            assert!(budget < 300 || widest >= 5, "they run side by side");
+            assert!(
+                budget < 300 || widest >= 5,
+                "configurations run concurrently"
+            );
         }
     }
 
@@ -201,7 +205,7 @@ mod tests {
             let (name, batch) = plan(&all, &sample).remove(0);
             let name = *name;
             for Request { set, .. } in batch {
-                let lattice = all.get_mut(&name).expect("it was passed");
+                let lattice = all.get_mut(&name).expect("a planned configuration");
                 lattice.record(set, outcome(set)).expect("a subset");
             }
             for (later, lattice) in transitions(30) {
@@ -225,7 +229,7 @@ mod tests {
     }
 
     #[test]
-    fn no_rollout_replaces_a_pending_batch() {
+    fn pending_rollouts_reserve_the_budget() {
         let mut all = transitions(30);
         let sample = sample(120, 7);
         let first: Vec<_> = plan(&all, &sample)
@@ -234,7 +238,7 @@ mod tests {
             .collect();
         for (name, batch) in &first {
             for request in batch {
-                let lattice = all.get_mut(name).expect("it was passed");
+                let lattice = all.get_mut(name).expect("a planned configuration");
                 lattice
                     .record(request.set, Outcome::Missing)
                     .expect("a subset");

@@ -30,13 +30,16 @@ fn any_configurations() -> impl Strategy<Value = (usize, Vec<CompleteLattice>)> 
     (2..=6_usize, configurations).prop_map(|(axes, configurations)| {
         let full = full(axes);
         let subsets = full.subsets();
-        let one = |(task, bits): (usize, u64)| {
+        let configuration = |(task, bits): (usize, u64)| {
             lattice(task, full, |set| {
                 let index = subsets.iter().position(|other| *other == set);
                 bits >> index.expect("a subset") & 1 == 1
             })
         };
-        (axes, configurations.into_iter().map(one).collect())
+        (
+            axes,
+            configurations.into_iter().map(configuration).collect(),
+        )
     })
 }
 
@@ -101,15 +104,15 @@ proptest! {
     }
 }
 
-/// Ten tasks; the pair of the first two axes fails in the even ones.
+/// Returns one configuration per task. The pair of the first two axes fails in even tasks.
 fn pair_fails_in_half(tasks: usize) -> Vec<CompleteLattice> {
     let pair = full(2);
-    let one = |task| {
+    let configuration = |task| {
         lattice(task, AxisSet::ALL, |set| {
             task % 2 == 1 || !pair.is_subset(set)
         })
     };
-    (0..tasks).map(one).collect()
+    (0..tasks).map(configuration).collect()
 }
 
 #[test]
@@ -125,12 +128,12 @@ fn a_failing_pair_is_one_coefficient_shared_by_its_axes() {
 }
 
 #[test]
-fn intervals_contain_their_values_and_are_withheld_where_they_mislead() {
+fn intervals_contain_their_values_and_need_spread_and_ten_tasks() {
     let ten = Interactions::of(&pair_fails_in_half(10), &Bootstrap::default()).expect("some");
     let m = ten.moebius[&full(2)];
     let [low, high] = m.ci95.expect("ten tasks");
     assert!(low < m.value && m.value < high, "{low} {high}");
-    // The mean of ten halves: √(0.25 / 10) is its standard deviation.
+    // The mean of ten values, −1 or 0 equally often, has the standard error √(0.25 / 10).
     assert!(
         (high - low - 2.0 * 1.96 * 0.025_f64.sqrt()).abs() < 0.1,
         "{low} {high}"
@@ -149,12 +152,12 @@ fn intervals_contain_their_values_and_are_withheld_where_they_mislead() {
 }
 
 #[test]
-fn without_configurations_there_are_no_interactions_and_a_gap_is_named() {
+fn interactions_need_a_configuration_and_an_outcome_under_every_subset() {
     assert_eq!(Interactions::of(&[], &FEW), None);
     let task = TaskRef::all().next().expect("a task");
-    let hole: AxisSet = "camera+robot".parse().expect("a set");
-    let error = CompleteLattice::new(task, full(3), |set| (set != hole).then_some(true));
-    let error = error.expect_err("a hole").to_string();
+    let missing: AxisSet = "camera+robot".parse().expect("a set");
+    let error = CompleteLattice::new(task, full(3), |set| (set != missing).then_some(true));
+    let error = error.expect_err("a subset without an outcome").to_string();
     assert_eq!(
         error,
         "axes camera+lighting+robot: camera+robot has no outcome"

@@ -52,7 +52,7 @@ impl Kind {
         Self::CoinFlips,
     ];
 
-    /// Monotone kinds, and one that is not.
+    /// The monotone kinds and [`Self::MaskedPair`].
     pub(crate) const MIXTURE: [Self; 6] = [
         Self::Pair,
         Self::Triple,
@@ -74,14 +74,14 @@ impl Rule {
             let axes = shuffled(rng);
             let set = |axes: &[Axis]| axes.iter().copied().collect::<AxisSet>();
             let fails = |culprits: &[AxisSet]| {
-                Self::of(|all| !culprits.iter().any(|culprit| culprit.is_subset(all)))
+                Self::from_success(|all| !culprits.iter().any(|culprit| culprit.is_subset(all)))
             };
             // Another pair or triple, of axes that may be among the first ones.
-            let other = set(&shuffled(rng)[..2 + below(2, rng)]);
+            let other = set(&shuffled(rng)[..2 + random_below(2, rng)]);
             let masked = |culprit: AxisSet, mask: AxisSet| {
-                Self::of(|all| {
-                    let hidden = !culprit.is_subset(all) || mask.is_subset(all);
-                    hidden && !other.is_subset(all)
+                Self::from_success(|all| {
+                    let is_harmless = !culprit.is_subset(all) || mask.is_subset(all);
+                    is_harmless && !other.is_subset(all)
                 })
             };
             let rule = match kind {
@@ -92,9 +92,9 @@ impl Rule {
                 Kind::Compensation | Kind::TwoCompensations => {
                     let failing = if kind == Kind::Compensation { 1 } else { 2 };
                     let helpers: Vec<AxisSet> = (0..failing)
-                        .map(|i| set(&axes[2 + 2 * i..3 + 2 * i + below(2, rng)]))
+                        .map(|i| set(&axes[2 + 2 * i..3 + 2 * i + random_below(2, rng)]))
                         .collect();
-                    Self::of(|all| {
+                    Self::from_success(|all| {
                         let mut pairs = axes.iter().zip(&helpers);
                         pairs.all(|(&axis, helpers)| {
                             !all.contains(axis) || helpers.axes().any(|axis| all.contains(axis))
@@ -106,7 +106,7 @@ impl Rule {
                 Kind::CoinFlips => {
                     let mut coins = BTreeMap::new();
                     for all in AxisSet::ALL.subsets() {
-                        let coin = below(2, rng) == 0;
+                        let coin = random_below(2, rng) == 0;
                         coins.insert(all, (all.len() < 2 || coin) && all != AxisSet::ALL);
                     }
                     Self(coins)
@@ -131,7 +131,7 @@ impl Rule {
         }
     }
 
-    fn of(success: impl Fn(AxisSet) -> bool) -> Self {
+    fn from_success(success: impl Fn(AxisSet) -> bool) -> Self {
         let subsets = AxisSet::ALL.subsets().into_iter();
         Self(subsets.map(|set| (set, success(set))).collect())
     }
@@ -169,11 +169,10 @@ impl Rule {
 /// Cost and result of a search.
 #[derive(Debug)]
 pub(crate) struct Found {
-    /// Subsets that were run beyond those of a campaign.
+    /// Number of subsets that were run beyond those of a campaign.
     pub(crate) subsets: usize,
     /// Number of rollouts that were requested.
     pub(crate) rollouts: u32,
-    /// Batches.
     pub(crate) batches: usize,
     /// The explanation, if there is one.
     pub(crate) explanation: Option<Explanation>,
@@ -194,8 +193,7 @@ impl Found {
     }
 }
 
-/// Runs a search to its end. `outcome` is called with the subset and the number of rollouts that it
-/// has had.
+/// Runs a search to its end. `outcome` returns the outcome of one rollout under a subset.
 pub(crate) fn search(
     strategy: Strategy,
     evidence: Evidence,
@@ -252,7 +250,7 @@ pub(crate) fn run(
     batches
 }
 
-/// A search over the outcomes of a rule.
+/// Runs a search over the outcomes of a rule.
 pub(crate) fn search_rule(rule: &Rule, strategy: Strategy) -> Found {
     search(strategy, Evidence::Once, |set| {
         Outcome::from(rule.succeeds(set))
@@ -273,19 +271,18 @@ pub(crate) fn search_noisy(
     })
 }
 
-/// A generator for a seed.
 pub(crate) fn seeded(seed: u64) -> ChaCha12Rng {
     ChaCha12Rng::seed_from_u64(seed)
 }
 
-fn below(bound: usize, rng: &mut ChaCha12Rng) -> usize {
+fn random_below(bound: usize, rng: &mut ChaCha12Rng) -> usize {
     ((u64::from(rng.next_u32()) * bound as u64) >> 32) as usize
 }
 
 fn shuffled(rng: &mut ChaCha12Rng) -> [Axis; 6] {
     let mut axes = Axis::ALL;
     for i in (1..axes.len()).rev() {
-        axes.swap(i, below(i + 1, rng));
+        axes.swap(i, random_below(i + 1, rng));
     }
     axes
 }
