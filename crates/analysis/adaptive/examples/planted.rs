@@ -4,8 +4,8 @@
 //! Columns per kind of rule: the number of subsets run beyond those of a campaign, and
 //! their share of the 56 further subsets; the numbers of rollouts and batches; the share of rules
 //! explained, and the share of the explained rules whose minimal subsets are exactly the
-//! planted ones. The last rows are for noisy policies, which contradict the rule with a given probability, so that the campaign's
-//! first rollouts hide some transitions.
+//! planted ones. The last rows are for noisy policies, which contradict the rule with a given
+//! probability, so that the campaign's first rollouts hide some transitions.
 
 #[path = "../tests/it/subsets/planted.rs"]
 mod planted;

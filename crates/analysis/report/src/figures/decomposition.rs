@@ -74,12 +74,12 @@ fn row(scale: &Scale, name: &str, m: &Measures, top: f64) -> Markup {
         words::percent(m.s_conj),
         words::percent(m.s_sim)
     );
-    let in_d = format!(
+    let d_text = format!(
         "D {}{}",
         words::points(m.d),
         words::points_interval(m.d_ci95, m.no_interval)
     );
-    let in_i = format!(
+    let i_text = format!(
         "I {}{}",
         words::points(m.i),
         words::points_interval(m.i_ci95, m.no_interval)
@@ -95,8 +95,8 @@ fn row(scale: &Scale, name: &str, m: &Measures, top: f64) -> Markup {
             (circle(indep, d, "open"))
             (diamond(conj, f64::midpoint(d, i), "mark"))
             (square(sim, i, "mark"))
-            (text(0.0, top + 61.0, "small d", &in_d))
-            (text(scale.at(0.5) , top + 61.0, "small i", &in_i))
+            (text(0.0, top + 61.0, "small d", &d_text))
+            (text(scale.at(0.5) , top + 61.0, "small i", &i_text))
         }
     }
 }

@@ -40,15 +40,15 @@ pub fn differences(comparison: &Comparison) -> Option<Figure> {
     let end = (largest / step - 1e-9).ceil() * step;
     let scale = Scale::between([-end, end], [LABELS, WIDTH - 14.0]);
     let mut y = HEAD + 22.0;
-    let mut above = None;
+    let mut previous = None;
     let mut body = Vec::new();
     for (cell, difference) in &rows {
-        if above.is_some_and(|above| above != cell.level) {
+        if previous.is_some_and(|previous| previous != cell.level) {
             y += GAP;
         }
-        let is_first = above != Some(cell.level) && cell.condition != Condition::Clean;
-        above = Some(cell.level);
-        body.push(row(&scale, cell, difference, is_first, y));
+        let names_level = previous != Some(cell.level) && cell.condition != Condition::Clean;
+        previous = Some(cell.level);
+        body.push(row(&scale, cell, difference, names_level, y));
         y += ROW;
     }
     let counts = words::counts(rows.iter().map(|(_, delta)| delta.n));

@@ -45,12 +45,12 @@ pub fn heat_map(document: &Document, level: Level) -> Option<Figure> {
         return None;
     }
     let all = Axis::ALL.map(Condition::Single).into_iter();
-    let any = |condition: &Condition| {
+    let is_run = |condition: &Condition| {
         rows.iter()
             .any(|(_, cell)| count(cell, *condition).is_some())
     };
-    let beside = [Condition::Latency, Condition::Combination];
-    let columns: Vec<Condition> = all.chain(beside).filter(any).collect();
+    let last = [Condition::Latency, Condition::Combination];
+    let columns: Vec<Condition> = all.chain(last).filter(is_run).collect();
     let width = (WIDTH - LABELS - 6.0) / columns.len().max(1) as f64;
     let counts = rows.iter().flat_map(|(_, cell)| {
         let counts = columns
@@ -89,7 +89,7 @@ fn count(cell: &Cell, condition: Condition) -> Option<Count> {
     match condition {
         Condition::Clean | Condition::Subset(_) | Condition::Variant => None,
         Condition::Single(axis) => cell.alone.get(&axis).map(|alone| alone.count),
-        Condition::Latency => cell.latency.as_ref().map(|late| late.count),
+        Condition::Latency => cell.latency.as_ref().map(|latency| latency.count),
         Condition::Combination => cell.simultaneous,
     }
 }

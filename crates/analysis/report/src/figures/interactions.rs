@@ -93,10 +93,10 @@ fn cell(what: &str, estimate: &Estimate, largest: f64, [x, y]: [f64; 2], side: f
     } else {
         "bare"
     };
-    let is_sure = estimate
+    let excludes_zero = estimate
         .ci95
         .is_some_and(|[low, high]| low > 0.0 || high < 0.0);
-    let weight = if is_sure { "name" } else { "" };
+    let weight = if excludes_zero { "name" } else { "" };
     html! {
         g {
             title {
@@ -120,8 +120,8 @@ fn rect_outline([x, y]: [f64; 2], side: f64) -> Markup {
     }
 }
 
-/// Draws the steps from nominal to simultaneous success: the sums that single axes, pairs,
-/// triples, … add.
+/// Draws the steps from nominal to simultaneous success: the summed effects of single axes, of
+/// pairs, of triples, and so on.
 pub fn additive(analysis: &Analysis, level: &LevelInteractions) -> Figure {
     let found = &level.interactions;
     let [nominal, simultaneous] = level.ends();

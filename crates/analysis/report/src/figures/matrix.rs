@@ -11,7 +11,7 @@ use super::svg::{HEAD, number, rect, text};
 use super::{Figure, Link, WIDTH};
 use crate::analysis::Analysis;
 
-/// Largest number of configurations drawn per task; the rest are counted in words.
+/// Largest number of configurations drawn per task; the others are counted in a text.
 const MAX_COLUMNS: usize = 10;
 const SQUARE: f64 = 14.0;
 const LABELS: f64 = 26.0;
@@ -215,14 +215,14 @@ fn tooltip(matched: &Matched) -> String {
     let place = format!("{} c{}", matched.task, matched.config);
     let transition = matched.transition().map_or("incomplete", Transition::name);
     let mut tooltip = format!("{place}: {transition}");
-    for (outcome, what) in [
+    for (outcome, verb) in [
         (Outcome::Failure, "fails under"),
         (Outcome::Missing, "no result under"),
         (Outcome::Quarantined, "quarantined under"),
     ] {
         let names = named(outcome);
         if !names.is_empty() {
-            tooltip.push_str(&format!("; {what} {}", names.join(", ")));
+            tooltip.push_str(&format!("; {verb} {}", names.join(", ")));
         }
     }
     tooltip

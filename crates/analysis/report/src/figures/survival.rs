@@ -41,10 +41,10 @@ pub fn survival(curve: &Curve) -> Option<Figure> {
         (intervals(&place, &curve.points))
         (brackets(&place, &curve.points))
         path class="curve" d=(path(curve.points.iter().map(|point| {
-            place.of(point.radius, point.survival)
+            place.point(point.radius, point.survival)
         }))) {}
         @for (level, point) in levels(&scale, curve) {
-            @let [x, y] = place.of(point.radius, point.survival);
+            @let [x, y] = place.point(point.radius, point.survival);
             (text(x, HEAD + 12.0, "small middle", &level.to_string()))
             g {
                 title { (level) ": " (words::percent(point.survival)) " %" }
@@ -95,7 +95,7 @@ impl Place {
         self.bottom - PLOT * share
     }
 
-    fn of(&self, radius: f64, share: f64) -> [f64; 2] {
+    fn point(&self, radius: f64, share: f64) -> [f64; 2] {
         [self.scale.at(radius), self.y(share)]
     }
 }
@@ -104,7 +104,7 @@ impl Place {
 fn ticks(scale: &Scale, curve: &Curve) -> Vec<(f64, String)> {
     let radii = [0.0].into_iter().chain(curve.grid.iter().copied());
     let label = |radius: f64| (radius, number(radius));
-    apart(scale, radii).into_iter().map(label).collect()
+    spaced(scale, radii).into_iter().map(label).collect()
 }
 
 /// Returns the protocol's levels whose labels fit on the axis, with the curve's point at
@@ -114,14 +114,14 @@ fn levels<'a>(scale: &Scale, curve: &'a Curve) -> Vec<(Level, &'a Point)> {
         .points
         .iter()
         .filter_map(|point| Some((point.level?, point)));
-    let room = apart(scale, named.clone().map(|(level, _)| level.radius()));
+    let labelled = spaced(scale, named.clone().map(|(level, _)| level.radius()));
     named
-        .filter(|(level, _)| room.contains(&level.radius()))
+        .filter(|(level, _)| labelled.contains(&level.radius()))
         .collect()
 }
 
 /// Drops each value that is closer than [`APART`] to the next larger kept value.
-fn apart(scale: &Scale, values: impl Iterator<Item = f64>) -> Vec<f64> {
+fn spaced(scale: &Scale, values: impl Iterator<Item = f64>) -> Vec<f64> {
     let mut values: Vec<f64> = values.collect();
     values.reverse();
     let mut kept: Vec<f64> = Vec::new();
@@ -141,11 +141,11 @@ fn intervals(place: &Place, points: &[Point]) -> Markup {
     let ends = |point: &Point| point.ci95.unwrap_or([point.survival; 2]);
     let low = points
         .iter()
-        .map(|point| place.of(point.radius, ends(point)[0]));
+        .map(|point| place.point(point.radius, ends(point)[0]));
     let high = points
         .iter()
         .rev()
-        .map(|point| place.of(point.radius, ends(point)[1]));
+        .map(|point| place.point(point.radius, ends(point)[1]));
     html! { path class="band" d={ (path(low.chain(high))) "Z" } {} }
 }
 
@@ -159,7 +159,7 @@ fn brackets(place: &Place, points: &[Point]) -> Markup {
         path(
             steps
                 .into_iter()
-                .map(|(radius, share)| place.of(radius, share)),
+                .map(|(radius, share)| place.point(radius, share)),
         )
     };
     html! {

@@ -1,7 +1,7 @@
 //! UpSet plot of the minimal subsets that explain a campaign's transitions (A. Lex et
 //! al., IEEE Transactions on Visualization and Computer Graphics 20, 2014). Axes are
 //! rows, each minimal subset is a column of dots, and a bar above it counts the
-//! configurations that it was found in.
+//! configurations in which the subset was found.
 
 use adaptive::subsets::Occurrence;
 use libero_ctrl::{Axis, AxisSet};
@@ -20,8 +20,8 @@ const BARS: f64 = 96.0;
 const NUMBERS: f64 = 18.0;
 const DOT: f64 = 6.0;
 const LEGEND: f64 = 46.0;
-/// Largest number of columns; further subsets are counted in words.
-const MOST: usize = ((WIDTH - LABELS) / COLUMN) as usize;
+/// Largest number of columns; further subsets are counted in a text.
+const MAX_COLUMNS: usize = ((WIDTH - LABELS) / COLUMN) as usize;
 
 /// Draws the panel of one transition; `None` if no minimal subset of it was found.
 pub fn upset(findings: &Findings, transition: Transition) -> Option<Figure> {
@@ -35,7 +35,7 @@ pub fn upset(findings: &Findings, transition: Transition) -> Option<Figure> {
         .iter()
         .map(|occurrence| occurrence.configurations)
         .max()?;
-    let (shown, further) = all.split_at(all.len().min(MOST));
+    let (shown, further) = all.split_at(all.len().min(MAX_COLUMNS));
     let configurations = findings.configurations.iter();
     let n = configurations.filter(|explained| explained.explanation.transition == transition);
     let n = n.count();
@@ -96,7 +96,7 @@ fn column(occurrence: &Occurrence, axes: &[Axis], most: u64, [x, base, rows]: [f
         occurrence.established
     );
     let y = |row: usize| rows + ROW * (row as f64 + 0.5);
-    let inside: Vec<usize> = (0..axes.len())
+    let perturbed: Vec<usize> = (0..axes.len())
         .filter(|&row| occurrence.set.contains(axes[row]))
         .collect();
     html! {
@@ -105,7 +105,7 @@ fn column(occurrence: &Occurrence, axes: &[Axis], most: u64, [x, base, rows]: [f
             (rect(x - 7.0, base - all, 14.0, all, &format!("{class} pale")))
             (rect(x - 7.0, base - established, 14.0, established, class))
             (text(x, base - all - 5.0, "tiny middle", &occurrence.configurations.to_string()))
-            @if let (Some(first), Some(last)) = (inside.first(), inside.last()) {
+            @if let (Some(first), Some(last)) = (perturbed.first(), perturbed.last()) {
                 (line("join", [x, y(*first)], [x, y(*last)]))
             }
             @for (row, axis) in axes.iter().enumerate() {
@@ -116,8 +116,8 @@ fn column(occurrence: &Occurrence, axes: &[Axis], most: u64, [x, base, rows]: [f
     }
 }
 
-fn dot([x, y]: [f64; 2], is_inside: bool, is_start: bool) -> Markup {
-    let class = match (is_inside, is_start) {
+fn dot([x, y]: [f64; 2], is_perturbed: bool, is_start: bool) -> Markup {
+    let class = match (is_perturbed, is_start) {
         (_, true) => "open",
         (true, false) => "mark",
         (false, false) => "absent",

@@ -10,7 +10,7 @@ use crate::document::Document;
 use crate::sequential::percent_text;
 
 /// Renders the section; empty if no campaign may end early.
-pub(super) fn of_campaigns(document: &Document) -> Markup {
+pub(super) fn section(document: &Document) -> Markup {
     let analyses = document.analyses.iter();
     let all = analyses
         .filter_map(|analysis| Some((analysis.label.as_str(), analysis.sequential.as_ref()?)));
@@ -48,7 +48,7 @@ pub(super) fn of_campaigns(document: &Document) -> Markup {
 }
 
 /// Renders the table of two policies; empty if they did not run in the same drawn order.
-pub(super) fn of_two(comparison: &Comparison) -> Markup {
+pub(super) fn comparison_table(comparison: &Comparison) -> Markup {
     let heads = ["rollouts", "configurations", "A − B points"];
     html! {
         @if let Some(sequential) = &comparison.sequential {

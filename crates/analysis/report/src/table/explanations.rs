@@ -30,7 +30,7 @@ pub(super) fn table(document: &Document) -> Table<Row<'_>> {
         })
     });
     Table {
-        of: "explanations",
+        name: "explanations",
         columns: columns().into(),
         rows: rows.collect(),
     }
