@@ -363,7 +363,7 @@ async fn serve(
     security: &Security,
 ) -> anyhow::Result<()> {
     let gateway = Gateway::new(config)?;
-    // Dropping the set ends the task with this function.
+    // The task ends when this function returns and drops the set.
     let mut reloading = JoinSet::new();
     if let Some(file) = file {
         let hangups = signal(SignalKind::hangup()).context("listen for SIGHUP")?;

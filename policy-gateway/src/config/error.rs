@@ -7,7 +7,7 @@ use thiserror::Error;
 
 use super::name::{RouteName, RouteNameError};
 
-/// Most replicas of one checkpoint.
+/// Largest number of replicas of one checkpoint.
 pub const MAX_REPLICAS: usize = 64;
 
 /// Reason why a configuration is invalid. Reads after "failed to …".
