@@ -35,7 +35,7 @@ impl Outcomes<Level> {
     pub fn at(&self, level: Level) -> Option<Outcome> {
         let tally = self.both(level);
         match tally.majority() {
-            _ if tally.asked() == 0 => None,
+            _ if tally.requested() == 0 => None,
             Some(success) => Some(Outcome::from(success)),
             None if tally.pending > 0 => Some(Outcome::Missing),
             None => Some(Outcome::Quarantined),

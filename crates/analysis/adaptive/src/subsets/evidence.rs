@@ -176,18 +176,18 @@ impl Repeats {
 
     fn verdict(&self, tally: &Tally, role: Role) -> Verdict {
         let Looks { batch, most, level } = self.looks(role);
-        let asked = tally.asked();
-        if asked < batch {
+        let requested = tally.requested();
+        if requested < batch {
             return Verdict::Short {
-                more: batch - asked,
+                more: batch - requested,
             };
         }
         let decides = sign_test(tally.successes, tally.failures) <= level;
         match tally.majority() {
             Some(true) if decides => Verdict::Success,
             Some(false) if decides => Verdict::Failure,
-            _ if asked < most => Verdict::Short {
-                more: batch.min(most - asked),
+            _ if requested < most => Verdict::Short {
+                more: batch.min(most - requested),
             },
             _ if tally.count().n == 0 => Verdict::Quarantined,
             _ => Verdict::Undecided,
@@ -218,7 +218,7 @@ impl Evidence {
             ..
         } = *tally;
         match self {
-            _ if tally.asked() == 0 => Verdict::NotRun,
+            _ if tally.requested() == 0 => Verdict::NotRun,
             Self::Repeated(_) if pending > 0 => Verdict::Pending,
             Self::Repeated(repeats) => repeats.verdict(tally, role),
             Self::Once => match (successes > 0, failures > 0) {
@@ -247,7 +247,7 @@ impl Evidence {
         };
         match self.verdict(tally, role) {
             Verdict::NotRun | Verdict::Pending | Verdict::Short { .. } => {
-                most.saturating_sub(tally.asked())
+                most.saturating_sub(tally.requested())
             }
             _ => 0,
         }
@@ -313,7 +313,7 @@ mod tests {
     /// successes so far.
     fn probability_of_success(repeats: Repeats, role: Role, p: f64, earlier: Tally) -> f64 {
         let mut probability = 0.0;
-        let mut states = BTreeMap::from([((earlier.asked(), earlier.successes), 1.0)]);
+        let mut states = BTreeMap::from([((earlier.requested(), earlier.successes), 1.0)]);
         while let Some(((n, successes), weight)) = states.pop_first() {
             let tally = tally(successes, n - successes);
             let more = match Evidence::Repeated(repeats).verdict(&tally, role) {

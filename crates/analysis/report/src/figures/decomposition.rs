@@ -13,8 +13,8 @@ use super::svg::{
 use crate::document::Document;
 use crate::words;
 
-const LEGEND: f64 = 20.0;
-const ROW: f64 = 66.0;
+const LEGEND_HEIGHT: f64 = 20.0;
+const ROW_HEIGHT: f64 = 66.0;
 
 /// Draws the panel of a level; `None` if no policy has a complete configuration.
 pub fn decomposition(document: &Document, level: Level) -> Option<Figure> {
@@ -24,8 +24,8 @@ pub fn decomposition(document: &Document, level: Level) -> Option<Figure> {
     }
     let domain = [0.0, 1.0];
     let scale = Scale::over(domain);
-    let top = HEAD + LEGEND;
-    let bottom = top + ROW * rows.len() as f64;
+    let top = HEAD + LEGEND_HEIGHT;
+    let bottom = top + ROW_HEIGHT * rows.len() as f64;
     let counts = words::counts(rows.iter().map(|(_, m)| m.n));
     let axis = format!("success, % of {counts} configurations");
     let body = html! {
@@ -33,7 +33,7 @@ pub fn decomposition(document: &Document, level: Level) -> Option<Figure> {
         (legend())
         (scale.axis([top, bottom], &percent_ticks(domain, 0.25, false), &axis))
         @for (index, (name, measures)) in rows.iter().enumerate() {
-            (row(&scale, name, measures, top + ROW * index as f64))
+            (row(&scale, name, measures, top + ROW_HEIGHT * index as f64))
         }
     };
     let title = format!(

@@ -12,16 +12,16 @@ use super::svg::{HEAD, line, number, rect, text};
 use super::{Figure, WIDTH};
 use crate::explanation::{Findings, subset};
 
-const LABELS: f64 = 100.0;
-const COLUMN: f64 = 23.0;
-const ROW: f64 = 22.0;
+const LABEL_WIDTH: f64 = 100.0;
+const COLUMN_WIDTH: f64 = 23.0;
+const ROW_HEIGHT: f64 = 22.0;
 /// Height of the tallest bar, without the number above it.
-const BARS: f64 = 96.0;
-const NUMBERS: f64 = 18.0;
-const DOT: f64 = 6.0;
-const LEGEND: f64 = 46.0;
+const MAX_BAR_HEIGHT: f64 = 96.0;
+const NUMBER_HEIGHT: f64 = 18.0;
+const DOT_RADIUS: f64 = 6.0;
+const LEGEND_HEIGHT: f64 = 46.0;
 /// Largest number of columns; further subsets are counted in a text.
-const MAX_COLUMNS: usize = ((WIDTH - LABELS) / COLUMN) as usize;
+const MAX_COLUMNS: usize = ((WIDTH - LABEL_WIDTH) / COLUMN_WIDTH) as usize;
 
 /// Draws the panel of one transition; `None` if no minimal subset of it was found.
 pub fn upset(findings: &Findings, transition: Transition) -> Option<Figure> {
@@ -39,11 +39,11 @@ pub fn upset(findings: &Findings, transition: Transition) -> Option<Figure> {
     let configurations = findings.configurations.iter();
     let n = configurations.filter(|explained| explained.explanation.transition == transition);
     let n = n.count();
-    let top = HEAD + NUMBERS;
-    let base = top + BARS;
+    let top = HEAD + NUMBER_HEIGHT;
+    let base = top + MAX_BAR_HEIGHT;
     let rows = base + 8.0;
     let axes: Vec<Axis> = full.axes().collect();
-    let bottom = rows + ROW * axes.len() as f64;
+    let bottom = rows + ROW_HEIGHT * axes.len() as f64;
     let is_compensated = transition == Transition::Compensated;
     let heading = match is_compensated {
         true => "Compensated successes",
@@ -54,13 +54,13 @@ pub fn upset(findings: &Findings, transition: Transition) -> Option<Figure> {
         (text(WIDTH, 15.0, "small muted end", &format!("n = {n}")))
         (text(4.0, base - 4.0, "tiny muted", "configurations"))
         @for (row, axis) in axes.iter().enumerate() {
-            @let y = rows + ROW * row as f64;
-            @if row % 2 == 0 { (rect(0.0, y, WIDTH, ROW, "band")) }
+            @let y = rows + ROW_HEIGHT * row as f64;
+            @if row % 2 == 0 { (rect(0.0, y, WIDTH, ROW_HEIGHT, "band")) }
             (text(4.0, y + 15.5, "small bare", axis.name()))
         }
-        (line("zero", [LABELS, base], [WIDTH, base]))
+        (line("zero", [LABEL_WIDTH, base], [WIDTH, base]))
         @for (index, occurrence) in shown.iter().enumerate() {
-            @let x = LABELS + COLUMN * (index as f64 + 0.5);
+            @let x = LABEL_WIDTH + COLUMN_WIDTH * (index as f64 + 0.5);
             (column(occurrence, &axes, most, [x, base, rows]))
         }
         @if !further.is_empty() {
@@ -74,13 +74,13 @@ pub fn upset(findings: &Findings, transition: Transition) -> Option<Figure> {
         findings.explained_by,
         heading.to_lowercase()
     );
-    Some(Figure::new(&name, title, bottom + LEGEND, body))
+    Some(Figure::new(&name, title, bottom + LEGEND_HEIGHT, body))
 }
 
 /// Draws a bar and below it a dot for each axis: filled for the axes of the subset, a ring
 /// for the axis that fails alone.
 fn column(occurrence: &Occurrence, axes: &[Axis], most: u64, [x, base, rows]: [f64; 3]) -> Markup {
-    let height = |count: u64| BARS * count as f64 / most as f64;
+    let height = |count: u64| MAX_BAR_HEIGHT * count as f64 / most as f64;
     let (all, established) = (
         height(occurrence.configurations),
         height(occurrence.established),
@@ -95,7 +95,7 @@ fn column(occurrence: &Occurrence, axes: &[Axis], most: u64, [x, base, rows]: [f
         occurrence.configurations,
         occurrence.established
     );
-    let y = |row: usize| rows + ROW * (row as f64 + 0.5);
+    let y = |row: usize| rows + ROW_HEIGHT * (row as f64 + 0.5);
     let perturbed: Vec<usize> = (0..axes.len())
         .filter(|&row| occurrence.set.contains(axes[row]))
         .collect();
@@ -122,7 +122,11 @@ fn dot([x, y]: [f64; 2], is_perturbed: bool, is_start: bool) -> Markup {
         (true, false) => "mark",
         (false, false) => "absent",
     };
-    let radius = if class == "absent" { DOT / 2.0 } else { DOT };
+    let radius = if class == "absent" {
+        DOT_RADIUS / 2.0
+    } else {
+        DOT_RADIUS
+    };
     html! { circle class=(class) cx=(number(x)) cy=(number(y)) r=(number(radius)) {} }
 }
 

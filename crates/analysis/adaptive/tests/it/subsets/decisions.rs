@@ -108,7 +108,11 @@ fn search(outcomes: &Outcomes, strategy: Strategy, cut: usize) -> Lattice {
         assert!(!batch.is_empty());
         for Request { set, rollouts } in batch.into_iter().take(cut) {
             assert_eq!(rollouts, 1);
-            assert_eq!(lattice.tally(set).asked(), 0, "{set} was requested before");
+            assert_eq!(
+                lattice.tally(set).requested(),
+                0,
+                "{set} was requested before"
+            );
             lattice.record(set, outcomes[&set]).expect("a subset");
         }
     }
@@ -248,10 +252,10 @@ proptest! {
                 prop_assert_eq!(&decision, &next(&backwards, strategy));
                 if let Decision::Run(batch) = decision {
                     for Request { set, rollouts } in batch {
-                        let asked = forwards.tally(set).asked();
+                        let requested = forwards.tally(set).requested();
                         prop_assert!(rollouts > 0);
                         let most = if evidence == Evidence::Once { 1 } else { 6 };
-                        prop_assert!(asked + rollouts <= most);
+                        prop_assert!(requested + rollouts <= most);
                     }
                 }
             }
@@ -297,10 +301,10 @@ proptest! {
             prop_assert!(batches <= 16 * 3);
             for Request { set, rollouts } in batch {
                 for _ in 0..rollouts {
-                    let number = lattice.outcomes().both(set).asked();
+                    let number = lattice.outcomes().both(set).requested();
                     lattice.record(set, outcome(set, number)).expect("a subset");
                 }
-                prop_assert!(lattice.tally(set).asked() <= repeats.most);
+                prop_assert!(lattice.tally(set).requested() <= repeats.most);
             }
         }
         prop_assert_eq!(next(&lattice, Strategy::Adaptive), Decision::Done);
