@@ -378,12 +378,12 @@ async fn serve(
     let address = listener
         .local_addr()
         .context("read the address listened on")?;
-    let over = if security.is_encrypted() {
+    let tls_note = if security.is_encrypted() {
         " over TLS"
     } else {
         ""
     };
-    match terminal::print_line(&format!("listening on {address}{over}")) {
+    match terminal::print_line(&format!("listening on {address}{tls_note}")) {
         // Standard output may be a closed pipe.
         Err(error) if !reader_is_gone(&error) => {
             return Err(error).context("print the address listened on");

@@ -44,7 +44,8 @@ pub enum ConfigError {
     },
     /// A route or suite has no replica.
     #[error(
-        "find a server for policy {name}: give `replicas`, or a `suites` table, each with one at least"
+        "find a server for policy {name}: give `replicas`, or a `suites` table, with at least one \
+         server each"
     )]
     NoReplica {
         /// Name of the route.

@@ -256,7 +256,7 @@ impl Family {
         let campaign = subject.origin_name().to_owned();
         // The protocol of a suite file is `NAME@DIGEST`. Suite files have no unperturbed rollouts.
         let suite_file = protocol.split_once('@').map(|(name, _)| name.to_owned());
-        let known: Option<Protocol> = match suite_file {
+        let benchmark_protocol: Option<Protocol> = match suite_file {
             Some(_) => None,
             None => {
                 let parsed: Result<Protocol, UnknownName> = protocol.parse();
@@ -266,7 +266,7 @@ impl Family {
                 })?)
             }
         };
-        let benchmark = known.map(|protocol| protocol.benchmark);
+        let benchmark = benchmark_protocol.map(|protocol| protocol.benchmark);
         let mut cases = Vec::new();
         for record in &subject.records {
             let case = Case::of_id(record.id).map_err(|source| FamilyError::Rollout {
@@ -343,7 +343,7 @@ impl Family {
                 })
                 .collect(),
             all: Line::new("all", variants.iter()),
-            published: known.map_or_else(Vec::new, |protocol| published(&protocol)),
+            published: benchmark_protocol.map_or_else(Vec::new, |protocol| published(&protocol)),
         }))
     }
 

@@ -313,25 +313,25 @@ struct JsonPair<'a> {
 
 impl<'a> JsonLevel<'a> {
     fn new(level: &'a LevelInteractions) -> Self {
-        let found = &level.interactions;
+        let interactions = &level.interactions;
         let subset = |(&set, success)| JsonSubset {
             set,
             success,
-            moebius: found.moebius.get(&set),
+            moebius: interactions.moebius.get(&set),
         };
         let size = |(&axes, moebius)| JsonSize { axes, moebius };
         let share = |(&axis, shapley)| JsonShare { axis, shapley };
         let pair = |(&set, shapley)| JsonPair { set, shapley };
         Self {
             level: level.level,
-            axes: found.full,
-            n: found.n,
-            tasks: found.tasks,
+            axes: interactions.full,
+            n: interactions.n,
+            tasks: interactions.tasks,
             left_out: level.left_out,
-            subsets: found.success.iter().map(subset).collect(),
-            sizes: found.sizes.iter().map(size).collect(),
-            shares: found.shapley.iter().map(share).collect(),
-            pairs: found.pairs.iter().map(pair).collect(),
+            subsets: interactions.success.iter().map(subset).collect(),
+            sizes: interactions.sizes.iter().map(size).collect(),
+            shares: interactions.shapley.iter().map(share).collect(),
+            pairs: interactions.pairs.iter().map(pair).collect(),
         }
     }
 }

@@ -128,7 +128,7 @@ impl Measurement {
     /// needed rollouts are requested.
     pub fn plan(&self) -> Vec<(Ray, Level)> {
         let requested: u32 = self.rays.values().map(Outcomes::requested).sum();
-        let left = self
+        let budget_left = self
             .thresholds
             .budget
             .unwrap_or(u32::MAX)
@@ -145,7 +145,7 @@ impl Measurement {
         requests.sort_by_key(|(ray, level)| (ray.config, ray.task, ray.condition, *level));
         // The sample fits the budget, so that this removes requests only if rollouts return
         // from quarantine after their brackets were halved without them.
-        requests.truncate(left as usize);
+        requests.truncate(budget_left as usize);
         requests
     }
 
@@ -192,10 +192,10 @@ fn sample(
     };
     let mut by_task: BTreeMap<TaskRef, Vec<(u64, u16)>> = BTreeMap::new();
     for &(task, config) in costs.keys() {
-        let of_task = by_task.entry(task).or_default();
+        let configs = by_task.entry(task).or_default();
         let name = RolloutId::perturbed(task, Condition::Combination, Level::L1, config);
         let name = name.expect("a combination at L1 is perturbed");
-        of_task.push((rank(&name, thresholds.seed), config));
+        configs.push((rank(&name, thresholds.seed), config));
     }
     let mut order = Vec::new();
     for (task, mut configs) in by_task {
@@ -204,9 +204,9 @@ fn sample(
         order.extend(configs.map(|(round, (rank, config))| (round, rank, (task, config))));
     }
     order.sort_unstable();
-    let mut left = budget;
+    let mut budget_left = budget;
     let affordable = order.into_iter().map_while(|(_, _, configuration)| {
-        left = left.checked_sub(costs[&configuration])?;
+        budget_left = budget_left.checked_sub(costs[&configuration])?;
         Some(configuration)
     });
     affordable.collect()

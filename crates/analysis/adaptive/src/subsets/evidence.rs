@@ -86,9 +86,10 @@ impl Role {
 /// `error` bounds the probability of any false claim about a lattice:
 ///
 /// - *The transition* is claimed if each axis alone and all axes together have the outcomes
-///   for which the configuration was selected. Every one of these hypotheses must be
-///   rejected, in the direction fixed beforehand, so that each is tested at the full level
-///   (an intersection–union test). No tally includes the selecting outcomes.
+///   for which the configuration was selected. For every one of these subsets, the hypothesis
+///   of the opposite outcome must be rejected. Its direction is fixed beforehand, and all must
+///   be rejected, so that each is tested at the full level (an intersection–union test). No
+///   tally includes the selecting outcomes.
 /// - *Further subsets* are tested only after the transition is claimed, each by a two-sided
 ///   test at `error` divided by their number (Bonferroni). Since they are tested only where all
 ///   hypotheses of the transition are rejected, both families have the full level (serial

@@ -69,9 +69,9 @@ pub fn heat_map(document: &Document, level: Level) -> Option<Figure> {
                 (text(0.0, y + 18.0, "name", &shortened(name, LABEL_CHARACTERS)))
             }
             @for (column, condition) in columns.iter().enumerate() {
-                @let what = format!("{name}, {}", condition.label());
+                @let label = format!("{name}, {}", condition.label());
                 @let place = [LABEL_WIDTH + width * column as f64, y];
-                (square(&what, count(cell, *condition), place, width))
+                (square(&label, count(cell, *condition), place, width))
             }
         }
         @for (column, condition) in columns.iter().enumerate() {
@@ -105,11 +105,11 @@ fn slanted([x, y]: [f64; 2], condition: Condition) -> Markup {
     html! { text class="small end" transform=(turned) { (condition.label()) } }
 }
 
-fn square(what: &str, count: Option<Count>, [x, y]: [f64; 2], width: f64) -> Markup {
+fn square(label: &str, count: Option<Count>, [x, y]: [f64; 2], width: f64) -> Markup {
     let rate = count.as_ref().and_then(Count::rate);
     let tooltip = match count {
-        Some(Count { successes, n }) => format!("{what}: {successes} of {n} succeed"),
-        None => format!("{what}: not measured"),
+        Some(Count { successes, n }) => format!("{label}: {successes} of {n} succeed"),
+        None => format!("{label}: not measured"),
     };
     let (left, top) = (number(x + 1.0), number(y + 1.0));
     let (middle, base) = (number(x + width / 2.0), number(y + 17.5));

@@ -27,9 +27,12 @@ const STEP_HEIGHT: f64 = 26.0;
 /// Draws the matrix: the Shapley value of each axis on the diagonal, the interaction of
 /// each pair below it.
 pub fn interaction_matrix(analysis: &Analysis, level: &LevelInteractions) -> Figure {
-    let found = &level.interactions;
-    let axes: Vec<Axis> = found.full.axes().collect();
-    let all = found.shapley.values().chain(found.pairs.values());
+    let interactions = &level.interactions;
+    let axes: Vec<Axis> = interactions.full.axes().collect();
+    let all = interactions
+        .shapley
+        .values()
+        .chain(interactions.pairs.values());
     let largest = all
         .map(|estimate| estimate.value.abs())
         .fold(0.01, f64::max);
@@ -44,19 +47,19 @@ pub fn interaction_matrix(analysis: &Analysis, level: &LevelInteractions) -> Fig
     let pair = |row: usize, column: usize| {
         let set: AxisSet = [axes[row], axes[column]].into_iter().collect();
         html! {
-            @if let Some(estimate) = found.pairs.get(&set) {
+            @if let Some(estimate) = interactions.pairs.get(&set) {
                 (cell(set.name(), estimate, largest, place(row, column), side))
             }
         }
     };
     let body = html! {
         (text(0.0, 15.0, "head", &heading(analysis, level)))
-        (text(WIDTH, 15.0, "small muted end", &format!("n = {}", found.n)))
+        (text(WIDTH, 15.0, "small muted end", &format!("n = {}", interactions.n)))
         (text(0.0, 34.0, "small muted", "shares of the axes (framed), and pairs: points of success"))
         @for (row, axis) in axes.iter().enumerate() {
             (text(0.0, TOP + ROW_HEIGHT * row as f64 + 20.5, "small", axis.name()))
             @for column in 0..row { (pair(row, column)) }
-            @if let Some(estimate) = found.shapley.get(axis) {
+            @if let Some(estimate) = interactions.shapley.get(axis) {
                 (cell(axis.name(), estimate, largest, place(row, row), side))
                 (rect_outline(place(row, row), side))
             }
@@ -130,10 +133,10 @@ fn rect_outline([x, y]: [f64; 2], side: f64) -> Markup {
 /// Draws the steps from nominal to simultaneous success: the summed effects of single axes, of
 /// pairs, of triples, and so on.
 pub fn additive(analysis: &Analysis, level: &LevelInteractions) -> Figure {
-    let found = &level.interactions;
+    let interactions = &level.interactions;
     let [nominal, simultaneous] = level.ends();
     let mut reached = nominal.value;
-    let steps: Vec<(usize, &Estimate, [f64; 2])> = found
+    let steps: Vec<(usize, &Estimate, [f64; 2])> = interactions
         .sizes
         .iter()
         .map(|(&axes, estimate)| {
@@ -166,7 +169,7 @@ pub fn additive(analysis: &Analysis, level: &LevelInteractions) -> Figure {
     };
     let body = html! {
         (text(0.0, 15.0, "head", &heading(analysis, level)))
-        (text(WIDTH, 15.0, "small muted end", &format!("n = {}", found.n)))
+        (text(WIDTH, 15.0, "small muted end", &format!("n = {}", interactions.n)))
         (text(0.0, 34.0, "small muted", "from nominal to simultaneous success"))
         (scale.axis([TOP, bottom], &ticks(domain, grain), "success, % of configurations"))
         (line("zero", [scale.at(0.0), TOP], [scale.at(0.0), bottom]))

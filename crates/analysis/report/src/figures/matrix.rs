@@ -204,7 +204,7 @@ fn mark([x, y]: [f64; 2], transition: Option<Transition>) -> Markup {
 
 /// Returns the tooltip of a configuration: its outcomes in words.
 fn tooltip(matched: &Matched) -> String {
-    let named = |outcome: Outcome| -> Vec<&str> {
+    let conditions_with = |outcome: Outcome| -> Vec<&str> {
         let axes = Axis::ALL.into_iter().map(Condition::Single);
         axes.chain([Condition::Combination])
             .filter(|c| match c {
@@ -223,7 +223,7 @@ fn tooltip(matched: &Matched) -> String {
         (Outcome::Missing, "no result under"),
         (Outcome::Quarantined, "quarantined under"),
     ] {
-        let names = named(outcome);
+        let names = conditions_with(outcome);
         if !names.is_empty() {
             tooltip.push_str(&format!("; {verb} {}", names.join(", ")));
         }

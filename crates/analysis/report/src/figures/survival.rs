@@ -114,12 +114,12 @@ fn ticks(scale: &Scale, curve: &Curve) -> Vec<(f64, String)> {
 /// Returns the protocol's levels whose labels fit on the axis, with the curve's point at
 /// each.
 fn levels<'a>(scale: &Scale, curve: &'a Curve) -> Vec<(Level, &'a Point)> {
-    let named = curve
+    let named_points = curve
         .points
         .iter()
         .filter_map(|point| Some((point.level?, point)));
-    let labelled = spaced(scale, named.clone().map(|(level, _)| level.radius()));
-    named
+    let labelled = spaced(scale, named_points.clone().map(|(level, _)| level.radius()));
+    named_points
         .filter(|(level, _)| labelled.contains(&level.radius()))
         .collect()
 }

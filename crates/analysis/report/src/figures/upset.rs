@@ -25,17 +25,17 @@ const MAX_COLUMNS: usize = ((WIDTH - LABEL_WIDTH) / COLUMN_WIDTH) as usize;
 
 /// Draws the panel of one transition; `None` if no minimal subset of it was found.
 pub fn upset(findings: &Findings, transition: Transition) -> Option<Figure> {
-    let all: Vec<&Occurrence> = findings
+    let occurrences: Vec<&Occurrence> = findings
         .subsets
         .iter()
         .filter(|occurrence| occurrence.transition == transition)
         .collect();
     let full = findings.configurations.first()?.full;
-    let most = all
+    let most = occurrences
         .iter()
         .map(|occurrence| occurrence.configurations)
         .max()?;
-    let (shown, further) = all.split_at(all.len().min(MAX_COLUMNS));
+    let (shown, further) = occurrences.split_at(occurrences.len().min(MAX_COLUMNS));
     let configurations = findings.configurations.iter();
     let n = configurations.filter(|explained| explained.explanation.transition == transition);
     let n = n.count();

@@ -150,7 +150,8 @@ fn profiles(comparison: &Comparison) -> Markup {
             p.muted {
                 "New tasks and directions: 95 % interval of A − B"
                 @if comparison.statistics.directions == Directions::Own {
-                    "; every task has directions of its own, so that tasks stand for both"
+                    "; every task has its own directions, so that the variation between tasks \
+                     covers both"
                 }
                 ". All rows together: simultaneous intervals about new tasks. Beyond 5, p: p-value \
                 of the hypothesis that A and B differ by more than 5 points; if it is small, A and \

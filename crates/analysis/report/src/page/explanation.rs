@@ -18,23 +18,23 @@ use crate::words::{percent, rate_interval};
 
 /// Renders the findings of every subject that explains another campaign.
 pub(super) fn findings(document: &Document, link: Option<Link>) -> Markup {
-    let found = document.analyses.iter();
-    let found = found.filter_map(|analysis| analysis.findings.as_ref());
-    html! { @for findings in found { (campaign_sections(findings, link)) } }
+    let campaigns = document.analyses.iter();
+    let campaigns = campaigns.filter_map(|analysis| analysis.findings.as_ref());
+    html! { @for findings in campaigns { (campaign_sections(findings, link)) } }
 }
 
-fn campaign_sections(found: &Findings, link: Option<Link>) -> Markup {
+fn campaign_sections(findings: &Findings, link: Option<Link>) -> Markup {
     let transitions = [Transition::Emergent, Transition::Compensated];
     let panels = transitions
         .iter()
-        .filter_map(|transition| figures::upset(found, *transition));
+        .filter_map(|transition| figures::upset(findings, *transition));
     html! {
         section {
             h2 { "Which axes it takes" }
-            p { code { (found.explained_by) } " " (found.progress_in_words()) "." }
+            p { code { (findings.explained_by) } " " (findings.progress_in_words()) "." }
             ul.findings {
-                @for transition in transitions { (transition_summary(found, transition)) }
-                (non_monotone(found))
+                @for transition in transitions { (transition_summary(findings, transition)) }
+                (non_monotone(findings))
             }
         }
         (figure("The smallest sets of axes that change the outcome. Each column of dots is one set: \
@@ -43,15 +43,15 @@ fn campaign_sections(found: &Findings, link: Option<Link>) -> Markup {
             configuration can have several. Left, what makes a rollout fail that succeeds under \
             every axis alone; right, what makes a rollout succeed that fails under one axis alone.",
             panels.collect()))
-        (configurations(found, link))
+        (configurations(findings, link))
     }
 }
 
 /// Renders the number of configurations with a transition of this kind and the subset that
 /// explains most of them.
-fn transition_summary(found: &Findings, transition: Transition) -> Markup {
+fn transition_summary(findings: &Findings, transition: Transition) -> Markup {
     let is_of_kind = |explained: &&Explained| explained.explanation.transition == transition;
-    let all: Vec<&Explained> = found.configurations.iter().filter(is_of_kind).collect();
+    let all: Vec<&Explained> = findings.configurations.iter().filter(is_of_kind).collect();
     let is_established = |explained: &&&Explained| {
         let mut minimal = explained
             .explanation
@@ -61,7 +61,7 @@ fn transition_summary(found: &Findings, transition: Transition) -> Markup {
         minimal.all(adaptive::subsets::MinimalSubset::is_established)
     };
     let established = all.iter().filter(is_established).count();
-    let subsets: Vec<&Occurrence> = found
+    let subsets: Vec<&Occurrence> = findings
         .subsets
         .iter()
         .filter(|occurrence| occurrence.transition == transition)
@@ -116,15 +116,15 @@ fn transition_summary(found: &Findings, transition: Transition) -> Markup {
 }
 
 /// Renders the number of larger subsets that undo the change of smaller ones.
-fn non_monotone(found: &Findings) -> Markup {
+fn non_monotone(findings: &Findings) -> Markup {
     let pairs = |explained: &Explained| {
         let answers = explained.explanation.answers.iter();
         answers
             .map(|answer| answer.non_monotone.len())
             .sum::<usize>()
     };
-    let all: usize = found.configurations.iter().map(pairs).sum();
-    let affected = found
+    let all: usize = findings.configurations.iter().map(pairs).sum();
+    let affected = findings
         .configurations
         .iter()
         .filter(|explained| pairs(explained) > 0);
@@ -140,7 +140,7 @@ fn non_monotone(found: &Findings) -> Markup {
     }
 }
 
-fn configurations(found: &Findings, link: Option<Link>) -> Markup {
+fn configurations(findings: &Findings, link: Option<Link>) -> Markup {
     let name = |id: RolloutId| {
         html! {
             @match link {
@@ -166,7 +166,7 @@ fn configurations(found: &Findings, link: Option<Link>) -> Markup {
         "not enough.",
         "rollouts",
     ];
-    let rows: Vec<Vec<Markup>> = found.configurations.iter().map(row).collect();
+    let rows: Vec<Vec<Markup>> = findings.configurations.iter().map(row).collect();
     html! {
         @if !rows.is_empty() {
             section {
@@ -211,11 +211,12 @@ fn unflipped(answer: &Answer) -> Markup {
 
 /// Renders the sections on the interactions of the axes, for every subject with whole lattices.
 pub(super) fn interactions(document: &Document) -> Markup {
-    let found = document.analyses.iter();
-    let found = found.filter_map(|analysis| Some((analysis, analysis.interactions.as_ref()?)));
-    let found: Vec<(&Analysis, &AxisInteractions)> = found.collect();
+    let subjects = document.analyses.iter();
+    let subjects =
+        subjects.filter_map(|analysis| Some((analysis, analysis.interactions.as_ref()?)));
+    let subjects: Vec<(&Analysis, &AxisInteractions)> = subjects.collect();
     html! {
-        @if !found.is_empty() {
+        @if !subjects.is_empty() {
             section {
                 h2 { "How the axes interact" }
                 p {
@@ -224,11 +225,11 @@ pub(super) fn interactions(document: &Document) -> Markup {
                     beyond both, and so on, add up exactly to the change from nominal to \
                     simultaneous success."
                 }
-                @for (_, interactions) in &found {
+                @for (_, interactions) in &subjects {
                     @for note in &interactions.notes { p { strong { (super::findings::sentence(note)) } } }
                 }
             }
-            @for (analysis, interactions) in &found {
+            @for (analysis, interactions) in &subjects {
                 @for level in &interactions.levels { (level_section(analysis, level)) }
             }
         }
@@ -236,10 +237,10 @@ pub(super) fn interactions(document: &Document) -> Markup {
 }
 
 fn level_section(analysis: &Analysis, level: &LevelInteractions) -> Markup {
-    let found = &level.interactions;
+    let interactions = &level.interactions;
     let row =
         |(set, success): (&libero_ctrl::AxisSet, &adaptive::subsets::Estimate)| {
-            let moebius = found.moebius.get(set);
+            let moebius = interactions.moebius.get(set);
             vec![
                 plain(set),
                 with_note(
@@ -251,7 +252,7 @@ fn level_section(analysis: &Analysis, level: &LevelInteractions) -> Markup {
                 })),
             ]
         };
-    let rows: Vec<Vec<Markup>> = found.success.iter().map(row).collect();
+    let rows: Vec<Vec<Markup>> = interactions.success.iter().map(row).collect();
     html! {
         (figure("Left, framed on the diagonal: each axis's share of the change from nominal to \
             simultaneous success, averaged over all orders in which the axes can be added (Shapley \
@@ -265,8 +266,8 @@ fn level_section(analysis: &Analysis, level: &LevelInteractions) -> Markup {
             ]))
         details {
             summary {
-                "Every subset at " (level.level) ": success, and what its axes do beyond smaller \
-                subsets (" (found.n) " configurations"
+                "Every subset at " (level.level) ": success, and the effect of its axes beyond \
+                smaller subsets (" (interactions.n) " configurations"
                 @if level.left_out > 0 { "; " (level.left_out) " lack an outcome and are left out" }
                 ")"
             }

@@ -374,8 +374,8 @@ fn differing_directions_or_placebos_give_a_warning() {
         placebo_radius: Some(0.02),
         ..b.clone()
     };
-    let own = compare(a.clone(), same_settings).expect("comparable");
-    let json: Value = serde_json::from_str(&own.json().expect("written")).expect("JSON");
+    let comparable = compare(a.clone(), same_settings).expect("comparable");
+    let json: Value = serde_json::from_str(&comparable.json().expect("written")).expect("JSON");
     assert_eq!(
         (&json["directions"], &json["warnings"]),
         (&json!("own"), &json!([]))

@@ -106,11 +106,11 @@ fn a_file_of_variants_has_one_protocol_and_the_report_of_its_benchmark() {
     assert_eq!(family.protocol, "pro-official");
     assert_eq!((family.all.rollouts, family.all.broken), (1, 1));
 
-    let own = concat!(
+    let suite_file_row = concat!(
         r#"{"rollout_id": "own/t0/own:near/i00", "success": true, "suite": "own", "#,
         r#""protocol": "kitchen@0123456789abcdef"}"#
     );
-    let subject = import(file(&[own]).path()).expect("read");
+    let subject = import(file(&[suite_file_row]).path()).expect("read");
     let family = document(vec![subject]).family.expect("of a suite file");
     assert_eq!((family.all.rollouts, family.all.successes), (1, 1));
 

@@ -156,12 +156,12 @@ proptest! {
             for set in full.subsets() {
                 let below: Vec<AxisSet> = full.subsets().into_iter().filter(|below| strictly_inside(*below, set)).collect();
                 let is_minimal = answer.start.is_proper_subset(set) && flips(set) && !below.iter().any(|below| flips(*below));
-                let named = answer.minimal.iter().find(|minimal| minimal.set == set);
-                prop_assert_eq!(named.is_some(), is_minimal, "{}", set);
-                if let Some(named) = named {
+                let reported_subset = answer.minimal.iter().find(|minimal| minimal.set == set);
+                prop_assert_eq!(reported_subset.is_some(), is_minimal, "{}", set);
+                if let Some(reported_subset) = reported_subset {
                     let unknown: Vec<AxisSet> = below.into_iter().filter(|below| success(*below).is_none()).collect();
-                    prop_assert_eq!(named.is_established(), unknown.is_empty());
-                    prop_assert_eq!(&named.open, &unknown);
+                    prop_assert_eq!(reported_subset.is_established(), unknown.is_empty());
+                    prop_assert_eq!(&reported_subset.open, &unknown);
                 }
                 let unflipped = answer.start.is_subset(set) && success(set) == Some(!simultaneous);
                 let larger = |above: AxisSet| set.is_proper_subset(above) && success(above) == Some(!simultaneous);
@@ -398,21 +398,21 @@ fn explanations_are_unchanged_by_json_and_frequent_subsets_come_first() {
         ("camera+robot", Outcome::Success),
         ("camera+lighting+robot", Outcome::Success),
     ]);
-    let all = [
+    let lattices = [
         compensated,
         failing(&["lighting+robot", "camera+robot"]),
         failing(&["lighting+robot"]),
         failing(&[]),
     ];
-    let explained: Vec<Explained> = all
+    let explained: Vec<Explained> = lattices
         .iter()
         .enumerate()
         .map(|(task, lattice)| Explained::of(simultaneous_id(task), lattice).expect("a transition"))
         .collect();
     assert_eq!(explained[1].rollouts, 2);
     let text = serde_json::to_string(&explained).expect("JSON");
-    let back: Vec<Explained> = serde_json::from_str(&text).expect("explanations");
-    assert_eq!(back, explained);
+    let parsed: Vec<Explained> = serde_json::from_str(&text).expect("explanations");
+    assert_eq!(parsed, explained);
     let rows: Vec<String> = occurrences(&explained)
         .iter()
         .map(|o| {

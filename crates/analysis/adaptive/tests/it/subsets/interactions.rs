@@ -52,20 +52,25 @@ proptest! {
 
     #[test]
     fn interactions_add_up_exactly((axes, configurations) in any_configurations()) {
-        let all = Interactions::of(&configurations, &FEW).expect("configurations");
-        let (full, nominal) = (&all.success[&full(axes)], &all.success[&AxisSet::EMPTY]);
-        prop_assert_eq!(nominal.numerator + sum(all.moebius.values()), full.numerator);
-        prop_assert_eq!(nominal.numerator + sum(all.sizes.values()), full.numerator);
-        let shapley = sum(all.shapley.values());
+        let interactions = Interactions::of(&configurations, &FEW).expect("configurations");
+        let full = &interactions.success[&full(axes)];
+        let nominal = &interactions.success[&AxisSet::EMPTY];
+        prop_assert_eq!(nominal.numerator + sum(interactions.moebius.values()), full.numerator);
+        prop_assert_eq!(nominal.numerator + sum(interactions.sizes.values()), full.numerator);
+        let shapley = sum(interactions.shapley.values());
         prop_assert_eq!(shapley, 60 * (full.numerator - nominal.numerator));
         let n = configurations.len() as i64;
-        prop_assert!(all.success.values().chain(all.moebius.values()).all(|e| e.denominator == n));
-        prop_assert!(all.shapley.values().chain(all.pairs.values()).all(|e| e.denominator == 60 * n));
-        prop_assert_eq!((all.success.len(), all.moebius.len()), (1 << axes, (1 << axes) - 1));
-        prop_assert_eq!((all.shapley.len(), all.pairs.len()), (axes, axes * (axes - 1) / 2));
+        let mut over_n = interactions.success.values().chain(interactions.moebius.values());
+        prop_assert!(over_n.all(|e| e.denominator == n));
+        let mut over_60n = interactions.shapley.values().chain(interactions.pairs.values());
+        prop_assert!(over_60n.all(|e| e.denominator == 60 * n));
+        prop_assert_eq!(interactions.success.len(), 1 << axes);
+        prop_assert_eq!(interactions.moebius.len(), (1 << axes) - 1);
+        prop_assert_eq!(interactions.shapley.len(), axes);
+        prop_assert_eq!(interactions.pairs.len(), axes * (axes - 1) / 2);
         // Every v(A) is the sum of m over the subsets of A.
-        for (set, success) in &all.success {
-            let below = all.moebius.iter().filter(|(below, _)| below.is_subset(*set));
+        for (set, success) in &interactions.success {
+            let below = interactions.moebius.iter().filter(|(below, _)| below.is_subset(*set));
             prop_assert_eq!(nominal.numerator + sum(below.map(|(_, m)| m)), success.numerator);
         }
     }
@@ -74,9 +79,9 @@ proptest! {
     /// which it occurs.
     #[test]
     fn shapley_values_and_pair_indices_are_averages_over_orders((axes, configurations) in any_configurations()) {
-        let all = Interactions::of(&configurations, &FEW).expect("configurations");
-        let v = |set: AxisSet| all.success[&set].numerator;
-        for (&axis, shapley) in &all.shapley {
+        let interactions = Interactions::of(&configurations, &FEW).expect("configurations");
+        let v = |set: AxisSet| interactions.success[&set].numerator;
+        for (&axis, shapley) in &interactions.shapley {
             let alone = AxisSet::of(axis);
             let others = full(axes).without(alone).subsets().into_iter();
             let marginal = others.map(|others| {
@@ -85,7 +90,7 @@ proptest! {
             });
             prop_assert_eq!(60 * marginal.sum::<i64>(), shapley.numerator * factorial(axes));
         }
-        for (&pair, index) in &all.pairs {
+        for (&pair, index) in &interactions.pairs {
             let [i, j] = pair.axes().map(AxisSet::of).collect::<Vec<_>>()[..] else { panic!("a pair") };
             let others = full(axes).without(pair).subsets().into_iter();
             let change = others.map(|others| {
@@ -117,19 +122,21 @@ fn pair_fails_in_half(tasks: usize) -> Vec<CompleteLattice> {
 
 #[test]
 fn a_failing_pair_is_one_coefficient_shared_by_its_axes() {
-    let all = Interactions::of(&pair_fails_in_half(10), &Bootstrap::default()).expect("some");
-    for (set, m) in &all.moebius {
+    let interactions =
+        Interactions::of(&pair_fails_in_half(10), &Bootstrap::default()).expect("configurations");
+    for (set, m) in &interactions.moebius {
         let expected = if *set == full(2) { -0.5 } else { 0.0 };
         assert_eq!(m.value, expected, "{set}");
     }
-    assert_eq!(all.shapley[&Axis::Camera].value, -0.25);
-    assert_eq!(all.shapley[&Axis::Robot].value, 0.0);
-    assert_eq!(all.pairs[&full(2)].value, -0.5);
+    assert_eq!(interactions.shapley[&Axis::Camera].value, -0.25);
+    assert_eq!(interactions.shapley[&Axis::Robot].value, 0.0);
+    assert_eq!(interactions.pairs[&full(2)].value, -0.5);
 }
 
 #[test]
 fn intervals_contain_their_values_and_need_spread_and_ten_tasks() {
-    let ten = Interactions::of(&pair_fails_in_half(10), &Bootstrap::default()).expect("some");
+    let ten =
+        Interactions::of(&pair_fails_in_half(10), &Bootstrap::default()).expect("configurations");
     let m = ten.moebius[&full(2)];
     let [low, high] = m.ci95.expect("ten tasks");
     assert!(low < m.value && m.value < high, "{low} {high}");
@@ -143,7 +150,8 @@ fn intervals_contain_their_values_and_need_spread_and_ten_tasks() {
         (constant.ci95, constant.no_interval),
         (None, Some(NoInterval::NoSpread))
     );
-    let nine = Interactions::of(&pair_fails_in_half(9), &Bootstrap::default()).expect("some");
+    let nine =
+        Interactions::of(&pair_fails_in_half(9), &Bootstrap::default()).expect("configurations");
     let m = nine.moebius[&full(2)];
     assert_eq!(
         (m.ci95, m.no_interval),

@@ -74,14 +74,16 @@ impl Rule {
             let axes = shuffled(rng);
             let set = |axes: &[Axis]| axes.iter().copied().collect::<AxisSet>();
             let fails = |culprits: &[AxisSet]| {
-                Self::from_success(|all| !culprits.iter().any(|culprit| culprit.is_subset(all)))
+                Self::from_success(|perturbed| {
+                    !culprits.iter().any(|culprit| culprit.is_subset(perturbed))
+                })
             };
             // Another pair or triple, of axes that may be among the first ones.
             let other = set(&shuffled(rng)[..2 + random_below(2, rng)]);
             let masked = |culprit: AxisSet, mask: AxisSet| {
-                Self::from_success(|all| {
-                    let is_harmless = !culprit.is_subset(all) || mask.is_subset(all);
-                    is_harmless && !other.is_subset(all)
+                Self::from_success(|perturbed| {
+                    let is_harmless = !culprit.is_subset(perturbed) || mask.is_subset(perturbed);
+                    is_harmless && !other.is_subset(perturbed)
                 })
             };
             let rule = match kind {
@@ -94,10 +96,11 @@ impl Rule {
                     let helpers: Vec<AxisSet> = (0..failing)
                         .map(|i| set(&axes[2 + 2 * i..3 + 2 * i + random_below(2, rng)]))
                         .collect();
-                    Self::from_success(|all| {
+                    Self::from_success(|perturbed| {
                         let mut pairs = axes.iter().zip(&helpers);
                         pairs.all(|(&axis, helpers)| {
-                            !all.contains(axis) || helpers.axes().any(|axis| all.contains(axis))
+                            !perturbed.contains(axis)
+                                || helpers.axes().any(|axis| perturbed.contains(axis))
                         })
                     })
                 }
@@ -105,9 +108,12 @@ impl Rule {
                 Kind::MaskedTriple => masked(set(&axes[..3]), set(&axes[3..4])),
                 Kind::CoinFlips => {
                     let mut coins = BTreeMap::new();
-                    for all in AxisSet::ALL.subsets() {
+                    for perturbed in AxisSet::ALL.subsets() {
                         let coin = random_below(2, rng) == 0;
-                        coins.insert(all, (all.len() < 2 || coin) && all != AxisSet::ALL);
+                        coins.insert(
+                            perturbed,
+                            (perturbed.len() < 2 || coin) && perturbed != AxisSet::ALL,
+                        );
                     }
                     Self(coins)
                 }
@@ -143,9 +149,9 @@ impl Rule {
 
     /// Returns the minimal subsets from each start, computed from all 64 outcomes.
     pub(crate) fn truth(&self) -> Vec<(AxisSet, Vec<AxisSet>)> {
-        let all = self.succeeds(AxisSet::ALL);
+        let simultaneous = self.succeeds(AxisSet::ALL);
         let singles = Axis::ALL.map(AxisSet::of);
-        let starts = match all {
+        let starts = match simultaneous {
             true => singles
                 .into_iter()
                 .filter(|single| !self.succeeds(*single))
@@ -155,7 +161,7 @@ impl Rule {
         let of_start = |start: AxisSet| {
             let mut minimal: Vec<AxisSet> = Vec::new();
             for (&set, &success) in &self.0 {
-                let flips = start.is_proper_subset(set) && success == all;
+                let flips = start.is_proper_subset(set) && success == simultaneous;
                 if flips && !minimal.iter().any(|smaller| smaller.is_subset(set)) {
                     minimal.push(set);
                 }

@@ -26,8 +26,8 @@ fn mean_subsets(kind: Kind, strategy: Strategy) -> f64 {
 }
 
 fn exact_share(kind: Kind, strategy: Strategy) -> f64 {
-    let all = searches(kind, strategy);
-    let exact = all.iter().filter(|(rule, found)| found.is_exact(rule));
+    let results = searches(kind, strategy);
+    let exact = results.iter().filter(|(rule, found)| found.is_exact(rule));
     exact.count() as f64 / RULES as f64
 }
 
