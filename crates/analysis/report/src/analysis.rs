@@ -23,7 +23,7 @@ pub struct Analysis {
     /// Matched outcomes. If the campaign stopped early, only the configurations from which its
     /// confidence sequences are computed.
     pub records: Records,
-    /// Records from which the figures are computed; `None` if these are all of the subject's.
+    /// Records from which the figures are computed; `None` if these are all records of the subject.
     counted: Option<Vec<Record>>,
     /// Progress of the rollouts, by replicate and id.
     progress: BTreeMap<(u32, RolloutId), Progress>,
@@ -49,7 +49,7 @@ impl Analysis {
             Cow::Borrowed(_) => None,
         };
         let mut records = Records::new(counted.as_deref().unwrap_or(&subject.records))?;
-        let mut notes = warnings::of_subject(&subject);
+        let mut notes = warnings::subject_warnings(&subject);
         let warning = sequential.as_ref().and_then(Sequential::warning);
         let is_interim = warning.is_some();
         notes.splice(0..0, warning);

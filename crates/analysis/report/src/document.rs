@@ -101,8 +101,8 @@ impl Document {
     /// Analyses the subjects.
     ///
     /// # Errors
-    /// If a subject holds the same rollout and replicate twice, or rollouts of LIBERO's family
-    /// stand beside another subject.
+    /// If a subject holds the same rollout and replicate twice, or rollouts of LIBERO's family are
+    /// given without their protocol or together with another subject.
     pub fn new(subjects: Vec<Subject>) -> Result<Self, DocumentError> {
         let is_pooled = |subject: &&Subject| {
             let mut records = subject.records.iter();
@@ -117,7 +117,7 @@ impl Document {
             Some(subject) => Family::of(subject)?,
             None => None,
         };
-        let warnings = warnings::of_comparison(&subjects);
+        let warnings = warnings::comparison_warnings(&subjects);
         let labels = labels(&subjects);
         let analyses = labels.into_iter().zip(subjects);
         let analyses = analyses.map(|(label, subject)| {
@@ -321,6 +321,8 @@ fn title(subject: &Subject) -> String {
     text
 }
 
+/// Returns the heading of the whole report: campaign or file, policy, realisation mode and
+/// execution model.
 fn head(subject: &Subject) -> String {
     let policy = &subject.policy;
     let realisation = match subject.realisation {

@@ -39,7 +39,7 @@ pub struct Findings {
     pub nominal_fails: u64,
     /// Rollouts of the explaining campaign, finished or waiting.
     pub rollouts: u64,
-    /// Rollouts among them without an outcome yet.
+    /// Number of these rollouts without an outcome yet.
     pub waiting: u64,
     /// Occurrences of each minimal subset.
     pub subsets: Vec<Occurrence>,

@@ -1,6 +1,6 @@
-//! Report of a campaign of LIBERO's family or of a suite file: successes by dimension or suite and by
-//! difficulty, and the losses against the unperturbed rollouts of the same tasks and initial states,
-//! which suite files do not have.
+//! Report of a campaign of LIBERO's family or of a suite file: successes by dimension or suite and
+//! by difficulty, and the losses against the unperturbed rollouts of the same tasks and initial
+//! states, which suite files do not have.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -38,7 +38,7 @@ pub struct Family {
     /// Dimensions of LIBERO-Plus or suites of LIBERO-PRO, in the benchmark's order, or suites of a
     /// suite file by name.
     pub groups: Vec<Line>,
-    /// Difficulties of LIBERO-Plus; the last line is of variants without one.
+    /// Difficulties of LIBERO-Plus; the last line is of variants without a difficulty.
     pub difficulties: Vec<Line>,
     /// Difficulties within each dimension.
     pub cells: Vec<Line>,
@@ -248,7 +248,7 @@ impl Family {
     /// Reports on a campaign; `None` if it is neither of LIBERO's family nor of a suite file.
     ///
     /// # Errors
-    /// If this program does not know its protocol or one of its variants.
+    /// If this program does not know the campaign's protocol or one of its variants.
     pub fn of(subject: &Subject) -> Result<Option<Self>, FamilyError> {
         let Some(protocol) = &subject.protocol else {
             return Ok(None);
@@ -415,7 +415,7 @@ impl Family {
         text
     }
 
-    /// Returns the rows of the published table, the campaign's own first, under their heads.
+    /// Returns the heads of the published table, the row of this campaign, and the published rows.
     pub(crate) fn beside_published(&self) -> Vec<Vec<String>> {
         let names = Dimension::ALL.map(Dimension::name);
         let measured_percent = |name: &&str| {

@@ -386,8 +386,8 @@ impl Row {
         })
     }
 
-    /// Returns the row's initial state or, if the row gives none, the state that follows from its
-    /// id: the one that a nominal id holds, or the protocol's for configurations 0 to 9.
+    /// Returns the row's initial state. If the row gives none, returns the state in its id if the
+    /// rollout is nominal, or the protocol's state for configurations 0 to 9.
     fn initial_state(&self) -> Result<u16, String> {
         let config = self.rollout_id.config();
         let default_state = match config {

@@ -20,7 +20,7 @@ const POINTS_COLUMNS: usize = 17;
 pub struct Sequential {
     /// Rule for stopping early.
     pub rule: StopRule,
-    /// Seed of the order of its configurations.
+    /// Seed of the drawn order of the configurations.
     pub seed: u64,
     /// Strata of the order: each round has one configuration of each stratum.
     pub strata: Strata,

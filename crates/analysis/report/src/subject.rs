@@ -159,7 +159,7 @@ pub enum Origin {
         name: String,
         /// SHA-256 of the file.
         digest: String,
-        /// Description given by its authors; may be empty.
+        /// Description by the authors of the results; may be empty.
         source: String,
     },
 }

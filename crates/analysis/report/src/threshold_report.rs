@@ -38,7 +38,7 @@ pub struct ThresholdReport {
     pub beyond_budget: u64,
     /// Rollouts of the measuring campaign, finished or waiting.
     pub rollouts: u64,
-    /// Rollouts among them without an outcome yet.
+    /// Number of these rollouts without an outcome yet.
     pub waiting: u64,
     /// Curves of configurations that still succeed at each radius, by condition.
     pub curves: Vec<Curve>,

@@ -18,7 +18,7 @@ const MAX_NAMED: usize = 5;
 const DIGEST_DIGITS: usize = 12;
 
 /// Returns the warnings about one subject, most severe first.
-pub(crate) fn of_subject(subject: &Subject) -> Vec<String> {
+pub(crate) fn subject_warnings(subject: &Subject) -> Vec<String> {
     let provenances = &subject.provenances;
     let mut warnings = Vec::new();
     warnings.extend(left_out(subject));
@@ -60,7 +60,7 @@ pub(crate) fn of_subject(subject: &Subject) -> Vec<String> {
 }
 
 /// Returns the warnings about comparing subjects with each other, most severe first.
-pub(crate) fn of_comparison(subjects: &[Subject]) -> Vec<String> {
+pub(crate) fn comparison_warnings(subjects: &[Subject]) -> Vec<String> {
     let mut warnings = Vec::new();
     if subjects.len() < 2 {
         return warnings;

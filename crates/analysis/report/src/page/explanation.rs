@@ -70,7 +70,7 @@ fn transition_summary(findings: &Findings, transition: Transition) -> Markup {
         .iter()
         .map(|occurrence| occurrence.configurations)
         .max();
-    // All subsets that explain the most configurations, where several tie.
+    // Several subsets can explain the same, largest number of configurations.
     let most_frequent: Vec<&Occurrence> = subsets
         .into_iter()
         .filter(|occurrence| Some(occurrence.configurations) == most)
