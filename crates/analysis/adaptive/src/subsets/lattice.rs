@@ -49,7 +49,7 @@ pub enum LatticeError {
 }
 
 impl Lattice {
-    /// Creates the lattice, without outcomes, of a configuration in a campaign with the axes `full`.
+    /// Creates the lattice of a configuration, without outcomes, in a campaign with the axes `full`.
     ///
     /// # Errors
     /// If there are fewer than two axes.
