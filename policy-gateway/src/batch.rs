@@ -13,8 +13,8 @@ pub mod batcher;
 
 /// Longest wait of a query for further queries of its batch while its server is idle.
 pub const MAX_WAIT: Duration = Duration::from_millis(5);
-/// Queries in the queue of one replica. Further ones are refused, so that workers wait instead of
-/// the gateway's memory growing.
+/// Largest number of queries in the queue of one replica. Further queries are refused, so that
+/// workers wait and the gateway's memory does not grow.
 pub const MAX_QUEUED: usize = 256;
 /// Concurrent batches per server: the second is in transit while the first is computed.
 pub const MAX_UNDER_WAY: usize = 2;
@@ -119,19 +119,19 @@ mod tests {
 
     proptest! {
         #[test]
-        fn every_query_taken_is_sent_once_in_order_and_within_the_bounds(
+        fn every_accepted_query_is_sent_once_in_order_and_within_the_bounds(
             size in 1..20_usize,
             events in prop::collection::vec(event(), 0..120),
         ) {
             let (mut queue, mut now) = (Queue::default(), Instant::now());
-            let (mut taken, mut sent, mut under_way) = (vec![], vec![], 0_usize);
+            let (mut accepted, mut sent, mut under_way) = (vec![], vec![], 0_usize);
             let mut number = 0_u32;
             for event in events {
                 match event {
                     Event::Push(count) => for _ in 0..count {
                         match queue.push(number, now) {
-                            Ok(()) => taken.push(number),
-                            Err(back) => prop_assert_eq!(back, number),
+                            Ok(()) => accepted.push(number),
+                            Err(refused) => prop_assert_eq!(refused, number),
                         }
                         number += 1;
                     },
@@ -147,11 +147,11 @@ mod tests {
                     Event::Pass(millis) => now += Duration::from_millis(millis),
                 }
                 prop_assert!(under_way <= MAX_UNDER_WAY);
-                prop_assert!(taken.len() - sent.len() <= MAX_QUEUED);
-                prop_assert_eq!(&taken[..sent.len()], &sent[..]);
+                prop_assert!(accepted.len() - sent.len() <= MAX_QUEUED);
+                prop_assert_eq!(&accepted[..sent.len()], &sent[..]);
             }
-            // When the server is free, all waiting queries are sent, each batch after one wait at
-            // most.
+            // When the server is free, all waiting queries are sent, each batch after at most one
+            // wait.
             while under_way > 0 {
                 queue.done();
                 under_way -= 1;
@@ -161,7 +161,7 @@ mod tests {
                 sent.extend(batch);
                 queue.done();
             }
-            prop_assert_eq!(taken, sent);
+            prop_assert_eq!(accepted, sent);
         }
     }
 

@@ -21,7 +21,7 @@ pub const WAITS: Waits = Waits {
 pub const SICK_WAITS: Waits = Waits::USUAL;
 /// Longest time for a probing session to produce an answer before another session may probe.
 pub const PROBE_TIMEOUT: Duration = Duration::from_secs(60);
-/// Number of tasks that must get the same error, with no answer in between, before the server
+/// Number of tasks that must receive the same error, with no answer in between, before the server
 /// counts as sick. A single task may cause its own error, so its retries count once.
 pub const SAME_ERROR_TASKS: usize = 3;
 /// Number of characters in which errors are compared.
@@ -66,7 +66,7 @@ pub enum Health {
     Out(Outage),
 }
 
-/// Most recent error of a server, and the tasks that got it.
+/// Most recent error of a server, and the tasks that received it.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Errors {
     comparable_text: String,
@@ -151,8 +151,8 @@ impl Health {
         match (&*self, answered) {
             (Self::Up(_), Answered::Other) => false,
             (Self::Out(outage), Answered::Other) if outage.cause.needs_query() => false,
-            (was, _) => {
-                let has_recovered = matches!(was, Self::Out(_));
+            (state, _) => {
+                let has_recovered = matches!(state, Self::Out(_));
                 *self = Self::default();
                 has_recovered
             }
@@ -245,8 +245,8 @@ fn is_fatal(error: &str) -> bool {
 
 /// Replaces the digits of an error, which often belong to a session or query, and truncates it.
 fn comparable(error: &str) -> String {
-    let digits = |c: char| if c.is_ascii_digit() { '#' } else { c };
-    error.chars().map(digits).take(COMPARED_CHARS).collect()
+    let masked = |c: char| if c.is_ascii_digit() { '#' } else { c };
+    error.chars().map(masked).take(COMPARED_CHARS).collect()
 }
 
 #[cfg(test)]
@@ -376,7 +376,7 @@ mod tests {
     }
 
     #[test]
-    fn a_long_error_with_line_feeds_is_kept_in_one_short_line() {
+    fn the_cause_of_a_long_error_is_one_short_line() {
         let now = Instant::now();
         let error = format!("{}\n2026-01-01 INFO all is well", "x\n".repeat(1 << 19));
         let mut health = Health::default();

@@ -1,6 +1,6 @@
 //! Gateway between workers and policy servers: routes a worker's queries to the policy that it
-//! names, and checks every answer before an action reaches a robot. To a worker it looks like a
-//! policy. It does not simulate, perturb or clip.
+//! names, and checks every answer before an action reaches a robot. It offers workers
+//! the same service as a policy server. It does not simulate, perturb or clip.
 
 #![forbid(unsafe_code)]
 
@@ -29,7 +29,7 @@ pub const SHUTDOWN_GRACE: Duration = Duration::from_secs(10);
 
 /// Serves `rollout.policy.v1` and `grpc.health.v1` on `listener` until `shutdown` resolves, then
 /// lets queries in flight finish for at most [`SHUTDOWN_GRACE`]. No back-end is called before the
-/// first request, so the gateway starts and runs regardless of their state.
+/// first request, so that the gateway starts and runs whatever the state of the back-ends.
 ///
 /// # Errors
 /// If the TLS settings are invalid or the listener fails.

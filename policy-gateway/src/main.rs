@@ -363,7 +363,7 @@ async fn serve(
     security: &Security,
 ) -> anyhow::Result<()> {
     let gateway = Gateway::new(config)?;
-    // Dropping the set ends the task with this function.
+    // The task ends when this function returns and drops the set.
     let mut reloading = JoinSet::new();
     if let Some(file) = file {
         let hangups = signal(SignalKind::hangup()).context("listen for SIGHUP")?;
@@ -378,12 +378,12 @@ async fn serve(
     let address = listener
         .local_addr()
         .context("read the address listened on")?;
-    let over = if security.is_encrypted() {
+    let tls_note = if security.is_encrypted() {
         " over TLS"
     } else {
         ""
     };
-    match terminal::print_line(&format!("listening on {address}{over}")) {
+    match terminal::print_line(&format!("listening on {address}{tls_note}")) {
         // Standard output may be a closed pipe.
         Err(error) if !reader_is_gone(&error) => {
             return Err(error).context("print the address listened on");

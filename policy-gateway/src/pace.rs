@@ -14,7 +14,7 @@ use std::{
 
 /// Number of recent answers in the average.
 const SAMPLES: usize = 32;
-/// Least number of answers for an average.
+/// Smallest number of answers for an average.
 const MIN_SAMPLES: usize = 8;
 
 /// Recent answers of a server, and its calls in flight.
@@ -25,7 +25,7 @@ pub struct Pace {
     /// Time at which the server last became busy.
     busy_since: Option<Instant>,
     last_answer: Option<Instant>,
-    /// Duration of each answer since the one before, with the number of queries answered.
+    /// Time from the previous answer to each answer, with the number of queries answered.
     samples: VecDeque<(Duration, u32)>,
 }
 
@@ -79,7 +79,7 @@ impl Pace {
 #[derive(Debug, Default)]
 pub struct Watch(Mutex<Pace>);
 
-/// Guard of a call with queries in flight; dropping it ends the call's count.
+/// Guard of a call with queries in flight; dropping it removes the call from the count.
 struct CallInFlight<'a>(&'a Watch);
 
 impl Drop for CallInFlight<'_> {

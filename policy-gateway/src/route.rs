@@ -34,8 +34,8 @@ pub mod replica;
 
 pub use error::RouteError;
 
-/// Time without a call after which a session no longer counts towards the capacity: its worker is
-/// gone, or simulates for long between queries.
+/// Time without a call after which a session no longer counts towards the capacity: its worker has
+/// ended, or simulates for long between queries.
 const SESSION_IDLE: Duration = Duration::from_secs(120);
 /// Interval at which a waiting Reset checks for a free place.
 const RESET_POLL_INTERVAL: Duration = Duration::from_millis(100);
@@ -130,11 +130,11 @@ impl Route {
     /// See [`UnusableBackend`]; the route is then unchanged.
     pub fn reload(&self, spec: &RouteSpec) -> Result<(), UnusableBackend> {
         let existing = self.checkpoints().replicas();
-        let renewed = Arc::new(Checkpoints::new(spec, &existing)?);
+        let new = Arc::new(Checkpoints::new(spec, &existing)?);
         *self
             .checkpoints
             .write()
-            .unwrap_or_else(PoisonError::into_inner) = renewed;
+            .unwrap_or_else(PoisonError::into_inner) = new;
         self.retired.store(false, Ordering::Relaxed);
         Ok(())
     }
@@ -435,16 +435,16 @@ async fn query_replica(
     replica.infer(request.clone(), horizon, task).await
 }
 
-/// Selects the failure of a call to report. A new failure is more informative than a replica that
-/// was already out of service.
-fn most_informative(earlier: Option<RouteError>, now: RouteError) -> RouteError {
-    let was_out = |error: &RouteError| {
+/// Selects the failure of a call to report. A new failure is more informative than the error of a
+/// replica that was already out of service.
+fn most_informative(earlier: Option<RouteError>, new: RouteError) -> RouteError {
+    let is_out_of_service = |error: &RouteError| {
         matches!(error, RouteError::Replica { source, .. }
             if matches!(**source, BackendError::Out { .. }))
     };
     match earlier {
-        Some(earlier) if !was_out(&earlier) => earlier,
-        _ => now,
+        Some(earlier) if !is_out_of_service(&earlier) => earlier,
+        _ => new,
     }
 }
 

@@ -1,5 +1,5 @@
-//! The gateway's implementation of `rollout.policy.v1`: chooses the route and negotiates the
-//! version; the route does the rest.
+//! The gateway's implementation of `rollout.policy.v1`: chooses the route and checks the protocol
+//! version; the route answers the call.
 
 use std::{
     fmt,
@@ -21,8 +21,8 @@ use crate::{
     route::{Route, RouteError},
 };
 
-/// Most routes kept for their open sessions after they were removed from the configuration. Beyond
-/// that, the routes that were configured first are dropped.
+/// Largest number of routes that are kept for their open sessions after they were removed from the
+/// configuration. Beyond that, the routes that were configured first are dropped.
 pub const MAX_RETIRED_ROUTES: usize = 64;
 
 /// Policies of a gateway, by route. Clones share their state.
@@ -70,9 +70,9 @@ impl Gateway {
         }
         let mut surplus = routes.iter().filter(|route| route.is_retired()).count();
         routes.retain(|route| {
-            let drop = route.is_retired() && surplus > MAX_RETIRED_ROUTES;
-            surplus -= usize::from(drop);
-            !drop
+            let is_dropped = route.is_retired() && surplus > MAX_RETIRED_ROUTES;
+            surplus -= usize::from(is_dropped);
+            !is_dropped
         });
         Ok(())
     }
@@ -173,7 +173,7 @@ impl Policy for Gateway {
         let queries = request.into_inner().queries;
         if queries.len() > MAX_BATCH_QUERIES {
             return Err(Status::invalid_argument(format!(
-                "{} queries in one InferBatch; at most {MAX_BATCH_QUERIES} are taken",
+                "{} queries in one InferBatch; at most {MAX_BATCH_QUERIES} are accepted",
                 queries.len()
             )));
         }
@@ -184,8 +184,9 @@ impl Policy for Gateway {
             under_way.spawn(async move { (at, route.infer(query).await) });
         }
         while let Some(joined) = under_way.join_next().await {
-            let (at, answer) = joined
-                .map_err(|error| Status::internal(format!("a query of the batch: {error}")))?;
+            let (at, answer) = joined.map_err(|error| {
+                Status::internal(format!("a query of the batch failed: {error}"))
+            })?;
             results[at].result = Some(result(answer)?);
         }
         Ok(Response::new(InferBatchResponse { results }))

@@ -1,6 +1,6 @@
 //! Sends batches to one server: a task takes queries from the queue and distributes the answers.
-//! Ends a batch if its server is silent or nobody waits for it any more. The replica decides which
-//! queries may be sent at all.
+//! A batch ends early if its server is silent or no caller waits for its answers any more. The
+//! replica decides which queries may be sent at all.
 
 use std::{
     sync::{
@@ -20,7 +20,7 @@ use tokio::{
 use super::{MAX_QUEUED, Next, Queue};
 use crate::pace::{Silent, Watch};
 
-/// Queue of queries with the task that empties it. Dropping it ends the task.
+/// Queue of queries with the task that empties it. Dropping the batcher ends the task.
 pub struct Batcher {
     shared: Arc<Shared>,
     /// The task, which starts with the first query.
@@ -236,12 +236,12 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_batch_whose_task_panics_is_lost_uncharged_and_the_next_one_is_answered() {
+    async fn a_batch_whose_task_panics_is_lost_as_an_outage_and_the_next_one_is_answered() {
         let backend = Arc::new(PanickingBackend::default());
         let patience = Duration::from_secs(60);
         let batcher = Batcher::new(backend, Arc::default(), patience);
         let lost = batcher.infer(InferRequest::default(), 2, patience).await;
-        let lost = lost.expect_err("its batch panicked");
+        let lost = lost.expect_err("the batch panicked");
         assert!(matches!(lost, BackendError::BatchLost) && lost.is_outage());
         let next = batcher.infer(InferRequest::default(), 2, patience).await;
         next.expect("the batcher continues");

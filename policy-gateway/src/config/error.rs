@@ -7,7 +7,7 @@ use thiserror::Error;
 
 use super::name::{RouteName, RouteNameError};
 
-/// Most replicas of one checkpoint.
+/// Largest number of replicas of one checkpoint.
 pub const MAX_REPLICAS: usize = 64;
 
 /// Reason why a configuration is invalid. Reads after "failed to …".
@@ -44,7 +44,8 @@ pub enum ConfigError {
     },
     /// A route or suite has no replica.
     #[error(
-        "find a server for policy {name}: give `replicas`, or a `suites` table, each with one at least"
+        "find a server for policy {name}: give `replicas`, or a `suites` table, with at least one \
+         server each"
     )]
     NoReplica {
         /// Name of the route.

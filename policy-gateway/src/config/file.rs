@@ -136,8 +136,8 @@ mod tests {
 
     fn check(text: &str, expected: &str) {
         let error = read_text(text).expect_err(text);
-        let whole = format!("{:#}", anyhow::Error::from(error));
-        assert!(whole.contains(expected), "{text}: {whole}");
+        let message = format!("{:#}", anyhow::Error::from(error));
+        assert!(message.contains(expected), "{text}: {message}");
     }
 
     #[test]

@@ -13,7 +13,7 @@ pub(super) enum Checkpoints {
 }
 
 impl Checkpoints {
-    /// Creates the pools of `spec`, reusing the unchanged ones of the `existing` replicas.
+    /// Creates the pools of `spec`. Reuses the `existing` replicas whose settings are unchanged.
     ///
     /// # Errors
     /// See [`UnusableBackend`].

@@ -65,7 +65,7 @@ pub enum RouteError {
         known: String,
     },
     /// The session's name is empty or too long.
-    #[error("a session's name has 1 to {MAX_SESSION_BYTES} bytes, this one {bytes}")]
+    #[error("a session's name has 1 to {MAX_SESSION_BYTES} bytes, this one has {bytes}")]
     Session {
         /// Length of the name, bytes.
         bytes: usize,

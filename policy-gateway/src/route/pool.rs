@@ -1,5 +1,5 @@
-//! Replicas of one checkpoint: assigns sessions and queries to them, and checks that they describe
-//! themselves alike.
+//! Replicas of one checkpoint: assigns sessions and queries to them, and checks that their
+//! descriptions agree.
 
 use std::{
     fmt,
@@ -41,6 +41,7 @@ impl Drop for Opening {
 
 struct Agreed {
     described: Arc<DescribeResponse>,
+    /// Replica that gave the description.
     by: String,
 }
 
@@ -61,7 +62,7 @@ impl Pool {
     /// addition to the `open` ones. The caller must prevent concurrent calls.
     pub fn reserve_session(self: &Arc<Self>, open: usize) -> Option<Opening> {
         let sessions = open + self.opening.load(Ordering::Relaxed);
-        if self.capacity().is_some_and(|most| sessions >= most) {
+        if self.capacity().is_some_and(|capacity| sessions >= capacity) {
             return None;
         }
         self.opening.fetch_add(1, Ordering::Relaxed);

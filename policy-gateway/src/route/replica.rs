@@ -59,7 +59,7 @@ pub struct Replica {
     last_assigned: AtomicU64,
 }
 
-/// Guard of a query in flight; dropping it ends the query's count.
+/// Guard of a query in flight; dropping it removes the query from the load.
 struct LoadGuard<'a>(&'a AtomicUsize);
 
 impl Drop for LoadGuard<'_> {
@@ -151,7 +151,7 @@ impl Replica {
         self.last_assigned.store(number, Ordering::Relaxed);
     }
 
-    /// Returns the longest silence allowed to its server.
+    /// Returns the longest time for which the server may be silent.
     pub fn answer_within(&self) -> Duration {
         self.answer_within
     }
@@ -167,7 +167,7 @@ impl Replica {
         self.watch.per_query()
     }
 
-    /// Returns the number of sessions that its server can answer in time; `None` until its pace is
+    /// Returns the number of sessions that the server can answer in time; `None` until its pace is
     /// known.
     pub fn capacity(&self) -> Option<usize> {
         let execute = self.execute.load(Ordering::Relaxed);
@@ -371,10 +371,10 @@ impl Replica {
             Err(BackendError::TimedOut { .. }) => self.record_outage(Cause::Silent),
             Err(error) if is_no_evidence(error) => {}
             Err(BackendError::Unreachable { trouble, .. }) => {
-                let why = trouble.to_string();
+                let problem = trouble.to_string();
                 self.record_outage(match trouble.found.is_final() {
-                    true => Cause::Misplaced(why),
-                    false => Cause::Unreachable(why),
+                    true => Cause::Misplaced(problem),
+                    false => Cause::Unreachable(problem),
                 });
             }
             Err(error @ BackendError::Barred { .. }) => {
@@ -401,7 +401,7 @@ impl Replica {
     }
 
     fn log_outage(&self, cause: &Cause) {
-        tracing::warn!(backend = %self, "policy server out, tried again with back-off: it {cause}");
+        tracing::warn!(backend = %self, "policy server out, retried with back-off: it {cause}");
     }
 
     fn health(&self) -> std::sync::MutexGuard<'_, Health> {
@@ -441,15 +441,15 @@ mod tests {
 
     #[test]
     fn capacity_is_the_number_of_sessions_answered_in_time() {
-        let at = |execute, millis| {
+        let sessions = |execute, millis| {
             let patience = Duration::from_secs(55);
             capacity(patience, execute, Duration::from_millis(millis))
         };
-        assert_eq!(at(10, 400), 137);
-        assert_eq!(at(10, 20), 2750);
-        // A rollout that queries at every step must not take 55 s for each.
-        assert_eq!(at(1, 400), 20);
-        assert_eq!(at(1, 60_000), MIN_SESSIONS);
-        assert!(at(1, 0) > 1_000_000);
+        assert_eq!(sessions(10, 400), 137);
+        assert_eq!(sessions(10, 20), 2750);
+        // A rollout that queries at every step must not wait 55 s at each step.
+        assert_eq!(sessions(1, 400), 20);
+        assert_eq!(sessions(1, 60_000), MIN_SESSIONS);
+        assert!(sessions(1, 0) > 1_000_000);
     }
 }

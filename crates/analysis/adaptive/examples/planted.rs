@@ -2,10 +2,10 @@
 //! `cargo run --release -p adaptive --example planted`.
 //!
 //! Columns per kind of rule: the number of subsets run beyond those of a campaign, and
-//! their share of the 56 others; the numbers of rollouts and batches; the share of rules
-//! explained, and the share of these explained exactly. The last rows are for noisy
-//! policies, which contradict the rule with a given probability, so that the campaign's
-//! first rollouts hide some transitions.
+//! their share of the 56 further subsets; the numbers of rollouts and batches; the share of rules
+//! explained, and the share of the explained rules whose minimal subsets are exactly the
+//! planted ones. The last rows are for noisy policies, which contradict the rule with a given
+//! probability, so that the campaign's first rollouts hide some transitions.
 
 #[path = "../tests/it/subsets/planted.rs"]
 mod planted;
@@ -29,7 +29,7 @@ struct Mean {
 }
 
 impl Mean {
-    fn of(results: &[(Found, bool)]) -> Self {
+    fn new(results: &[(Found, bool)]) -> Self {
         let n = results.len() as f64;
         let explained = results
             .iter()
@@ -78,7 +78,7 @@ fn main() {
                 let exact = found.is_exact(&rule);
                 (found, exact)
             };
-            let mean = Mean::of(&(0..RULES).map(search).collect::<Vec<_>>());
+            let mean = Mean::new(&(0..RULES).map(search).collect::<Vec<_>>());
             mean.print(&format!("{kind:?}"));
             if Kind::MIXTURE.contains(&kind) {
                 mixture.push(mean.subsets);
@@ -96,7 +96,7 @@ fn main() {
                 let exact = found.is_exact(&rule);
                 (found, exact)
             };
-            let mean = Mean::of(&(0..NOISY_RULES).map(search).collect::<Vec<_>>());
+            let mean = Mean::new(&(0..NOISY_RULES).map(search).collect::<Vec<_>>());
             mean.print(&format!("monotone, noise {:.0} %", 100.0 * noise));
         }
     }

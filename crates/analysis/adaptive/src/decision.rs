@@ -7,7 +7,7 @@ pub enum Decision<R> {
     Run(Vec<R>),
     /// Wait for outcomes.
     Wait,
-    /// The search has no subject, or no rollout is left to run.
+    /// The configuration has nothing to search for, or no rollout is left to run.
     Done,
 }
 

@@ -7,8 +7,8 @@
 //! function `next` that turns them into a [`Decision`].
 //!
 //! The crate does no I/O: decisions and numbers are functions of the set of outcomes, whose
-//! order does not matter. No state is kept, so that a decision may be repeated at any time:
-//! requested rollouts are recorded as missing and are not requested again.
+//! order does not matter. The crate keeps no state, so that a decision may be repeated at any time:
+//! a rollout that the caller records as missing is not requested again.
 
 #![forbid(unsafe_code)]
 

@@ -20,7 +20,7 @@ pub struct Tally {
 
 impl Tally {
     /// Returns the number of requested rollouts.
-    pub const fn asked(&self) -> u32 {
+    pub const fn requested(&self) -> u32 {
         self.successes + self.failures + self.pending + self.quarantined
     }
 
@@ -115,7 +115,7 @@ impl<P: Copy + Ord> Outcomes<P> {
     pub fn requested(&self) -> u32 {
         self.0
             .values()
-            .map(|tallies| tallies.requests.asked())
+            .map(|tallies| tallies.requests.requested())
             .sum()
     }
 }

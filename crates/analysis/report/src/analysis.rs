@@ -1,5 +1,5 @@
 //! The analysis of one policy: its subject, its matched records and its statistics, or
-//! the findings of a campaign that follows from another.
+//! the findings of a campaign that is derived from another.
 
 use std::borrow::Cow;
 use std::collections::{BTreeMap, BTreeSet};
@@ -20,36 +20,36 @@ pub struct Analysis {
     pub label: String,
     /// Subject: the outcomes and their provenance.
     pub subject: Subject,
-    /// Matched outcomes. If the campaign stopped early, only the configurations that its
-    /// confidence sequences rest on.
+    /// Matched outcomes. If the campaign stopped early, only the configurations from which its
+    /// confidence sequences are computed.
     pub records: Records,
-    /// Records of the counted configurations; `None` if all of the subject's records count.
+    /// Records from which the figures are computed; `None` if these are all records of the subject.
     counted: Option<Vec<Record>>,
     /// Progress of the rollouts, by replicate and id.
     progress: BTreeMap<(u32, RolloutId), Progress>,
-    /// Confidence sequences, if the campaign may end early.
+    /// Confidence sequences; `None` if the campaign has no rule for ending early.
     pub sequential: Option<Sequential>,
-    /// The statistics; without figures if the campaign follows from another, because it then
-    /// runs only parts of each configuration.
+    /// The statistics. They are empty for a derived campaign, which runs only some of the
+    /// rollouts of each configuration.
     pub report: Report,
     /// Explanations of another campaign's transitions, if it explains one.
     pub findings: Option<Findings>,
     /// Thresholds of another campaign, if it measures them.
     pub thresholds: Option<ThresholdReport>,
-    /// Interactions of the axes, where configurations have their whole lattice.
+    /// Interactions of the axes; `None` if no configuration has an outcome under every subset.
     pub interactions: Option<AxisInteractions>,
 }
 
 impl Analysis {
     /// Computes the statistics of a subject.
     pub(crate) fn new(label: String, subject: Subject) -> Result<Self, DuplicateRecord> {
-        let sequential = Sequential::of(&subject)?;
+        let sequential = Sequential::from_subject(&subject)?;
         let counted = match subject.counted() {
             Cow::Owned(counted) => Some(counted),
             Cow::Borrowed(_) => None,
         };
         let mut records = Records::new(counted.as_deref().unwrap_or(&subject.records))?;
-        let mut notes = warnings::of_subject(&subject);
+        let mut notes = warnings::subject_warnings(&subject);
         let warning = sequential.as_ref().and_then(Sequential::warning);
         let is_interim = warning.is_some();
         notes.splice(0..0, warning);
@@ -104,18 +104,18 @@ impl Analysis {
         })
     }
 
-    /// Returns true if the campaign has whole configurations to pair, that is, if it does
-    /// not follow from another campaign.
+    /// Returns true if the campaign runs whole configurations, which can be paired, that is, if
+    /// it is not derived from another campaign.
     pub fn is_paired(&self) -> bool {
         self.subject.derived.is_none()
     }
 
-    /// Returns the records that the figures rest on.
+    /// Returns the records from which the figures are computed.
     pub(crate) fn counted(&self) -> &[Record] {
         self.counted.as_deref().unwrap_or(&self.subject.records)
     }
 
-    /// Returns all records, without the outcomes of those that do not count.
+    /// Returns all records, with the outcome [`Outcome::Missing`] for those that no figure uses.
     pub(crate) fn outcomes_of_all(&self) -> Vec<Record> {
         let counted = self.counted().iter();
         let counted: BTreeSet<_> = counted
@@ -134,7 +134,7 @@ impl Analysis {
         .collect()
     }
 
-    /// Returns the progress of a configuration's rollout under a condition, if it is known.
+    /// Returns the progress of a configuration's rollout under a condition; `None` if unknown.
     pub(crate) fn progress(&self, matched: &Matched, condition: Condition) -> Option<&Progress> {
         let id = match condition {
             Condition::Clean => RolloutId::clean(matched.task, matched.init_id),

@@ -39,7 +39,7 @@ pub struct Side {
     /// Name of the policy, unique in this comparison.
     pub label: String,
     pub policy: String,
-    /// Source of its outcomes.
+    /// Source of the outcomes.
     pub origin: Origin,
 }
 
@@ -76,8 +76,8 @@ impl Comparison {
         for (subject, side) in subjects.into_iter().zip(&sides) {
             if let Some(protocol) = &subject.protocol {
                 reasons.push(format!(
-                    "`{}` is a campaign of LIBERO's family, under {protocol}: its report has its \
-                     losses against the unperturbed rollouts",
+                    "`{}` is a campaign of LIBERO's family, under {protocol}: read its losses \
+                     against the unperturbed rollouts in the report of the campaign",
                     side.label
                 ));
             }
@@ -99,21 +99,21 @@ impl Comparison {
         });
         let notes = notes.collect();
         let [a, b] = sides;
-        let refused = |reasons| Unpairable {
+        let unpairable = |reasons| Unpairable {
             a: a.label.clone(),
             b: b.label.clone(),
             reasons,
         };
         if !reasons.is_empty() {
-            return Err(refused(reasons));
+            return Err(unpairable(reasons));
         }
         let bootstrap = Bootstrap::default();
-        let [of_a, of_b] = analyses.map(|analysis| Compared {
+        let [compared_a, compared_b] = analyses.map(|analysis| Compared {
             records: analysis.counted(),
             progress: &analysis.subject.progress,
             directions: analysis.subject.directions,
         });
-        let statistics = paired::Comparison::of(of_a, of_b, &bootstrap, |record| {
+        let statistics = paired::Comparison::of(compared_a, compared_b, &bootstrap, |record| {
             match has_other_placebo && record.id.is_placebo() {
                 true => Some(Obstacle::Perturbation),
                 false => obstacle(record, setups),
@@ -127,7 +127,7 @@ impl Comparison {
                  configurations"
                     .to_owned(),
             );
-            return Err(refused(reasons));
+            return Err(unpairable(reasons));
         }
         let unpaired = unpaired(&statistics);
         Ok(Self {
@@ -142,8 +142,8 @@ impl Comparison {
         })
     }
 
-    /// Adds the confidence sequences of the difference, and the conditions under which `rule` is
-    /// met.
+    /// Adds the confidence sequences of the difference and, for each condition, the number of
+    /// configurations after which `rule` is met.
     ///
     /// # Errors
     /// If the two campaigns did not run in the same drawn order.
@@ -153,8 +153,8 @@ impl Comparison {
         rule: Option<&StopRule>,
     ) -> Result<(), NoCommonOrder> {
         let unpaired = unpaired(&self.statistics);
-        let found = SequentialComparison::of(analyses, &unpaired, rule)?;
-        self.sequential = Some(found);
+        let sequential = SequentialComparison::of(analyses, &unpaired, rule)?;
+        self.sequential = Some(sequential);
         Ok(())
     }
 
@@ -167,7 +167,7 @@ impl Comparison {
     pub fn text(&self) -> String {
         let mut text = String::new();
         for (letter, side) in [("A", &self.a), ("B", &self.b)] {
-            push_wrapped(&mut text, &format!("{letter}  "), &side.words());
+            push_wrapped(&mut text, &format!("{letter}  "), &side.description());
         }
         text.push('\n');
         let left_out = self.statistics.left_out();
@@ -196,7 +196,7 @@ impl Comparison {
 }
 
 impl Side {
-    fn words(&self) -> String {
+    fn description(&self) -> String {
         match &self.origin {
             Origin::Campaign { name, endpoint, .. } => {
                 format!("{} at {endpoint}, campaign {name}", self.policy)
@@ -239,12 +239,13 @@ fn unknown(subject: &Subject, side: &Side) -> Option<String> {
     let may_be_unknown = has_results || matches!(subject.origin, Origin::File { .. });
     let is_unknown =
         |(_, property): &&(&str, Property)| may_be_unknown && values(subject, *property).is_empty();
-    let unknown = SHARED.iter().filter(is_unknown).map(|(what, _)| *what);
+    let unknown = SHARED.iter().filter(is_unknown).map(|(name, _)| *name);
     let mode = subject.realisation.is_none().then_some("realisation mode");
     let unknown: Vec<&str> = unknown.chain(mode).collect();
     (!unknown.is_empty()).then(|| {
         format!(
-            "`{}`: {} not known; compare it only with what was measured in the same way",
+            "`{}`: {} not known; compare the policy only with policies that were measured in the \
+             same way",
             side.label,
             unknown.join(", ")
         )
@@ -253,7 +254,7 @@ fn unknown(subject: &Subject, side: &Side) -> Option<String> {
 
 /// Describes a property in which the subjects are known to differ.
 fn different(
-    (what, property): &(&str, Property),
+    (name, property): &(&str, Property),
     subjects: [&Subject; 2],
     sides: &[Side; 2],
 ) -> Option<String> {
@@ -261,14 +262,14 @@ fn different(
     if values.iter().any(BTreeSet::is_empty) || values[0] == values[1] && values[0].len() == 1 {
         return None;
     }
-    let of_sides = sides.iter().zip(values).map(|(side, values)| {
+    let descriptions = sides.iter().zip(values).map(|(side, values)| {
         let values: Vec<String> = values.into_iter().collect();
         format!("{} with {}", side.label, values.join(" and "))
     });
-    let of_sides: Vec<String> = of_sides.collect();
+    let descriptions: Vec<String> = descriptions.collect();
     Some(format!(
-        "they were measured with more than one {what} ({}): run both with one",
-        of_sides.join(", ")
+        "they were measured with more than one {name} ({}): run both with the same",
+        descriptions.join(", ")
     ))
 }
 
@@ -279,15 +280,15 @@ fn values(subject: &Subject, property: Property) -> BTreeSet<String> {
 }
 
 fn different_realisation([a, b]: [&Subject; 2], sides: &[Side; 2]) -> Option<String> {
-    let (of_a, of_b) = (a.realisation?, b.realisation?);
-    (of_a != of_b).then(|| {
+    let (mode_a, mode_b) = (a.realisation?, b.realisation?);
+    (mode_a != mode_b).then(|| {
         format!(
             "they were perturbed in different realisation modes ({}: {}, {}: {}): create both \
              campaigns with the same `--realisation`",
             sides[0].label,
-            of_a.name(),
+            mode_a.name(),
             sides[1].label,
-            of_b.name()
+            mode_b.name()
         )
     })
 }
@@ -301,9 +302,10 @@ fn different_directions([a, b]: [&Subject; 2], sides: &[Side; 2]) -> Option<Stri
     (a.directions != b.directions).then(|| {
         format!(
             "the designs differ in their directions (`{}`: {}, `{}`: {}), so that perturbed \
-             rollouts of one id are not the same: where they are paired, intervals about new \
-             directions take them as shared; create both campaigns with the same `--directions`, \
-             or say in a file's `about.json` that it has its own",
+             rollouts with the same id differ: intervals about new directions treat the \
+             directions of paired rollouts as shared by all tasks; create both campaigns with \
+             the same `--directions`, or set `\"directions\": \"own\"` in the `about.json` of \
+             results whose tasks have directions of their own",
             sides[0].label,
             words(a.directions),
             sides[1].label,
@@ -314,17 +316,17 @@ fn different_directions([a, b]: [&Subject; 2], sides: &[Side; 2]) -> Option<Stri
 
 /// Warns of placebo levels of different radii, whose rollouts are not the same.
 fn different_placebo([a, b]: [&Subject; 2], sides: &[Side; 2]) -> Option<String> {
-    let (of_a, of_b) = (a.placebo_radius?, b.placebo_radius?);
-    (of_a != of_b).then(|| {
+    let (radius_a, radius_b) = (a.placebo_radius?, b.placebo_radius?);
+    (radius_a != radius_b).then(|| {
         format!(
-            "their placebo levels have different radii (`{}`: {of_a}, `{}`: {of_b}) and are not \
-             compared; create both campaigns with the same `--placebo-radius`",
+            "their placebo levels have different radii (`{}`: {radius_a}, `{}`: {radius_b}) and \
+             are not compared; create both campaigns with the same `--placebo-radius`",
             sides[0].label, sides[1].label
         )
     })
 }
 
-/// Returns the reason why a rollout cannot be paired, judging by the known digests.
+/// Returns the reason why a rollout cannot be paired, according to the known digests.
 fn obstacle(record: &Record, [a, b]: [&Setups; 2]) -> Option<Obstacle> {
     let differ = |a: Option<&String>, b: Option<&String>| a.zip(b).is_some_and(|(a, b)| a != b);
     let state = RolloutId::clean(record.id.task(), record.init_id);

@@ -27,8 +27,8 @@ pub struct Document {
     pub warnings: Vec<String>,
     /// Analyses, one per subject, in the given order.
     pub analyses: Vec<Analysis>,
-    /// Results by dimension or suite, of a campaign of LIBERO's family; they take the place of the
-    /// measures of LIBERO-CTRL.
+    /// Results by dimension or suite of a campaign of LIBERO's family. Reports show them instead of
+    /// the measures of LIBERO-CTRL.
     pub family: Option<Family>,
 }
 
@@ -46,8 +46,9 @@ pub enum DocumentError {
     /// Rollouts of LIBERO's family are reported together with other subjects, or lack their
     /// protocol.
     #[error(
-        "report on policy `{policy}`: its rollouts are of LIBERO's family, which are never pooled \
-         with others: report on its campaign, or on its exported rows with their `protocol`, alone"
+        "report on policy `{policy}`: its rollouts are of LIBERO's family, and such rollouts are \
+         never pooled with others; report on one campaign alone, or on one file of its exported \
+         rows with their `protocol`"
     )]
     Pooled {
         /// Name of the policy.
@@ -57,8 +58,7 @@ pub enum DocumentError {
     Json(#[from] JsonError),
 }
 
-/// The JSON form: the measures of each policy and level first, where programs
-/// look for them, then everything.
+/// The JSON form: first the measures by policy and level, then the whole reports.
 #[derive(Serialize)]
 struct JsonForm<'a> {
     warnings: &'a [String],
@@ -101,8 +101,8 @@ impl Document {
     /// Analyses the subjects.
     ///
     /// # Errors
-    /// If a subject holds the same rollout and replicate twice, or rollouts of LIBERO's family
-    /// stand beside another subject.
+    /// If a subject holds the same rollout and replicate twice, or rollouts of LIBERO's family are
+    /// given without their protocol or together with another subject.
     pub fn new(subjects: Vec<Subject>) -> Result<Self, DocumentError> {
         let is_pooled = |subject: &&Subject| {
             let mut records = subject.records.iter();
@@ -117,15 +117,15 @@ impl Document {
             Some(subject) => Family::of(subject)?,
             None => None,
         };
-        let warnings = warnings::of_comparison(&subjects);
+        let warnings = warnings::comparison_warnings(&subjects);
         let labels = labels(&subjects);
         let analyses = labels.into_iter().zip(subjects);
         let analyses = analyses.map(|(label, subject)| {
-            let refused = |source| DocumentError::Duplicate {
+            let duplicate = |source| DocumentError::Duplicate {
                 policy: label.clone(),
                 source,
             };
-            Analysis::new(label.clone(), subject).map_err(refused)
+            Analysis::new(label.clone(), subject).map_err(duplicate)
         });
         Ok(Self {
             warnings,
@@ -289,19 +289,19 @@ fn labels(subjects: &[Subject]) -> Vec<String> {
     let mut labels: Vec<String> = Vec::new();
     let mut taken = BTreeSet::new();
     for subject in subjects {
-        let of_name = subjects
+        let namesakes = subjects
             .iter()
             .filter(|other| other.policy == subject.policy);
-        let mut label = match of_name.count() {
+        let mut label = match namesakes.count() {
             1 => subject.policy.clone(),
             _ => format!("{} ({})", subject.policy, subject.origin_name()),
         };
-        let first = label.clone();
+        let base = label.clone();
         for number in 2.. {
             if taken.insert(label.clone()) {
                 break;
             }
-            label = format!("{first} {number}");
+            label = format!("{base} {number}");
         }
         labels.push(label);
     }
@@ -321,6 +321,8 @@ fn title(subject: &Subject) -> String {
     text
 }
 
+/// Returns the heading of the whole report: campaign or file, policy, realisation mode and
+/// execution model.
 fn head(subject: &Subject) -> String {
     let policy = &subject.policy;
     let realisation = match subject.realisation {
@@ -358,7 +360,7 @@ fn head(subject: &Subject) -> String {
     }
 }
 
-/// Appends the findings of a campaign that follows from another, its warnings first.
+/// Appends the findings of a derived campaign, its warnings first.
 fn push_derived_findings(text: &mut String, analysis: &Analysis) {
     for note in &analysis.report.notes {
         push_wrapped(text, "! ", note);

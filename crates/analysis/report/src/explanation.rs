@@ -13,7 +13,7 @@ use libero_ctrl::{AxisSet, Explanation, JsonError};
 use paired::{Outcome, Record, Transition, push_wrapped};
 use serde::Serialize;
 
-use crate::subject::{Prospect, Subject, things};
+use crate::subject::{Prospect, Subject, pluralise};
 use crate::words::push_name;
 
 /// Width of the column of axis names, in characters.
@@ -33,13 +33,13 @@ pub struct Findings {
     pub transitions: u64,
     /// Transitions whose explanation is finished.
     pub explained: u64,
-    /// Transitions that repeats did not confirm, so that chance may have made them.
+    /// Transitions that repeats did not confirm, so that they may be due to chance.
     pub not_confirmed: u64,
     /// Emergent failures that are not explained because the nominal rollout fails too.
     pub nominal_fails: u64,
     /// Rollouts of the explaining campaign, finished or waiting.
     pub rollouts: u64,
-    /// Rollouts among them without an outcome yet.
+    /// Number of these rollouts without an outcome yet.
     pub waiting: u64,
     /// Occurrences of each minimal subset.
     pub subsets: Vec<Occurrence>,
@@ -86,28 +86,28 @@ impl Findings {
         Ok(prospect)
     }
 
-    /// Combines the outcomes of the explaining campaign `by` with those of the explained
-    /// one; `None` if `by` explains no campaign.
+    /// Combines the outcomes of the campaign `explaining` with those of the campaign that it
+    /// explains; `None` if `explaining` explains no campaign.
     ///
     /// # Errors
     /// If the explained campaign perturbs only one axis.
-    pub fn of(by: &Subject) -> Result<Option<Self>, LatticeError> {
-        let Some((explanation, records)) = by.explains() else {
+    pub fn of(explaining: &Subject) -> Result<Option<Self>, LatticeError> {
+        let Some((explanation, records)) = explaining.explains() else {
             return Ok(None);
         };
-        let lattices = configurations(records, &by.records, explanation.repeats)?;
+        let lattices = configurations(records, &explaining.records, explanation.repeats)?;
         let sample = Sample::of(explanation);
         let mut findings = Self {
             campaign: explanation.campaign.clone(),
-            explained_by: by.origin_name().to_owned(),
-            policy: by.policy.clone(),
-            // A missing outcome may still turn out to be a transition.
+            explained_by: explaining.origin_name().to_owned(),
+            policy: explaining.policy.clone(),
+            // A configuration with a missing outcome may still turn out to have a transition.
             complete: records.iter().all(is_settled) && plan(&lattices, &sample).is_empty(),
             transitions: 0,
             explained: 0,
             not_confirmed: 0,
             nominal_fails: 0,
-            rollouts: by.records.len() as u64,
+            rollouts: explaining.records.len() as u64,
             waiting: 0,
             subsets: Vec::new(),
             configurations: Vec::new(),
@@ -155,9 +155,9 @@ impl Findings {
             "",
             &format!("{} {}", self.explained_by, self.progress_in_words()),
         );
-        let emergent = |occurrence: &&Occurrence| occurrence.transition == Transition::Emergent;
+        let is_emergent = |occurrence: &&Occurrence| occurrence.transition == Transition::Emergent;
         let (emergent, compensated): (Vec<&Occurrence>, Vec<&Occurrence>) =
-            self.subsets.iter().partition(emergent);
+            self.subsets.iter().partition(is_emergent);
         push_subsets(
             &mut text,
             "emergent failures: the fewest axes that fail together",
@@ -165,7 +165,7 @@ impl Findings {
         );
         push_subsets(
             &mut text,
-            "compensated successes: what makes an axis succeed that fails alone",
+            "compensated successes: the fewest axes with which a failing axis succeeds",
             &compensated,
         );
         if !self.configurations.is_empty() {
@@ -189,7 +189,7 @@ impl Findings {
         let mut words = format!(
             "explains {}: {explained} of {transitions} transitions explained in {}",
             self.campaign,
-            things(*rollouts, "rollout")
+            pluralise(*rollouts, "rollout")
         );
         if *waiting > 0 {
             let _ = write!(words, ", of which {waiting} have no outcome yet");
@@ -197,7 +197,7 @@ impl Findings {
         if self.not_confirmed > 0 {
             let _ = write!(
                 words,
-                "; not confirmed by repeats, so that chance may have made them: {}",
+                "; not confirmed by repeats, so that they may be due to chance: {}",
                 self.not_confirmed
             );
         }
@@ -274,20 +274,20 @@ fn push_configuration(text: &mut String, explained: &Explained) {
 }
 
 fn push_answer(text: &mut String, answer: &Answer, transition: Transition) {
-    let (does, does_not) = match transition {
+    let (flipped, unflipped) = match transition {
         Transition::Compensated => ("succeeds", "fails"),
         _ => ("fails", "succeeds"),
     };
     let prefix = match answer.start.is_empty() {
-        true => format!("  {does}: "),
-        false => format!("  {}, which fails alone, {does}: ", answer.start),
+        true => format!("  {flipped}: "),
+        false => format!("  {}, which fails alone, {flipped}: ", answer.start),
     };
     let minimal = answer.minimal.iter().map(|minimal| {
         let name = subset(answer.start, minimal.set);
         match minimal.is_established() {
             true => name,
             false => format!(
-                "{name} (not established: {} smaller not run)",
+                "{name} (not established: {} smaller subsets not run)",
                 minimal.open.len()
             ),
         }
@@ -298,10 +298,10 @@ fn push_answer(text: &mut String, answer: &Answer, transition: Transition) {
         .iter()
         .map(|set| set.name())
         .collect();
-    push_wrapped(text, &format!("  still {does_not}: "), &largest.join(", "));
+    push_wrapped(text, &format!("  still {unflipped}: "), &largest.join(", "));
     for pair in &answer.non_monotone {
         let words = format!(
-            "{} {does}, and with more axes {} {does_not}",
+            "{} {flipped}, and with more axes {} {unflipped}",
             pair.minimal, pair.superset
         );
         push_wrapped(text, "  not monotone: ", &words);

@@ -1,6 +1,6 @@
-//! Report of a campaign of LIBERO's family or of a suite file: successes by dimension or suite and by
-//! difficulty, and the losses against the unperturbed rollouts of the same tasks and initial states,
-//! which suite files do not have.
+//! Report of a campaign of LIBERO's family or of a suite file: successes by dimension or suite and
+//! by difficulty, and the losses against the unperturbed rollouts of the same tasks and initial
+//! states, which suite files do not have.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
@@ -38,7 +38,7 @@ pub struct Family {
     /// Dimensions of LIBERO-Plus or suites of LIBERO-PRO, in the benchmark's order, or suites of a
     /// suite file by name.
     pub groups: Vec<Line>,
-    /// Difficulties of LIBERO-Plus; the last line is of variants without one.
+    /// Difficulties of LIBERO-Plus; the last line is of variants without a difficulty.
     pub difficulties: Vec<Line>,
     /// Difficulties within each dimension.
     pub cells: Vec<Line>,
@@ -68,13 +68,13 @@ pub struct Line {
     pub rollouts: u64,
     /// Successful rollouts.
     pub successes: u64,
-    /// Successes over rollouts, per cent, as the benchmark's table has it.
+    /// Successes over rollouts, per cent, as in the benchmark's table.
     pub percent: Option<f64>,
-    /// 95 % interval of `percent`: a bootstrap of the tasks.
+    /// 95 % interval of `percent`, by a bootstrap over tasks.
     pub interval: Option<Interval>,
     /// Reason why `interval` is withheld.
     pub no_interval: Option<NoInterval>,
-    /// Rollouts whose unperturbed rollout has an outcome, too.
+    /// Rollouts with an outcome whose unperturbed rollout has an outcome, too.
     pub pairs: u64,
     /// Failed rollouts whose unperturbed rollout succeeds.
     pub broken: u64,
@@ -164,10 +164,10 @@ impl Sums {
     }
 
     /// Returns the sums with each task counted as often as it was drawn.
-    fn of(tasks: &[Self], draws: impl Fn(usize) -> u64) -> Self {
+    fn weighted(tasks: &[Self], draws: impl Fn(usize) -> u64) -> Self {
         let mut sum = Self::default();
-        for (place, task) in tasks.iter().enumerate() {
-            let draws = draws(place);
+        for (index, task) in tasks.iter().enumerate() {
+            let draws = draws(index);
             sum.rollouts += draws * task.rollouts;
             sum.successes += draws * task.successes;
             sum.pairs += draws * task.pairs;
@@ -195,14 +195,14 @@ impl Line {
             by_task.entry(rollout.case.task).or_default().add(rollout);
         }
         let tasks: Vec<Sums> = by_task.into_values().collect();
-        let sum = Sums::of(&tasks, |_| 1);
+        let sum = Sums::weighted(&tasks, |_| 1);
         let bootstrap = Bootstrap::default();
         let intervals = intervals_of_many(&bootstrap, tasks.len(), 2, |draws, values| {
-            let drawn = Sums::of(&tasks, |place| u64::from(draws[place]));
+            let drawn = Sums::weighted(&tasks, |index| u64::from(draws[index]));
             values[0] = drawn.percent().unwrap_or_default();
             values[1] = drawn.loss().unwrap_or_default();
         });
-        let (of_percent, of_loss) = (intervals[0], intervals[1]);
+        let (percent_interval, loss_interval) = (intervals[0], intervals[1]);
         let has_pairs = sum.pairs > 0;
         Self {
             name: name.to_owned(),
@@ -210,14 +210,14 @@ impl Line {
             rollouts: sum.rollouts,
             successes: sum.successes,
             percent: sum.percent(),
-            interval: of_percent.ok(),
-            no_interval: of_percent.err(),
+            interval: percent_interval.ok(),
+            no_interval: percent_interval.err(),
             pairs: sum.pairs,
             broken: sum.broken,
             gained: sum.gained,
             loss: sum.loss(),
-            loss_interval: of_loss.ok().filter(|_| has_pairs),
-            no_loss_interval: of_loss.err().filter(|_| has_pairs),
+            loss_interval: loss_interval.ok().filter(|_| has_pairs),
+            no_loss_interval: loss_interval.err().filter(|_| has_pairs),
         }
     }
 }
@@ -248,15 +248,15 @@ impl Family {
     /// Reports on a campaign; `None` if it is neither of LIBERO's family nor of a suite file.
     ///
     /// # Errors
-    /// If this program does not know its protocol or one of its variants.
+    /// If this program does not know the campaign's protocol or one of its variants.
     pub fn of(subject: &Subject) -> Result<Option<Self>, FamilyError> {
         let Some(protocol) = &subject.protocol else {
             return Ok(None);
         };
         let campaign = subject.origin_name().to_owned();
-        // Only names of suite files have a digest; their rollouts have no unperturbed ones.
+        // The protocol of a suite file is `NAME@DIGEST`. Suite files have no unperturbed rollouts.
         let suite_file = protocol.split_once('@').map(|(name, _)| name.to_owned());
-        let named: Option<Protocol> = match suite_file {
+        let benchmark_protocol: Option<Protocol> = match suite_file {
             Some(_) => None,
             None => {
                 let parsed: Result<Protocol, UnknownName> = protocol.parse();
@@ -266,7 +266,7 @@ impl Family {
                 })?)
             }
         };
-        let benchmark = named.map(|named| named.benchmark);
+        let benchmark = benchmark_protocol.map(|protocol| protocol.benchmark);
         let mut cases = Vec::new();
         for record in &subject.records {
             let case = Case::of_id(record.id).map_err(|source| FamilyError::Rollout {
@@ -281,7 +281,7 @@ impl Family {
                 .filter(|(_, outcome)| *outcome == expected)
                 .count() as u64
         };
-        let of_state: BTreeMap<(TaskRef, u16), bool> = cases
+        let unperturbed_success: BTreeMap<(TaskRef, u16), bool> = cases
             .iter()
             .filter(|(case, _)| case.subject == CaseSubject::Unperturbed)
             .filter_map(|(case, outcome)| Some(((case.task, case.trial), outcome.success()?)))
@@ -290,7 +290,7 @@ impl Family {
             Some(Counted {
                 case: *case,
                 success: outcome.success()?,
-                unperturbed_success: of_state.get(&(case.task, case.trial)).copied(),
+                unperturbed_success: unperturbed_success.get(&(case.task, case.trial)).copied(),
             })
         });
         let (unperturbed, variants): (Vec<Counted>, Vec<Counted>) =
@@ -305,7 +305,7 @@ impl Family {
                 .or_default()
                 .push(variant);
             if benchmark == Some(Benchmark::Plus) {
-                // Those without a difficulty come last.
+                // Variants without a difficulty come last.
                 let difficulty = variant.case.difficulty().unwrap_or(u8::MAX);
                 difficulties.entry(difficulty).or_default().push(variant);
                 let cell = cells.entry((place, difficulty, group)).or_default();
@@ -331,28 +331,31 @@ impl Family {
                 .collect(),
             difficulties: difficulties
                 .iter()
-                .map(|(difficulty, rollouts)| line(&in_words(*difficulty), rollouts))
+                .map(|(difficulty, rollouts)| line(&difficulty_name(*difficulty), rollouts))
                 .collect(),
             cells: cells
                 .iter()
                 .map(|((_, difficulty, group), rollouts)| {
-                    line(&format!("{group} {}", in_words(*difficulty)), rollouts)
+                    line(
+                        &format!("{group} {}", difficulty_name(*difficulty)),
+                        rollouts,
+                    )
                 })
                 .collect(),
             all: Line::new("all", variants.iter()),
-            published: named.map_or_else(Vec::new, |named| published(&named)),
+            published: benchmark_protocol.map_or_else(Vec::new, |protocol| published(&protocol)),
         }))
     }
 
     /// Writes the report for a terminal; `full` adds the difficulties within each dimension.
     pub fn text(&self, full: bool) -> String {
-        let run = format!("Campaign {} of policy {}", self.campaign, self.policy);
+        let heading = format!("Campaign {} of policy {}", self.campaign, self.policy);
         let mut text = match self.is_paired {
             true => format!(
-                "{run}: {} under protocol {}\n",
+                "{heading}: {} under protocol {}\n",
                 self.benchmark, self.protocol
             ),
-            false => format!("{run}: suite file {}\n", self.protocol),
+            false => format!("{heading}: suite file {}\n", self.protocol),
         };
         for sentence in self.caveats() {
             push_wrapped(&mut text, "", &sentence);
@@ -412,16 +415,16 @@ impl Family {
         text
     }
 
-    /// Returns the rows of the published table, the campaign's own first, under their heads.
+    /// Returns the heads of the published table, the row of this campaign, and the published rows.
     pub(crate) fn beside_published(&self) -> Vec<Vec<String>> {
         let names = Dimension::ALL.map(Dimension::name);
-        let own = |name: &&str| {
+        let measured_percent = |name: &&str| {
             let line = self.groups.iter().find(|line| line.name == **name);
             number(line.and_then(|line| line.percent))
         };
         let heads = ["Published"].into_iter().chain(names).map(str::to_owned);
         let measured = ["this campaign".to_owned()].into_iter();
-        let measured = measured.chain(names.iter().map(own));
+        let measured = measured.chain(names.iter().map(measured_percent));
         let published = self.published.iter().map(|row| {
             let cells = names
                 .iter()
@@ -437,9 +440,9 @@ impl Family {
     /// Describes the published table's source and scope.
     pub(crate) fn about_published() -> String {
         format!(
-            "Published: successes over all 10,030 variants, per cent ({PUBLISHED_SOURCE}). They \
-             compare with a dimension of this campaign only where it ran all of the dimension's \
-             variants."
+            "Published: successes over all 10,030 variants, per cent ({PUBLISHED_SOURCE}). A \
+             published figure is comparable with this campaign only for a dimension of which the \
+             campaign ran all variants."
         )
     }
 
@@ -455,12 +458,14 @@ impl Family {
         let mut sentences = Vec::new();
         if self.missing > 0 {
             let missing = self.missing;
-            sentences.push(format!("{missing} of its rollouts have no outcome so far."));
+            sentences.push(format!(
+                "{missing} rollouts of the campaign have no outcome so far."
+            ));
         }
         if self.quarantined > 0 {
             sentences.push(format!(
-                "{} of its rollouts were given up and are in no figure; `coordinator jobs list` \
-                 names them.",
+                "{} rollouts of the campaign are quarantined and in no figure; `coordinator jobs \
+                 list` names them.",
                 self.quarantined
             ));
         }
@@ -493,7 +498,7 @@ fn group(case: &Case) -> (usize, String) {
     (place.unwrap_or_default(), case.group().unwrap_or_default())
 }
 
-fn in_words(difficulty: u8) -> String {
+fn difficulty_name(difficulty: u8) -> String {
     match difficulty {
         u8::MAX => "difficulty not given".to_owned(),
         given => format!("difficulty {given}"),

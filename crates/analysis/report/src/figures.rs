@@ -56,7 +56,7 @@ const PADDING: f64 = 14.0;
 /// One panel, rendered inline in a page or as an SVG file.
 #[derive(Clone, Debug)]
 pub struct Figure {
-    /// Name of its file, without extension.
+    /// Name of the SVG file, without extension.
     pub name: String,
     /// Description for readers who cannot see the figure.
     pub title: String,
@@ -68,12 +68,12 @@ pub struct Figure {
 
 impl Figure {
     fn new(name: &str, title: String, height: f64, body: Markup) -> Self {
-        let plain = |c: char| match c.is_ascii_alphanumeric() || c == '.' {
+        let allowed = |c: char| match c.is_ascii_alphanumeric() || c == '.' {
             true => c.to_ascii_lowercase(),
             false => '-',
         };
         Self {
-            name: name.chars().map(plain).collect(),
+            name: name.chars().map(allowed).collect(),
             title,
             has_links: false,
             is_wide: false,
@@ -114,14 +114,15 @@ impl Figure {
             true => (svg::WIDE, "panel wide"),
             false => (WIDTH, "panel"),
         };
-        let from = svg::number(0.0 - padding);
+        let origin = svg::number(0.0 - padding);
         let (width, height) = (width + 2.0 * padding, self.height + 2.0 * padding);
         let (width, height) = (svg::number(width), svg::number(height));
         // Screen readers do not reach links inside an element of role `img`.
         let role = if self.has_links { "group" } else { "img" };
         html! {
             svg xmlns="http://www.w3.org/2000/svg" class=(class) role=(role)
-                viewBox={ (from) " " (from) " " (width) " " (height) } width=(width) height=(height) {
+                viewBox={ (origin) " " (origin) " " (width) " " (height) }
+                width=(width) height=(height) {
                 title { (self.title) }
                 (style)
                 (self.body)

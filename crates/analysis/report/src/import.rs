@@ -43,8 +43,8 @@ pub enum ImportError {
     },
     #[error(
         "import {path}: {} bad, nothing was imported: {}",
-        counted(.bad),
-        listed(.named, .bad)
+        lines_are(.bad),
+        reasons(.named, .bad)
     )]
     Lines {
         path: PathBuf,
@@ -144,7 +144,7 @@ pub fn import(path: &Path) -> Result<Subject, ImportError> {
         if reading.records.len() == MAX_FILE_ROWS {
             return Err(ImportError::TooLong { path: rows });
         }
-        reading.line(&line);
+        reading.add_line(&line);
     }
     if reading.bad > 0 {
         let Reading { bad, named, .. } = reading;
@@ -231,12 +231,12 @@ struct Reading {
 }
 
 impl Reading {
-    fn line(&mut self, line: &[u8]) {
+    fn add_line(&mut self, line: &[u8]) {
         self.number += 1;
         if line.iter().all(u8::is_ascii_whitespace) {
             return;
         }
-        match self.record(line) {
+        match self.parse(line) {
             Ok(record) => self.records.push(record),
             Err(reason) => {
                 self.bad += 1;
@@ -248,7 +248,7 @@ impl Reading {
         }
     }
 
-    fn record(&mut self, line: &[u8]) -> Result<Record, String> {
+    fn parse(&mut self, line: &[u8]) -> Result<Record, String> {
         if line.len() as u64 == MAX_LINE_BYTES {
             return Err(format!("it is longer than {MAX_LINE_BYTES} bytes"));
         }
@@ -262,7 +262,7 @@ impl Reading {
         })?;
         row.check_consistency()?;
         if let Some(protocol) = &row.protocol {
-            // Rules of a suite file are `NAME@DIGEST`.
+            // The protocol of a suite file is `NAME@DIGEST`.
             let is_of_suite_file = protocol.contains('@');
             if is_of_suite_file != (row.rollout_id.task().suite() == Suite::Own) {
                 return Err(format!(
@@ -285,12 +285,12 @@ impl Reading {
             (None, Some(policy)) => self.policy = Some(policy),
             _ => {}
         }
-        let is_late = row.rollout_id.condition() == Condition::Latency;
-        let first = self.execution.get_or_insert_with(|| match is_late {
+        let is_latency = row.rollout_id.condition() == Condition::Latency;
+        let first = self.execution.get_or_insert_with(|| match is_latency {
             true => Execution::Wait,
             false => row.execution.clone(),
         });
-        if !is_late && *first != row.execution {
+        if !is_latency && *first != row.execution {
             return Err(format!(
                 "it ran under execution model `{}`, earlier lines under `{first}`: one model per \
                  file",
@@ -301,14 +301,14 @@ impl Reading {
             self.protocol.clone_from(&row.protocol);
         }
         if self.protocol != row.protocol {
-            let named = |protocol: &Option<String>| match protocol {
+            let described = |protocol: &Option<String>| match protocol {
                 Some(protocol) => format!("under protocol `{protocol}`"),
                 None => "without `protocol`".to_owned(),
             };
             return Err(format!(
                 "it is {}, earlier lines are {}: one protocol of LIBERO's family per file",
-                named(&row.protocol),
-                named(&self.protocol)
+                described(&row.protocol),
+                described(&self.protocol)
             ));
         }
         match (self.placebo_radius, row.placebo_radius) {
@@ -342,7 +342,7 @@ impl Reading {
 impl Row {
     fn check_consistency(&self) -> Result<(), String> {
         let (id, task) = (self.rollout_id, self.rollout_id.task());
-        let of_id = [
+        let agreements = [
             ("axis", self.axis.is_none_or(|axis| axis == id.condition())),
             ("level", self.level.is_none_or(|level| level == id.level())),
             (
@@ -358,10 +358,10 @@ impl Row {
             (
                 "config",
                 self.config
-                    .is_none_or(|config| id.config().is_none_or(|own| own == config)),
+                    .is_none_or(|config| id.config().is_none_or(|expected| expected == config)),
             ),
         ];
-        if let Some((field, _)) = of_id.iter().find(|(_, agrees)| !agrees) {
+        if let Some((field, _)) = agreements.iter().find(|(_, agrees)| !agrees) {
             return Err(format!("`{field}` differs from its id {id}"));
         }
         match self
@@ -386,8 +386,8 @@ impl Row {
         })
     }
 
-    /// Returns the row's initial state or, if the row gives none, that of its id: a nominal
-    /// rollout's own, or the protocol's for configurations 0 to 9.
+    /// Returns the row's initial state. If the row gives none, returns the state in its id if the
+    /// rollout is nominal, or the protocol's state for configurations 0 to 9.
     fn initial_state(&self) -> Result<u16, String> {
         let config = self.rollout_id.config();
         let default_state = match config {
@@ -404,14 +404,14 @@ impl Row {
     }
 }
 
-fn counted(bad: &usize) -> String {
+fn lines_are(bad: &usize) -> String {
     match bad {
         1 => "1 line is".to_owned(),
         bad => format!("{bad} lines are"),
     }
 }
 
-fn listed(named: &[BadLine], bad: &usize) -> String {
+fn reasons(named: &[BadLine], bad: &usize) -> String {
     let mut lines: Vec<String> = named
         .iter()
         .map(|line| format!("line {}: {}", line.number, line.reason))

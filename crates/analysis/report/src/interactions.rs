@@ -20,6 +20,7 @@ use crate::words::{percent, points, points_interval};
 const NAMES: usize = 48;
 /// Width of the column of success rates, in characters.
 const RATE: usize = 7;
+/// Width of the column of changes of success, in characters.
 const CHANGE: usize = 8;
 
 /// Interactions of a campaign's axes.
@@ -31,7 +32,7 @@ pub struct AxisInteractions {
     pub notes: Vec<String>,
     /// Settings of the intervals.
     pub bootstrap: Bootstrap,
-    /// Each level with a configuration whose whole lattice was run, by radius.
+    /// Each level with a configuration whose whole lattice was run, in order of radius.
     pub levels: Vec<LevelInteractions>,
 }
 
@@ -84,8 +85,8 @@ impl AxisInteractions {
         if let Some((explanation, _)) = explains {
             notes.push(format!(
                 "these configurations were picked because simultaneous perturbation changes their \
-                 outcome: what follows is true of them, and not of all configurations of `{}`; for \
-                 that, create a campaign with `--subsets all`",
+                 outcome: the results hold for them, and not for all configurations of `{}`; to \
+                 measure all configurations, create a campaign with `--subsets all`",
                 explanation.campaign
             ));
         }
@@ -96,9 +97,9 @@ impl AxisInteractions {
             levels
                 .entry(id.level())
                 .or_default()
-                .push(whole(id, lattice));
+                .push(complete_lattice(id, lattice));
         }
-        let of_level = |(level, lattices): (Level, Vec<Result<_, _>>)| {
+        let interactions = |(level, lattices): (Level, Vec<Result<_, _>>)| {
             let all = lattices.len() as u64;
             let complete: Vec<CompleteLattice> = lattices.into_iter().flatten().collect();
             Some(LevelInteractions {
@@ -107,10 +108,10 @@ impl AxisInteractions {
                 interactions: Interactions::of(&complete, &bootstrap)?,
             })
         };
-        let levels: Vec<LevelInteractions> = levels.into_iter().filter_map(of_level).collect();
+        let levels: Vec<LevelInteractions> = levels.into_iter().filter_map(interactions).collect();
         match lattices
             .iter()
-            .find_map(|(id, lattice)| Some((id, whole(id, lattice).err()?)))
+            .find_map(|(id, lattice)| Some((id, complete_lattice(id, lattice).err()?)))
         {
             _ if !levels.is_empty() => Ok(Self {
                 campaign: campaign.to_owned(),
@@ -143,7 +144,7 @@ impl AxisInteractions {
             policy: &self.policy,
             notes: &self.notes,
             bootstrap: self.bootstrap,
-            levels: self.levels.iter().map(JsonLevel::of).collect(),
+            levels: self.levels.iter().map(JsonLevel::new).collect(),
         }
     }
 
@@ -163,22 +164,26 @@ impl AxisInteractions {
             &mut text,
             "",
             "Success is v, the success rate under the subset, in percent. Effect is its Moebius \
-             interaction, in points: what its axes do together beyond all that their subsets do. \
-             Nominal success and all interactions add up to simultaneous success. A share is an \
-             axis's Shapley value: its effect, averaged over all orders in which axes can be added. \
-             Of a pair, the Shapley interaction index is how much one axis changes the effect of the \
-             other; below 0 they do more harm together. In brackets, 95 % intervals; those of all \
-             shares hold together, so do those of all pairs, and of all effects of subsets.",
+             interaction, in points: the effect of its axes together beyond the effects of their \
+             subsets. Nominal success and all interactions add up to simultaneous success. A share \
+             is an axis's Shapley value: its effect, averaged over all orders in which axes can be \
+             added. The index of a pair is its Shapley interaction index: the amount by which one \
+             axis changes the effect of the other; below 0 they do more harm together. Brackets \
+             hold 95 % intervals, which hold simultaneously for all shares, for all pairs, and for \
+             all effects of subsets.",
         );
         text
     }
 }
 
-/// Returns the lattice of a configuration.
+/// Returns the outcomes of a configuration under every subset.
 ///
 /// # Errors
 /// If an outcome is missing.
-fn whole(id: &RolloutId, lattice: &Lattice) -> Result<CompleteLattice, IncompleteLattice> {
+fn complete_lattice(
+    id: &RolloutId,
+    lattice: &Lattice,
+) -> Result<CompleteLattice, IncompleteLattice> {
     CompleteLattice::new(id.task(), lattice.full(), |set| {
         lattice.verdict(set).success()
     })
@@ -307,26 +312,26 @@ struct JsonPair<'a> {
 }
 
 impl<'a> JsonLevel<'a> {
-    fn of(level: &'a LevelInteractions) -> Self {
-        let found = &level.interactions;
+    fn new(level: &'a LevelInteractions) -> Self {
+        let interactions = &level.interactions;
         let subset = |(&set, success)| JsonSubset {
             set,
             success,
-            moebius: found.moebius.get(&set),
+            moebius: interactions.moebius.get(&set),
         };
         let size = |(&axes, moebius)| JsonSize { axes, moebius };
         let share = |(&axis, shapley)| JsonShare { axis, shapley };
         let pair = |(&set, shapley)| JsonPair { set, shapley };
         Self {
             level: level.level,
-            axes: found.full,
-            n: found.n,
-            tasks: found.tasks,
+            axes: interactions.full,
+            n: interactions.n,
+            tasks: interactions.tasks,
             left_out: level.left_out,
-            subsets: found.success.iter().map(subset).collect(),
-            sizes: found.sizes.iter().map(size).collect(),
-            shares: found.shapley.iter().map(share).collect(),
-            pairs: found.pairs.iter().map(pair).collect(),
+            subsets: interactions.success.iter().map(subset).collect(),
+            sizes: interactions.sizes.iter().map(size).collect(),
+            shares: interactions.shapley.iter().map(share).collect(),
+            pairs: interactions.pairs.iter().map(pair).collect(),
         }
     }
 }

@@ -4,7 +4,7 @@
 //! from [`import`].
 //!
 //! Output is deterministic: the same subjects give the same bytes, independent of
-//! time, machine and order of arrival.
+//! time, machine and the order of the records.
 
 #![forbid(unsafe_code)]
 #![allow(missing_docs, reason = "names and messages are self-explanatory")]

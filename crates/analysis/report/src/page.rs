@@ -78,24 +78,24 @@ pub fn sections(document: &Document, link: Option<Link>) -> Markup {
         let panels = levels.iter().filter_map(|&level| panel(document, level));
         panels.collect::<Vec<_>>()
     };
-    let paired = document.analyses.iter().any(Analysis::is_paired);
+    let has_paired = document.analyses.iter().any(Analysis::is_paired);
     html! {
         (explanation::findings(document, link))
         (thresholds::sections(document))
-        (findings::in_words(document))
-        @if paired {
+        (findings::section(document))
+        @if has_paired {
             section {
                 h2 { "Paired outcomes" }
                 (tables::paired(document))
             }
         }
         (inference::tables(document))
-        (sequential::of_campaigns(document))
+        (sequential::section(document))
         (figure("Success under each axis alone, and under simultaneous perturbation by all of them.",
             per_level(figures::heat_map)))
-        (figure("From independent axes to simultaneous perturbation. D: how far the axes' \
-            failures coincide in the same configurations. I: what simultaneity adds to that, for \
-            better or for worse. In brackets, 95 % intervals.",
+        (figure("From independent axes to simultaneous perturbation. D: the effect of failures \
+            of several axes that coincide in the same configurations. I: the further effect of \
+            simultaneity. In brackets, 95 % intervals.",
             per_level(figures::decomposition)))
         (figure("In which direction outcomes change. Left, every axis alone succeeds and the \
             simultaneous rollout fails; right, some axis alone fails and the simultaneous rollout \
@@ -106,7 +106,7 @@ pub fn sections(document: &Document, link: Option<Link>) -> Markup {
             levels.iter().filter_map(move |&level| figures::matrix(analysis, level, link))
         }).collect()))
         (explanation::interactions(document))
-        @if paired {
+        @if has_paired {
             section {
                 h2 { "Nominal success and single axes" }
                 (tables::nominal(document))
@@ -119,7 +119,7 @@ pub fn sections(document: &Document, link: Option<Link>) -> Markup {
         }
         (replication(document))
         @let pairs = document.comparisons();
-        @if !pairs.is_empty() { (differences::of_pairs(&pairs)) }
+        @if !pairs.is_empty() { (differences::section(&pairs)) }
         (tables::solvable(document))
         (tables::bounds(document))
         (tables::quarantine(document))
@@ -129,7 +129,7 @@ pub fn sections(document: &Document, link: Option<Link>) -> Markup {
 
 /// Renders a comparison of two policies, for another page that includes [`STYLE`].
 pub fn comparison(comparison: &Comparison) -> Markup {
-    differences::of_one(comparison)
+    differences::comparison(comparison)
 }
 
 fn title(document: &Document) -> String {

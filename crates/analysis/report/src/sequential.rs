@@ -20,15 +20,16 @@ const POINTS_COLUMNS: usize = 17;
 pub struct Sequential {
     /// Rule for stopping early.
     pub rule: StopRule,
-    /// Seed of the order of its configurations.
+    /// Seed of the drawn order of the configurations.
     pub seed: u64,
-    /// Strata of the order: each round has one configuration of each.
+    /// Strata of the order: each round has one configuration of each stratum.
     pub strata: Strata,
     /// True if the campaign stopped early.
     pub has_stopped: bool,
     /// Configurations of the campaign: the population of the intervals.
     pub configurations: usize,
-    /// Number of configurations that the intervals rest on: the first in the drawn order.
+    /// Number of configurations from which the intervals are computed: the first in the drawn
+    /// order.
     pub used: usize,
     pub rollouts: usize,
     /// Rollouts that were not run because the campaign stopped early.
@@ -59,8 +60,9 @@ pub fn stopped_in_words(
 }
 
 impl Sequential {
-    /// Computes the sequences of a campaign that may end early and has configurations.
-    pub(crate) fn of(subject: &Subject) -> Result<Option<Self>, DuplicateRecord> {
+    /// Computes the sequences; `None` if the campaign has no rule for ending early, or no
+    /// configuration.
+    pub(crate) fn from_subject(subject: &Subject) -> Result<Option<Self>, DuplicateRecord> {
         let Some(EarlyStop { stop, has_stopped }) = &subject.early_stop else {
             return Ok(None);
         };
@@ -102,16 +104,16 @@ impl Sequential {
         }))
     }
 
-    /// Findings that are valid at any look, in place of those of a fixed sample: intervals
-    /// of simultaneous success and its net effect over the campaign's configurations.
+    /// Returns the findings that are valid at any look, which replace those of a fixed sample:
+    /// intervals of simultaneous success and its net effect over the campaign's configurations.
     pub(crate) fn findings(&self) -> Vec<Finding> {
         if self.rule.is_about_new_tasks() {
             return self.findings_of_new_tasks();
         }
         let levels = self.levels.iter().filter_map(|(&level, measures)| {
             let [success, net] = [Measure::SSim, Measure::I].map(|measure| measures.get(&measure));
-            let one = |value: f64| format!("{:.1}", 100.0 * value);
-            let [[low, high], [least, most]] = [*success?, *net?].map(|ends| ends.map(one));
+            let percent = |value: f64| format!("{:.1}", 100.0 * value);
+            let [[low, high], [least, most]] = [*success?, *net?].map(|ends| ends.map(percent));
             Some(Finding {
                 kind: FindingKind::Simultaneity,
                 level: Some(level),
@@ -131,7 +133,7 @@ impl Sequential {
 
     /// Returns the findings about new tasks, by level.
     fn findings_of_new_tasks(&self) -> Vec<Finding> {
-        let of_level = |(&level, measures): (&Level, &BTreeMap<Measure, [f64; 2]>)| {
+        let finding = |(&level, measures): (&Level, &BTreeMap<Measure, [f64; 2]>)| {
             let intervals = measures
                 .iter()
                 .map(|(&measure, &ends)| format!("{measure} in {}", percent_text(measure, ends)));
@@ -148,10 +150,10 @@ impl Sequential {
                 ),
             }
         };
-        self.levels.iter().map(of_level).collect()
+        self.levels.iter().map(finding).collect()
     }
 
-    /// Returns the warning that figures rest on fewer configurations; `None` if all count.
+    /// Returns the warning that figures cover only some configurations; `None` if they cover all.
     pub(crate) fn warning(&self) -> Option<String> {
         if self.has_stopped {
             let configurations = [self.used as u64, self.configurations as u64];
@@ -160,7 +162,7 @@ impl Sequential {
                 "{}; other figures cover these {} configurations only, and their bootstrap \
                  intervals and p-values are not valid, because they assume a sample size fixed in advance: \
                  use the confidence sequences, whose estimates weight suites as the campaign does. \
-                 Other rates weight them by the configurations that were drawn{}",
+                 Other rates weight suites by the number of drawn configurations{}",
                 stopped_in_words(configurations, &self.rule.to_string(), rollouts),
                 self.used,
                 self.overstated_in_words()
@@ -225,7 +227,7 @@ impl Sequential {
         }
     }
 
-    /// Defines the intervals and their population in words.
+    /// Returns a definition of the intervals and their population.
     pub(crate) fn explanation(&self) -> String {
         let about = match self.rule.is_about_new_tasks() {
             true => {
@@ -253,7 +255,7 @@ impl Sequential {
         let measures = self.levels.values().next();
         for &measure in measures.into_iter().flat_map(BTreeMap::keys) {
             let name = measure.name();
-            let _ = write!(text, "{name:>width$}", width = columns(measure));
+            let _ = write!(text, "{name:>width$}", width = column_width(measure));
         }
         text.push('\n');
         for (level, intervals) in &self.levels {
@@ -261,14 +263,14 @@ impl Sequential {
             let _ = write!(text, "{name:<widest$}");
             for (&measure, &interval) in intervals {
                 let interval = percent_text(measure, interval);
-                let _ = write!(text, "{interval:>width$}", width = columns(measure));
+                let _ = write!(text, "{interval:>width$}", width = column_width(measure));
             }
             text.push('\n');
             if self.estimates.contains_key(level) {
                 text.push_str(&" ".repeat(widest));
                 for &measure in intervals.keys() {
                     let estimate = self.estimate_text(*level, measure);
-                    let _ = write!(text, "{estimate:>width$}", width = columns(measure));
+                    let _ = write!(text, "{estimate:>width$}", width = column_width(measure));
                 }
                 text.push('\n');
             }
@@ -285,7 +287,7 @@ fn excluded(rule: &StopRule) -> BTreeSet<Measure> {
     clauses.map(Clause::measure).collect()
 }
 
-fn columns(measure: Measure) -> usize {
+fn column_width(measure: Measure) -> usize {
     match measure {
         Measure::I | Measure::Difference => POINTS_COLUMNS,
         Measure::SSim | Measure::RE | Measure::RC | Measure::RD => RATE_COLUMNS,

@@ -16,7 +16,7 @@ use crate::sequential::percent_text;
 pub struct SequentialComparison {
     /// Seed of the drawn order of both campaigns.
     pub seed: u64,
-    /// Strata of the order: each round has one configuration of each.
+    /// Strata of the order: each round has one configuration of each stratum.
     pub strata: Strata,
     /// Rule to evaluate, if one was given.
     pub rule: Option<StopRule>,
@@ -31,8 +31,8 @@ pub struct SequentialCell {
     pub condition: Condition,
     /// Configurations of the campaigns: the population of the interval.
     pub configurations: usize,
-    /// Number of configurations that the interval rests on: the first in the drawn order
-    /// that both campaigns have.
+    /// Number of configurations from which the interval is computed: the first in the drawn
+    /// order that both campaigns have.
     pub used: usize,
     /// Interval of the difference, fractions.
     pub difference: [f64; 2],
@@ -75,19 +75,19 @@ impl SequentialComparison {
         unpaired: &BTreeSet<RolloutId>,
         rule: Option<&StopRule>,
     ) -> Result<Self, NoCommonOrder> {
-        let (of_a, of_b) = (order(a)?, order(b)?);
+        let (order_a, order_b) = (order(a)?, order(b)?);
         let [name_a, name_b] = [a, b].map(|analysis| analysis.label.clone());
-        if (of_a.seed, of_a.strata) != (of_b.seed, of_b.strata) {
+        if (order_a.seed, order_a.strata) != (order_b.seed, order_b.strata) {
             return Err(NoCommonOrder::Differ {
                 a: name_a,
-                order_a: in_words(of_a),
+                order_a: describe_order(order_a),
                 b: name_b,
-                order_b: in_words(of_b),
+                order_b: describe_order(order_b),
             });
         }
         let outcomes = [a, b].map(Analysis::outcomes_of_all);
         let outcomes = outcomes.each_ref().map(Vec::as_slice);
-        let looks = compared_looks(outcomes, unpaired, of_a, rule);
+        let looks = compared_looks(outcomes, unpaired, order_a, rule);
         let looks = looks.map_err(|NotInOneOrder| NoCommonOrder::Configurations {
             a: name_a,
             b: name_b,
@@ -105,18 +105,19 @@ impl SequentialComparison {
             met_after: cell.met_after,
         });
         Ok(Self {
-            seed: of_a.seed,
-            strata: of_a.strata,
+            seed: order_a.seed,
+            strata: order_a.strata,
             rule: rule.cloned(),
             cells: cells.collect(),
         })
     }
 
-    /// Defines the intervals in words.
+    /// Returns a definition of the intervals.
     pub(crate) fn explanation(&self) -> String {
         format!(
-            "each holds at all looks with a probability of 95 %; about all configurations, from \
-             the first that both have in the order of seed {} (rounds of {})",
+            "each interval holds at all looks with a probability of 95 %; it is about all \
+             configurations, and is computed from the first that both campaigns have in the order \
+             of seed {} (rounds of {})",
             self.seed,
             self.strata.name()
         )
@@ -162,6 +163,6 @@ fn order(analysis: &Analysis) -> Result<&Stop, NoCommonOrder> {
     })
 }
 
-fn in_words(order: &Stop) -> String {
+fn describe_order(order: &Stop) -> String {
     format!("seed {} in rounds of {}", order.seed, order.strata.name())
 }

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Subject {
     pub policy: String,
-    /// Source of its outcomes.
+    /// Source of the outcomes.
     pub origin: Origin,
     /// Source of the perturbations' random elements, if known.
     pub realisation: Option<Realisation>,
@@ -57,32 +57,32 @@ pub struct Subject {
     /// Digests of the rollouts' setups; empty if unknown.
     #[serde(default)]
     pub setups: Setups,
-    /// Purpose of the campaign, if it follows from another.
+    /// Purpose and source of the campaign, if it is derived from another.
     #[serde(default)]
     pub derived: Option<Derived>,
     /// Protocol of a campaign of LIBERO's family; `None` for all others.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub protocol: Option<String>,
-    /// Early-stop rule of the campaign, and whether it applied; `None` if the campaign always
-    /// runs to its end.
+    /// Early-stop rule of the campaign and its state; `None` if the campaign has no such rule.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub early_stop: Option<EarlyStop>,
 }
 
-/// Purpose of a campaign that follows from another one, and the rollouts of the latter.
+/// Purpose of a campaign that is derived from another campaign, the *source*, and the rollouts
+/// of the source.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Derived {
-    /// Purpose, with the campaign that it follows from.
+    /// Purpose; it names the source.
     pub purpose: Purpose,
-    /// Rollouts of the campaign that it follows from, with or without an outcome; if that
-    /// campaign stopped early, only those that count.
+    /// Rollouts of the source, with or without an outcome; if the source stopped early, only the
+    /// rollouts from which its figures are computed.
     pub records: Vec<Record>,
 }
 
-/// Size of a campaign that follows from another, before it is created.
+/// Size of a derived campaign, before it is created.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Prospect {
-    /// Transitions to explain or thresholds to measure, according to the outcomes so far.
+    /// Number of transitions to explain or of thresholds to measure, from the outcomes so far.
     pub subjects: u64,
     /// Upper bound of the number of rollouts, by suite.
     pub most_rollouts: BTreeMap<Suite, u64>,
@@ -105,7 +105,7 @@ impl Prospect {
     }
 }
 
-/// Purpose of campaigns that follow from others.
+/// Purpose of a derived campaign.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Purpose {
@@ -138,6 +138,7 @@ pub struct Setups {
 pub struct BeyondRange {
     /// Actions beyond the range.
     pub actions: u64,
+    /// All executed actions.
     pub of_actions: u64,
     /// Rollouts with at least one action beyond the range.
     pub rollouts: u64,
@@ -158,7 +159,7 @@ pub enum Origin {
         name: String,
         /// SHA-256 of the file.
         digest: String,
-        /// Description given by its authors; may be empty.
+        /// Description by the authors of the results; may be empty.
         source: String,
     },
 }
@@ -180,15 +181,15 @@ pub fn rollout_name(rollout_id: &str, replicate: u32) -> String {
 }
 
 /// Formats a count with its noun: `1 rollout`, `2 rollouts`.
-pub(crate) fn things(count: u64, thing: &str) -> String {
+pub(crate) fn pluralise(count: u64, noun: &str) -> String {
     match count {
-        1 => format!("1 {thing}"),
-        count => format!("{count} {thing}s"),
+        1 => format!("1 {noun}"),
+        count => format!("{count} {noun}s"),
     }
 }
 
-/// Returns the records that the figures rest on: all of them or, if the campaign stopped
-/// early, those of the configurations that its intervals rest on.
+/// Returns the records from which the figures are computed: all of them or, if the campaign
+/// stopped early, those of the configurations from which its intervals are computed.
 pub fn counted<'a>(records: &'a [Record], early_stop: Option<&EarlyStop>) -> Cow<'a, [Record]> {
     let stopped = early_stop.filter(|stop| stop.has_stopped);
     let counted = stopped.and_then(|early| CampaignLook::counted_when_met(records, &early.stop));
@@ -196,8 +197,8 @@ pub fn counted<'a>(records: &'a [Record], early_stop: Option<&EarlyStop>) -> Cow
 }
 
 impl Subject {
-    /// Returns the explanation and the explained campaign's rollouts, if it explains
-    /// another campaign.
+    /// Returns the explanation and the explained campaign's rollouts; `None` if this campaign
+    /// explains no other.
     pub(crate) fn explains(&self) -> Option<(&Explanation, &[Record])> {
         let Derived { purpose, records } = self.derived.as_ref()?;
         match purpose {
@@ -206,8 +207,8 @@ impl Subject {
         }
     }
 
-    /// Returns the measurement and the measured campaign's rollouts, if it measures
-    /// another campaign's thresholds.
+    /// Returns the settings of the measurement and the measured campaign's rollouts; `None` if
+    /// this campaign measures no thresholds.
     pub(crate) fn measures(&self) -> Option<(&Thresholds, &[Record])> {
         let Derived { purpose, records } = self.derived.as_ref()?;
         match purpose {
@@ -222,7 +223,7 @@ impl Subject {
         early.is_some_and(|early| early.has_stopped)
     }
 
-    /// Returns the records that the figures rest on; see [`counted`].
+    /// Returns the records from which the figures are computed; see [`counted`].
     pub fn counted(&self) -> Cow<'_, [Record]> {
         counted(&self.records, self.early_stop.as_ref())
     }

@@ -10,7 +10,7 @@ use libero_ctrl::{CONTROL_HZ, Condition, JsonError, Level, STEPS_PER_RADIUS, Tas
 use paired::{Bootstrap, Outcome, Record, push_wrapped};
 use serde::Serialize;
 
-use crate::subject::{Prospect, Subject, things};
+use crate::subject::{Prospect, Subject, pluralise};
 use crate::words;
 
 /// Width of the column of condition names, in characters.
@@ -38,7 +38,7 @@ pub struct ThresholdReport {
     pub beyond_budget: u64,
     /// Rollouts of the measuring campaign, finished or waiting.
     pub rollouts: u64,
-    /// Rollouts among them without an outcome yet.
+    /// Number of these rollouts without an outcome yet.
     pub waiting: u64,
     /// Curves of configurations that still succeed at each radius, by condition.
     pub curves: Vec<Curve>,
@@ -64,7 +64,7 @@ pub struct Measured {
     /// Radii above `fails_at` at which the configuration succeeds again, so that success is
     /// not monotone.
     pub recovers_at: Vec<f64>,
-    /// True if nothing remains to be run.
+    /// True if the search for this threshold is finished.
     pub is_found: bool,
     /// Outcome at every requested radius in ascending order, the nominal rollout first.
     pub outcomes: Vec<AtRadius>,
@@ -108,8 +108,8 @@ pub struct AtRadius {
 /// Error: the budget is too small to measure one configuration.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 #[error(
-    "measure thresholds with a budget of {budget}: one configuration may take {most} rollouts, give \
-     as many or more"
+    "measure thresholds with a budget of {budget}: one configuration may take {most} rollouts; \
+     give at least as many"
 )]
 pub struct BudgetTooSmall {
     pub budget: u32,
@@ -127,7 +127,7 @@ impl ThresholdReport {
         thresholds: &Thresholds,
     ) -> Result<(), BudgetTooSmall> {
         let measurement = Measurement::of(&campaign.counted(), &[], thresholds);
-        let is_empty = measurement.rays().next().is_none() && measurement.of_rays() > 0;
+        let is_empty = measurement.rays().next().is_none() && measurement.ray_count() > 0;
         match thresholds.budget {
             Some(budget) if is_empty => Err(BudgetTooSmall {
                 budget,
@@ -150,25 +150,25 @@ impl ThresholdReport {
         prospect
     }
 
-    /// Combines the outcomes of the measuring campaign `by` with those of the measured one;
-    /// `None` if `by` measures no thresholds.
-    pub fn of(by: &Subject) -> Option<Self> {
-        let (thresholds, records) = by.measures()?;
-        let measurement = Measurement::of(records, &by.records, thresholds);
+    /// Combines the outcomes of the campaign `measuring` with those of the campaign that it
+    /// measures; `None` if `measuring` measures no thresholds.
+    pub fn of(measuring: &Subject) -> Option<Self> {
+        let (thresholds, records) = measuring.measures()?;
+        let measurement = Measurement::of(records, &measuring.records, thresholds);
         let is_settled = |record: &Record| record.outcome != Outcome::Missing;
-        let waiting = by
+        let waiting = measuring
             .records
             .iter()
             .filter(|record| !is_settled(record))
             .count();
         let rays = measurement.rays();
         let measured: Vec<Measured> = rays
-            .map(|(ray, outcomes)| Measured::of(&measurement, ray, outcomes))
+            .map(|(ray, outcomes)| Measured::new(&measurement, ray, outcomes))
             .collect();
         Some(Self {
             campaign: thresholds.campaign.clone(),
-            measured_by: by.origin_name().to_owned(),
-            policy: by.policy.clone(),
+            measured_by: measuring.origin_name().to_owned(),
+            policy: measuring.policy.clone(),
             tolerance: thresholds.tolerance,
             max_radius: thresholds.max_radius,
             complete: records.iter().all(is_settled)
@@ -176,8 +176,8 @@ impl ThresholdReport {
                 && measurement.plan().is_empty(),
             looked_for: measured.len() as u64,
             found: measured.iter().filter(|measured| measured.is_found).count() as u64,
-            beyond_budget: (measurement.of_rays() - measured.len()) as u64,
-            rollouts: by.records.len() as u64,
+            beyond_budget: (measurement.ray_count() - measured.len()) as u64,
+            rollouts: measuring.records.len() as u64,
             waiting: waiting as u64,
             curves: measurement.curves(&Bootstrap::default()),
             thresholds: measured,
@@ -210,7 +210,7 @@ impl ThresholdReport {
             .filter(|measured| !measured.recovers_at.is_empty())
             .collect();
         if !not_monotone.is_empty() {
-            text.push_str("\nnot monotone: they succeed again beyond a failure\n");
+            text.push_str("\nnot monotone: configurations that succeed again beyond a failure\n");
         }
         for measured in not_monotone {
             push_not_monotone(&mut text, measured);
@@ -225,7 +225,7 @@ impl ThresholdReport {
             self.campaign,
             self.found,
             self.looked_for,
-            things(self.rollouts, "rollout")
+            pluralise(self.rollouts, "rollout")
         );
         if self.waiting > 0 {
             let _ = write!(words, ", of which {} have no outcome yet", self.waiting);
@@ -242,7 +242,7 @@ impl ThresholdReport {
 }
 
 impl Measured {
-    fn of(measurement: &Measurement, ray: Ray, outcomes: &Outcomes<Level>) -> Self {
+    fn new(measurement: &Measurement, ray: Ray, outcomes: &Outcomes<Level>) -> Self {
         let finding = measurement.finding(ray, outcomes);
         let (threshold, succeeds_at, fails_at) = match finding.threshold {
             Threshold::NominalFails => (Kind::NominalFails, None, Some(Level::L0)),
@@ -354,10 +354,10 @@ fn push_half_success(text: &mut String, curves: &[&Curve]) {
         );
         push_wrapped(text, "", &words);
     }
-    let late = curves
+    let latency = curves
         .iter()
         .find(|curve| curve.condition == Condition::Latency);
-    if let Some(words) = late.map(|curve| tolerated_delay(curve)) {
+    if let Some(words) = latency.map(|curve| tolerated_delay(curve)) {
         push_wrapped(text, "", &words);
     }
     if curves.iter().any(|curve| !curve.is_bisected) {
@@ -372,7 +372,7 @@ pub(crate) fn tolerated_delay(curve: &Curve) -> String {
     let delay = |radius: f64| {
         let steps = (radius * STEPS_PER_RADIUS).floor();
         let milliseconds = steps * 1000.0 / f64::from(CONTROL_HZ);
-        let steps = things(steps as u64, "control step");
+        let steps = pluralise(steps as u64, "control step");
         format!("{steps}, {milliseconds} ms")
     };
     match curve.half_success.radius {
@@ -387,7 +387,7 @@ pub(crate) fn tolerated_delay(curve: &Curve) -> String {
             delay(curve.largest_radius)
         ),
         None => "latency: fewer than half of the configurations succeed without a delay, or the \
-                 share that succeeds with one is not known"
+                 share that succeeds with a delay is not known"
             .to_owned(),
     }
 }

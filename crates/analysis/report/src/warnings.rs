@@ -18,17 +18,17 @@ const MAX_NAMED: usize = 5;
 const DIGEST_DIGITS: usize = 12;
 
 /// Returns the warnings about one subject, most severe first.
-pub(crate) fn of_subject(subject: &Subject) -> Vec<String> {
+pub(crate) fn subject_warnings(subject: &Subject) -> Vec<String> {
     let provenances = &subject.provenances;
     let mut warnings = Vec::new();
     warnings.extend(left_out(subject));
-    for (what, consequence, of) in MIXTURES {
-        warnings.extend(mixed(provenances.iter().map(of), what, consequence));
+    for (name, consequence, property) in MIXTURES {
+        warnings.extend(mixed(provenances.iter().map(property), name, consequence));
     }
     warnings.extend(mixed(
         executions(subject),
         "execution model",
-        "never pooled: each is another robot",
+        "never pooled: the robot moves differently under each",
     ));
     warnings.extend(subject.fingerprints.as_ref().map(fingerprints_in_words));
     if provenances.iter().any(|p| p.pin.asset_pack == PRIMITIVES) {
@@ -52,15 +52,15 @@ pub(crate) fn of_subject(subject: &Subject) -> Vec<String> {
             subject.policy
         ));
     }
-    warnings.extend(taught_elsewhere(subject));
-    warnings.extend(solves_nothing(subject));
+    warnings.extend(other_training_pack(subject));
+    warnings.extend(no_nominal_success(subject));
     warnings.extend(divergent(subject));
     warnings.extend(incomplete(subject));
     warnings
 }
 
 /// Returns the warnings about comparing subjects with each other, most severe first.
-pub(crate) fn of_comparison(subjects: &[Subject]) -> Vec<String> {
+pub(crate) fn comparison_warnings(subjects: &[Subject]) -> Vec<String> {
     let mut warnings = Vec::new();
     if subjects.len() < 2 {
         return warnings;
@@ -79,31 +79,33 @@ pub(crate) fn of_comparison(subjects: &[Subject]) -> Vec<String> {
     let comparable = [
         (
             "MuJoCo version",
-            "each is another simulator",
+            "each simulates differently",
             mujoco as Property,
         ),
-        ("asset pack", "each is another benchmark", pack),
-        ("renderer", "each draws other pictures", renderer),
+        ("asset pack", "each is a benchmark of its own", pack),
+        ("renderer", "each draws different pictures", renderer),
     ];
-    for (what, consequence, of) in comparable {
-        let values = subjects.iter().flat_map(|s| s.provenances.iter().map(of));
+    for (name, consequence, property) in comparable {
+        let values = subjects
+            .iter()
+            .flat_map(|s| s.provenances.iter().map(property));
         let values = values.filter(|value| !value.is_empty()).collect();
-        warnings.extend(more_than_one(what, consequence, values));
+        warnings.extend(more_than_one(name, consequence, values));
     }
     let executions = subjects.iter().map(|subject| subject.execution.to_string());
     warnings.extend(more_than_one(
         "execution model",
-        "each is another robot",
+        "the robot moves differently under each",
         executions.collect(),
     ));
     warnings
 }
 
-fn more_than_one(what: &str, consequence: &str, values: BTreeSet<String>) -> Option<String> {
+fn more_than_one(name: &str, consequence: &str, values: BTreeSet<String>) -> Option<String> {
     (values.len() > 1).then(|| {
         let values: Vec<String> = values.into_iter().collect();
         format!(
-            "the policies were measured with more than one {what} ({consequence}): {}",
+            "the policies were measured with more than one {name} ({consequence}): {}",
             values.join("; ")
         )
     })
@@ -116,15 +118,19 @@ pub(crate) type Property = fn(&Provenance) -> String;
 const MIXTURES: [(&str, &str, Property); 6] = [
     (
         "MuJoCo version",
-        "never pooled: each is another simulator",
+        "never pooled: each simulates differently",
         mujoco,
     ),
     (
         "asset pack",
-        "never pooled: each is another benchmark",
+        "never pooled: each is a benchmark of its own",
         pack,
     ),
-    ("policy checkpoint", "each is another policy", checkpoint),
+    (
+        "policy checkpoint",
+        "each is a policy of its own",
+        checkpoint,
+    ),
     (
         "batch mode",
         "batched queries can change a policy's answers",
@@ -132,7 +138,7 @@ const MIXTURES: [(&str, &str, Property); 6] = [
     ),
     (
         "renderer",
-        "never pooled: each draws other pictures",
+        "never pooled: each draws different pictures",
         renderer,
     ),
     ("program version", "compare with care", |p| {
@@ -155,16 +161,16 @@ pub(crate) fn renderer(p: &Provenance) -> String {
 
 /// Returns the execution models of the results, without those of the latency axis.
 fn executions(subject: &Subject) -> impl Iterator<Item = String> {
-    let late = subject.records.iter().map(|record| record.id);
-    let late = late.filter(|id| id.condition() == Condition::Latency);
-    let late: BTreeSet<String> = late
+    let latency = subject.records.iter().map(|record| record.id);
+    let latency = latency.filter(|id| id.condition() == Condition::Latency);
+    let latency: BTreeSet<String> = latency
         .filter_map(|id| Some(format!("overlap:{}", delay_at(id.level())?)))
         .collect();
     let models = subject
         .provenances
         .iter()
         .map(|provenance| provenance.execution().to_owned());
-    models.filter(move |model| !late.contains(model))
+    models.filter(move |model| !latency.contains(model))
 }
 
 fn checkpoint(p: &Provenance) -> String {
@@ -172,19 +178,19 @@ fn checkpoint(p: &Provenance) -> String {
     format!("{} {} ({digest})", p.policy_name, p.policy_checkpoint)
 }
 
-fn mixed(values: impl Iterator<Item = String>, what: &str, consequence: &str) -> Option<String> {
+fn mixed(values: impl Iterator<Item = String>, name: &str, consequence: &str) -> Option<String> {
     let values: BTreeSet<String> = values.filter(|value| !value.is_empty()).collect();
     (values.len() > 1).then(|| {
         let values: Vec<String> = values.into_iter().collect();
         format!(
-            "results of more than one {what} are mixed ({consequence}): {}",
+            "results of more than one {name} are mixed ({consequence}): {}",
             values.join("; ")
         )
     })
 }
 
-/// Names the number of results with each fingerprint, and the configurations
-/// that mix them.
+/// Returns the number of results with each fingerprint, and the configurations whose results
+/// have more than one.
 pub fn fingerprints_in_words(mix: &Fingerprints) -> String {
     let results = mix.results.iter();
     let results: Vec<String> = results
@@ -192,8 +198,11 @@ pub fn fingerprints_in_words(mix: &Fingerprints) -> String {
         .collect();
     let mixture = match mix.mixed.len() {
         0 => "no configuration mixes them".to_owned(),
-        1 => format!("1 configuration mixes them: {}", some_of(&mix.mixed)),
-        many => format!("{many} configurations mix them: {}", some_of(&mix.mixed)),
+        1 => format!("1 configuration mixes them: {}", first_names(&mix.mixed)),
+        many => format!(
+            "{many} configurations mix them: {}",
+            first_names(&mix.mixed)
+        ),
     };
     format!(
         "results have {} fingerprints, so that the machines' arithmetic or frames differ: {}; \
@@ -215,20 +224,20 @@ fn left_out(subject: &Subject) -> Option<String> {
 }
 
 /// Warns of a policy that was measured on a different asset pack than it was trained on.
-fn taught_elsewhere(subject: &Subject) -> Option<String> {
+fn other_training_pack(subject: &Subject) -> Option<String> {
     let mut provenances = subject.provenances.iter();
     provenances.find_map(|provenance| {
         let taught_on = provenance.taught_elsewhere()?;
         Some(format!(
-            "policy `{}` was taught on asset pack `{taught_on}` and measured on `{}`: objects there \
-             look different, so that these rates say little about the policy",
+            "policy `{}` was taught on asset pack `{taught_on}` and measured on `{}`: objects of \
+             the two packs look different, so that these rates say little about the policy",
             subject.policy, provenance.pin.asset_pack
         ))
     })
 }
 
 /// Warns of a policy that solves no nominal rollout.
-fn solves_nothing(subject: &Subject) -> Option<String> {
+fn no_nominal_success(subject: &Subject) -> Option<String> {
     let nominal = subject.records.iter();
     let nominal = nominal.filter(|record| record.id.condition() == Condition::Clean);
     let outcomes = nominal.map(|record| record.outcome);
@@ -256,7 +265,7 @@ fn divergent(subject: &Subject) -> Option<String> {
         format!(
             "{} rollouts ran twice and came out differently (the first outcome counts): {}",
             divergent.len(),
-            some_of(divergent)
+            first_names(divergent)
         )
     })
 }
@@ -278,7 +287,7 @@ fn incomplete(subject: &Subject) -> Option<String> {
 }
 
 /// Lists the first [`MAX_NAMED`] names and counts the others.
-pub(crate) fn some_of(names: &[String]) -> String {
+pub(crate) fn first_names(names: &[String]) -> String {
     let mut text = names[..names.len().min(MAX_NAMED)].join("; ");
     if names.len() > MAX_NAMED {
         text.push_str(&format!("; and {} more", names.len() - MAX_NAMED));

@@ -7,8 +7,8 @@ use std::fmt::Write;
 use adaptive::radii::{Curve, HalfSuccess, Point};
 use paired::{Interval, NoInterval};
 
-/// Appends a name in a column of `width` characters; the column begins anew on the next line if
-/// the name fills it.
+/// Appends a name in a column of `width` characters. If the name fills the column, an empty column
+/// follows on the next line.
 pub(crate) fn push_name(text: &mut String, name: &str, width: usize) {
     let _ = match name.len() < width {
         true => write!(text, "{name:width$}"),

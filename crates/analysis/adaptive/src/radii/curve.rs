@@ -2,13 +2,13 @@
 //!
 //! A configuration *survives* up to a radius if it succeeds nominally and at every
 //! smaller radius that was run. The curve starts at the nominal success rate over all
-//! configurations; those that fail nominally survive to no radius. It is therefore
+//! configurations; those that fail nominally survive to no radius. The curve is therefore
 //! comparable with a report's rates, and equal to them at the levels of the grid if no
 //! configuration recovers from a failure.
 //!
 //! The position of a threshold within its bracket is unknown. The curve assumes a uniform
 //! distribution; the *band* covers every possible position. At a radius that was run for
-//! every configuration, both coincide. A threshold without a known failure is
+//! every configuration, curve and band coincide. A threshold without a known failure is
 //! right-censored at the largest success: beyond it the curve treats the configuration like
 //! the others that survived so far, and the band covers all possibilities.
 //!
@@ -31,9 +31,9 @@ use super::threshold::{Finding, Threshold};
 /// One half of all configurations.
 const HALF: f64 = 0.5;
 /// Largest number of iterations of the fixed point for censored configurations.
-const MOST_ROUNDS: u32 = 1_000;
+const MAX_ITERATIONS: u32 = 1_000;
 /// Change of a share below which the iteration has converged.
-const CHANGE: f64 = 1e-12;
+const CONVERGED: f64 = 1e-12;
 
 /// Survival curve of configurations over the radius, under one condition.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -50,7 +50,7 @@ pub struct Curve {
     /// Number of configurations in the curve: those with outcomes on the whole grid, and
     /// those that fail nominally.
     pub n: u64,
-    /// Number of their tasks.
+    /// Number of tasks of these configurations.
     pub tasks: usize,
     /// Number of excluded configurations: outcomes of the grid are missing, or the nominal
     /// rollout is quarantined.
@@ -92,15 +92,15 @@ pub struct Point {
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct HalfSuccess {
     /// Radius at which the curve crosses one half; `None` if fewer than half succeed
-    /// nominally, more than half survive up to the largest radius, or brackets are not
-    /// narrowed there.
+    /// nominally, more than half survive up to the largest radius, or the condition perturbs
+    /// language, so that brackets are not narrowed.
     pub radius: Option<f64>,
     /// Range of the radius for these configurations over all positions of the thresholds in
     /// their brackets; `None` without a configuration.
     pub bounds: Option<Interval>,
     /// Interval by resampling tasks, including the uncertainty of brackets. An end at 0 means
-    /// that less than half succeed nominally; an end at the largest radius, that half or more
-    /// survive there.
+    /// that fewer than half succeed nominally; an end at the largest radius means that half or
+    /// more survive there.
     pub ci95: Option<Interval>,
     /// Reason why there is no interval.
     pub no_interval: Option<NoInterval>,
@@ -120,7 +120,7 @@ enum Survives {
 }
 
 impl Survives {
-    fn of(finding: &Finding) -> Option<Self> {
+    fn from_finding(finding: &Finding) -> Option<Self> {
         let survives = match finding.threshold {
             Threshold::NominalFails => Some(Self::Never),
             Threshold::Between {
@@ -172,25 +172,25 @@ impl Survives {
 
 impl Curve {
     /// Computes the curve of a condition from the thresholds found along its rays.
-    pub(crate) fn of(
+    pub(crate) fn new(
         condition: Condition,
         search: &Search,
         findings: &[(TaskRef, Finding)],
         bootstrap: &Bootstrap,
     ) -> Self {
         let thresholds = findings.iter();
-        let thresholds =
-            thresholds.filter_map(|(task, finding)| Some((*task, Survives::of(finding)?)));
+        let thresholds = thresholds
+            .filter_map(|(task, finding)| Some((*task, Survives::from_finding(finding)?)));
         let thresholds: Vec<(TaskRef, Survives)> = thresholds.collect();
-        let count = |is: fn(&Survives) -> bool| {
+        let count = |matches: fn(&Survives) -> bool| {
             thresholds
                 .iter()
-                .filter(|(_, survives)| is(survives))
+                .filter(|(_, survives)| matches(survives))
                 .count()
         };
         let recovers = |(_, finding): &&(TaskRef, Finding)| !finding.recovers_at.is_empty();
         let largest_radius = search.largest().map_or(0.0, Level::radius);
-        let clusters = Clusters::of(&thresholds, search);
+        let clusters = Clusters::new(&thresholds, search);
         let (points, mut half_success) = clusters.points(&thresholds, bootstrap);
         half_success.radius = half_success.radius.filter(|_| search.tolerance.is_some());
         Self {
@@ -226,12 +226,12 @@ struct Clusters {
 /// The configurations of one task.
 struct Task {
     n: f64,
-    /// Smallest, then largest number of configurations that survive up to each radius.
+    /// Smallest, then largest possible number of configurations that survive up to each radius.
     survive: [Vec<f64>; 2],
 }
 
 impl Clusters {
-    fn of(thresholds: &[(TaskRef, Survives)], search: &Search) -> Self {
+    fn new(thresholds: &[(TaskRef, Survives)], search: &Search) -> Self {
         let mut radii: Vec<f64> = search.grid.iter().map(|level| level.radius()).collect();
         radii.push(0.0);
         radii.extend(thresholds.iter().flat_map(|(_, survives)| survives.ends()));
@@ -263,13 +263,13 @@ impl Clusters {
         bootstrap: &Bootstrap,
     ) -> (Vec<Point>, HalfSuccess) {
         if thresholds.is_empty() {
-            let nothing = HalfSuccess {
+            let half_success = HalfSuccess {
                 radius: None,
                 bounds: None,
                 ci95: None,
                 no_interval: Some(NoInterval::TooFewTasks),
             };
-            return (Vec::new(), nothing);
+            return (Vec::new(), half_success);
         }
         let (tasks, count) = (self.tasks.len(), 2 * (self.radii.len() + 1));
         let mut values = vec![0.0; count];
@@ -289,22 +289,22 @@ impl Clusters {
             }
         };
         let survival = self.survival(thresholds);
-        let of_curve = self.radii.iter().zip(&survival).enumerate();
-        let points = of_curve.map(|(k, (&radius, &survival))| Point {
+        let shares = self.radii.iter().zip(&survival).enumerate();
+        let points = shares.map(|(k, (&radius, &survival))| Point {
             radius,
             level: Level::of_radius(radius).filter(|level| level.is_named()),
             survival,
             band: [values[2 * k], values[2 * k + 1]],
             ci95: interval(k).ok(),
         });
-        let crosses = survival.first().is_some_and(|share| *share >= HALF)
+        let crosses_half = survival.first().is_some_and(|share| *share >= HALF)
             && survival.last().is_some_and(|share| *share <= HALF);
-        let of_half = interval(self.radii.len());
+        let half_interval = interval(self.radii.len());
         let half = HalfSuccess {
-            radius: crosses.then(|| self.crossing(&survival)),
+            radius: crosses_half.then(|| self.crossing(&survival)),
             bounds: Some([values[count - 2], values[count - 1]]),
-            ci95: of_half.ok(),
-            no_interval: of_half.err(),
+            ci95: half_interval.ok(),
+            no_interval: half_interval.err(),
         };
         (points.collect(), half)
     }
@@ -315,7 +315,7 @@ impl Clusters {
     /// Proceedings of the Fifth Berkeley Symposium 4 (1967), 831–853).
     fn survival(&self, thresholds: &[(TaskRef, Survives)]) -> Vec<f64> {
         let mut survival = vec![1.0; self.radii.len()];
-        for _ in 0..MOST_ROUNDS {
+        for _ in 0..MAX_ITERATIONS {
             let others = |radius: f64| {
                 let place = self.radii.partition_point(|other| *other < radius);
                 survival[place]
@@ -330,7 +330,7 @@ impl Clusters {
             let pairs = next.iter().zip(&survival);
             let change = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
             survival = next;
-            if change < CHANGE {
+            if change < CONVERGED {
                 break;
             }
         }
@@ -355,7 +355,7 @@ impl Clusters {
         }
         let at = |k: usize, end: usize| values[2 * k + end];
         let places = 0..self.radii.len();
-        // The median of the brackets' lower ends, and that of their upper ends.
+        // The median of the brackets' lower ends, and the median of their upper ends.
         let low = places.clone().rev().find(|&k| at(k, 0) > HALF);
         let high = places.clone().find(|&k| at(k, 1) < HALF);
         let low = low.map_or(0.0, |k| self.radii[k]);

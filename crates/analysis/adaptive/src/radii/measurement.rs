@@ -1,4 +1,4 @@
-//! The rays of a campaign, from its own records and those of the campaign that runs further
+//! The rays of a campaign, from its records and those of the campaign that runs further
 //! radii, and the allocation of a budget of rollouts to them.
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -24,22 +24,22 @@ pub struct Measurement {
     thresholds: Thresholds,
     rays: BTreeMap<Ray, Outcomes<Level>>,
     searches: BTreeMap<Condition, Search>,
-    /// Upper bound of the number of rollouts of each configuration.
+    /// Upper bound of the number of further rollouts of each configuration.
     costs: BTreeMap<Configuration, u32>,
     sample: BTreeSet<Configuration>,
 }
 
 impl Measurement {
     /// Combines the records of the measured campaign, `source`, with those of the campaign
-    /// that runs further radii, `own`.
-    pub fn of(source: &[Record], own: &[Record], thresholds: &Thresholds) -> Self {
+    /// that runs further radii, `further`.
+    pub fn of(source: &[Record], further: &[Record], thresholds: &Thresholds) -> Self {
         let source = decisive(source, false);
         let nominal = source
             .iter()
             .filter(|record| record.id.condition() == Condition::Clean);
         let nominal: BTreeMap<RolloutId, Outcome> =
             nominal.map(|record| (record.id, record.outcome)).collect();
-        let is_asked_for = |condition: Condition| {
+        let is_measured = |condition: Condition| {
             let conditions = &thresholds.conditions;
             let is_named = conditions.is_empty() || conditions.contains(&condition);
             is_named && condition != Condition::Clean
@@ -48,12 +48,12 @@ impl Measurement {
         let mut rays: BTreeMap<Ray, Outcomes<Level>> = BTreeMap::new();
         for record in &source {
             let condition = record.id.condition();
-            axes = axes.union(alone(condition));
-            if is_asked_for(condition) {
-                let begins = RolloutId::clean(record.id.task(), record.init_id);
-                let begins = nominal.get(&begins).copied().unwrap_or_default();
+            axes = axes.union(single_axis(condition));
+            if is_measured(condition) {
+                let nominal_id = RolloutId::clean(record.id.task(), record.init_id);
+                let nominal = nominal.get(&nominal_id).copied().unwrap_or_default();
                 let outcomes = rays.entry(ray(record.id));
-                let outcomes = outcomes.or_insert_with(|| Outcomes::from_nominal(begins));
+                let outcomes = outcomes.or_insert_with(|| Outcomes::from_nominal(nominal));
                 outcomes.record_source(record.id.level(), record.outcome);
             }
         }
@@ -66,7 +66,7 @@ impl Measurement {
             let most = searches[&ray.condition].most_rollouts(is_supplied);
             *costs.entry((ray.task, ray.config)).or_default() += most;
         }
-        for record in own {
+        for record in further {
             if let Some(outcomes) = rays.get_mut(&ray(record.id)) {
                 outcomes.record(record.id.level(), record.outcome);
             }
@@ -89,7 +89,7 @@ impl Measurement {
     }
 
     /// Returns the number of rays, measured or not.
-    pub fn of_rays(&self) -> usize {
+    pub fn ray_count(&self) -> usize {
         self.rays.len()
     }
 
@@ -100,12 +100,12 @@ impl Measurement {
             .map(|(&condition, search)| (condition, search))
     }
 
-    /// Returns the upper bound of the number of rollouts of any single configuration.
+    /// Returns the upper bound of the number of further rollouts of any single configuration.
     pub fn most_rollouts_of_one(&self) -> u32 {
         self.costs.values().copied().max().unwrap_or_default()
     }
 
-    /// Returns the upper bound of the number of rollouts of each sampled configuration.
+    /// Returns the upper bound of the number of further rollouts of each sampled configuration.
     pub fn most_rollouts(&self) -> impl Iterator<Item = (TaskRef, u32)> {
         let sampled = self
             .costs
@@ -128,7 +128,7 @@ impl Measurement {
     /// needed rollouts are requested.
     pub fn plan(&self) -> Vec<(Ray, Level)> {
         let requested: u32 = self.rays.values().map(Outcomes::requested).sum();
-        let left = self
+        let budget_left = self
             .thresholds
             .budget
             .unwrap_or(u32::MAX)
@@ -143,22 +143,22 @@ impl Measurement {
         let mut requests: Vec<(Ray, Level)> = requests.collect();
         // Sorted by configuration first, so that early results cover all tasks.
         requests.sort_by_key(|(ray, level)| (ray.config, ray.task, ray.condition, *level));
-        // The sample fits the budget, so that this cuts nothing off unless rollouts return
+        // The sample fits the budget, so that this removes requests only if rollouts return
         // from quarantine after their brackets were halved without them.
-        requests.truncate(left as usize);
+        requests.truncate(budget_left as usize);
         requests
     }
 
     /// Returns the curves of configurations that still succeed at each radius, by condition.
     pub fn curves(&self, bootstrap: &Bootstrap) -> Vec<Curve> {
-        let of_one = |(condition, search): (Condition, &Search)| {
+        let curve = |(condition, search): (Condition, &Search)| {
             let rays = self.rays().filter(|(ray, _)| ray.condition == condition);
             let findings: Vec<(TaskRef, Finding)> = rays
                 .map(|(ray, outcomes)| (ray.task, self.finding(ray, outcomes)))
                 .collect();
-            Curve::of(condition, search, &findings, bootstrap)
+            Curve::new(condition, search, &findings, bootstrap)
         };
-        self.searches().map(of_one).collect()
+        self.searches().map(curve).collect()
     }
 }
 
@@ -170,7 +170,7 @@ fn ray(id: RolloutId) -> Ray {
     }
 }
 
-fn alone(condition: Condition) -> AxisSet {
+fn single_axis(condition: Condition) -> AxisSet {
     match condition {
         Condition::Single(axis) => AxisSet::of(axis),
         _ => AxisSet::EMPTY,
@@ -192,10 +192,10 @@ fn sample(
     };
     let mut by_task: BTreeMap<TaskRef, Vec<(u64, u16)>> = BTreeMap::new();
     for &(task, config) in costs.keys() {
-        let of_task = by_task.entry(task).or_default();
+        let configs = by_task.entry(task).or_default();
         let name = RolloutId::perturbed(task, Condition::Combination, Level::L1, config);
         let name = name.expect("a combination at L1 is perturbed");
-        of_task.push((rank(&name, thresholds.seed), config));
+        configs.push((rank(&name, thresholds.seed), config));
     }
     let mut order = Vec::new();
     for (task, mut configs) in by_task {
@@ -204,9 +204,9 @@ fn sample(
         order.extend(configs.map(|(round, (rank, config))| (round, rank, (task, config))));
     }
     order.sort_unstable();
-    let mut left = budget;
+    let mut budget_left = budget;
     let affordable = order.into_iter().map_while(|(_, _, configuration)| {
-        left = left.checked_sub(costs[&configuration])?;
+        budget_left = budget_left.checked_sub(costs[&configuration])?;
         Some(configuration)
     });
     affordable.collect()

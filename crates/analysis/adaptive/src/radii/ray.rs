@@ -18,7 +18,7 @@ pub struct Ray {
 
 /// The outcomes along a ray by radius; the nominal rollout is at [`Level::L0`].
 impl Outcomes<Level> {
-    /// Creates the outcomes of a ray from that of its nominal rollout.
+    /// Creates the outcomes of a ray from the outcome of its nominal rollout.
     pub fn from_nominal(nominal: Outcome) -> Self {
         let mut outcomes = Self::default();
         outcomes.record_source(Level::L0, nominal);
@@ -35,7 +35,7 @@ impl Outcomes<Level> {
     pub fn at(&self, level: Level) -> Option<Outcome> {
         let tally = self.both(level);
         match tally.majority() {
-            _ if tally.asked() == 0 => None,
+            _ if tally.requested() == 0 => None,
             Some(success) => Some(Outcome::from(success)),
             None if tally.pending > 0 => Some(Outcome::Missing),
             None => Some(Outcome::Quarantined),
@@ -52,8 +52,8 @@ impl Outcomes<Level> {
     /// Returns the radii beyond 0 whose outcome is known to be a success, or a failure, in
     /// ascending order.
     pub(crate) fn levels(&self, success: bool) -> impl DoubleEndedIterator<Item = Level> {
-        let is_such = move |outcome: Outcome| outcome.success() == Some(success);
+        let matches = move |outcome: Outcome| outcome.success() == Some(success);
         self.perturbed()
-            .filter_map(move |(level, outcome)| is_such(outcome).then_some(level))
+            .filter_map(move |(level, outcome)| matches(outcome).then_some(level))
     }
 }

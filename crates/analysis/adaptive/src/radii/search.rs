@@ -29,11 +29,11 @@ impl Search {
     pub fn of(thresholds: &Thresholds, condition: Condition, axes: AxisSet) -> Self {
         if condition == Condition::Latency {
             let spacing = 1.0 / STEPS_PER_RADIUS;
-            let whole = Thresholds {
+            let whole_steps = Thresholds {
                 max_radius: (thresholds.max_radius / spacing).floor() * spacing,
                 ..thresholds.clone()
             };
-            let mut grid = whole.grid();
+            let mut grid = whole_steps.grid();
             grid.retain(|level| delay_at(*level).is_some());
             return Self {
                 grid,

@@ -27,7 +27,7 @@ pub enum Threshold {
     /// No radius is known to fail, and the largest has no outcome: the threshold is
     /// right-censored at the largest radius that is known to succeed.
     Open {
-        /// Largest radius at which it succeeds; L0 is the nominal rollout.
+        /// Largest radius that is known to succeed; L0 is the nominal rollout.
         succeeds_at: Level,
     },
 }

@@ -14,18 +14,18 @@ use super::plan::Sample;
 use crate::source::decisive;
 
 /// Returns the lattice of each configuration of a campaign, by its simultaneous rollout.
-/// `explained` are the records of that campaign, `own` those of the campaign that explains it. A
-/// rollout that is recorded twice counts as unknown.
+/// `explained` are the records of that campaign, `explaining` those of the campaign that explains
+/// it. A rollout that is recorded twice counts as unknown.
 ///
 /// Without repeats, the rollout of replicate 0 alone decides. With repeats, for policies that
-/// sample, all replicates of the explained campaign select configurations, and only those of
-/// the campaign that explains it decide.
+/// sample, all replicates of the explained campaign select configurations, and only the replicates
+/// of the campaign that explains it decide.
 ///
 /// # Errors
 /// If the campaign perturbs only one axis.
 pub fn configurations(
     explained: &[Record],
-    own: &[Record],
+    explaining: &[Record],
     repeats: Option<u32>,
 ) -> Result<BTreeMap<RolloutId, Lattice>, LatticeError> {
     let evidence = match repeats {
@@ -45,9 +45,9 @@ pub fn configurations(
         };
         lattice.add_replicate(matched)?;
     }
-    for &Record { id, outcome, .. } in own {
-        let name = simultaneous(id.task(), id.level(), id.number());
-        if let Some(lattice) = name.and_then(|name| lattices.get_mut(&name)) {
+    for &Record { id, outcome, .. } in explaining {
+        let configuration = simultaneous(id.task(), id.level(), id.number());
+        if let Some(lattice) = configuration.and_then(|id| lattices.get_mut(&id)) {
             let axes = id.condition().axes(lattice.full());
             lattice.record(axes, outcome)?;
         }

@@ -51,7 +51,7 @@ pub enum Evidence {
     Repeated(Repeats),
 }
 
-/// Role of a subset in the claims about a lattice, which determines the level of its test.
+/// Role of a subset in the claims about a lattice; the role determines the level of its test.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Role {
@@ -83,14 +83,15 @@ impl Role {
 /// Clopper–Pearson interval of its success rate lying above or below ½.
 ///
 /// # Error probability
-/// A lattice has `error` for all its claims together:
+/// `error` bounds the probability of any false claim about a lattice:
 ///
 /// - *The transition* is claimed if each axis alone and all axes together have the outcomes
-///   for which the configuration was selected. Every one of these hypotheses must be
-///   rejected, in the direction fixed beforehand, so that each is tested at the full level
-///   (an intersection–union test). No tally includes the selecting outcomes.
-/// - *Further subsets* are tested only after the transition is claimed, on either side, each
-///   at `error` divided by their number (Bonferroni). Since they are tested only where all
+///   for which the configuration was selected. For every one of these subsets, the hypothesis
+///   of the opposite outcome must be rejected. Its direction is fixed beforehand, and all must
+///   be rejected, so that each is tested at the full level (an intersection–union test). No
+///   tally includes the selecting outcomes.
+/// - *Further subsets* are tested only after the transition is claimed, each by a two-sided
+///   test at `error` divided by their number (Bonferroni). Since they are tested only where all
 ///   hypotheses of the transition are rejected, both families have the full level (serial
 ///   gatekeeping).
 ///
@@ -137,11 +138,11 @@ impl Default for Repeats {
 impl Repeats {
     /// Returns the default rule with at most `most` rollouts.
     pub fn up_to(most: u32) -> Self {
-        let usual = Self::default();
+        let default = Self::default();
         Self {
-            batch: usual.batch.min(most),
+            batch: default.batch.min(most),
             most,
-            ..usual
+            ..default
         }
     }
 
@@ -156,7 +157,7 @@ impl Repeats {
     }
 
     /// Returns the looks at a subset. The first batch is large enough that equal outcomes
-    /// decide, if `most` allows it: earlier looks would cost level and decide nothing.
+    /// decide, if `most` allows it: earlier looks would use significance level and decide nothing.
     pub fn looks(&self, role: Role) -> Looks {
         // A one-sided test at a level is half of a two-sided one at twice that level.
         let level = match role {
@@ -176,18 +177,18 @@ impl Repeats {
 
     fn verdict(&self, tally: &Tally, role: Role) -> Verdict {
         let Looks { batch, most, level } = self.looks(role);
-        let asked = tally.asked();
-        if asked < batch {
+        let requested = tally.requested();
+        if requested < batch {
             return Verdict::Short {
-                more: batch - asked,
+                more: batch - requested,
             };
         }
         let decides = sign_test(tally.successes, tally.failures) <= level;
         match tally.majority() {
             Some(true) if decides => Verdict::Success,
             Some(false) if decides => Verdict::Failure,
-            _ if asked < most => Verdict::Short {
-                more: batch.min(most - asked),
+            _ if requested < most => Verdict::Short {
+                more: batch.min(most - requested),
             },
             _ if tally.count().n == 0 => Verdict::Quarantined,
             _ => Verdict::Undecided,
@@ -202,8 +203,8 @@ impl Looks {
     }
 }
 
-/// Returns the exact two-sided p-value of the sign test, which is McNemar's test of the two
-/// counts.
+/// Returns the exact two-sided p-value of the sign test, which equals the p-value of McNemar's
+/// test of the two counts.
 fn sign_test(successes: u32, failures: u32) -> f64 {
     mcnemar_exact(successes.into(), failures.into())
 }
@@ -218,7 +219,7 @@ impl Evidence {
             ..
         } = *tally;
         match self {
-            _ if tally.asked() == 0 => Verdict::NotRun,
+            _ if tally.requested() == 0 => Verdict::NotRun,
             Self::Repeated(_) if pending > 0 => Verdict::Pending,
             Self::Repeated(repeats) => repeats.verdict(tally, role),
             Self::Once => match (successes > 0, failures > 0) {
@@ -247,7 +248,7 @@ impl Evidence {
         };
         match self.verdict(tally, role) {
             Verdict::NotRun | Verdict::Pending | Verdict::Short { .. } => {
-                most.saturating_sub(tally.asked())
+                most.saturating_sub(tally.requested())
             }
             _ => 0,
         }
@@ -309,11 +310,11 @@ mod tests {
     }
 
     /// Returns the probability that the sequential test decides *success* after the outcomes
-    /// in `begun`, by enumerating every reachable state: the numbers of rollouts and of
+    /// in `earlier`, by enumerating every reachable state: the numbers of rollouts and of
     /// successes so far.
-    fn probability_of_success(repeats: Repeats, role: Role, p: f64, begun: Tally) -> f64 {
+    fn probability_of_success(repeats: Repeats, role: Role, p: f64, earlier: Tally) -> f64 {
         let mut probability = 0.0;
-        let mut states = BTreeMap::from([((begun.asked(), begun.successes), 1.0)]);
+        let mut states = BTreeMap::from([((earlier.requested(), earlier.successes), 1.0)]);
         while let Some(((n, successes), weight)) = states.pop_first() {
             let tally = tally(successes, n - successes);
             let more = match Evidence::Repeated(repeats).verdict(&tally, role) {
@@ -336,7 +337,7 @@ mod tests {
     }
 
     #[test]
-    fn a_wrong_verdict_is_as_rare_as_stated_and_a_right_one_usual() {
+    fn a_wrong_verdict_is_at_most_as_probable_as_stated_and_a_right_one_is_likely() {
         for (batch, most, error) in [(8, 24, 0.05), (6, 6, 0.05), (5, 23, 0.1), (1, 30, 0.2)] {
             let repeats = Repeats { batch, most, error };
             for (role, bound) in [
@@ -361,13 +362,13 @@ mod tests {
     #[test]
     fn a_selecting_outcome_among_the_repeats_would_inflate_the_error() {
         let repeats = Repeats::default();
-        let of = |begun| probability_of_success(repeats, Role::Transition, 0.5, begun);
-        let (fresh, selected) = (of(Tally::default()), of(tally(1, 0)));
+        let probability = |earlier| probability_of_success(repeats, Role::Transition, 0.5, earlier);
+        let (fresh, selected) = (probability(Tally::default()), probability(tally(1, 0)));
         assert!(selected > 1.4 * fresh, "{fresh} {selected}");
     }
 
     #[test]
-    fn requests_never_exceed_the_bound() {
+    fn requests_never_exceed_the_largest_number_of_rollouts() {
         let repeated = |successes, failures, role| {
             Evidence::Repeated(Repeats::default()).verdict(&tally(successes, failures), role)
         };
@@ -396,7 +397,7 @@ mod tests {
     }
 
     #[test]
-    fn the_fewest_repeats_are_those_of_which_equal_outcomes_decide() {
+    fn the_fewest_repeats_are_the_shortest_series_of_equal_outcomes_that_decides() {
         // 2⁻¹¹ ≤ 0.05 / 56 < 2⁻¹⁰, and 2⁻⁵ ≤ 0.05 < 2⁻⁴.
         assert_eq!((Repeats::fewest(6), Repeats::fewest(2)), (12, 6));
     }

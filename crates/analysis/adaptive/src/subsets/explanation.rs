@@ -6,7 +6,7 @@
 //! fail. The search *starts* from the nominal rollout, the empty set, and a subset
 //! *flips* the outcome if it fails.
 //!
-//! A *compensated success* is one in which some axis alone fails and all axes
+//! A *compensated success* is a configuration in which some axis alone fails and all axes
 //! together succeed. Its explanation is, for each axis that fails alone, the
 //! further axes needed to make it succeed. The search starts from the failing axis
 //! and considers the subsets that contain it; a subset flips the outcome if it
@@ -94,18 +94,18 @@ pub enum Unexplained {
     #[error("an axis alone or all axes together have no outcome")]
     Incomplete,
     /// The simultaneous outcome equals the conjunction of the single-axis outcomes.
-    #[error("simultaneous perturbation changes nothing: it {}", .0.name())]
+    #[error("simultaneous perturbation changes nothing: the rollout {}", .0.name())]
     Unchanged(Transition),
     /// The nominal rollout fails, while each axis alone succeeds: there is no
     /// success that perturbation could have turned into a failure.
     #[error("the nominal rollout fails already")]
     NominalFails,
-    /// The outcomes that selected the configuration form a transition, and its repeats are
-    /// not decided yet.
-    #[error("its repeats have not decided yet")]
+    /// The outcomes that selected the configuration form a transition, and the verdicts of its
+    /// repeats are open.
+    #[error("the repeats have not confirmed the transition yet")]
     AwaitsRepeats,
     /// The repeats do not show the transition that the selecting outcomes form.
-    #[error("its repeats do not confirm it")]
+    #[error("the repeats do not confirm the transition")]
     NotConfirmed,
 }
 
@@ -116,7 +116,7 @@ pub enum Unexplained {
 pub fn explain(lattice: &Lattice) -> Result<Explanation, Unexplained> {
     let transition = selected(lattice)?;
     confirm(lattice)?;
-    let searches = Search::of(lattice, transition);
+    let searches = Search::for_transition(lattice, transition);
     let answers = searches.iter().map(|search| search.answer()).collect();
     Ok(Explanation {
         transition,
@@ -124,9 +124,9 @@ pub fn explain(lattice: &Lattice) -> Result<Explanation, Unexplained> {
     })
 }
 
-/// Returns the transition that the outcomes of the explained campaign form. With repeats it
-/// is only a reason to test it: see [`Repeats`](super::Repeats). The nominal rollout counts by
-/// its majority, because no further replicate of it is ever run.
+/// Returns the transition that the outcomes of the explained campaign form. With repeats
+/// it only selects the configuration for a test: see [`Repeats`](super::Repeats). The nominal
+/// rollout counts by its majority, because no further replicate of it is ever run.
 ///
 /// # Errors
 /// If these outcomes form no transition to explain.
@@ -146,13 +146,13 @@ pub fn selected(lattice: &Lattice) -> Result<Transition, Unexplained> {
     }
 }
 
-/// Checks that each axis alone and all axes together turn out as the selecting outcomes say.
-/// Without repeats, decided outcomes always do, since the same rollouts select and decide.
+/// Checks that the verdicts of each axis alone and of all axes together equal the selecting
+/// outcomes. Without repeats every decided verdict does, since the same rollouts select and decide.
 pub(crate) fn confirm(lattice: &Lattice) -> Result<(), Unexplained> {
     let mut is_waiting = false;
     for set in lattice.singles().chain([lattice.full()]) {
         let (selected, verdict) = (lattice.selected(set), lattice.verdict(set));
-        let agrees = |shown: Option<bool>| shown.is_some() && shown == selected;
+        let agrees = |success: Option<bool>| success.is_some() && success == selected;
         let tally = lattice.tally(set);
         match verdict {
             _ if agrees(verdict.success()) => {}
@@ -183,7 +183,7 @@ pub(crate) struct Search {
 
 impl Search {
     /// Returns the searches that explain a transition.
-    pub(crate) fn of(lattice: &Lattice, transition: Transition) -> Vec<Self> {
+    pub(crate) fn for_transition(lattice: &Lattice, transition: Transition) -> Vec<Self> {
         let fails = |single: &AxisSet| lattice.verdict(*single).success() == Some(false);
         match transition {
             Transition::Compensated => {

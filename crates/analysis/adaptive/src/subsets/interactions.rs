@@ -77,14 +77,14 @@ pub struct Estimate {
 }
 
 /// Success by subset, and the effects and interactions of the axes derived from it. All values
-/// are success rates or differences of them, as fractions.
+/// are success rates or differences of them, as fractions; "over `n`" names the denominator.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Interactions {
     /// The axes.
     pub full: AxisSet,
     /// Number of configurations.
     pub n: u64,
-    /// Number of their tasks.
+    /// Number of tasks of these configurations.
     pub tasks: u64,
     /// v(A): the success rate under each subset, over `n`.
     pub success: BTreeMap<AxisSet, Estimate>,
@@ -132,14 +132,14 @@ impl Interactions {
         let subsets = full.subsets();
         let clusters = Tally::of_tasks(configurations, full);
         let total = Tally::drawn(&clusters, &vec![1; clusters.len()]);
-        let point = Numerators::of(&subsets, &total.successes);
+        let point = Numerators::new(&subsets, &total.successes);
         let intervals = intervals_of_many(
             bootstrap,
             clusters.len(),
             point.all().count(),
             |draws, values| {
                 let drawn = Tally::drawn(&clusters, draws);
-                let numerators = Numerators::of(&subsets, &drawn.successes);
+                let numerators = Numerators::new(&subsets, &drawn.successes);
                 for (value, (numerator, scale)) in values.iter_mut().zip(numerators.all()) {
                     *value = numerator as f64 / (scale * drawn.n) as f64;
                 }
@@ -159,8 +159,8 @@ impl Interactions {
         let mut estimates: Vec<Estimate> = point.all().zip(intervals).map(estimate).collect();
         let deviations = deviations(&clusters, &subsets, &estimates);
         for family in point.families() {
-            let of_family = &deviations[family.clone()];
-            set_simultaneous_intervals(&mut estimates[family], of_family, bootstrap);
+            let deviations = &deviations[family.clone()];
+            set_simultaneous_intervals(&mut estimates[family], deviations, bootstrap);
         }
         let mut estimates = estimates.into_iter();
         let success = subsets.iter().copied().zip(estimates.by_ref()).collect();
@@ -190,7 +190,7 @@ fn deviations(clusters: &[Tally], subsets: &[AxisSet], estimates: &[Estimate]) -
     let mean = clusters.iter().map(|task| task.n).sum::<i64>() as f64 / tasks;
     let mut rows = vec![Vec::with_capacity(clusters.len()); estimates.len()];
     for task in clusters {
-        let numerators = Numerators::of(subsets, &task.successes);
+        let numerators = Numerators::new(subsets, &task.successes);
         let values = rows.iter_mut().zip(estimates).zip(numerators.all());
         for ((row, estimate), (numerator, scale)) in values {
             let value = numerator as f64 / scale as f64;
@@ -259,8 +259,8 @@ impl Tally {
         };
         for (tally, &times) in clusters.iter().zip(draws) {
             drawn.n += i64::from(times) * tally.n;
-            for (count, more) in drawn.successes.iter_mut().zip(&tally.successes) {
-                *count += i64::from(times) * more;
+            for (count, of_task) in drawn.successes.iter_mut().zip(&tally.successes) {
+                *count += i64::from(times) * of_task;
             }
         }
         drawn
@@ -280,7 +280,7 @@ struct Numerators {
 
 impl Numerators {
     /// Computes the interactions from the counts of successes, in the order of `subsets`.
-    fn of(subsets: &[AxisSet], successes: &[i64]) -> Self {
+    fn new(subsets: &[AxisSet], successes: &[i64]) -> Self {
         let sets = || subsets.iter().copied().zip(successes);
         let coefficient = |set: AxisSet| -> i64 {
             let below = sets().filter(|(below, _)| below.is_subset(set));
@@ -330,8 +330,8 @@ impl Numerators {
         [moebius, shapley..pairs, pairs..pairs + self.pairs.len()]
     }
 
-    /// Returns the numerators of all estimates in order, each with its denominator per
-    /// configuration.
+    /// Returns the numerators of all estimates in order, each with the factor by which `n` is
+    /// multiplied to give its denominator.
     fn all(&self) -> impl Iterator<Item = (i64, i64)> {
         let rates = self.success.iter().chain(&self.moebius).chain(&self.sizes);
         let sixtieths = self.shapley.iter().chain(&self.pairs);

@@ -19,7 +19,7 @@ pub struct Lattice {
     outcomes: Outcomes<AxisSet>,
 }
 
-/// Error in the axes of a campaign or an outcome.
+/// Error in the axes of a campaign or of a rollout.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum LatticeError {
     /// The campaign has fewer than two axes.
@@ -41,7 +41,7 @@ pub enum LatticeError {
     TooFewRepeats {
         /// Number of the campaign's axes.
         axes: usize,
-        /// Most replicates of a subset.
+        /// Largest number of replicates of a subset.
         repeats: u32,
         /// Fewest replicates with which each subset can be decided.
         fewest: u32,
@@ -49,7 +49,7 @@ pub enum LatticeError {
 }
 
 impl Lattice {
-    /// Creates the lattice, without outcomes, of a configuration in a campaign with the axes `full`.
+    /// Creates the lattice of a configuration, without outcomes, in a campaign with the axes `full`.
     ///
     /// # Errors
     /// If there are fewer than two axes.
@@ -150,7 +150,7 @@ impl Lattice {
             return match nominal.majority() {
                 Some(true) => Verdict::Success,
                 Some(false) => Verdict::Failure,
-                None if nominal.asked() == 0 => Verdict::NotRun,
+                None if nominal.requested() == 0 => Verdict::NotRun,
                 None => Verdict::Undecided,
             };
         }
@@ -194,7 +194,7 @@ impl Lattice {
     /// Returns the subsets with evidence or a requested rollout and their tallies, in order.
     pub fn tallies(&self) -> impl Iterator<Item = (AxisSet, Tally)> {
         let tallies = self.sets().map(|set| (set, self.tally(set)));
-        tallies.filter(|(_, tally)| tally.asked() > 0)
+        tallies.filter(|(_, tally)| tally.requested() > 0)
     }
 
     /// Returns the subsets with a requested rollout in either campaign, in order.
@@ -216,6 +216,6 @@ impl Lattice {
     /// not run.
     pub fn further_rollouts(&self) -> u32 {
         let further = self.tallies().filter(|(set, _)| !self.is_of_campaign(*set));
-        further.map(|(_, tally)| tally.asked()).sum()
+        further.map(|(_, tally)| tally.requested()).sum()
     }
 }

@@ -24,8 +24,8 @@ use crate::decision::Decision;
 /// | [`Exhaustive`](Self::Exhaustive) | all, established | all, established |
 ///
 /// Outcomes are *monotone* if every superset of a subset that flips the outcome
-/// flips it too. Subsets of at most three axes found by `Adaptive` and `TopDown` are
-/// established even if outcomes are not monotone; for a larger subset, at least the
+/// flips it too. Minimal subsets of at most three axes found by `Adaptive` and `TopDown` are
+/// established even if outcomes are not monotone; for a larger minimal subset, at least the
 /// subsets that lack one of its axes were run. Both can miss a subset that flips the
 /// outcome and has a superset that does not: for rules in which a triple fails unless a
 /// fourth axis is present, and another pair or triple always fails, both recover every
@@ -38,9 +38,9 @@ pub enum Strategy {
     /// Runs all pairs first, then continues like `TopDown`.
     #[default]
     Adaptive,
-    /// Takes the fewest rollouts. A subset is *settled* if it contains one that flips
+    /// Needs the fewest rollouts. A subset is *settled* if it contains one that flips
     /// the outcome or is contained in one that does not, so that monotone outcomes
-    /// determine its own. Each batch runs either the smallest or the largest unsettled
+    /// determine the subset's outcome. Each batch runs either the smallest or the largest unsettled
     /// subsets, whichever are fewer.
     ///
     /// The search begins with the subsets that lack a single axis. If outcomes are
@@ -108,7 +108,7 @@ pub fn next(lattice: &Lattice, strategy: Strategy) -> Decision<Request> {
     if !replicates.is_empty() {
         return Decision::Run(replicates);
     }
-    let searches = Search::of(lattice, transition);
+    let searches = Search::for_transition(lattice, transition);
     let sets = searches
         .iter()
         .flat_map(|search| next_batch(search, lattice, strategy));
@@ -197,12 +197,12 @@ const VERIFIED_AXES: usize = 3;
 /// Returns the subsets that verify the minimal subsets found: all subsets of a small one, and
 /// those that lack one axis of a large one.
 fn verification(search: &Search, not_run: &[AxisSet]) -> Vec<AxisSet> {
-    let of_one = |MinimalSubset { set, open, .. }: MinimalSubset| {
-        let small = set.len() <= VERIFIED_AXES;
-        let needed = move |open: &AxisSet| small || open.len() + 1 == set.len();
+    let needed_for = |MinimalSubset { set, open, .. }: MinimalSubset| {
+        let is_small = set.len() <= VERIFIED_AXES;
+        let needed = move |open: &AxisSet| is_small || open.len() + 1 == set.len();
         open.into_iter().filter(needed)
     };
-    let needed: Vec<AxisSet> = search.minimal().into_iter().flat_map(of_one).collect();
+    let needed: Vec<AxisSet> = search.minimal().into_iter().flat_map(needed_for).collect();
     not_run
         .iter()
         .copied()

@@ -26,9 +26,10 @@ pub struct Sample {
 ///
 /// Configurations are started in a random order that depends on the seed and
 /// their ids alone. A configuration is started only if the budget covers its whole
-/// lattice in addition to the possible needs of those in progress, so that each one
-/// started can be finished. At the end, when none is in progress, the rest of the
-/// budget goes to one configuration after the other, and the last may remain unfinished.
+/// lattice in addition to the largest possible cost of the configurations in progress, so that
+/// every started configuration can be finished. When none is in progress and the budget no longer
+/// covers a whole lattice, one configuration at a time is started nevertheless, and the last may
+/// remain unfinished.
 ///
 /// Spending is counted from the requested rollouts: pass every configuration of the sample each
 /// time, including explained ones.
@@ -45,7 +46,7 @@ pub fn plan<'a>(
     let mut candidates: Vec<_> = configurations.iter().map(candidate).collect();
     // Configurations in progress come first; a new one starts only if it can be finished.
     candidates.sort_by_key(|&(is_new, rank, name, _)| (is_new, rank, name));
-    let mut left = sample.budget.saturating_sub(spent);
+    let mut budget_left = sample.budget.saturating_sub(spent);
     let mut is_first = true;
     let mut batches = Vec::new();
     for (is_new, _, name, lattice) in candidates {
@@ -55,24 +56,24 @@ pub fn plan<'a>(
             Decision::Wait | Decision::Done => continue,
         };
         let reserve = lattice.most_further_rollouts();
-        if reserve > left && !is_first {
+        if reserve > budget_left && !is_first {
             break;
         }
-        let batch = truncated(left, batch);
+        let batch = truncated(budget_left, batch);
         if !batch.is_empty() {
             batches.push((name, batch));
         }
-        left = left.saturating_sub(reserve);
+        budget_left = budget_left.saturating_sub(reserve);
         is_first = false;
     }
     batches
 }
 
 /// Truncates a batch to the affordable rollouts.
-fn truncated(mut left: u32, batch: Vec<Request>) -> Vec<Request> {
+fn truncated(mut budget: u32, batch: Vec<Request>) -> Vec<Request> {
     let cut = |request: Request| {
-        let rollouts = request.rollouts.min(left);
-        left -= rollouts;
+        let rollouts = request.rollouts.min(budget);
+        budget -= rollouts;
         (rollouts > 0).then_some(Request {
             rollouts,
             ..request
@@ -105,18 +106,18 @@ mod tests {
     /// Returns configurations in which only the pair of the first two axes and the full set
     /// are known to fail.
     fn transitions(count: usize) -> BTreeMap<RolloutId, Lattice> {
-        let named = |task| RolloutId::perturbed(task, Condition::Combination, Level::L2, 3);
-        let names = TaskRef::all().map(|task| named(task).expect("a perturbed level"));
-        let begun = |name| {
+        let id = |task| RolloutId::perturbed(task, Condition::Combination, Level::L2, 3);
+        let ids = TaskRef::all().map(|task| id(task).expect("a perturbed level"));
+        let lattice_of = |id| {
             let mut lattice = Lattice::new(AxisSet::ALL, Evidence::Once).expect("six axes");
             let campaign = lattice.singles().chain([AxisSet::EMPTY, AxisSet::ALL]);
             for set in campaign.collect::<Vec<_>>() {
                 let result = lattice.record_source(set, outcome(set));
                 result.expect("a subset");
             }
-            (name, lattice)
+            (id, lattice)
         };
-        names.take(count).map(begun).collect()
+        ids.take(count).map(lattice_of).collect()
     }
 
     fn outcome(set: AxisSet) -> Outcome {
@@ -134,10 +135,10 @@ mod tests {
 
     /// Runs planned batches until none is left, and returns the largest number of
     /// configurations in progress at once.
-    fn spend(all: &mut BTreeMap<RolloutId, Lattice>, sample: &Sample) -> usize {
+    fn spend(lattices: &mut BTreeMap<RolloutId, Lattice>, sample: &Sample) -> usize {
         let mut widest = 0;
         loop {
-            let batches: Vec<_> = plan(all, sample)
+            let batches: Vec<_> = plan(lattices, sample)
                 .into_iter()
                 .map(|(name, batch)| (*name, batch))
                 .collect();
@@ -146,7 +147,7 @@ mod tests {
             }
             widest = widest.max(batches.len());
             for (name, batch) in batches {
-                let lattice = all.get_mut(&name).expect("it was passed");
+                let lattice = lattices.get_mut(&name).expect("a planned configuration");
                 for Request { set, rollouts } in batch {
                     for _ in 0..rollouts {
                         lattice.record(set, outcome(set)).expect("a subset");
@@ -156,9 +157,9 @@ mod tests {
         }
     }
 
-    fn finished(all: &BTreeMap<RolloutId, Lattice>) -> Vec<RolloutId> {
+    fn finished(lattices: &BTreeMap<RolloutId, Lattice>) -> Vec<RolloutId> {
         let done = |lattice: &Lattice| next(lattice, Strategy::Adaptive) == Decision::Done;
-        let done = all.iter().filter(|(_, lattice)| done(lattice));
+        let done = lattices.iter().filter(|(_, lattice)| done(lattice));
         done.map(|(name, _)| *name).collect()
     }
 
@@ -166,13 +167,16 @@ mod tests {
     fn started_configurations_are_finished_within_the_budget() {
         // One explanation takes 17 rollouts.
         for budget in [0, 1, 16, 17, 40, 100, 300, 1000] {
-            let mut all = transitions(30);
-            let widest = spend(&mut all, &sample(budget, 7));
-            let spent: u32 = all.values().map(Lattice::further_rollouts).sum();
+            let mut lattices = transitions(30);
+            let widest = spend(&mut lattices, &sample(budget, 7));
+            let spent: u32 = lattices.values().map(Lattice::further_rollouts).sum();
             assert_eq!(spent, budget.min(30 * 17));
             let expected = (budget / 17).min(30) as usize;
-            assert_eq!(finished(&all).len(), expected, "budget {budget}");
-            assert!(budget < 300 || widest >= 5, "they run side by side");
+            assert_eq!(finished(&lattices).len(), expected, "budget {budget}");
+            assert!(
+                budget < 300 || widest >= 5,
+                "configurations run concurrently"
+            );
         }
     }
 
@@ -197,17 +201,17 @@ mod tests {
     fn configurations_in_progress_are_finished_before_new_ones_start() {
         for seed in 0..10 {
             let sample = sample(60, seed);
-            let mut all = transitions(1);
-            let (name, batch) = plan(&all, &sample).remove(0);
+            let mut lattices = transitions(1);
+            let (name, batch) = plan(&lattices, &sample).remove(0);
             let name = *name;
             for Request { set, .. } in batch {
-                let lattice = all.get_mut(&name).expect("it was passed");
+                let lattice = lattices.get_mut(&name).expect("a planned configuration");
                 lattice.record(set, outcome(set)).expect("a subset");
             }
             for (later, lattice) in transitions(30) {
-                all.entry(later).or_insert(lattice);
+                lattices.entry(later).or_insert(lattice);
             }
-            let planned = plan(&all, &sample);
+            let planned = plan(&lattices, &sample);
             assert_eq!(planned.len(), 1, "45 rollouts are left, and 41 reserved");
             assert_eq!(planned[0].0, &name, "seed {seed}");
         }
@@ -216,31 +220,31 @@ mod tests {
     #[test]
     fn another_seed_picks_other_configurations() {
         let picked = |seed| {
-            let mut all = transitions(30);
-            spend(&mut all, &sample(170, seed));
-            finished(&all)
+            let mut lattices = transitions(30);
+            spend(&mut lattices, &sample(170, seed));
+            finished(&lattices)
         };
         assert_eq!(picked(1), picked(1));
         assert_ne!(picked(1), picked(2));
     }
 
     #[test]
-    fn no_rollout_replaces_a_pending_batch() {
-        let mut all = transitions(30);
+    fn pending_rollouts_reserve_the_budget() {
+        let mut lattices = transitions(30);
         let sample = sample(120, 7);
-        let first: Vec<_> = plan(&all, &sample)
+        let first: Vec<_> = plan(&lattices, &sample)
             .into_iter()
             .map(|(name, batch)| (*name, batch))
             .collect();
         for (name, batch) in &first {
             for request in batch {
-                let lattice = all.get_mut(name).expect("it was passed");
+                let lattice = lattices.get_mut(name).expect("a planned configuration");
                 lattice
                     .record(request.set, Outcome::Missing)
                     .expect("a subset");
             }
         }
         assert_eq!(first.len(), 2, "of 120 rollouts, 56 are reserved for each");
-        assert_eq!(plan(&all, &sample), []);
+        assert_eq!(plan(&lattices, &sample), []);
     }
 }

@@ -61,7 +61,7 @@ mod tests {
     }
 
     #[test]
-    fn all_or_none_have_the_ends_of_the_closed_form() {
+    fn intervals_of_only_successes_or_only_failures_equal_the_closed_form() {
         for n in [1, 5, 8, 400] {
             let end = 0.025_f64.powf(1.0 / n as f64);
             let [low, high] = interval(n, n, 0.95);

@@ -20,7 +20,7 @@ fn thresholds(tolerance: f64, max_radius: f64) -> Thresholds {
     }
 }
 
-/// Configuration j begins at initial state j.
+/// Returns a record of replicate 0. Configuration j begins at initial state j.
 fn record(id: RolloutId, outcome: Outcome) -> Record {
     Record {
         id,
@@ -30,24 +30,24 @@ fn record(id: RolloutId, outcome: Outcome) -> Record {
     }
 }
 
-/// Runs the planned rollouts until none is left.
+/// Runs the planned rollouts until none is left, and returns their records.
 fn measure(
     source: &[Record],
     thresholds: &Thresholds,
     outcome: impl Fn(RolloutId) -> Outcome,
 ) -> Vec<Record> {
     let mut ids: BTreeSet<RolloutId> = source.iter().map(|record| record.id).collect();
-    let mut own: Vec<Record> = Vec::new();
+    let mut further: Vec<Record> = Vec::new();
     loop {
-        let plan = Measurement::of(source, &own, thresholds).plan();
+        let plan = Measurement::of(source, &further, thresholds).plan();
         if plan.is_empty() {
-            return own;
+            return further;
         }
         for (ray, level) in plan {
             let id = RolloutId::perturbed(ray.task, ray.condition, level, ray.config);
             let id = id.expect("a perturbed level");
-            assert!(ids.insert(id), "{id} twice");
-            own.push(record(id, outcome(id)));
+            assert!(ids.insert(id), "{id} was planned twice");
+            further.push(record(id, outcome(id)));
         }
     }
 }

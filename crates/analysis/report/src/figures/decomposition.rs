@@ -13,8 +13,8 @@ use super::svg::{
 use crate::document::Document;
 use crate::words;
 
-const LEGEND: f64 = 20.0;
-const ROW: f64 = 66.0;
+const LEGEND_HEIGHT: f64 = 20.0;
+const ROW_HEIGHT: f64 = 66.0;
 
 /// Draws the panel of a level; `None` if no policy has a complete configuration.
 pub fn decomposition(document: &Document, level: Level) -> Option<Figure> {
@@ -24,8 +24,8 @@ pub fn decomposition(document: &Document, level: Level) -> Option<Figure> {
     }
     let domain = [0.0, 1.0];
     let scale = Scale::over(domain);
-    let top = HEAD + LEGEND;
-    let bottom = top + ROW * rows.len() as f64;
+    let top = HEAD + LEGEND_HEIGHT;
+    let bottom = top + ROW_HEIGHT * rows.len() as f64;
     let counts = words::counts(rows.iter().map(|(_, m)| m.n));
     let axis = format!("success, % of {counts} configurations");
     let body = html! {
@@ -33,7 +33,7 @@ pub fn decomposition(document: &Document, level: Level) -> Option<Figure> {
         (legend())
         (scale.axis([top, bottom], &percent_ticks(domain, 0.25, false), &axis))
         @for (index, (name, measures)) in rows.iter().enumerate() {
-            (row(&scale, name, measures, top + ROW * index as f64))
+            (row(&scale, name, measures, top + ROW_HEIGHT * index as f64))
         }
     };
     let title = format!(
@@ -74,12 +74,12 @@ fn row(scale: &Scale, name: &str, m: &Measures, top: f64) -> Markup {
         words::percent(m.s_conj),
         words::percent(m.s_sim)
     );
-    let in_d = format!(
+    let d_text = format!(
         "D {}{}",
         words::points(m.d),
         words::points_interval(m.d_ci95, m.no_interval)
     );
-    let in_i = format!(
+    let i_text = format!(
         "I {}{}",
         words::points(m.i),
         words::points_interval(m.i_ci95, m.no_interval)
@@ -95,8 +95,8 @@ fn row(scale: &Scale, name: &str, m: &Measures, top: f64) -> Markup {
             (circle(indep, d, "open"))
             (diamond(conj, f64::midpoint(d, i), "mark"))
             (square(sim, i, "mark"))
-            (text(0.0, top + 61.0, "small d", &in_d))
-            (text(scale.at(0.5) , top + 61.0, "small i", &in_i))
+            (text(0.0, top + 61.0, "small d", &d_text))
+            (text(scale.at(0.5) , top + 61.0, "small i", &i_text))
         }
     }
 }

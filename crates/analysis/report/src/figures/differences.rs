@@ -12,12 +12,12 @@ use super::{Figure, WIDTH};
 use crate::comparison::Comparison;
 use crate::words;
 
-const LABELS: f64 = 96.0;
-const ROW: f64 = 18.0;
-const GAP: f64 = 10.0;
-/// Candidate distances of ticks, fractions; the first with at most [`MOST_TICKS`] is used.
-const STEPS: [f64; 5] = [0.02, 0.05, 0.1, 0.25, 0.5];
-const MOST_TICKS: f64 = 3.0;
+const LABEL_WIDTH: f64 = 96.0;
+const ROW_HEIGHT: f64 = 18.0;
+const LEVEL_GAP: f64 = 10.0;
+/// Candidate distances of ticks, fractions; the first with at most [`MAX_TICKS`] is used.
+const TICK_STEPS: [f64; 5] = [0.02, 0.05, 0.1, 0.25, 0.5];
+const MAX_TICKS: f64 = 3.0;
 
 /// Draws the panel of two policies, replicate 0; `None` if no rollout has an outcome for
 /// both.
@@ -35,21 +35,24 @@ pub fn differences(comparison: &Comparison) -> Option<Figure> {
         [low, high, delta.difference].map(f64::abs)
     });
     let largest = ends.fold(0.01, f64::max);
-    let fits = |step: &&f64| largest / **step <= MOST_TICKS;
-    let step = *STEPS.iter().find(fits).unwrap_or(&STEPS[STEPS.len() - 1]);
+    let fits = |step: &&f64| largest / **step <= MAX_TICKS;
+    let step = *TICK_STEPS
+        .iter()
+        .find(fits)
+        .unwrap_or(&TICK_STEPS[TICK_STEPS.len() - 1]);
     let end = (largest / step - 1e-9).ceil() * step;
-    let scale = Scale::between([-end, end], [LABELS, WIDTH - 14.0]);
+    let scale = Scale::between([-end, end], [LABEL_WIDTH, WIDTH - 14.0]);
     let mut y = HEAD + 22.0;
-    let mut above = None;
+    let mut previous = None;
     let mut body = Vec::new();
     for (cell, difference) in &rows {
-        if above.is_some_and(|above| above != cell.level) {
-            y += GAP;
+        if previous.is_some_and(|previous| previous != cell.level) {
+            y += LEVEL_GAP;
         }
-        let is_first = above != Some(cell.level) && cell.condition != Condition::Clean;
-        above = Some(cell.level);
-        body.push(row(&scale, cell, difference, is_first, y));
-        y += ROW;
+        let names_level = previous != Some(cell.level) && cell.condition != Condition::Clean;
+        previous = Some(cell.level);
+        body.push(row(&scale, cell, difference, names_level, y));
+        y += ROW_HEIGHT;
     }
     let counts = words::counts(rows.iter().map(|(_, delta)| delta.n));
     let (a, b) = (&comparison.a.label, &comparison.b.label);
@@ -75,7 +78,7 @@ fn row(
     names_level: bool,
     y: f64,
 ) -> Markup {
-    let middle = y + ROW / 2.0;
+    let middle = y + ROW_HEIGHT / 2.0;
     let tooltip = format!(
         "{}: {}{}; only A {}, only B {}, of {}",
         cell.name(),
@@ -89,7 +92,7 @@ fn row(
         g {
             title { (tooltip) }
             @if names_level { (text(0.0, middle + 4.0, "name small", &cell.level.to_string())) }
-            text class="small end" x=(number(LABELS - 10.0)) y=(number(middle + 4.0)) {
+            text class="small end" x=(number(LABEL_WIDTH - 10.0)) y=(number(middle + 4.0)) {
                 (cell.condition.label())
             }
             @match delta.difference_ci95 {

@@ -11,13 +11,13 @@ use crate::analysis::Analysis;
 use crate::document::Document;
 use crate::words;
 
-const LEGEND: f64 = 20.0;
-const ROW: f64 = 54.0;
-const BAR: f64 = 14.0;
-/// Candidate distances of ticks, fractions; the first with at most [`MOST_TICKS`] is used,
+const LEGEND_HEIGHT: f64 = 20.0;
+const ROW_HEIGHT: f64 = 54.0;
+const BAR_HEIGHT: f64 = 14.0;
+/// Candidate distances of ticks, fractions; the first with at most [`MAX_TICKS`] is used,
 /// and the axis ends at a multiple of it.
-const STEPS: [f64; 4] = [0.02, 0.05, 0.1, 0.25];
-const MOST_TICKS: f64 = 4.0;
+const TICK_STEPS: [f64; 4] = [0.02, 0.05, 0.1, 0.25];
+const MAX_TICKS: f64 = 4.0;
 
 /// Draws the panel of a level; `None` if no policy has a complete configuration.
 pub fn directions(document: &Document, level: Level) -> Option<Figure> {
@@ -27,8 +27,8 @@ pub fn directions(document: &Document, level: Level) -> Option<Figure> {
     }
     let (end, step) = end_and_step(largest_rate(document));
     let scale = Scale::over([-end, end]);
-    let top = HEAD + LEGEND;
-    let bottom = top + ROW * rows.len() as f64;
+    let top = HEAD + LEGEND_HEIGHT;
+    let bottom = top + ROW_HEIGHT * rows.len() as f64;
     let counts = words::counts(rows.iter().map(|(_, m)| m.n));
     let middle = WIDTH / 2.0;
     let body = html! {
@@ -40,7 +40,7 @@ pub fn directions(document: &Document, level: Level) -> Option<Figure> {
         (scale.axis([top, bottom], &percent_ticks([-end, end], step, false),
             &format!("changed outcomes, % of {counts} configurations")))
         @for (index, (name, measures)) in rows.iter().enumerate() {
-            (row(&scale, name, measures, top + ROW * index as f64))
+            (row(&scale, name, measures, top + ROW_HEIGHT * index as f64))
         }
         (line("zero", [middle, top], [middle, bottom]))
     };
@@ -66,8 +66,11 @@ fn largest_rate(document: &Document) -> f64 {
 }
 
 fn end_and_step(largest: f64) -> (f64, f64) {
-    let fits = |step: &&f64| largest / **step <= MOST_TICKS;
-    let step = *STEPS.iter().find(fits).unwrap_or(&STEPS[STEPS.len() - 1]);
+    let fits = |step: &&f64| largest / **step <= MAX_TICKS;
+    let step = *TICK_STEPS
+        .iter()
+        .find(fits)
+        .unwrap_or(&TICK_STEPS[TICK_STEPS.len() - 1]);
     ((largest / step - 1e-9).ceil() * step, step)
 }
 
@@ -95,10 +98,10 @@ fn row(scale: &Scale, name: &str, m: &Measures, top: f64) -> Markup {
             (text(0.0, top + 15.0, "name", &shortened(name, 40)))
             (text(WIDTH, top + 15.0, "small muted end",
                 &format!("n = {}, p = {}", m.n, words::p_value(m.mcnemar_p))))
-            (rect(left, y, zero - left, BAR, "emergent"))
-            (rect(zero, y, right - zero, BAR, "compensated"))
-            @if let Some(interval) = mirrored { (whisker(scale, interval, y + BAR / 2.0)) }
-            @if let Some(interval) = m.r_c_ci95 { (whisker(scale, interval, y + BAR / 2.0)) }
+            (rect(left, y, zero - left, BAR_HEIGHT, "emergent"))
+            (rect(zero, y, right - zero, BAR_HEIGHT, "compensated"))
+            @if let Some(interval) = mirrored { (whisker(scale, interval, y + BAR_HEIGHT / 2.0)) }
+            @if let Some(interval) = m.r_c_ci95 { (whisker(scale, interval, y + BAR_HEIGHT / 2.0)) }
             (text(zero - 8.0, top + 49.0, "small end", &emergent))
             (text(zero + 8.0, top + 49.0, "small", &compensated))
         }

@@ -9,10 +9,10 @@ use super::{Figure, WIDTH};
 use crate::document::Document;
 use crate::words;
 
-const LEGEND: f64 = 20.0;
-const ROW: f64 = 46.0;
+const LEGEND_HEIGHT: f64 = 20.0;
+const ROW_HEIGHT: f64 = 46.0;
 /// Distance of ticks, fraction; the axis begins at a multiple of it.
-const STEP: f64 = 0.1;
+const TICK_STEP: f64 = 0.1;
 
 /// Draws the panel; `None` if no published success rate is known.
 pub fn gate(document: &Document) -> Option<Figure> {
@@ -35,10 +35,10 @@ pub fn gate(document: &Document) -> Option<Figure> {
         measured.min(gate.published - GATE_TOLERANCE)
     });
     let lowest = lowest.fold(0.9, f64::min);
-    let domain = [((lowest / STEP).floor() * STEP).max(0.0), 1.0];
+    let domain = [((lowest / TICK_STEP).floor() * TICK_STEP).max(0.0), 1.0];
     let scale = Scale::over(domain);
-    let top = HEAD + LEGEND;
-    let bottom = top + ROW * rows.len() as f64;
+    let top = HEAD + LEGEND_HEIGHT;
+    let bottom = top + ROW_HEIGHT * rows.len() as f64;
     let counts = words::counts(rows.iter().map(|(_, gate)| gate.nominal.n));
     let step = if domain[0] > 0.75 { 0.05 } else { 0.1 };
     let body = html! {
@@ -51,7 +51,7 @@ pub fn gate(document: &Document) -> Option<Figure> {
         (scale.axis([top, bottom], &percent_ticks(domain, step, false),
             &format!("nominal success, % of {counts} nominal rollouts")))
         @for (index, (name, gate)) in rows.iter().enumerate() {
-            (row(&scale, name, gate, top + ROW * index as f64))
+            (row(&scale, name, gate, top + ROW_HEIGHT * index as f64))
         }
     };
     let title = "Nominal success against the published figure, by policy".to_owned();

@@ -10,13 +10,13 @@ use super::{Figure, WIDTH};
 use crate::document::Document;
 use crate::words;
 
-const LABELS: f64 = 108.0;
+const LABEL_WIDTH: f64 = 108.0;
 /// Characters of a policy's name that fit beside the squares.
 const LABEL_CHARACTERS: usize = 12;
-const ROW: f64 = 28.0;
+const ROW_HEIGHT: f64 = 28.0;
 /// Height of the slanted names below the columns.
-const NAMES: f64 = 78.0;
-const LEGEND: f64 = 52.0;
+const NAME_HEIGHT: f64 = 78.0;
+const LEGEND_HEIGHT: f64 = 52.0;
 /// Number of rectangles that draw the colour scale.
 const LEGEND_STEPS: u32 = 40;
 /// ColorBrewer's YlGnBu in nine classes, from no success to full success.
@@ -45,13 +45,13 @@ pub fn heat_map(document: &Document, level: Level) -> Option<Figure> {
         return None;
     }
     let all = Axis::ALL.map(Condition::Single).into_iter();
-    let any = |condition: &Condition| {
+    let is_run = |condition: &Condition| {
         rows.iter()
             .any(|(_, cell)| count(cell, *condition).is_some())
     };
-    let beside = [Condition::Latency, Condition::Combination];
-    let columns: Vec<Condition> = all.chain(beside).filter(any).collect();
-    let width = (WIDTH - LABELS - 6.0) / columns.len().max(1) as f64;
+    let last = [Condition::Latency, Condition::Combination];
+    let columns: Vec<Condition> = all.chain(last).filter(is_run).collect();
+    let width = (WIDTH - LABEL_WIDTH - 6.0) / columns.len().max(1) as f64;
     let counts = rows.iter().flat_map(|(_, cell)| {
         let counts = columns
             .iter()
@@ -59,29 +59,34 @@ pub fn heat_map(document: &Document, level: Level) -> Option<Figure> {
         counts.map(|count| count.n).filter(|n| *n > 0)
     });
     let counts = words::counts(counts);
-    let bottom = HEAD + ROW * rows.len() as f64;
+    let bottom = HEAD + ROW_HEIGHT * rows.len() as f64;
     let body = html! {
         (text(0.0, 15.0, "head", &format!("{level}: radius {}", level.radius())))
         @for (row, (name, cell)) in rows.iter().enumerate() {
-            @let y = HEAD + ROW * row as f64;
+            @let y = HEAD + ROW_HEIGHT * row as f64;
             g {
                 title { (name) }
                 (text(0.0, y + 18.0, "name", &shortened(name, LABEL_CHARACTERS)))
             }
             @for (column, condition) in columns.iter().enumerate() {
-                @let what = format!("{name}, {}", condition.label());
-                @let place = [LABELS + width * column as f64, y];
-                (square(&what, count(cell, *condition), place, width))
+                @let label = format!("{name}, {}", condition.label());
+                @let place = [LABEL_WIDTH + width * column as f64, y];
+                (square(&label, count(cell, *condition), place, width))
             }
         }
         @for (column, condition) in columns.iter().enumerate() {
-            (slanted([LABELS + width * (column as f64 + 0.6), bottom + 12.0], *condition))
+            (slanted([LABEL_WIDTH + width * (column as f64 + 0.6), bottom + 12.0], *condition))
         }
-        (legend(bottom + NAMES, &counts))
+        (legend(bottom + NAME_HEIGHT, &counts))
     };
     let title = format!("Success under each axis alone and simultaneous at {level}, by policy");
     let name = format!("single-axis-{level}");
-    Some(Figure::new(&name, title, bottom + NAMES + LEGEND, body))
+    Some(Figure::new(
+        &name,
+        title,
+        bottom + NAME_HEIGHT + LEGEND_HEIGHT,
+        body,
+    ))
 }
 
 /// Returns the results under a condition; `None` if the campaign does not run it.
@@ -89,7 +94,7 @@ fn count(cell: &Cell, condition: Condition) -> Option<Count> {
     match condition {
         Condition::Clean | Condition::Subset(_) | Condition::Variant => None,
         Condition::Single(axis) => cell.alone.get(&axis).map(|alone| alone.count),
-        Condition::Latency => cell.latency.as_ref().map(|late| late.count),
+        Condition::Latency => cell.latency.as_ref().map(|latency| latency.count),
         Condition::Combination => cell.simultaneous,
     }
 }
@@ -100,15 +105,15 @@ fn slanted([x, y]: [f64; 2], condition: Condition) -> Markup {
     html! { text class="small end" transform=(turned) { (condition.label()) } }
 }
 
-fn square(what: &str, count: Option<Count>, [x, y]: [f64; 2], width: f64) -> Markup {
+fn square(label: &str, count: Option<Count>, [x, y]: [f64; 2], width: f64) -> Markup {
     let rate = count.as_ref().and_then(Count::rate);
     let tooltip = match count {
-        Some(Count { successes, n }) => format!("{what}: {successes} of {n} succeed"),
-        None => format!("{what}: not measured"),
+        Some(Count { successes, n }) => format!("{label}: {successes} of {n} succeed"),
+        None => format!("{label}: not measured"),
     };
     let (left, top) = (number(x + 1.0), number(y + 1.0));
     let (middle, base) = (number(x + width / 2.0), number(y + 17.5));
-    let (width, height) = (number(width - 2.0), number(ROW - 2.0));
+    let (width, height) = (number(width - 2.0), number(ROW_HEIGHT - 2.0));
     html! {
         g {
             title { (tooltip) }
@@ -128,7 +133,7 @@ fn square(what: &str, count: Option<Count>, [x, y]: [f64; 2], width: f64) -> Mar
 }
 
 fn legend(top: f64, counts: &str) -> Markup {
-    let scale = Scale::between([0.0, 1.0], [LABELS, WIDTH - 14.0]);
+    let scale = Scale::between([0.0, 1.0], [LABEL_WIDTH, WIDTH - 14.0]);
     let step = |step: u32| f64::from(step) / f64::from(LEGEND_STEPS);
     html! {
         @for index in 0..LEGEND_STEPS {
@@ -139,7 +144,7 @@ fn legend(top: f64, counts: &str) -> Markup {
         @for tick in [0.0, 0.25, 0.5, 0.75, 1.0] {
             (text(scale.at(tick), top + 21.0, "tiny muted middle", &number(100.0 * tick)))
         }
-        (text(f64::midpoint(LABELS, WIDTH - 14.0), top + 38.0, "small muted middle",
+        (text(f64::midpoint(LABEL_WIDTH, WIDTH - 14.0), top + 38.0, "small muted middle",
             &format!("success, % of rollouts ({counts} each)")))
     }
 }

@@ -11,68 +11,77 @@ use crate::analysis::Analysis;
 use crate::interactions::LevelInteractions;
 use crate::words::{percent, points, points_interval};
 
-const LABELS: f64 = 78.0;
+const LABEL_WIDTH: f64 = 78.0;
 /// Height of the heading and of the line below it.
 const TOP: f64 = HEAD + 22.0;
-const ROW: f64 = 32.0;
+const ROW_HEIGHT: f64 = 32.0;
 /// Height of the slanted names below the columns.
-const NAMES: f64 = 66.0;
+const NAME_HEIGHT: f64 = 66.0;
 /// Opacity of a cell's colour above which its number is white.
 const DARK_ABOVE: f64 = 0.6;
-const STEP_LABELS: f64 = 132.0;
+const STEP_LABEL_WIDTH: f64 = 132.0;
 /// Width of the column of numbers.
-const NUMBERS: f64 = 58.0;
-const STEP: f64 = 26.0;
+const NUMBER_WIDTH: f64 = 58.0;
+const STEP_HEIGHT: f64 = 26.0;
 
 /// Draws the matrix: the Shapley value of each axis on the diagonal, the interaction of
 /// each pair below it.
 pub fn interaction_matrix(analysis: &Analysis, level: &LevelInteractions) -> Figure {
-    let found = &level.interactions;
-    let axes: Vec<Axis> = found.full.axes().collect();
-    let all = found.shapley.values().chain(found.pairs.values());
+    let interactions = &level.interactions;
+    let axes: Vec<Axis> = interactions.full.axes().collect();
+    let all = interactions
+        .shapley
+        .values()
+        .chain(interactions.pairs.values());
     let largest = all
         .map(|estimate| estimate.value.abs())
         .fold(0.01, f64::max);
-    let side = (WIDTH - LABELS) / axes.len().max(1) as f64;
-    let bottom = TOP + ROW * axes.len() as f64;
-    let place = |row: usize, column: usize| [LABELS + side * column as f64, TOP + ROW * row as f64];
+    let side = (WIDTH - LABEL_WIDTH) / axes.len().max(1) as f64;
+    let bottom = TOP + ROW_HEIGHT * axes.len() as f64;
+    let place = |row: usize, column: usize| {
+        [
+            LABEL_WIDTH + side * column as f64,
+            TOP + ROW_HEIGHT * row as f64,
+        ]
+    };
     let pair = |row: usize, column: usize| {
         let set: AxisSet = [axes[row], axes[column]].into_iter().collect();
         html! {
-            @if let Some(estimate) = found.pairs.get(&set) {
+            @if let Some(estimate) = interactions.pairs.get(&set) {
                 (cell(set.name(), estimate, largest, place(row, column), side))
             }
         }
     };
     let body = html! {
         (text(0.0, 15.0, "head", &heading(analysis, level)))
-        (text(WIDTH, 15.0, "small muted end", &format!("n = {}", found.n)))
+        (text(WIDTH, 15.0, "small muted end", &format!("n = {}", interactions.n)))
         (text(0.0, 34.0, "small muted", "shares of the axes (framed), and pairs: points of success"))
         @for (row, axis) in axes.iter().enumerate() {
-            (text(0.0, TOP + ROW * row as f64 + 20.5, "small", axis.name()))
+            (text(0.0, TOP + ROW_HEIGHT * row as f64 + 20.5, "small", axis.name()))
             @for column in 0..row { (pair(row, column)) }
-            @if let Some(estimate) = found.shapley.get(axis) {
+            @if let Some(estimate) = interactions.shapley.get(axis) {
                 (cell(axis.name(), estimate, largest, place(row, row), side))
                 (rect_outline(place(row, row), side))
             }
         }
         @for (column, axis) in axes.iter().enumerate() {
             @let turned = format!("translate({} {}) rotate(-45)",
-                number(LABELS + side * (column as f64 + 0.6)), number(bottom + 12.0));
+                number(LABEL_WIDTH + side * (column as f64 + 0.6)), number(bottom + 12.0));
             text class="small end" transform=(turned) { (axis.name()) }
         }
-        (rect(0.0, bottom + NAMES + 8.0, 10.0, 10.0, "emergent"))
-        (text(16.0, bottom + NAMES + 17.0, "small", "lowers success"))
-        (rect(130.0, bottom + NAMES + 8.0, 10.0, 10.0, "compensated"))
-        (text(146.0, bottom + NAMES + 17.0, "small", "raises it"))
-        (text(0.0, bottom + NAMES + 36.0, "small muted", "bold: the 95 % interval excludes 0"))
+        (rect(0.0, bottom + NAME_HEIGHT + 8.0, 10.0, 10.0, "emergent"))
+        (text(16.0, bottom + NAME_HEIGHT + 17.0, "small", "lowers success"))
+        (rect(130.0, bottom + NAME_HEIGHT + 8.0, 10.0, 10.0, "compensated"))
+        (text(146.0, bottom + NAME_HEIGHT + 17.0, "small", "raises it"))
+        (text(0.0, bottom + NAME_HEIGHT + 36.0, "small muted",
+            "bold: the 95 % interval excludes 0"))
     };
     let title = format!(
         "{}, {}: share of each axis, and interaction of each pair",
         analysis.label, level.level
     );
     let name = format!("interactions-{}-{}", analysis.label, level.level);
-    Figure::new(&name, title, bottom + NAMES + 44.0, body)
+    Figure::new(&name, title, bottom + NAME_HEIGHT + 44.0, body)
 }
 
 fn heading(analysis: &Analysis, level: &LevelInteractions) -> String {
@@ -93,10 +102,10 @@ fn cell(what: &str, estimate: &Estimate, largest: f64, [x, y]: [f64; 2], side: f
     } else {
         "bare"
     };
-    let is_sure = estimate
+    let excludes_zero = estimate
         .ci95
         .is_some_and(|[low, high]| low > 0.0 || high < 0.0);
-    let weight = if is_sure { "name" } else { "" };
+    let weight = if excludes_zero { "name" } else { "" };
     html! {
         g {
             title {
@@ -104,9 +113,10 @@ fn cell(what: &str, estimate: &Estimate, largest: f64, [x, y]: [f64; 2], side: f
                 (points_interval(estimate.ci95, estimate.no_interval))
             }
             rect class="cell" x=(number(x + 1.0)) y=(number(y + 1.0)) width=(number(side - 2.0))
-                height=(number(ROW - 2.0)) rx="2" {}
+                height=(number(ROW_HEIGHT - 2.0)) rx="2" {}
             rect class=(class) fill-opacity=(number(share)) x=(number(x + 1.0))
-                y=(number(y + 1.0)) width=(number(side - 2.0)) height=(number(ROW - 2.0)) rx="2" {}
+                y=(number(y + 1.0)) width=(number(side - 2.0))
+                height=(number(ROW_HEIGHT - 2.0)) rx="2" {}
             (text(x + side / 2.0, y + 20.5, &format!("tiny middle {ink} {weight}"),
                 &points(estimate.value)))
         }
@@ -116,17 +126,17 @@ fn cell(what: &str, estimate: &Estimate, largest: f64, [x, y]: [f64; 2], side: f
 fn rect_outline([x, y]: [f64; 2], side: f64) -> Markup {
     html! {
         rect class="frame" x=(number(x + 1.5)) y=(number(y + 1.5)) width=(number(side - 3.0))
-            height=(number(ROW - 3.0)) rx="2" {}
+            height=(number(ROW_HEIGHT - 3.0)) rx="2" {}
     }
 }
 
-/// Draws the steps from nominal to simultaneous success: the sums that single axes, pairs,
-/// triples, … add.
+/// Draws the steps from nominal to simultaneous success: the summed effects of single axes, of
+/// pairs, of triples, and so on.
 pub fn additive(analysis: &Analysis, level: &LevelInteractions) -> Figure {
-    let found = &level.interactions;
+    let interactions = &level.interactions;
     let [nominal, simultaneous] = level.ends();
     let mut reached = nominal.value;
-    let steps: Vec<(usize, &Estimate, [f64; 2])> = found
+    let steps: Vec<(usize, &Estimate, [f64; 2])> = interactions
         .sizes
         .iter()
         .map(|(&axes, estimate)| {
@@ -144,10 +154,10 @@ pub fn additive(analysis: &Analysis, level: &LevelInteractions) -> Figure {
         (low / grain + 1e-9).floor() * grain,
         (high / grain - 1e-9).ceil() * grain,
     ];
-    let scale = Scale::between(domain, [STEP_LABELS, WIDTH - NUMBERS]);
+    let scale = Scale::between(domain, [STEP_LABEL_WIDTH, WIDTH - NUMBER_WIDTH]);
     let rows = steps.len() + 2;
-    let bottom = TOP + STEP * rows as f64;
-    let y = |row: usize| TOP + STEP * row as f64;
+    let bottom = TOP + STEP_HEIGHT * rows as f64;
+    let y = |row: usize| TOP + STEP_HEIGHT * row as f64;
     let end = |name: &str, estimate: &Estimate, row: usize| {
         html! {
             (text(0.0, y(row) + 17.0, "small name", name))
@@ -159,7 +169,7 @@ pub fn additive(analysis: &Analysis, level: &LevelInteractions) -> Figure {
     };
     let body = html! {
         (text(0.0, 15.0, "head", &heading(analysis, level)))
-        (text(WIDTH, 15.0, "small muted end", &format!("n = {}", found.n)))
+        (text(WIDTH, 15.0, "small muted end", &format!("n = {}", interactions.n)))
         (text(0.0, 34.0, "small muted", "from nominal to simultaneous success"))
         (scale.axis([TOP, bottom], &ticks(domain, grain), "success, % of configurations"))
         (line("zero", [scale.at(0.0), TOP], [scale.at(0.0), bottom]))

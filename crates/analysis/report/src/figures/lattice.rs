@@ -10,13 +10,13 @@ use maud::{Markup, html};
 use super::Figure;
 use super::svg::{HEAD, WIDE, diamond, line, number, square, text};
 
-const LABELS: f64 = 64.0;
-const LAYER: f64 = 76.0;
-const LEGEND: f64 = 86.0;
+const LABEL_WIDTH: f64 = 64.0;
+const LAYER_HEIGHT: f64 = 76.0;
+const LEGEND_HEIGHT: f64 = 86.0;
 /// Radius of the ring around a minimal subset.
-const RING: f64 = 11.0;
+const RING_RADIUS: f64 = 11.0;
 /// Distance from a node to the words below it.
-const WORDS: f64 = 26.0;
+const LABEL_DISTANCE: f64 = 26.0;
 
 /// Maps a subset of the axes to the URL of its rollout.
 pub type SubsetLink<'a> = &'a dyn Fn(AxisSet) -> Option<String>;
@@ -41,7 +41,7 @@ pub fn lattice(
         .collect();
     let subsets = full.subsets();
     let places = places(full, &subsets);
-    let bottom = HEAD + LAYER * (full.len() + 1) as f64;
+    let bottom = HEAD + LAYER_HEIGHT * (full.len() + 1) as f64;
     let with_outcome = verdicts
         .values()
         .filter(|verdict| verdict.success().is_some())
@@ -62,7 +62,7 @@ pub fn lattice(
         (text(WIDE, 15.0, "small muted end",
             &format!("{with_outcome} of {} subsets have an outcome", subsets.len())))
         @for size in 0..=full.len() {
-            @let y = HEAD + LAYER * (size as f64 + 0.5);
+            @let y = HEAD + LAYER_HEIGHT * (size as f64 + 0.5);
             @let words = match size { 1 => "1 axis".to_owned(), size => format!("{size} axes") };
             (text(0.0, y + 4.0, "small muted", &words))
         }
@@ -76,7 +76,7 @@ pub fn lattice(
     };
     let title = format!("{configuration}: outcomes under every subset of the axes");
     let name = format!("lattice-{configuration}");
-    let mut figure = Figure::new(&name, title, bottom + LEGEND, body).wide();
+    let mut figure = Figure::new(&name, title, bottom + LEGEND_HEIGHT, body).wide();
     figure.has_links = true;
     figure
 }
@@ -86,10 +86,10 @@ fn places(full: AxisSet, subsets: &[AxisSet]) -> BTreeMap<AxisSet, [f64; 2]> {
     let mut places = BTreeMap::new();
     for size in 0..=full.len() {
         let layer = || subsets.iter().filter(|set| set.len() == size);
-        let step = (WIDE - LABELS) / layer().count() as f64;
-        let y = HEAD + LAYER * (size as f64 + 0.5);
+        let step = (WIDE - LABEL_WIDTH) / layer().count() as f64;
+        let y = HEAD + LAYER_HEIGHT * (size as f64 + 0.5);
         for (place, set) in layer().enumerate() {
-            places.insert(*set, [LABELS + step * (place as f64 + 0.5), y]);
+            places.insert(*set, [LABEL_WIDTH + step * (place as f64 + 0.5), y]);
         }
     }
     places
@@ -101,10 +101,10 @@ fn node(set: AxisSet, full: AxisSet, verdict: Verdict, is_minimal: bool, at: [f6
     html! {
         title { (name(set, full)) ": " (in_words(verdict)) (ring) }
         @if is_minimal {
-            circle class="ring" cx=(number(x)) cy=(number(y)) r=(number(RING)) {}
+            circle class="ring" cx=(number(x)) cy=(number(y)) r=(number(RING_RADIUS)) {}
         }
         (shape(verdict, at))
-        (text(x, y + WORDS, "tiny middle", &label(set, full)))
+        (text(x, y + LABEL_DISTANCE, "tiny middle", &label(set, full)))
     }
 }
 
@@ -172,15 +172,16 @@ fn legend(top: f64, has_minimal: bool) -> Markup {
     let names = Axis::ALL.map(|axis| format!("{} {axis}", short(axis)));
     html! {
         @for (index, (verdict, meaning)) in entries.into_iter().enumerate() {
-            @let x = LABELS + [0.0, 120.0, 220.0, 400.0][index];
+            @let x = LABEL_WIDTH + [0.0, 120.0, 220.0, 400.0][index];
             (shape(verdict, [x + 6.0, top + 5.0]))
             (text(x + 20.0, top + 9.0, "small", meaning))
         }
         @if has_minimal {
-            circle class="ring" cx=(number(LABELS + 6.0)) cy=(number(top + 58.0)) r=(number(RING)) {}
-            (text(LABELS + 24.0, top + 62.0, "small",
+            circle class="ring" cx=(number(LABEL_WIDTH + 6.0)) cy=(number(top + 58.0))
+                r=(number(RING_RADIUS)) {}
+            (text(LABEL_WIDTH + 24.0, top + 62.0, "small",
                 "minimal: it changes the outcome, and no smaller subset that was run does"))
         }
-        (text(LABELS, top + 34.0, "small muted", &names.join(", ")))
+        (text(LABEL_WIDTH, top + 34.0, "small muted", &names.join(", ")))
     }
 }

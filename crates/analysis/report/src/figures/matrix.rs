@@ -11,17 +11,18 @@ use super::svg::{HEAD, number, rect, text};
 use super::{Figure, Link, WIDTH};
 use crate::analysis::Analysis;
 
-/// Largest number of configurations drawn per task; the rest are counted in words.
+/// Largest number of configurations drawn per task; the others are counted in a text.
 const MAX_COLUMNS: usize = 10;
-const SQUARE: f64 = 14.0;
-const LABELS: f64 = 26.0;
+/// Distance between the left edges of neighbouring squares, and between their upper edges.
+const SQUARE_PITCH: f64 = 14.0;
+const LABEL_WIDTH: f64 = 26.0;
 /// Distance from one suite's block to the next.
 const BLOCK_WIDTH: f64 = WIDTH / 2.0 + 6.0;
-const BLOCK_HEAD: f64 = 36.0;
-const LEGEND: f64 = 58.0;
+const BLOCK_HEAD_HEIGHT: f64 = 36.0;
+const LEGEND_HEIGHT: f64 = 58.0;
 
 /// Draws the matrix of a level in replicate 0, with its squares linked by `link` if given;
-/// `None` if the policy has no such cell or no simultaneous rollouts.
+/// `None` if the policy has no outcomes at the level, or no simultaneous rollouts.
 pub fn matrix(analysis: &Analysis, level: Level, link: Option<Link>) -> Option<Figure> {
     analysis.cell(level)?.simultaneous?;
     let mut tasks: BTreeMap<TaskRef, Vec<&Matched>> = BTreeMap::new();
@@ -47,7 +48,7 @@ pub fn matrix(analysis: &Analysis, level: Level, link: Option<Link>) -> Option<F
                 [BLOCK_WIDTH * column as f64, y],
             ));
         }
-        y += BLOCK_HEAD + SQUARE * rows as f64 + 8.0;
+        y += BLOCK_HEAD_HEIGHT + SQUARE_PITCH * rows as f64 + 8.0;
     }
     let all = tasks.values().flatten();
     let complete = all
@@ -70,12 +71,12 @@ pub fn matrix(analysis: &Analysis, level: Level, link: Option<Link>) -> Option<F
         analysis.label
     );
     let name = format!("matrix-{}-{level}", analysis.label);
-    let mut figure = Figure::new(&name, title, y + LEGEND, body);
+    let mut figure = Figure::new(&name, title, y + LEGEND_HEIGHT, body);
     figure.has_links = link.is_some();
     Some(figure)
 }
 
-/// Legend of the squares, in two lines below `top`.
+/// Draws the legend of the squares, in two lines from `top` downwards.
 fn legend(top: f64) -> Markup {
     let entries = [
         (0.0, 0.0, Some(Transition::Emergent), "emergent failure"),
@@ -100,9 +101,9 @@ fn legend(top: f64) -> Markup {
         ),
     ];
     html! {
-        @for (x, below, transition, meaning) in entries {
-            (mark([x, top + below], transition))
-            (text(x + 18.0, top + below + 10.5, "small", meaning))
+        @for (x, offset, transition, meaning) in entries {
+            (mark([x, top + offset], transition))
+            (text(x + 18.0, top + offset + 10.5, "small", meaning))
         }
     }
 }
@@ -120,24 +121,26 @@ fn block(
         .map(|(_, row)| row.len())
         .max()
         .unwrap_or_default();
-    let top = y + BLOCK_HEAD;
+    let top = y + BLOCK_HEAD_HEIGHT;
     html! {
         (text(x, y + 14.0, "name", suite.name()))
         @for column in 0..columns.min(MAX_COLUMNS) {
             @let config = rows.clone().find_map(|(_, row)| Some(row.get(column)?.config));
             @let letter = if column == 0 { "c" } else { "" };
             @let name = config.map_or_else(String::new, |config| format!("{letter}{config}"));
-            (text(x + LABELS + SQUARE * (column as f64 + 0.5), y + 30.0, "tiny muted middle", &name))
+            (text(x + LABEL_WIDTH + SQUARE_PITCH * (column as f64 + 0.5), y + 30.0,
+                "tiny muted middle", &name))
         }
         @for (index, (task, row)) in rows.enumerate() {
-            @let below = top + SQUARE * index as f64;
-            (text(x + LABELS - 5.0, below + 10.5, "tiny muted end", &format!("t{}", task.index())))
+            @let row_top = top + SQUARE_PITCH * index as f64;
+            (text(x + LABEL_WIDTH - 5.0, row_top + 10.5, "tiny muted end",
+                &format!("t{}", task.index())))
             @for (column, matched) in row.iter().take(MAX_COLUMNS).enumerate() {
-                (square(matched, link, [x + LABELS + SQUARE * column as f64, below]))
+                (square(matched, link, [x + LABEL_WIDTH + SQUARE_PITCH * column as f64, row_top]))
             }
             @if row.len() > MAX_COLUMNS {
-                (text(x + LABELS + SQUARE * MAX_COLUMNS as f64 + 2.0, below + 10.5, "tiny muted",
-                    &format!("+{}", row.len() - MAX_COLUMNS)))
+                (text(x + LABEL_WIDTH + SQUARE_PITCH * MAX_COLUMNS as f64 + 2.0, row_top + 10.5,
+                    "tiny muted", &format!("+{}", row.len() - MAX_COLUMNS)))
             }
         }
     }
@@ -173,7 +176,7 @@ fn simultaneous_rollout(matched: &Matched) -> RolloutId {
 /// Draws a square with a cross for an emergent failure or a plus for a compensated
 /// success.
 fn mark([x, y]: [f64; 2], transition: Option<Transition>) -> Markup {
-    let side = SQUARE - 2.0;
+    let side = SQUARE_PITCH - 2.0;
     let class = match transition {
         Some(Transition::Emergent) => "emergent",
         Some(Transition::Compensated) => "compensated",
@@ -201,7 +204,7 @@ fn mark([x, y]: [f64; 2], transition: Option<Transition>) -> Markup {
 
 /// Returns the tooltip of a configuration: its outcomes in words.
 fn tooltip(matched: &Matched) -> String {
-    let named = |outcome: Outcome| -> Vec<&str> {
+    let conditions_with = |outcome: Outcome| -> Vec<&str> {
         let axes = Axis::ALL.into_iter().map(Condition::Single);
         axes.chain([Condition::Combination])
             .filter(|c| match c {
@@ -215,14 +218,14 @@ fn tooltip(matched: &Matched) -> String {
     let place = format!("{} c{}", matched.task, matched.config);
     let transition = matched.transition().map_or("incomplete", Transition::name);
     let mut tooltip = format!("{place}: {transition}");
-    for (outcome, what) in [
+    for (outcome, verb) in [
         (Outcome::Failure, "fails under"),
         (Outcome::Missing, "no result under"),
         (Outcome::Quarantined, "quarantined under"),
     ] {
-        let names = named(outcome);
+        let names = conditions_with(outcome);
         if !names.is_empty() {
-            tooltip.push_str(&format!("; {what} {}", names.join(", ")));
+            tooltip.push_str(&format!("; {verb} {}", names.join(", ")));
         }
     }
     tooltip

@@ -14,10 +14,10 @@ use super::{Figure, WIDTH};
 use crate::analysis::Analysis;
 use crate::words;
 
-const LABELS: f64 = 84.0;
-const REPLICATE: f64 = 20.0;
-const GAP: f64 = 12.0;
-const BAR_ROW: f64 = 24.0;
+const LABEL_WIDTH: f64 = 84.0;
+const REPLICATE_HEIGHT: f64 = 20.0;
+const LEVEL_GAP: f64 = 12.0;
+const BAR_ROW_HEIGHT: f64 = 24.0;
 
 /// Draws I with its interval for every replicate and level; `None` if there is only one
 /// replicate.
@@ -44,9 +44,9 @@ pub fn replicates(analysis: &Analysis) -> Option<Figure> {
     let largest = ends.fold(0.05, |most: f64, end| most.max(end.abs()));
     let step = if largest > 0.2 { 0.1 } else { 0.05 };
     let end = (largest / step).ceil() * step;
-    let scale = Scale::between([-end, end], [LABELS, WIDTH - 14.0]);
+    let scale = Scale::between([-end, end], [LABEL_WIDTH, WIDTH - 14.0]);
     let rows: usize = levels.values().map(Vec::len).sum();
-    let bottom = HEAD + REPLICATE * rows as f64 + GAP * levels.len() as f64;
+    let bottom = HEAD + REPLICATE_HEIGHT * rows as f64 + LEVEL_GAP * levels.len() as f64;
     let counts = words::counts(measures.map(|m| m.n));
     let mut y = HEAD;
     let body = html! {
@@ -55,12 +55,12 @@ pub fn replicates(analysis: &Analysis) -> Option<Figure> {
             &format!("I, points of success ({counts})")))
         (line("zero", [scale.at(0.0), HEAD], [scale.at(0.0), bottom]))
         @for (level, cells) in &levels {
-            @let first = y + GAP / 2.0 + REPLICATE / 2.0;
+            @let first = y + LEVEL_GAP / 2.0 + REPLICATE_HEIGHT / 2.0;
             (text(0.0, first + 4.0, "name", &level.to_string()))
             @for (index, cell) in cells.iter().enumerate() {
-                (replicate(&scale, cell, first + REPLICATE * index as f64))
+                (replicate(&scale, cell, first + REPLICATE_HEIGHT * index as f64))
             }
-            ({ y += REPLICATE * cells.len() as f64 + GAP; html! {} })
+            ({ y += REPLICATE_HEIGHT * cells.len() as f64 + LEVEL_GAP; html! {} })
         }
     };
     let title = format!(
@@ -77,7 +77,7 @@ fn replicate(scale: &Scale, cell: &Cell, y: f64) -> Markup {
     };
     let label = format!("seed {}", cell.replicate);
     html! {
-        (text(LABELS - 10.0, y + 4.0, "small muted end", &label))
+        (text(LABEL_WIDTH - 10.0, y + 4.0, "small muted end", &label))
         @match measures.i_ci95 {
             Some(interval) => (whisker(scale, interval, y)),
             None => (withheld(scale, measures.i, measures.no_interval, y)),
@@ -106,17 +106,17 @@ pub fn flips(analysis: &Analysis) -> Option<Figure> {
     }
     let step = if largest > 0.2 { 0.1 } else { 0.05 };
     let end = ((largest / step).ceil() * step).max(step);
-    let scale = Scale::between([0.0, end], [LABELS, WIDTH - 100.0]);
-    let bottom = HEAD + BAR_ROW * conditions.len() as f64;
+    let scale = Scale::between([0.0, end], [LABEL_WIDTH, WIDTH - 100.0]);
+    let bottom = HEAD + BAR_ROW_HEIGHT * conditions.len() as f64;
     let body = html! {
         (text(0.0, 15.0, "head", "Outcomes that another seed changes"))
         (scale.axis([HEAD, bottom], &percent_ticks([0.0, end], step, false),
             "flipped outcomes, % of rollouts"))
         @for (index, (condition, flips)) in conditions.iter().enumerate() {
-            @let y = HEAD + BAR_ROW * index as f64;
+            @let y = HEAD + BAR_ROW_HEIGHT * index as f64;
             @let rate = flips.rate().unwrap_or_default();
             (text(0.0, y + 16.0, "small", condition.label()))
-            (rect(LABELS, y + 5.0, scale.at(rate) - LABELS, 14.0, "bar"))
+            (rect(LABEL_WIDTH, y + 5.0, scale.at(rate) - LABEL_WIDTH, 14.0, "bar"))
             text class="small muted" x=(number(scale.at(rate) + 6.0)) y=(number(y + 16.0)) {
                 (words::percent(rate)) " % of " (flips.compared)
             }

@@ -10,41 +10,45 @@ use super::{Figure, WIDTH};
 use crate::words;
 
 /// Space for the numbers of the upright axis.
-const LABELS: f64 = 48.0;
-const PLOT: f64 = 190.0;
+const LABEL_WIDTH: f64 = 48.0;
+const PLOT_HEIGHT: f64 = 190.0;
 /// Height of the row that names the protocol's levels.
-const LEVELS: f64 = 18.0;
-const LEGEND: f64 = 36.0;
+const LEVEL_ROW_HEIGHT: f64 = 18.0;
+const LEGEND_HEIGHT: f64 = 36.0;
 /// Smallest distance between two numbers on an axis.
-const APART: f64 = 20.0;
-const SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
+const MIN_LABEL_DISTANCE: f64 = 20.0;
+const GRID_SHARES: [f64; 5] = [0.0, 0.25, 0.5, 0.75, 1.0];
 
 /// Draws the panel of a condition; `None` if the curve has no points.
 pub fn survival(curve: &Curve) -> Option<Figure> {
     if curve.points.is_empty() {
         return None;
     }
-    let scale = Scale::between([0.0, curve.largest_radius], [LABELS, WIDTH - MARGIN]);
-    let (top, bottom) = (HEAD + LEVELS, HEAD + LEVELS + PLOT);
+    let scale = Scale::between([0.0, curve.largest_radius], [LABEL_WIDTH, WIDTH - MARGIN]);
+    let (top, bottom) = (
+        HEAD + LEVEL_ROW_HEIGHT,
+        HEAD + LEVEL_ROW_HEIGHT + PLOT_HEIGHT,
+    );
     let place = Place { scale, bottom };
     let name = curve.condition.label();
     let body = html! {
         (text(0.0, 15.0, "head", name))
         (text(WIDTH, 15.0, "small muted end", &format!("{}, {}", half(curve), words::counts([curve.n]))))
         (scale.axis([top, bottom], &ticks(&scale, curve), "radius of the perturbation"))
-        @for share in SHARES {
+        @for share in GRID_SHARES {
             @let y = place.y(share);
-            (line("grid", [LABELS, y], [WIDTH - MARGIN, y]))
+            (line("grid", [LABEL_WIDTH, y], [WIDTH - MARGIN, y]))
             @let unit = if share >= 1.0 { " %" } else { "" };
-            (text(LABELS - 6.0, y + 4.0, "tiny muted end", &format!("{}{unit}", number(100.0 * share))))
+            (text(LABEL_WIDTH - 6.0, y + 4.0, "tiny muted end",
+                &format!("{}{unit}", number(100.0 * share))))
         }
         (intervals(&place, &curve.points))
         (brackets(&place, &curve.points))
         path class="curve" d=(path(curve.points.iter().map(|point| {
-            place.of(point.radius, point.survival)
+            place.point(point.radius, point.survival)
         }))) {}
         @for (level, point) in levels(&scale, curve) {
-            @let [x, y] = place.of(point.radius, point.survival);
+            @let [x, y] = place.point(point.radius, point.survival);
             (text(x, HEAD + 12.0, "small middle", &level.to_string()))
             g {
                 title { (level) ": " (words::percent(point.survival)) " %" }
@@ -58,7 +62,7 @@ pub fn survival(curve: &Curve) -> Option<Figure> {
         (legend(bottom + AXIS))
     };
     let title = format!("Share of configurations that still succeed, by radius: {name}");
-    let height = bottom + AXIS + LEGEND;
+    let height = bottom + AXIS + LEGEND_HEIGHT;
     Some(Figure::new(
         &format!("survival-{name}"),
         title,
@@ -92,10 +96,10 @@ struct Place {
 
 impl Place {
     fn y(&self, share: f64) -> f64 {
-        self.bottom - PLOT * share
+        self.bottom - PLOT_HEIGHT * share
     }
 
-    fn of(&self, radius: f64, share: f64) -> [f64; 2] {
+    fn point(&self, radius: f64, share: f64) -> [f64; 2] {
         [self.scale.at(radius), self.y(share)]
     }
 }
@@ -104,29 +108,29 @@ impl Place {
 fn ticks(scale: &Scale, curve: &Curve) -> Vec<(f64, String)> {
     let radii = [0.0].into_iter().chain(curve.grid.iter().copied());
     let label = |radius: f64| (radius, number(radius));
-    apart(scale, radii).into_iter().map(label).collect()
+    spaced(scale, radii).into_iter().map(label).collect()
 }
 
 /// Returns the protocol's levels whose labels fit on the axis, with the curve's point at
 /// each.
 fn levels<'a>(scale: &Scale, curve: &'a Curve) -> Vec<(Level, &'a Point)> {
-    let named = curve
+    let named_points = curve
         .points
         .iter()
         .filter_map(|point| Some((point.level?, point)));
-    let room = apart(scale, named.clone().map(|(level, _)| level.radius()));
-    named
-        .filter(|(level, _)| room.contains(&level.radius()))
+    let labelled = spaced(scale, named_points.clone().map(|(level, _)| level.radius()));
+    named_points
+        .filter(|(level, _)| labelled.contains(&level.radius()))
         .collect()
 }
 
-/// Drops each value that is closer than [`APART`] to the next larger kept value.
-fn apart(scale: &Scale, values: impl Iterator<Item = f64>) -> Vec<f64> {
+/// Drops each value that is closer than [`MIN_LABEL_DISTANCE`] to the next larger kept value.
+fn spaced(scale: &Scale, values: impl Iterator<Item = f64>) -> Vec<f64> {
     let mut values: Vec<f64> = values.collect();
     values.reverse();
     let mut kept: Vec<f64> = Vec::new();
     for value in values {
-        let has_room = |last: &f64| scale.at(*last) - scale.at(value) >= APART;
+        let has_room = |last: &f64| scale.at(*last) - scale.at(value) >= MIN_LABEL_DISTANCE;
         if kept.last().is_none_or(has_room) {
             kept.push(value);
         }
@@ -141,11 +145,11 @@ fn intervals(place: &Place, points: &[Point]) -> Markup {
     let ends = |point: &Point| point.ci95.unwrap_or([point.survival; 2]);
     let low = points
         .iter()
-        .map(|point| place.of(point.radius, ends(point)[0]));
+        .map(|point| place.point(point.radius, ends(point)[0]));
     let high = points
         .iter()
         .rev()
-        .map(|point| place.of(point.radius, ends(point)[1]));
+        .map(|point| place.point(point.radius, ends(point)[1]));
     html! { path class="band" d={ (path(low.chain(high))) "Z" } {} }
 }
 
@@ -159,7 +163,7 @@ fn brackets(place: &Place, points: &[Point]) -> Markup {
         path(
             steps
                 .into_iter()
-                .map(|(radius, share)| place.of(radius, share)),
+                .map(|(radius, share)| place.point(radius, share)),
         )
     };
     html! {
@@ -184,11 +188,11 @@ fn legend(top: f64) -> Markup {
         }
     };
     html! {
-        (key(LABELS, "curve", "still succeed"))
-        (key(LABELS + 150.0, "bracket", "least and most possible"))
-        rect class="band" x=(number(LABELS)) y=(number(top + 16.0)) width="18" height="10" {}
-        (text(LABELS + 24.0, top + 25.0, "small", "95 % interval"))
-        (diamond(LABELS + 159.0, top + 21.0, "open"))
-        (text(LABELS + 174.0, top + 25.0, "small", "half still succeed"))
+        (key(LABEL_WIDTH, "curve", "still succeed"))
+        (key(LABEL_WIDTH + 150.0, "bracket", "least and most possible"))
+        rect class="band" x=(number(LABEL_WIDTH)) y=(number(top + 16.0)) width="18" height="10" {}
+        (text(LABEL_WIDTH + 24.0, top + 25.0, "small", "95 % interval"))
+        (diamond(LABEL_WIDTH + 159.0, top + 21.0, "open"))
+        (text(LABEL_WIDTH + 174.0, top + 25.0, "small", "half still succeed"))
     }
 }

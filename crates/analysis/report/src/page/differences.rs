@@ -10,13 +10,13 @@ use paired::{ComparedCell, Difference, Interval, MeanDifference, Profile};
 use super::findings::sentence;
 use super::panels::figure;
 use super::sequential;
-use super::tables::{difference, or_dash, plain, table, with};
+use super::tables::{difference, or_dash, plain, table, with_note};
 use crate::comparison::{Comparison, Unpairable};
 use crate::figures;
 use crate::words::{self, percent, points};
 
 /// Renders the section with every pair of policies.
-pub(super) fn of_pairs(pairs: &[Result<Comparison, Unpairable>]) -> Markup {
+pub(super) fn section(pairs: &[Result<Comparison, Unpairable>]) -> Markup {
     let panels: Vec<_> = pairs
         .iter()
         .filter_map(|pair| figures::differences(pair.as_ref().ok()?))
@@ -33,7 +33,7 @@ pub(super) fn of_pairs(pairs: &[Result<Comparison, Unpairable>]) -> Markup {
                         (cells(comparison))
                         (profiles(comparison))
                         (progress(comparison))
-                        (sequential::of_two(comparison))
+                        (sequential::comparison_table(comparison))
                     }
                     Err(refused) => {
                         h3 { (refused.a) " and " (refused.b) " are not compared" }
@@ -47,7 +47,7 @@ pub(super) fn of_pairs(pairs: &[Result<Comparison, Unpairable>]) -> Markup {
 }
 
 /// Renders one comparison, for a page of its own.
-pub(super) fn of_one(comparison: &Comparison) -> Markup {
+pub(super) fn comparison(comparison: &Comparison) -> Markup {
     let notes: Vec<&String> = comparison
         .warnings
         .iter()
@@ -65,7 +65,7 @@ pub(super) fn of_one(comparison: &Comparison) -> Markup {
         (cells(comparison))
         (profiles(comparison))
         (progress(comparison))
-        (sequential::of_two(comparison))
+        (sequential::comparison_table(comparison))
         (explanation())
     }
 }
@@ -125,7 +125,7 @@ fn profiles(comparison: &Comparison) -> Markup {
     let row = |(cell, delta): (&ComparedCell, &Difference)| {
         let profile = &delta.profile;
         let better = &profile.improvement;
-        let extremes = profile.extremes().map(|extremes| extremes.map(of_task));
+        let extremes = profile.extremes().map(|extremes| extremes.map(task_change));
         let [least, most] = extremes.map_or([None, None], |extremes| extremes.map(Some));
         vec![
             plain(cell.name()),
@@ -133,7 +133,7 @@ fn profiles(comparison: &Comparison) -> Markup {
             interval(delta.simultaneous_ci95, points),
             or_dash(delta.equivalence_p.map(words::p_value)),
             plain(format!("{}:{}", profile.a_better, profile.b_better)),
-            with(
+            with_note(
                 percent(better.value),
                 &words::rate_interval(better.new_tasks, None),
             ),
@@ -150,13 +150,14 @@ fn profiles(comparison: &Comparison) -> Markup {
             p.muted {
                 "New tasks and directions: 95 % interval of A − B"
                 @if comparison.statistics.directions == Directions::Own {
-                    "; every task has directions of its own, so that tasks stand for both"
+                    "; every task has its own directions, so that the variation between tasks \
+                     covers both"
                 }
-                ". All rows together: intervals about new tasks that hold together. Beyond 5, p: test \
-                that A and B differ by more than 5 points; if it is small, they are equivalent. Tasks \
-                A:B: in how many A, and B, succeeds more often. A better: probability of improvement, \
-                that A succeeds more often in a task drawn at random, where ties count half, with its \
-                interval about new tasks."
+                ". All rows together: simultaneous intervals about new tasks. Beyond 5, p: p-value \
+                of the hypothesis that A and B differ by more than 5 points; if it is small, A and \
+                B are equivalent. Tasks A:B: number of tasks in which A, and B, succeeds more \
+                often. A better: probability that A succeeds more often in a task drawn at random, \
+                where ties count half, with its interval about new tasks."
             }
         }
     }
@@ -187,7 +188,7 @@ fn tasks(comparison: &Comparison) -> Markup {
     }
 }
 
-/// Renders partial progress; empty if nothing is known of both policies.
+/// Renders partial progress; empty unless it is known for both policies.
 fn progress(comparison: &Comparison) -> Markup {
     let heads = [
         "rollouts",
@@ -233,10 +234,10 @@ fn progress(comparison: &Comparison) -> Markup {
             h4 { "Partial progress" }
             (table("Partial progress", &heads, rows))
             p.muted {
-                "Secondary to success. Goal: share of the goal's predicates, the most that held together \
-                at any step. Steps: until success, or until the end of the budget, so that no rollout is \
-                left out for its outcome. 95 % intervals; Holm p: t test over tasks, corrected for the \
-                rows of a measure."
+                "Secondary to success. Goal: largest share of the goal's predicates that held \
+                together at any step. Steps: until success, or until the end of the budget, so \
+                that no rollout is left out for its outcome. 95 % intervals; Holm p: t test over \
+                tasks, corrected for the rows of a measure."
             }
         }
     }
@@ -249,7 +250,7 @@ fn compared(comparison: &Comparison) -> impl Iterator<Item = (&ComparedCell, &Di
     cells.filter_map(|cell| Some((cell, cell.difference.as_ref()?)))
 }
 
-fn of_task((task, change): (TaskRef, f64)) -> String {
+fn task_change((task, change): (TaskRef, f64)) -> String {
     format!("{task} {}", points(change))
 }
 
@@ -260,7 +261,7 @@ fn interval(ends: Option<Interval>, number: impl Fn(f64) -> String) -> Markup {
 fn row(cell: &ComparedCell) -> Vec<Markup> {
     let delta = cell.difference.as_ref();
     let n = delta.map_or(0, |delta| delta.n);
-    let cell_of = |value: fn(&Difference) -> Markup| or_dash(delta.map(value));
+    let formatted = |value: fn(&Difference) -> Markup| or_dash(delta.map(value));
     let gap = match (cell.missing, cell.quarantined) {
         (0, 0) => String::new(),
         (missing, 0) => format!("{missing} missing"),
@@ -269,13 +270,13 @@ fn row(cell: &ComparedCell) -> Vec<Markup> {
     };
     vec![
         plain(cell.name()),
-        with(n, &gap),
-        cell_of(|delta| plain(percent(delta.s_a))),
-        cell_of(|delta| plain(percent(delta.s_b))),
-        cell_of(|delta| difference(delta.difference, delta.difference_ci95, delta.no_interval)),
-        cell_of(|delta| plain(delta.a_only)),
-        cell_of(|delta| plain(delta.b_only)),
-        cell_of(|delta| plain(words::p_value(delta.holm_p))),
+        with_note(n, &gap),
+        formatted(|delta| plain(percent(delta.s_a))),
+        formatted(|delta| plain(percent(delta.s_b))),
+        formatted(|delta| difference(delta.difference, delta.difference_ci95, delta.no_interval)),
+        formatted(|delta| plain(delta.a_only)),
+        formatted(|delta| plain(delta.b_only)),
+        formatted(|delta| plain(words::p_value(delta.holm_p))),
     ]
 }
 

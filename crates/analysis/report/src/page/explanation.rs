@@ -7,51 +7,51 @@ use maud::{Markup, html};
 use paired::Transition;
 
 use super::panels::figure;
-use super::tables::{difference, plain, table, with};
+use super::tables::{difference, plain, table, with_note};
 use crate::analysis::Analysis;
 use crate::document::Document;
 use crate::explanation::{Findings, subset};
 use crate::figures::{self, Link};
 use crate::interactions::{AxisInteractions, LevelInteractions};
-use crate::subject::things;
+use crate::subject::pluralise;
 use crate::words::{percent, rate_interval};
 
 /// Renders the findings of every subject that explains another campaign.
 pub(super) fn findings(document: &Document, link: Option<Link>) -> Markup {
-    let found = document.analyses.iter();
-    let found = found.filter_map(|analysis| analysis.findings.as_ref());
-    html! { @for findings in found { (of_campaign(findings, link)) } }
+    let campaigns = document.analyses.iter();
+    let campaigns = campaigns.filter_map(|analysis| analysis.findings.as_ref());
+    html! { @for findings in campaigns { (campaign_sections(findings, link)) } }
 }
 
-fn of_campaign(found: &Findings, link: Option<Link>) -> Markup {
+fn campaign_sections(findings: &Findings, link: Option<Link>) -> Markup {
     let transitions = [Transition::Emergent, Transition::Compensated];
     let panels = transitions
         .iter()
-        .filter_map(|transition| figures::upset(found, *transition));
+        .filter_map(|transition| figures::upset(findings, *transition));
     html! {
         section {
             h2 { "Which axes it takes" }
-            p { code { (found.explained_by) } " " (found.progress_in_words()) "." }
+            p { code { (findings.explained_by) } " " (findings.progress_in_words()) "." }
             ul.findings {
-                @for transition in transitions { (in_words(found, transition)) }
-                (non_monotone(found))
+                @for transition in transitions { (transition_summary(findings, transition)) }
+                (non_monotone(findings))
             }
         }
         (figure("The smallest sets of axes that change the outcome. Each column of dots is one set: \
-            a filled dot is an axis that is perturbed. The bar above it says in how many \
+            a filled dot is an axis that is perturbed. The bar above it shows in how many \
             configurations that set changes the outcome and no smaller one that was run does; one \
             configuration can have several. Left, what makes a rollout fail that succeeds under \
             every axis alone; right, what makes a rollout succeed that fails under one axis alone.",
             panels.collect()))
-        (configurations(found, link))
+        (configurations(findings, link))
     }
 }
 
-/// Counts the configurations with a transition of this kind and names the subset that
-/// explains most.
-fn in_words(found: &Findings, transition: Transition) -> Markup {
-    let of_kind = |explained: &&Explained| explained.explanation.transition == transition;
-    let all: Vec<&Explained> = found.configurations.iter().filter(of_kind).collect();
+/// Renders the number of configurations with a transition of this kind and the subset that
+/// explains most of them.
+fn transition_summary(findings: &Findings, transition: Transition) -> Markup {
+    let is_of_kind = |explained: &&Explained| explained.explanation.transition == transition;
+    let all: Vec<&Explained> = findings.configurations.iter().filter(is_of_kind).collect();
     let is_established = |explained: &&&Explained| {
         let mut minimal = explained
             .explanation
@@ -61,17 +61,17 @@ fn in_words(found: &Findings, transition: Transition) -> Markup {
         minimal.all(adaptive::subsets::MinimalSubset::is_established)
     };
     let established = all.iter().filter(is_established).count();
-    let of_kind: Vec<&Occurrence> = found
+    let subsets: Vec<&Occurrence> = findings
         .subsets
         .iter()
         .filter(|occurrence| occurrence.transition == transition)
         .collect();
-    let most = of_kind
+    let most = subsets
         .iter()
         .map(|occurrence| occurrence.configurations)
         .max();
-    // All subsets that explain the most configurations, where several tie.
-    let first: Vec<&Occurrence> = of_kind
+    // Several subsets can explain the same, largest number of configurations.
+    let most_frequent: Vec<&Occurrence> = subsets
         .into_iter()
         .filter(|occurrence| Some(occurrence.configurations) == most)
         .collect();
@@ -93,15 +93,15 @@ fn in_words(found: &Findings, transition: Transition) -> Markup {
             li {
                 span class=(class) { (n) " " @if n == 1 { (one) } @else { (several) } }
                 ". "
-                @match first.as_slice() {
+                @match most_frequent.as_slice() {
                     [first] => {
                         "The most frequent minimal subset is "
                         strong { (subset(first.start, first.set)) }
-                        ", in " (things(most, "configuration")) "."
+                        ", in " (pluralise(most, "configuration")) "."
                     }
                     several => {
                         (several.len()) " minimal subsets are equally frequent, in "
-                        (things(most, "configuration")) " each."
+                        (pluralise(most, "configuration")) " each."
                     }
                 }
                 @if established == n {
@@ -115,23 +115,23 @@ fn in_words(found: &Findings, transition: Transition) -> Markup {
     }
 }
 
-/// Renders the table of larger subsets that undo the change of smaller ones.
-fn non_monotone(found: &Findings) -> Markup {
+/// Renders the number of larger subsets that undo the change of smaller ones.
+fn non_monotone(findings: &Findings) -> Markup {
     let pairs = |explained: &Explained| {
         let answers = explained.explanation.answers.iter();
         answers
             .map(|answer| answer.non_monotone.len())
             .sum::<usize>()
     };
-    let all: usize = found.configurations.iter().map(pairs).sum();
-    let concerned = found
+    let all: usize = findings.configurations.iter().map(pairs).sum();
+    let affected = findings
         .configurations
         .iter()
         .filter(|explained| pairs(explained) > 0);
     html! {
         @if all > 0 {
             li {
-                strong { "More axes can undo what fewer do" } ": in " (concerned.count())
+                strong { "More axes can undo what fewer do" } ": in " (affected.count())
                 " configurations a larger set that contains a minimal one does not change the \
                 outcome (" (all) @if all == 1 { " pair" } @else { " pairs" } " of sets, listed \
                 below as “undone by”)."
@@ -140,7 +140,7 @@ fn non_monotone(found: &Findings) -> Markup {
     }
 }
 
-fn configurations(found: &Findings, link: Option<Link>) -> Markup {
+fn configurations(findings: &Findings, link: Option<Link>) -> Markup {
     let name = |id: RolloutId| {
         html! {
             @match link {
@@ -166,7 +166,7 @@ fn configurations(found: &Findings, link: Option<Link>) -> Markup {
         "not enough.",
         "rollouts",
     ];
-    let rows: Vec<Vec<Markup>> = found.configurations.iter().map(row).collect();
+    let rows: Vec<Vec<Markup>> = findings.configurations.iter().map(row).collect();
     html! {
         @if !rows.is_empty() {
             section {
@@ -188,7 +188,9 @@ fn minimal(answer: &Answer) -> Markup {
             div {
                 (subset(answer.start, minimal.set))
                 @if !minimal.is_established() {
-                    span.muted { " (not established: " (minimal.open.len()) " smaller not run)" }
+                    span.muted {
+                        " (not established: " (minimal.open.len()) " smaller subsets not run)"
+                    }
                 }
             }
         }
@@ -207,39 +209,41 @@ fn unflipped(answer: &Answer) -> Markup {
     html! { div { (names.join(", ")) } }
 }
 
-/// Sections on the interactions of the axes, for every subject with whole lattices.
+/// Renders the sections on the interactions of the axes, for every subject with whole lattices.
 pub(super) fn interactions(document: &Document) -> Markup {
-    let found = document.analyses.iter();
-    let found = found.filter_map(|analysis| Some((analysis, analysis.interactions.as_ref()?)));
-    let found: Vec<(&Analysis, &AxisInteractions)> = found.collect();
+    let subjects = document.analyses.iter();
+    let subjects =
+        subjects.filter_map(|analysis| Some((analysis, analysis.interactions.as_ref()?)));
+    let subjects: Vec<(&Analysis, &AxisInteractions)> = subjects.collect();
     html! {
-        @if !found.is_empty() {
+        @if !subjects.is_empty() {
             section {
                 h2 { "How the axes interact" }
                 p {
-                    "Over the configurations of which every subset of the axes was run. What single \
-                    axes do, what pairs do beyond that, what triples do beyond both, and so on, add \
-                    up to the whole way from nominal to simultaneous success, exactly."
+                    "These figures cover the configurations of which every subset of the axes was \
+                    run. The effects of single axes, of pairs beyond single axes, of triples \
+                    beyond both, and so on, add up exactly to the change from nominal to \
+                    simultaneous success."
                 }
-                @for (_, interactions) in &found {
+                @for (_, interactions) in &subjects {
                     @for note in &interactions.notes { p { strong { (super::findings::sentence(note)) } } }
                 }
             }
-            @for (analysis, interactions) in &found {
-                @for level in &interactions.levels { (of_level(analysis, level)) }
+            @for (analysis, interactions) in &subjects {
+                @for level in &interactions.levels { (level_section(analysis, level)) }
             }
         }
     }
 }
 
-fn of_level(analysis: &Analysis, level: &LevelInteractions) -> Markup {
-    let found = &level.interactions;
+fn level_section(analysis: &Analysis, level: &LevelInteractions) -> Markup {
+    let interactions = &level.interactions;
     let row =
         |(set, success): (&libero_ctrl::AxisSet, &adaptive::subsets::Estimate)| {
-            let moebius = found.moebius.get(set);
+            let moebius = interactions.moebius.get(set);
             vec![
                 plain(set),
-                with(
+                with_note(
                     percent(success.value),
                     &rate_interval(success.ci95, success.no_interval),
                 ),
@@ -248,22 +252,22 @@ fn of_level(analysis: &Analysis, level: &LevelInteractions) -> Markup {
                 })),
             ]
         };
-    let rows: Vec<Vec<Markup>> = found.success.iter().map(row).collect();
+    let rows: Vec<Vec<Markup>> = interactions.success.iter().map(row).collect();
     html! {
-        (figure("Left, framed on the diagonal: each axis's share of the way from nominal to \
+        (figure("Left, framed on the diagonal: each axis's share of the change from nominal to \
             simultaneous success, averaged over all orders in which the axes can be added (Shapley \
-            value); the shares add up to the whole way. Below it: how much one axis changes the \
+            value); the shares add up to the whole change. Below it: how much one axis changes the \
             effect of the other (Shapley interaction index); negative where two axes do more harm \
             together than each by itself, positive where one makes up for the other, or where both \
-            do the same harm. Right, the whole way, by how many axes act together.",
+            do the same harm. Right: the change, by the number of axes that act together.",
             vec![
                 figures::interaction_matrix(analysis, level),
                 figures::additive(analysis, level),
             ]))
         details {
             summary {
-                "Every subset at " (level.level) ": success, and what its axes do beyond smaller \
-                subsets (" (found.n) " configurations"
+                "Every subset at " (level.level) ": success, and the effect of its axes beyond \
+                smaller subsets (" (interactions.n) " configurations"
                 @if level.left_out > 0 { "; " (level.left_out) " lack an outcome and are left out" }
                 ")"
             }

@@ -48,11 +48,11 @@ pub(super) fn subtitle(document: &Document) -> Markup {
 pub(super) fn warnings(document: &Document) -> Markup {
     let several = document.analyses.len() > 1;
     let label = |analysis: &Analysis| html! { @if several { strong { (analysis.label) ": " } } };
-    let any = document.analyses.iter().any(|analysis| {
+    let has_warnings = document.analyses.iter().any(|analysis| {
         !(analysis.report.notes.is_empty() && analysis.report.quarantined.is_empty())
     });
     html! {
-        @if any || !document.warnings.is_empty() {
+        @if has_warnings || !document.warnings.is_empty() {
             section.warnings role="note" aria-label="Warnings" {
                 h2 { "Before you believe these figures" }
                 ul {
@@ -98,7 +98,7 @@ fn in_code(text: &str) -> Markup {
 }
 
 /// Renders the findings of each policy: first those about the last level, then all others.
-pub(super) fn in_words(document: &Document) -> Markup {
+pub(super) fn section(document: &Document) -> Markup {
     let policies = document.analyses.iter().map(|analysis| {
         let findings = &analysis.report.findings;
         let last = findings.last().and_then(|finding| finding.level);

@@ -21,7 +21,7 @@ pub(super) fn tables(document: &Document) -> Markup {
     html! {
         @if !cells.is_empty() {
             section {
-                h2 { "How sure, and about what" }
+                h2 { "Uncertainty by target" }
                 (targets(&cells))
                 (floor(&cells))
                 (losses(&cells))
@@ -48,7 +48,7 @@ fn targets(cells: &Cells<'_>) -> Markup {
         let mut add = |name: &str, estimate: Option<&Estimate>, is_share: bool| {
             if let Some(estimate) = estimate {
                 let number = if is_share { percent } else { points };
-                let ends = |interval: Option<[f64; 2]>| spread(number, interval);
+                let ends = |interval: Option<[f64; 2]>| range(number, interval);
                 rows.push(vec![
                     text(policy),
                     text(cell.level),
@@ -89,10 +89,10 @@ fn targets(cells: &Cells<'_>) -> Markup {
     html! {
         (table("Intervals for each target", &heads, rows))
         p.muted {
-            "95 % intervals, and what they are about. These tasks and directions: other initial \
-            states and the chance of rollouts would change the figure so much. New tasks: other \
-            tasks of the same suites, under the same directions. New tasks and directions: other \
-            directions too; all tasks share the direction of configuration c. Relative \
+            "95 % intervals, each of which covers the variation of its target. These tasks and \
+            directions: other initial states, and chance. New tasks: other tasks of the same \
+            suites, under the same directions. New tasks and directions: other directions too; all \
+            tasks share the direction of configuration c. Relative \
             independence is nominal × Π (axis / nominal), which S_indep would be if it counted \
             nominal failures once."
         }
@@ -105,8 +105,8 @@ fn floor(cells: &Cells<'_>) -> Markup {
         "policy",
         "level",
         "measure.",
-        "level's",
-        "floor",
+        "at the level",
+        "noise floor",
         "above the floor",
         "new tasks",
     ];
@@ -129,17 +129,17 @@ fn floor(cells: &Cells<'_>) -> Markup {
                 text(percent(measure.value)),
                 text(percent(floor.value)),
                 text(points(above.value)),
-                spread(points, above.new_tasks),
+                range(points, above.new_tasks),
             ]);
         }
     }
     html! {
         @if !rows.is_empty() {
-            (table("What exceeds the noise floor", &heads, rows))
+            (table("Effects above the noise floor", &heads, rows))
             p.muted {
-                "The floor is what the measures come to at the placebo level L0, where nothing \
-                perceptible is done; it is averaged over which of a configuration's rollouts is \
-                taken for the simultaneous one."
+                "The noise floor is the value of a measure at the placebo level L0, whose \
+                perturbations are imperceptible, averaged over the choice of the rollout that \
+                stands for the simultaneous one."
             }
         }
     }
@@ -170,7 +170,7 @@ fn losses(cells: &Cells<'_>) -> Markup {
                 text(percent(loss.nominal.value)),
                 text(percent(loss.success.value)),
                 text(percent(loss.loss.value)),
-                spread(percent, loss.loss.new_tasks),
+                range(percent, loss.loss.new_tasks),
                 text(p_value(loss.holm_p)),
                 text(loss.equivalence_p.map_or_else(|| "–".to_owned(), p_value)),
             ]);
@@ -182,14 +182,14 @@ fn losses(cells: &Cells<'_>) -> Markup {
             p.muted {
                 "Loss: nominal success less success, over the same initial states. Holm p: exact \
                 sign-flip test over tasks, corrected for the conditions of the level. Beyond 5, p: \
-                test that the loss exceeds 5 points either way; if it is small, the condition costs \
-                nothing worth 5 points."
+                p-value of the hypothesis that success changes by more than 5 points; if it is \
+                small, the condition changes success by less."
             }
         }
     }
 }
 
-fn spread(number: fn(f64) -> String, interval: Option<[f64; 2]>) -> Markup {
+fn range(number: fn(f64) -> String, interval: Option<[f64; 2]>) -> Markup {
     text(interval.map_or_else(
         || "–".to_owned(),
         |[low, high]| format!("{} to {}", number(low), number(high)),

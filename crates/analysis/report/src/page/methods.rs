@@ -41,25 +41,25 @@ pub(super) fn methods(document: &Document) -> Markup {
                     "The paper's intervals, about new tasks under these directions, are 95 % percentile intervals of " (bootstrap.replicates)
                     " bootstrap replicates that resample whole tasks (ChaCha12, seed "
                     (bootstrap.seed) "). Fewer than "
-                    (MIN_TASKS) " tasks get no interval (“too few tasks”), because it would be too narrow: of \
-                    normally distributed tasks, what is called 95 % covers the truth in 50 % of \
-                    cases for two tasks, 85 % for five, 90 % for ten and 94 % for forty (Hesterberg, \
-                    The American Statistician 69, 2015; Cameron, Gelbach and Miller, Review of \
-                    Economics and Statistics 90, 2008). A measure that no resampling changes \
-                    gets none either (“no spread”): an interval without width would say nothing of its \
-                    uncertainty."
+                    (MIN_TASKS) " tasks get no interval (“too few tasks”), because it would be too \
+                    narrow: for normally distributed tasks, a nominal 95 % interval covers the \
+                    truth in 50 % of cases for two tasks, 85 % for five, 90 % for ten and 94 % for \
+                    forty (Hesterberg, The American Statistician 69, 2015; Cameron, Gelbach and \
+                    Miller, Review of Economics and Statistics 90, 2008). A measure that no \
+                    resampling changes gets none either (“no spread”): an interval without width \
+                    would say nothing about the uncertainty of the measure."
                 }
                 @if is_paired { " Incomplete configurations are in no paired figure." }
                 " Rollouts that infrastructure \
                 kept from finishing are never counted as failures. Computed by rollout "
                 (env!("CARGO_PKG_VERSION")) "."
             }
-            @for analysis in &document.analyses { (of_policy(analysis)) }
+            @for analysis in &document.analyses { (policy_methods(analysis)) }
         }
     }
 }
 
-fn of_policy(analysis: &Analysis) -> Markup {
+fn policy_methods(analysis: &Analysis) -> Markup {
     let subject = &analysis.subject;
     let distinct = |property: fn(&Provenance) -> String| -> Option<String> {
         let values: BTreeSet<String> = subject.provenances.iter().map(property).collect();
@@ -69,7 +69,7 @@ fn of_policy(analysis: &Analysis) -> Markup {
             .collect();
         (!values.is_empty()).then(|| values.join("; "))
     };
-    let named = |name: &str, digest: &str| match digest {
+    let with_digest = |name: &str, digest: &str| match digest {
         "" => name.to_owned(),
         digest => format!("{name}, SHA-256 {digest}"),
     };
@@ -97,14 +97,14 @@ fn of_policy(analysis: &Analysis) -> Markup {
     let packs: BTreeSet<String> = subject
         .provenances
         .iter()
-        .map(|p| named(&p.pin.asset_pack, &p.pin.asset_pack_digest))
+        .map(|p| with_digest(&p.pin.asset_pack, &p.pin.asset_pack_digest))
         .collect();
     let checkpoints: BTreeSet<String> = subject
         .provenances
         .iter()
         .map(|p| {
             let name = format!("{} {}", p.policy_name, p.policy_checkpoint);
-            named(name.trim(), &p.policy_checkpoint_digest)
+            with_digest(name.trim(), &p.policy_checkpoint_digest)
         })
         .collect();
     html! {
@@ -129,20 +129,20 @@ fn of_policy(analysis: &Analysis) -> Markup {
                 @if let Some(values) = values { dt { (name) } dd { (values) } }
             }
             @if subject.provenances.is_empty() {
-                dt { "simulator" } dd { "not known: result rows do not say" }
+                dt { "simulator" } dd { "not known: result rows do not name it" }
             }
         }
     }
 }
 
-/// Describes how many actions were clipped, which bounds the effect of clipping before or
-/// after the actuation axis.
-fn beyond(of: BeyondRange, realisation: Option<Realisation>) -> String {
+/// Describes the number of clipped actions; it bounds the effect of clipping before or after the
+/// actuation axis.
+fn beyond(range: BeyondRange, realisation: Option<Realisation>) -> String {
     let BeyondRange {
         actions,
         of_actions,
         rollouts,
-    } = of;
+    } = range;
     let when = match realisation {
         Some(Realisation::Reference) => "after",
         _ => "before",

@@ -10,14 +10,14 @@ use crate::document::Document;
 use crate::sequential::percent_text;
 
 /// Renders the section; empty if no campaign may end early.
-pub(super) fn of_campaigns(document: &Document) -> Markup {
+pub(super) fn section(document: &Document) -> Markup {
     let analyses = document.analyses.iter();
-    let all = analyses
+    let campaigns = analyses
         .filter_map(|analysis| Some((analysis.label.as_str(), analysis.sequential.as_ref()?)));
-    let all: Vec<_> = all.collect();
+    let campaigns: Vec<_> = campaigns.collect();
     let mut heads = vec!["policy", "level", "configurations"];
     heads.extend(["S_sim %", "R_e %", "R_c %", "R_d %", "I points"]);
-    let rows = all.iter().flat_map(|(label, sequential)| {
+    let rows = campaigns.iter().flat_map(|(label, sequential)| {
         sequential.levels.iter().map(move |(level, intervals)| {
             let used = format!("{} of {}", sequential.used, sequential.configurations);
             let mut row = vec![plain(label), plain(level), plain(used)];
@@ -35,11 +35,11 @@ pub(super) fn of_campaigns(document: &Document) -> Markup {
         })
     });
     html! {
-        @if !all.is_empty() {
+        @if !campaigns.is_empty() {
             section {
                 h2 { "Confidence sequences" }
                 (table("Confidence sequences", &heads, rows.collect()))
-                @for (label, sequential) in &all {
+                @for (label, sequential) in &campaigns {
                     p.muted { (label) ": " (sentence(&sequential.explanation())) }
                 }
             }
@@ -48,7 +48,7 @@ pub(super) fn of_campaigns(document: &Document) -> Markup {
 }
 
 /// Renders the table of two policies; empty if they did not run in the same drawn order.
-pub(super) fn of_two(comparison: &Comparison) -> Markup {
+pub(super) fn comparison_table(comparison: &Comparison) -> Markup {
     let heads = ["rollouts", "configurations", "A − B points"];
     html! {
         @if let Some(sequential) = &comparison.sequential {

@@ -37,7 +37,7 @@ fn rows(document: &Document) -> impl Iterator<Item = Row<'_>> {
 /// Renders a table in a scrolling box that the keyboard reaches; empty without rows. A
 /// column whose head ends with a full stop is aligned as text, the others as numbers.
 pub(super) fn table(name: &str, heads: &[&str], rows: Vec<Vec<Markup>>) -> Markup {
-    let is_words = |column: usize| heads[column].ends_with('.').then_some("words");
+    let class = |column: usize| heads[column].ends_with('.').then_some("words");
     html! {
         @if !rows.is_empty() {
             div.scroll tabindex="0" role="region" aria-label=(name) {
@@ -45,7 +45,7 @@ pub(super) fn table(name: &str, heads: &[&str], rows: Vec<Vec<Markup>>) -> Marku
                     thead {
                         tr {
                             @for (column, head) in heads.iter().enumerate() {
-                                th scope="col" class=[is_words(column)] {
+                                th scope="col" class=[class(column)] {
                                     (head.trim_end_matches('.'))
                                 }
                             }
@@ -56,7 +56,7 @@ pub(super) fn table(name: &str, heads: &[&str], rows: Vec<Vec<Markup>>) -> Marku
                             tr {
                                 th scope="row" { (row[0]) }
                                 @for (column, value) in row.iter().enumerate().skip(1) {
-                                    td class=[is_words(column)] { (value) }
+                                    td class=[class(column)] { (value) }
                                 }
                             }
                         }
@@ -77,12 +77,12 @@ pub(super) fn or_dash(value: Option<impl Render>) -> Markup {
 }
 
 /// Renders a value with a smaller line below it.
-pub(super) fn with(value: impl Display, below: &str) -> Markup {
+pub(super) fn with_note(value: impl Display, below: &str) -> Markup {
     html! { (value.to_string()) @if !below.is_empty() { small { (below.trim_start()) } } }
 }
 
 fn rate(rate: f64, interval: Option<Interval>, why: Option<NoInterval>) -> Markup {
-    with(percent(rate), &rate_interval(interval, why))
+    with_note(percent(rate), &rate_interval(interval, why))
 }
 
 pub(super) fn difference(
@@ -90,7 +90,7 @@ pub(super) fn difference(
     interval: Option<Interval>,
     why: Option<NoInterval>,
 ) -> Markup {
-    with(points(difference), &points_interval(interval, why))
+    with_note(points(difference), &points_interval(interval, why))
 }
 
 type Column = (&'static str, fn(&Measures) -> Markup);
@@ -135,7 +135,7 @@ pub(super) fn paired(document: &Document) -> Markup {
         let mut values = vec![
             plain(policy),
             plain(cell.level),
-            with(completeness.complete, &expected),
+            with_note(completeness.complete, &expected),
         ];
         let measures = cell.paired.as_ref();
         values.extend(PAIRED.map(|(head, value)| {
@@ -157,8 +157,9 @@ pub(super) fn paired(document: &Document) -> Markup {
             simultaneous rollout fails (emergent). c: some axis alone fails, the simultaneous \
             rollout succeeds (compensated). R_e = b/n, R_c = c/n, R_d = R_e + R_c, I = R_c − R_e. \
             Emergent share: b of all simultaneous failures. In brackets, 95 % intervals; where \
-            one would mislead, why (see Methods). Detectable |I|, in points: the smallest net effect \
-            that so many configurations, with so many changes, show in four of five repetitions."
+            an interval would mislead, the reason (see Methods). Detectable |I|, in points: the \
+            smallest net effect that this number of configurations, with this rate of changes, \
+            shows in four of five repetitions."
             @if rows(document).any(|row| !row.overstated.is_empty()) { " *: " (OVERSTATED) "." }
         }
     }
@@ -178,7 +179,7 @@ pub(super) fn nominal(document: &Document) -> Markup {
                 Some(GateVerdict::Passed) => "passed",
                 Some(GateVerdict::Failed) => "failed: robustness is not to be interpreted",
                 Some(GateVerdict::Undecided) => {
-                    "undecided: not all 2,000 nominal rollouts are there"
+                    "undecided: not all 2,000 nominal rollouts have a result"
                 }
                 None => "no published figure",
             }),
@@ -195,7 +196,7 @@ fn nominal_counts(nominal: &Nominal) -> Markup {
         NominalSource::Reported => Some("as reported".to_owned()),
         NominalSource::Records => gap_words(&nominal.gap),
     };
-    with(format!("{successes}/{n}"), &below.unwrap_or_default())
+    with_note(format!("{successes}/{n}"), &below.unwrap_or_default())
 }
 
 fn gap_words(gap: &Gap) -> Option<String> {
@@ -209,13 +210,13 @@ fn gap_words(gap: &Gap) -> Option<String> {
 
 /// Renders the table of success under each single axis, with counts, losses and gaps.
 pub(super) fn single_axes(document: &Document) -> Markup {
-    let has = |axis: &Axis| rows(document).any(|row| row.cell.alone.contains_key(axis));
-    let axes: Vec<Axis> = Axis::ALL.into_iter().filter(has).collect();
+    let is_run = |axis: &Axis| rows(document).any(|row| row.cell.alone.contains_key(axis));
+    let axes: Vec<Axis> = Axis::ALL.into_iter().filter(is_run).collect();
     let names: Vec<String> = axes.iter().map(|axis| format!("{axis} %")).collect();
     let mut heads = vec!["policy", "level"];
     heads.extend(names.iter().map(String::as_str));
-    let is_late = rows(document).any(|row| row.cell.latency.is_some());
-    heads.extend(is_late.then_some("latency %"));
+    let has_latency = rows(document).any(|row| row.cell.latency.is_some());
+    heads.extend(has_latency.then_some("latency %"));
     heads.push("simultaneous %");
     let values = |Row { policy, cell, .. }: Row| {
         let alone = |axis: &Axis| {
@@ -226,10 +227,11 @@ pub(super) fn single_axes(document: &Document) -> Markup {
         };
         let mut values = vec![plain(policy), plain(cell.level)];
         values.extend(axes.iter().map(alone));
-        values.extend(is_late.then(|| {
-            let late = cell.latency.as_ref();
-            let loss = late.and_then(|late| late.clean_relative_loss);
-            success(cell, Condition::Latency, late.map(|late| late.count), loss)
+        values.extend(has_latency.then(|| {
+            let latency = cell.latency.as_ref();
+            let loss = latency.and_then(|latency| latency.clean_relative_loss);
+            let count = latency.map(|latency| latency.count);
+            success(cell, Condition::Latency, count, loss)
         }));
         values.push(success(
             cell,
@@ -242,8 +244,8 @@ pub(super) fn single_axes(document: &Document) -> Markup {
     html! {
         (table("Single axes", &heads, rows(document).map(values).collect()))
         p.muted {
-            "Success over all rollouts that have a result, complete configuration or not. Loss: 1 − \
-            success / nominal success, in percent."
+            "Success over all rollouts that have a result, also of incomplete configurations. \
+            Loss: 1 − success / nominal success, in percent."
         }
     }
 }
@@ -251,7 +253,7 @@ pub(super) fn single_axes(document: &Document) -> Markup {
 /// Renders the table of success under proper subsets of the axes, for campaigns that run
 /// them.
 pub(super) fn subsets(document: &Document) -> Markup {
-    let of_cell = |Row { policy, cell, .. }: Row| {
+    let subset_rows = |Row { policy, cell, .. }: Row| {
         let subsets = cell.subsets.iter();
         let subsets = subsets.map(|(axes, count)| {
             vec![
@@ -265,7 +267,7 @@ pub(super) fn subsets(document: &Document) -> Markup {
         subsets.collect::<Vec<_>>()
     };
     let heads = ["policy", "level", "axes.", "success %", "counts"];
-    let rows: Vec<Vec<Markup>> = rows(document).flat_map(of_cell).collect();
+    let rows: Vec<Vec<Markup>> = rows(document).flat_map(subset_rows).collect();
     html! {
         @if !rows.is_empty() {
             details {
@@ -317,10 +319,10 @@ pub(super) fn replication(analysis: &Analysis) -> Markup {
         let (compared, replicate) = (replication.flips.compared, replication.replicate);
         flips.push(format!("{rate} % of {compared} in replicate {replicate}"));
         for (level, change) in &replication.changes {
-            let again = (change.changed > 0).then(|| {
+            let recurrence = (change.changed > 0).then(|| {
                 let share = change.changed_again as f64 / change.changed as f64;
                 let counts = format!("{}/{}", change.changed_again, change.changed);
-                with(percent(share), &counts)
+                with_note(percent(share), &counts)
             });
             rows.push(vec![
                 plain(format!("{replicate} against 0")),
@@ -330,15 +332,16 @@ pub(super) fn replication(analysis: &Analysis) -> Markup {
                 difference(change.r_e, change.r_e_ci95, change.no_interval),
                 difference(change.r_c, change.r_c_ci95, change.no_interval),
                 plain(percent(change.same_transition as f64 / change.n as f64)),
-                or_dash(again),
+                or_dash(recurrence),
             ]);
         }
     }
     html! {
         (table("Replication", &heads, rows))
         p.muted {
-            "Rollouts whose outcome is another than in replicate 0: " (flips.join("; ")) ". Changes \
-            that recur: of the emergent failures and compensated successes of replicate 0."
+            "Rollouts whose outcome differs from that in replicate 0: " (flips.join("; ")) ". \
+            Changes that recur: share of the emergent failures and compensated successes of \
+            replicate 0 that occur again."
         }
     }
 }
@@ -374,7 +377,7 @@ pub(super) fn solvable(document: &Document) -> Markup {
     html! {
         @if !rows.is_empty() {
             section {
-                h2 { "Only what was solvable to begin with" }
+                h2 { "Solvable configurations only" }
                 p { "The same measures over configurations whose nominal rollout succeeds." }
                 (table("Solvable configurations", &heads, rows))
             }
@@ -385,7 +388,7 @@ pub(super) fn solvable(document: &Document) -> Markup {
 /// Renders the range of each measure over all possible outcomes of quarantined rollouts.
 pub(super) fn bounds(document: &Document) -> Markup {
     let range = |[low, high]: [f64; 2]| plain(format!("{} to {}", percent(low), percent(high)));
-    let of_bounds = |policy: &str, cell: &Cell, bounds: &Bounds| {
+    let bounds_row = |policy: &str, cell: &Cell, bounds: &Bounds| {
         let [low, high] = bounds.i.map(points);
         vec![
             plain(policy),
@@ -399,7 +402,7 @@ pub(super) fn bounds(document: &Document) -> Markup {
             range(bounds.s_sim),
         ]
     };
-    let values = |row: Row| Some(of_bounds(row.policy, row.cell, row.cell.bounds.as_ref()?));
+    let values = |row: Row| Some(bounds_row(row.policy, row.cell, row.cell.bounds.as_ref()?));
     let rows: Vec<Vec<Markup>> = rows(document).filter_map(values).collect();
     let heads = [
         "policy", "level", "n", "affected", "I points", "R_e %", "R_c %", "S_conj %", "S_sim %",
@@ -420,7 +423,7 @@ pub(super) fn bounds(document: &Document) -> Markup {
 
 /// Renders the table of quarantined rollouts with their last errors.
 pub(super) fn quarantine(document: &Document) -> Markup {
-    let of_policy = |analysis: &Analysis| -> Vec<Vec<Markup>> {
+    let quarantine_rows = |analysis: &Analysis| -> Vec<Vec<Markup>> {
         let errors = analysis.subject.errors.iter();
         let row = errors.map(|quarantined| {
             let rollout = html! { code { (quarantined.rollout) } };
@@ -432,7 +435,7 @@ pub(super) fn quarantine(document: &Document) -> Markup {
         });
         row.collect()
     };
-    let rows: Vec<Vec<Markup>> = document.analyses.iter().flat_map(of_policy).collect();
+    let rows: Vec<Vec<Markup>> = document.analyses.iter().flat_map(quarantine_rows).collect();
     html! {
         @if !rows.is_empty() {
             section {

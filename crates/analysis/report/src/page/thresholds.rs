@@ -5,13 +5,13 @@ use adaptive::radii::Curve;
 use maud::{Markup, html};
 
 use super::panels::figure;
-use super::tables::{plain, table, with};
+use super::tables::{plain, table, with_note};
 use crate::document::Document;
 use crate::figures;
 use crate::threshold_report::{Measured, ThresholdReport};
 use crate::words;
 
-/// Sections of every subject that measures thresholds.
+/// Renders the sections of every subject that measures thresholds.
 pub(super) fn sections(document: &Document) -> Markup {
     let reports = document.analyses.iter();
     let reports = reports.filter_map(|analysis| analysis.thresholds.as_ref());
@@ -23,12 +23,12 @@ fn section(report: &ThresholdReport) -> Markup {
         section {
             h2 { "How far" }
             p { code { (report.measured_by) } " " (report.progress_in_words()) "." }
-            (figure("How many configurations still succeed, by how strongly they are perturbed: \
-                nominally, and at every radius up to this one that was run. L1, L2 and L3 are the \
-                paper's levels. A configuration fails somewhere between two radii that were run: \
-                the dashed lines are the least and the most that still succeed, wherever that is. \
-                The diamond is where half of all configurations still succeed, the whisker its 95 % \
-                interval.",
+            (figure("Configurations that still succeed, by radius of the perturbation: those that \
+                succeed nominally and at every radius up to this one that was run. L1, L2 and L3 \
+                are the paper's levels. A configuration fails somewhere between two radii that \
+                were run: the dashed lines are the smallest and the largest possible share. The \
+                diamond marks the radius at which half of all configurations still succeed; the \
+                whisker is its 95 % interval.",
                 figures::of_thresholds(report)))
             (half_success(&report.curves))
             (not_monotone(&report.thresholds))
@@ -50,7 +50,7 @@ fn half_success(curves: &[Curve]) -> Markup {
         vec![
             plain(curve.condition.label()),
             plain(curve.n),
-            with(
+            with_note(
                 words::half_success(curve),
                 &words::half_success_interval(&curve.half_success),
             ),
@@ -60,8 +60,8 @@ fn half_success(curves: &[Curve]) -> Markup {
             plain(curve.left_out),
         ]
     };
-    let drawn = curves.iter().filter(|curve| curve.n > 0);
-    table("Half-success radius", &heads, drawn.map(row).collect())
+    let not_empty = curves.iter().filter(|curve| curve.n > 0);
+    table("Half-success radius", &heads, not_empty.map(row).collect())
 }
 
 /// Renders the table of configurations that succeed again beyond a failure.
@@ -88,7 +88,7 @@ fn not_monotone(thresholds: &[Measured]) -> Markup {
     let rows: Vec<Vec<Markup>> = not_monotone.map(row).collect();
     html! {
         @if !rows.is_empty() {
-            h3 { "Not monotone: they succeed again beyond a failure" }
+            h3 { "Not monotone: configurations that succeed again beyond a failure" }
             (table("Not monotone", &heads, rows))
         }
     }

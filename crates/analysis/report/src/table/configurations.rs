@@ -1,8 +1,8 @@
 //! A row per policy, replicate, level, task and configuration, with all its outcomes.
 //!
 //! An outcome is true, false or empty; for an empty one, the column `unresolved` says
-//! whether it is missing or quarantined. Of each outcome, `…_goal` is the largest share of the
-//! goal's predicates that held together, and `…_steps` the control steps until its end.
+//! whether it is missing or quarantined. For each outcome, `…_goal` is the largest share of the
+//! goal's predicates that held together, and `…_steps` the number of control steps of the rollout.
 
 use libero_ctrl::{Axis, Condition};
 use paired::{Matched, Outcome, Progress};
@@ -19,7 +19,7 @@ pub(super) fn table(document: &Document) -> Table<Row<'_>> {
         configurations.map(move |matched| (analysis, matched))
     });
     Table {
-        of: "configurations",
+        name: "configurations",
         columns: columns().into(),
         rows: rows.collect(),
     }
@@ -124,10 +124,10 @@ fn steps((analysis, matched): &Row<'_>, condition: Condition) -> Value {
     Value::Integer(progress.and_then(|progress| progress.steps).map(i64::from))
 }
 
-/// Lists the campaign's conditions without an outcome.
+/// Lists the conditions of the campaign under which the configuration has no outcome.
 fn unresolved(matched: &Matched) -> Value {
     let alone = matched.alone.keys().copied().map(Condition::Single);
-    let named = alone
+    let unresolved = alone
         .chain(matched.latency.map(|_| Condition::Latency))
         .chain([Condition::Combination])
         .filter_map(|condition| match matched.outcome(condition) {
@@ -135,6 +135,6 @@ fn unresolved(matched: &Matched) -> Value {
             Outcome::Quarantined => Some(format!("{condition} quarantined")),
             Outcome::Success | Outcome::Failure => None,
         });
-    let named: Vec<String> = named.collect();
-    Value::Text((!named.is_empty()).then(|| named.join(", ")))
+    let unresolved: Vec<String> = unresolved.collect();
+    Value::Text((!unresolved.is_empty()).then(|| unresolved.join(", ")))
 }

@@ -14,9 +14,9 @@ pub(super) struct Row<'a> {
 }
 
 pub(super) fn table(document: &Document) -> Table<Row<'_>> {
-    let found = document.analyses.iter();
-    let found = found.filter_map(|analysis| analysis.findings.as_ref());
-    let rows = found.flat_map(|findings| {
+    let campaigns = document.analyses.iter();
+    let campaigns = campaigns.filter_map(|analysis| analysis.findings.as_ref());
+    let rows = campaigns.flat_map(|findings| {
         findings.configurations.iter().flat_map(move |explained| {
             let answers = explained.explanation.answers.iter();
             answers.flat_map(move |answer| {
@@ -30,7 +30,7 @@ pub(super) fn table(document: &Document) -> Table<Row<'_>> {
         })
     });
     Table {
-        of: "explanations",
+        name: "explanations",
         columns: columns().into(),
         rows: rows.collect(),
     }

@@ -38,6 +38,7 @@ pub(super) enum Value {
 /// Type of a column.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum Kind {
+    /// Integer that is never null.
     Number,
     /// Nullable integer.
     Integer,
@@ -49,9 +50,9 @@ pub(super) enum Kind {
 /// A column: its name, its type, and a function that returns a row's value.
 pub(super) type Column<R> = (&'static str, Kind, fn(&R) -> Value);
 
-/// A table: the name of its rows, its columns and its rows.
+/// A table: its name in the Parquet schema, its columns and its rows.
 pub(super) struct Table<R> {
-    pub(super) of: &'static str,
+    pub(super) name: &'static str,
     pub(super) columns: Vec<Column<R>>,
     pub(super) rows: Vec<R>,
 }
@@ -71,14 +72,17 @@ impl<R> Table<R> {
     }
 
     /// Writes the table as one row group without compression. Its footer holds pandas
-    /// metadata that preserves the types of nullable columns, see [`for_pandas`].
+    /// metadata that preserves the types of nullable columns, see [`pandas_metadata`].
     pub(super) fn parquet(&self, out: impl Write + Send) -> Result<(), TableError> {
         let fields = self.columns.iter();
         let fields = fields.map(|(name, kind, _)| field(name, *kind).map(Arc::new));
         let fields: Result<Vec<_>, _> = fields.collect();
-        let schema = Type::group_type_builder(self.of).with_fields(fields?);
-        let about = KeyValue::new("pandas".to_owned(), for_pandas(&self.columns).to_string());
-        let properties = WriterProperties::builder().set_key_value_metadata(Some(vec![about]));
+        let schema = Type::group_type_builder(self.name).with_fields(fields?);
+        let pandas = KeyValue::new(
+            "pandas".to_owned(),
+            pandas_metadata(&self.columns).to_string(),
+        );
+        let properties = WriterProperties::builder().set_key_value_metadata(Some(vec![pandas]));
         let properties = Arc::new(properties.build());
         let mut file = SerializedFileWriter::new(out, Arc::new(schema.build()?), properties)?;
         let mut group = file.next_row_group()?;
@@ -112,7 +116,7 @@ impl<R> Table<R> {
                     let reals: Vec<f64> = reals.flatten().collect();
                     writer.write_batch(&reals, Some(&levels), None)?;
                 }
-                _ => unreachable!("columns are texts, booleans, integers and numbers"),
+                _ => unreachable!("columns are texts, booleans, integers and doubles"),
             }
             column.close()?;
         }
@@ -125,7 +129,7 @@ impl<R> Table<R> {
 /// Returns the footer's entry `pandas`. Without it, pandas reads nullable booleans and strings
 /// as columns of type `object` with `None` for absent values.
 /// Format: <https://pandas.pydata.org/docs/development/developer.html>.
-fn for_pandas<R>(columns: &[Column<R>]) -> Json {
+fn pandas_metadata<R>(columns: &[Column<R>]) -> Json {
     let column = |(name, kind, _): &Column<R>| {
         let (pandas_type, numpy_type) = match kind {
             Kind::Number => ("int64", "int64"),

@@ -54,7 +54,7 @@ pub fn write_results_parquet(
 ) -> Result<(), TableError> {
     let columns = columns().into();
     let table = Table {
-        of: "results",
+        name: "results",
         columns,
         rows,
     };
@@ -94,7 +94,7 @@ fn columns() -> [Column<ResultRow>; 20] {
         ("goal_at_most", Integer, |row| {
             Value::Integer(row.goal_at_most.map(i64::from))
         }),
-        ("protocol", Text, |it| Value::Text(it.protocol.clone())),
-        ("prompt", Text, |it| Value::Text(it.prompt.clone())),
+        ("protocol", Text, |row| Value::Text(row.protocol.clone())),
+        ("prompt", Text, |row| Value::Text(row.prompt.clone())),
     ]
 }

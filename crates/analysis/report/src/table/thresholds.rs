@@ -16,7 +16,7 @@ pub(super) fn table(document: &Document) -> Table<Row<'_>> {
             .map(move |measured| (report, measured))
     });
     Table {
-        of: "thresholds",
+        name: "thresholds",
         columns: columns().into(),
         rows: rows.collect(),
     }

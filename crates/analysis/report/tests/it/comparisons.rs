@@ -8,7 +8,7 @@ use report::{Comparison, Document, Origin, Setups, Subject, Unpairable, figures,
 use rollout_types::{GoalProgress, Pin, Provenance};
 use serde_json::{Value, json};
 
-use crate::fits_a_terminal;
+use crate::assert_fits_a_terminal;
 
 /// Returns a campaign with the published outcomes of OpenVLA-OFT.
 fn campaign(policy: &str) -> Subject {
@@ -37,9 +37,9 @@ fn campaign(policy: &str) -> Subject {
     }
 }
 
-/// Subject that fails where the index of the row is a multiple of thirteen, and succeeds where it
-/// is a multiple of seventeen.
-fn other(policy: &str) -> Subject {
+/// Returns a campaign that fails where the index of the row is a multiple of thirteen, and succeeds
+/// where it is a multiple of seventeen.
+fn altered(policy: &str) -> Subject {
     let mut subject = campaign(policy);
     for (index, record) in subject.records.iter_mut().enumerate() {
         if index.is_multiple_of(17) {
@@ -54,21 +54,21 @@ fn other(policy: &str) -> Subject {
 fn compare(a: Subject, b: Subject) -> Result<Comparison, Unpairable> {
     let document = Document::new(vec![a, b]).expect("no duplicates");
     let [a, b] = document.analyses.as_slice() else {
-        panic!("two");
+        panic!("two analyses");
     };
     Comparison::of([a, b], [&a.subject.setups, &b.subject.setups])
 }
 
 #[test]
 fn json_has_every_condition_at_every_level_with_its_counts() {
-    let (a, b) = (campaign("first"), other("second"));
+    let (a, b) = (campaign("first"), altered("second"));
     // Counts the expected pairs by position: both subjects list their rollouts in the same order.
     let is_cell =
         |id: &RolloutId| id.level().to_string() == "L2" && id.condition() == Condition::Combination;
-    let both = a.records.iter().zip(&b.records);
-    let both = both.filter(|(a, _)| is_cell(&a.id));
+    let pairs = a.records.iter().zip(&b.records);
+    let pairs = pairs.filter(|(a, _)| is_cell(&a.id));
     let only = |one: Outcome, other: Outcome| {
-        let found = both
+        let found = pairs
             .clone()
             .filter(|(a, b)| (a.outcome, b.outcome) == (one, other));
         found.count()
@@ -134,7 +134,7 @@ fn reasons(a: Subject, b: Subject) -> String {
 #[test]
 fn policies_measured_differently_are_not_compared_and_the_difference_is_named() {
     let with = |alter: fn(&mut Pin)| {
-        let mut subject = other("second");
+        let mut subject = altered("second");
         alter(&mut subject.provenances[0].pin);
         reasons(campaign("first"), subject)
     };
@@ -156,7 +156,7 @@ fn policies_measured_differently_are_not_compared_and_the_difference_is_named() 
         message.contains("more than one MuJoCo version"),
         "{message}"
     );
-    let mut reference = other("second");
+    let mut reference = altered("second");
     reference.realisation = Some("reference".parse().expect("a mode"));
     let message = reasons(campaign("first"), reference);
     assert!(
@@ -164,7 +164,7 @@ fn policies_measured_differently_are_not_compared_and_the_difference_is_named() 
         "{message}"
     );
     // A subject that mixes two packs is comparable with no subject, not even with itself.
-    let mut mixed = other("second");
+    let mut mixed = altered("second");
     let mut more = mixed.provenances[0].clone();
     more.pin.asset_pack_digest = "b".repeat(64);
     mixed.provenances.push(more);
@@ -175,7 +175,7 @@ fn policies_measured_differently_are_not_compared_and_the_difference_is_named() 
 #[test]
 fn policies_without_a_common_rollout_are_not_compared() {
     let is_l1 = |id: &RolloutId| id.level().to_string() == "L1";
-    let (mut a, mut b) = (campaign("first"), other("second"));
+    let (mut a, mut b) = (campaign("first"), altered("second"));
     a.records.retain(|record| is_l1(&record.id));
     b.records.retain(|record| !is_l1(&record.id));
     let message = reasons(a, b);
@@ -184,7 +184,7 @@ fn policies_without_a_common_rollout_are_not_compared() {
 
 #[test]
 fn result_files_are_compared_with_a_warning_of_unknown_properties() {
-    let mut file = other("second");
+    let mut file = altered("second");
     file.provenances.clear();
     file.realisation = None;
     file.origin = Origin::File {
@@ -202,12 +202,12 @@ fn result_files_are_compared_with_a_warning_of_unknown_properties() {
 
 #[test]
 fn a_campaign_without_results_is_compared_without_warning_and_reported_as_incomplete() {
-    let mut begun = other("second");
-    begun.provenances.clear();
-    for record in &mut begun.records {
+    let mut not_run = altered("second");
+    not_run.provenances.clear();
+    for record in &mut not_run.records {
         record.outcome = Outcome::Missing;
     }
-    let comparison = compare(campaign("first"), begun).expect("comparable");
+    let comparison = compare(campaign("first"), not_run).expect("comparable");
     assert_eq!(comparison.warnings, [""; 0]);
     assert_eq!(comparison.statistics.compared(), 0);
     let text = comparison.text();
@@ -219,28 +219,28 @@ fn a_campaign_without_results_is_compared_without_warning_and_reported_as_incomp
 
 #[test]
 fn rollouts_of_another_scene_or_perturbation_are_left_out_and_named() {
-    let (mut a, mut b) = (campaign("first"), other("second"));
+    let (mut a, mut b) = (campaign("first"), altered("second"));
     let (id, init_id) = (a.records[0].id, a.records[0].init_id);
     let state = RolloutId::clean(id.task(), init_id);
-    let of_state = a.records.iter();
-    let of_state =
-        of_state.filter(|record| record.id.task() == id.task() && record.init_id == init_id);
-    let of_state = of_state.count();
-    let elsewhere = a
+    let from_state = a.records.iter();
+    let from_state =
+        from_state.filter(|record| record.id.task() == id.task() && record.init_id == init_id);
+    let from_state = from_state.count();
+    let perturbed = a
         .records
         .iter()
         .find(|record| record.id.task() != id.task());
-    let elsewhere = elsewhere.expect("forty tasks").id;
+    let perturbed = perturbed.expect("forty tasks").id;
     let setups = |scene: &str, row: &str| Setups {
-        rollouts: [(elsewhere, row.to_owned())].into(),
+        rollouts: [(perturbed, row.to_owned())].into(),
         scenes: [(state, scene.to_owned())].into(),
     };
     (a.setups, b.setups) = (setups("11", "33"), setups("22", "44"));
     let comparison = compare(a, b).expect("comparable");
     let unpaired = &comparison.statistics.unpaired;
-    assert_eq!(unpaired[&Obstacle::Scene].len(), of_state);
-    assert_eq!(unpaired[&Obstacle::Perturbation], [elsewhere]);
-    assert_eq!(comparison.statistics.shared(), 8400 - 1 - of_state as u64);
+    assert_eq!(unpaired[&Obstacle::Scene].len(), from_state);
+    assert_eq!(unpaired[&Obstacle::Perturbation], [perturbed]);
+    assert_eq!(comparison.statistics.shared(), 8400 - 1 - from_state as u64);
     let text = comparison.text();
     assert!(
         text.contains("1 rollout of both cannot be paired (another perturbation"),
@@ -249,10 +249,10 @@ fn rollouts_of_another_scene_or_perturbation_are_left_out_and_named() {
 }
 
 #[test]
-fn a_page_of_several_policies_shows_every_pair_or_the_reason_against_it() {
-    let mut elsewhere = other("third <b>");
-    elsewhere.provenances[0].pin.renderer = "llvmpipe".to_owned();
-    let subjects = vec![campaign("first"), other("second"), elsewhere];
+fn a_page_of_several_policies_shows_every_pair_or_why_it_cannot_be_compared() {
+    let mut third = altered("third <b>");
+    third.provenances[0].pin.renderer = "llvmpipe".to_owned();
+    let subjects = vec![campaign("first"), altered("second"), third];
     let document = Document::new(subjects).expect("no duplicates");
     let page = page(&document);
     for words in [
@@ -301,7 +301,7 @@ fn quarantined_rollouts_of_either_policy_are_excluded_from_rates_and_counted_in_
     ] {
         assert!(text.contains(words), "{words}: {text}");
     }
-    fits_a_terminal(&text);
+    assert_fits_a_terminal(&text);
 }
 
 /// Adds progress to all rollouts; with `more` above 0, they take more steps and satisfy one
@@ -324,7 +324,7 @@ fn with_progress(mut subject: Subject, more: u32) -> Subject {
 
 #[test]
 fn partial_progress_is_in_text_page_and_json_beside_success() {
-    let (a, b) = (campaign("first"), other("second"));
+    let (a, b) = (campaign("first"), altered("second"));
     let without = compare(a.clone(), b.clone()).expect("comparable");
     assert!(!without.text().contains("partial progress"));
     let comparison = compare(with_progress(a, 0), with_progress(b, 4)).expect("comparable");
@@ -351,7 +351,7 @@ fn partial_progress_is_in_text_page_and_json_beside_success() {
         text.contains("partial progress: steps until success"),
         "{text}"
     );
-    fits_a_terminal(&text);
+    assert_fits_a_terminal(&text);
     let page = report::page_comparison(&comparison).into_string();
     for words in [
         "Partial progress",
@@ -364,18 +364,18 @@ fn partial_progress_is_in_text_page_and_json_beside_success() {
 
 #[test]
 fn differing_directions_or_placebos_give_a_warning() {
-    let (mut a, b) = (campaign("first"), other("second"));
+    let (mut a, b) = (campaign("first"), altered("second"));
     let same = compare(a.clone(), b.clone()).expect("comparable");
     assert_eq!(same.warnings, [] as [String; 0]);
     a.directions = Directions::Own;
     a.placebo_radius = Some(0.02);
-    let both = Subject {
+    let same_settings = Subject {
         directions: Directions::Own,
         placebo_radius: Some(0.02),
         ..b.clone()
     };
-    let own = compare(a.clone(), both).expect("comparable");
-    let json: Value = serde_json::from_str(&own.json().expect("written")).expect("JSON");
+    let comparable = compare(a.clone(), same_settings).expect("comparable");
+    let json: Value = serde_json::from_str(&comparable.json().expect("written")).expect("JSON");
     assert_eq!(
         (&json["directions"], &json["warnings"]),
         (&json!("own"), &json!([]))

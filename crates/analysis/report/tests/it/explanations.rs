@@ -8,7 +8,7 @@ use report::{
     write_csv, write_parquet,
 };
 
-use crate::fits_a_terminal;
+use crate::assert_fits_a_terminal;
 use crate::subjects::{document, example};
 
 fn set(text: &str) -> AxisSet {
@@ -54,8 +54,8 @@ fn is_of_campaign(axes: AxisSet) -> bool {
     axes.len() < 2 || axes == AxisSet::ALL
 }
 
-/// A campaign that ran every subset.
-fn whole() -> Subject {
+/// Returns a campaign that ran every subset.
+fn complete_campaign() -> Subject {
     Subject {
         records: records(|_, _| true),
         directions: libero_ctrl::Directions::default(),
@@ -66,7 +66,8 @@ fn whole() -> Subject {
     }
 }
 
-/// A campaign that explains another by pairs and triples of axes, without the pair camera+lighting.
+/// Returns a campaign that explains another by pairs and triples of axes, without the pair
+/// camera+lighting.
 fn explaining() -> Subject {
     let explanation = Explanation {
         campaign: "first <b>".to_owned(),
@@ -130,7 +131,7 @@ fn an_upset_plot_counts_each_minimal_subset_and_its_established_share() {
 }
 
 #[test]
-fn a_lattice_has_a_node_for_every_subset_and_tells_outcomes_by_shape() {
+fn a_lattice_has_a_node_for_every_subset_and_a_shape_for_every_outcome() {
     let document = document(vec![explaining()]);
     let findings = document.analyses[0].findings.as_ref().expect("findings");
     let explained = &findings.configurations[0];
@@ -158,7 +159,7 @@ fn a_lattice_has_a_node_for_every_subset_and_tells_outcomes_by_shape() {
     assert_eq!(
         count("class=\"edge\""),
         6 * 32,
-        "a line for every axis that is added"
+        "a line for every added axis"
     );
     assert_eq!(count("<a href=\"/"), 15);
     // Each outcome has its own shape and colour; the legend adds one mark of each.
@@ -191,7 +192,7 @@ fn the_report_of_an_explaining_campaign_shows_its_findings() {
         assert!(!html.contains(absent), "{absent}");
     }
     let text = document.text();
-    fits_a_terminal(&text);
+    assert_fits_a_terminal(&text);
     assert!(text.contains("transitions explained"), "{text}");
     // With a measured policy beside it, the page shows both.
     let both = page(&crate::subjects::document(vec![example(), explaining()]));
@@ -215,8 +216,8 @@ fn the_table_of_explanations_has_a_row_for_each_minimal_subset() {
     let rows: Vec<csv::StringRecord> = csv.records().collect::<Result<_, _>>().expect("rows");
     assert_eq!(rows.len(), 12);
     for row in &rows {
-        let masked = &row[subset] == "lighting+actuation";
-        let expected = if masked {
+        let is_undone = &row[subset] == "lighting+actuation";
+        let expected = if is_undone {
             "lighting+sensor+actuation"
         } else {
             ""
@@ -240,8 +241,8 @@ fn the_table_of_explanations_has_a_row_for_each_minimal_subset() {
 }
 
 #[test]
-fn interactions_add_up_to_what_the_report_measures() {
-    let document = document(vec![whole()]);
+fn interactions_add_up_to_the_simultaneous_success_of_the_report() {
+    let document = document(vec![complete_campaign()]);
     let analysis = &document.analyses[0];
     let found = analysis.interactions.as_ref().expect("whole lattices");
     let [level] = found.levels.as_slice() else {
@@ -259,7 +260,7 @@ fn interactions_add_up_to_what_the_report_measures() {
         .map(|estimate| estimate.numerator)
         .sum();
     let total = (nominal.numerator + all) as f64 / nominal.denominator as f64;
-    assert_eq!(total, s_sim, "to the last bit");
+    assert_eq!(total, s_sim, "the sum is exact");
 
     let matrix = texts(&figures::interaction_matrix(analysis, level));
     let pair = set("camera+robot");
@@ -272,18 +273,18 @@ fn interactions_add_up_to_what_the_report_measures() {
         "{additive}"
     );
     let text = found.text();
-    fits_a_terminal(&text);
+    assert_fits_a_terminal(&text);
     assert!(page(&document).contains("How the axes interact"));
 }
 
 #[test]
 fn without_a_whole_lattice_there_are_no_interactions_and_the_remedy_is_named() {
     let gap = set("robot+language");
-    let some = Subject {
+    let incomplete = Subject {
         records: records(|_, axes| axes != gap),
-        ..whole()
+        ..complete_campaign()
     };
-    let refused = AxisInteractions::of(&some).expect_err("a gap everywhere");
+    let refused = AxisInteractions::of(&incomplete).expect_err("no complete configuration");
     assert!(matches!(
         refused,
         NoInteractions::Incomplete {
@@ -297,24 +298,24 @@ fn without_a_whole_lattice_there_are_no_interactions_and_the_remedy_is_named() {
         "{words}"
     );
     // A configuration with a gap is excluded.
-    let one = Subject {
+    let one_incomplete = Subject {
         records: records(|index, axes| index > 0 || axes != gap),
-        ..whole()
+        ..complete_campaign()
     };
-    let found = AxisInteractions::of(&one).expect("eleven");
+    let found = AxisInteractions::of(&one_incomplete).expect("eleven configurations");
     assert_eq!(
         (found.levels[0].interactions.n, found.levels[0].left_out),
         (11, 1)
     );
 }
 
-/// A campaign that repeats the first transition eight times; all axes together fail in
-/// `failures` of them.
+/// Returns a campaign that repeats the first transition eight times; all axes together fail in
+/// `failures` of the repeats.
 fn repeating(failures: u32) -> Subject {
     let mut subject = explaining();
-    let derived = subject.derived.as_mut().expect("it explains");
+    let derived = subject.derived.as_mut().expect("an explaining campaign");
     let Purpose::Explanation(explanation) = &mut derived.purpose else {
-        panic!("it explains");
+        panic!("an explaining campaign");
     };
     explanation.repeats = Some(24);
     let first = records(|task, axes| task == 0 && is_of_campaign(axes) && !axes.is_empty());
@@ -333,12 +334,12 @@ fn repeating(failures: u32) -> Subject {
 }
 
 #[test]
-fn a_transition_that_its_repeats_do_not_show_is_not_confirmed_and_nothing_follows_from_it() {
-    let of = |failures| {
+fn a_transition_that_its_repeats_do_not_show_is_reported_as_not_confirmed() {
+    let findings = |failures| {
         let findings = Findings::of(&repeating(failures)).expect("two axes");
         findings.expect("findings")
     };
-    let (shown, chance) = (of(8), of(4));
+    let (shown, chance) = (findings(8), findings(4));
     assert_eq!((shown.transitions, shown.not_confirmed), (12, 0));
     assert_eq!((chance.transitions, chance.not_confirmed), (12, 1));
     let text = |found: &Findings| {
@@ -348,17 +349,17 @@ fn a_transition_that_its_repeats_do_not_show_is_not_confirmed_and_nothing_follow
             .collect::<Vec<_>>()
             .join(" ")
     };
-    let words = "not confirmed by repeats, so that chance may have made them: 1";
+    let words = "not confirmed by repeats, so that they may be due to chance: 1";
     assert!(text(&chance).contains(words) && !text(&shown).contains("not confirmed"));
 }
 
 #[test]
-fn repeats_are_foreseen_for_every_subset_and_too_few_are_refused() {
+fn the_prospect_has_the_repeats_of_every_subset_and_too_few_repeats_are_refused() {
     let campaign = Subject {
         records: records(|_, axes| is_of_campaign(axes)),
-        ..whole()
+        ..complete_campaign()
     };
-    let of = |repeats| {
+    let prospect = |repeats| {
         let explanation = Explanation {
             campaign: "first".to_owned(),
             budget: None,
@@ -368,7 +369,8 @@ fn repeats_are_foreseen_for_every_subset_and_too_few_are_refused() {
         };
         Findings::prospect(&campaign, &explanation)
     };
-    let rollouts = |repeats| of(repeats).map(|prospect| (prospect.subjects, prospect.rollouts()));
+    let rollouts =
+        |repeats| prospect(repeats).map(|prospect| (prospect.subjects, prospect.rollouts()));
     assert_eq!(rollouts(None), Ok((12, 12 * 56)));
     assert_eq!(rollouts(Some(12)), Ok((12, 12 * 63 * 12)));
     let refused = rollouts(Some(11)).expect_err("2⁻¹⁰ is above 5 % of 56 subsets");

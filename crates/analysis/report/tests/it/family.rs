@@ -9,7 +9,7 @@ use report::{Document, DocumentError, Family, Origin, Subject, page};
 
 use crate::subjects::{document, example};
 
-/// Returns a campaign of noise and light variants in which `outcome` decides each rollout.
+/// Returns a campaign of noise and robot variants in which `outcome` decides each rollout.
 fn subject(suites: Vec<Suite>, outcome: impl Fn(&Case) -> Outcome) -> Subject {
     let selection = Selection::Plus(PlusFilters {
         suites,
@@ -102,11 +102,11 @@ fn rollouts_without_an_outcome_are_reported_and_in_no_figure() {
     assert!(found.missing > 10 && found.quarantined > 10);
     assert_eq!(found.unperturbed.rollouts, 8);
     assert_eq!(found.all.pairs, found.all.rollouts);
-    // Eight tasks are too few.
+    // Eight tasks are too few for an interval.
     assert_eq!(found.all.no_interval, Some(NoInterval::TooFewTasks));
     let text = found.text(true);
     assert!(text.contains("have no outcome so far"), "{text}");
-    assert!(text.contains("were given up"), "{text}");
+    assert!(text.contains("are quarantined"), "{text}");
     assert!(
         text.lines().all(|line| line.chars().count() <= 80),
         "{text}"
@@ -114,7 +114,7 @@ fn rollouts_without_an_outcome_are_reported_and_in_no_figure() {
 }
 
 #[test]
-fn every_form_has_the_dimensions_and_none_the_measures_of_libero_ctrl() {
+fn every_form_has_the_dimensions_and_no_measure_of_libero_ctrl() {
     let document = document(vec![subject(Suite::ALL.to_vec(), by_dimension)]);
     let json = document.json().expect("JSON");
     for form in [&document.brief(), &document.text(), &page(&document), &json] {
@@ -126,18 +126,18 @@ fn every_form_has_the_dimensions_and_none_the_measures_of_libero_ctrl() {
     }
     let text = document.text();
     assert!(text.contains("noise difficulty 1"));
-    let rows = |policy: &str| text.lines().find(|line| line.starts_with(policy));
-    let figures = |policy| -> Vec<&str> {
-        let row: &str = rows(policy).expect("a row of the published table");
+    let row = |policy: &str| text.lines().find(|line| line.starts_with(policy));
+    let percents = |policy| -> Vec<&str> {
+        let row: &str = row(policy).expect("a row of the published table");
         row.split_whitespace().rev().take(7).collect()
     };
     // In reverse: light, layout, noise, language, camera, robot, background.
     assert_eq!(
-        figures("this campaign"),
+        percents("this campaign"),
         ["-", "-", "0.0", "-", "-", "100.0", "-"]
     );
     assert_eq!(
-        figures("OpenVLA-OFT "),
+        percents("OpenVLA-OFT "),
         ["88.7", "74.2", "75.8", "79.5", "56.4", "31.9", "93.3"]
     );
     assert!(

@@ -4,7 +4,7 @@ use paired::Outcome;
 use report::{Subject, figures, page};
 use serde_json::Value;
 
-use crate::fits_a_terminal;
+use crate::assert_fits_a_terminal;
 use crate::subjects::{broken, document, example, replicated};
 
 #[test]
@@ -38,7 +38,7 @@ fn json_has_the_measures_of_each_policy_and_level() {
 }
 
 #[test]
-fn policies_of_one_name_get_distinct_labels() {
+fn policies_with_the_same_name_get_distinct_labels() {
     let document = document(vec![example(), broken(), example()]);
     let labels: Vec<&str> = document.analyses.iter().map(|a| a.label.as_str()).collect();
     assert_eq!(
@@ -52,14 +52,14 @@ fn policies_of_one_name_get_distinct_labels() {
 }
 
 #[test]
-fn the_text_fits_a_terminal() {
+fn the_text_fits_a_terminal_and_begins_with_the_warnings() {
     let text = document(vec![example(), broken(), replicated()]).text();
-    fits_a_terminal(&text);
+    assert_fits_a_terminal(&text);
     assert!(text.starts_with("! the policies were perturbed in different realisation modes"));
 }
 
 #[test]
-fn a_page_needs_nothing_but_itself() {
+fn a_page_loads_no_other_resource() {
     let page = page(&document(vec![example(), broken(), replicated()]));
     for foreign in ["<script", "<link", "@import", "src=", "href=", "url("] {
         assert!(!page.contains(foreign), "the page holds {foreign}");
@@ -79,12 +79,12 @@ fn a_page_needs_nothing_but_itself() {
     );
     assert!(
         !page.contains("NaN") && !page.contains(">inf"),
-        "numbers are numbers"
+        "every number is finite"
     );
 }
 
 #[test]
-fn a_broken_campaign_is_warned_of_before_any_figure() {
+fn warnings_of_a_faulty_campaign_come_before_the_figures() {
     let page = page(&document(vec![broken()]));
     let figures = page.find("<figure").expect("figures");
     for warning in [
@@ -110,12 +110,12 @@ fn a_broken_campaign_is_warned_of_before_any_figure() {
 }
 
 #[test]
-fn a_whole_evaluation_has_no_warning() {
+fn a_complete_evaluation_has_no_warning() {
     assert!(!page(&document(vec![example()])).contains("class=\"warnings\""));
 }
 
 #[test]
-fn a_campaign_without_any_result_makes_a_page_that_says_so() {
+fn the_page_of_a_campaign_without_results_warns_of_missing_results() {
     let mut subject = broken();
     for record in &mut subject.records {
         record.outcome = Outcome::Missing;
@@ -168,9 +168,9 @@ fn figures_are_well_formed_files_with_units_and_counts() {
 
 #[test]
 fn the_same_subjects_give_the_same_bytes_in_any_order_of_their_records() {
-    let mut turned = replicated();
-    turned.records.reverse();
-    let (one, other) = (document(vec![replicated()]), document(vec![turned]));
+    let mut reversed = replicated();
+    reversed.records.reverse();
+    let (one, other) = (document(vec![replicated()]), document(vec![reversed]));
     assert!(page(&one) == page(&other));
     assert_eq!(one.json().expect("written"), other.json().expect("written"));
 }

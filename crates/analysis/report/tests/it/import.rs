@@ -1,4 +1,4 @@
-//! Result files: how they are read, and that a file with a bad line is refused as a whole.
+//! Import of result files; a file with a bad line is refused as a whole.
 
 use std::fs;
 use std::path::Path;
@@ -23,7 +23,7 @@ fn file(rows: &[&str]) -> tempfile::TempDir {
     folder
 }
 
-/// Returns the error messages about the bad lines of a file.
+/// Returns the error message about the bad lines of a file.
 fn refused(rows: &[&str]) -> String {
     let folder = file(rows);
     let error = import(folder.path()).expect_err("bad lines");
@@ -44,7 +44,7 @@ fn the_example_is_read_with_its_about_file() {
         source,
     } = &subject.origin
     else {
-        panic!("of a file");
+        panic!("results of a file");
     };
     assert_eq!((name.as_str(), digest.len()), ("openvla_oft", 64));
     assert!(source.contains("2609.15940"), "{source}");
@@ -63,8 +63,8 @@ fn a_row_of_the_reference_is_read_with_or_without_the_fields_of_its_id() {
     assert_eq!((full.init_id, full.outcome), (6, Outcome::Success));
     assert_eq!((bare.init_id, bare.outcome), (6, Outcome::Failure));
     assert_eq!((clean.init_id, clean.replicate), (6, 2));
-    let alone = import(&folder.path().join("rollouts.jsonl")).expect("a file too");
-    assert_eq!(alone.records, subject.records);
+    let from_file = import(&folder.path().join("rollouts.jsonl")).expect("rows");
+    assert_eq!(from_file.records, subject.records);
 }
 
 /// A row without an execution model, such as the reference's rows, counts as `wait`.
@@ -91,7 +91,7 @@ fn a_file_has_one_execution_model() {
     assert!(text.contains("overlap:4; wait"), "{text}");
 }
 
-/// Rows of LIBERO's family, as `coordinator export` writes them, are reported like their campaign.
+/// Rows of LIBERO's family, as `coordinator export` writes them, give the report of their campaign.
 #[test]
 fn a_file_of_variants_has_one_protocol_and_the_report_of_its_benchmark() {
     let row = |id: &str, success: bool| {
@@ -106,11 +106,11 @@ fn a_file_of_variants_has_one_protocol_and_the_report_of_its_benchmark() {
     assert_eq!(family.protocol, "pro-official");
     assert_eq!((family.all.rollouts, family.all.broken), (1, 1));
 
-    let own = concat!(
+    let suite_file_row = concat!(
         r#"{"rollout_id": "own/t0/own:near/i00", "success": true, "suite": "own", "#,
         r#""protocol": "kitchen@0123456789abcdef"}"#
     );
-    let subject = import(file(&[own]).path()).expect("read");
+    let subject = import(file(&[suite_file_row]).path()).expect("read");
     let family = document(vec![subject]).family.expect("of a suite file");
     assert_eq!((family.all.rollouts, family.all.successes), (1, 1));
 
@@ -132,7 +132,7 @@ fn a_file_of_variants_has_one_protocol_and_the_report_of_its_benchmark() {
 }
 
 #[test]
-fn bad_lines_are_named_by_their_numbers_and_nothing_is_taken() {
+fn bad_lines_are_named_by_their_numbers_and_nothing_is_imported() {
     let message = refused(&[
         ROW,
         "{",
@@ -200,7 +200,7 @@ fn a_row_that_contradicts_itself_or_another_is_bad() {
 }
 
 #[test]
-fn a_line_without_end_is_refused_and_not_kept() {
+fn a_line_longer_than_the_limit_is_refused() {
     let long = format!("{{\"rollout_id\": \"{}", "x".repeat(200_000));
     assert!(refused(&[&long]).contains("line 1: it is longer than 65536 bytes"));
 }
@@ -213,7 +213,7 @@ fn an_empty_or_absent_file_is_refused_by_its_name() {
         error.to_string().ends_with("rollouts.jsonl: it has no row"),
         "{error}"
     );
-    let error = import(&folder.path().join("nowhere")).expect_err("nothing there");
+    let error = import(&folder.path().join("nowhere")).expect_err("no such folder");
     assert!(
         error
             .to_string()
@@ -223,7 +223,7 @@ fn an_empty_or_absent_file_is_refused_by_its_name() {
 }
 
 #[test]
-fn an_about_file_with_an_unknown_word_is_refused() {
+fn an_about_file_with_an_unknown_field_is_refused() {
     let folder = file(&[ROW]);
     fs::write(folder.path().join("about.json"), r#"{"polcy": "oft"}"#).expect("written");
     let error = import(folder.path()).expect_err("misspelt");
@@ -232,7 +232,7 @@ fn an_about_file_with_an_unknown_word_is_refused() {
 
 /// A sparse file needs no disk space, but reading it would take an hour.
 #[test]
-fn a_file_larger_than_any_is_refused_before_it_is_read() {
+fn a_file_above_the_size_limit_is_refused_before_it_is_read() {
     let folder = tempfile::tempdir().expect("a folder");
     let rows = std::fs::File::create(folder.path().join("rollouts.jsonl")).expect("a file");
     rows.set_len(1 << 40).expect("a sparse file");

@@ -11,7 +11,7 @@ mod tables;
 mod thresholds;
 mod words;
 
-fn fits_a_terminal(text: &str) {
+fn assert_fits_a_terminal(text: &str) {
     for line in text.lines() {
         assert!(line.chars().count() <= 80, "{line}");
     }

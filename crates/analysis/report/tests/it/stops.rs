@@ -5,7 +5,7 @@ use paired::Outcome;
 use report::{Document, EarlyStop, Subject};
 use serde_json::Value;
 
-use crate::fits_a_terminal;
+use crate::assert_fits_a_terminal;
 use crate::subjects::example;
 
 /// Returns a campaign with the published outcomes and a stop rule.
@@ -45,7 +45,7 @@ fn figures_of_a_stopped_campaign_use_the_configurations_of_its_intervals() {
     let used = &sequential["used"];
     assert!(used.as_u64().is_some_and(|used| used < 400), "{used}");
     let policy = found["paired"].as_object().expect("policies").keys().next();
-    let measures = &found["paired"][policy.expect("one")];
+    let measures = &found["paired"][policy.expect("a policy")];
     for level in ["L1", "L2", "L3"] {
         assert_eq!(&measures[level]["n"], used, "{level}");
         let [low, high] = [0, 1].map(|end| &sequential["levels"][level]["I"][end]);
@@ -53,11 +53,11 @@ fn figures_of_a_stopped_campaign_use_the_configurations_of_its_intervals() {
         assert!(width < 0.2, "{level}: {width}");
     }
     let text = stopped.text();
-    fits_a_terminal(&text);
+    assert_fits_a_terminal(&text);
     let page = report::page(&stopped);
     assert!(page.contains("Stopped early after") && page.contains("not valid"));
 
-    // Outcomes after that look affect no figure.
+    // Outcomes after the look at which the campaign stopped affect no figure.
     let analysis = &stopped.analyses[0];
     let mut others = early("width(I) < 0.2", true);
     for record in &mut others.records {
@@ -85,7 +85,7 @@ fn only_the_estimate_that_ended_a_campaign_has_a_star_and_a_warning() {
     let sequential = &found["reports"][0]["sequential"];
     assert_eq!(sequential["has_stopped"], true);
     for level in ["L1", "L3"] {
-        let number = |of: &Value| of.as_f64().expect("a number");
+        let number = |value: &Value| value.as_f64().expect("a number");
         let estimate = number(&sequential["estimates"][level]["I"]);
         let ends = &sequential["levels"][level]["I"];
         assert!(number(&ends[0]) <= estimate && estimate <= number(&ends[1]));
@@ -118,13 +118,16 @@ fn a_rule_about_new_tasks_has_intervals_of_its_measures_only_and_names_their_pop
     let level = &json(&found)["reports"][0]["sequential"]["levels"]["L2"];
     let measures: Vec<&String> = level.as_object().expect("measures").keys().collect();
     assert_eq!(measures, ["I"]);
-    assert_ne!(level["I"][0], level["I"][1], "new tasks are not known");
+    assert_ne!(
+        level["I"][0], level["I"][1],
+        "the interval for new tasks has a width"
+    );
     assert!(text.contains("new tasks of these suites"), "{text}");
     assert!(report::page(&found).contains("new tasks of these suites"));
 }
 
 #[test]
-fn a_campaign_that_came_to_its_end_has_points_and_all_its_figures() {
+fn the_confidence_sequences_of_a_complete_campaign_are_points() {
     let plain = json(&document(example()));
     let mut ended = json(&document(early("I excludes 1", false)));
     let report = ended["reports"][0].as_object_mut().expect("a report");
@@ -137,5 +140,5 @@ fn a_campaign_that_came_to_its_end_has_points_and_all_its_figures() {
     {
         assert_eq!(interval[0], interval[1]);
     }
-    assert_eq!(ended, plain, "nothing else is said of it");
+    assert_eq!(ended, plain, "the rest of the report is the same");
 }

@@ -17,10 +17,10 @@ fn the_csv_table_has_a_row_per_configuration() {
     let (level, unresolved) = (column("level"), column("unresolved"));
     let rows: Vec<csv::StringRecord> = reader.records().collect::<Result<_, _>>().expect("rows");
     assert_eq!(rows.len(), 2 * 1200);
-    let of_cell = rows
+    let cell_rows = rows
         .iter()
         .filter(|r| &r[policy] == "OpenVLA-OFT" && &r[level] == "L2");
-    let count = |what: &str| of_cell.clone().filter(|r| &r[transition] == what).count();
+    let count = |what: &str| cell_rows.clone().filter(|r| &r[transition] == what).count();
     assert_eq!((count("emergent"), count("compensated")), (54, 55));
     let incomplete = rows.iter().filter(|r| r[transition].is_empty());
     assert!(incomplete.clone().count() > 100);
@@ -30,7 +30,7 @@ fn the_csv_table_has_a_row_per_configuration() {
 }
 
 #[test]
-fn the_parquet_table_reads_back_as_the_csv_table() {
+fn the_parquet_table_has_the_values_of_the_csv_table() {
     let document = document(vec![example(), broken()]);
     let folder = tempfile::tempdir().expect("a temporary folder");
     let path = folder.path().join("table.parquet");
@@ -75,13 +75,13 @@ fn parquet_columns_have_types_and_pandas_metadata() {
     let file = std::fs::File::open(&path).expect("opened");
     let reader = SerializedFileReader::new(file).expect("Parquet");
     let metadata = reader.metadata().file_metadata();
-    let entries = metadata.key_value_metadata().expect("some");
-    let about = entries.iter().find(|entry| entry.key == "pandas");
-    let about = about
+    let entries = metadata.key_value_metadata().expect("metadata");
+    let pandas = entries.iter().find(|entry| entry.key == "pandas");
+    let pandas = pandas
         .and_then(|entry| entry.value.as_ref())
         .expect("a text");
-    let about: Value = serde_json::from_str(about).expect("JSON");
-    let documented = about["columns"].as_array().expect("columns");
+    let pandas: Value = serde_json::from_str(pandas).expect("JSON");
+    let documented = pandas["columns"].as_array().expect("columns");
     let columns = metadata.schema_descr().columns();
     assert_eq!(documented.len(), columns.len());
     for (column, documented) in columns.iter().zip(documented) {
@@ -100,14 +100,17 @@ fn parquet_columns_have_types_and_pandas_metadata() {
         };
         assert_eq!(documented["numpy_type"], expected, "{name}");
     }
-    let of = |kind: &str| {
+    let count = |kind: &str| {
         documented
             .iter()
             .filter(|column| column["numpy_type"] == kind)
             .count()
     };
-    assert_eq!((of("boolean"), of("int64"), of("string")), (10, 4, 6));
-    assert_eq!((of("float64"), of("Int64")), (8, 8));
+    assert_eq!(
+        (count("boolean"), count("int64"), count("string")),
+        (10, 4, 6)
+    );
+    assert_eq!((count("float64"), count("Int64")), (8, 8));
 }
 
 #[test]
@@ -142,7 +145,7 @@ fn a_table_of_results_has_a_column_for_the_execution_model() {
 }
 
 #[test]
-fn pandas_reads_the_parquet_table_without_a_column_of_mixed_kinds() {
+fn pandas_reads_no_parquet_column_as_objects() {
     let probe = std::process::Command::new("python3")
         .args(["-c", "import pandas, pyarrow"])
         .output();

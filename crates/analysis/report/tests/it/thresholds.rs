@@ -44,10 +44,10 @@ fn thresholds(max_radius: f64) -> Thresholds {
     }
 }
 
-/// A campaign with these outcomes that measures the thresholds of a source.
-fn measuring(source: &Subject, by: Vec<Record>, max_radius: f64) -> Subject {
+/// Returns a campaign with these records that measures the thresholds of a source.
+fn measuring(source: &Subject, records: Vec<Record>, max_radius: f64) -> Subject {
     Subject {
-        records: by,
+        records,
         derived: Some(Derived {
             purpose: Purpose::Thresholds(thresholds(max_radius)),
             records: source.records.clone(),
@@ -60,23 +60,23 @@ fn measuring(source: &Subject, by: Vec<Record>, max_radius: f64) -> Subject {
     }
 }
 
-fn found(source: &Subject, by: Vec<Record>, max_radius: f64) -> ThresholdReport {
-    ThresholdReport::of(&measuring(source, by, max_radius)).expect("it measures thresholds")
+fn report_of(source: &Subject, records: Vec<Record>, max_radius: f64) -> ThresholdReport {
+    ThresholdReport::of(&measuring(source, records, max_radius)).expect("a measuring campaign")
 }
 
-/// Measurement with the published levels alone.
+/// Returns the thresholds from the published levels alone.
 fn at_levels() -> ThresholdReport {
-    found(&nominal(), Vec::new(), 8.0)
+    report_of(&nominal(), Vec::new(), 8.0)
 }
 
 #[test]
-fn a_curve_is_the_reports_rate_less_those_that_recover() {
+fn survival_is_the_success_rate_less_the_share_that_recovers() {
     let found = at_levels();
     let document = document(vec![nominal()]);
     assert_eq!(found.curves.len(), 7);
     assert!(
         !found.complete,
-        "brackets are as wide as the levels are apart"
+        "brackets between the levels exceed the tolerance"
     );
     for curve in &found.curves {
         assert_eq!((curve.n, curve.tasks), (400, 40));
@@ -103,7 +103,7 @@ fn a_curve_is_the_reports_rate_less_those_that_recover() {
 }
 
 #[test]
-fn the_text_fits_a_terminal_and_counts_remaining_work() {
+fn the_text_fits_a_terminal_and_names_wordings_and_recoveries() {
     let text = at_levels().text();
     for line in text.lines() {
         assert!(line.chars().count() <= 80, "{line}");
@@ -112,15 +112,15 @@ fn the_text_fits_a_terminal_and_counts_remaining_work() {
         text.contains("there are wordings at L1, L2 and L3"),
         "{text}"
     );
-    assert!(text.contains("not monotone: they succeed again beyond a failure"));
-    let far = found(&nominal(), nominal().records, 100.0).text();
+    assert!(text.contains("not monotone: configurations that succeed again beyond a failure"));
+    let far = report_of(&nominal(), nominal().records, 100.0).text();
     for line in far.lines() {
         assert!(line.chars().count() <= 80, "{line}");
     }
 }
 
 #[test]
-fn every_condition_has_a_figure_that_stands_alone() {
+fn every_condition_has_a_standalone_figure() {
     let found = at_levels();
     let figures = figures::of_thresholds(&found);
     let names: Vec<&str> = figures.iter().map(|figure| figure.name.as_str()).collect();
@@ -158,7 +158,7 @@ fn without_outcomes_there_is_no_curve() {
     for record in &mut subject.records {
         record.outcome = Outcome::Missing;
     }
-    let found = found(&subject, subject.records.clone(), 16.0);
+    let found = report_of(&subject, subject.records.clone(), 16.0);
     assert!(figures::of_thresholds(&found).is_empty() && !found.complete);
     assert_eq!(found.text().lines().count(), 2);
     assert!(!found.json().expect("written").contains("NaN"));
@@ -194,7 +194,7 @@ fn the_report_of_a_measuring_campaign_shows_its_findings() {
 }
 
 #[test]
-fn the_table_of_thresholds_has_a_row_for_each() {
+fn the_table_of_thresholds_has_a_row_for_each_threshold() {
     let document = document(vec![measuring(&nominal(), Vec::new(), 8.0)]);
     let mut bytes = Vec::new();
     write_csv(&document, &mut bytes).expect("written");

@@ -6,7 +6,7 @@ use serde_json::Value;
 
 use crate::subjects::{broken, document, example, provenance, replicated};
 
-/// The first `tasks` tasks of the example.
+/// Returns the outcomes of the first `tasks` tasks of the example.
 fn some_tasks(tasks: usize) -> Subject {
     let mut subject = example();
     let first: Vec<libero_ctrl::TaskRef> = libero_ctrl::TaskRef::all().take(tasks).collect();
@@ -51,8 +51,8 @@ fn too_few_tasks_for_an_interval_is_stated_in_every_form() {
     assert_eq!(l2["no_interval"], Value::Null);
 }
 
-/// All simultaneous rollouts succeed, so that no failure emerges anywhere.
-fn nothing_emerges() -> Subject {
+/// Returns the example with success in all simultaneous rollouts, so that no failure is emergent.
+fn without_emergent_failures() -> Subject {
     let mut subject = example();
     for record in &mut subject.records {
         if record.id.condition() == libero_ctrl::Condition::Combination {
@@ -64,7 +64,7 @@ fn nothing_emerges() -> Subject {
 
 #[test]
 fn a_share_of_zero_has_no_bootstrap_interval_but_one_for_new_tasks() {
-    let none = document(vec![nothing_emerges()]);
+    let none = document(vec![without_emergent_failures()]);
     let json: Value = serde_json::from_str(&none.json().expect("written")).expect("JSON");
     let l2 = &json["paired"]["OpenVLA-OFT"]["L2"];
     assert_eq!((&l2["b"], &l2["r_e_ci95"]), (&0.into(), &Value::Null));
@@ -72,9 +72,9 @@ fn a_share_of_zero_has_no_bootstrap_interval_but_one_for_new_tasks() {
     assert_eq!(l2["r_c_ci95"].as_array().map(Vec::len), Some(2));
     // A share of 0 still has an interval for new tasks.
     let [low, high] = [0, 1].map(|end| {
-        let of = &json["reports"][0]["cells"][1]["inference"]["paired"]["r_e"];
-        assert_eq!(of["value"], 0.0);
-        of["new_tasks"][end].as_f64().expect("an end")
+        let r_e = &json["reports"][0]["cells"][1]["inference"]["paired"]["r_e"];
+        assert_eq!(r_e["value"], 0.0);
+        r_e["new_tasks"][end].as_f64().expect("an end")
     });
     assert!(low == 0.0 && high > 0.0, "{low} {high}");
 }
@@ -120,7 +120,7 @@ fn every_symbol_of_the_table_is_explained_below_it_once() {
 }
 
 #[test]
-fn the_axes_at_once_have_one_name_in_every_form() {
+fn simultaneous_perturbation_has_one_name_in_every_form() {
     let document = document(vec![example(), replicated()]);
     let drawn = figures::all(&document);
     let drawn: String = drawn.iter().map(|figure| figure.standalone()).collect();
@@ -138,7 +138,7 @@ fn the_axes_at_once_have_one_name_in_every_form() {
 }
 
 #[test]
-fn a_policy_that_solves_no_nominal_rollout_is_sent_to_the_doctor() {
+fn a_policy_without_nominal_success_gets_a_warning_that_names_the_doctor() {
     let mut subject = example();
     assert!(!page(&document(vec![subject.clone()])).contains("policy-gateway doctor"));
     let failed = (0..3).map(|state| paired::Record {
@@ -172,8 +172,8 @@ fn a_policy_that_was_taught_on_other_assets_gets_a_warning() {
         let text = document(vec![subject]).text();
         text.split_whitespace().collect::<Vec<_>>().join(" ")
     };
-    let elsewhere = taught_on("primitives");
+    let warned = taught_on("primitives");
     let expected = "was taught on asset pack `primitives` and measured on `libero`";
-    assert!(elsewhere.contains(expected), "{elsewhere}");
+    assert!(warned.contains(expected), "{warned}");
     assert!(!taught_on("libero").contains("was taught on asset pack"));
 }

@@ -34,7 +34,7 @@ pub(crate) fn additions(
     for (&simultaneous, requests) in plan(&lattices, &Sample::of(explanation)) {
         for request in requests {
             let lattice = &lattices[&simultaneous];
-            let requested = lattice.outcomes().both(request.set).asked();
+            let requested = lattice.outcomes().both(request.set).requested();
             all.push(Addition {
                 simultaneous,
                 axes: request.set,

@@ -11,7 +11,7 @@ use super::{measure, record, thresholds};
 
 const CONFIGS: u16 = 10;
 const CAMPAIGNS: u64 = 60;
-/// Fewer resamplings than in reports: ends move by a few per cent of an interval's width.
+/// Fewer resamplings than in reports: interval ends differ by a few per cent of the width.
 const BOOTSTRAP: Bootstrap = Bootstrap {
     replicates: 300,
     seed: 1,
@@ -41,16 +41,16 @@ impl Population {
     /// Returns the curve of a completely measured campaign of 40 tasks drawn from the population.
     fn curve(self, seed: u64) -> Curve {
         let mut rng = ChaCha8Rng::seed_from_u64(seed);
-        let [over, within] = self.spread;
+        let [between, within] = self.spread;
         let mut fails_at = Vec::new();
         for _ in TaskRef::all() {
-            let of_task = over * normal(&mut rng);
+            let of_task = between * normal(&mut rng);
             for _ in 0..CONFIGS {
                 let threshold = self.median * (of_task + within * normal(&mut rng)).exp();
                 fails_at.push((threshold, uniform(&mut rng) < self.quarantined));
             }
         }
-        let place = |task: TaskRef, config: u16| {
+        let planted = |task: TaskRef, config: u16| {
             let task = TaskRef::all()
                 .position(|other| other == task)
                 .expect("one of all");
@@ -58,7 +58,7 @@ impl Population {
         };
         let outcome = |id: RolloutId| match id.config() {
             None => Outcome::Success,
-            Some(config) => match place(id.task(), config) {
+            Some(config) => match planted(id.task(), config) {
                 (_, true) if id.level().radius() == LARGEST => Outcome::Quarantined,
                 (threshold, _) => Outcome::from(id.level().radius() < threshold),
             },
@@ -67,14 +67,14 @@ impl Population {
             RolloutId::perturbed(task, condition, level, config).expect("perturbed")
         };
         // The single-axis rollouts determine the campaign's axes.
-        let alone = [Axis::Camera, Axis::Language].map(Condition::Single);
-        let conditions = alone.into_iter().chain([self.condition]);
+        let single_axes = [Axis::Camera, Axis::Language].map(Condition::Single);
+        let conditions = single_axes.into_iter().chain([self.condition]);
         let source = TaskRef::all().flat_map(|task| {
             let conditions = conditions.clone();
             (0..CONFIGS).flat_map(move |config| {
-                let own = conditions.clone();
-                let own = own.map(move |condition| perturbed(task, condition, Level::L2, config));
-                own.chain([RolloutId::clean(task, config)])
+                let ids = conditions.clone();
+                let ids = ids.map(move |condition| perturbed(task, condition, Level::L2, config));
+                ids.chain([RolloutId::clean(task, config)])
             })
         });
         let mut source: Vec<Record> = source.map(|id| record(id, outcome(id))).collect();
@@ -84,37 +84,37 @@ impl Population {
             conditions: vec![self.condition],
             ..thresholds(0.5, LARGEST)
         };
-        let own = measure(&source, &thresholds, outcome);
-        let measurement = Measurement::of(&source, &own, &thresholds);
+        let further = measure(&source, &thresholds, outcome);
+        let measurement = Measurement::of(&source, &further, &thresholds);
         measurement.curves(&BOOTSTRAP).remove(0)
     }
 
-    /// Number of campaigns in which the interval holds the median.
+    /// Returns the number of campaigns whose interval contains the median.
     fn covered(self) -> u64 {
-        let holds = |seed: &u64| {
+        let contains = |seed: &u64| {
             let half = self.curve(*seed).half_success;
             let [low, high] = half.ci95.expect("forty tasks that differ");
             low <= self.median && self.median <= high
         };
-        (0..CAMPAIGNS).filter(holds).count() as u64
+        (0..CAMPAIGNS).filter(contains).count() as u64
     }
 }
 
 const LARGEST: f64 = 16.0;
 
-const OF_CAMERA: Population = Population {
+const CAMERA: Population = Population {
     condition: Condition::Single(Axis::Camera),
     median: 5.3,
     spread: [0.4, 0.5],
     quarantined: 0.0,
 };
 
-/// Largest number of intervals that may miss the median: at least 93 % must hold it.
+/// Largest number of intervals that may miss the median: at least 93 % must contain it.
 const MOST_MISSED: u64 = 4;
 
 #[test]
 fn an_interval_covers_the_median_of_the_population() {
-    let covered = OF_CAMERA.covered();
+    let covered = CAMERA.covered();
     assert!(
         covered + MOST_MISSED >= CAMPAIGNS,
         "{covered} of {CAMPAIGNS}"
@@ -126,7 +126,7 @@ fn thresholds_without_a_known_failure_are_censored_and_cause_no_bias() {
     let population = Population {
         median: 9.0,
         quarantined: 0.3,
-        ..OF_CAMERA
+        ..CAMERA
     };
     let covered = population.covered();
     assert!(

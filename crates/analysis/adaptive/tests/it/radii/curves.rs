@@ -54,24 +54,25 @@ fn campaign(tasks: usize) -> Vec<Record> {
     records
 }
 
-/// Returns the curves of a campaign, which its records give in any order.
+/// Returns the curves of a campaign, and asserts that they do not depend on the order of records.
 fn curves(tasks: usize) -> Vec<Curve> {
     let source = campaign(tasks);
     let thresholds = thresholds(None, 0);
-    let own = measure(&source, &thresholds, outcome);
-    let measurement = Measurement::of(&source, &own, &thresholds);
+    let further = measure(&source, &thresholds, outcome);
+    let measurement = Measurement::of(&source, &further, &thresholds);
     for (ray, outcomes) in measurement.rays() {
         assert_eq!(measurement.decision(ray, outcomes), Decision::Done);
     }
     let curves = measurement.curves(&Bootstrap::default());
-    let [source, own] = [source, own].map(|records| records.into_iter().rev().collect::<Vec<_>>());
-    let reversed = Measurement::of(&source, &own, &thresholds);
+    let [source, further] =
+        [source, further].map(|records| records.into_iter().rev().collect::<Vec<_>>());
+    let reversed = Measurement::of(&source, &further, &thresholds);
     assert_eq!(reversed.curves(&Bootstrap::default()), curves);
     curves
 }
 
 #[test]
-fn a_curve_begins_at_the_nominal_rate_and_is_the_planted_one_at_the_grid() {
+fn a_curve_begins_at_the_nominal_rate_and_equals_the_planted_curve_at_the_grid() {
     let curves = curves(10);
     let conditions: Vec<&str> = curves.iter().map(|curve| curve.condition.label()).collect();
     assert_eq!(conditions, ["camera", "robot", "simultaneous"]);
@@ -128,7 +129,7 @@ fn the_half_success_radius_is_found_within_the_tolerance() {
         planted.sort_by(f64::total_cmp);
         let median = f64::midpoint(planted[49], planted[50]);
         let half = &curve.half_success;
-        let radius = half.radius.expect("half of them fail");
+        let radius = half.radius.expect("half of the configurations fail");
         assert!((radius - median).abs() <= 0.5, "{radius} for {median}");
         let [low, high] = half.ci95.expect("ten tasks that differ");
         assert!(low <= radius && radius <= high, "{low} {radius} {high}");
@@ -141,7 +142,7 @@ fn the_half_success_radius_is_found_within_the_tolerance() {
 }
 
 #[test]
-fn rollouts_without_an_outcome_are_left_out_and_counted() {
+fn configurations_with_missing_outcomes_are_left_out_and_counted() {
     let source = campaign(10);
     let thresholds = thresholds(None, 0);
     let before = Measurement::of(&source, &[], &thresholds).curves(&Bootstrap::default());
@@ -151,29 +152,29 @@ fn rollouts_without_an_outcome_are_left_out_and_counted() {
             .iter()
             .all(|curve| (curve.n, curve.left_out) == (10, 90))
     );
-    let mut own = measure(&source, &thresholds, outcome);
-    let largest = own
+    let mut further = measure(&source, &thresholds, outcome);
+    let largest = further
         .iter_mut()
         .find(|record| record.id.level().radius() == 16.0);
     let largest = largest.expect("the grid was run");
     largest.outcome = Outcome::Quarantined;
-    let after = Measurement::of(&source, &own, &thresholds).curves(&Bootstrap::default());
-    let of = |curve: &Curve| (curve.n, curve.left_out);
+    let after = Measurement::of(&source, &further, &thresholds).curves(&Bootstrap::default());
+    let counts = |curve: &Curve| (curve.n, curve.left_out);
     // The ray fails at a smaller radius anyway, so its bracket is known.
-    assert!(after.iter().all(|curve| of(curve) == (100, 0)));
+    assert!(after.iter().all(|curve| counts(curve) == (100, 0)));
 }
 
 #[test]
-fn a_budget_measures_a_random_sample_and_is_kept() {
+fn a_budget_measures_a_random_sample_and_is_not_exceeded() {
     let source = campaign(12);
     // L1, L3 and r16 of three conditions, and five halvings each.
     let most = Measurement::of(&source, &[], &thresholds(None, 0)).most_rollouts_of_one();
     assert_eq!(most, 3 * (3 + 5));
     let sample = |budget, seed| -> BTreeSet<(TaskRef, u16)> {
         let thresholds = thresholds(Some(budget), seed);
-        let own = measure(&source, &thresholds, outcome);
-        assert!(own.len() <= budget as usize);
-        let measurement = Measurement::of(&source, &own, &thresholds);
+        let further = measure(&source, &thresholds, outcome);
+        assert!(further.len() <= budget as usize);
+        let measurement = Measurement::of(&source, &further, &thresholds);
         for (ray, outcomes) in measurement.rays() {
             assert_eq!(measurement.decision(ray, outcomes), Decision::Done);
         }

@@ -1,5 +1,5 @@
 //! Tests of the search along one ray: it finds the threshold in as few rollouts as
-//! halving needs, in whatever order outcomes come.
+//! halving needs, whatever the order of the outcomes.
 
 use std::collections::BTreeMap;
 
@@ -36,7 +36,7 @@ fn run(search: &Search, outcome: impl Fn(Level) -> Outcome) -> Outcomes<Level> {
 
 /// Returns a pseudorandom outcome, independent of the radius: of 16 outcomes, `failing` are
 /// failures and `quarantined` are in quarantine.
-fn any(seed: u64, level: Level, failing: u64, quarantined: u64) -> Outcome {
+fn pseudorandom(seed: u64, level: Level, failing: u64, quarantined: u64) -> Outcome {
     let mut bits = seed ^ (level.radius() * 1e6) as u64;
     for _ in 0..3 {
         bits = (bits ^ (bits >> 29)).wrapping_mul(0xbf58_476d_1ce4_e5b9);
@@ -49,7 +49,7 @@ fn any(seed: u64, level: Level, failing: u64, quarantined: u64) -> Outcome {
 }
 
 /// Returns the first failure and all successes beyond it, without the code under test.
-fn by_hand(outcomes: &Outcomes<Level>) -> (Option<Level>, Vec<Level>) {
+fn expected_finding(outcomes: &Outcomes<Level>) -> (Option<Level>, Vec<Level>) {
     let fails = outcomes
         .perturbed()
         .find(|(_, outcome)| *outcome == Outcome::Failure);
@@ -80,7 +80,7 @@ proptest! {
                 prop_assert!(high - low <= tolerance + 1e-5);
                 let grid = || search.grid.iter().map(|level| level.radius());
                 let below = grid().filter(|radius| *radius < at).fold(0.0, f64::max);
-                let above = grid().find(|radius| *radius >= at).expect("it fails in the grid");
+                let above = grid().find(|radius| *radius >= at).expect("a failing radius");
                 halvings = ((above - below) / (tolerance + 1e-5)).log2().ceil().max(0.0);
             }
             other => prop_assert!(false, "{other:?}"),
@@ -95,16 +95,16 @@ proptest! {
         seed: u64, failing in 0_u64..16, quarantined in 0_u64..6, tolerance in 0.05_f64..3.0,
     ) {
         let search = search(tolerance, 16.0);
-        let outcomes = run(&search, |level| any(seed, level, failing, quarantined));
+        let outcomes = run(&search, |level| pseudorandom(seed, level, failing, quarantined));
         prop_assert!(outcomes.requested() <= search.most_rollouts(|_| false));
-        let (fails, beyond) = by_hand(&outcomes);
+        let (fails, beyond) = expected_finding(&outcomes);
         let finding = Finding::new(&outcomes, &search);
         prop_assert_eq!(finding.recovers_at, beyond);
         match finding.threshold {
             Threshold::Between { succeeds_at, fails_at } => {
                 prop_assert_eq!(Some(fails_at), fails);
-                let there = outcomes.at(succeeds_at);
-                prop_assert!(there == Some(Outcome::Success) || succeeds_at == Level::L0);
+                let lower_end = outcomes.at(succeeds_at);
+                prop_assert!(lower_end == Some(Outcome::Success) || succeeds_at == Level::L0);
                 // The bracket is wider than the tolerance only if its middle is quarantined.
                 let width = fails_at.radius() - succeeds_at.radius();
                 let middle = level(succeeds_at.radius() + width / 2.0);
@@ -126,9 +126,9 @@ proptest! {
         seed: u64, failing in 0_u64..16, order: u64,
     ) {
         let search = search(0.25, 16.0);
-        let outcome = |level| any(seed, level, failing, 2);
+        let outcome = |level| pseudorandom(seed, level, failing, 2);
         let together = run(&search, outcome);
-        // Settles one outcome at a time in another order, with a new decision after each.
+        // Settles one outcome at a time in a random order, with a new decision after each.
         let mut settled: BTreeMap<Level, Outcome> = BTreeMap::new();
         let mut draw = order;
         loop {
@@ -157,7 +157,7 @@ proptest! {
     fn supplied_outcomes_are_not_requested_again(at in 0.001_f64..20.0, tolerance in 0.05_f64..3.0) {
         let search = search(tolerance, 16.0);
         let outcome = |level: Level| Outcome::from(level.radius() < at);
-        let alone = run(&search, outcome);
+        let without_supplied = run(&search, outcome);
         let mut outcomes = Outcomes::from_nominal(Outcome::Success);
         for level in Level::PERTURBED {
             outcomes.record_source(level, outcome(level));
@@ -168,15 +168,15 @@ proptest! {
                 outcomes.record(level, outcome(level));
             }
         }
-        prop_assert!(outcomes.perturbed().eq(alone.perturbed()));
-        prop_assert_eq!(outcomes.requested() + 3, alone.requested());
+        prop_assert!(outcomes.perturbed().eq(without_supplied.perturbed()));
+        prop_assert_eq!(outcomes.requested() + 3, without_supplied.requested());
         prop_assert!(outcomes.requested() <= search.most_rollouts(|level| level.is_named()));
     }
 }
 
 /// Delays are whole control steps, that is, radii of 2, 4, 6, …
 #[test]
-fn a_delay_is_found_to_the_control_step() {
+fn a_latency_threshold_is_found_to_the_control_step() {
     for (max_radius, grid) in [
         (16.0, "L1 L2 L3 r16"),
         (15.0, "L1 L2 L3 r14"),
@@ -240,7 +240,7 @@ fn configurations_that_fail_nominally_are_not_perturbed_further() {
 }
 
 #[test]
-fn language_is_measured_at_the_levels_that_it_has_wordings_at() {
+fn language_is_measured_only_at_the_levels_that_have_wordings() {
     let with_language = [Condition::Single(Axis::Language), Condition::Combination];
     for condition in with_language {
         let search = Search::of(&thresholds(0.5, 16.0), condition, AxisSet::ALL);

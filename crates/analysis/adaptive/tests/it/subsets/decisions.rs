@@ -30,7 +30,8 @@ fn subsets_with(
         .boxed()
 }
 
-/// The outcomes of two to six axes, with or without quarantine.
+/// Outcomes under every subset of two to six axes. `quarantine` is the weight of quarantined
+/// outcomes; success and failure have the weight 10.
 fn any_outcomes(quarantine: u32) -> BoxedStrategy<Outcomes> {
     let outcome = prop_oneof![
         10 => Just(Outcome::Success),
@@ -44,21 +45,22 @@ fn any_outcomes(quarantine: u32) -> BoxedStrategy<Outcomes> {
 
 /// Outcomes that form a transition, in either direction.
 fn transitions() -> BoxedStrategy<Outcomes> {
-    let both = (any_outcomes(0), any::<bool>());
-    both.prop_map(|(mut outcomes, emergent)| {
-        let full = *outcomes.keys().last().expect("sets");
-        for (set, outcome) in &mut outcomes {
-            if emergent && set.len() < 2 {
-                *outcome = Outcome::Success;
+    let drawn = (any_outcomes(0), any::<bool>());
+    drawn
+        .prop_map(|(mut outcomes, emergent)| {
+            let full = *outcomes.keys().last().expect("sets");
+            for (set, outcome) in &mut outcomes {
+                if emergent && set.len() < 2 {
+                    *outcome = Outcome::Success;
+                }
             }
-        }
-        outcomes.insert(full, Outcome::from(!emergent));
-        if !emergent {
-            outcomes.insert(AxisSet::of(Axis::Camera), Outcome::Failure);
-        }
-        outcomes
-    })
-    .boxed()
+            outcomes.insert(full, Outcome::from(!emergent));
+            if !emergent {
+                outcomes.insert(AxisSet::of(Axis::Camera), Outcome::Failure);
+            }
+            outcomes
+        })
+        .boxed()
 }
 
 /// Emergent failures of six axes in which every superset of a failing set fails.
@@ -95,7 +97,7 @@ fn complete(outcomes: &Outcomes) -> Lattice {
     lattice
 }
 
-/// Runs the decided rollouts, at most `cut` of each batch, until nothing more is decided.
+/// Runs the decided rollouts, at most `cut` of each batch, until no batch is decided.
 fn search(outcomes: &Outcomes, strategy: Strategy, cut: usize) -> Lattice {
     let mut lattice = campaign(outcomes);
     for _ in 0..=outcomes.len() {
@@ -106,7 +108,11 @@ fn search(outcomes: &Outcomes, strategy: Strategy, cut: usize) -> Lattice {
         assert!(!batch.is_empty());
         for Request { set, rollouts } in batch.into_iter().take(cut) {
             assert_eq!(rollouts, 1);
-            assert_eq!(lattice.tally(set).asked(), 0, "{set} was requested before");
+            assert_eq!(
+                lattice.tally(set).requested(),
+                0,
+                "{set} was requested before"
+            );
             lattice.record(set, outcomes[&set]).expect("a subset");
         }
     }
@@ -150,12 +156,12 @@ proptest! {
             for set in full.subsets() {
                 let below: Vec<AxisSet> = full.subsets().into_iter().filter(|below| strictly_inside(*below, set)).collect();
                 let is_minimal = answer.start.is_proper_subset(set) && flips(set) && !below.iter().any(|below| flips(*below));
-                let named = answer.minimal.iter().find(|minimal| minimal.set == set);
-                prop_assert_eq!(named.is_some(), is_minimal, "{}", set);
-                if let Some(named) = named {
+                let reported_subset = answer.minimal.iter().find(|minimal| minimal.set == set);
+                prop_assert_eq!(reported_subset.is_some(), is_minimal, "{}", set);
+                if let Some(reported_subset) = reported_subset {
                     let unknown: Vec<AxisSet> = below.into_iter().filter(|below| success(*below).is_none()).collect();
-                    prop_assert_eq!(named.is_established(), unknown.is_empty());
-                    prop_assert_eq!(&named.open, &unknown);
+                    prop_assert_eq!(reported_subset.is_established(), unknown.is_empty());
+                    prop_assert_eq!(&reported_subset.open, &unknown);
                 }
                 let unflipped = answer.start.is_subset(set) && success(set) == Some(!simultaneous);
                 let larger = |above: AxisSet| set.is_proper_subset(above) && success(above) == Some(!simultaneous);
@@ -166,16 +172,21 @@ proptest! {
                 prop_assert!(fact.minimal.is_proper_subset(fact.superset));
                 prop_assert!(flips(fact.minimal) && success(fact.superset) == Some(!simultaneous));
             }
-            let some_above = |minimal: AxisSet| full.subsets().into_iter().any(|above| minimal.is_subset(above) && success(above) == Some(!simultaneous));
+            let has_unflipped_superset = |minimal: AxisSet| {
+                let mut above = full.subsets().into_iter().filter(|set| minimal.is_subset(*set));
+                above.any(|set| success(set) == Some(!simultaneous))
+            };
             for minimal in &answer.minimal {
                 let reported = answer.non_monotone.iter().any(|fact| fact.minimal == minimal.set);
-                prop_assert_eq!(reported, some_above(minimal.set));
+                prop_assert_eq!(reported, has_unflipped_superset(minimal.set));
             }
         }
     }
 
     #[test]
-    fn every_search_ends_and_the_exhaustive_one_knows_all(outcomes in any_outcomes(3), cut in 1..64_usize) {
+    fn every_search_ends_and_the_exhaustive_one_finds_all(
+        outcomes in any_outcomes(3), cut in 1..64_usize,
+    ) {
         search(&outcomes, Strategy::Adaptive, cut);
         search(&outcomes, Strategy::TopDown, cut);
         let found = minimal_sets(&search(&outcomes, Strategy::Exhaustive, cut));
@@ -202,8 +213,9 @@ proptest! {
                 for minimal in &answer.minimal {
                     let is_right = truly_minimal.contains(&minimal.set);
                     prop_assert!(is_right || !minimal.is_established(), "{:?}", minimal);
-                    let one_less = minimal.open.iter().any(|open| open.len() + 1 == minimal.set.len());
-                    prop_assert!(!one_less, "{:?}", minimal);
+                    let one_axis_less = minimal.set.len() - 1;
+                    let lacks_one_axis = minimal.open.iter().any(|set| set.len() == one_axis_less);
+                    prop_assert!(!lacks_one_axis, "{:?}", minimal);
                     prop_assert!(minimal.set.len() > 3 || minimal.is_established(), "{:?}", minimal);
                 }
             }
@@ -219,7 +231,7 @@ proptest! {
     }
 
     #[test]
-    fn a_decision_depends_on_what_is_known_and_not_on_its_order(
+    fn decisions_do_not_depend_on_the_order_of_outcomes(
         rollouts in prop::collection::vec((prop::sample::select(full(4).subsets()), prop::sample::select(vec![
             Outcome::Success, Outcome::Failure, Outcome::Missing, Outcome::Quarantined]), any::<bool>()), 0..60),
     ) {
@@ -240,10 +252,10 @@ proptest! {
                 prop_assert_eq!(&decision, &next(&backwards, strategy));
                 if let Decision::Run(batch) = decision {
                     for Request { set, rollouts } in batch {
-                        let asked = forwards.tally(set).asked();
+                        let requested = forwards.tally(set).requested();
                         prop_assert!(rollouts > 0);
                         let most = if evidence == Evidence::Once { 1 } else { 6 };
-                        prop_assert!(asked + rollouts <= most);
+                        prop_assert!(requested + rollouts <= most);
                     }
                 }
             }
@@ -252,12 +264,14 @@ proptest! {
     }
 
     #[test]
-    fn no_rollout_is_requested_while_one_is_pending(outcomes in transitions(), which in any::<prop::sample::Index>()) {
+    fn no_rollout_is_requested_while_one_is_pending(
+        outcomes in transitions(), index in any::<prop::sample::Index>(),
+    ) {
         let mut lattice = campaign(&outcomes);
         if let Decision::Run(batch) = next(&lattice, Strategy::Adaptive) {
-            let one = which.get(&batch).set;
+            let pending = index.get(&batch).set;
             for Request { set, .. } in &batch {
-                let outcome = if *set == one { Outcome::Missing } else { outcomes[set] };
+                let outcome = if *set == pending { Outcome::Missing } else { outcomes[set] };
                 lattice.record(*set, outcome).expect("a subset");
             }
             for strategy in Strategy::ALL {
@@ -267,7 +281,7 @@ proptest! {
     }
 
     #[test]
-    fn a_noisy_search_ends_within_its_bound(
+    fn a_search_with_repeats_ends_within_the_largest_number_of_rollouts(
         coins in prop::collection::vec(any::<bool>(), 16 * 6),
         quarantined in prop::sample::select(full(4).subsets()),
     ) {
@@ -287,17 +301,17 @@ proptest! {
             prop_assert!(batches <= 16 * 3);
             for Request { set, rollouts } in batch {
                 for _ in 0..rollouts {
-                    let number = lattice.outcomes().both(set).asked();
+                    let number = lattice.outcomes().both(set).requested();
                     lattice.record(set, outcome(set, number)).expect("a subset");
                 }
-                prop_assert!(lattice.tally(set).asked() <= repeats.most);
+                prop_assert!(lattice.tally(set).requested() <= repeats.most);
             }
         }
         prop_assert_eq!(next(&lattice, Strategy::Adaptive), Decision::Done);
     }
 }
 
-fn known_of(text: &[(&str, Outcome)]) -> Lattice {
+fn lattice_of(text: &[(&str, Outcome)]) -> Lattice {
     let mut lattice = Lattice::new(full(3), Evidence::Once).expect("three axes");
     for (set, outcome) in text {
         let set = set.parse().expect("a set");
@@ -314,12 +328,12 @@ const EMERGENT: [(&str, Outcome); 4] = [
 ];
 
 #[test]
-fn without_a_transition_there_is_a_reason() {
+fn without_a_transition_the_error_names_the_reason() {
     assert_eq!(
-        explain(&known_of(&EMERGENT[1..])),
+        explain(&lattice_of(&EMERGENT[1..])),
         Err(Unexplained::Incomplete)
     );
-    let unchanged = known_of(
+    let unchanged = lattice_of(
         &[
             &EMERGENT[..3],
             &[("camera+lighting+robot", Outcome::Success)],
@@ -330,9 +344,9 @@ fn without_a_transition_there_is_a_reason() {
     assert_eq!(explain(&unchanged), Err(reason));
     assert_eq!(
         reason.to_string(),
-        "simultaneous perturbation changes nothing: it still succeeds"
+        "simultaneous perturbation changes nothing: the rollout still succeeds"
     );
-    let nominal = known_of(&[&EMERGENT[..], &[("none", Outcome::Failure)]].concat());
+    let nominal = lattice_of(&[&EMERGENT[..], &[("none", Outcome::Failure)]].concat());
     assert_eq!(explain(&nominal), Err(Unexplained::NominalFails));
     for lattice in [unchanged, nominal] {
         assert_eq!(next(&lattice, Strategy::Adaptive), Decision::Done);
@@ -341,7 +355,7 @@ fn without_a_transition_there_is_a_reason() {
 
 #[test]
 fn a_quarantined_pair_is_neither_run_again_nor_inferred() {
-    let lattice = known_of(
+    let lattice = lattice_of(
         &[
             &EMERGENT[..],
             &[
@@ -366,39 +380,39 @@ fn a_quarantined_pair_is_neither_run_again_nor_inferred() {
     );
 }
 
-fn named(task: usize) -> RolloutId {
+fn simultaneous_id(task: usize) -> RolloutId {
     let task = TaskRef::all().nth(task).expect("a task");
     RolloutId::perturbed(task, Condition::Combination, Level::L2, 0).expect("a perturbed level")
 }
 
 #[test]
-fn a_summary_reads_back_and_frequent_subsets_come_first() {
+fn explanations_are_unchanged_by_json_and_frequent_subsets_come_first() {
     let failing = |pairs: &[&'static str]| {
         let pairs = pairs.iter().map(|pair| (*pair, Outcome::Failure));
-        known_of(&EMERGENT.into_iter().chain(pairs).collect::<Vec<_>>())
+        lattice_of(&EMERGENT.into_iter().chain(pairs).collect::<Vec<_>>())
     };
-    let compensated = known_of(&[
+    let compensated = lattice_of(&[
         ("camera", Outcome::Failure),
         ("lighting", Outcome::Success),
         ("robot", Outcome::Success),
         ("camera+robot", Outcome::Success),
         ("camera+lighting+robot", Outcome::Success),
     ]);
-    let all = [
+    let lattices = [
         compensated,
         failing(&["lighting+robot", "camera+robot"]),
         failing(&["lighting+robot"]),
         failing(&[]),
     ];
-    let explained: Vec<Explained> = all
+    let explained: Vec<Explained> = lattices
         .iter()
         .enumerate()
-        .map(|(task, lattice)| Explained::of(named(task), lattice).expect("a transition"))
+        .map(|(task, lattice)| Explained::of(simultaneous_id(task), lattice).expect("a transition"))
         .collect();
     assert_eq!(explained[1].rollouts, 2);
     let text = serde_json::to_string(&explained).expect("JSON");
-    let back: Vec<Explained> = serde_json::from_str(&text).expect("explanations");
-    assert_eq!(back, explained);
+    let parsed: Vec<Explained> = serde_json::from_str(&text).expect("explanations");
+    assert_eq!(parsed, explained);
     let rows: Vec<String> = occurrences(&explained)
         .iter()
         .map(|o| {

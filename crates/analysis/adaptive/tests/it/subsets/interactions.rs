@@ -30,13 +30,16 @@ fn any_configurations() -> impl Strategy<Value = (usize, Vec<CompleteLattice>)> 
     (2..=6_usize, configurations).prop_map(|(axes, configurations)| {
         let full = full(axes);
         let subsets = full.subsets();
-        let one = |(task, bits): (usize, u64)| {
+        let configuration = |(task, bits): (usize, u64)| {
             lattice(task, full, |set| {
                 let index = subsets.iter().position(|other| *other == set);
                 bits >> index.expect("a subset") & 1 == 1
             })
         };
-        (axes, configurations.into_iter().map(one).collect())
+        (
+            axes,
+            configurations.into_iter().map(configuration).collect(),
+        )
     })
 }
 
@@ -49,20 +52,25 @@ proptest! {
 
     #[test]
     fn interactions_add_up_exactly((axes, configurations) in any_configurations()) {
-        let all = Interactions::of(&configurations, &FEW).expect("configurations");
-        let (full, nominal) = (&all.success[&full(axes)], &all.success[&AxisSet::EMPTY]);
-        prop_assert_eq!(nominal.numerator + sum(all.moebius.values()), full.numerator);
-        prop_assert_eq!(nominal.numerator + sum(all.sizes.values()), full.numerator);
-        let shapley = sum(all.shapley.values());
+        let interactions = Interactions::of(&configurations, &FEW).expect("configurations");
+        let full = &interactions.success[&full(axes)];
+        let nominal = &interactions.success[&AxisSet::EMPTY];
+        prop_assert_eq!(nominal.numerator + sum(interactions.moebius.values()), full.numerator);
+        prop_assert_eq!(nominal.numerator + sum(interactions.sizes.values()), full.numerator);
+        let shapley = sum(interactions.shapley.values());
         prop_assert_eq!(shapley, 60 * (full.numerator - nominal.numerator));
         let n = configurations.len() as i64;
-        prop_assert!(all.success.values().chain(all.moebius.values()).all(|e| e.denominator == n));
-        prop_assert!(all.shapley.values().chain(all.pairs.values()).all(|e| e.denominator == 60 * n));
-        prop_assert_eq!((all.success.len(), all.moebius.len()), (1 << axes, (1 << axes) - 1));
-        prop_assert_eq!((all.shapley.len(), all.pairs.len()), (axes, axes * (axes - 1) / 2));
+        let mut over_n = interactions.success.values().chain(interactions.moebius.values());
+        prop_assert!(over_n.all(|e| e.denominator == n));
+        let mut over_60n = interactions.shapley.values().chain(interactions.pairs.values());
+        prop_assert!(over_60n.all(|e| e.denominator == 60 * n));
+        prop_assert_eq!(interactions.success.len(), 1 << axes);
+        prop_assert_eq!(interactions.moebius.len(), (1 << axes) - 1);
+        prop_assert_eq!(interactions.shapley.len(), axes);
+        prop_assert_eq!(interactions.pairs.len(), axes * (axes - 1) / 2);
         // Every v(A) is the sum of m over the subsets of A.
-        for (set, success) in &all.success {
-            let below = all.moebius.iter().filter(|(below, _)| below.is_subset(*set));
+        for (set, success) in &interactions.success {
+            let below = interactions.moebius.iter().filter(|(below, _)| below.is_subset(*set));
             prop_assert_eq!(nominal.numerator + sum(below.map(|(_, m)| m)), success.numerator);
         }
     }
@@ -71,9 +79,9 @@ proptest! {
     /// which it occurs.
     #[test]
     fn shapley_values_and_pair_indices_are_averages_over_orders((axes, configurations) in any_configurations()) {
-        let all = Interactions::of(&configurations, &FEW).expect("configurations");
-        let v = |set: AxisSet| all.success[&set].numerator;
-        for (&axis, shapley) in &all.shapley {
+        let interactions = Interactions::of(&configurations, &FEW).expect("configurations");
+        let v = |set: AxisSet| interactions.success[&set].numerator;
+        for (&axis, shapley) in &interactions.shapley {
             let alone = AxisSet::of(axis);
             let others = full(axes).without(alone).subsets().into_iter();
             let marginal = others.map(|others| {
@@ -82,7 +90,7 @@ proptest! {
             });
             prop_assert_eq!(60 * marginal.sum::<i64>(), shapley.numerator * factorial(axes));
         }
-        for (&pair, index) in &all.pairs {
+        for (&pair, index) in &interactions.pairs {
             let [i, j] = pair.axes().map(AxisSet::of).collect::<Vec<_>>()[..] else { panic!("a pair") };
             let others = full(axes).without(pair).subsets().into_iter();
             let change = others.map(|others| {
@@ -101,36 +109,38 @@ proptest! {
     }
 }
 
-/// Ten tasks; the pair of the first two axes fails in the even ones.
+/// Returns one configuration per task. The pair of the first two axes fails in even tasks.
 fn pair_fails_in_half(tasks: usize) -> Vec<CompleteLattice> {
     let pair = full(2);
-    let one = |task| {
+    let configuration = |task| {
         lattice(task, AxisSet::ALL, |set| {
             task % 2 == 1 || !pair.is_subset(set)
         })
     };
-    (0..tasks).map(one).collect()
+    (0..tasks).map(configuration).collect()
 }
 
 #[test]
 fn a_failing_pair_is_one_coefficient_shared_by_its_axes() {
-    let all = Interactions::of(&pair_fails_in_half(10), &Bootstrap::default()).expect("some");
-    for (set, m) in &all.moebius {
+    let interactions =
+        Interactions::of(&pair_fails_in_half(10), &Bootstrap::default()).expect("configurations");
+    for (set, m) in &interactions.moebius {
         let expected = if *set == full(2) { -0.5 } else { 0.0 };
         assert_eq!(m.value, expected, "{set}");
     }
-    assert_eq!(all.shapley[&Axis::Camera].value, -0.25);
-    assert_eq!(all.shapley[&Axis::Robot].value, 0.0);
-    assert_eq!(all.pairs[&full(2)].value, -0.5);
+    assert_eq!(interactions.shapley[&Axis::Camera].value, -0.25);
+    assert_eq!(interactions.shapley[&Axis::Robot].value, 0.0);
+    assert_eq!(interactions.pairs[&full(2)].value, -0.5);
 }
 
 #[test]
-fn intervals_contain_their_values_and_are_withheld_where_they_mislead() {
-    let ten = Interactions::of(&pair_fails_in_half(10), &Bootstrap::default()).expect("some");
+fn intervals_contain_their_values_and_need_spread_and_ten_tasks() {
+    let ten =
+        Interactions::of(&pair_fails_in_half(10), &Bootstrap::default()).expect("configurations");
     let m = ten.moebius[&full(2)];
     let [low, high] = m.ci95.expect("ten tasks");
     assert!(low < m.value && m.value < high, "{low} {high}");
-    // The mean of ten halves: √(0.25 / 10) is its standard deviation.
+    // The mean of ten values, −1 or 0 equally often, has the standard error √(0.25 / 10).
     assert!(
         (high - low - 2.0 * 1.96 * 0.025_f64.sqrt()).abs() < 0.1,
         "{low} {high}"
@@ -140,7 +150,8 @@ fn intervals_contain_their_values_and_are_withheld_where_they_mislead() {
         (constant.ci95, constant.no_interval),
         (None, Some(NoInterval::NoSpread))
     );
-    let nine = Interactions::of(&pair_fails_in_half(9), &Bootstrap::default()).expect("some");
+    let nine =
+        Interactions::of(&pair_fails_in_half(9), &Bootstrap::default()).expect("configurations");
     let m = nine.moebius[&full(2)];
     assert_eq!(
         (m.ci95, m.no_interval),
@@ -149,12 +160,12 @@ fn intervals_contain_their_values_and_are_withheld_where_they_mislead() {
 }
 
 #[test]
-fn without_configurations_there_are_no_interactions_and_a_gap_is_named() {
+fn interactions_need_a_configuration_and_an_outcome_under_every_subset() {
     assert_eq!(Interactions::of(&[], &FEW), None);
     let task = TaskRef::all().next().expect("a task");
-    let hole: AxisSet = "camera+robot".parse().expect("a set");
-    let error = CompleteLattice::new(task, full(3), |set| (set != hole).then_some(true));
-    let error = error.expect_err("a hole").to_string();
+    let missing: AxisSet = "camera+robot".parse().expect("a set");
+    let error = CompleteLattice::new(task, full(3), |set| (set != missing).then_some(true));
+    let error = error.expect_err("a subset without an outcome").to_string();
     assert_eq!(
         error,
         "axes camera+lighting+robot: camera+robot has no outcome"

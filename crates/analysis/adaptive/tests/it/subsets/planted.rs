@@ -52,7 +52,7 @@ impl Kind {
         Self::CoinFlips,
     ];
 
-    /// Monotone kinds, and one that is not.
+    /// The monotone kinds and [`Self::MaskedPair`].
     pub(crate) const MIXTURE: [Self; 6] = [
         Self::Pair,
         Self::Triple,
@@ -74,14 +74,16 @@ impl Rule {
             let axes = shuffled(rng);
             let set = |axes: &[Axis]| axes.iter().copied().collect::<AxisSet>();
             let fails = |culprits: &[AxisSet]| {
-                Self::of(|all| !culprits.iter().any(|culprit| culprit.is_subset(all)))
+                Self::from_success(|perturbed| {
+                    !culprits.iter().any(|culprit| culprit.is_subset(perturbed))
+                })
             };
             // Another pair or triple, of axes that may be among the first ones.
-            let other = set(&shuffled(rng)[..2 + below(2, rng)]);
+            let other = set(&shuffled(rng)[..2 + random_below(2, rng)]);
             let masked = |culprit: AxisSet, mask: AxisSet| {
-                Self::of(|all| {
-                    let hidden = !culprit.is_subset(all) || mask.is_subset(all);
-                    hidden && !other.is_subset(all)
+                Self::from_success(|perturbed| {
+                    let is_harmless = !culprit.is_subset(perturbed) || mask.is_subset(perturbed);
+                    is_harmless && !other.is_subset(perturbed)
                 })
             };
             let rule = match kind {
@@ -92,12 +94,13 @@ impl Rule {
                 Kind::Compensation | Kind::TwoCompensations => {
                     let failing = if kind == Kind::Compensation { 1 } else { 2 };
                     let helpers: Vec<AxisSet> = (0..failing)
-                        .map(|i| set(&axes[2 + 2 * i..3 + 2 * i + below(2, rng)]))
+                        .map(|i| set(&axes[2 + 2 * i..3 + 2 * i + random_below(2, rng)]))
                         .collect();
-                    Self::of(|all| {
+                    Self::from_success(|perturbed| {
                         let mut pairs = axes.iter().zip(&helpers);
                         pairs.all(|(&axis, helpers)| {
-                            !all.contains(axis) || helpers.axes().any(|axis| all.contains(axis))
+                            !perturbed.contains(axis)
+                                || helpers.axes().any(|axis| perturbed.contains(axis))
                         })
                     })
                 }
@@ -105,9 +108,12 @@ impl Rule {
                 Kind::MaskedTriple => masked(set(&axes[..3]), set(&axes[3..4])),
                 Kind::CoinFlips => {
                     let mut coins = BTreeMap::new();
-                    for all in AxisSet::ALL.subsets() {
-                        let coin = below(2, rng) == 0;
-                        coins.insert(all, (all.len() < 2 || coin) && all != AxisSet::ALL);
+                    for perturbed in AxisSet::ALL.subsets() {
+                        let coin = random_below(2, rng) == 0;
+                        coins.insert(
+                            perturbed,
+                            (perturbed.len() < 2 || coin) && perturbed != AxisSet::ALL,
+                        );
                     }
                     Self(coins)
                 }
@@ -131,7 +137,7 @@ impl Rule {
         }
     }
 
-    fn of(success: impl Fn(AxisSet) -> bool) -> Self {
+    fn from_success(success: impl Fn(AxisSet) -> bool) -> Self {
         let subsets = AxisSet::ALL.subsets().into_iter();
         Self(subsets.map(|set| (set, success(set))).collect())
     }
@@ -143,9 +149,9 @@ impl Rule {
 
     /// Returns the minimal subsets from each start, computed from all 64 outcomes.
     pub(crate) fn truth(&self) -> Vec<(AxisSet, Vec<AxisSet>)> {
-        let all = self.succeeds(AxisSet::ALL);
+        let simultaneous = self.succeeds(AxisSet::ALL);
         let singles = Axis::ALL.map(AxisSet::of);
-        let starts = match all {
+        let starts = match simultaneous {
             true => singles
                 .into_iter()
                 .filter(|single| !self.succeeds(*single))
@@ -155,7 +161,7 @@ impl Rule {
         let of_start = |start: AxisSet| {
             let mut minimal: Vec<AxisSet> = Vec::new();
             for (&set, &success) in &self.0 {
-                let flips = start.is_proper_subset(set) && success == all;
+                let flips = start.is_proper_subset(set) && success == simultaneous;
                 if flips && !minimal.iter().any(|smaller| smaller.is_subset(set)) {
                     minimal.push(set);
                 }
@@ -169,11 +175,10 @@ impl Rule {
 /// Cost and result of a search.
 #[derive(Debug)]
 pub(crate) struct Found {
-    /// Subsets that were run beyond those of a campaign.
+    /// Number of subsets that were run beyond those of a campaign.
     pub(crate) subsets: usize,
     /// Number of rollouts that were requested.
     pub(crate) rollouts: u32,
-    /// Batches.
     pub(crate) batches: usize,
     /// The explanation, if there is one.
     pub(crate) explanation: Option<Explanation>,
@@ -194,8 +199,7 @@ impl Found {
     }
 }
 
-/// Runs a search to its end. `outcome` is called with the subset and the number of rollouts that it
-/// has had.
+/// Runs a search to its end. `outcome` returns the outcome of one rollout under a subset.
 pub(crate) fn search(
     strategy: Strategy,
     evidence: Evidence,
@@ -252,7 +256,7 @@ pub(crate) fn run(
     batches
 }
 
-/// A search over the outcomes of a rule.
+/// Runs a search over the outcomes of a rule.
 pub(crate) fn search_rule(rule: &Rule, strategy: Strategy) -> Found {
     search(strategy, Evidence::Once, |set| {
         Outcome::from(rule.succeeds(set))
@@ -273,19 +277,18 @@ pub(crate) fn search_noisy(
     })
 }
 
-/// A generator for a seed.
 pub(crate) fn seeded(seed: u64) -> ChaCha12Rng {
     ChaCha12Rng::seed_from_u64(seed)
 }
 
-fn below(bound: usize, rng: &mut ChaCha12Rng) -> usize {
+fn random_below(bound: usize, rng: &mut ChaCha12Rng) -> usize {
     ((u64::from(rng.next_u32()) * bound as u64) >> 32) as usize
 }
 
 fn shuffled(rng: &mut ChaCha12Rng) -> [Axis; 6] {
     let mut axes = Axis::ALL;
     for i in (1..axes.len()).rev() {
-        axes.swap(i, below(i + 1, rng));
+        axes.swap(i, random_below(i + 1, rng));
     }
     axes
 }

@@ -5,29 +5,29 @@ use adaptive::subsets::{Evidence, Repeats, Strategy};
 use super::planted::{Found, Kind, Rule, search_noisy, search_rule, seeded};
 
 const RULES: usize = 300;
-/// Subsets that a campaign does not run by itself.
+/// Number of subsets that an ordinary campaign does not run.
 const FURTHER: f64 = 56.0;
 
-fn each(kind: Kind, strategy: Strategy) -> Vec<(Rule, Found)> {
+fn searches(kind: Kind, strategy: Strategy) -> Vec<(Rule, Found)> {
     let mut rng = seeded(11);
-    let one = |_| {
+    let search = |_| {
         let rule = Rule::draw(kind, &mut rng);
         let found = search_rule(&rule, strategy);
         (rule, found)
     };
-    (0..RULES).map(one).collect()
+    (0..RULES).map(search).collect()
 }
 
 fn mean_subsets(kind: Kind, strategy: Strategy) -> f64 {
-    let subsets = each(kind, strategy)
+    let subsets = searches(kind, strategy)
         .into_iter()
         .map(|(_, found)| found.subsets as f64);
     subsets.sum::<f64>() / RULES as f64
 }
 
 fn exact_share(kind: Kind, strategy: Strategy) -> f64 {
-    let all = each(kind, strategy);
-    let exact = all.iter().filter(|(rule, found)| found.is_exact(rule));
+    let results = searches(kind, strategy);
+    let exact = results.iter().filter(|(rule, found)| found.is_exact(rule));
     exact.count() as f64 / RULES as f64
 }
 
@@ -35,12 +35,15 @@ fn exact_share(kind: Kind, strategy: Strategy) -> f64 {
 fn every_monotone_rule_is_recovered_exactly_and_established() {
     for strategy in Strategy::ALL {
         for kind in Kind::MONOTONE {
-            for (rule, found) in each(kind, strategy) {
+            for (rule, found) in searches(kind, strategy) {
                 assert!(
                     found.is_exact(&rule),
                     "{strategy:?} {kind:?} {rule:?} {found:?}"
                 );
-                assert_eq!(found.rollouts as usize, found.subsets, "each runs once");
+                assert_eq!(
+                    found.rollouts as usize, found.subsets,
+                    "each subset runs once"
+                );
                 assert!(
                     found.batches <= 6,
                     "{strategy:?} {kind:?}: {}",
@@ -62,7 +65,7 @@ fn every_monotone_rule_is_recovered_exactly_and_established() {
 }
 
 #[test]
-fn the_mixture_takes_a_third_of_the_lattice_at_most() {
+fn searches_of_the_mixture_run_at_most_a_third_of_the_lattice() {
     let share = |strategy| {
         let means = Kind::MIXTURE
             .iter()
@@ -75,7 +78,7 @@ fn the_mixture_takes_a_third_of_the_lattice_at_most() {
 }
 
 #[test]
-fn a_masked_pair_is_always_found_by_running_all_pairs_and_often_missed_from_the_top() {
+fn masked_pairs_are_always_found_by_the_adaptive_strategy_and_often_missed_by_top_down() {
     assert_eq!(exact_share(Kind::MaskedPair, Strategy::Adaptive), 1.0);
     let top_down = exact_share(Kind::MaskedPair, Strategy::TopDown);
     assert!(top_down < 0.8, "{top_down}");
@@ -91,21 +94,21 @@ fn only_the_whole_lattice_finds_every_masked_triple() {
 }
 
 #[test]
-fn a_noisy_policy_takes_replicates_and_the_same_subsets_are_found() {
+fn the_rule_of_a_noisy_policy_is_found_by_replicates() {
     let mut rng = seeded(12);
     let evidence = Evidence::Repeated(Repeats::default());
-    let (mut tried, mut explained, mut exact) = (0, 0, 0);
+    let (mut rules, mut explained, mut exact) = (0, 0, 0);
     for kind in Kind::MONOTONE {
         for _ in 0..60 {
             let rule = Rule::draw(kind, &mut rng);
             let found = search_noisy(&rule, Strategy::Adaptive, evidence, 0.02, &mut rng);
-            tried += 1;
+            rules += 1;
             explained += usize::from(found.explanation.is_some());
             exact += usize::from(found.is_exact(&rule));
         }
     }
-    // The first rollouts of eight subsets all show the rule's outcomes with probability 0.98⁸ = 85
-    // %. A transition that they hide is not pursued.
-    assert!(explained * 100 >= 80 * tried, "{explained} of {tried}");
+    // The first rollouts of eight subsets all show the rule's outcomes with probability
+    // 0.98⁸ = 85 %. A transition that the first rollouts hide is not searched.
+    assert!(explained * 100 >= 80 * rules, "{explained} of {rules}");
     assert!(exact * 100 >= 98 * explained, "{exact} of {explained}");
 }

@@ -58,42 +58,44 @@ fn claims(coins: Coins, lattice: &Lattice) -> [usize; 2] {
 }
 
 /// Returns the numbers of lattices with a claim, and with a false one.
-fn lattices(coins: Coins, strategy: Strategy, seed: u64) -> [usize; 2] {
+fn lattices_with_claims(coins: Coins, strategy: Strategy, seed: u64) -> [usize; 2] {
     let mut rng = ChaCha12Rng::seed_from_u64(seed);
-    let mut found = [0, 0];
+    let mut counts = [0, 0];
     for _ in 0..LATTICES {
         let lattice = search(coins, strategy, &mut rng);
-        for (found, claims) in found.iter_mut().zip(claims(coins, &lattice)) {
-            *found += usize::from(claims > 0);
+        for (count, claims) in counts.iter_mut().zip(claims(coins, &lattice)) {
+            *count += usize::from(claims > 0);
         }
     }
-    found
+    counts
 }
 
 #[test]
-fn at_most_five_percent_of_lattices_of_coins_lead_to_a_false_claim() {
+fn at_most_five_percent_of_lattices_of_coin_flips_lead_to_a_false_claim() {
     let cases: [(&str, Coins); 5] = [
         ("fair coins", |_| 0.5),
         ("coins of 95 %", |_| 0.95),
-        ("all axes a fair coin", |set| {
+        ("a fair coin under all axes", |set| {
             if set == AxisSet::ALL { 0.5 } else { 1.0 }
         }),
-        ("one axis a fair coin", |set| {
+        ("a fair coin under one axis", |set| {
             if set == "camera".parse().expect("a set") {
                 0.5
             } else {
                 1.0
             }
         }),
-        ("every further subset a fair coin", |set| match set.len() {
-            6 => 0.0,
-            0 | 1 => 1.0,
-            _ => 0.5,
+        ("a fair coin under every further subset", |set| {
+            match set.len() {
+                6 => 0.0,
+                0 | 1 => 1.0,
+                _ => 0.5,
+            }
         }),
     ];
     for (name, coins) in cases {
         for strategy in [Strategy::Adaptive, Strategy::Exhaustive] {
-            let [_, wrong] = lattices(coins, strategy, 3);
+            let [_, wrong] = lattices_with_claims(coins, strategy, 3);
             println!("{name}, {}: {wrong} of {LATTICES}", strategy.name());
             assert!(
                 wrong * 20 <= LATTICES,
@@ -105,7 +107,7 @@ fn at_most_five_percent_of_lattices_of_coins_lead_to_a_false_claim() {
 
 /// The bound on false claims must not be met by claiming nothing.
 #[test]
-fn a_transition_that_is_there_is_claimed_with_its_pair() {
+fn a_real_transition_is_claimed_with_its_minimal_pair() {
     let coins: Coins = |set| {
         let pair: AxisSet = "camera+robot".parse().expect("a set");
         if pair.is_subset(set) { 0.05 } else { 0.95 }
