@@ -97,7 +97,7 @@ def main():
     parser.add_argument("--params", default="{}", help="observation parameters, JSON")
     parser.add_argument("--gripper", help="format of the gripper in its action spec")
     arguments = parser.parse_args()
-    received = open(arguments.received, "a", encoding="utf-8")  # until it ends
+    received = open(arguments.received, "a", encoding="utf-8")  # Open until the process ends.
     lock = threading.Lock()
     unpack = serve.unpack_message
 

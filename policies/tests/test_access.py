@@ -61,8 +61,8 @@ class TlsClient(Client):
     def __init__(self, address, ca, token=None):
         credentials = grpc.ssl_channel_credentials(ca.read_bytes())
         if token is not None:
-            shown = grpc.access_token_call_credentials(token)
-            credentials = grpc.composite_channel_credentials(credentials, shown)
+            token_credentials = grpc.access_token_call_credentials(token)
+            credentials = grpc.composite_channel_credentials(credentials, token_credentials)
         self.channel = grpc.secure_channel(address, credentials)
         self.stub = pb_grpc.PolicyStub(self.channel)
 
@@ -103,8 +103,7 @@ def test_the_gateway_queries_a_server_with_tls_and_tokens(files, guarded):
 def test_a_configured_gateway_queries_a_server_with_tls_and_tokens(files, guarded):
     program = gateway_program()
     (files / "gateway.toml").write_text(
-        f'[policy.servo]\nreplicas = ["https://{guarded}"]\nca = "ca.pem"\n'
-        'token_file = "worker"\n'
+        f'[policy.servo]\nreplicas = ["https://{guarded}"]\nca = "ca.pem"\ntoken_file = "worker"\n'
     )
     command = [program, "--listen", "127.0.0.1:0", "--config", "gateway.toml"]
     with running(*command, cwd=files) as (_, address):
@@ -133,16 +132,16 @@ def test_the_check_command_works_with_tls_and_tokens(files, guarded, capsys):
     ],
 )
 def test_only_loopback_addresses_need_no_tls_and_tokens(encrypted, tokens, expected):
-    known = Tokens.parse("worker 0123456789abcdef", "the test") if tokens else None
+    parsed_tokens = Tokens.parse("worker 0123456789abcdef", "the test") if tokens else None
     for loopback in ("127.0.0.1:1", "localhost:0", "[::1]:1", "[::ffff:127.0.0.1]:1"):
-        require_guarded(loopback, encrypted, known)
-    for open_ in ("0.0.0.0:1", "[::]:1", "10.0.0.7:1", ":5000"):
+        require_guarded(loopback, encrypted, parsed_tokens)
+    for reachable in ("0.0.0.0:1", "[::]:1", "10.0.0.7:1", ":5000"):
         if expected is None:
-            require_guarded(open_, encrypted, known)
+            require_guarded(reachable, encrypted, parsed_tokens)
             continue
         with pytest.raises(UnguardedAddress, match=expected) as caught:
-            require_guarded(open_, encrypted, known)
-        for word in (open_, "--tls-cert", "--insecure"):
+            require_guarded(reachable, encrypted, parsed_tokens)
+        for word in (reachable, "--tls-cert", "--insecure"):
             assert word in str(caught.value)
     assert is_loopback("127.9.9.9") and not is_loopback("")
 

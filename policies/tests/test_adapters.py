@@ -59,7 +59,7 @@ def observation(seed=7, query_index=0, suite="libero_goal", instruction="Open th
     )
 
 
-def next_one(earlier, query_index):
+def later_query(earlier, query_index):
     return Observation(earlier.episode, query_index, earlier.images, earlier.state)
 
 
@@ -139,18 +139,19 @@ def test_a_flow_policy_passes_on_the_actions_under_way_per_query():
 
 def test_listed_checkpoints_execute_the_protocols_number_and_others_their_own():
     smolvla = entry("smolvla")
-    own = {"chunk": 50, "own": 10}
-    assert executed(smolvla, Options(), **own) == 1
-    assert executed(smolvla, Options(checkpoint="lerobot/smolvla_libero"), **own) == 1
-    assert executed(smolvla, Options(checkpoint="me/mine"), **own) == 10
-    assert executed(smolvla, Options(execute=5), **own) == 5
-    assert executed(smolvla, Options(checkpoint="me/mine", execute=5), **own) == 5
-    # This chunk is shorter than the number that the paper executes for its own checkpoint.
-    assert executed(entry("pi05"), Options(checkpoint="me/mine"), chunk=5, own=5) == 5
+    numbers = {"chunk": 50, "from_checkpoint": 10}
+    assert executed(smolvla, Options(), **numbers) == 1
+    assert executed(smolvla, Options(checkpoint="lerobot/smolvla_libero"), **numbers) == 1
+    assert executed(smolvla, Options(checkpoint="me/mine"), **numbers) == 10
+    assert executed(smolvla, Options(execute=5), **numbers) == 5
+    assert executed(smolvla, Options(checkpoint="me/mine", execute=5), **numbers) == 5
+    # This chunk is shorter than the number of actions that LIBERO-CTRL executes with the listed
+    # checkpoint.
+    assert executed(entry("pi05"), Options(checkpoint="me/mine"), chunk=5, from_checkpoint=5) == 5
 
 
 def test_an_executed_number_other_than_the_protocols_is_logged(caplog):
-    executed(entry("smolvla"), Options(checkpoint="me/mine"), chunk=50, own=10)
+    executed(entry("smolvla"), Options(checkpoint="me/mine"), chunk=50, from_checkpoint=10)
     assert "executing 10 actions of every chunk" in caplog.text
     assert "LIBERO-CTRL executes 1 with" in caplog.text
 
@@ -164,7 +165,7 @@ def test_an_executed_number_other_than_the_protocols_is_logged(caplog):
 )
 def test_more_actions_than_a_chunk_has_are_refused(chunk, options, words):
     with pytest.raises(UnusableOption, match=words):
-        executed(entry("smolvla"), options, chunk=chunk, own=1)
+        executed(entry("smolvla"), options, chunk=chunk, from_checkpoint=1)
 
 
 @pytest.mark.parametrize(("cls", "name"), [(FlowPolicy, "smolvla"), (VlaJepa, "vla-jepa")])
@@ -175,12 +176,12 @@ def test_noise_depends_on_seed_and_query_only(cls, name):
     assert (policy.infer(ours) == alone).all()
     assert (policy.infer_batch([other, ours])[1] == alone).all()
     assert (policy.infer(other) != alone).any()
-    assert (policy.infer(next_one(ours, 4)) != alone).any()
+    assert (policy.infer(later_query(ours, 4)) != alone).any()
     assert alone.shape == (50, 7)
 
 
 class RecordingLerobot(Loaded):
-    """Counts the queries of each episode, as lerobot's queues would."""
+    """Counts the queries of each episode in its memory, which replaces lerobot's queues."""
 
     def fresh_memory(self):
         return {"count": 0}
@@ -250,13 +251,13 @@ class RecordingUnivla:
     parameters = 3
 
     def __init__(self):
-        self.asked = []
+        self.queries = []
 
     def chunk(self, pixels, text, generator):
-        self.asked.append((text, generator))
+        self.queries.append((text, generator))
         self.pixels = pixels
         # The n-th chunk holds n / 10 everywhere except the gripper, which is open.
-        chunk = np.full((12, 7), len(self.asked) / 10)
+        chunk = np.full((12, 7), len(self.queries) / 10)
         chunk[:, 6] = 1
         return chunk, [32001, 2, 32032, 32005], ("after", generator)
 
@@ -270,19 +271,19 @@ def test_univla_carries_latent_actions_and_chunks_from_query_to_query():
     seen = observation()
     policy.reset(seen.episode)
     first = policy.infer(seen)
-    second = policy.infer(next_one(seen, 1))
+    second = policy.infer(later_query(seen, 1))
     assert first == pytest.approx([0.2] * 6 + [-1])
     weight = np.exp(-0.1)
     assert second[0] == pytest.approx(2 * (0.2 + weight * 0.1) / (1 + weight))
     question = "In: What action should the robot take to open the drawer?"
-    assert model.asked[0][0] == f"{question}\nOut:"
+    assert model.queries[0][0] == f"{question}\nOut:"
     # Token 2, the end of the sentence, is not a latent action.
-    assert model.asked[1][0] == f"{question} History action <ACT_0><ACT_31><ACT_4>\nOut:"
+    assert model.queries[1][0] == f"{question} History action <ACT_0><ACT_31><ACT_4>\nOut:"
     # A new episode starts without history and with its own seed.
     again = observation()
     policy.reset(again.episode)
     policy.infer(again)
-    assert model.asked[2] == model.asked[0] != model.asked[1]
+    assert model.queries[2] == model.queries[0] != model.queries[1]
     assert policy.description.stateful and policy.description.stochastic
     assert (model.pixels == openvla_oft.frame(pattern(256)[::-1, ::-1])).all()
 
@@ -302,8 +303,8 @@ def test_univlas_study_protocol_uses_one_seed_and_crops_whole_pixels():
         seen = observation(seed)
         policy.reset(seen.episode)
         policy.infer(seen)
-        policy.infer(next_one(seen, 1))
-    assert [generator for _, generator in model.asked] == [7, ("after", 7)] * 2
+        policy.infer(later_query(seen, 1))
+    assert [generator for _, generator in model.queries] == [7, ("after", 7)] * 2
     assert (model.pixels == univla.study_frame(pattern(256)[::-1, ::-1])).all()
     assert not policy.description.stochastic
     assert policy.description.settings["evaluation"] == "study"
@@ -330,7 +331,7 @@ def test_predvla_gets_unturned_frames_at_every_fourth_step():
     seen = observation()
     policy.reset(seen.episode)
     for query_index in range(6):
-        policy.infer(next_one(seen, query_index))
+        policy.infer(later_query(seen, query_index))
     small = [(128, 128, 3)] * 2
     expected = ["Open the Drawer", small, None, None, None, small, None]
     assert seen.episode.memory.correction == expected
@@ -383,7 +384,7 @@ def test_weights_of_predvla_are_found_in_its_repository(tmp_path):
         "libero_goal": "checkpoints/predvla_goal_s1.pt",
         "libero_10": "checkpoints/predvla_long_s1.pt",
     }
-    # Their paths are relative to the authors' repository, not to the working directory.
+    # The paths are relative to the authors' repository, not to the working directory.
     file = tmp_path / listed["libero_goal"]
     file.parent.mkdir()
     file.write_bytes(b"weights")

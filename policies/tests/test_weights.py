@@ -74,7 +74,7 @@ def test_files_are_compared_in_pieces_of_any_size(tmp_path, monkeypatch, piece):
     _, network = torch_network()
     from safetensors.torch import save_file
 
-    monkeypatch.setattr(weights, "PIECE", piece)
+    monkeypatch.setattr(weights, "COMPARED_NUMBERS", piece)
     file = tmp_path / "model.safetensors"
     # Files may have a higher precision than the network.
     stored = {f"old.{name}": tensor.float() for name, tensor in network.state_dict().items()}
@@ -88,7 +88,7 @@ def test_files_are_compared_in_pieces_of_any_size(tmp_path, monkeypatch, piece):
     look()
     stored["old.0.weight"][-1, -1] += 1
     save_file(stored, file)
-    with pytest.raises(UnusableCheckpoint, match=r"1 of other content \(0.weight\)"):
+    with pytest.raises(UnusableCheckpoint, match=r"1 with other content \(0.weight\)"):
         look()
 
 
@@ -97,7 +97,7 @@ def test_a_file_is_never_read_whole(tmp_path, monkeypatch):
     from safetensors.torch import save_file
 
     save_file(network.state_dict(), tmp_path / "model.safetensors")
-    monkeypatch.setattr(weights, "PIECE", 3_000)
+    monkeypatch.setattr(weights, "COMPARED_NUMBERS", 3_000)
     largest = 0
     inner = weights._InFile.__getitem__
 

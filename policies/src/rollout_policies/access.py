@@ -31,7 +31,7 @@ TOKENS_VARIABLE = "ROLLOUT_TOKENS"
 HEALTH_PATH = "/grpc.health.v1.Health/"
 #: Interval after which a refusal of the same kind to the same machine is logged again, s.
 LOGGED_AGAIN_SECS = 600.0
-#: Most machines and kinds of refusal whose last log time is remembered.
+#: Most pairs of machine and kind of refusal whose last log time is stored.
 MAX_LOGGED = 1024
 
 log = logging.getLogger("rollout_policies")
@@ -91,9 +91,7 @@ class Tokens:
                 )
             entries.append((words[0], words[1]))
         if not entries:
-            raise AccessError(
-                f"failed to find a token in {place}: write one `ROLE TOKEN` per line"
-            )
+            raise AccessError(f"failed to find a token in {place}: write one `ROLE TOKEN` per line")
         if len(entries) > MAX_TOKENS:
             raise AccessError(f"failed to read {place}: it holds more than {MAX_TOKENS} tokens")
         return cls(tuple(entries))

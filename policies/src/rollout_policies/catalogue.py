@@ -66,7 +66,7 @@ class Entry:
             return self.checkpoint
         if suite is None or suite not in self.checkpoint:
             raise NoCheckpoint(
-                f"{self.title} has other weights for every suite: --suite must be one of"
+                f"{self.title} has separate weights for every suite: --suite must be one of"
                 f" {', '.join(self.checkpoint)}, and is {suite or 'missing'}"
             )
         return self.checkpoint[suite]

@@ -44,7 +44,9 @@ class FlowPolicy(Policy):
         model = LerobotModel.load(entry, options, kind=kind, **replaced)
         model.chunk_in_real_time()
         config = model.config
-        execute = executed(entry, options, chunk=config.chunk_size, own=config.n_action_steps)
+        execute = executed(
+            entry, options, chunk=config.chunk_size, from_checkpoint=config.n_action_steps
+        )
         return cls(entry, model, execute=execute, max_batch=options.max_batch)
 
     def reset(self, episode: Episode) -> None:

@@ -156,7 +156,7 @@ def load(entry: Entry, options: Options) -> Policy:
     """Loads the checkpoint; see `rollout_policies.adapters.load`."""
     checkpoint = entry.checkpoint_for(options.suite)
     checkpoint = options.checkpoint or checkpoint
-    execute = executed(entry, options, chunk=CHUNK, own=CHUNK)
+    execute = executed(entry, options, chunk=CHUNK, from_checkpoint=CHUNK)
     fetched = fetch(entry, checkpoint, options.revision)
     folder = fetched.folder
     parts = _parts(folder, checkpoint)
@@ -207,20 +207,20 @@ def load(entry: Entry, options: Options) -> Policy:
 
 
 def _parts(folder: Path, checkpoint: str) -> dict[str, Path]:
-    """The files of the parts that are trained separately from the network, by part."""
+    """Returns the files of the parts that are trained separately from the network, by part."""
     found = {
         part: sorted(folder.glob(f"*{part}*checkpoint*")) for part in (HEAD, PROJECTOR, *NOT_SERVED)
     }
-    for part, way in NOT_SERVED.items():
+    for part, method in NOT_SERVED.items():
         if found[part]:
             raise UnusableCheckpoint(
-                f"checkpoint {checkpoint} was trained with {way} (it has"
+                f"checkpoint {checkpoint} was trained with {method} (it has"
                 f" {found[part][0].name}), which this adapter does not serve"
             )
     for part in (HEAD, PROJECTOR):
         if len(found[part]) != 1:
             raise UnusableCheckpoint(
                 f"checkpoint {checkpoint} has {len(found[part]) or 'no'} files of its {part}"
-                " (*checkpoint.pt), and one is needed: of several, leave one"
+                " (*checkpoint.pt), and exactly one is needed"
             )
     return {part: found[part][0] for part in (HEAD, PROJECTOR)}

@@ -52,7 +52,7 @@ def frame(raw: np.ndarray) -> np.ndarray:
     return resize(raw, SIDE, SIDE, BILINEAR)
 
 
-def looks(step: int, stride: int) -> bool:
+def uses_frames(step: int, stride: int) -> bool:
     """Returns True if this step uses frames: the first does, then every
     `stride`-th."""
     return step % stride == 0
@@ -73,8 +73,10 @@ class PredvlaModel:
     network: Any
     front: Any
     correction_class: Any
+    #: Number of steps between two steps that use frames.
     stride: int
     device: str
+    #: Compiled replacement of a correction's `_roll`; None on a CPU.
     roll: Any = None
 
     @property
@@ -97,18 +99,21 @@ class PredvlaModel:
     def step(
         self, correction: Any, joints: np.ndarray, frames: tuple[np.ndarray, np.ndarray] | None
     ) -> np.ndarray:
-        """One step: seven joints and two fingers [9], and both frames if the step uses them."""
+        """Advances a correction by one step and returns the action [7]. `joints` has seven arm
+        joints and two fingers; `frames` is None at a step that uses no frames."""
         import torch
 
-        felt = self.front.q(
+        proprioception = self.front.q(
             {
                 "robot0_joint_pos": joints[:7].astype(np.float32),
                 "robot0_gripper_qpos": joints[7:].astype(np.float32),
             }
         )
-        seen = torch.zeros(self.network.v_dim) if frames is None else self.front.v(*frames)
-        looked = torch.full((1,), 0.0 if frames is None else 1.0, device=self.device)
-        action = correction.step(seen.to(self.device)[None], felt.to(self.device)[None], looked)
+        vision = torch.zeros(self.network.v_dim) if frames is None else self.front.v(*frames)
+        has_frames = torch.full((1,), 0.0 if frames is None else 1.0, device=self.device)
+        action = correction.step(
+            vision.to(self.device)[None], proprioception.to(self.device)[None], has_frames
+        )
         return np.asarray(action[0], dtype=np.float64)
 
 
@@ -150,7 +155,7 @@ class PredVla(Policy):
     def infer(self, observation: Observation) -> np.ndarray:
         memory = observation.episode.memory
         frames = None
-        if looks(memory.step, self.model.stride):
+        if uses_frames(memory.step, self.model.stride):
             frames = tuple(frame(observation.images[camera.name]) for camera in (SCENE, WRIST))
         joints = observation.vector(State.JOINT_POS, State.GRIPPER_POS)
         action = self.model.step(memory.correction, joints, frames)
@@ -177,7 +182,7 @@ def load(entry: Entry, options: Options) -> Policy:
     """Loads the checkpoint; see `rollout_policies.adapters.load`."""
     checkpoint = entry.checkpoint_for(options.suite)
     checkpoint = options.checkpoint or checkpoint
-    executed(entry, options, chunk=1, own=1)
+    executed(entry, options, chunk=1, from_checkpoint=1)
     if options.revision is not None:
         raise UnusableOption(
             f"--revision names a commit of the hub, but {entry.title}'s weights are files in its"

@@ -38,7 +38,7 @@ def statistics_of(suite: str, all_statistics: Mapping[str, Any]) -> str:
             return key
     raise UnusableCheckpoint(
         f"the checkpoint has no statistics of {suite}; it has those of"
-        f" {', '.join(all_statistics) or 'nothing'}"
+        f" {', '.join(all_statistics) or 'no suite'}"
     )
 
 
@@ -52,7 +52,7 @@ def statistics_in(folder: Path, suite: str) -> tuple[dict[str, Any], str, str]:
     if not file.is_file():
         raise UnusableCheckpoint(
             f"checkpoint {folder} has no {STATISTICS}, without which its actions mean nothing:"
-            " it was not fine-tuned on LIBERO, or the file was left behind"
+            " it was not fine-tuned on LIBERO, or the file was not copied"
         )
     # The statistics in the configuration are those of the pre-training.
     everything = json.loads(file.read_text("utf-8"))

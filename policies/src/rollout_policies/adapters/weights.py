@@ -17,8 +17,8 @@ from typing import Any
 
 from .upstream import UnusableCheckpoint
 
-#: Numbers read from a file at a time; at least one row.
-PIECE = 1 << 24
+#: Numbers of a stored tensor that are read and compared at a time; at least one row.
+COMPARED_NUMBERS = 1 << 24
 #: Names shown for each kind of difference.
 SHOWN = 3
 #: Tensors that networks compute at construction, and that older versions of transformers
@@ -59,8 +59,8 @@ class Differences:
         kinds = {
             "missing in the file": self.missing,
             "unknown to the network": self.unknown,
-            "of another shape": self.shape,
-            "of other content": self.content,
+            "with another shape": self.shape,
+            "with other content": self.content,
         }
         return "; ".join(
             f"{len(names)} {kind} ({', '.join(names[:SHOWN])}{', ...' * (len(names) > SHOWN)})"
@@ -124,9 +124,10 @@ def require_loaded(
     found = compare(network.state_dict(), stored, _same, exceptions)
     if differences := str(found):
         raise UnusableCheckpoint(
-            f"checkpoint {checkpoint} was not loaded as it is stored: of {part}, {differences}."
-            " Tensors that were not loaded are random. Install the version of the policy's package"
-            " that wrote the checkpoint, or write the checkpoint again with the installed version"
+            f"checkpoint {checkpoint} was not loaded as it is stored. Tensors of {part}:"
+            f" {differences}. Tensors that were not loaded are random. Install the version of the"
+            " policy's package that wrote the checkpoint, or write the checkpoint again with the"
+            " installed version"
         )
 
 
@@ -184,7 +185,7 @@ def _same(loaded: Any, in_file: Any) -> bool:
     if not loaded.shape:
         whole = in_file.whole() if isinstance(in_file, _InFile) else in_file
         return torch.equal(whole.to(loaded.device, loaded.dtype), loaded)
-    rows = max(1, PIECE // max(1, loaded[:1].numel()))
+    rows = max(1, COMPARED_NUMBERS // max(1, loaded[:1].numel()))
     return all(
         torch.equal(
             in_file[start : start + rows].to(loaded.device, loaded.dtype),

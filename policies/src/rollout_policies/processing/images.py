@@ -98,13 +98,13 @@ def _sample_linearly(
     )
 
 
-def _interpolated(values: np.ndarray, axis: int, places: np.ndarray) -> np.ndarray:
+def _interpolated(values: np.ndarray, axis: int, positions: np.ndarray) -> np.ndarray:
     """Interpolates values at positions between samples, along one axis."""
-    below = np.floor(places).astype(int)
-    above = np.ceil(places).astype(int)
+    below = np.floor(positions).astype(int)
+    above = np.ceil(positions).astype(int)
     shape = [1] * values.ndim
-    shape[axis] = len(places)
-    share = (places - below).reshape(shape)
+    shape[axis] = len(positions)
+    share = (positions - below).reshape(shape)
     low, high = values.take(below, axis), values.take(above, axis)
     return low + (high - low) * share
 

@@ -47,8 +47,8 @@ MIDDLE = 128
 
 #: The slow forward transform of eight values: the root of 2 times cosines, with
 #: thirteen fractional bits. These are sums of Loeffler, Ligtenberg and
-#: Moschytz's rounded multipliers, so some are one off. The second half of each
-#: row mirrors the first, with its sign in odd rows.
+#: Moschytz's rounded multipliers, so some differ by one from the rounded product.
+#: The second half of each row mirrors the first, with the opposite sign in odd rows.
 SLOW_BITS = 13
 SLOW_HALF = np.array(
     [
@@ -63,7 +63,8 @@ SLOW_HALF = np.array(
     ]
 )
 MIRROR = np.where(np.arange(BLOCK) % 2, -1, 1)[:, None]
-#: Integers far below 2^53, so that floats multiply them exactly, and faster.
+#: The transform as floats, which NumPy multiplies faster than integers: all numbers are far below
+#: 2^53, so the products are exact.
 SLOW = np.hstack([SLOW_HALF, MIRROR * SLOW_HALF[:, ::-1]]).astype(np.float64)
 #: Fractional bits kept between the row and column passes.
 SLOW_SUM_BITS = 2
@@ -74,8 +75,8 @@ FAST_FACTORS = np.where(
     np.arange(BLOCK) == 0, 1.0, np.sqrt(2) * np.cos(np.pi / 16 * np.arange(BLOCK))
 )
 FAST_SUM_BITS = 2
-#: Their multipliers, with eight fractional bits: the root of 2, twice the
-#: cosine of 22.5 degrees, and the difference and sum of both halves' roots.
+#: Multipliers of the fast inverse transform, with eight fractional bits: the root of 2, twice the
+#: cosine of 22.5 degrees, and the difference and sum of twice its cosine and twice its sine.
 FAST_BITS = 8
 ROOT_2, TWICE_COS, DIFFERENCE, SUM = 362, 473, 277, 669
 
@@ -90,7 +91,7 @@ def round_trip(frame: np.ndarray, quality: int = 95) -> np.ndarray:
     """
     height, width, _ = frame.shape
     if height % UNIT or width % UNIT:
-        raise ValueError(f"a frame of {width}x{height} is not made of {UNIT}x{UNIT} units")
+        raise ValueError(f"a frame of {width}x{height} is not a multiple of {UNIT}x{UNIT} pixels")
     planes = _shifted(frame @ TO_LUMA_CHROMA.T + CHROMA_BIAS, COLOUR_BITS)
     luma = _coded(planes[..., 0] - MIDDLE, _steps(LUMA_STEPS, quality))
     blue, red = (
@@ -102,7 +103,7 @@ def round_trip(frame: np.ndarray, quality: int = 95) -> np.ndarray:
 
 
 def _steps(table: np.ndarray, quality: int) -> np.ndarray:
-    """Returns the table for a quality of 1..100, by libjpeg's rule."""
+    """Returns a quantisation table for a quality of 1..100, scaled by libjpeg's rule."""
     percent = 5000 // quality if quality < 50 else 200 - 2 * quality
     return np.clip((table * percent + 50) // 100, 1, 255)
 

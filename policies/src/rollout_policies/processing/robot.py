@@ -44,6 +44,6 @@ def gripper_from_rlds(actions: np.ndarray) -> np.ndarray:
     OpenVLA's `normalize_gripper_action(binarize=True)`, then
     `invert_gripper_action`; exactly one half gives 0.
     """
-    turned = np.array(actions, dtype=np.float64)
-    turned[..., -1] = -np.sign(2 * turned[..., -1] - 1)
-    return turned
+    converted = np.array(actions, dtype=np.float64)
+    converted[..., -1] = -np.sign(2 * converted[..., -1] - 1)
+    return converted
