@@ -121,7 +121,11 @@ def main():
         connection = next(connections)
         await handle(socket, policy)
         with lock:
-            print(json.dumps({"type": "gone", "connection": connection}), file=received, flush=True)
+            print(
+                json.dumps({"type": "disconnected", "connection": connection}),
+                file=received,
+                flush=True,
+            )
 
     serve._handle_connection = counted
 

@@ -1,4 +1,4 @@
-"""Stand-ins for a policy: they take time, or the accelerator, and their actions are given."""
+"""Simulated policies: they only occupy time or the accelerator, since the actions are given."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ class Policy:
     """A policy by name: `none`, `sleep:MS`, `card:MS`, `busy`.
 
     `none` answers at once and `sleep:MS` after that time; `card:MS` multiplies matrices on the
-    accelerator for that time. Beside `busy`, another process multiplies matrices without a pause,
-    as the policy does for another worker's environments.
+    accelerator for that time. With `busy`, another process multiplies matrices without a pause,
+    as a policy does that answers another worker's environments.
     """
 
     def __init__(self, name: str) -> None:
@@ -51,7 +51,7 @@ class Policy:
             self._neighbour = None
 
     def answer(self) -> None:
-        """Takes the time of an answer."""
+        """Blocks for the duration of an answer."""
         if self.kind == "sleep":
             time.sleep(self.seconds)
         elif self.kind == "card":
@@ -69,8 +69,8 @@ def _matrices() -> tuple[Any, Any]:
 
     device = "cuda" if torch.cuda.is_available() else "cpu"
     side = _SIDE if device == "cuda" else 256
-    kind = torch.bfloat16 if device == "cuda" else torch.float32
-    return tuple(torch.randn(side, side, device=device, dtype=kind) for _ in range(2))  # type: ignore[return-value]
+    dtype = torch.bfloat16 if device == "cuda" else torch.float32
+    return tuple(torch.randn(side, side, device=device, dtype=dtype) for _ in range(2))  # type: ignore[return-value]
 
 
 def _multiply(left: Any, right: Any) -> None:

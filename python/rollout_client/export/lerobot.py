@@ -53,9 +53,9 @@ def export(archive: Archive, folder: str | os.PathLike[str], *, films: bool = Fa
         if len(rollout.actions) > 0 and (rollout.film or not films):
             writer.add(rollout)
     if writer.episodes == 0:
-        what = "was filmed and has its actions" if films else "has its actions"
+        what = "a film and recorded actions" if films else "recorded actions"
         raise ArchiveError(
-            f"failed to export campaign {archive.name}: no rollout of it {what}; create campaigns"
+            f"failed to export campaign {archive.name}: no rollout has {what}; create campaigns"
             " with --record transitions to keep actions"
         )
     writer.finish(archive)

@@ -53,7 +53,7 @@ def guarded(serve, certificates, tmp_path_factory):
 def test_an_operator_and_the_program_use_a_coordinator_with_tls_and_tokens(
     guarded, certificates, connect, tmp_path
 ):
-    # The client uses the operator's line of a file with several roles.
+    # Of a file with several roles, the client uses the operator's line.
     tokens = token_file(tmp_path, "# mine", *(f"{r} {t}" for r, t in sorted(TOKENS.items())[::-1]))
     client = connect(guarded, ca=certificates / "ca.pem", token_file=tokens)
     campaign = client.create(specification("guarded"))
@@ -98,10 +98,10 @@ def test_the_error_for_a_refused_token_has_the_remedy(guarded, certificates, con
         (["# nothing"], "token of role operator or viewer"),
     ],
 )
-def test_an_unusable_token_file_is_named_with_the_line(tmp_path, lines, said):
-    with pytest.raises(SettingsError, match=said) as wrong:
+def test_an_unusable_token_file_is_named_with_the_line(tmp_path, lines, expected):
+    with pytest.raises(SettingsError, match=expected) as refused:
         Client(token_file=token_file(tmp_path, *lines))
-    assert TOKENS["worker"] not in str(wrong.value)
+    assert TOKENS["worker"] not in str(refused.value)
 
 
 def test_invalid_files_and_addresses_are_named(tmp_path):
@@ -118,13 +118,13 @@ def test_invalid_files_and_addresses_are_named(tmp_path):
 def test_a_token_is_never_sent_in_the_clear_to_another_machine(tmp_path):
     tokens = token_file(tmp_path, f"viewer {TOKENS['viewer']}")
 
-    def shown(url):
+    def sends_token(url):
         return bool(Client(url, token_file=tokens)._connection.access.metadata)
 
     urls = ("https://h:1", "http://127.0.0.1:1", "http://[::1]:1", "http://localhost:1")
-    assert all(map(shown, urls))
+    assert all(map(sends_token, urls))
     urls = ("http://h:1", "http://10.0.0.7:1", "http://localhost.evil:1", "grpc://h:1")
-    assert not any(map(shown, urls))
+    assert not any(map(sends_token, urls))
 
 
 def unreachable(client):

@@ -87,7 +87,9 @@ def test_an_incomplete_or_altered_archive_is_refused(archive, tmp_path):
         )
 
     altered(lambda member, content: content[:-1] + b"?" if "report" in member.name else content)
-    with pytest.raises(ArchiveError, match=r"report\.json .*not what archive\.json says"):
+    with pytest.raises(
+        ArchiveError, match=r"report\.json .*SHA-256 is not the one in archive\.json"
+    ):
         Archive(bad)
     altered(with_list(format=2))
     with pytest.raises(ArchiveError, match="install a release at least as new"):
@@ -97,13 +99,13 @@ def test_an_incomplete_or_altered_archive_is_refused(archive, tmp_path):
     with pytest.raises(ArchiveError, match="its members do not begin with"):
         Archive(bad)
     bad.write_bytes(whole + gzip.compress(bytes(2 << 20)))
-    with pytest.raises(ArchiveError, match="there is more behind it"):
+    with pytest.raises(ArchiveError, match="data follow it"):
         Archive(bad)
 
 
-def rewritten(file, to, films=(), sql="", lie=None):
-    """Writes an archive with added films and a changed database, and a correct
-    list of members, except for one member's size."""
+def rewritten(file, to, films=(), sql="", wrong_size_of=None):
+    """Writes an archive with added films and a changed database. Its list of members is correct,
+    except for the size of the member `wrong_size_of`."""
     with tarfile.open(file) as tar:
         members = {member.name: tar.extractfile(member).read() for member in tar}
     contents = json.loads(members.pop("archive.json"))
@@ -116,7 +118,7 @@ def rewritten(file, to, films=(), sql="", lie=None):
     contents["members"] = [
         {
             "name": name,
-            "bytes": 1 if name == lie else len(content),
+            "bytes": 1 if name == wrong_size_of else len(content),
             "sha256": hashlib.sha256(content).hexdigest(),
         }
         for name, content in members.items()
@@ -156,7 +158,7 @@ def test_a_film_outside_the_archive_is_refused(archive, tmp_path):
 
 def test_a_malicious_archive_takes_no_memory_or_disk_and_runs_no_code(archive, tmp_path):
     file, _ = archive
-    swollen = 192 << 20
+    expanded_bytes = 192 << 20
     bad = tmp_path / "bad.tar.gz"
     film = "artifacts/kept/film.mp4"
     for page in ("artifacts/kept/page.html", "artifacts/kept/../film.mp4", "artifacts/film.mp4"):
@@ -167,19 +169,19 @@ def test_a_malicious_archive_takes_no_memory_or_disk_and_runs_no_code(archive, t
     try:
         with gzip.open(bad, "wb", compresslevel=1) as out:
             name = tarfile.TarInfo("././@LongLink")
-            name.type, name.size = tarfile.GNUTYPE_LONGNAME, swollen
+            name.type, name.size = tarfile.GNUTYPE_LONGNAME, expanded_bytes
             out.write(name.tobuf(tarfile.GNU_FORMAT))
-            for _ in range(swollen >> 20):
+            for _ in range(expanded_bytes >> 20):
                 out.write(b"n" * (1 << 20))
-        with pytest.raises(ArchiveError, match="no archive of a campaign"):
+        with pytest.raises(ArchiveError, match="not an archive of a campaign"):
             Archive(bad)
-        assert tracemalloc.get_traced_memory()[1] < swollen / 4
+        assert tracemalloc.get_traced_memory()[1] < expanded_bytes / 4
     finally:
         tracemalloc.stop()
-    rewritten(file, bad, films={film: bytes(swollen)})
+    rewritten(file, bad, films={film: bytes(expanded_bytes)})
     with pytest.raises(ArchiveError, match="it claims 192 MiB of members"):
         Archive(bad)
-    rewritten(file, bad, films={film: bytes(swollen)}, lie=film)
+    rewritten(file, bad, films={film: bytes(expanded_bytes)}, wrong_size_of=film)
     with pytest.raises(ArchiveError, match="it has 201326592 bytes"):
         Archive(bad)
     # If the authorizer permitted views, this view would count without end.

@@ -272,7 +272,7 @@ def test_a_scene_outlives_its_environments(
     suite = benchmark.get_benchmark("libero_goal")()
     for i in range(scenes.MAX_KEPT):
         construct(suite.get_task_bddl_file_path(i))
-    assert len(scenes._kept) == scenes.MAX_KEPT
+    assert len(scenes._recent) == scenes.MAX_KEPT
 
 
 def test_a_device_is_accepted_and_not_used(bddl_file: str) -> None:

@@ -59,8 +59,8 @@ class Differences:
         kinds = {
             "missing in the file": self.missing,
             "unknown to the network": self.unknown,
-            "with another shape": self.shape,
-            "with other content": self.content,
+            "of another shape": self.shape,
+            "of other content": self.content,
         }
         return "; ".join(
             f"{len(names)} {kind} ({', '.join(names[:SHOWN])}{', ...' * (len(names) > SHOWN)})"
