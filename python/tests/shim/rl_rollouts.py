@@ -29,17 +29,17 @@ SUITE, SIZE = "libero_spatial", 64
 Rollouts = dict[str, Any]
 SOURCES = Path(os.environ.get("FRAMEWORK_SOURCES") or ".")
 #: Packages for policies and training that these files import but do not call here.
-_BESIDE = (
+_REPLACED = (
     *("codetiming", "draccus", "h5py", "hydra", "imageio", "matplotlib", "natsort", "ray"),
     *("pandas", "robosuite", "tensordict", "tensorflow", "termcolor", "tqdm", "transformers"),
 )
 
 
 class _StandIns(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Finder of stand-ins for packages of these names that are not installed. Tried last."""
+    """Replaces the packages of ``_REPLACED`` that are not installed. Python tries it last."""
 
     def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
-        if name.partition(".")[0] in _BESIDE:
+        if name.partition(".")[0] in _REPLACED:
             return importlib.machinery.ModuleSpec(name, self, is_package=True)
         return None
 
@@ -56,7 +56,7 @@ def _absent(name: str) -> Any:
     raise AttributeError(name)
 
 
-class _Bare(importlib.abc.MetaPathFinder):
+class _PlainFolders(importlib.abc.MetaPathFinder):
     """Finds frameworks' packages as plain folders, because their __init__ imports training code."""
 
     def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
@@ -72,7 +72,7 @@ class _Bare(importlib.abc.MetaPathFinder):
 
 
 # Spawned processes import this file, too.
-sys.meta_path.insert(0, _Bare())
+sys.meta_path.insert(0, _PlainFolders())
 sys.meta_path.append(_StandIns())
 
 
@@ -110,7 +110,7 @@ def rlinf(together: bool = False, suite: str = SUITE, **settings: Any) -> Rollou
         }
     )
     env = module.LiberoEnv(cfg, 2, 0, 1, None)
-    chance = np.random.default_rng(2)
+    rng = np.random.default_rng(2)
     seen: list[Any] = []
     begun = time.perf_counter()
     for _ in range(2):
@@ -118,10 +118,10 @@ def rlinf(together: bool = False, suite: str = SUITE, **settings: Any) -> Rollou
         observation, _ = env.reset()
         seen.append(observation)
         for _ in range(2):
-            chunk = torch.from_numpy(chance.uniform(-1, 1, (2, 8, 7)).astype(np.float32))
+            chunk = torch.from_numpy(rng.uniform(-1, 1, (2, 8, 7)).astype(np.float32))
             *results, infos = env.chunk_step(chunk)
-            looked = results[0] if cfg.video_cfg.save_video else results[0][-1]
-            seen.append([looked, *results[1:], infos[-1].get("episode")])
+            observed = results[0] if cfg.video_cfg.save_video else results[0][-1]
+            seen.append([observed, *results[1:], infos[-1].get("episode")])
             seen.append(len(results[0]))
         env.update_reset_state_ids()
     took = time.perf_counter() - begun
@@ -180,7 +180,7 @@ class _Construct:
 
 
 def simplevla_rl() -> Rollouts:
-    """Runs the framework's rollout process, forked from one that has imported everything."""
+    """Runs the framework's rollout process, forked from a process that has imported LIBERO."""
     from libero.libero.envs import OffScreenRenderEnv  # noqa: F401
 
     rollout = importlib.import_module("verl.workers.rollout.rob_rollout")
@@ -192,9 +192,9 @@ def simplevla_rl() -> Rollouts:
     begun = time.perf_counter()
     process.start()
     seen = [answers.get(timeout=120)]
-    chance = np.random.default_rng(4)
+    rng = np.random.default_rng(4)
     while seen[-1]["active"]:
-        actions.put(chance.uniform(-1, 1, (8, 7)))
+        actions.put(rng.uniform(-1, 1, (8, 7)))
         seen.append(answers.get(timeout=120))
     took = time.perf_counter() - begun
     actions.put(None)
@@ -204,7 +204,7 @@ def simplevla_rl() -> Rollouts:
 
 
 def _vectors(venv: Any, kind: str, reconfigured: bool = False) -> Rollouts:
-    """Resets some of several environments; their results replace earlier ones."""
+    """Steps two environments, and resets one of them again; its results replace earlier ones."""
     envs = getattr(venv, kind)([_Construct(i) for i in (0, 3)])
     states = [_task(0)[1][1], _task(3)[1][2]]
     envs.seed(4)
