@@ -53,7 +53,7 @@ class Orders(NamedTuple):
     expert: NDArray[np.bool_]
     """[n, k]: True where the expert drives."""
     source: NDArray[np.uint8]
-    """[n, k]"""
+    """[n, k]: ``Source`` of each step."""
 
 
 class Disturbance:
@@ -84,12 +84,12 @@ class Disturbance:
         over = self._disturbed & (self._noise_left == 0)
         sigma = rng.uniform(*NOISE, n) * (rng.random(n) >= QUIET_SHARE)
         self._sigma = np.where(over, sigma, self._sigma)
-        self._noise_left = np.where(over, _between(rng, NOISE_STEPS, n), self._noise_left)
+        self._noise_left = np.where(over, _draw_steps(rng, NOISE_STEPS, n), self._noise_left)
         self._noise_left = np.maximum(self._noise_left - 1, 0)
 
         starts = self._disturbed & (self._push_left == 0) & (rng.random(n) < PUSH_CHANCE)
         self._push[starts] = self._directions(int(starts.sum()))
-        self._push_left = np.where(starts, _between(rng, PUSH_STEPS, n), self._push_left)
+        self._push_left = np.where(starts, _draw_steps(rng, PUSH_STEPS, n), self._push_left)
         pushed = self._push_left > 0
         self._push_left = np.maximum(self._push_left - 1, 0)
 
@@ -149,12 +149,13 @@ class InTurns:
         alone = rng.random(count) < ALONE_SHARE
         self._disturbance.begin(which, rng.random(count) < DISTURBED_SHARE)
         self.driver[which] = np.where(alone, Driver.STUDENT, Driver.IN_TURNS)
-        # The next call of `asks` ends this turn and begins the other driver's.
+        # The next call of `needs_answer` ends this turn and begins the other driver's.
         self._student[which] = rng.random(count) < 0.5
         self._turn_left[which] = 0
 
-    def asks(self) -> NDArray[np.bool_]:
-        """Mask [n] of the environments that need the student's answer for their next steps.
+    def needs_answer(self) -> NDArray[np.bool_]:
+        """Returns a mask [n] of the environments that need the student's answer for their next
+        steps.
 
         Call it once before each ``next``.
         """
@@ -163,22 +164,22 @@ class InTurns:
         alone = self.driver == Driver.STUDENT
         self._student = np.where(over, ~self._student | alone, self._student)
         turns = np.where(
-            self._student, _between(rng, STUDENT_STEPS, n), _between(rng, EXPERT_STEPS, n)
+            self._student, _draw_steps(rng, STUDENT_STEPS, n), _draw_steps(rng, EXPERT_STEPS, n)
         )
         self._turn_left = np.where(over, turns, self._turn_left)
         self._horizon = np.where(over, rng.choice(HORIZONS, n), self._horizon)
         return self._student & (over | (self._used >= self._horizon))
 
     def answer(self, which: NDArray[np.bool_], answers: NDArray[np.float64]) -> None:
-        """Stores the student's answers, [m, 8, 7], for the m environments that ask."""
+        """Stores the student's answers, [m, 8, 7], for the m environments of the mask ``which``."""
         self._answers[which] = answers
         self._used[which] = 0
 
     def next(self, steps: int) -> Orders:
         """Returns the orders for the next steps, whose number must divide the horizons."""
         added, source = self._disturbance.next(steps)
-        places = np.minimum(self._used[:, np.newaxis] + np.arange(steps), CHUNK - 1)
-        answers = np.take_along_axis(self._answers, places[:, :, np.newaxis], axis=1)
+        positions = np.minimum(self._used[:, np.newaxis] + np.arange(steps), CHUNK - 1)
+        answers = np.take_along_axis(self._answers, positions[:, :, np.newaxis], axis=1)
         student = self._student[:, np.newaxis]
         actions = np.where(student[:, :, np.newaxis], answers, _with_gripper(added))
         self._used += steps
@@ -187,7 +188,7 @@ class InTurns:
         return Orders(actions, np.broadcast_to(~student, source.shape), source)
 
 
-def _between(rng: np.random.Generator, limits: tuple[int, int], n: int) -> NDArray[np.int64]:
+def _draw_steps(rng: np.random.Generator, limits: tuple[int, int], n: int) -> NDArray[np.int64]:
     return rng.integers(limits[0], limits[1] + 1, n)
 
 

@@ -49,12 +49,14 @@ def test_the_student_is_queried_when_its_actions_are_used_up() -> None:
     answered = np.zeros((N, 8, 7))
     since = np.zeros(N)
     for _ in range(100):
-        asks = drives.asks()
-        assert ((since >= 4) | (since == 0))[asks].all() and (since[~asks] < 8).all()
-        answers = np.random.default_rng(3).uniform(-1, 1, (int(asks.sum()), 8, 7))
-        drives.answer(asks, answers)
-        answered[asks] = answers
-        since[asks] = 0
+        needs_answer = drives.needs_answer()
+        assert ((since >= 4) | (since == 0))[needs_answer].all() and (
+            since[~needs_answer] < 8
+        ).all()
+        answers = np.random.default_rng(3).uniform(-1, 1, (int(needs_answer.sum()), 8, 7))
+        drives.answer(needs_answer, answers)
+        answered[needs_answer] = answers
+        since[needs_answer] = 0
         orders = drives.next(4)
         assert not orders.expert.any() and (orders.source == Source.STUDENT).all()
         first = since.astype(int)
@@ -70,8 +72,8 @@ def test_student_and_expert_take_turns() -> None:
     drives.begin(np.arange(N))
     by_student = []
     for _ in range(100):
-        asks = drives.asks()
-        drives.answer(asks, np.ones((int(asks.sum()), 8, 7)))
+        needs_answer = drives.needs_answer()
+        drives.answer(needs_answer, np.ones((int(needs_answer.sum()), 8, 7)))
         orders = drives.next(4)
         by_student.append(orders.source[:, 0] == Source.STUDENT)
         assert (orders.expert == (orders.source != Source.STUDENT)).all()
