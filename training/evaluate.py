@@ -97,10 +97,8 @@ def report(
     for suite in dict.fromkeys(name.split("/")[0] for name in ended):
         names = [name for name in ended if name.split("/")[0] == suite]
         by_task = " ".join(f"{solved[name]}/{len(ended[name])}" for name in names)
-        successes, tries = (
-            sum(solved[name] for name in names),
-            sum(len(ended[name]) for name in names),
-        )
+        successes = sum(solved[name] for name in names)
+        tries = sum(len(ended[name]) for name in names)
         print(f"{suite:15} {successes}/{tries}   {by_task}", flush=True)
     if arguments.table:
         arguments.table.write_text(json.dumps(ended))

@@ -34,12 +34,12 @@ def test_a_push_is_one_direction_for_three_to_ten_steps() -> None:
     actions = np.concatenate([order.actions for order in orders], axis=1)
     pushed = np.concatenate([order.source for order in orders], axis=1) == Source.PUSH
     assert np.abs(actions[pushed][:, :3]).max(axis=1).min() >= 0.49
-    for of_one, where in zip(actions, pushed, strict=True):
-        starts = np.flatnonzero(np.diff(of_one[:, 0] * where, prepend=0.0) * where)
+    for row, mask in zip(actions, pushed, strict=True):
+        starts = np.flatnonzero(np.diff(row[:, 0] * mask, prepend=0.0) * mask)
         for start in starts:
-            same = (of_one[start:, :6] == of_one[start, :6]).all(axis=1)
+            same = (row[start:, :6] == row[start, :6]).all(axis=1)
             steps = len(same) if same.all() else int(np.argmin(same))
-            assert 3 <= steps <= 10 or start + steps == len(of_one)
+            assert 3 <= steps <= 10 or start + steps == len(row)
 
 
 def test_the_student_is_queried_when_its_actions_are_used_up() -> None:
