@@ -4,7 +4,7 @@
     python -m training.collect --into data/driven --seconds 300 --driver student \\
         --weights runs/first/student.safetensors
 
-Objects are placed anew in every episode; the benchmark's released initial states are
+LIBERO's samplers place the objects of every episode; the benchmark's released initial states are
 never used. Earlier collections are kept: a further run adds shards, with other seeds.
 """
 

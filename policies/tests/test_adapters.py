@@ -219,9 +219,9 @@ def test_openvla_oft_gets_cropped_frames_a_prompt_and_a_scaled_state():
     policy = openvla_oft.OpenVlaOft(
         entry("openvla-oft"), model, suite="libero_goal", checkpoint="weights"
     )
-    seen = observation()
-    policy.reset(seen.episode)
-    actions = policy.infer(seen)
+    first_query = observation()
+    policy.reset(first_query.episode)
+    actions = policy.infer(first_query)
     scene, wrist, text, state = model.arguments
     assert scene.shape == (224, 224, 3) and scene.dtype == np.uint8
     assert (scene == openvla_oft.frame(pattern(256)[::-1, ::-1])).all()
@@ -268,10 +268,10 @@ def test_univla_carries_latent_actions_and_chunks_from_query_to_query():
     policy = univla.UniVla(
         entry("univla"), model, bounds, suite="libero_goal", checkpoint="weights"
     )
-    seen = observation()
-    policy.reset(seen.episode)
-    first = policy.infer(seen)
-    second = policy.infer(later_query(seen, 1))
+    first_query = observation()
+    policy.reset(first_query.episode)
+    first = policy.infer(first_query)
+    second = policy.infer(later_query(first_query, 1))
     assert first == pytest.approx([0.2] * 6 + [-1])
     weight = np.exp(-0.1)
     assert second[0] == pytest.approx(2 * (0.2 + weight * 0.1) / (1 + weight))
@@ -300,10 +300,10 @@ def test_univlas_study_protocol_uses_one_seed_and_crops_whole_pixels():
         evaluation="study",
     )
     for seed in (1, 2):
-        seen = observation(seed)
-        policy.reset(seen.episode)
-        policy.infer(seen)
-        policy.infer(later_query(seen, 1))
+        first_query = observation(seed)
+        policy.reset(first_query.episode)
+        policy.infer(first_query)
+        policy.infer(later_query(first_query, 1))
     assert [generator for _, generator in model.queries] == [7, ("after", 7)] * 2
     assert (model.pixels == univla.study_frame(pattern(256)[::-1, ::-1])).all()
     assert not policy.description.stochastic
@@ -328,13 +328,13 @@ class RecordingPredvla:
 def test_predvla_gets_unturned_frames_at_every_fourth_step():
     model = RecordingPredvla()
     policy = predvla.PredVla(entry("predvla"), model, suite="libero_goal", checkpoint="weights")
-    seen = observation()
-    policy.reset(seen.episode)
+    first_query = observation()
+    policy.reset(first_query.episode)
     for query_index in range(6):
-        policy.infer(later_query(seen, query_index))
+        policy.infer(later_query(first_query, query_index))
     small = [(128, 128, 3)] * 2
     expected = ["Open the Drawer", small, None, None, None, small, None]
-    assert seen.episode.memory.correction == expected
+    assert first_query.episode.memory.correction == expected
     assert (model.frames[0] == predvla.frame(pattern(256))).all()
     assert model.joints.tolist() == [0, 1, 2, 3, 4, 5, 6, 0.04, -0.04]
 

@@ -55,9 +55,9 @@ def loaded(name, folder, **options):
 
 def play(policy, seed, queries=3):
     """Returns the answers of an episode that is started again."""
-    seen = observation(seed)
-    policy.reset(seen.episode)
-    return [policy.infer(later_query(seen, index)) for index in range(queries)]
+    first_query = observation(seed)
+    policy.reset(first_query.episode)
+    return [policy.infer(later_query(first_query, index)) for index in range(queries)]
 
 
 def test_the_description_has_parameters_and_checkpoint(policy, checkpoint):
@@ -116,13 +116,13 @@ def test_interleaved_episodes_equal_single_ones(policy):
 
 def test_actions_depend_on_instruction_and_frames(policy, checkpoint):
     # Random weights depend little on the input; the test needs only some dependence.
-    seen = observation(1)
+    first_query = observation(1)
     dark = observation(1)
     object.__setattr__(
         dark, "images", {key: np.zeros_like(dark.images[key]) for key in dark.images}
     )
     answers = []
-    for one in (seen, dark, observation(1, instruction="pick up the butter")):
+    for one in (first_query, dark, observation(1, instruction="pick up the butter")):
         policy.reset(one.episode)
         answers.append(policy.infer(one))
     assert (answers[0] != answers[1]).any()
@@ -135,13 +135,13 @@ def test_a_chunk_continues_the_actions_under_way(policy, checkpoint):
     assert policy.description.real_time_chunking == (name in ("smolvla", "pi05"))
     if not policy.description.real_time_chunking:
         return
-    seen = observation(1)
-    policy.reset(seen.episode)
-    free = policy.infer(seen)
+    first_query = observation(1)
+    policy.reset(first_query.episode)
+    free = policy.infer(first_query)
     # Actions of another episode replace the rest of an earlier chunk; any actions would do.
     executed = policy.infer(observation(2))[2:].astype(np.float32)
     delay = 4
-    continued = policy.infer(replace(seen, under_way=UnderWay(executed, delay)))
+    continued = policy.infer(replace(first_query, under_way=UnderWay(executed, delay)))
     assert continued.shape == free.shape and np.isfinite(continued).all()
 
     def distance(chunk, steps):
@@ -150,9 +150,11 @@ def test_a_chunk_continues_the_actions_under_way(policy, checkpoint):
     # lerobot's guidance fades from the delay on, and ends after ten actions.
     during_delay, after_delay = slice(0, delay), slice(delay, 8)
     assert distance(continued, during_delay) < distance(free, during_delay) / 2
-    assert np.array_equal(policy.infer(seen), free), "without actions under way, nothing changes"
+    assert np.array_equal(policy.infer(first_query), free), (
+        "without actions under way, nothing changes"
+    )
     # The last chunk does not guide the new chunk beyond the last chunk's end.
-    short = policy.infer(replace(seen, under_way=UnderWay(executed[:delay], delay)))
+    short = policy.infer(replace(first_query, under_way=UnderWay(executed[:delay], delay)))
     assert distance(continued, after_delay) < distance(short, after_delay)
 
 
@@ -316,8 +318,8 @@ def test_a_checkpoint_without_statistics_is_refused(altered, which):
 
 def drop_statistics(file, which):
     tensors = load_file(file)
-    kept = {key: tensors[key] for key in tensors if not key.startswith(f"{which}.")}
-    save_file(kept, file)
+    others = {key: tensors[key] for key in tensors if not key.startswith(f"{which}.")}
+    save_file(others, file)
 
 
 def test_a_missing_file_is_named_with_the_remedy(altered):

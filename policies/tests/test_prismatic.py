@@ -124,9 +124,11 @@ def served(folder, name="openvla-oft", **options):
 
 def test_all_parts_of_openvla_oft_are_loaded_onto_the_chosen_device(oft):
     policy = served(oft)
-    seen = observation()
-    policy.reset(seen.episode)
-    assert policy.infer(seen).shape == policy.infer(later_query(seen, 1)).shape == (8, 7)
+    first_query = observation()
+    policy.reset(first_query.episode)
+    assert (
+        policy.infer(first_query).shape == policy.infer(later_query(first_query, 1)).shape == (8, 7)
+    )
     assert policy.model.network.images == 2
     settings = policy.description.settings
     assert (settings["device"], settings["precision"]) == ("cpu", "bfloat16")

@@ -54,11 +54,11 @@ class Leaking(PositionSensitive):
     """Keeps the frames of all episodes, and so uses more and more memory."""
 
     def __init__(self):
-        self.kept = []
+        self.copies = []
 
     def infer(self, observation):
         for frame in self.frames(observation):
-            self.kept.append(np.repeat(frame, 8, axis=0))
+            self.copies.append(np.repeat(frame, 8, axis=0))
         return super().infer(observation)
 
 

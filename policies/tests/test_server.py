@@ -108,12 +108,16 @@ def test_frames_are_contiguous_and_may_be_written_to(serving):
     client = serving(policy)
     client.reset()
     client.infer(observation=pb.Observation(images=[frame()], state=readings()))
-    seen = policy.observation
-    for image in (seen.images["agentview"], seen.upright("agentview"), seen.rotated("agentview")):
+    received = policy.observation
+    for image in (
+        received.images["agentview"],
+        received.upright("agentview"),
+        received.rotated("agentview"),
+    ):
         assert image.flags.c_contiguous and image.flags.writeable
     # A copy, so that changing it does not change the frame.
-    seen.upright("agentview")[:] = 0
-    assert seen.images["agentview"][0, 1].tolist() == [3, 4, 5]
+    received.upright("agentview")[:] = 0
+    assert received.images["agentview"][0, 1].tolist() == [3, 4, 5]
 
 
 def test_robot_readings_arrive_by_name_and_join_into_a_vector(serving):

@@ -25,7 +25,9 @@ JOINTS = (0.0, -0.16, 0.0, -2.44, 0.0, 2.23, 0.785)
 AWAY = 0.05
 
 
-def fake_episode(suite: str = "libero_object", seed: int = 0, session: str = "made up") -> Episode:
+def fake_episode(
+    suite: str = "libero_object", seed: int = 0, session: str = "synthetic"
+) -> Episode:
     """Returns an episode of a task of this suite, or of `libero_object` if the
     suite is unknown."""
     return Episode(session, suite, TASKS.get(suite, TASKS["libero_object"]), seed)

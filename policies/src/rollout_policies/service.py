@@ -316,7 +316,7 @@ class PolicyService(pb_grpc.PolicyServicer):
 def _not_open(where: str) -> QueryError:
     return QueryError(
         grpc.StatusCode.UNAVAILABLE,
-        f"{where}: the session is not open here (it was ended, started anew or idle for long, or"
+        f"{where}: the session is not open here (it was ended, restarted or idle for long, or"
         " the server was restarted since its Reset); start the rollout again",
     )
 

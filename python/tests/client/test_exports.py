@@ -42,11 +42,11 @@ def archive(serve, connect, gateway, programs, run, tmp_path_factory):
 def test_an_archive_has_the_results_and_the_motion_of_its_campaign(archive):
     file, campaign = archive
     results = campaign.results().set_index("rollout_id")
-    with Archive(file) as kept:
-        assert kept.name == "kept"
-        assert kept.specification()["record"] == "transitions"
-        assert kept.report()["reports"][0]["policy"] == "expert"
-        rollouts = list(kept.rollouts())
+    with Archive(file) as opened:
+        assert opened.name == "kept"
+        assert opened.specification()["record"] == "transitions"
+        assert opened.report()["reports"][0]["policy"] == "expert"
+        rollouts = list(opened.rollouts())
     assert [rollout.rollout_id for rollout in rollouts] == list(results.index)
     for rollout in rollouts:
         result = results.loc[rollout.rollout_id]
@@ -144,16 +144,16 @@ def test_a_film_outside_the_archive_is_refused(archive, tmp_path):
     """
     for path in (secret, "coordinator.sqlite", "artifacts/kept/../../../secret", "secret"):
         rewritten(file, bad, sql=filmed.format(path=path))
-        with Archive(bad) as kept:
+        with Archive(bad) as opened:
             with pytest.raises(ArchiveError, match="which is not in the archive"):
-                export(kept, tmp_path / "dataset", films=True)
+                export(opened, tmp_path / "dataset", films=True)
         exported = [path for path in tmp_path.glob("dataset/**/*") if path.is_file()]
         assert all(b"hunter2" not in path.read_bytes() for path in exported)
     # A film with a name too long for a tar header is a member like any other.
     film = f"artifacts/kept/{'f' * 120}.mp4"
     rewritten(file, bad, films={film: b"a film"}, sql=filmed.format(path=film))
-    with Archive(bad) as kept:
-        assert {rollout.film.read_bytes() for rollout in kept.rollouts()} == {b"a film"}
+    with Archive(bad) as opened:
+        assert {rollout.film.read_bytes() for rollout in opened.rollouts()} == {b"a film"}
 
 
 def test_a_malicious_archive_takes_no_memory_or_disk_and_runs_no_code(archive, tmp_path):
@@ -192,8 +192,8 @@ def test_a_malicious_archive_takes_no_memory_or_disk_and_runs_no_code(archive, t
             SELECT job_id, x'' AS path, x'' AS actions FROM n WHERE job_id < 0;
     """
     rewritten(file, bad, sql=endless)
-    with Archive(bad) as kept, pytest.raises(ArchiveError, match="archive the campaign again"):
-        list(kept.rollouts())
+    with Archive(bad) as opened, pytest.raises(ArchiveError, match="archive the campaign again"):
+        list(opened.rollouts())
     assert not (tmp_path / "outside").exists()
 
 
@@ -207,8 +207,8 @@ def test_a_lerobot_dataset_has_an_episode_for_each_rollout(archive, tmp_path):
         for path in (folder / "meta").glob("*.jsonl")
     }
     info = json.loads((folder / "meta/info.json").read_text())
-    with Archive(file) as kept:
-        rollouts = list(kept.rollouts())
+    with Archive(file) as opened:
+        rollouts = list(opened.rollouts())
     assert info["codebase_version"] == "v2.1"
     assert info["total_episodes"] == len(rollouts) == len(lines["episodes"])
     assert info["total_frames"] == sum(rollout.steps for rollout in rollouts)
@@ -293,6 +293,6 @@ def test_a_package_that_is_missing_is_named_with_the_command(archive, tmp_path, 
 
     file, _ = archive
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with Archive(file) as kept, pytest.raises(SettingsError, match="pip install pyarrow"):
-        lerobot.export(kept, tmp_path / "dataset")
+    with Archive(file) as opened, pytest.raises(SettingsError, match="pip install pyarrow"):
+        lerobot.export(opened, tmp_path / "dataset")
     assert export.needed("json") is json

@@ -111,23 +111,23 @@ def rlinf(together: bool = False, suite: str = SUITE, **settings: Any) -> Rollou
     )
     env = module.LiberoEnv(cfg, 2, 0, 1, None)
     rng = np.random.default_rng(2)
-    seen: list[Any] = []
+    outputs: list[Any] = []
     begun = time.perf_counter()
     for _ in range(2):
         env.is_start = True
         observation, _ = env.reset()
-        seen.append(observation)
+        outputs.append(observation)
         for _ in range(2):
             chunk = torch.from_numpy(rng.uniform(-1, 1, (2, 8, 7)).astype(np.float32))
             *results, infos = env.chunk_step(chunk)
             observed = results[0] if cfg.video_cfg.save_video else results[0][-1]
-            seen.append([observed, *results[1:], infos[-1].get("episode")])
-            seen.append(len(results[0]))
+            outputs.append([observed, *results[1:], infos[-1].get("episode")])
+            outputs.append(len(results[0]))
         env.update_reset_state_ids()
     took = time.perf_counter() - begun
     env.env.close()
     tasks = [str(task) for task in env.task_descriptions]
-    return {"seen": as_arrays(seen), "tasks": tasks, "seconds": took}
+    return {"outputs": as_arrays(outputs), "tasks": tasks, "seconds": took}
 
 
 def rlinf_of_130() -> Rollouts:
@@ -191,16 +191,16 @@ def simplevla_rl() -> Rollouts:
     process = context.Process(target=rollout.env_worker, args=arguments, daemon=True)
     begun = time.perf_counter()
     process.start()
-    seen = [answers.get(timeout=120)]
+    outputs = [answers.get(timeout=120)]
     rng = np.random.default_rng(4)
-    while seen[-1]["active"]:
+    while outputs[-1]["active"]:
         actions.put(rng.uniform(-1, 1, (8, 7)))
-        seen.append(answers.get(timeout=120))
+        outputs.append(answers.get(timeout=120))
     took = time.perf_counter() - begun
     actions.put(None)
     assert answers.get(timeout=60) == {"type": "terminate"}
     process.join(timeout=60)
-    return {"seen": seen, "tasks": [seen[0]["task_description"]], "seconds": took}
+    return {"outputs": outputs, "tasks": [outputs[0]["task_description"]], "seconds": took}
 
 
 def _vectors(venv: Any, kind: str, reconfigured: bool = False) -> Rollouts:
@@ -209,7 +209,7 @@ def _vectors(venv: Any, kind: str, reconfigured: bool = False) -> Rollouts:
     states = [_task(0)[1][1], _task(3)[1][2]]
     envs.seed(4)
     envs.reset()
-    seen = [envs.set_init_state(states)]
+    outputs = [envs.set_init_state(states)]
     begun = time.perf_counter()
     moves = np.random.default_rng(4).uniform(-1, 1, (3, 2, 7))
     for action in moves:
@@ -223,9 +223,9 @@ def _vectors(venv: Any, kind: str, reconfigured: bool = False) -> Rollouts:
     renewed = envs.set_init_state(init_state=[states[1]], id=[1])
     renewed, *_ = envs.step(action=[[0.0] * 6 + [-1.0]], id=[1])
     observations[[1]] = renewed
-    seen += [observations, rewards, dones, [dict(info) for info in infos]]
+    outputs += [observations, rewards, dones, [dict(info) for info in infos]]
     envs.close()
-    return {"seen": seen, "tasks": [], "seconds": took}
+    return {"outputs": outputs, "tasks": [], "seconds": took}
 
 
 def verl_vla() -> Rollouts:
@@ -256,20 +256,20 @@ def ript_vla() -> Rollouts:
     def construct() -> Any:
         return utils.LiberoWrapper(1, suite, meta, names, SIZE, SIZE, device="cpu")
 
-    seen: list[Any] = []
+    outputs: list[Any] = []
     begun = time.perf_counter()
     for count in (1, 2):
         envs = utils.LiberoVectorWrapper(construct, count)
         assert envs.action_space.shape == (count, 7)
         states = _task(1)[1][:count]
         for reset in (envs.reset_ori, envs.reset):
-            seen.append(reset(states)[0])
-            seen.append(list(envs.step(np.full((count, 7), 0.3))))
+            outputs.append(reset(states)[0])
+            outputs.append(list(envs.step(np.full((count, 7), 0.3))))
         pictures = envs.render()
         assert [picture.shape for picture in pictures] == [(SIZE, SIZE, 3)] * count
         envs._env.close()
     took = time.perf_counter() - begun
-    return {"seen": as_arrays(seen), "tasks": [], "seconds": took}
+    return {"outputs": as_arrays(outputs), "tasks": [], "seconds": took}
 
 
 def rlinf_recorded() -> Rollouts:

@@ -119,18 +119,18 @@ def states() -> Log:
     log: Log = [("set", env.set_init_state(initial_states("drawer")[5]))]
     for i, action in enumerate(actions(12)):
         log.append((f"step {i}", env.step(action)))
-    kept = env.get_sim_state()
-    log.append(("kept", kept))
+    saved = env.get_sim_state()
+    log.append(("saved", saved))
     for action in actions(5):
         env.step(action)
-    env.set_state(kept)
+    env.set_state(saved)
     log.append(("set, not observed", env.env._get_observations()))
     log.append(("set, success", bool(env.check_success())))
     for i, action in enumerate(actions(3)):
         log.append((f"step after set {i}", env.step(action)))
     # Each of these calls shifts the time at which later steps observe.
     for i in range(27):
-        log.append((f"regenerated {i}", env.regenerate_obs_from_state(kept)))
+        log.append((f"regenerated {i}", env.regenerate_obs_from_state(saved)))
         if i % 3 == 0 or i > 20:
             log.append((f"step after regenerated {i}", env.step(actions(1)[0])))
     env.sim.forward()

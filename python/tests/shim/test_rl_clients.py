@@ -102,8 +102,8 @@ def test_rlinf_in_one_process_equals_rlinfs_processes(
     theirs = rolled_out(python, shim, tmp_path, kind, sources)
     ours = rolled_out(python, shim, tmp_path, f"{kind}_together", sources)
     assert ours["tasks"] == theirs["tasks"]
-    assert len(theirs["seen"]) == 10
-    assert_same(ours["seen"], theirs["seen"], kind)
+    assert len(theirs["outputs"]) == 10
+    assert_same(ours["outputs"], theirs["outputs"], kind)
     print(
         f"{kind}: {theirs['seconds']:.1f} s in processes, {ours['seconds']:.1f} s in one process"
     )
@@ -120,14 +120,14 @@ def test_rlinf_counts_the_tasks_of_all_suites(
         for task in benchmark.task_maps[suite].values()
     }
     assert set(rollouts["tasks"]) <= instructions
-    assert rollouts["seen"][0]["main_images"].shape == (2, SIZE, SIZE, 3)
+    assert rollouts["outputs"][0]["main_images"].shape == (2, SIZE, SIZE, 3)
 
 
 def test_simplevla_rl_rolls_out_in_a_forked_process(
     python: str, shim: Path, tmp_path: Path
 ) -> None:
     rollouts = rolled_out(python, shim, tmp_path, "simplevla_rl", checkout("SimpleVLA-RL"))
-    first, *steps = rollouts["seen"]
+    first, *steps = rollouts["outputs"]
     suite = benchmark.get_benchmark(SUITE)()
     env = OffScreenRenderEnv(
         bddl_file_name=suite.get_task_bddl_file_path(2), camera_heights=256, camera_widths=256
@@ -158,7 +158,7 @@ def test_a_frameworks_several_environments_equal_the_shims(
     framework: str, name: str, python: str, shim: Path, tmp_path: Path
 ) -> None:
     rollouts = rolled_out(python, shim, tmp_path, framework, checkout(name))
-    begun, observations, rewards, dones, infos = rollouts["seen"]
+    begun, observations, rewards, dones, infos = rollouts["outputs"]
     suite = benchmark.get_benchmark(SUITE)()
     moves = np.random.default_rng(4).uniform(-1, 1, (3, 2, 7))
     tasks = [(0, 1), (3, 2)]
@@ -200,7 +200,7 @@ def test_a_frameworks_several_environments_equal_the_shims(
 
 def test_ript_wraps_one_environment_and_several(python: str, shim: Path, tmp_path: Path) -> None:
     rollouts = rolled_out(python, shim, tmp_path, "ript_vla", checkout("ript-vla"))
-    alone, several = rollouts["seen"][:4], rollouts["seen"][4:]
+    alone, several = rollouts["outputs"][:4], rollouts["outputs"][4:]
     # `reset_ori` returns the observation before it sets the states; the second reset sets them.
     for count, (first, stepped, reset, again) in ((1, alone), (2, several)):
         assert first["agentview_rgb"].shape == (count, SIZE, SIZE, 3)

@@ -14,7 +14,7 @@ from .upstream import UnusableCheckpoint, UnusableOption
 SCENE, WRIST = "agentview", "robot0_eye_in_hand"
 #: The two cameras by their names on the command line.
 ROLES = {"scene": SCENE, "wrist": WRIST}
-#: Names seen in published checkpoints, data sets and evaluations of LIBERO.
+#: Names that occur in published checkpoints, data sets and evaluations of LIBERO.
 NAMES = {
     SCENE: frozenset(
         "image agentview agentview_image agentview_rgb agentview_cam agent_view base base_0_rgb"

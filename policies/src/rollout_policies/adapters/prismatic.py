@@ -71,8 +71,8 @@ def load_network(
     token does not see later ones. Raises UnusableCheckpoint if weights are
     missing, UpstreamMissing if the installed transformers is not the policy's.
     """
-    # timm must be imported before TensorFlow, which upstream imports: the reverse order has been
-    # seen to crash the process.
+    # timm must be imported before TensorFlow, which upstream imports: the reverse order has crashed
+    # the process.
     require("timm", entry)
     torch = require("torch", entry)
     transformers = require("transformers", entry)
