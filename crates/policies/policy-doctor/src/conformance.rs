@@ -83,7 +83,7 @@ impl fmt::Display for Point {
             Self::OtherSeed => "another seed gives other actions exactly if declared stochastic",
             Self::Order => "the order of queries does not change the actions",
             Self::Isolation => "sessions do not affect one another",
-            Self::Restart => "a Reset restarts an open session",
+            Self::Restart => "a Reset starts an open session anew",
             Self::Batch => "other queries of a batch do not change the actions",
             Self::Unopened => "a session that was never opened is refused",
             Self::Speed => "answer times are measured",

@@ -32,7 +32,7 @@ class Point(enum.Enum):
     OTHER_SEED = "another seed gives other actions exactly if declared stochastic"
     ORDER = "the order of queries does not change the actions"
     ISOLATION = "sessions do not affect one another"
-    RESTART = "a Reset restarts an open session"
+    RESTART = "a Reset starts an open session anew"
     BATCH = "other queries of a batch do not change the actions"
     UNOPENED = "a session that was never opened is refused"
     END = "the end of an episode is accepted"
