@@ -67,11 +67,11 @@ class Disturbance:
         self._push = np.zeros((n, ARM))
         self._push_left = np.zeros(n, np.int64)
 
-    def begin(self, which: NDArray[np.int64], disturbed: NDArray[np.bool_]) -> None:
-        """Begins episodes in environments ``which``."""
-        self._disturbed[which] = disturbed
-        self._noise_left[which] = 0
-        self._push_left[which] = 0
+    def begin(self, indices: NDArray[np.int64], disturbed: NDArray[np.bool_]) -> None:
+        """Begins episodes in environments ``indices``."""
+        self._disturbed[indices] = disturbed
+        self._noise_left[indices] = 0
+        self._push_left[indices] = 0
 
     def next(self, steps: int) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
         """Returns additions to the arm's next actions, [n, steps, 6], and sources [n, steps]."""
@@ -115,11 +115,11 @@ class ExpertDrives:
         self._disturbance = Disturbance(n, rng)
         self.driver = np.full(n, Driver.CLEAN, np.uint8)
 
-    def begin(self, which: NDArray[np.int64]) -> None:
-        """Begins episodes in environments ``which``."""
-        disturbed = self._rng.random(len(which)) >= CLEAN_SHARE
-        self._disturbance.begin(which, disturbed)
-        self.driver[which] = np.where(disturbed, Driver.DISTURBED, Driver.CLEAN)
+    def begin(self, indices: NDArray[np.int64]) -> None:
+        """Begins episodes in environments ``indices``."""
+        disturbed = self._rng.random(len(indices)) >= CLEAN_SHARE
+        self._disturbance.begin(indices, disturbed)
+        self.driver[indices] = np.where(disturbed, Driver.DISTURBED, Driver.CLEAN)
 
     def next(self, steps: int) -> Orders:
         """Returns the orders for the next steps."""
@@ -143,15 +143,15 @@ class InTurns:
         self._used = np.full(n, CHUNK)
         self.driver = np.full(n, Driver.IN_TURNS, np.uint8)
 
-    def begin(self, which: NDArray[np.int64]) -> None:
-        """Begins episodes in environments ``which``."""
-        rng, count = self._rng, len(which)
+    def begin(self, indices: NDArray[np.int64]) -> None:
+        """Begins episodes in environments ``indices``."""
+        rng, count = self._rng, len(indices)
         alone = rng.random(count) < ALONE_SHARE
-        self._disturbance.begin(which, rng.random(count) < DISTURBED_SHARE)
-        self.driver[which] = np.where(alone, Driver.STUDENT, Driver.IN_TURNS)
+        self._disturbance.begin(indices, rng.random(count) < DISTURBED_SHARE)
+        self.driver[indices] = np.where(alone, Driver.STUDENT, Driver.IN_TURNS)
         # The next call of `needs_answer` ends this turn and begins the other driver's.
-        self._student[which] = rng.random(count) < 0.5
-        self._turn_left[which] = 0
+        self._student[indices] = rng.random(count) < 0.5
+        self._turn_left[indices] = 0
 
     def needs_answer(self) -> NDArray[np.bool_]:
         """Returns a mask [n] of the environments that need the student's answer for their next
@@ -170,10 +170,10 @@ class InTurns:
         self._horizon = np.where(over, rng.choice(HORIZONS, n), self._horizon)
         return self._student & (over | (self._used >= self._horizon))
 
-    def answer(self, which: NDArray[np.bool_], answers: NDArray[np.float64]) -> None:
-        """Stores the student's answers, [m, 8, 7], for the m environments of the mask ``which``."""
-        self._answers[which] = answers
-        self._used[which] = 0
+    def answer(self, mask: NDArray[np.bool_], answers: NDArray[np.float64]) -> None:
+        """Stores the student's answers, [m, 8, 7], for the m environments of ``mask``."""
+        self._answers[mask] = answers
+        self._used[mask] = 0
 
     def next(self, steps: int) -> Orders:
         """Returns the orders for the next steps, whose number must divide the horizons."""

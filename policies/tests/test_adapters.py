@@ -352,8 +352,10 @@ def test_every_episode_of_predvla_has_its_own_instruction():
 
 
 def test_cached_statistics_are_searched_in_the_package(tmp_path):
-    assert predvla._cache("../data/cache_l64", tmp_path) == str(tmp_path / "data/cache_l64")
-    assert predvla._cache("/elsewhere/cache", tmp_path) == "/elsewhere/cache"
+    assert predvla._statistics_path("../data/cache_l64", tmp_path) == str(
+        tmp_path / "data/cache_l64"
+    )
+    assert predvla._statistics_path("/elsewhere/cache", tmp_path) == "/elsewhere/cache"
 
 
 # All adapters.
@@ -388,9 +390,9 @@ def test_weights_of_predvla_are_found_in_its_repository(tmp_path):
     file = tmp_path / listed["libero_goal"]
     file.parent.mkdir()
     file.write_bytes(b"weights")
-    assert predvla._file(entry("predvla"), listed["libero_goal"], tmp_path) == file
+    assert predvla._checkpoint_file(entry("predvla"), listed["libero_goal"], tmp_path) == file
     with pytest.raises(NoCheckpoint, match="predvla_long_s1.pt here nor in .*--checkpoint"):
-        predvla._file(entry("predvla"), listed["libero_10"], tmp_path)
+        predvla._checkpoint_file(entry("predvla"), listed["libero_10"], tmp_path)
 
 
 def predvla_suites():
@@ -508,7 +510,7 @@ def test_a_checkpoint_of_predvla_that_would_run_code_is_refused(tmp_path):
     plain = {"cfg": {"data": {"vision_stride": 4}}, "model": {"weight": torch.ones(2)}}
     torch.save({**plain, "extra": MaliciousPickle()}, file)
     with pytest.raises(UnusableCheckpoint, match="would run code of its author"):
-        predvla._saved(torch, file)
+        predvla._read_checkpoint(torch, file)
     assert not ran.exists()
     torch.save(plain, file)
-    assert predvla._saved(torch, file)["cfg"] == plain["cfg"]
+    assert predvla._read_checkpoint(torch, file)["cfg"] == plain["cfg"]

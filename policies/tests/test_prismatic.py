@@ -94,7 +94,7 @@ def upstream(monkeypatch):
         monkeypatch.setitem(sys.modules, name, module_of(**parts))
     monkeypatch.setattr(transformers.AutoTokenizer, "from_pretrained", lambda folder: None)
     # Result of OpenVLA-OFT's own transformers.
-    monkeypatch.setattr(prismatic, "_sees_ahead", lambda *_: True)
+    monkeypatch.setattr(prismatic, "_attends_to_later_tokens", lambda *_: True)
 
 
 @pytest.fixture
@@ -194,7 +194,7 @@ def test_openvla_oft_refuses_the_standard_transformers(oft, monkeypatch):
     # does a token attend to later tokens.
     monkeypatch.undo()
     network = Network()
-    assert not prismatic._sees_ahead(network, torch, transformers)
+    assert not prismatic._attends_to_later_tokens(network, torch, transformers)
     attention = transformers.models.llama.modeling_llama.LlamaModel.forward
 
     def without_causal_mask(self, *arguments, **named):
@@ -205,11 +205,11 @@ def test_openvla_oft_refuses_the_standard_transformers(oft, monkeypatch):
     monkeypatch.setattr(
         transformers.models.llama.modeling_llama.LlamaModel, "forward", without_causal_mask
     )
-    assert prismatic._sees_ahead(network, torch, transformers)
+    assert prismatic._attends_to_later_tokens(network, torch, transformers)
 
 
 def test_a_transformers_with_another_attention_is_refused(oft, monkeypatch):
-    monkeypatch.setattr(prismatic, "_sees_ahead", lambda *_: False)
+    monkeypatch.setattr(prismatic, "_attends_to_later_tokens", lambda *_: False)
     with pytest.raises(UpstreamMissing, match="does not see later tokens.*environment"):
         served(oft)
 
@@ -224,7 +224,7 @@ class Pool(torch.nn.Linear):
 @pytest.fixture
 def univla_checkpoint(oft, monkeypatch):
     """Makes a small UniVLA checkpoint with random weights."""
-    monkeypatch.setattr(prismatic, "_sees_ahead", lambda *_: False)
+    monkeypatch.setattr(prismatic, "_attends_to_later_tokens", lambda *_: False)
     pools = module_of(MAPBlock=Pool)
     monkeypatch.setitem(sys.modules, "prismatic.models.policy.transformer_utils", pools)
     torch.save(univla._decoder(entry("univla")).state_dict(), oft / "action_decoder.pt")

@@ -77,14 +77,14 @@ def test_the_centre_crop_is_tensorflows():
 
 def test_plain_shrinking_equals_torch_without_antialias():
     # These numbers and the next ones are from PyTorch 2.11.0.
-    assert images.resize_plainly(pattern(8), 5, 5)[..., 2].tolist() == [
+    assert images.resize_bilinear(pattern(8), 5, 5)[..., 2].tolist() == [
         [40, 43, 45, 48, 50],
         [43, 58, 73, 88, 104],
         [45, 73, 101, 129, 157],
         [48, 88, 129, 170, 211],
         [50, 104, 157, 211, 139],
     ]
-    assert images.resize_plainly(pattern(8), 11, 11)[3, :4].tolist() == [
+    assert images.resize_bilinear(pattern(8), 11, 11)[3, :4].tolist() == [
         [13, 22, 40],
         [17, 23, 46],
         [22, 24, 53],

@@ -99,7 +99,7 @@ def test_a_file_is_never_read_whole(tmp_path, monkeypatch):
     save_file(network.state_dict(), tmp_path / "model.safetensors")
     monkeypatch.setattr(weights, "COMPARED_NUMBERS", 3_000)
     largest = 0
-    inner = weights._InFile.__getitem__
+    inner = weights._StoredTensor.__getitem__
 
     def watched(self, rows):
         nonlocal largest
@@ -107,7 +107,7 @@ def test_a_file_is_never_read_whole(tmp_path, monkeypatch):
         largest = max(largest, piece.numel())
         return piece
 
-    monkeypatch.setattr(weights._InFile, "__getitem__", watched)
+    monkeypatch.setattr(weights._StoredTensor, "__getitem__", watched)
     with weights.stored_in(tmp_path.glob("*.safetensors")) as there:
         weights.require_loaded(network, there, "mine")
     assert 0 < largest <= 3_000

@@ -43,7 +43,7 @@ FILM = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]*\.mp4")
 MAX_LIST = 64 << 20
 #: Largest ratio of the members' size to the archive's, unless their total is below SMALL bytes.
 MAX_RATIO, SMALL = 100, 64 << 20
-#: Most zeros after the last member, bytes.
+#: Largest number of zeros after the last member, bytes.
 MAX_PADDING = 1 << 20
 
 #: Tables that are read.
@@ -83,7 +83,7 @@ class Rollout:
     #: Time of the commit, milliseconds since the Unix epoch.
     committed_ms: int
     #: Position of the end-effector at rest and after each step: steps + 1 rows of x, y, z, m, in
-    #: the world frame, rounded to 0.1 mm; float32. Empty if not kept.
+    #: the world frame, rounded to 0.1 mm; float32. Empty if the archive lacks it.
     path: np.ndarray[Any, np.dtype[np.float32]]
     #: The policy's actions: seven numbers per step, clipped to [-1, 1] in matched campaigns;
     #: float32. Empty unless the campaign records transitions.

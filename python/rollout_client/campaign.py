@@ -66,8 +66,8 @@ class Campaign:
             return
 
     def results(self) -> pd.DataFrame:
-        """A row per committed rollout, by rollout id and replicate. `axis` and `level` are the
-        condition: `clean` and `L0`, an axis, or `combination`. `config` is missing for nominal
+        """Returns a row per committed rollout, by rollout id and replicate. `axis` and `level` are
+        the condition: `clean` and `L0`, an axis, or `combination`. `config` is missing for nominal
         rollouts, `ik_res_mm` unless the robot was displaced, `placebo_radius` unless the rollout is
         perturbed at level `L0`. `execution` is the execution model, `wait` unless the campaign
         names another. `goal_predicates` counts the goal's predicates, `goal_at_end` those that held

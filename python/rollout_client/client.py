@@ -65,7 +65,7 @@ class Client:
         self._connection.close()
 
     def campaigns(self) -> pd.DataFrame:
-        """A row per campaign, oldest first, with the fields of Status."""
+        """Returns a row per campaign, oldest first, with the fields of Status."""
         answer = self._connection.call(
             self._connection.operator.ListCampaigns, wire.ListCampaignsRequest()
         )

@@ -21,7 +21,7 @@ import grpc
 ROLES = ("worker", "operator", "viewer")
 #: Roles that may query a policy.
 ASKING_ROLES = ("worker", "operator")
-#: Fewest and most bytes of a token, most tokens of a file, and most bytes of a file.
+#: Shortest and longest token, bytes; largest number of tokens in a file, and largest file, bytes.
 MIN_TOKEN_BYTES, MAX_TOKEN_BYTES = 16, 256
 MAX_TOKENS = 256
 MAX_TOKEN_FILE_BYTES = 128 << 10
@@ -31,7 +31,7 @@ TOKENS_VARIABLE = "ROLLOUT_TOKENS"
 HEALTH_PATH = "/grpc.health.v1.Health/"
 #: Interval after which a refusal of the same kind to the same machine is logged again, s.
 LOGGED_AGAIN_SECS = 600.0
-#: Most pairs of machine and kind of refusal whose last log time is stored.
+#: Largest number of pairs of machine and kind of refusal whose last log time is stored.
 MAX_LOGGED = 1024
 
 log = logging.getLogger("rollout_policies")

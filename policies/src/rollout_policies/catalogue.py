@@ -58,7 +58,7 @@ class Entry:
         return checkpoint is None or checkpoint in self.checkpoint.values()
 
     def checkpoint_for(self, suite: str | None) -> str:
-        """The checkpoint's id for a suite such as "libero_goal".
+        """Returns the checkpoint's id for a suite such as "libero_goal".
 
         Raises NoCheckpoint if a suite is needed and is missing or unknown.
         """

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from .episode import Episode
 from .proto import policy_pb2 as pb
 
-#: Number of episodes kept; the one idle for longest is forgotten first.
+#: Largest number of open episodes. Beyond it, the episode idle for longest is removed.
 MAX_SESSIONS = 1024
 #: Idle time after which an episode counts as over, unless a caller ended it before.
 IDLE_SECS = 900.0
@@ -27,7 +27,7 @@ class Session:
     #: The last query and its answer, in one attribute because threads that handle a retry read it
     #: while another thread writes it.
     last: tuple[int, pb.InferResponse] | None = None
-    #: Number of answered actions that are executed; and True if one of them opened the gripper.
+    #: Number of executed actions in all answers; and True if one of them opened the gripper.
     executed: int = 0
     opened: bool = False
     used_at: float = 0.0

@@ -24,7 +24,7 @@ class Policy:
         if self.kind not in ("none", "sleep", "card", "busy"):
             raise ValueError(f"policy {name}: choose none, sleep:MS, card:MS or busy")
         self.seconds = float(ms or 0) / 1e3
-        self._neighbour: Any = None
+        self._busy_process: Any = None
         self._products: Any = None
         if self.kind == "card":
             self._left, self._right = _matrices()
@@ -34,21 +34,21 @@ class Policy:
         if self.kind == "busy":
             context = multiprocessing.get_context("spawn")
             self._products = context.Value("L", 0)
-            self._neighbour = context.Process(
+            self._busy_process = context.Process(
                 target=_keep_busy, args=(self._products,), daemon=True
             )
-            self._neighbour.start()
+            self._busy_process.start()
             while not self._products.value:
-                if not self._neighbour.is_alive():
+                if not self._busy_process.is_alive():
                     raise RuntimeError("the process that keeps the accelerator busy has ended")
                 time.sleep(0.05)
         return self
 
     def __exit__(self, *_error: Any) -> None:
-        if self._neighbour is not None:
-            self._neighbour.terminate()
-            self._neighbour.join()
-            self._neighbour = None
+        if self._busy_process is not None:
+            self._busy_process.terminate()
+            self._busy_process.join()
+            self._busy_process = None
 
     def answer(self) -> None:
         """Blocks for the duration of an answer."""
@@ -60,7 +60,7 @@ class Policy:
                 _multiply(self._left, self._right)
 
     def products(self) -> int:
-        """Returns the number of the neighbour's matrix products until now."""
+        """Returns the number of matrix products that the busy process has computed."""
         return self._products.value if self._products is not None else 0
 
 

@@ -90,7 +90,7 @@ def _assigned_by_flag(slots: Sequence[str], given: Mapping[str, str]) -> dict[st
 
 
 def _names_of(slot: str, renamed: Mapping[str, str]) -> list[str]:
-    """Names of the slot's images in the training data."""
+    """Returns the names of the slot's images in the training data."""
     return [source for source, target in renamed.items() if target == slot] or [slot]
 
 

@@ -72,7 +72,7 @@ class FlowPolicy(Policy):
         return [answers[at] for at in range(len(observations))]
 
     def noise(self, observations: Sequence[Observation]) -> np.ndarray:
-        """Initial noise of the flow, [batch, n, width]. Each row comes from its own
+        """Returns the flow's initial noise, [batch, n, width]. Each row comes from its own
         query's generator and does not depend on the other queries of the batch."""
         config = self.model.config
         shape = (config.chunk_size, config.max_action_dim)

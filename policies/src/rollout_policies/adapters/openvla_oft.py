@@ -159,7 +159,7 @@ def load(entry: Entry, options: Options) -> Policy:
     execute = executed(entry, options, chunk=CHUNK, from_checkpoint=CHUNK)
     fetched = fetch(entry, checkpoint, options.revision)
     folder = fetched.folder
-    parts = _parts(folder, checkpoint)
+    parts = _part_files(folder, checkpoint)
     statistics, key, brief = statistics_in(folder, options.suite)
     state = statistics[key].get("proprio", {})
     state_brief = require_statistics("the state", "QUANTILES", state, STATE_WIDTH)
@@ -206,7 +206,7 @@ def load(entry: Entry, options: Options) -> Policy:
     )
 
 
-def _parts(folder: Path, checkpoint: str) -> dict[str, Path]:
+def _part_files(folder: Path, checkpoint: str) -> dict[str, Path]:
     """Returns the files of the parts that are trained separately from the network, by part."""
     found = {
         part: sorted(folder.glob(f"*{part}*checkpoint*")) for part in (HEAD, PROJECTOR, *NOT_SERVED)

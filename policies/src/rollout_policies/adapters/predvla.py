@@ -163,7 +163,7 @@ class PredVla(Policy):
         return action
 
 
-def _saved(torch: Any, file: Path) -> dict[str, Any]:
+def _read_checkpoint(torch: Any, file: Path) -> dict[str, Any]:
     """Returns the contents of a checkpoint file: tensors, numbers and text. Anything
     else is refused, because unpickling it could run code of its author."""
     try:
@@ -191,15 +191,15 @@ def load(entry: Entry, options: Options) -> Policy:
     torch = require("torch", entry)
     package = require("predvla.model", entry)
     home = Path(package.__file__).parents[1]
-    file = _file(entry, checkpoint, home)
+    file = _checkpoint_file(entry, checkpoint, home)
     correction = require("predvla.er_batch", entry).ERBatch
-    saved = _saved(torch, file)
+    saved = _read_checkpoint(torch, file)
     _require_trained_for(options.suite, saved["cfg"], checkpoint)
     network = package.PredVLA(saved["cfg"]).to(options.device).eval()
     load_stored(network, saved["model"], checkpoint)
     for number in network.parameters():
         number.requires_grad_(False)
-    cache = Path(_cache(saved["cfg"]["paths"]["cache_root"], home))
+    cache = Path(_statistics_path(saved["cfg"]["paths"]["cache_root"], home))
     statistics = sorted(cache.glob("*.npz"))
     if not statistics:
         raise UnusableCheckpoint(
@@ -235,7 +235,7 @@ def load(entry: Entry, options: Options) -> Policy:
     )
 
 
-def _file(entry: Entry, name: str, home: Path) -> Path:
+def _checkpoint_file(entry: Entry, name: str, home: Path) -> Path:
     """Returns a checkpoint's file, local or from the authors' repository."""
     for file in (Path(name).expanduser(), home / name):
         if file.is_file():
@@ -255,7 +255,7 @@ def _require_trained_for(suite: str, config: Mapping[str, Any], checkpoint: str)
         )
 
 
-def _cache(named: str, home: Path) -> str:
+def _statistics_path(named: str, home: Path) -> str:
     """Returns the path of the front end's statistics. Checkpoints name it relative to a folder
     of their authors, whose contents are in `home` here."""
     path = Path(named)

@@ -83,7 +83,7 @@ def load_network(
     )
     with stored_in(folder.glob("*.safetensors")) as stored:
         require_loaded(network, stored, checkpoint)
-    if _sees_ahead(network, torch, transformers) == causal:
+    if _attends_to_later_tokens(network, torch, transformers) == causal:
         raise UpstreamMissing(
             f"the installed transformers ({transformers.__version__}) is not the one that"
             f" {entry.title} needs: in its language models a token"
@@ -98,7 +98,7 @@ def load_network(
     return network.to(device).eval(), processor
 
 
-def _sees_ahead(network: Any, torch: Any, transformers: Any) -> bool:
+def _attends_to_later_tokens(network: Any, torch: Any, transformers: Any) -> bool:
     """Returns True if a token's output depends on later tokens, in a small
     language model of the network's kind."""
     config = copy.deepcopy(network.config.text_config)

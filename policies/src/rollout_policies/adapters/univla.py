@@ -23,7 +23,7 @@ from ..description import Description
 from ..episode import Episode, Observation
 from ..policy import Policy
 from ..processing.actions import Ensemble, from_bounds
-from ..processing.images import resize_plainly
+from ..processing.images import resize_bilinear
 from ..processing.robot import gripper_from_rlds
 from . import Options, executed
 from .fetch import fetch
@@ -53,10 +53,10 @@ def study_frame(turned: np.ndarray) -> np.ndarray:
     """Converts a frame [256, 256, 3], turned by 180 degrees, to the study's
     input: bilinear to 224 without antialiasing, the centre in whole pixels,
     enlarged again."""
-    small = resize_plainly(turned, SIDE, SIDE)
+    small = resize_bilinear(turned, SIDE, SIDE)
     side = round(SIDE * CROP_AREA**0.5)
     start = (SIDE - side) // 2
-    return resize_plainly(small[start : start + side, start : start + side], SIDE, SIDE)
+    return resize_bilinear(small[start : start + side, start : start + side], SIDE, SIDE)
 
 
 #: Conversion of a frame to the network's input, by evaluation protocol.

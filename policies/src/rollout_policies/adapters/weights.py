@@ -121,7 +121,7 @@ def require_loaded(
 
     Raises UnusableCheckpoint, which names the differences.
     """
-    found = compare(network.state_dict(), stored, _same, exceptions)
+    found = compare(network.state_dict(), stored, _is_equal, exceptions)
     if differences := str(found):
         raise UnusableCheckpoint(
             f"checkpoint {checkpoint} was not loaded as it is stored. Tensors of {part}:"
@@ -159,11 +159,11 @@ def stored_in(
         for path in sorted(files):
             file = stack.enter_context(safe_open(str(path), framework="pt"))
             for name in file.keys():
-                tensors[rename(name)] = _InFile(file, name)
+                tensors[rename(name)] = _StoredTensor(file, name)
         yield tensors
 
 
-class _InFile:
+class _StoredTensor:
     """A tensor of an open safetensors file, read row by row."""
 
     def __init__(self, file: Any, name: str) -> None:
@@ -178,12 +178,12 @@ class _InFile:
         return self._file.get_tensor(self._name)
 
 
-def _same(loaded: Any, in_file: Any) -> bool:
+def _is_equal(loaded: Any, in_file: Any) -> bool:
     """Returns True if both tensors are equal in the data type of the loaded tensor."""
     import torch
 
     if not loaded.shape:
-        whole = in_file.whole() if isinstance(in_file, _InFile) else in_file
+        whole = in_file.whole() if isinstance(in_file, _StoredTensor) else in_file
         return torch.equal(whole.to(loaded.device, loaded.dtype), loaded)
     rows = max(1, COMPARED_NUMBERS // max(1, loaded[:1].numel()))
     return all(

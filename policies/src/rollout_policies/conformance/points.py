@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import grpc
 
 from . import verdict
-from .probe import QUERIES, CannotCheck, Played, Probe
+from .probe import QUERIES, CannotCheck, EpisodeAnswers, Probe
 from .verdict import Verdict
 
 #: Seed of the reference episode, and another seed.
@@ -72,7 +72,7 @@ def examine(probe: Probe) -> Iterator[Finding]:
     try:
         reference = probe.episode("reference", SEED)
     except grpc.RpcError as error:
-        why = verdict.words_of(error)
+        why = verdict.describe_error(error)
         raise CannotCheck(f"failed to play one episode: {why}") from error
     for point in Point:
         try:
@@ -84,7 +84,7 @@ def examine(probe: Probe) -> Iterator[Finding]:
         yield Finding(point, found)
 
 
-def _examined(point: Point, probe: Probe, reference: Played) -> Verdict:
+def _examined(point: Point, probe: Probe, reference: EpisodeAnswers) -> Verdict:
     described, answers = probe.described, reference.answers
     if point in SEEDED and described.unseeded:
         return verdict.skipped(
@@ -124,5 +124,5 @@ def _examined(point: Point, probe: Probe, reference: Played) -> Verdict:
         return probe.unopened()
     if point is Point.END:
         return probe.ended(SEED)
-    wall_secs, together = probe.side_by_side(CONCURRENCY)
-    return verdict.speed(reference.latencies, CONCURRENCY, wall_secs, together)
+    wall_secs, concurrent = probe.concurrent_episodes(CONCURRENCY)
+    return verdict.speed(reference.latencies, CONCURRENCY, wall_secs, concurrent)

@@ -27,7 +27,7 @@ from .verdict import Verdict
 
 #: Queries in one episode.
 QUERIES = 5
-#: Most queries in one batch, and the time limit of an answer, s: as in the gateway.
+#: Largest number of queries in one batch, and the time limit of an answer, s: as in the gateway.
 MAX_BATCH_QUERIES = 64
 ANSWER_WITHIN_SECS = 50.0
 #: Seed of all synthetic observations; episodes differ only in their own seed.
@@ -54,7 +54,7 @@ class Target:
 
 
 @dataclass
-class Played:
+class EpisodeAnswers:
     """Answers of one episode."""
 
     #: Answers by query index.
@@ -79,7 +79,7 @@ class Probe(contextlib.AbstractContextManager):
             self.described: pb.DescribeResponse = self._describe(PROTOCOL_VERSION)
         except grpc.RpcError as error:
             self._channel.close()
-            why = verdict.words_of(error)
+            why = verdict.describe_error(error)
             raise CannotCheck(f"failed to have {target.url} describe its policy: {why}") from error
         if self.described.privileged:
             self._channel.close()
@@ -116,10 +116,12 @@ class Probe(contextlib.AbstractContextManager):
             return verdict.passed()
         return verdict.failed("it does not report SERVING")
 
-    def episode(self, name: str, seed: int, order: Iterable[int] = range(QUERIES)) -> Played:
+    def episode(
+        self, name: str, seed: int, order: Iterable[int] = range(QUERIES)
+    ) -> EpisodeAnswers:
         """Plays one episode with its queries in this order."""
         self._reset(name, seed)
-        answers, played = {}, Played()
+        answers, played = {}, EpisodeAnswers()
         for query_index in order:
             sent = time.perf_counter()
             answers[query_index] = self._infer(name, query_index)
@@ -205,11 +207,11 @@ class Probe(contextlib.AbstractContextManager):
         self.episode("after the end", seed)
         return verdict.passed()
 
-    def side_by_side(self, concurrency: int) -> tuple[float, list[float]]:
+    def concurrent_episodes(self, concurrency: int) -> tuple[float, list[float]]:
         """Plays this many episodes concurrently. Returns the total time and each query's, s."""
         began = time.perf_counter()
         with ThreadPoolExecutor(concurrency) as pool:
-            played = pool.map(lambda at: self.episode(f"side by side {at}", at), range(concurrency))
+            played = pool.map(lambda at: self.episode(f"concurrent {at}", at), range(concurrency))
             latencies = [latency for episode in played for latency in episode.latencies]
         return time.perf_counter() - began, latencies
 

@@ -58,10 +58,10 @@ def skipped(reason: str) -> Verdict:
 
 def refused(error: grpc.RpcError) -> Verdict:
     """Returns a failure: the server gave no answer."""
-    return failed(f"the server refused: {words_of(error)}")
+    return failed(f"the server refused: {describe_error(error)}")
 
 
-def words_of(error: grpc.RpcError) -> str:
+def describe_error(error: grpc.RpcError) -> str:
     """Describes a failed call."""
     return f"{error.details()} ({error.code().name})"
 
@@ -145,13 +145,13 @@ def batch(alone: Sequence[pb.InferResponse], batched: Sequence[pb.InferResponse]
 
 
 def speed(
-    alone: Sequence[float], concurrency: int, wall_secs: float, together: Sequence[float]
+    alone: Sequence[float], concurrency: int, wall_secs: float, concurrent: Sequence[float]
 ) -> Verdict:
     """Reports the latencies, s, of single queries and of `concurrency`
     concurrent episodes that took `wall_secs` in total."""
     return passed(
         f"one by one {_percentiles(alone)}; {concurrency} episodes at once"
-        f" {_percentiles(together)}, {len(together) / wall_secs:.0f} queries/s"
+        f" {_percentiles(concurrent)}, {len(concurrent) / wall_secs:.0f} queries/s"
     )
 
 
