@@ -53,13 +53,13 @@ def measure_network(policy: SimulatedSmolvla, batch: int, secs: float) -> dict:
         # infer_batch copies the answers to the CPU, so it returns after the batch is complete.
         policy.infer_batch(batch_observations)
         took.append(time.perf_counter() - began)
-    millis = 1e3 * np.array(took)
+    milliseconds = 1e3 * np.array(took)
     return {
         "batch": batch,
         "observations_per_sec": batch * len(took) / sum(took),
         "batch_millis": {
-            "p50": float(np.percentile(millis, 50)),
-            "p99": float(np.percentile(millis, 99)),
+            "p50": float(np.percentile(milliseconds, 50)),
+            "p99": float(np.percentile(milliseconds, 99)),
         },
     }
 

@@ -148,7 +148,7 @@ def small_pi05() -> Iterator[None]:
         config.vision_config.num_hidden_layers = 2
         return config
 
-    def with_few_words(model_class: Callable[..., Any]) -> Callable[..., Any]:
+    def with_small_vocabulary(model_class: Callable[..., Any]) -> Callable[..., Any]:
         def create(config: Any) -> Any:
             config.get_text_config().vocab_size = 512
             return model_class(config=config)
@@ -161,7 +161,7 @@ def small_pi05() -> Iterator[None]:
         "CONFIG_MAPPING": {"paligemma": small_paligemma, "gemma": CONFIG_MAPPING["gemma"]},
     }
     for name in ("PaliGemmaForConditionalGenerationWithPiGemma", "PiGemmaForCausalLM"):
-        replacements[name] = with_few_words(getattr(upstream, name))
+        replacements[name] = with_small_vocabulary(getattr(upstream, name))
     with mock.patch.multiple(upstream, **replacements):
         yield
 

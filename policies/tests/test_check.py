@@ -82,7 +82,7 @@ class SecretlyStochastic(Faulty):
     description = dataclasses.replace(Faulty.description, stochastic=False)
 
 
-class Sharing(Faulty):
+class StateSharing(Faulty):
     """Keeps an episode's state in the policy instead of the episode."""
 
     def reset(self, episode):
@@ -92,7 +92,7 @@ class Sharing(Faulty):
         return np.random.default_rng([self.seed, observation.query_index]).uniform(-1, 1, (4, 7))
 
 
-class Carrying(Faulty):
+class StateCarrying(Faulty):
     """Keeps undeclared state between queries."""
 
     def reset(self, episode):
@@ -104,7 +104,7 @@ class Carrying(Faulty):
         return np.clip(noise + observation.episode.memory, -1, 1)
 
 
-class Mixing(Faulty):
+class BatchMixing(Faulty):
     def infer_batch(self, observations):
         answers = [self.infer(observation) for observation in observations]
         return [answer * 0.5 + sum(answers) / len(answers) * 0.5 for answer in answers]
@@ -121,9 +121,9 @@ class Millimetres(Faulty):
         (Unseeded, Point.SAME_SEED, "at query 0 the actions differ"),
         (SeedIgnoring, Point.OTHER_SEED, "declares itself stochastic"),
         (SecretlyStochastic, Point.OTHER_SEED, "declares itself deterministic"),
-        (Sharing, Point.ISOLATION, "the actions differ"),
-        (Carrying, Point.ORDER, "the actions differ"),
-        (Mixing, Point.BATCH, "in a batch the actions differ by up to"),
+        (StateSharing, Point.ISOLATION, "the actions differ"),
+        (StateCarrying, Point.ORDER, "the actions differ"),
+        (BatchMixing, Point.BATCH, "in a batch the actions differ by up to"),
         (Millimetres, Point.RANGE, "check its un-normalisation"),
     ],
 )
@@ -296,7 +296,7 @@ def test_an_impossible_check_reports_the_reason(arguments, code, expected):
 
 # Tests of synthetic observations.
 
-EVERYTHING = Description(
+ALL_INPUTS = Description(
     name="everything",
     cameras=(Camera("agentview", 64, 48), Camera("robot0_eye_in_hand", 5, 3)),
     state=tuple(State),
@@ -304,7 +304,7 @@ EVERYTHING = Description(
 
 
 def test_a_synthetic_observation_has_the_requested_shape():
-    synthetic = fake_observation(EVERYTHING)
+    synthetic = fake_observation(ALL_INPUTS)
     assert {name: frame.shape for name, frame in synthetic.images.items()} == {
         "agentview": (48, 64, 3),
         "robot0_eye_in_hand": (3, 5, 3),
@@ -317,7 +317,7 @@ def test_a_synthetic_observation_has_the_requested_shape():
 
 def test_synthetic_observations_depend_on_seed_and_query():
     def bytes_of(*which):
-        synthetic = fake_observation(EVERYTHING, *which)
+        synthetic = fake_observation(ALL_INPUTS, *which)
         return synthetic.images["agentview"].tobytes() + synthetic.vector().tobytes()
 
     assert bytes_of(1, 2) == bytes_of(1, 2)
@@ -325,7 +325,7 @@ def test_synthetic_observations_depend_on_seed_and_query():
 
 
 def test_synthetic_readings_describe_one_posture():
-    state = fake_observation(EVERYTHING, 5).state
+    state = fake_observation(ALL_INPUTS, 5).state
     x, y, z, w = quaternion = state[State.EEF_QUAT_XYZW]
     assert np.linalg.norm(quaternion) == pytest.approx(1)
     rotation = [

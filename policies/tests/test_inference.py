@@ -20,7 +20,7 @@ from rollout_policies.proto import policy_pb2 as pb
 
 THREADS = pathlib.Path(__file__).parent / "threads.py"
 #: Longest wait of a test before it fails, s.
-PATIENCE = 60
+TIMEOUT = 60
 
 
 def test_one_thread_creates_warms_up_and_queries_a_policy(tmp_path):
@@ -69,7 +69,7 @@ def test_frames_are_prepared_while_the_model_answers_other_queries(serving):
             return observation.episode.session
 
         def infer(self, observation):
-            assert self.other_is_prepared.wait(PATIENCE), "prepare waits for its turn"
+            assert self.other_is_prepared.wait(TIMEOUT), "prepare waits for its turn"
             assert observation.prepared == observation.episode.session
             return np.zeros(7)
 
@@ -116,7 +116,7 @@ def test_a_query_cancelled_by_its_caller_is_not_computed(serving, monkeypatch):
         def infer(self, observation):
             self.sessions.append(observation.episode.session)
             self.begun.set()
-            assert self.release.wait(PATIENCE)
+            assert self.release.wait(TIMEOUT)
             return np.zeros(7)
 
     calls, submit = [], InferenceThread.submit
@@ -139,7 +139,7 @@ def test_a_query_cancelled_by_its_caller_is_not_computed(serving, monkeypatch):
         return call, calls[-1]
 
     first, _ = submitted(client.stub.Infer, client.request("a"))
-    assert policy.begun.wait(PATIENCE)
+    assert policy.begun.wait(TIMEOUT)
     alone = submitted(client.stub.Infer, client.request("b"))
     queries = [client.request("b"), client.request("c")]
     batch = submitted(client.stub.InferBatch, pb.InferBatchRequest(queries=queries))
@@ -148,13 +148,13 @@ def test_a_query_cancelled_by_its_caller_is_not_computed(serving, monkeypatch):
         call.cancel()
         until(server_future.cancelled)
     policy.release.set()
-    assert len(first.result(PATIENCE).actions) == len(last_call.result(PATIENCE).actions) == 7
+    assert len(first.result(TIMEOUT).actions) == len(last_call.result(TIMEOUT).actions) == 7
     assert policy.sessions == ["a", "c"]
 
 
 def until(is_true):
     """Waits until a condition holds."""
-    deadline = time.monotonic() + PATIENCE
+    deadline = time.monotonic() + TIMEOUT
     while not is_true():
         assert time.monotonic() < deadline, "the condition does not hold in time"
         time.sleep(0.005)
@@ -167,29 +167,29 @@ def test_calls_are_made_in_order_and_queued_calls_are_cancelled_at_the_end():
     calls = [inference.submit(executed.append, at) for at in range(5)]
     failing = inference.submit(lambda: 1 / 0)
     thread.start()
-    assert isinstance(failing.exception(PATIENCE), ZeroDivisionError)
+    assert isinstance(failing.exception(TIMEOUT), ZeroDivisionError)
     assert executed == [0, 1, 2, 3, 4] and all(call.done() for call in calls)
-    assert swept.wait(PATIENCE)
+    assert swept.wait(TIMEOUT)
     under_way = threading.Event()
-    first = inference.submit(lambda: (under_way.set(), release.wait(PATIENCE)))
+    first = inference.submit(lambda: (under_way.set(), release.wait(TIMEOUT)))
     waiting = inference.submit(executed.append, "too late")
-    assert under_way.wait(PATIENCE)
+    assert under_way.wait(TIMEOUT)
     inference.close()
     release.set()
-    thread.join(PATIENCE)
+    thread.join(TIMEOUT)
     assert first.result()[1] is True
     for late in (waiting, inference.submit(executed.append, "later still")):
         with pytest.raises(CancelledError):
-            late.result(PATIENCE)
+            late.result(TIMEOUT)
     assert "too late" not in executed
 
 
 def test_idle_episodes_are_closed_although_calls_keep_arriving():
     inference, swept = InferenceThread(), threading.Event()
-    gives_up_at = time.monotonic() + PATIENCE
+    deadline = time.monotonic() + TIMEOUT
 
     def resubmit():
-        if swept.is_set() or time.monotonic() > gives_up_at:
+        if swept.is_set() or time.monotonic() > deadline:
             inference.close()
         else:
             inference.submit(resubmit)
@@ -223,14 +223,14 @@ def test_running_queries_are_answered_before_a_server_stops(tmp_path):
     with running(sys.executable, str(script), "--go", str(go)) as (process, address):
         client = Client(address)
         client.reset()
-        answer = client.stub.Infer.future(client.request(), timeout=PATIENCE)
+        answer = client.stub.Infer.future(client.request(), timeout=TIMEOUT)
         while not go.with_suffix(".queried").exists():
             assert process.poll() is None
             time.sleep(0.01)
         process.terminate()
         go.touch()
         assert len(answer.result().actions) == 7
-        assert process.wait(PATIENCE) == 0
+        assert process.wait(TIMEOUT) == 0
         client.channel.close()
 
 
@@ -293,10 +293,10 @@ def test_a_policy_that_refuses_all_synthetic_episodes_is_served_without_warm_up(
 def test_jpeg_round_trips_run_outside_the_inference_thread(serving, monkeypatch, name):
     policies = around_computed_networks()
     policy, *_ = [policy for policy in policies if policy.description.name == name]
-    prepared_in = []
+    preparing_threads = []
 
     def frame(turned):
-        prepared_in.append(threading.current_thread().name)
+        preparing_threads.append(threading.current_thread().name)
         return turned
 
     monkeypatch.setattr(openvla_oft, "frame", frame)
@@ -304,5 +304,5 @@ def test_jpeg_round_trips_run_outside_the_inference_thread(serving, monkeypatch,
     client = serving(policy)
     client.reset(suite="libero_object", instruction="pick up the butter")
     client.infer(observation=to_message(fake_observation(policy.description)))
-    assert len(prepared_in) == len(policy.description.cameras)
-    assert "inference" not in prepared_in
+    assert len(preparing_threads) == len(policy.description.cameras)
+    assert "inference" not in preparing_threads

@@ -204,7 +204,7 @@ def test_weights_under_other_names_are_refused(altered):
 
 
 #: For each policy, a tensor that its actions depend on.
-ACTING = {
+ACTING_TENSOR = {
     "smolvla": "model.action_out_proj.weight",
     "pi05": "model.action_out_proj.weight",
     "vla-jepa": "model.action_model.action_encoder.layer1.weight",
@@ -215,15 +215,15 @@ ACTING = {
 def test_a_file_that_lacks_one_tensor_is_refused(altered):
     name, folder = altered
     with stored_tensors(folder) as tensors:
-        tensors.pop(acting := acting_name(name, tensors))
-    with pytest.raises(UnusableCheckpoint, match=rf"1 missing in the file \({acting}\)"):
+        tensors.pop(acting_tensor := acting_tensor_of(name, tensors))
+    with pytest.raises(UnusableCheckpoint, match=rf"1 missing in the file \({acting_tensor}\)"):
         loaded(name, folder)
 
 
 def test_a_file_with_one_tensor_too_many_is_refused(altered):
     name, folder = altered
     with stored_tensors(folder) as tensors:
-        tensors["model.another.weight"] = tensors[acting_name(name, tensors)].clone()
+        tensors["model.another.weight"] = tensors[acting_tensor_of(name, tensors)].clone()
     with pytest.raises(
         UnusableCheckpoint, match=r"unknown to the network \(model.another.weight\)"
     ):
@@ -266,10 +266,10 @@ def test_embeddings_that_are_tied_in_the_file_are_loaded_or_refused(altered):
             loaded(name, folder)
 
 
-def acting_name(name, tensors):
-    """Returns ACTING's tensor, or the last one of the acting part."""
-    if ACTING[name] in tensors:
-        return ACTING[name]
+def acting_tensor_of(name, tensors):
+    """Returns the tensor in ACTING_TENSOR, or else the last one whose name contains `action`."""
+    if ACTING_TENSOR[name] in tensors:
+        return ACTING_TENSOR[name]
     return sorted(key for key in tensors if "action" in key and key.endswith("weight"))[-1]
 
 

@@ -151,15 +151,15 @@ def test_axis_angles_equal_robosuites_and_keep_the_quaternions_sign(quaternion, 
 
 
 @pytest.mark.parametrize(
-    ("learnt", "commanded"), [(0.0, 1), (0.2, 1), (0.5, 0), (0.9, -1), (1, -1)]
+    ("from_rlds", "commanded"), [(0.0, 1), (0.2, 1), (0.5, 0), (0.9, -1), (1, -1)]
 )
-def test_a_gripper_of_rlds_is_converted(learnt, commanded):
+def test_a_gripper_of_rlds_is_converted(from_rlds, commanded):
     chunk = np.zeros((2, 7))
     chunk[:, :6] = 0.3
-    chunk[:, 6] = learnt
+    chunk[:, 6] = from_rlds
     converted = gripper_from_rlds(chunk)
     assert (converted[:, 6] == commanded).all()
-    assert (converted[:, :6] == 0.3).all() and chunk[0, 6] == learnt
+    assert (converted[:, :6] == 0.3).all() and chunk[0, 6] == from_rlds
 
 
 def test_scaling_by_bounds_is_invertible_and_respects_the_mask():

@@ -63,8 +63,8 @@ class Leaking(PositionSensitive):
 
 
 @pytest.fixture
-def judged():
-    """Runs a command on servers of given policies: `judged("doctor", policy) -> JSON`."""
+def run_command():
+    """Runs a command on servers of given policies: `run_command("doctor", policy) -> JSON`."""
     program = os.environ.get("POLICY_GATEWAY")
     if program is None:
         pytest.skip("POLICY_GATEWAY does not name the policy-gateway program")
@@ -96,18 +96,18 @@ def failed(examination):
 
 
 @pytest.mark.parametrize("policy", [PositionSensitive, ColourServo])
-def test_a_correct_server_has_no_findings(judged, policy):
-    assert failed(judged("doctor", policy())) == {}
-    assert judged("compare", policy(), policy())["differences"] == []
+def test_a_correct_server_has_no_findings(run_command, policy):
+    assert failed(run_command("doctor", policy())) == {}
+    assert run_command("compare", policy(), policy())["differences"] == []
 
 
-def test_frames_that_are_not_turned_are_found(judged):
-    (difference,) = judged("compare", PositionSensitive(), Flipped())["differences"]
+def test_frames_that_are_not_turned_are_found(run_command):
+    (difference,) = run_command("compare", PositionSensitive(), Flipped())["differences"]
     assert difference["kind"] == "frame_orientation"
     assert "flipped vertically" in difference["text"]
 
 
-def test_a_server_that_keeps_every_episode_is_found_by_its_memory(judged):
-    found = failed(judged("doctor", Leaking()))
+def test_a_server_that_keeps_every_episode_is_found_by_its_memory(run_command):
+    found = failed(run_command("doctor", Leaking()))
     assert list(found) == ["memory"]
     assert f"process {os.getpid()} grew" in found["memory"]

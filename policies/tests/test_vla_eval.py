@@ -29,7 +29,7 @@ from vla_eval.runners.sync_runner import SyncEpisodeRunner  # noqa: E402
 SERVER = Path(__file__).parent / "recording_vla_eval_server.py"
 BENCHMARK = "vla_eval.benchmarks.libero.benchmark:LIBEROBenchmark"
 SUITE = "libero_goal"
-EVERYTHING = {"send_wrist_image": True, "send_state": True}
+ALL_INPUTS = {"send_wrist_image": True, "send_state": True}
 STEPS = 6
 
 
@@ -154,7 +154,7 @@ class ReplayedBenchmark(LIBEROBenchmark):
 STATE_NAMES = ("robot0_eef_pos", "robot0_eef_quat", "robot0_gripper_qpos")
 
 
-def until_it_ended(received):
+def wait_for_episode_end(received):
     until(lambda: messages(received)[-1]["type"] == "episode_end")
 
 
@@ -185,7 +185,7 @@ def played_by_the_gateway(program, server, received, instruction):
         ]
         client.stub.End(pb.EndRequest(session="s"))
         # The gateway forwards the end in the background.
-        until_it_ended(received)
+        wait_for_episode_end(received)
     return np.concatenate(actions)
 
 
@@ -204,7 +204,7 @@ def assert_alike(ours, theirs):
 
 @pytest.mark.parametrize(
     "params",
-    [{}, EVERYTHING, {**EVERYTHING, "quat_no_antipodal": True, "env_seed": 0}],
+    [{}, ALL_INPUTS, {**ALL_INPUTS, "quat_no_antipodal": True, "env_seed": 0}],
     ids=["an image", "everything", "quaternions as they are"],
 )
 @pytest.mark.parametrize("chunk_size", [None, 4], ids=["single actions", "chunks"])
@@ -216,7 +216,7 @@ def test_the_server_receives_the_messages_of_vla_evals_own_benchmark(
     instruction = "pick it up" if chunk_size is None else "answer a chunk"
     with serving(expected_file, *arguments, **params) as server:
         theirs = played_by_vla_eval(server, instruction, **params)
-        until_it_ended(expected_file)
+        wait_for_episode_end(expected_file)
     with serving(received, *arguments, **params) as server:
         ours = played_by_the_gateway(program, server, received, instruction)
     assert ours.shape == (STEPS, 7)
@@ -422,7 +422,7 @@ def test_a_server_that_dies_in_an_episode_is_unavailable_until_it_restarts(progr
 
 
 def test_the_server_passes_the_conformance_check_except_for_seeds(program, received):
-    with serving(received, "--chunk-size", "4", **EVERYTHING) as server:
+    with serving(received, "--chunk-size", "4", **ALL_INPUTS) as server:
         check = subprocess.run(
             [program, "check", f"vla-eval://{server}", "--suite", SUITE],
             capture_output=True,

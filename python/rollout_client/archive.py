@@ -291,7 +291,9 @@ class _Entries:
     def next(self) -> tarfile.TarInfo | None:
         """Returns the next header; None at the end. The previous entry must be read first."""
         try:
-            return tarfile.TarInfo.frombuf(self._exactly(tarfile.BLOCKSIZE), "utf-8", "replace")
+            return tarfile.TarInfo.frombuf(
+                self._read_exactly(tarfile.BLOCKSIZE), "utf-8", "replace"
+            )
         except tarfile.HeaderError as error:
             if type(error).__name__ == "EOFHeaderError":
                 return None
@@ -301,12 +303,12 @@ class _Entries:
         """Yields the bytes of an entry in parts, then skips the padding of its last block."""
         remaining = size
         while remaining > 0:
-            data = self._exactly(min(remaining, READ_BYTES))
+            data = self._read_exactly(min(remaining, READ_BYTES))
             remaining -= len(data)
             yield data
-        self._exactly(-size % tarfile.BLOCKSIZE)
+        self._read_exactly(-size % tarfile.BLOCKSIZE)
 
-    def _exactly(self, size: int) -> bytes:
+    def _read_exactly(self, size: int) -> bytes:
         read = self._stream.read(size)
         if len(read) < size:
             raise EOFError
@@ -318,8 +320,8 @@ def _tables_only(
 ) -> int:
     """Permits SQLite to read real tables only. A view or a generated column in place of a table
     would run expressions written by the archive's author."""
-    is_of_a_table = action == sqlite3.SQLITE_READ and table in TABLES and view is None
-    is_allowed = action == sqlite3.SQLITE_SELECT or is_of_a_table
+    is_table_read = action == sqlite3.SQLITE_READ and table in TABLES and view is None
+    is_allowed = action == sqlite3.SQLITE_SELECT or is_table_read
     return sqlite3.SQLITE_OK if is_allowed else sqlite3.SQLITE_DENY
 
 

@@ -21,11 +21,11 @@ _scenes: weakref.WeakValueDictionary[_Key, native.Scene] = (
     weakref.WeakValueDictionary()
 )
 _recent: OrderedDict[_Key, native.Scene] = OrderedDict()
-MAX_KEPT = 10
+MAX_RECENT = 10
 """Number of scenes kept without an environment: enough for the tasks of a suite."""
 _lock = threading.Lock()
 _compiling: dict[_Key, threading.Lock] = {}
-MAX_NAMED = 5
+MAX_NAMES = 5
 """Number of files of a pack that a warning names."""
 
 
@@ -61,7 +61,7 @@ def scene(
             found = native.Scene(bddl_file, assets=pack, sources=sources, init_file=init_file)
             _scenes[key] = found
             if found.pack == "custom":
-                differing = ", ".join(found.pack_differences[:MAX_NAMED]) or "all files"
+                differing = ", ".join(found.pack_differences[:MAX_NAMES]) or "all files"
                 warnings.warn(
                     f"the asset pack {pack} is not LIBERO's; {len(found.pack_differences)} of "
                     f"LIBERO's files differ: {differing}",
@@ -84,5 +84,5 @@ def _keep_recent(key: _Key, found: native.Scene) -> None:
     with _lock:
         _recent[key] = found
         _recent.move_to_end(key)
-        while len(_recent) > MAX_KEPT:
+        while len(_recent) > MAX_RECENT:
             _recent.popitem(last=False)

@@ -114,8 +114,8 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         sharing = Counter(task.name for task in self.tasks)
         ranks: Counter[str] = Counter()
         self.starts = []
-        perturbations = _each(perturbation, self.num_envs)
-        budgets = _budgets(max_steps, self.num_envs)
+        perturbations = _perturbations_of(perturbation, self.num_envs)
+        budgets = _budgets_of(max_steps, self.num_envs)
         for task, scene, perturbed, budget in zip(
             self.tasks, scenes, perturbations, budgets, strict=True
         ):
@@ -175,7 +175,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
             )
         given: Any = options.get("init_state")
         init_states = np.broadcast_to(given, self.num_envs)
-        seeds = _seeds(seed, self.num_envs)
+        seeds = _seeds_of(seed, self.num_envs)
         starts = {}
         for at in np.flatnonzero(mask).tolist():
             own_seed = turn = seeds[at]
@@ -448,7 +448,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         }
 
 
-def _each(perturbation: Any, count: int) -> list[Any]:
+def _perturbations_of(perturbation: Any, count: int) -> list[Any]:
     if perturbation is None or isinstance(perturbation, str | Mapping):
         return [perturbation] * count
     if len(perturbation) != count:
@@ -458,7 +458,7 @@ def _each(perturbation: Any, count: int) -> list[Any]:
     return list(perturbation)
 
 
-def _budgets(max_steps: int | Sequence[int] | None, count: int) -> list[int | None]:
+def _budgets_of(max_steps: int | Sequence[int] | None, count: int) -> list[int | None]:
     if max_steps is None or isinstance(max_steps, int):
         return [max_steps] * count
     if len(max_steps) != count:
@@ -468,7 +468,7 @@ def _budgets(max_steps: int | Sequence[int] | None, count: int) -> list[int | No
     return list(max_steps)
 
 
-def _seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
+def _seeds_of(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
     if seed is None:
         return [None] * count
     if isinstance(seed, int | np.integer):

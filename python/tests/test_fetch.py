@@ -23,7 +23,7 @@ from rollout_libero import _library, files
 TABLE = Path(__file__).resolve().parents[2] / "assets" / "libero"
 TASK = "libero_10/8"
 """A task with few bytes."""
-PATIENCE_S = 120
+TIMEOUT_SECS = 120
 """Longest wait for a process; far more than it takes."""
 
 
@@ -167,7 +167,7 @@ def start(*arguments):
 
 def wait_for_end(process):
     try:
-        printed, errors = process.communicate(timeout=PATIENCE_S)
+        printed, errors = process.communicate(timeout=TIMEOUT_SECS)
     except subprocess.TimeoutExpired:
         process.kill()
         process.communicate()
@@ -232,7 +232,7 @@ def test_the_next_fetch_continues_one_interrupted_by_ctrl_c(index, sources):
     index.stalls = True
     process = start()
     incoming = sources / "packs" / "libero" / ".incoming"
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + TIMEOUT_SECS
     while not any(path.stat().st_size > 400_000 for path in incoming.glob("*.part")):
         assert process.poll() is None and time.monotonic() < deadline, wait_for_end(process)
         time.sleep(0.05)

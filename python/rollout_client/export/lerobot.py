@@ -18,7 +18,7 @@ import numpy as np
 
 from ..archive import Archive, ArchiveError, Rollout
 from ..errors import SettingsError
-from . import needed
+from . import import_package
 
 #: Control steps, and pictures of a film, per second.
 FPS = 20
@@ -43,7 +43,7 @@ def export(archive: Archive, folder: str | os.PathLike[str], *, films: bool = Fa
     films: only rollouts that were filmed, with their films. Raises ArchiveError if
     there are none, and SettingsError if the folder is not new or pyarrow is missing.
     """
-    needed("pyarrow")
+    import_package("pyarrow")
     target = Path(folder)
     if target.exists() and any(target.iterdir()):
         raise SettingsError(f"failed to export into {target}: it is not empty; name a new folder")

@@ -295,4 +295,4 @@ def test_a_package_that_is_missing_is_named_with_the_command(archive, tmp_path, 
     monkeypatch.setitem(sys.modules, "pyarrow", None)
     with Archive(file) as opened, pytest.raises(SettingsError, match="pip install pyarrow"):
         lerobot.export(opened, tmp_path / "dataset")
-    assert export.needed("json") is json
+    assert export.import_package("json") is json

@@ -6,12 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 #: Number of pixels of a frame that may always differ by more than two levels.
-FEW = 8
+MAX_DIFFERENT = 8
 #: Smallest share of equal pixels, against the original's recorded frames.
 AS_RECORDED = 0.94
 #: Smallest share of equal pixels, against an original that renders on this machine: another
 #: processor's driver rounds differently, mostly on the floor of libero_object.
-DRAWN_HERE = 0.85
+RENDERED_HERE = 0.85
 
 
 def assert_close_frames(
@@ -23,6 +23,6 @@ def assert_close_frames(
     differences = np.abs(ours.astype(int) - theirs.astype(int)).max(axis=-1)
     equal, far = (differences == 0).mean(), (differences > 2).sum()
     assert equal >= at_least, f"{what}: {equal:.4%} of the pixels are equal"
-    assert far <= max(0.0003 * differences.size, FEW), (
+    assert far <= max(0.0003 * differences.size, MAX_DIFFERENT), (
         f"{what}: {far} pixels differ by more than two levels"
     )

@@ -203,7 +203,7 @@ def simplevla_rl() -> Rollouts:
     return {"outputs": outputs, "tasks": [outputs[0]["task_description"]], "seconds": took}
 
 
-def _vectors(venv: Any, kind: str, reconfigured: bool = False) -> Rollouts:
+def _roll_out_vector(venv: Any, kind: str, reconfigured: bool = False) -> Rollouts:
     """Steps two environments, and resets one of them again; its results replace earlier ones."""
     envs = getattr(venv, kind)([_Construct(i) for i in (0, 3)])
     states = [_task(0)[1][1], _task(3)[1][2]]
@@ -229,7 +229,7 @@ def _vectors(venv: Any, kind: str, reconfigured: bool = False) -> Rollouts:
 
 
 def verl_vla() -> Rollouts:
-    return _vectors(
+    return _roll_out_vector(
         importlib.import_module("verl_vla.envs.libero.venv"),
         "ReconfigureSubprocEnv",
         reconfigured=True,
@@ -237,11 +237,13 @@ def verl_vla() -> Rollouts:
 
 
 def vlarl() -> Rollouts:
-    return _vectors(importlib.import_module("ppo.envs.venv"), "SubprocVectorEnv")
+    return _roll_out_vector(importlib.import_module("ppo.envs.venv"), "SubprocVectorEnv")
 
 
 def siirl() -> Rollouts:
-    return _vectors(importlib.import_module("siirl.environment.embodied.venv"), "SubprocVectorEnv")
+    return _roll_out_vector(
+        importlib.import_module("siirl.environment.embodied.venv"), "SubprocVectorEnv"
+    )
 
 
 def ript_vla() -> Rollouts:

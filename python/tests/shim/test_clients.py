@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from frames import DRAWN_HERE, assert_close_frames
+from frames import RENDERED_HERE, assert_close_frames
 from original import original_python, run, run_original
 
 import libero
@@ -131,7 +131,7 @@ def assert_same(our: Any, their: Any, what: str) -> None:
     elif isinstance(their, np.ndarray) and their.dtype == np.uint8:
         channels_last = -1 if their.shape[-1] == 3 else 0
         our, their = (np.moveaxis(frame, channels_last, -1) for frame in (our, their))
-        assert_close_frames(our, their, what, DRAWN_HERE)
+        assert_close_frames(our, their, what, RENDERED_HERE)
     elif isinstance(their, np.ndarray) and their.dtype.kind == "f":
         assert our.dtype == their.dtype, what
         tolerance = 1e-9 if their.dtype == np.float64 else 1e-6

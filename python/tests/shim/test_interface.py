@@ -271,9 +271,9 @@ def test_a_scene_outlives_its_environments(
     construct(str(own))
     assert len(compiled) == 2
     suite = benchmark.get_benchmark("libero_goal")()
-    for i in range(scenes.MAX_KEPT):
+    for i in range(scenes.MAX_RECENT):
         construct(suite.get_task_bddl_file_path(i))
-    assert len(scenes._recent) == scenes.MAX_KEPT
+    assert len(scenes._recent) == scenes.MAX_RECENT
 
 
 def test_a_device_is_accepted_and_not_used(bddl_file: str) -> None:

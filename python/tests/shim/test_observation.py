@@ -62,7 +62,7 @@ def construct(bddl_file: str, **arguments: Any) -> OffScreenRenderEnv:
     return env
 
 
-def undrawn(observation: Observation) -> list[str]:
+def unrendered(observation: Observation) -> list[str]:
     values = {key: OrderedDict.__getitem__(observation, key) for key in observation}
     return [key for key, value in values.items() if type(value) is Undrawn]
 
@@ -78,7 +78,7 @@ def test_lazy_observations_equal_those_drawn_at_once(number: int, bddl_file: str
         lazy, *_ = env.step(action)
         drawn, *_ = eager_env.step(action)
         drawn = OrderedDict((key, drawn[key]) for key in drawn)
-    assert undrawn(lazy) == list(PICTURES)
+    assert unrendered(lazy) == list(PICTURES)
     env.step(action)
     read = READINGS[number](lazy)
     assert list(read) == list(drawn)
@@ -92,10 +92,10 @@ def test_unread_observations_draw_nothing(bddl_file: str) -> None:
     size = {"camera_heights": 23, "camera_widths": 31}
     env = OffScreenRenderEnv(bddl_file_name=bddl_file, **size)
     # The scene's first observation through these cameras is drawn at once, to find errors early.
-    assert undrawn(env.reset()) == []
-    assert undrawn(env.reset()) == list(PICTURES)
+    assert unrendered(env.reset()) == []
+    assert unrendered(env.reset()) == list(PICTURES)
     other = OffScreenRenderEnv(bddl_file_name=bddl_file, **size)
-    assert undrawn(other.reset()) == list(PICTURES)
+    assert unrendered(other.reset()) == list(PICTURES)
     other.close()
     large = OffScreenRenderEnv(bddl_file_name=bddl_file, camera_heights=5000)
     with pytest.raises(ValueError, match="each side may have 1 to 4096"):
@@ -104,7 +104,7 @@ def test_unread_observations_draw_nothing(bddl_file: str) -> None:
     observation, *_ = env.step(actions(1)[0])
     assert len(observation) > 20 and "agentview_image" in observation
     assert observation["agentview_image"] is observation["agentview_image"]
-    assert undrawn(observation) == ["robot0_eye_in_hand_image"]
+    assert unrendered(observation) == ["robot0_eye_in_hand_image"]
     env.close()
 
 
@@ -259,7 +259,7 @@ def test_depths_and_segmentations_are_drawn_late_too(bddl_file: str) -> None:
     pairs = []
     for action in actions(4):
         pairs.append((env.step(action)[0], dict(eager_env.step(action)[0])))
-    assert len(undrawn(pairs[0][0])) == 8
+    assert len(unrendered(pairs[0][0])) == 8
     for lazy, drawn in reversed(pairs):
         for key in reversed(drawn):
             np.testing.assert_array_equal(lazy[key], drawn[key], err_msg=key)

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from frames import DRAWN_HERE, assert_close_frames
+from frames import RENDERED_HERE, assert_close_frames
 from original import original_python, run_original, run_shim
 from reference import fetched_assets
 
@@ -61,7 +61,7 @@ def assert_same_array(our: Any, their: Any, what: str) -> None:
     assert our.shape == their.shape, what
     assert our.dtype == their.dtype, what
     if their.dtype == np.uint8:
-        assert_close_frames(our, their, what, DRAWN_HERE)
+        assert_close_frames(our, their, what, RENDERED_HERE)
     elif "segmentation" in what:
         same = (our == their).mean()
         assert same >= 0.999, f"{what}: {same:.4%} of the pixels are the same"

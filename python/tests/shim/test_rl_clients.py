@@ -43,7 +43,7 @@ def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def rolled_out(python: str, shim: Path, out: Path, framework: str, sources: Path | None) -> Any:
+def roll_out(python: str, shim: Path, out: Path, framework: str, sources: Path | None) -> Any:
     environment = {
         **os.environ,
         "PYTHONPATH": str(shim),
@@ -99,8 +99,8 @@ def test_rlinf_in_one_process_equals_rlinfs_processes(
     kind: str, installation: str, python: str, shim: Path, tmp_path: Path
 ) -> None:
     sources = rlinf(python, installation)
-    theirs = rolled_out(python, shim, tmp_path, kind, sources)
-    ours = rolled_out(python, shim, tmp_path, f"{kind}_together", sources)
+    theirs = roll_out(python, shim, tmp_path, kind, sources)
+    ours = roll_out(python, shim, tmp_path, f"{kind}_together", sources)
     assert ours["tasks"] == theirs["tasks"]
     assert len(theirs["outputs"]) == 10
     assert_same(ours["outputs"], theirs["outputs"], kind)
@@ -113,7 +113,7 @@ def test_rlinf_in_one_process_equals_rlinfs_processes(
 def test_rlinf_counts_the_tasks_of_all_suites(
     installation: str, python: str, shim: Path, tmp_path: Path
 ) -> None:
-    rollouts = rolled_out(python, shim, tmp_path, "rlinf_of_130", rlinf(python, installation))
+    rollouts = roll_out(python, shim, tmp_path, "rlinf_of_130", rlinf(python, installation))
     instructions = {
         task.language
         for suite in benchmark.libero_suites
@@ -126,7 +126,7 @@ def test_rlinf_counts_the_tasks_of_all_suites(
 def test_simplevla_rl_rolls_out_in_a_forked_process(
     python: str, shim: Path, tmp_path: Path
 ) -> None:
-    rollouts = rolled_out(python, shim, tmp_path, "simplevla_rl", checkout("SimpleVLA-RL"))
+    rollouts = roll_out(python, shim, tmp_path, "simplevla_rl", checkout("SimpleVLA-RL"))
     first, *steps = rollouts["outputs"]
     suite = benchmark.get_benchmark(SUITE)()
     env = OffScreenRenderEnv(
@@ -157,7 +157,7 @@ def test_simplevla_rl_rolls_out_in_a_forked_process(
 def test_a_frameworks_several_environments_equal_the_shims(
     framework: str, name: str, python: str, shim: Path, tmp_path: Path
 ) -> None:
-    rollouts = rolled_out(python, shim, tmp_path, framework, checkout(name))
+    rollouts = roll_out(python, shim, tmp_path, framework, checkout(name))
     begun, observations, rewards, dones, infos = rollouts["outputs"]
     suite = benchmark.get_benchmark(SUITE)()
     moves = np.random.default_rng(4).uniform(-1, 1, (3, 2, 7))
@@ -199,7 +199,7 @@ def test_a_frameworks_several_environments_equal_the_shims(
 
 
 def test_ript_wraps_one_environment_and_several(python: str, shim: Path, tmp_path: Path) -> None:
-    rollouts = rolled_out(python, shim, tmp_path, "ript_vla", checkout("ript-vla"))
+    rollouts = roll_out(python, shim, tmp_path, "ript_vla", checkout("ript-vla"))
     alone, several = rollouts["outputs"][:4], rollouts["outputs"][4:]
     # `reset_ori` returns the observation before it sets the states; the second reset sets them.
     for count, (first, stepped, reset, again) in ((1, alone), (2, several)):

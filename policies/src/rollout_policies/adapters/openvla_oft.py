@@ -160,9 +160,9 @@ def load(entry: Entry, options: Options) -> Policy:
     fetched = fetch(entry, checkpoint, options.revision)
     folder = fetched.folder
     parts = _part_files(folder, checkpoint)
-    statistics, key, brief = statistics_in(folder, options.suite)
+    statistics, key, summary = statistics_in(folder, options.suite)
     state = statistics[key].get("proprio", {})
-    state_brief = require_statistics("the state", "QUANTILES", state, STATE_WIDTH)
+    state_summary = require_statistics("the state", "QUANTILES", state, STATE_WIDTH)
     network, processor = load_network(entry, folder, checkpoint, options.device, causal=False)
     network.norm_stats = statistics
     network.vision_backbone.set_num_images_in_input(2)
@@ -199,7 +199,7 @@ def load(entry: Entry, options: Options) -> Policy:
         weights=digest([*folder.glob("*.safetensors"), *parts.values()]),
         execute=execute,
         settings={
-            "statistics": f"{brief}; {state_brief}",
+            "statistics": f"{summary}; {state_summary}",
             **precision(options.device, network, model.action_head),
             **fetched.settings,
         },

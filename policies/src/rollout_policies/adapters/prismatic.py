@@ -55,11 +55,11 @@ def statistics_in(folder: Path, suite: str) -> tuple[dict[str, Any], str, str]:
             " it was not fine-tuned on LIBERO, or the file was not copied"
         )
     # The statistics in the configuration are those of the pre-training.
-    everything = json.loads(file.read_text("utf-8"))
-    key = statistics_of(suite, everything)
-    actions = everything[key].get("action", {})
-    brief = require_statistics("actions", "QUANTILES", actions, ACTION_WIDTH)
-    return everything, key, f"{key}: {brief}"
+    all_statistics = json.loads(file.read_text("utf-8"))
+    key = statistics_of(suite, all_statistics)
+    actions = all_statistics[key].get("action", {})
+    summary = require_statistics("actions", "QUANTILES", actions, ACTION_WIDTH)
+    return all_statistics, key, f"{key}: {summary}"
 
 
 def load_network(

@@ -213,8 +213,8 @@ def load(entry: Entry, options: Options) -> Policy:
             f"checkpoint {checkpoint} has no {DECODER}, which turns latent actions into the robot's"
             " actions: it was pre-trained, but not fine-tuned on LIBERO"
         )
-    everything, key, brief = statistics_in(folder, options.suite)
-    statistics = everything[key]["action"]
+    all_statistics, key, summary = statistics_in(folder, options.suite)
+    statistics = all_statistics[key]["action"]
     # The gripper is not normalised.
     statistics.setdefault("mask", [True] * 6 + [False])
     network, processor = load_network(entry, folder, checkpoint, options.device, causal=True)
@@ -232,7 +232,7 @@ def load(entry: Entry, options: Options) -> Policy:
         weights=digest([*folder.glob("*.safetensors"), folder / DECODER]),
         evaluation=options.evaluation,
         settings={
-            "statistics": brief,
+            "statistics": summary,
             **precision(options.device, network, decoder),
             **fetched.settings,
         },
