@@ -101,7 +101,7 @@ def test_the_study_crops_univla_s_frames_to_whole_pixels():
     assert (study_pixels != frame(pattern(256))).mean() > 0.5
 
 
-def test_a_crop_of_everything_changes_nothing():
+def test_a_crop_of_the_whole_frame_changes_nothing():
     assert (images.centre_crop(pattern(16), 1.0, 16) == pattern(16)).all()
 
 

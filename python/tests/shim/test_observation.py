@@ -88,7 +88,7 @@ def test_lazy_observations_equal_those_drawn_at_once(number: int, bddl_file: str
         np.testing.assert_array_equal(read[key], array, err_msg=key)
 
 
-def test_unread_observations_draw_nothing(bddl_file: str) -> None:
+def test_unread_observations_render_no_pictures(bddl_file: str) -> None:
     size = {"camera_heights": 23, "camera_widths": 31}
     env = OffScreenRenderEnv(bddl_file_name=bddl_file, **size)
     # The scene's first observation through these cameras is drawn at once, to find errors early.
@@ -242,7 +242,7 @@ def test_a_picture_is_drawn_while_its_environment_is_busy_or_closed(
     )
 
 
-def test_depths_and_segmentations_are_drawn_late_too(bddl_file: str) -> None:
+def test_depths_and_segmentations_are_rendered_when_read_too(bddl_file: str) -> None:
     def make() -> SegmentationRenderEnv:
         env = SegmentationRenderEnv(
             bddl_file_name=bddl_file,
