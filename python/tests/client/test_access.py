@@ -90,7 +90,7 @@ def test_the_error_for_a_refused_token_has_the_remedy(guarded, certificates, con
 
 
 @pytest.mark.parametrize(
-    ("lines", "said"),
+    ("lines", "expected"),
     [
         (["operator"], "line 1 .*ROLE TOKEN"),
         (["", "king 0123456789abcdef"], "line 2 .*ROLE TOKEN"),
