@@ -74,7 +74,7 @@ def record(task: str, each: int, folder: Path) -> None:
             [1] * each,
             [None] * each,
             [],
-            expert=np.trajectories((each, 1), bool),
+            expert=np.ones((each, 1), bool),
             past_success=True,
         )
         steps.append(step)
