@@ -42,9 +42,9 @@ class PictureChange(NamedTuple):
     shift: Tensor
     """[n, 2, 2] int64: rows and columns, pixels."""
     gain: Tensor
-    """[n, 2, 1, 1, 3]"""
+    """[n, 2, 1, 1, 3]: factor on each colour."""
     lift: Tensor
-    """[n, 2, 1, 1, 1]"""
+    """[n, 2, 1, 1, 1]: brightness offset."""
     noise: Tensor
     """[n, 2, 1, 1, 1]: standard deviation."""
 
@@ -70,11 +70,11 @@ def changed(pictures: Tensor, change: PictureChange) -> tuple[Tensor, Tensor]:
         uncovers an edge, the picture's own edge is repeated.
     """
     n, device = len(pictures), pictures.device
-    places = torch.arange(PICTURE, device=device)
-    where = (places + change.shift[:, :, :, None]).clamp(0, PICTURE - 1)
+    positions = torch.arange(PICTURE, device=device)
+    sources = (positions + change.shift[:, :, :, None]).clamp(0, PICTURE - 1)
     frame = torch.arange(n, device=device)[:, None, None, None]
     camera = torch.arange(2, device=device)[None, :, None, None]
-    shifted = pictures[frame, camera, where[:, :, 0, :, None], where[:, :, 1, None, :]]
+    shifted = pictures[frame, camera, sources[:, :, 0, :, None], sources[:, :, 1, None, :]]
     x = (shifted.float() / 127.5 - 1.0) * change.gain + change.lift
     x = (x + torch.randn_like(x) * change.noise).clamp(-1.0, 1.0).permute(0, 1, 4, 2, 3)
     return x[:, 0], x[:, 1]
@@ -110,26 +110,28 @@ class Wordings:
         canonical = torch.rand(n, device=device) < CANONICAL_SHARE
         number = torch.where(canonical, 0, number)
         words, pairs = self._words[task, number], self._pairs[task, number]
-        there = torch.arange(words.shape[1], device=device) < self._lengths[task, number, None]
-        kept = there & _kept(words, MOST_WORDS_LOST, canonical)
-        both = kept[:, 1:] & kept[:, :-1] & _kept(pairs, MOST_PAIRS_LOST, canonical)
-        return torch.cat([words, pairs], dim=1).long(), torch.cat([kept, both], dim=1).float()
+        present = torch.arange(words.shape[1], device=device) < self._lengths[task, number, None]
+        kept = present & _draw_kept(words, MOST_WORDS_LOST, canonical)
+        pairs_kept = kept[:, 1:] & kept[:, :-1] & _draw_kept(pairs, MOST_PAIRS_LOST, canonical)
+        mask = torch.cat([kept, pairs_kept], dim=1).float()
+        return torch.cat([words, pairs], dim=1).long(), mask
 
     def canonical(self, task: Tensor) -> tuple[Tensor, Tensor]:
         """Returns the benchmark's own instructions, in the form of ``draw``."""
         words, pairs = self._words[task, 0], self._pairs[task, 0]
-        there = torch.arange(words.shape[1], device=task.device) < self._lengths[task, 0, None]
-        both = there[:, 1:] & there[:, :-1]
-        return torch.cat([words, pairs], dim=1).long(), torch.cat([there, both], dim=1).float()
+        present = torch.arange(words.shape[1], device=task.device) < self._lengths[task, 0, None]
+        pairs_present = present[:, 1:] & present[:, :-1]
+        mask = torch.cat([present, pairs_present], dim=1).float()
+        return torch.cat([words, pairs], dim=1).long(), mask
 
 
-def _kept(features_of: Tensor, most_lost: float, whole: Tensor) -> Tensor:
-    """Mask of the features to keep: all features in rows that are ``whole`` and in half of the
-    other rows; in the remaining rows, features are dropped at random."""
-    n, device = len(features_of), features_of.device
+def _draw_kept(rows: Tensor, most_lost: float, whole: Tensor) -> Tensor:
+    """Draws a mask of the features to keep: all features in rows that are ``whole`` and in half of
+    the other rows; in the remaining rows, features are dropped at random."""
+    n, device = len(rows), rows.device
     lost = most_lost * torch.rand(n, 1, device=device)
     lost = torch.where(whole[:, None] | (torch.rand(n, 1, device=device) < 0.5), 0.0, lost)
-    return torch.rand(features_of.shape, device=device) >= lost
+    return torch.rand(rows.shape, device=device) >= lost
 
 
 Features = Sequence[tuple[list[int], list[int]]]

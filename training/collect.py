@@ -4,7 +4,7 @@
     python -m training.collect --into data/driven --seconds 300 --driver student \\
         --weights runs/first/student.safetensors
 
-Objects are placed anew in every episode; the benchmark's released initial states are
+LIBERO's samplers place the objects of every episode; the benchmark's released initial states are
 never used. Earlier collections are kept: a further run adds shards, with other seeds.
 """
 
@@ -84,8 +84,8 @@ class Tally:
         with self._lock:
             seconds = time.monotonic() - self._begun
             ended = list(self._ended)
-        alone = [(_suite(task), done) for task, who, done in ended if who == Driver.STUDENT]
-        guided = [(_suite(task), done) for task, who, done in ended if who != Driver.STUDENT]
+        alone = [(_suite(task), success) for task, by, success in ended if by == Driver.STUDENT]
+        guided = [(_suite(task), success) for task, by, success in ended if by != Driver.STUDENT]
         parts = [
             f"{seconds:4.0f} s",
             f"{self.steps:,} steps ({self.steps / seconds:,.0f}/s)",
@@ -115,17 +115,18 @@ def _suite(task: int) -> str:
 
 
 def _rates(ended: Sequence[tuple[str, bool]]) -> str:
-    """Success rates in per cent by suite: ``spatial 99 object 100``."""
-    shown = []
+    """Returns success rates in per cent by suite: ``spatial 99 object 100``."""
+    parts = []
     for suite in dict.fromkeys(name.split("/")[0] for name in TASK_NAMES):
-        own = [success for of, success in ended if of == suite]
-        if own:
-            shown.append(f"{suite.removeprefix('libero_')} {100 * sum(own) / len(own):.0f}")
-    return " ".join(shown) or "-"
+        successes = [success for name, success in ended if name == suite]
+        if successes:
+            percent = 100 * sum(successes) / len(successes)
+            parts.append(f"{suite.removeprefix('libero_')} {percent:.0f}")
+    return " ".join(parts) or "-"
 
 
 class Pilot:
-    """The student's weights, from a file that may change or may not exist yet."""
+    """The student with the newest weights of a file, which may change or may not exist yet."""
 
     def __init__(self, file: Path | None, device: torch.device) -> None:
         self._file = file
@@ -150,7 +151,7 @@ class Group:
     """Environments that step together, and the episodes that run in them.
 
     Two groups alternate on the processor's cores: while one group's
-    environments step, the other's frames are shrunk and filed.
+    environments step, the other's frames are shrunk and stored.
     """
 
     def __init__(
@@ -231,15 +232,15 @@ class Group:
         observation, _ = self._env.reset(seed=seeds)
         self._begin(np.arange(n))
         begins = np.zeros(n, bool)
-        seen, state = self._look(observation)
+        pictures, state = self._network_inputs(observation)
         while time.monotonic() < until:
             acting = np.flatnonzero(~begins)
-            self._file_frames(acting, seen.cpu().numpy(), state)
-            orders = self._orders(seen, state)
+            self._store_frames(acting, pictures.cpu().numpy(), state)
+            orders = self._orders(pictures, state)
             observation, _, terminated, truncated, info = self._env.step_chunk(
                 orders.actions, "last", expert=orders.expert
             )
-            self._file_steps(orders, info["taken"], info["expert_action"])
+            self._store_steps(orders, info["taken"], info["expert_action"])
             self._tally.add_steps(int(info["taken"].sum()), len(acting))
             # Environments whose rollout had ended began the next one in this call.
             if begins.any():
@@ -248,30 +249,30 @@ class Group:
             for index in np.flatnonzero(begins).tolist():
                 self._end(index, Outcome.SUCCESS if terminated[index] else Outcome.FAILURE)
                 self._perturb(index)
-            seen, state = self._look(observation)
+            pictures, state = self._network_inputs(observation)
         for index in np.flatnonzero(self._frame_count > 0).tolist():
             self._end(index, Outcome.UNFINISHED)
 
-    def _look(
+    def _network_inputs(
         self, observation: dict[str, NDArray[Any]]
     ) -> tuple[torch.Tensor, NDArray[np.float32]]:
         return frames(observation, self._device), robot_state(observation)
 
-    def _orders(self, seen: torch.Tensor, state: NDArray[np.float32]) -> Orders:
+    def _orders(self, pictures: torch.Tensor, state: NDArray[np.float32]) -> Orders:
         """Returns the environments' next actions from their drivers."""
         by_expert = self._by_expert.next(self._k)
         student = self._pilot.student()
         if student is None or not self._takes_part.any():
             return by_expert
-        asking = self._in_turns.asks() & self._takes_part
-        if asking.any():
-            which = np.flatnonzero(asking)
+        needs_student = self._in_turns.needs_answer() & self._takes_part
+        if needs_student.any():
+            indices = np.flatnonzero(needs_student)
             answers = student.act_on(
-                seen[torch.from_numpy(which).to(self._device)],
-                torch.from_numpy(state[which]).to(self._device),
-                [self._instructions[index] for index in which],
+                pictures[torch.from_numpy(indices).to(self._device)],
+                torch.from_numpy(state[indices]).to(self._device),
+                [self._instructions[index] for index in indices],
             )
-            self._in_turns.answer(asking, answers)
+            self._in_turns.answer(needs_student, answers)
         in_turns = self._in_turns.next(self._k)
         part = self._takes_part[:, np.newaxis]
         return Orders(
@@ -280,13 +281,13 @@ class Group:
             np.where(part, in_turns.source, by_expert.source),
         )
 
-    def _begin(self, which: NDArray[np.int64]) -> None:
-        """Begins episodes, whose first frame is observed next."""
-        self._by_expert.begin(which)
-        self._in_turns.begin(which)
-        self._takes_part[which] = self._pilot.student() is not None
-        self._frame_count[which] = self._step_count[which] = 0
-        for index in which:
+    def _begin(self, indices: NDArray[np.int64]) -> None:
+        """Begins episodes in some environments. Their first frames are stored next."""
+        self._by_expert.begin(indices)
+        self._in_turns.begin(indices)
+        self._takes_part[indices] = self._pilot.student() is not None
+        self._frame_count[indices] = self._step_count[indices] = 0
+        for index in indices:
             wordings = self._wordings[self._tasks[index]]
             # Half of the episodes use the benchmark's own words.
             at = 0 if self._rng.random() < 0.5 else int(self._rng.integers(len(wordings)))
@@ -301,16 +302,16 @@ class Group:
             self._env.set_perturbation(index, chosen or None)
         self._perturbations[index] = chosen
 
-    def _file_frames(
-        self, which: NDArray[np.int64], seen: NDArray[np.uint8], state: NDArray[np.float32]
+    def _store_frames(
+        self, indices: NDArray[np.int64], pictures: NDArray[np.uint8], state: NDArray[np.float32]
     ) -> None:
-        at = self._frame_count[which]
-        self._frames[which, at] = seen[which]
-        self._state[which, at] = state[which]
-        self._frame_step[which, at] = self._step_count[which]
-        self._frame_count[which] += 1
+        at = self._frame_count[indices]
+        self._frames[indices, at] = pictures[indices]
+        self._state[indices, at] = state[indices]
+        self._frame_step[indices, at] = self._step_count[indices]
+        self._frame_count[indices] += 1
 
-    def _file_steps(
+    def _store_steps(
         self, orders: Orders, taken: NDArray[np.int64], label: NDArray[np.float64]
     ) -> None:
         rows, steps = np.nonzero(np.arange(self._k) < taken[:, np.newaxis])
@@ -328,8 +329,8 @@ class Group:
         self._step_count += taken
 
     def _end(self, index: int, outcome: Outcome) -> None:
-        """Files a finished episode."""
-        seen, steps = self._frame_count[index], self._step_count[index]
+        """Passes a finished episode to the writer."""
+        count, steps = self._frame_count[index], self._step_count[index]
         self._frame_count[index] = 0
         drives = self._in_turns if self._takes_part[index] else self._by_expert
         driver = Driver(drives.driver[index])
@@ -344,9 +345,9 @@ class Group:
                 outcome,
                 driver,
                 self._perturbations[index],
-                self._frames[index, :seen].copy(),
-                self._state[index, :seen].copy(),
-                self._frame_step[index, :seen].copy(),
+                self._frames[index, :count].copy(),
+                self._state[index, :count].copy(),
+                self._frame_step[index, :count].copy(),
                 self._label[index, :steps].copy(),
                 self._executed[index, :steps].copy(),
                 self._source[index, :steps].copy(),
@@ -369,8 +370,8 @@ def read_outcomes(folders: Sequence[Path]) -> dict[str, list[int]]:
     for folder in folders:
         file = folder / OUTCOMES
         for name, counts in json.loads(file.read_text()).items() if file.exists() else ():
-            known = total.setdefault(name, [0, 0])
-            total[name] = [known[0] + counts[0], known[1] + counts[1]]
+            earlier = total.setdefault(name, [0, 0])
+            total[name] = [earlier[0] + counts[0], earlier[1] + counts[1]]
     return total
 
 

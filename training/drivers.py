@@ -53,7 +53,7 @@ class Orders(NamedTuple):
     expert: NDArray[np.bool_]
     """[n, k]: True where the expert drives."""
     source: NDArray[np.uint8]
-    """[n, k]"""
+    """[n, k]: ``Source`` of each step."""
 
 
 class Disturbance:
@@ -67,11 +67,11 @@ class Disturbance:
         self._push = np.zeros((n, ARM))
         self._push_left = np.zeros(n, np.int64)
 
-    def begin(self, which: NDArray[np.int64], disturbed: NDArray[np.bool_]) -> None:
-        """Begins episodes in environments ``which``."""
-        self._disturbed[which] = disturbed
-        self._noise_left[which] = 0
-        self._push_left[which] = 0
+    def begin(self, indices: NDArray[np.int64], disturbed: NDArray[np.bool_]) -> None:
+        """Begins episodes in environments ``indices``."""
+        self._disturbed[indices] = disturbed
+        self._noise_left[indices] = 0
+        self._push_left[indices] = 0
 
     def next(self, steps: int) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
         """Returns additions to the arm's next actions, [n, steps, 6], and sources [n, steps]."""
@@ -84,12 +84,12 @@ class Disturbance:
         over = self._disturbed & (self._noise_left == 0)
         sigma = rng.uniform(*NOISE, n) * (rng.random(n) >= QUIET_SHARE)
         self._sigma = np.where(over, sigma, self._sigma)
-        self._noise_left = np.where(over, _between(rng, NOISE_STEPS, n), self._noise_left)
+        self._noise_left = np.where(over, _draw_steps(rng, NOISE_STEPS, n), self._noise_left)
         self._noise_left = np.maximum(self._noise_left - 1, 0)
 
         starts = self._disturbed & (self._push_left == 0) & (rng.random(n) < PUSH_CHANCE)
         self._push[starts] = self._directions(int(starts.sum()))
-        self._push_left = np.where(starts, _between(rng, PUSH_STEPS, n), self._push_left)
+        self._push_left = np.where(starts, _draw_steps(rng, PUSH_STEPS, n), self._push_left)
         pushed = self._push_left > 0
         self._push_left = np.maximum(self._push_left - 1, 0)
 
@@ -115,11 +115,11 @@ class ExpertDrives:
         self._disturbance = Disturbance(n, rng)
         self.driver = np.full(n, Driver.CLEAN, np.uint8)
 
-    def begin(self, which: NDArray[np.int64]) -> None:
-        """Begins episodes in environments ``which``."""
-        disturbed = self._rng.random(len(which)) >= CLEAN_SHARE
-        self._disturbance.begin(which, disturbed)
-        self.driver[which] = np.where(disturbed, Driver.DISTURBED, Driver.CLEAN)
+    def begin(self, indices: NDArray[np.int64]) -> None:
+        """Begins episodes in environments ``indices``."""
+        disturbed = self._rng.random(len(indices)) >= CLEAN_SHARE
+        self._disturbance.begin(indices, disturbed)
+        self.driver[indices] = np.where(disturbed, Driver.DISTURBED, Driver.CLEAN)
 
     def next(self, steps: int) -> Orders:
         """Returns the orders for the next steps."""
@@ -143,18 +143,19 @@ class InTurns:
         self._used = np.full(n, CHUNK)
         self.driver = np.full(n, Driver.IN_TURNS, np.uint8)
 
-    def begin(self, which: NDArray[np.int64]) -> None:
-        """Begins episodes in environments ``which``."""
-        rng, count = self._rng, len(which)
+    def begin(self, indices: NDArray[np.int64]) -> None:
+        """Begins episodes in environments ``indices``."""
+        rng, count = self._rng, len(indices)
         alone = rng.random(count) < ALONE_SHARE
-        self._disturbance.begin(which, rng.random(count) < DISTURBED_SHARE)
-        self.driver[which] = np.where(alone, Driver.STUDENT, Driver.IN_TURNS)
-        # The next call of `asks` ends this turn and begins the other driver's.
-        self._student[which] = rng.random(count) < 0.5
-        self._turn_left[which] = 0
+        self._disturbance.begin(indices, rng.random(count) < DISTURBED_SHARE)
+        self.driver[indices] = np.where(alone, Driver.STUDENT, Driver.IN_TURNS)
+        # The next call of `needs_answer` ends this turn and begins the other driver's.
+        self._student[indices] = rng.random(count) < 0.5
+        self._turn_left[indices] = 0
 
-    def asks(self) -> NDArray[np.bool_]:
-        """Mask [n] of the environments that need the student's answer for their next steps.
+    def needs_answer(self) -> NDArray[np.bool_]:
+        """Returns a mask [n] of the environments that need the student's answer for their next
+        steps.
 
         Call it once before each ``next``.
         """
@@ -163,22 +164,22 @@ class InTurns:
         alone = self.driver == Driver.STUDENT
         self._student = np.where(over, ~self._student | alone, self._student)
         turns = np.where(
-            self._student, _between(rng, STUDENT_STEPS, n), _between(rng, EXPERT_STEPS, n)
+            self._student, _draw_steps(rng, STUDENT_STEPS, n), _draw_steps(rng, EXPERT_STEPS, n)
         )
         self._turn_left = np.where(over, turns, self._turn_left)
         self._horizon = np.where(over, rng.choice(HORIZONS, n), self._horizon)
         return self._student & (over | (self._used >= self._horizon))
 
-    def answer(self, which: NDArray[np.bool_], answers: NDArray[np.float64]) -> None:
-        """Stores the student's answers, [m, 8, 7], for the m environments that ask."""
-        self._answers[which] = answers
-        self._used[which] = 0
+    def answer(self, mask: NDArray[np.bool_], answers: NDArray[np.float64]) -> None:
+        """Stores the student's answers, [m, 8, 7], for the m environments of ``mask``."""
+        self._answers[mask] = answers
+        self._used[mask] = 0
 
     def next(self, steps: int) -> Orders:
         """Returns the orders for the next steps, whose number must divide the horizons."""
         added, source = self._disturbance.next(steps)
-        places = np.minimum(self._used[:, np.newaxis] + np.arange(steps), CHUNK - 1)
-        answers = np.take_along_axis(self._answers, places[:, :, np.newaxis], axis=1)
+        positions = np.minimum(self._used[:, np.newaxis] + np.arange(steps), CHUNK - 1)
+        answers = np.take_along_axis(self._answers, positions[:, :, np.newaxis], axis=1)
         student = self._student[:, np.newaxis]
         actions = np.where(student[:, :, np.newaxis], answers, _with_gripper(added))
         self._used += steps
@@ -187,7 +188,7 @@ class InTurns:
         return Orders(actions, np.broadcast_to(~student, source.shape), source)
 
 
-def _between(rng: np.random.Generator, limits: tuple[int, int], n: int) -> NDArray[np.int64]:
+def _draw_steps(rng: np.random.Generator, limits: tuple[int, int], n: int) -> NDArray[np.int64]:
     return rng.integers(limits[0], limits[1] + 1, n)
 
 

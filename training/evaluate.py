@@ -32,15 +32,15 @@ def evaluate(arguments: argparse.Namespace) -> None:
     """Runs the episodes concurrently and prints the number of successes."""
     device = torch.device(arguments.device)
     student = Student(arguments.weights, device)
-    tasks = [name for name in TASK_NAMES if any(name.startswith(own) for own in arguments.tasks)]
+    tasks = [name for name in TASK_NAMES if name.startswith(tuple(arguments.tasks))]
     compile_scenes([TASK_NAMES.index(name) for name in tasks], arguments.assets, arguments.threads)
-    # Each environment runs several episodes in succession; long ones come first.
+    # Each environment runs several episodes in succession; environments of long tasks come first.
     most = max(1, arguments.envs // len(tasks))
     each = -(-arguments.episodes // most)
-    at_once = -(-arguments.episodes // each)
-    names = [name for name in reversed(tasks) for _ in range(at_once)]
+    concurrent = -(-arguments.episodes // each)
+    names = [name for name in reversed(tasks) for _ in range(concurrent)]
     n, rng = len(names), np.random.default_rng(UNSEEN_SEED)
-    drawn = {name: draw(name, at_once + 1, UNSEEN_SEED)[1:] for name in tasks}
+    drawn = {name: draw(name, concurrent + 1, UNSEEN_SEED)[1:] for name in tasks}
     instructions = [canonical(name) for name in names]
     if arguments.wordings == "drawn":
         instructions = [drawn[name].pop() for name in names]
@@ -63,19 +63,19 @@ def evaluate(arguments: argparse.Namespace) -> None:
     seeds = 0 if released else [UNSEEN_SEED + index for index in range(n)]
     observation, info = env.reset(seed=seeds)
     ended: dict[str, list[tuple[int, bool]]] = {name: [] for name in tasks}
-    left = np.full(n, each)
+    remaining = np.full(n, each)
     over = np.zeros(n, bool)
-    while (left > 0).any() and time.monotonic() - begun < arguments.seconds:
+    while (remaining > 0).any() and time.monotonic() - begun < arguments.seconds:
         answers = student.act(observation, instructions)
         observation, _, terminated, truncated, info = env.step_chunk(
             answers[:, : arguments.actions]
         )
         over = terminated | truncated
-        for index in np.flatnonzero(over & (left > 0)).tolist():
+        for index in np.flatnonzero(over & (remaining > 0)).tolist():
             state = info["init_state"][index]
             number = -1 if state is None else int(state)
             ended[names[index]].append((number, bool(terminated[index])))
-        left -= over
+        remaining -= over
     env.close()
     report(arguments, ended, time.monotonic() - begun)
 
@@ -87,18 +87,19 @@ def report(
     if arguments.states == "released":
         # Environments that take turns may begin one round more than there are states.
         ended = {
-            name: [episode for episode in dict(own).items() if episode[0] < arguments.episodes]
-            for name, own in ended.items()
+            name: [episode for episode in dict(episodes).items() if episode[0] < arguments.episodes]
+            for name, episodes in ended.items()
         }
-    solved = {name: sum(success for _, success in own) for name, own in ended.items()}
+    solved = {name: sum(success for _, success in episodes) for name, episodes in ended.items()}
     count = sum(map(len, ended.values()))
     total = sum(solved.values())
     print(f"{total} of {count} succeeded ({100 * total / max(count, 1):.1f} %) in {seconds:.0f} s")
     for suite in dict.fromkeys(name.split("/")[0] for name in ended):
-        own = [name for name in ended if name.split("/")[0] == suite]
-        shown = " ".join(f"{solved[name]}/{len(ended[name])}" for name in own)
-        of_suite = sum(len(ended[name]) for name in own)
-        print(f"{suite:15} {sum(solved[name] for name in own)}/{of_suite}   {shown}", flush=True)
+        names = [name for name in ended if name.split("/")[0] == suite]
+        by_task = " ".join(f"{solved[name]}/{len(ended[name])}" for name in names)
+        successes = sum(solved[name] for name in names)
+        tries = sum(len(ended[name]) for name in names)
+        print(f"{suite:15} {successes}/{tries}   {by_task}", flush=True)
     if arguments.table:
         arguments.table.write_text(json.dumps(ended))
 

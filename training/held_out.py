@@ -18,15 +18,15 @@ def evaluation_sentences() -> list[str]:
     """Returns the benchmark's wordings on the language axis and under all axes together."""
     from rollout_libero._library import native
 
-    found = set()
+    sentences = set()
     for task in TASK_NAMES:
         suite, index = task.split("/")
         for level in LEVELS:
             for config in range(PRESETS):
                 for axis in ("language", "combination"):
                     name = f"{suite}/t{index}/{axis}/{level}/c{config:02}"
-                    found.add(str(json.loads(native.configuration_row(name))["language"]))
-    return sorted(found - {canonical(task) for task in TASK_NAMES})
+                    sentences.add(str(json.loads(native.configuration_row(name))["language"]))
+    return sorted(sentences - {canonical(task) for task in TASK_NAMES})
 
 
 def main() -> None:

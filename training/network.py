@@ -25,10 +25,13 @@ PICTURE = 128
 WORD_WIDTH = 48
 TEXT_WIDTH = 128
 POINTS = 64
+"""Learned points of each camera's picture."""
 GRID = 32
 """Side of the map in which points are located; twice the side of the last features."""
 HEAD = 512
+"""Width of the two layers before the actions."""
 GROUPS = 8
+"""Groups of channels in each normalisation."""
 
 
 class Actions(NamedTuple):
@@ -95,10 +98,10 @@ class Encoder(nn.Module):
         # Exponentials and coordinates use single precision, whatever the other layers use.
         coarse = functional.interpolate(self.points(x).float(), scale_factor=2, mode="nearest")
         scores = (coarse + self.fine(fine).float()).flatten(2)
-        chance = scores.softmax(dim=2).unflatten(2, (GRID, GRID))
-        places = torch.linspace(-1.0, 1.0, GRID, device=x.device)
-        columns = (chance.sum(dim=2) * places).sum(dim=2)
-        rows = (chance.sum(dim=3) * places).sum(dim=2)
+        probability = scores.softmax(dim=2).unflatten(2, (GRID, GRID))
+        positions = torch.linspace(-1.0, 1.0, GRID, device=x.device)
+        columns = (probability.sum(dim=2) * positions).sum(dim=2)
+        rows = (probability.sum(dim=3) * positions).sum(dim=2)
         return torch.cat([columns, rows, scores.amax(dim=2), x.float().mean(dim=(2, 3))], dim=1)
 
 
@@ -148,7 +151,7 @@ class Network(nn.Module):
 
 
 def parameters(network: nn.Module) -> int:
-    """Number of trainable parameters."""
+    """Returns the number of trainable parameters."""
     return sum(parameter.numel() for parameter in network.parameters())
 
 

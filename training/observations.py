@@ -40,7 +40,7 @@ def shrink(pictures: Tensor) -> Tensor:
 
 def frames(observation: Observation, device: torch.device) -> Tensor:
     """Returns both cameras' pictures, uint8 [n, 2, 128, 128, 3] on the device,
-    in the observation's orientation. The student is trained on upright ones."""
+    in the observation's orientation. The student is trained on upright pictures."""
     views = [shrink(torch.from_numpy(observation[camera]).to(device)) for camera in CAMERAS]
     return torch.stack(views, dim=1)
 
@@ -73,12 +73,13 @@ def scaled(picture: Tensor) -> Tensor:
 
 
 def instruction_rows(texts: Sequence[str]) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
-    """Features of n instructions, padded to the longest: rows [n, w] and presence [n, w]."""
-    found = [[*singles, *pairs] for singles, pairs in map(features, texts)]
-    longest = max(1, *map(len, found))
-    rows = np.zeros((len(found), longest), np.int64)
-    present = np.zeros((len(found), longest), np.float32)
-    for at, own in enumerate(found):
-        rows[at, : len(own)] = own
-        present[at, : len(own)] = 1.0
+    """Returns the features of n instructions, padded to the longest: rows [n, w] and
+    presence [n, w]."""
+    by_text = [[*singles, *pairs] for singles, pairs in map(features, texts)]
+    longest = max(1, *map(len, by_text))
+    rows = np.zeros((len(by_text), longest), np.int64)
+    present = np.zeros((len(by_text), longest), np.float32)
+    for index, text_rows in enumerate(by_text):
+        rows[index, : len(text_rows)] = text_rows
+        present[index, : len(text_rows)] = 1.0
     return rows, present

@@ -11,7 +11,7 @@ frames of all rounds. A call ends after ``--minutes``, and the same command resu
 rate decays over ``--total-minutes``, the training time of all calls.
 
 ``evaluate`` exports the weights and measures the student on the benchmark's released initial
-states, which no stage has seen.
+states, which no other stage uses.
 """
 
 from __future__ import annotations
@@ -45,10 +45,10 @@ def rounds(data: Path) -> list[Path]:
 
 
 def collectors(arguments: argparse.Namespace, seconds: float) -> list[subprocess.Popen[bytes]]:
-    """Begins a round on all cores."""
+    """Starts the processes that collect a round, on all cores."""
     number = len({folder.name.split("_")[1] for folder in rounds(arguments.data)})
     count = max(1, arguments.workers // THREADS)
-    begun = []
+    processes = []
     for at in range(count):
         into = arguments.data / f"round_{number:02}_{at}"
         into.mkdir(parents=True)
@@ -69,17 +69,17 @@ def collectors(arguments: argparse.Namespace, seconds: float) -> list[subprocess
         # The first GPU trains; collectors use a second one, if there is one.
         last = max(0, torch.cuda.device_count() - 1)
         environment = os.environ | {"CUDA_VISIBLE_DEVICES": str(last)} if last else None
-        begun.append(
+        processes.append(
             subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, env=environment)
         )
-    return begun
+    return processes
 
 
 def teach(arguments: argparse.Namespace) -> None:
     """Collects and trains concurrently until this call's time is spent."""
     end = time.monotonic() + 60 * arguments.minutes - LEAVE_SECONDS
     arguments.data.mkdir(parents=True, exist_ok=True)
-    # The trainer looks for shards in all possible rounds.
+    # The trainer reads shards from the folders of all possible rounds.
     numbers = [f"{at:02}_{process}" for at in range(40) for process in range(8)]
     folders = [arguments.data / f"round_{number}" for number in numbers]
     trainer = subprocess.Popen(
@@ -92,10 +92,10 @@ def teach(arguments: argparse.Namespace) -> None:
     )  # fmt: skip
     running: list[subprocess.Popen[bytes]] = []
     try:
-        while trainer.poll() is None and (left := end - time.monotonic()) > 20:
+        while trainer.poll() is None and (remaining := end - time.monotonic()) > 20:
             first = not rounds(arguments.data)
             minutes = arguments.expert_minutes if first else arguments.round_minutes
-            seconds = min(60 * minutes, left)
+            seconds = min(60 * minutes, remaining)
             running = collectors(arguments, seconds)
             while any(process.poll() is None for process in running) and trainer.poll() is None:
                 time.sleep(1.0)

@@ -34,14 +34,14 @@ from training.network import CHUNK
 
 FRAMES_PER_SHARD = 2_000
 PREFIX = "shard_"
-MOST_DRIFT = 0.5
+MAX_DRIFT = 0.5
 """Bound on the sum of the differences between the student's and the expert's actions within a
 chunk, along any axis (0.025 m). Beyond it, the expert's later labels no longer count."""
 
 
 STALL_FRAMES = 12
 STALL_M = 0.008
-"""The robot has stalled if hand and fingers stay within this range for that many frames."""
+"""The robot has stalled if hand and fingers stay within this range for ``STALL_FRAMES`` frames."""
 
 
 class Source(IntEnum):
@@ -108,8 +108,8 @@ class Shard(NamedTuple):
     driver: NDArray[np.uint8]
     perturbation: NDArray[np.str_]
 
-    def of_frames(self, values: NDArray[Any]) -> NDArray[Any]:
-        """Repeats values of episodes, [E], for each of their frames, [F]."""
+    def repeat_per_frame(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Repeats each episode's value, [E], for each of the episode's frames, [F]."""
         return np.repeat(values, self.episode_frames)
 
 
@@ -131,48 +131,49 @@ def targets(shard: Shard) -> Targets:
     """
     first = shard.frame_step[:, np.newaxis]
     steps = first + np.arange(CHUNK)
-    end = shard.of_frames(np.cumsum(shard.episode_steps))[:, np.newaxis]
-    pushed = _before(shard.source == Source.PUSH)
+    end = shard.repeat_per_frame(np.cumsum(shard.episode_steps))[:, np.newaxis]
+    pushed = _sum_before(shard.source == Source.PUSH)
     by_student = shard.source == Source.STUDENT
-    off = (shard.executed - shard.label).astype(np.float64) * by_student[:, np.newaxis]
-    gripped = _before(np.abs(off[:, 6]) > 0.5)
-    drift = _before(off[:, :3])
-    until = np.minimum(steps, len(shard.label) - 1)
+    deviation = (shard.executed - shard.label).astype(np.float64) * by_student[:, np.newaxis]
+    gripper_differs = _sum_before(np.abs(deviation[:, 6]) > 0.5)
+    drift = _sum_before(deviation[:, :3])
+    last_step = np.minimum(steps, len(shard.label) - 1)
     valid = (
         (steps < end)
-        & (pushed[until] == pushed[first])
-        & (gripped[until] == gripped[first])
-        & (np.abs(drift[until] - drift[first]).max(axis=2) <= MOST_DRIFT)
+        & (pushed[last_step] == pushed[first])
+        & (gripper_differs[last_step] == gripper_differs[first])
+        & (np.abs(drift[last_step] - drift[first]).max(axis=2) <= MAX_DRIFT)
     )
     return Targets(shard.label[np.minimum(steps, end - 1)], valid)
 
 
-def _before(values: NDArray[Any]) -> NDArray[Any]:
+def _sum_before(values: NDArray[Any]) -> NDArray[Any]:
     """Returns the sum of the values of all earlier steps, for each step."""
     total = np.cumsum(values, axis=0)
     return np.concatenate([np.zeros_like(total[:1]), total[:-1]])
 
 
 def worth_learning(shard: Shard) -> NDArray[np.bool_]:
-    """Mask [E] of the episodes for training: all except those in which the expert itself failed."""
+    """Returns a mask [E] of the episodes for training: all except those in which the expert
+    failed without the student."""
     by_expert = (shard.driver == Driver.CLEAN) | (shard.driver == Driver.DISTURBED)
     return np.asarray(~(by_expert & (shard.outcome == Outcome.FAILURE)), bool)
 
 
 def stalled(shard: Shard) -> NDArray[np.bool_]:
-    """Returns a mask [F] of the frames in which the robot has not moved for a while.
+    """Returns a mask [F] of the frames in which the robot has stalled (see ``STALL_M``).
 
     In these frames the expert makes no progress, or the student does not follow it. A
     few such frames are instructive; hundreds would dominate the training.
     """
-    first = shard.of_frames(np.cumsum(shard.episode_frames) - shard.episode_frames)
+    first = shard.repeat_per_frame(np.cumsum(shard.episode_frames) - shard.episode_frames)
     number = np.arange(len(shard.state)) - first
-    seen = np.concatenate([shard.state[:, :3], shard.state[:, -2:]], axis=1)
-    moved = np.zeros(len(seen), np.float32)
+    values = np.concatenate([shard.state[:, :3], shard.state[:, -2:]], axis=1)
+    moved = np.zeros(len(values), np.float32)
     # Compares with each of the last frames, within the episode.
     for back in range(1, STALL_FRAMES + 1):
-        earlier = np.maximum(np.arange(len(seen)) - back, first)
-        moved = np.maximum(moved, np.abs(seen - seen[earlier]).max(axis=1))
+        earlier = np.maximum(np.arange(len(values)) - back, first)
+        moved = np.maximum(moved, np.abs(values - values[earlier]).max(axis=1))
     return np.asarray((number >= STALL_FRAMES) & (moved < STALL_M), bool)
 
 
@@ -190,11 +191,11 @@ def next_number(folder: Path) -> int:
 def write(folder: Path, number: int, episodes: list[Episode]) -> Path:
     """Writes a shard atomically."""
     steps = np.array([len(episode.label) for episode in episodes], np.int32)
-    begun = np.cumsum(steps, dtype=np.int32) - steps
+    first_steps = np.cumsum(steps, dtype=np.int32) - steps
     table: dict[str, Any] = {
         "state": np.concatenate([episode.state for episode in episodes]),
         "frame_step": np.concatenate(
-            [episode.frame_step + at for episode, at in zip(episodes, begun, strict=True)]
+            [episode.frame_step + at for episode, at in zip(episodes, first_steps, strict=True)]
         ).astype(np.int32),
         "label": np.concatenate([episode.label for episode in episodes]),
         "executed": np.concatenate([episode.executed for episode in episodes]),
@@ -253,19 +254,20 @@ class Writer:
             if self._frames >= self._frames_per_shard:
                 full, self._gathered, self._frames = self._gathered, [], 0
         if full:
-            self._hand_over(full)
+            self._queue(full)
 
     def close(self) -> None:
         """Writes the remaining episodes."""
         if self._gathered:
-            self._hand_over(self._gathered)
+            self._queue(self._gathered)
             self._gathered = []
         self._full.put(None)
         self._thread.join()
         if self._error:
             raise self._error
 
-    def _hand_over(self, episodes: list[Episode]) -> None:
+    def _queue(self, episodes: list[Episode]) -> None:
+        """Queues a shard's episodes for the thread that writes."""
         if self._error:
             raise self._error
         self._full.put(episodes)

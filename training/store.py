@@ -40,7 +40,7 @@ class Batch(NamedTuple):
 
 
 class Store:
-    """Samples with a weight for each, up to a capacity."""
+    """Weighted samples, up to a capacity."""
 
     def __init__(self, capacity: int, device: torch.device) -> None:
         self.count = 0
@@ -52,47 +52,48 @@ class Store:
         self._targets = torch.empty(capacity, CHUNK, ARM + 1, device=device)
         self._valid = torch.empty(capacity, CHUNK, device=device)
         self._weight = torch.empty(capacity, dtype=torch.float64, device=device)
-        self._chances = torch.empty(0, dtype=torch.float64, device=device)
+        self._cumulative = torch.empty(0, dtype=torch.float64, device=device)
 
-    def add(self, shard: Shard, which: NDArray[np.int64], suite_weights: Tensor) -> int:
-        """Copies frames ``which`` of a shard. Once the store is full, they
-        replace others drawn at random. Returns their number."""
-        which = which[: self.capacity]
-        if not len(which):
+    def add(self, shard: Shard, indices: NDArray[np.int64], suite_weights: Tensor) -> int:
+        """Copies the frames at ``indices`` of a shard, and returns their number. Once the store is
+        full, the new frames replace stored frames drawn at random."""
+        indices = indices[: self.capacity]
+        if not len(indices):
             return 0
         device = self._frames.device
-        fits = min(len(which), self.capacity - self.count)
-        at = torch.arange(self.count, self.count + fits, device=device)
-        if fits < len(which):
-            drawn = torch.randperm(self.capacity - fits, device=device)[: len(which) - fits]
-            at = torch.cat([at, drawn])
-        wanted = targets(shard)
-        task = torch.from_numpy(shard.of_frames(shard.task)[which].astype(np.int64))
+        appended = min(len(indices), self.capacity - self.count)
+        at = torch.arange(self.count, self.count + appended, device=device)
+        if appended < len(indices):
+            replaced = torch.randperm(self.capacity - appended, device=device)
+            at = torch.cat([at, replaced[: len(indices) - appended]])
+        target = targets(shard)
+        task = torch.from_numpy(shard.repeat_per_frame(shard.task)[indices].astype(np.int64))
         frames = torch.from_numpy(shard.frames).view(-1, FRAME_BYTES).view(torch.int64).to(device)
-        self._frames[at] = frames[torch.from_numpy(which).to(device)]
-        self._state[at] = torch.from_numpy(shard.state[which]).to(self._state.device)
+        self._frames[at] = frames[torch.from_numpy(indices).to(device)]
+        self._state[at] = torch.from_numpy(shard.state[indices]).to(self._state.device)
         self._task[at] = task.to(self._task.device)
-        self._targets[at] = torch.from_numpy(wanted.actions[which]).to(self._targets.device)
-        self._valid[at] = torch.from_numpy(wanted.valid[which]).to(self._valid.device).float()
+        self._targets[at] = torch.from_numpy(target.actions[indices]).to(self._targets.device)
+        self._valid[at] = torch.from_numpy(target.valid[indices]).to(self._valid.device).float()
         self._weight[at] = suite_weights[task // 10].to(self._weight.device)
-        self.count += fits
-        self._chances = self._weight[: self.count].cumsum(0)
-        return len(which)
+        self.count += appended
+        self._cumulative = self._weight[: self.count].cumsum(0)
+        return len(indices)
 
     def draw(self, n: int) -> Batch:
         """Draws n samples, with replacement, by their weights."""
-        at = torch.rand(n, dtype=torch.float64, device=self._chances.device) * self._chances[-1]
-        return self.batch(torch.searchsorted(self._chances, at).clamp(max=self.count - 1))
+        cumulative = self._cumulative
+        at = torch.rand(n, dtype=torch.float64, device=cumulative.device) * cumulative[-1]
+        return self.batch(torch.searchsorted(cumulative, at).clamp(max=self.count - 1))
 
-    def batch(self, which: Tensor) -> Batch:
+    def batch(self, indices: Tensor) -> Batch:
         """Returns the samples at these indices, [n]."""
-        frames = self._frames.index_select(0, which).view(torch.uint8)
+        frames = self._frames.index_select(0, indices).view(torch.uint8)
         return Batch(
-            frames.view(len(which), 2, PICTURE, PICTURE, 3),
-            self._state[which],
-            self._task[which],
-            self._targets[which],
-            self._valid[which],
+            frames.view(len(indices), 2, PICTURE, PICTURE, 3),
+            self._state[indices],
+            self._task[indices],
+            self._targets[indices],
+            self._valid[indices],
         )
 
     def state_scale(self) -> tuple[Tensor, Tensor]:
@@ -115,7 +116,7 @@ class Library:
     ) -> None:
         self._folders = folders
         self._weights = torch.tensor(suite_weights, dtype=torch.float64)
-        self._known: set[Path] = set()
+        self._loaded: set[Path] = set()
         self.training = Store(capacity, device)
         self.held_out = Store(held_out_capacity, device)
         self.by_suite = np.zeros(4, np.int64)
@@ -124,13 +125,13 @@ class Library:
         """Loads the new shards. Returns the number of their frames."""
         before = self.training.count + self.held_out.count
         paths = [path for folder in self._folders for path in shard_folders(folder)]
-        new = [path for path in paths if path not in self._known]
-        self._known.update(new)
+        new = [path for path in paths if path not in self._loaded]
+        self._loaded.update(new)
         with ThreadPoolExecutor(READERS) as readers:
             # In groups, to limit the host memory of shards that are not on the device yet.
             for first in range(0, len(new), READERS):
-                some = new[first : first + READERS]
-                for path, shard in zip(some, readers.map(read, some), strict=True):
+                group = new[first : first + READERS]
+                for path, shard in zip(group, readers.map(read, group), strict=True):
                     self._add(shard, path)
         return self.training.count + self.held_out.count - before
 
@@ -138,16 +139,16 @@ class Library:
         held_out = _held_out(path, len(shard.task))
         good = worth_learning(shard)
         moves = ~stalled(shard)
-        train = np.flatnonzero(shard.of_frames(good & ~held_out) & moves)
+        train = np.flatnonzero(shard.repeat_per_frame(good & ~held_out) & moves)
         added = self.training.add(shard, train, self._weights)
         if self.held_out.count < self.held_out.capacity:
-            kept = np.flatnonzero(shard.of_frames(good & held_out) & moves)
-            self.held_out.add(shard, kept, self._weights)
-        suite = shard.of_frames(shard.task)[train[:added]] // 10
+            validation = np.flatnonzero(shard.repeat_per_frame(good & held_out) & moves)
+            self.held_out.add(shard, validation, self._weights)
+        suite = shard.repeat_per_frame(shard.task)[train[:added]] // 10
         self.by_suite += np.bincount(suite, minlength=len(TASK_NAMES) // 10)
 
 
 def _held_out(path: Path, episodes: int) -> NDArray[np.bool_]:
-    """Mask of a shard's episodes for validation, the same at every reading."""
+    """Returns a mask of a shard's episodes for validation, the same at every reading."""
     number = int(path.name.split("_")[1])
     return np.equal(np.arange(episodes) % HELD_OUT, (7 * number) % HELD_OUT)

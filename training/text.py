@@ -35,6 +35,6 @@ def bucket(feature: str) -> int:
 
 def features(text: str) -> tuple[list[int], list[int]]:
     """Returns rows of the n words of a text, and of its n - 1 pairs of neighbours."""
-    found = words(text)
-    pairs = [f"{a} {b}" for a, b in pairwise(found)]
-    return [bucket(word) for word in found], [bucket(pair) for pair in pairs]
+    singles = words(text)
+    pairs = [f"{a} {b}" for a, b in pairwise(singles)]
+    return [bucket(word) for word in singles], [bucket(pair) for pair in pairs]

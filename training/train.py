@@ -33,13 +33,17 @@ from training.student import load_network, save_weights
 CHECKPOINT = "checkpoint.pt"
 WEIGHTS = "student.safetensors"
 GRIPPER_WEIGHT = 0.1
+"""Weight of the gripper's loss; the arm's is 1."""
 WARM_UP = 200
 """Steps in which the learning rate rises to its maximum."""
 EMA = 0.999
-MOST_GRADIENT = 1.0
+"""Share of the running mean that remains in it at each step."""
+MAX_GRADIENT = 1.0
+"""Norm to which the gradient is clipped."""
 REPORT_SECONDS = 20.0
 CHECKPOINT_SECONDS = 20.0
 WATCH_SECONDS = 10.0
+"""Seconds between two searches for new shards."""
 HELD_OUT_FRAMES = 4_096
 GPU_SHARE = 0.7
 """Share of the free memory of a GPU that frames may take."""
@@ -84,23 +88,27 @@ class Trainer:
         self._optimizer = self._make_optimizer()
         self._losses: Callable[..., Any] = Losses(self._network)
         self._is_compiled = False
-        self._knows_scale = False
+        self._has_scale = False
         self._load()
 
     def prepare(self, library: Library) -> None:
         """Computes the state's scale from the data, unless an earlier run did."""
-        if not self._knows_scale:
+        if not self._has_scale:
             mean, deviation = library.training.state_scale()
             for network in (self._network, self._mean):
                 network.state_mean.copy_(mean)
                 network.state_std.copy_(deviation)
-            self._knows_scale = True
+            self._has_scale = True
         if self._arguments.compile:
             self._losses = torch.compile(self._losses, dynamic=False)
             self._is_compiled = True
 
     def train_step(self, library: Library, wordings: Wordings, fraction: float) -> Tensor:
-        """Makes one optimizer step; ``fraction`` of the time is spent. Returns the loss."""
+        """Makes one optimizer step and returns the loss.
+
+        Args:
+            fraction: share of the training time that is already spent.
+        """
         rate = self._arguments.learning_rate * _schedule(self.step, fraction)
         for group in self._optimizer.param_groups:
             group["lr"] = rate
@@ -110,17 +118,17 @@ class Trainer:
         loss = self._loss(batch, change, rows, present)
         self._optimizer.zero_grad(set_to_none=True)
         torch.autograd.backward(loss)
-        nn.utils.clip_grad_norm_(self._network.parameters(), MOST_GRADIENT)
+        nn.utils.clip_grad_norm_(self._network.parameters(), MAX_GRADIENT)
         self._optimizer.step()
         self.step += 1
-        self._follow()
+        self._update_mean()
         return loss.detach()
 
     @torch.inference_mode()
     def validate(self, library: Library, wordings: Wordings) -> tuple[float, float]:
         """Returns L1 of the arm and the gripper's accuracy, on held-out episodes."""
         store = library.held_out
-        distance = right = total = torch.zeros((), device=self._device)
+        distance = correct = total = torch.zeros((), device=self._device)
         for first in range(0, store.count, 512):
             last = min(first + 512, store.count)
             batch = store.batch(torch.arange(first, last, device=self._device))
@@ -130,9 +138,9 @@ class Trainer:
             arm = (output.arm.clamp(-1, 1) - batch.targets[:, :, :ARM]).abs().mean(dim=2)
             agrees = (output.gripper > 0) == (batch.targets[:, :, ARM] > 0)
             distance = distance + (arm * batch.valid).sum()
-            right = right + (agrees * batch.valid).sum()
+            correct = correct + (agrees * batch.valid).sum()
             total = total + batch.valid.sum()
-        return (distance / total).item(), (right / total).item()
+        return (distance / total).item(), (correct / total).item()
 
     def save(self, *, finished: bool = False) -> None:
         """Writes the checkpoint, and the running mean as a student's weights."""
@@ -153,9 +161,9 @@ class Trainer:
 
     def _load(self) -> None:
         """Resumes from the run's own checkpoint, or starts from another run's weights."""
-        own = self._run / CHECKPOINT
-        if own.exists():
-            state = torch.load(own, map_location=self._device, weights_only=True)
+        checkpoint = self._run / CHECKPOINT
+        if checkpoint.exists():
+            state = torch.load(checkpoint, map_location=self._device, weights_only=True)
             if state["finished"]:
                 raise SystemExit(
                     f"{self._run} has finished; to train further, name another --run, and add "
@@ -174,15 +182,15 @@ class Trainer:
             print(f"starts from {self._arguments.start_from}")
         else:
             return
-        self._knows_scale = True
+        self._has_scale = True
 
     def _make_optimizer(self) -> torch.optim.AdamW:
         """Returns AdamW without weight decay of norms, biases and words."""
         matrices: list[nn.Parameter] = []
         others: list[nn.Parameter] = []
         for name, parameter in self._network.named_parameters():
-            of_words = name == "words.weight"
-            (others if parameter.ndim < 2 or of_words else matrices).append(parameter)
+            is_embedding = name == "words.weight"
+            (others if parameter.ndim < 2 or is_embedding else matrices).append(parameter)
         return torch.optim.AdamW(
             [
                 {"params": matrices, "weight_decay": self._arguments.weight_decay},
@@ -194,16 +202,17 @@ class Trainer:
 
     def _loss(self, *inputs: Any) -> Tensor:
         try:
-            return self._computed(*inputs)
+            return self._compute_loss(*inputs)
         except Exception as error:
             if not self._is_compiled or self.step > 0:
                 raise
-            # Any failure of the compiler: training without it is slower, with the same result.
+            # Catches any failure of the compiler. Training without it is slower, with the same
+            # result.
             print(f"trains without torch.compile: {type(error).__name__}: {str(error)[:300]}")
             self._losses, self._is_compiled = Losses(self._network), False
-            return self._computed(*inputs)
+            return self._compute_loss(*inputs)
 
-    def _computed(self, *inputs: Any) -> Tensor:
+    def _compute_loss(self, *inputs: Any) -> Tensor:
         with self._precision():
             loss: Tensor = self._losses(*inputs)
         return loss
@@ -214,7 +223,7 @@ class Trainer:
         return nullcontext()
 
     @torch.no_grad()
-    def _follow(self) -> None:
+    def _update_mean(self) -> None:
         """Moves the running mean towards the network, faster in the first steps."""
         keep = min(EMA, (1 + self.step) / (10 + self.step))
         torch._foreach_lerp_(
@@ -239,7 +248,7 @@ def _capacity(arguments: argparse.Namespace, device: torch.device) -> int:
 
 def train(arguments: argparse.Namespace) -> None:
     """Trains until the time is spent."""
-    begun, seconds = time.monotonic(), arguments.seconds
+    start, seconds = time.monotonic(), arguments.seconds
     device = torch.device(arguments.device)
     torch.manual_seed(arguments.seed)
     # Must run before CUDA is initialised, because it forks processes that draw wordings.
@@ -250,7 +259,7 @@ def train(arguments: argparse.Namespace) -> None:
         arguments.data, _capacity(arguments, device), held_out, arguments.suite_weights, device
     )
     library.refresh()
-    while arguments.watch and not library.training.count and time.monotonic() - begun < seconds:
+    while arguments.watch and not library.training.count and time.monotonic() - start < seconds:
         time.sleep(1.0)
         library.refresh()
     if not library.training.count:
@@ -266,9 +275,9 @@ def train(arguments: argparse.Namespace) -> None:
     trainer.prepare(library)
     # Loading counts as training time, so that a stage ends on schedule.
     earlier = trainer.trained_seconds
-    trainer.spent_seconds += time.monotonic() - begun
+    trainer.spent_seconds += time.monotonic() - start
     length = max(seconds - trainer.spent_seconds - earlier, 1.0)
-    stop = begun + (arguments.stop_after or math.inf)
+    stop = start + (arguments.stop_after or math.inf)
     first = reported = saved = watched = time.monotonic()
     reported_step = trainer.step
     loss = torch.zeros((), device=device)
@@ -300,12 +309,12 @@ def report(
     trainer: Trainer, library: Library, wordings: Wordings, loss: float, speed: float
 ) -> None:
     """Prints the progress."""
-    distance, right = (
+    distance, correct = (
         trainer.validate(library, wordings) if library.held_out.count else (np.nan,) * 2
     )
     print(
         f"{trainer.trained_seconds:4.0f} s  step {trainer.step:,} ({speed:.1f}/s)  "
-        f"loss {loss:.4f}  held out: arm {distance:.4f}, gripper {100 * right:.2f} %  "
+        f"loss {loss:.4f}  held out: arm {distance:.4f}, gripper {100 * correct:.2f} %  "
         f"{library.training.count:,} frames",
         flush=True,
     )
@@ -319,7 +328,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=300.0, help="duration, start included")
     parser.add_argument(
         "--stop-after", type=float, metavar="SECONDS",
-        help="stop then with a checkpoint, from which the same command resumes",
+        help="stop after this time with a checkpoint, from which the same command resumes",
     )  # fmt: skip
     parser.add_argument(
         "--watch", action="store_true", help="wait for shards, and load new shards during training"
@@ -336,7 +345,10 @@ def main() -> None:
         "--suite-weights", type=float, nargs=4, default=[1.0, 1.0, 1.0, 1.0],
         metavar=("SPATIAL", "OBJECT", "GOAL", "LIBERO_10"), help="sampling weights of frames",
     )  # fmt: skip
-    parser.add_argument("--capacity", type=int, help="most frames; by default as fit on the GPU")
+    parser.add_argument(
+        "--capacity", type=int,
+        help="largest number of frames; by default as many as fit on the GPU",
+    )  # fmt: skip
     parser.add_argument("--processes", type=int, default=min(8, len(os.sched_getaffinity(0))))
     parser.add_argument("--compile", action=argparse.BooleanOptionalAction, default=cuda)
     parser.add_argument("--seed", type=int, default=0)

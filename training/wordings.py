@@ -20,7 +20,7 @@ TASK_NAMES: tuple[str, ...] = tuple(TASKS)
 
 UNFRAMED = 0.45
 """Share of the imperatives without a frame such as "please" or "your task is to"."""
-MOST_PLAIN = 0.8
+MAX_PLAIN = 0.8
 """Greatest share of a sentence's slots that always take their first option."""
 KINDS = {"do": 0.6, "doing": 0.1, "must": 0.18, "is": 0.12}
 """Probability of each kind of clause."""
@@ -39,34 +39,34 @@ def draw(task: str, count: int, seed: int) -> list[str]:
     """Returns ``count`` different wordings of a task; the first is the canonical one.
 
     Raises:
-        ValueError: if the grammar does not have as many.
+        ValueError: if the grammar does not give as many.
     """
     rng = random.Random(f"{seed} {task}")
     held_out = held_out_digests()
-    found = {digest(canonical(task)): canonical(task)}
+    by_digest = {digest(canonical(task)): canonical(task)}
     tries = 0
-    while len(found) < count:
+    while len(by_digest) < count:
         text = sentence(task, rng)
         key = digest(text)
         if key not in held_out:
-            found.setdefault(key, text)
+            by_digest.setdefault(key, text)
         tries += 1
         if tries > 20 * count + 1_000:
             raise ValueError(
-                f"draw {count} wordings of {task}: the grammar gave {len(found)} in {tries} tries; "
-                "ask for fewer, or give it more words"
+                f"failed to draw {count} wordings of {task}: the grammar gave {len(by_digest)} in "
+                f"{tries} tries; ask for fewer, or add words to the grammar"
             )
-    return list(found.values())
+    return list(by_digest.values())
 
 
 def sentence(task: str, rng: random.Random) -> str:
     """Returns one wording of a task."""
-    own = TASKS[task][1]
+    grammar = TASKS[task][1]
     kind = rng.choices(list(KINDS), list(KINDS.values()))[0]
     frame = "{do}" if kind == "do" and rng.random() < UNFRAMED else rng.choice(FRAMES[kind])
     # Varies from almost the benchmark's words to almost none of them.
-    plain = rng.uniform(0.0, MOST_PLAIN)
-    return _tidy(_expand(_chosen(frame, rng), own, rng, plain))
+    plain = rng.uniform(0.0, MAX_PLAIN)
+    return _tidy(_expand(_choose_options(frame, rng), grammar, rng, plain))
 
 
 def digest(text: str) -> str:
@@ -85,12 +85,12 @@ def _expand(template: str, grammar: Grammar, rng: random.Random, plain: float) -
     while slot := _SLOT.search(template):
         options: Templates = grammar[slot[1]]
         option = options[0] if rng.random() < plain else rng.choice(options)
-        filled = _chosen(option, rng)
+        filled = _choose_options(option, rng)
         template = template[: slot.start()] + filled + template[slot.end() :]
     return template
 
 
-def _chosen(template: str, rng: random.Random) -> str:
+def _choose_options(template: str, rng: random.Random) -> str:
     """Replaces each pair of brackets, the innermost first, by one of its options."""
     while choice := _INNERMOST_CHOICE.search(template):
         option = rng.choice(choice[1].split("|"))

@@ -29,19 +29,19 @@ READY_SECS = 300
 
 
 def observations(policy: SimulatedSmolvla, count: int) -> list[Observation]:
-    """Returns made-up observations, each of a separate episode."""
-    made = []
+    """Returns synthetic observations, each of a separate episode."""
+    result = []
     for seed in range(count):
         episode = Episode(f"s{seed}", "libero_object", "pick up the butter", seed)
         policy.reset(episode)
         frames = np.random.default_rng(seed).integers(0, 256, (2, 256, 256, 3), dtype=np.uint8)
         images = {camera.name: frame for camera, frame in zip(CAMERAS, frames)}
         state = {field: np.zeros(field.size) for field in STATE}
-        made.append(Observation(episode, 0, images, state))
-    return made
+        result.append(Observation(episode, 0, images, state))
+    return result
 
 
-def limit(policy: SimulatedSmolvla, batch: int, secs: float) -> dict:
+def measure_network(policy: SimulatedSmolvla, batch: int, secs: float) -> dict:
     """Measures the network alone, in this process, batch after batch."""
     batch_observations = observations(policy, batch)
     for _ in range(3):
@@ -50,16 +50,16 @@ def limit(policy: SimulatedSmolvla, batch: int, secs: float) -> dict:
     ends = time.perf_counter() + secs
     while time.perf_counter() < ends:
         began = time.perf_counter()
-        # The answers are copied to the processor, so the batch is complete.
+        # infer_batch copies the answers to the CPU, so it returns after the batch is complete.
         policy.infer_batch(batch_observations)
         took.append(time.perf_counter() - began)
-    millis = 1e3 * np.array(took)
+    milliseconds = 1e3 * np.array(took)
     return {
         "batch": batch,
         "observations_per_sec": batch * len(took) / sum(took),
         "batch_millis": {
-            "p50": float(np.percentile(millis, 50)),
-            "p99": float(np.percentile(millis, 99)),
+            "p50": float(np.percentile(milliseconds, 50)),
+            "p99": float(np.percentile(milliseconds, 99)),
         },
     }
 
@@ -78,7 +78,7 @@ def running(command: list[str]):
         process.wait(READY_SECS)
 
 
-def slots(programs: dict, address: str, count: int, secs: int) -> dict:
+def measure_slots(programs: dict, address: str, count: int, secs: int) -> dict:
     """Runs a closed loop of slots against a server."""
     command = [programs["bench"], "slots", "--address", address]
     command += ["--slots", str(count), "--secs", str(secs)]
@@ -86,7 +86,7 @@ def slots(programs: dict, address: str, count: int, secs: int) -> dict:
     return json.loads(done.stdout)
 
 
-def served(programs: dict, arguments: argparse.Namespace, max_batch: int) -> dict:
+def measure_served(programs: dict, arguments: argparse.Namespace, max_batch: int) -> dict:
     """Measures the same network behind the Python server, queried directly and
     through the gateway."""
     command = [sys.executable, str(HERE / "simulated_smolvla.py"), "--device", arguments.device]
@@ -94,11 +94,13 @@ def served(programs: dict, arguments: argparse.Namespace, max_batch: int) -> dic
     with running(command) as server:
         route = f"simulated_smolvla=grpc://{server}"
         gateway = [programs["gateway"], "--listen", "127.0.0.1:0", "--route", route]
-        with running(gateway) as through:
+        with running(gateway) as gateway_address:
             return {
                 "max_batch": max_batch,
-                "direct": [slots(programs, server, n, arguments.secs) for n in (1, 64)],
-                "through_gateway": [slots(programs, through, n, arguments.secs) for n in (1, 64)],
+                "direct": [measure_slots(programs, server, n, arguments.secs) for n in (1, 64)],
+                "through_gateway": [
+                    measure_slots(programs, gateway_address, n, arguments.secs) for n in (1, 64)
+                ],
             }
 
 
@@ -108,7 +110,7 @@ def main() -> None:
     parser.add_argument("--output", type=Path, required=True, help="JSON file to write")
     parser.add_argument("--device", default="cuda" if torch.cuda.is_available() else "cpu")
     parser.add_argument("--secs", type=int, default=10)
-    parser.add_argument("--tiny", action="store_true", help="a network for a processor")
+    parser.add_argument("--tiny", action="store_true", help="a small network, for a CPU")
     arguments = parser.parse_args()
     found = [arguments.bin / "examples" / "bench_gateway", arguments.bin / "bench_gateway"]
     programs = {
@@ -116,7 +118,7 @@ def main() -> None:
         "bench": str(next((path for path in found if path.exists()), found[0])),
     }
     policy = SimulatedSmolvla(arguments.device, max(BATCHES), arguments.tiny)
-    limits = [limit(policy, batch, arguments.secs / 2) for batch in (1, 4, 16, 32)]
+    limits = [measure_network(policy, batch, arguments.secs / 2) for batch in (1, 4, 16, 32)]
     on_gpu = policy.device.type == "cuda"
     report = {
         "policy": policy.description.name,
@@ -128,9 +130,9 @@ def main() -> None:
         "torch": torch.__version__,
         "model_alone": limits,
     }
-    # Frees the memory for the servers.
+    # Frees GPU memory for the servers.
     del policy
-    report["served"] = [served(programs, arguments, max_batch) for max_batch in (16, 32)]
+    report["served"] = [measure_served(programs, arguments, max_batch) for max_batch in (16, 32)]
     arguments.output.write_text(json.dumps(report, indent=2) + "\n")
     print(json.dumps(report, indent=2))
 

@@ -2,11 +2,11 @@
 
 It is not SmolVLA: no weights are loaded, and its answers mean nothing. Its cost is
 similar: two frames enlarged to 512 x 512 and encoded to 64 tokens each; a prefix of
-frames, instruction and state through sixteen layers, once per query; a smaller network
-beside them that turns noise into 50 actions, attending to the prefix, in ten steps of
-flow matching. Sizes are those of the publications of SmolVLM2 (500 M) and SmolVLA: 399
-M parameters, in bfloat16. The 450 M of SmolVLA include a head for words, which does not
-affect actions and is omitted here.
+frames, instruction and state through sixteen layers, once per query; a smaller network,
+the action expert, that turns noise into 50 actions, attending to the prefix, in ten
+steps of flow matching. Sizes are those of the publications of SmolVLM2 (500 M) and
+SmolVLA: 399 M parameters, in bfloat16. The 450 M of SmolVLA include a language head,
+which does not affect actions and is omitted here.
 
 Needs PyTorch, NumPy and this package. On a GPU every served batch size is
 captured as a CUDA graph, because launching its kernels one by one takes longer
@@ -55,12 +55,12 @@ class Size:
     words: int = 49_280
 
 
-#: A small size for testing the programs on a processor.
+#: A small size for testing the programs on a CPU.
 TINY = Size(128, 16, 4, 64, 2, 60, 30, 2, 3, 1, 16, 256)
 
 
 class VisionLayer(nn.Module):
-    """A layer of attention among a frame's patches."""
+    """A transformer layer of the vision encoder, over a frame's patches."""
 
     def __init__(self, width: int, head: int) -> None:
         super().__init__()
@@ -68,7 +68,7 @@ class VisionLayer(nn.Module):
         self.norms = nn.ModuleList([nn.LayerNorm(width), nn.LayerNorm(width)])
         self.qkv = nn.Linear(width, 3 * width)
         self.out = nn.Linear(width, width)
-        self.wide = nn.Sequential(
+        self.mlp = nn.Sequential(
             nn.Linear(width, 4 * width), nn.GELU("tanh"), nn.Linear(4 * width, width)
         )
 
@@ -78,11 +78,11 @@ class VisionLayer(nn.Module):
         query, key, value = qkv.permute(2, 0, 3, 1, 4)
         mixed = functional.scaled_dot_product_attention(query, key, value)
         x = x + self.out(mixed.transpose(1, 2).reshape(batch, count, width))
-        return x + self.wide(self.norms[1](x))
+        return x + self.mlp(self.norms[1](x))
 
 
 class Layer(nn.Module):
-    """A layer of the language model, or of the action expert beside it."""
+    """A transformer layer of the language model or of the action expert."""
 
     def __init__(self, width: int, size: Size) -> None:
         super().__init__()
@@ -120,7 +120,7 @@ class Network(nn.Module):
         self.size = size
         patches = (size.side // size.patch) ** 2
         self.patches = nn.Conv2d(3, size.vision_width, size.patch, size.patch)
-        self.places = nn.Parameter(torch.randn(patches, size.vision_width) * 0.02)
+        self.positions = nn.Parameter(torch.randn(patches, size.vision_width) * 0.02)
         self.vision = nn.ModuleList(
             VisionLayer(size.vision_width, min(64, size.vision_width))
             for _ in range(size.vision_layers)
@@ -137,27 +137,27 @@ class Network(nn.Module):
         """frames uint8 [b, 2, h, w, 3], words [b, n], state [b, 32], noise
         [b, 50, 32]; returns [b, 50, 32]."""
         batch = len(frames)
-        seen = self.see(frames).view(batch, -1, self.size.width)
-        prefix = torch.cat([seen, self.words(words), self.state(state)[:, None]], dim=1)
-        kept = []
+        images = self.encode_frames(frames).view(batch, -1, self.size.width)
+        prefix = torch.cat([images, self.words(words), self.state(state)[:, None]], dim=1)
+        layer_keys_values = []
         for layer in self.layers:
             prefix, keys_values = layer(prefix)
-            kept.append(keys_values)
+            layer_keys_values.append(keys_values)
         actions = noise
         for step in range(FLOW_STEPS):
             time = torch.full_like(actions[..., :1], 1 - step / FLOW_STEPS)
             x = self.action_in(torch.cat([actions, time], dim=-1))
-            for layer, keys_values in zip(self.expert, kept):
+            for layer, keys_values in zip(self.expert, layer_keys_values):
                 x, _ = layer(x, keys_values)
             actions = actions - self.action_out(x) / FLOW_STEPS
         return actions
 
-    def see(self, frames: Tensor) -> Tensor:
+    def encode_frames(self, frames: Tensor) -> Tensor:
         """Returns the tokens of frames, [2 b, n, width]."""
         size = self.size
-        frames = frames.flatten(0, 1).permute(0, 3, 1, 2).to(self.places.dtype) / 127.5 - 1
+        frames = frames.flatten(0, 1).permute(0, 3, 1, 2).to(self.positions.dtype) / 127.5 - 1
         frames = functional.interpolate(frames, (size.side, size.side), mode="bilinear")
-        x = self.patches(frames).flatten(2).transpose(1, 2) + self.places
+        x = self.patches(frames).flatten(2).transpose(1, 2) + self.positions
         for layer in self.vision:
             x = layer(x)
         side = size.side // size.patch // size.merge
@@ -201,8 +201,8 @@ class SimulatedSmolvla(Policy):
     def infer_batch(self, observations: Sequence[Observation]) -> Sequence[np.ndarray]:
         count = len(observations)
         # A batch is padded to a captured size.
-        places = next(size for size in BATCHES if size >= count) if self.graphs else count
-        padded = [*observations, *[observations[0]] * (places - count)]
+        size = next(size for size in BATCHES if size >= count) if self.graphs else count
+        padded = [*observations, *[observations[0]] * (size - count)]
         answers = self._run(self._inputs(padded))[:count, :, :7]
         return list(answers.float().clamp(-1, 1).cpu().numpy())
 
@@ -234,16 +234,16 @@ class SimulatedSmolvla(Policy):
         captured = self.graphs.get(len(inputs[0]))
         if captured is None:
             return self.network(*inputs)
-        graph, into, answer = captured
-        for place, value in zip(into, inputs):
-            place.copy_(value)
+        graph, captured_inputs, answer = captured
+        for tensor, value in zip(captured_inputs, inputs):
+            tensor.copy_(value)
         graph.replay()
         return answer
 
     def _capture(self, count: int):
         """Captures a CUDA graph of one batch size. Returns it with its input
         and output tensors."""
-        into = [
+        inputs = [
             torch.zeros(count, 2, 256, 256, 3, dtype=torch.uint8, device=self.device),
             torch.zeros(count, LANGUAGE_TOKENS, dtype=torch.int64, device=self.device),
             torch.zeros(count, WIDTH, dtype=self.dtype, device=self.device),
@@ -254,12 +254,12 @@ class SimulatedSmolvla(Policy):
         side.wait_stream(torch.cuda.current_stream())
         with torch.cuda.stream(side):
             for _ in range(3):
-                self.network(*into)
+                self.network(*inputs)
         torch.cuda.current_stream().wait_stream(side)
         graph = torch.cuda.CUDAGraph()
         with torch.cuda.graph(graph):
-            answer = self.network(*into)
-        return graph, into, answer
+            answer = self.network(*inputs)
+        return graph, inputs, answer
 
 
 def main() -> None:
@@ -267,7 +267,7 @@ def main() -> None:
     parser.add_argument("--listen", default="127.0.0.1:0")
     parser.add_argument("--device", default="cuda")
     parser.add_argument("--max-batch", type=int, default=16)
-    parser.add_argument("--tiny", action="store_true", help="a network for a processor")
+    parser.add_argument("--tiny", action="store_true", help="a small network, for a CPU")
     arguments = parser.parse_args()
     policy = SimulatedSmolvla(arguments.device, arguments.max_batch, arguments.tiny)
     serve(policy, arguments.listen)

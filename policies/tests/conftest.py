@@ -60,21 +60,21 @@ class Noisy(Policy):
     description = Description(name="noisy", horizon=4, stochastic=True)
 
     def __init__(self):
-        self.asked = 0
+        self.query_count = 0
 
     def reset(self, episode):
         episode.memory = []
 
     def infer(self, observation):
-        self.asked += 1
+        self.query_count += 1
         return observation.rng.uniform(-1, 1, (4, 7))
 
 
-class Seeing(Policy):
+class Recording(Policy):
     """Keeps the observations that it receives."""
 
     description = Description(
-        name="seeing",
+        name="recording",
         cameras=(Camera("agentview", 3, 2),),
         state=(State.EEF_POS, State.GRIPPER_POS),
     )

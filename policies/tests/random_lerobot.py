@@ -1,8 +1,8 @@
 """Small policies of lerobot with RANDOM weights, saved as checkpoints.
 
 Their architecture is the real one, reduced in width and depth; their tokeniser
-knows a few words; their statistics are made up. Their answers are meaningless,
-but all of the real code computes them.
+knows a few words; their statistics are synthetic. Their answers are meaningless,
+but lerobot's unchanged code computes them.
 
     python policies/tests/random_lerobot.py smolvla FOLDER
 """
@@ -38,10 +38,10 @@ def state(width: int = 8) -> PolicyFeature:
 ACTIONS = {"action": PolicyFeature(type=FeatureType.ACTION, shape=(7,))}
 
 
-def made_up_statistics() -> dict[str, dict[str, torch.Tensor]]:
+def synthetic_statistics() -> dict[str, dict[str, torch.Tensor]]:
     """Returns every kind of statistics that lerobot's normalisation may need."""
 
-    def of(width: int, spread: float) -> dict[str, torch.Tensor]:
+    def statistics(width: int, spread: float) -> dict[str, torch.Tensor]:
         ends = torch.full((width,), spread)
         return {
             "mean": torch.zeros(width),
@@ -52,8 +52,9 @@ def made_up_statistics() -> dict[str, dict[str, torch.Tensor]]:
             "q99": ends,
         }
 
-    # Random weights leave much of a flow's wide noise unchanged.
-    return {"observation.state": of(8, 2.0), "action": of(7, 0.5)}
+    # Actions are narrow, because random weights leave much of a flow's noise, which exceeds 1,
+    # unchanged.
+    return {"observation.state": statistics(8, 2.0), "action": statistics(7, 0.5)}
 
 
 def tokeniser(folder: Path, extra: list[str], **special: str) -> PreTrainedTokenizerFast:
@@ -63,7 +64,7 @@ def tokeniser(folder: Path, extra: list[str], **special: str) -> PreTrainedToken
     vocabulary = {token: index for index, token in enumerate(dict.fromkeys(tokens))}
     words = Tokenizer(models.WordLevel(vocabulary, unk_token="<unk>"))
     words.pre_tokenizer = pre_tokenizers.Whitespace()
-    made = PreTrainedTokenizerFast(
+    saved = PreTrainedTokenizerFast(
         tokenizer_object=words,
         unk_token="<unk>",
         pad_token="<pad>",
@@ -72,8 +73,8 @@ def tokeniser(folder: Path, extra: list[str], **special: str) -> PreTrainedToken
         additional_special_tokens=extra,
         **special,
     )
-    made.save_pretrained(folder)
-    return made
+    saved.save_pretrained(folder)
+    return saved
 
 
 def smolvla(folder: Path) -> None:
@@ -147,12 +148,12 @@ def small_pi05() -> Iterator[None]:
         config.vision_config.num_hidden_layers = 2
         return config
 
-    def with_few_words(made: Callable[..., Any]) -> Callable[..., Any]:
-        def make(config: Any) -> Any:
+    def with_small_vocabulary(model_class: Callable[..., Any]) -> Callable[..., Any]:
+        def create(config: Any) -> Any:
             config.get_text_config().vocab_size = 512
-            return made(config=config)
+            return model_class(config=config)
 
-        return make
+        return create
 
     widths = {"gemma_2b": 2048, "gemma_300m": 256}
     replacements = {
@@ -160,7 +161,7 @@ def small_pi05() -> Iterator[None]:
         "CONFIG_MAPPING": {"paligemma": small_paligemma, "gemma": CONFIG_MAPPING["gemma"]},
     }
     for name in ("PaliGemmaForConditionalGenerationWithPiGemma", "PiGemmaForCausalLM"):
-        replacements[name] = with_few_words(getattr(upstream, name))
+        replacements[name] = with_small_vocabulary(getattr(upstream, name))
     with mock.patch.multiple(upstream, **replacements):
         yield
 
@@ -282,7 +283,7 @@ def vla_jepa(folder: Path) -> None:
 
 def act(folder: Path) -> None:
     """lerobot's ACT, which keeps chunks in an ensemble. It replaces MINERVA
-    where that cannot be installed."""
+    where MINERVA cannot be installed."""
     from lerobot.configs.types import NormalizationMode
     from lerobot.policies.act.configuration_act import ACTConfig
 
@@ -312,11 +313,11 @@ def act(folder: Path) -> None:
 
 
 def save(config, folder: Path) -> None:
-    """Makes a policy with random weights, and saves it with its processors."""
+    """Creates a policy with random weights, and saves it with its processors."""
     torch.manual_seed(SEED)
     network = get_policy_class(config.type)(config)
     network.save_pretrained(folder)
-    for processor in make_pre_post_processors(config, dataset_stats=made_up_statistics()):
+    for processor in make_pre_post_processors(config, dataset_stats=synthetic_statistics()):
         processor.save_pretrained(folder)
 
 

@@ -97,7 +97,7 @@ def main():
     parser.add_argument("--params", default="{}", help="observation parameters, JSON")
     parser.add_argument("--gripper", help="format of the gripper in its action spec")
     arguments = parser.parse_args()
-    received = open(arguments.received, "a", encoding="utf-8")  # until it ends
+    received = open(arguments.received, "a", encoding="utf-8")  # Open until the process ends.
     lock = threading.Lock()
     unpack = serve.unpack_message
 
@@ -121,7 +121,11 @@ def main():
         connection = next(connections)
         await handle(socket, policy)
         with lock:
-            print(json.dumps({"type": "gone", "connection": connection}), file=received, flush=True)
+            print(
+                json.dumps({"type": "disconnected", "connection": connection}),
+                file=received,
+                flush=True,
+            )
 
     serve._handle_connection = counted
 

@@ -21,11 +21,11 @@ from websockets.asyncio.server import serve
 
 
 class SimulatedPolicy:
-    """Answers ten actions with noise of a single stream across queries."""
+    """Answers ten actions of noise, drawn from one generator across queries."""
 
-    def __init__(self, shown, width):
+    def __init__(self, received, width):
         self.noise = np.random.default_rng()
-        self.shown = shown
+        self.received = received
         self.width = width
 
     def infer(self, observation):
@@ -40,7 +40,7 @@ class SimulatedPolicy:
             "state": [str(state.dtype), *state.tolist()],
             "prompt": observation["prompt"],
         }
-        print(json.dumps(line), file=self.shown, flush=True)
+        print(json.dumps(line), file=self.received, flush=True)
         actions = self.noise.uniform(-1, 1, (10, self.width))
         return {"state": state, "actions": actions, "policy_timing": {"infer_ms": 1.0}}
 
@@ -65,19 +65,19 @@ async def handle(socket, policy, metadata):
 
 async def main():
     parser = argparse.ArgumentParser()
-    parser.add_argument("--shown", required=True, help="file to write")
+    parser.add_argument("--received", required=True, help="file of received inputs")
     parser.add_argument("--width", type=int, default=7, help="numbers of an action")
-    parser.add_argument("--api-key", help="ask clients for it")
+    parser.add_argument("--api-key", help="key that clients must send")
     arguments = parser.parse_args()
 
     def admit(connection, request):
-        shown = request.headers.get("Authorization")
-        if arguments.api_key and shown != f"Api-Key {arguments.api_key}":
+        authorization = request.headers.get("Authorization")
+        if arguments.api_key and authorization != f"Api-Key {arguments.api_key}":
             return connection.respond(http.HTTPStatus.UNAUTHORIZED, "who are you?\n")
         return None
 
-    with open(arguments.shown, "w", encoding="utf-8") as shown:
-        policy = SimulatedPolicy(shown, arguments.width)
+    with open(arguments.received, "w", encoding="utf-8") as received:
+        policy = SimulatedPolicy(received, arguments.width)
         served = serve(
             lambda socket: handle(socket, policy, {"simulated": True}),
             "127.0.0.1",

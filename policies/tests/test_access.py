@@ -61,8 +61,8 @@ class TlsClient(Client):
     def __init__(self, address, ca, token=None):
         credentials = grpc.ssl_channel_credentials(ca.read_bytes())
         if token is not None:
-            shown = grpc.access_token_call_credentials(token)
-            credentials = grpc.composite_channel_credentials(credentials, shown)
+            token_credentials = grpc.access_token_call_credentials(token)
+            credentials = grpc.composite_channel_credentials(credentials, token_credentials)
         self.channel = grpc.secure_channel(address, credentials)
         self.stub = pb_grpc.PolicyStub(self.channel)
 
@@ -79,7 +79,7 @@ def test_worker_and_operator_tokens_are_accepted_over_tls(files, guarded, role):
     ("token", "code", "expected"),
     [
         (None, grpc.StatusCode.UNAUTHENTICATED, "name a --token-file"),
-        ("worker-0123456789abcdeF", grpc.StatusCode.UNAUTHENTICATED, "none that this server"),
+        ("worker-0123456789abcdeF", grpc.StatusCode.UNAUTHENTICATED, "does not know the token"),
         (TOKENS["viewer"], grpc.StatusCode.PERMISSION_DENIED, "token of a viewer"),
     ],
 )
@@ -103,8 +103,7 @@ def test_the_gateway_queries_a_server_with_tls_and_tokens(files, guarded):
 def test_a_configured_gateway_queries_a_server_with_tls_and_tokens(files, guarded):
     program = gateway_program()
     (files / "gateway.toml").write_text(
-        f'[policy.servo]\nreplicas = ["https://{guarded}"]\nca = "ca.pem"\n'
-        'token_file = "worker"\n'
+        f'[policy.servo]\nreplicas = ["https://{guarded}"]\nca = "ca.pem"\ntoken_file = "worker"\n'
     )
     command = [program, "--listen", "127.0.0.1:0", "--config", "gateway.toml"]
     with running(*command, cwd=files) as (_, address):
@@ -126,23 +125,23 @@ def test_the_check_command_works_with_tls_and_tokens(files, guarded, capsys):
 @pytest.mark.parametrize(
     ("encrypted", "tokens", "expected"),
     [
-        (False, False, "every client would be let in, in the clear"),
+        (False, False, "every client would be admitted, in the clear"),
         (False, True, "tokens would be sent in the clear"),
         (True, False, "without a token"),
         (True, True, None),
     ],
 )
 def test_only_loopback_addresses_need_no_tls_and_tokens(encrypted, tokens, expected):
-    known = Tokens.parse("worker 0123456789abcdef", "the test") if tokens else None
+    parsed_tokens = Tokens.parse("worker 0123456789abcdef", "the test") if tokens else None
     for loopback in ("127.0.0.1:1", "localhost:0", "[::1]:1", "[::ffff:127.0.0.1]:1"):
-        require_guarded(loopback, encrypted, known)
-    for open_ in ("0.0.0.0:1", "[::]:1", "10.0.0.7:1", ":5000"):
+        require_guarded(loopback, encrypted, parsed_tokens)
+    for reachable in ("0.0.0.0:1", "[::]:1", "10.0.0.7:1", ":5000"):
         if expected is None:
-            require_guarded(open_, encrypted, known)
+            require_guarded(reachable, encrypted, parsed_tokens)
             continue
         with pytest.raises(UnguardedAddress, match=expected) as caught:
-            require_guarded(open_, encrypted, known)
-        for word in (open_, "--tls-cert", "--insecure"):
+            require_guarded(reachable, encrypted, parsed_tokens)
+        for word in (reachable, "--tls-cert", "--insecure"):
             assert word in str(caught.value)
     assert is_loopback("127.9.9.9") and not is_loopback("")
 
@@ -167,11 +166,11 @@ def test_insecure_permits_serving_other_machines():
         ("", "find a token"),
         ("# only this", "find a token"),
         ("worker s3cret", "line 1 of the test: the token is too short"),
-        ("\nboss s3cret-s3cret-s3cret", "line 2 of the test: its first word is no role"),
+        ("\nboss s3cret-s3cret-s3cret", "line 2 of the test: its first word is not a role"),
         ("s3cret-s3cret-s3cret", "not two words"),
         ("worker s3cret-s3cret s3cret-s3cret", "not two words"),
         ("worker s3crét-s3cret-s3cret", "visible ASCII"),
-        (f"worker {'s3cret' * 100}", "longer"),
+        (f"worker {'s3cret' * 100}", "too long"),
         ("viewer 0123456789abcdef\n" * 257, "more than 256"),
     ],
 )

@@ -59,7 +59,7 @@ def observation(seed=7, query_index=0, suite="libero_goal", instruction="Open th
     )
 
 
-def next_one(earlier, query_index):
+def later_query(earlier, query_index):
     return Observation(earlier.episode, query_index, earlier.images, earlier.state)
 
 
@@ -139,18 +139,19 @@ def test_a_flow_policy_passes_on_the_actions_under_way_per_query():
 
 def test_listed_checkpoints_execute_the_protocols_number_and_others_their_own():
     smolvla = entry("smolvla")
-    own = {"chunk": 50, "own": 10}
-    assert executed(smolvla, Options(), **own) == 1
-    assert executed(smolvla, Options(checkpoint="lerobot/smolvla_libero"), **own) == 1
-    assert executed(smolvla, Options(checkpoint="me/mine"), **own) == 10
-    assert executed(smolvla, Options(execute=5), **own) == 5
-    assert executed(smolvla, Options(checkpoint="me/mine", execute=5), **own) == 5
-    # This chunk is shorter than the number that the paper executes for its own checkpoint.
-    assert executed(entry("pi05"), Options(checkpoint="me/mine"), chunk=5, own=5) == 5
+    numbers = {"chunk": 50, "from_checkpoint": 10}
+    assert executed(smolvla, Options(), **numbers) == 1
+    assert executed(smolvla, Options(checkpoint="lerobot/smolvla_libero"), **numbers) == 1
+    assert executed(smolvla, Options(checkpoint="me/mine"), **numbers) == 10
+    assert executed(smolvla, Options(execute=5), **numbers) == 5
+    assert executed(smolvla, Options(checkpoint="me/mine", execute=5), **numbers) == 5
+    # This chunk is shorter than the number of actions that LIBERO-CTRL executes with the listed
+    # checkpoint.
+    assert executed(entry("pi05"), Options(checkpoint="me/mine"), chunk=5, from_checkpoint=5) == 5
 
 
 def test_an_executed_number_other_than_the_protocols_is_logged(caplog):
-    executed(entry("smolvla"), Options(checkpoint="me/mine"), chunk=50, own=10)
+    executed(entry("smolvla"), Options(checkpoint="me/mine"), chunk=50, from_checkpoint=10)
     assert "executing 10 actions of every chunk" in caplog.text
     assert "LIBERO-CTRL executes 1 with" in caplog.text
 
@@ -164,7 +165,7 @@ def test_an_executed_number_other_than_the_protocols_is_logged(caplog):
 )
 def test_more_actions_than_a_chunk_has_are_refused(chunk, options, words):
     with pytest.raises(UnusableOption, match=words):
-        executed(entry("smolvla"), options, chunk=chunk, own=1)
+        executed(entry("smolvla"), options, chunk=chunk, from_checkpoint=1)
 
 
 @pytest.mark.parametrize(("cls", "name"), [(FlowPolicy, "smolvla"), (VlaJepa, "vla-jepa")])
@@ -175,12 +176,12 @@ def test_noise_depends_on_seed_and_query_only(cls, name):
     assert (policy.infer(ours) == alone).all()
     assert (policy.infer_batch([other, ours])[1] == alone).all()
     assert (policy.infer(other) != alone).any()
-    assert (policy.infer(next_one(ours, 4)) != alone).any()
+    assert (policy.infer(later_query(ours, 4)) != alone).any()
     assert alone.shape == (50, 7)
 
 
 class RecordingLerobot(Loaded):
-    """Counts the queries of each episode, as lerobot's queues would."""
+    """Counts the queries of each episode in its memory, which replaces lerobot's queues."""
 
     def fresh_memory(self):
         return {"count": 0}
@@ -218,9 +219,9 @@ def test_openvla_oft_gets_cropped_frames_a_prompt_and_a_scaled_state():
     policy = openvla_oft.OpenVlaOft(
         entry("openvla-oft"), model, suite="libero_goal", checkpoint="weights"
     )
-    seen = observation()
-    policy.reset(seen.episode)
-    actions = policy.infer(seen)
+    first_query = observation()
+    policy.reset(first_query.episode)
+    actions = policy.infer(first_query)
     scene, wrist, text, state = model.arguments
     assert scene.shape == (224, 224, 3) and scene.dtype == np.uint8
     assert (scene == openvla_oft.frame(pattern(256)[::-1, ::-1])).all()
@@ -250,13 +251,13 @@ class RecordingUnivla:
     parameters = 3
 
     def __init__(self):
-        self.asked = []
+        self.queries = []
 
     def chunk(self, pixels, text, generator):
-        self.asked.append((text, generator))
+        self.queries.append((text, generator))
         self.pixels = pixels
         # The n-th chunk holds n / 10 everywhere except the gripper, which is open.
-        chunk = np.full((12, 7), len(self.asked) / 10)
+        chunk = np.full((12, 7), len(self.queries) / 10)
         chunk[:, 6] = 1
         return chunk, [32001, 2, 32032, 32005], ("after", generator)
 
@@ -267,22 +268,22 @@ def test_univla_carries_latent_actions_and_chunks_from_query_to_query():
     policy = univla.UniVla(
         entry("univla"), model, bounds, suite="libero_goal", checkpoint="weights"
     )
-    seen = observation()
-    policy.reset(seen.episode)
-    first = policy.infer(seen)
-    second = policy.infer(next_one(seen, 1))
+    first_query = observation()
+    policy.reset(first_query.episode)
+    first = policy.infer(first_query)
+    second = policy.infer(later_query(first_query, 1))
     assert first == pytest.approx([0.2] * 6 + [-1])
     weight = np.exp(-0.1)
     assert second[0] == pytest.approx(2 * (0.2 + weight * 0.1) / (1 + weight))
     question = "In: What action should the robot take to open the drawer?"
-    assert model.asked[0][0] == f"{question}\nOut:"
+    assert model.queries[0][0] == f"{question}\nOut:"
     # Token 2, the end of the sentence, is not a latent action.
-    assert model.asked[1][0] == f"{question} History action <ACT_0><ACT_31><ACT_4>\nOut:"
+    assert model.queries[1][0] == f"{question} History action <ACT_0><ACT_31><ACT_4>\nOut:"
     # A new episode starts without history and with its own seed.
     again = observation()
     policy.reset(again.episode)
     policy.infer(again)
-    assert model.asked[2] == model.asked[0] != model.asked[1]
+    assert model.queries[2] == model.queries[0] != model.queries[1]
     assert policy.description.stateful and policy.description.stochastic
     assert (model.pixels == openvla_oft.frame(pattern(256)[::-1, ::-1])).all()
 
@@ -299,11 +300,11 @@ def test_univlas_study_protocol_uses_one_seed_and_crops_whole_pixels():
         evaluation="study",
     )
     for seed in (1, 2):
-        seen = observation(seed)
-        policy.reset(seen.episode)
-        policy.infer(seen)
-        policy.infer(next_one(seen, 1))
-    assert [generator for _, generator in model.asked] == [7, ("after", 7)] * 2
+        first_query = observation(seed)
+        policy.reset(first_query.episode)
+        policy.infer(first_query)
+        policy.infer(later_query(first_query, 1))
+    assert [generator for _, generator in model.queries] == [7, ("after", 7)] * 2
     assert (model.pixels == univla.study_frame(pattern(256)[::-1, ::-1])).all()
     assert not policy.description.stochastic
     assert policy.description.settings["evaluation"] == "study"
@@ -327,13 +328,13 @@ class RecordingPredvla:
 def test_predvla_gets_unturned_frames_at_every_fourth_step():
     model = RecordingPredvla()
     policy = predvla.PredVla(entry("predvla"), model, suite="libero_goal", checkpoint="weights")
-    seen = observation()
-    policy.reset(seen.episode)
+    first_query = observation()
+    policy.reset(first_query.episode)
     for query_index in range(6):
-        policy.infer(next_one(seen, query_index))
+        policy.infer(later_query(first_query, query_index))
     small = [(128, 128, 3)] * 2
     expected = ["Open the Drawer", small, None, None, None, small, None]
-    assert seen.episode.memory.correction == expected
+    assert first_query.episode.memory.correction == expected
     assert (model.frames[0] == predvla.frame(pattern(256))).all()
     assert model.joints.tolist() == [0, 1, 2, 3, 4, 5, 6, 0.04, -0.04]
 
@@ -351,8 +352,10 @@ def test_every_episode_of_predvla_has_its_own_instruction():
 
 
 def test_cached_statistics_are_searched_in_the_package(tmp_path):
-    assert predvla._cache("../data/cache_l64", tmp_path) == str(tmp_path / "data/cache_l64")
-    assert predvla._cache("/elsewhere/cache", tmp_path) == "/elsewhere/cache"
+    assert predvla._statistics_path("../data/cache_l64", tmp_path) == str(
+        tmp_path / "data/cache_l64"
+    )
+    assert predvla._statistics_path("/elsewhere/cache", tmp_path) == "/elsewhere/cache"
 
 
 # All adapters.
@@ -383,13 +386,13 @@ def test_weights_of_predvla_are_found_in_its_repository(tmp_path):
         "libero_goal": "checkpoints/predvla_goal_s1.pt",
         "libero_10": "checkpoints/predvla_long_s1.pt",
     }
-    # Their paths are relative to the authors' repository, not to the working directory.
+    # The paths are relative to the authors' repository, not to the working directory.
     file = tmp_path / listed["libero_goal"]
     file.parent.mkdir()
     file.write_bytes(b"weights")
-    assert predvla._file(entry("predvla"), listed["libero_goal"], tmp_path) == file
+    assert predvla._checkpoint_file(entry("predvla"), listed["libero_goal"], tmp_path) == file
     with pytest.raises(NoCheckpoint, match="predvla_long_s1.pt here nor in .*--checkpoint"):
-        predvla._file(entry("predvla"), listed["libero_10"], tmp_path)
+        predvla._checkpoint_file(entry("predvla"), listed["libero_10"], tmp_path)
 
 
 def predvla_suites():
@@ -507,7 +510,7 @@ def test_a_checkpoint_of_predvla_that_would_run_code_is_refused(tmp_path):
     plain = {"cfg": {"data": {"vision_stride": 4}}, "model": {"weight": torch.ones(2)}}
     torch.save({**plain, "extra": MaliciousPickle()}, file)
     with pytest.raises(UnusableCheckpoint, match="would run code of its author"):
-        predvla._saved(torch, file)
+        predvla._read_checkpoint(torch, file)
     assert not ran.exists()
     torch.save(plain, file)
-    assert predvla._saved(torch, file)["cfg"] == plain["cfg"]
+    assert predvla._read_checkpoint(torch, file)["cfg"] == plain["cfg"]

@@ -71,9 +71,9 @@ def answered_in_a_batch(client):
 
 def test_only_the_faulty_query_of_a_batch_fails(serving):
     policy = Batching(KeyError("butter"))
-    one, guilty, other = answered_in_a_batch(serving(policy))
+    one, faulty, other = answered_in_a_batch(serving(policy))
     assert one == other == [0.5] * 7
-    assert guilty == "infer raised KeyError: 'butter'"
+    assert faulty == "infer raised KeyError: 'butter'"
     assert policy.alone == ["a", "bad", "b"]
 
 
@@ -91,7 +91,7 @@ def test_a_batch_with_too_few_answers_is_repeated_query_by_query(serving):
     "policy",
     [
         Batching(RuntimeError("CUDA error: device-side assert triggered")),
-        # Its episodes' memories may have advanced already.
+        # The memories of a stateful policy's episodes may have advanced already.
         Batching(KeyError("butter"), stateful=True),
     ],
     ids=["unrecoverable error", "stateful"],
@@ -108,9 +108,9 @@ def test_after_an_unrecoverable_error_the_rest_of_a_batch_is_not_queried(serving
             raise ValueError("the batch failed")
 
     policy = FailingBatch(RuntimeError("CUDA out of memory"))
-    one, guilty, other = answered_in_a_batch(serving(policy))
+    one, faulty, other = answered_in_a_batch(serving(policy))
     assert one == [0.5] * 7
-    assert "out of memory" in guilty and "out of memory" in other
+    assert "out of memory" in faulty and "out of memory" in other
     assert policy.alone == ["a", "bad"]
 
 

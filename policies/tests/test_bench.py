@@ -1,4 +1,4 @@
-"""The policy for timing keeps the protocol, in its tiny size."""
+"""Conformance of the benchmark's policy, in its tiny size."""
 
 import sys
 from pathlib import Path
@@ -13,5 +13,5 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "bench"))
 from simulated_smolvla import SimulatedSmolvla  # noqa: E402
 
 
-def test_the_simulated_smolvla_keeps_the_protocol():
+def test_the_simulated_smolvla_conforms():
     assert_conforms(SimulatedSmolvla("cpu", max_batch=4, tiny=True))

@@ -89,6 +89,6 @@ def test_recorded_renames_take_precedence_over_slot_names():
         "camera1": WRIST,
         "camera2": SCENE,
     }
-    strange = {"observation.images.second_image": "observation.images.camera2"}
+    unknown = {"observation.images.second_image": "observation.images.camera2"}
     with pytest.raises(UnusableCheckpoint, match="camera2 is not a known name"):
-        by_name("camera1", "camera2", renamed=strange)
+        by_name("camera1", "camera2", renamed=unknown)

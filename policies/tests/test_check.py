@@ -1,5 +1,5 @@
-"""This package's own conformance check: servers that keep the protocol pass,
-and every violation is found at its point."""
+"""This package's own conformance check: conforming servers pass, and every violation is found at
+its point."""
 
 import dataclasses
 import itertools
@@ -36,7 +36,7 @@ from rollout_policies.processing.robot import axis_angle
 from rollout_policies.proto import policy_pb2 as pb
 from rollout_policies.proto import policy_pb2_grpc as pb_grpc
 
-SPEAKS_OF = {
+EXPECTED_TEXTS = {
     Point.SPEED: r"one by one p50 [\d.]+ ms, p99 [\d.]+ ms; 8 episodes at once p50 .* queries/s",
     Point.DESCRIPTION: r'".*", checkpoint ".*", horizon \d+, execute \d+',
 }
@@ -52,13 +52,13 @@ SPEAKS_OF = {
     ],
     ids=lambda case: case.description.name if isinstance(case, Policy) else "",
 )
-def test_a_policy_that_keeps_the_protocol_passes_every_point(policy, skipped):
+def test_a_conforming_policy_passes_every_point(policy, skipped):
     findings = check(policy)
     assert [finding.point for finding in findings] == list(Point)
     for finding in findings:
         expected = Word.SKIP if finding.point in skipped else Word.PASS
         assert finding.verdict.word is expected, finding
-        assert re.search(SPEAKS_OF.get(finding.point, ""), finding.verdict.text), finding
+        assert re.search(EXPECTED_TEXTS.get(finding.point, ""), finding.verdict.text), finding
 
 
 class Faulty(Noisy):
@@ -82,7 +82,7 @@ class SecretlyStochastic(Faulty):
     description = dataclasses.replace(Faulty.description, stochastic=False)
 
 
-class Sharing(Faulty):
+class StateSharing(Faulty):
     """Keeps an episode's state in the policy instead of the episode."""
 
     def reset(self, episode):
@@ -92,7 +92,7 @@ class Sharing(Faulty):
         return np.random.default_rng([self.seed, observation.query_index]).uniform(-1, 1, (4, 7))
 
 
-class Carrying(Faulty):
+class StateCarrying(Faulty):
     """Keeps undeclared state between queries."""
 
     def reset(self, episode):
@@ -104,7 +104,7 @@ class Carrying(Faulty):
         return np.clip(noise + observation.episode.memory, -1, 1)
 
 
-class Mixing(Faulty):
+class BatchMixing(Faulty):
     def infer_batch(self, observations):
         answers = [self.infer(observation) for observation in observations]
         return [answer * 0.5 + sum(answers) / len(answers) * 0.5 for answer in answers]
@@ -121,10 +121,10 @@ class Millimetres(Faulty):
         (Unseeded, Point.SAME_SEED, "at query 0 the actions differ"),
         (SeedIgnoring, Point.OTHER_SEED, "declares itself stochastic"),
         (SecretlyStochastic, Point.OTHER_SEED, "declares itself deterministic"),
-        (Sharing, Point.ISOLATION, "the actions differ"),
-        (Carrying, Point.ORDER, "the actions differ"),
-        (Mixing, Point.BATCH, "in a batch the actions differ by up to"),
-        (Millimetres, Point.RANGE, "is it un-normalised?"),
+        (StateSharing, Point.ISOLATION, "the actions differ"),
+        (StateCarrying, Point.ORDER, "the actions differ"),
+        (BatchMixing, Point.BATCH, "in a batch the actions differ by up to"),
+        (Millimetres, Point.RANGE, "check its un-normalisation"),
     ],
 )
 def test_a_policys_fault_fails_its_point(policy, failing, expected):
@@ -151,7 +151,7 @@ def test_low_order_differences_in_batches_pass_with_a_note():
             return [self.infer(observation) + 1e-5 for observation in observations]
 
     [batch] = [finding for finding in check(Rounding()) if finding.point is Point.BATCH]
-    assert "batches cost reproducibility" in batch.verdict.text
+    assert "actions depend on the batch" in batch.verdict.text
 
 
 def test_a_policy_of_one_suite_is_checked_with_a_task_of_that_suite():
@@ -169,11 +169,11 @@ class Wire(pb_grpc.PolicyServicer):
 
     def __init__(self, *faults):
         self.faults = set(faults)
-        self.seeds, self.asked = {}, {}
+        self.seeds, self.retries = {}, {}
 
     def Describe(self, request, context):
         if request.protocol_version != 1 and "version" not in self.faults:
-            context.abort(grpc.StatusCode.FAILED_PRECONDITION, "version 1 is spoken here")
+            context.abort(grpc.StatusCode.FAILED_PRECONDITION, "this server has version 1")
         execute = 9 if "description" in self.faults else 2
         return pb.DescribeResponse(
             protocol_version=1, name="wire", horizon=2, execute=execute, stochastic=True
@@ -189,7 +189,7 @@ class Wire(pb_grpc.PolicyServicer):
             context.abort(grpc.StatusCode.UNAVAILABLE, "not open")
         seed, times = self.seeds.get(request.session, 0), 0
         if "retry" in self.faults:
-            times = self.asked[request.session] = self.asked.get(request.session, -1) + 1
+            times = self.retries[request.session] = self.retries.get(request.session, -1) + 1
         rng = np.random.default_rng([seed, request.query_index, times])
         count, width = (3 if "horizon" in self.faults else 2), (6 if "width" in self.faults else 7)
         actions = rng.uniform(-1, 1, count * width).astype(np.float32)
@@ -221,7 +221,7 @@ def findings_of(servicer, healthy=True):
     ("fault", "failing", "expected"),
     [
         ("description", Point.DESCRIPTION, "execute is 9 and horizon 2"),
-        ("version", Point.VERSION, "to a caller of version 2"),
+        ("version", Point.VERSION, "a caller of protocol version 2"),
         ("health", Point.HEALTH, "UNIMPLEMENTED"),
         ("width", Point.SHAPE, "6 numbers wide"),
         ("horizon", Point.SHAPE, "3 actions; its horizon is 2"),
@@ -241,7 +241,7 @@ def test_a_servers_fault_fails_its_point(fault, failing, expected):
         assert failed == {}
     else:
         assert expected in failed[failing]
-    # The fault "retry" numbers the answers, so every comparison fails.
+    # With the fault "retry", actions depend on the number of queries: every comparison fails.
     if fault not in (None, "retry"):
         assert len(failed) == 1
 
@@ -294,9 +294,9 @@ def test_an_impossible_check_reports_the_reason(arguments, code, expected):
     assert expected in done.stderr and "Traceback" not in done.stderr
 
 
-# Tests of made-up observations.
+# Tests of synthetic observations.
 
-EVERYTHING = Description(
+ALL_INPUTS = Description(
     name="everything",
     cameras=(Camera("agentview", 64, 48), Camera("robot0_eye_in_hand", 5, 3)),
     state=tuple(State),
@@ -304,28 +304,28 @@ EVERYTHING = Description(
 
 
 def test_a_synthetic_observation_has_the_requested_shape():
-    made = fake_observation(EVERYTHING)
-    assert {name: frame.shape for name, frame in made.images.items()} == {
+    synthetic = fake_observation(ALL_INPUTS)
+    assert {name: frame.shape for name, frame in synthetic.images.items()} == {
         "agentview": (48, 64, 3),
         "robot0_eye_in_hand": (3, 5, 3),
     }
-    assert all(frame.dtype == np.uint8 for frame in made.images.values())
-    assert len(made.vector()) == sum(field.size for field in State)
+    assert all(frame.dtype == np.uint8 for frame in synthetic.images.values())
+    assert len(synthetic.vector()) == sum(field.size for field in State)
     # The robot's own readings have this range.
-    assert all(np.abs(reading).max() < 4 for reading in made.state.values())
+    assert all(np.abs(reading).max() < 4 for reading in synthetic.state.values())
 
 
 def test_synthetic_observations_depend_on_seed_and_query():
     def bytes_of(*which):
-        made = fake_observation(EVERYTHING, *which)
-        return made.images["agentview"].tobytes() + made.vector().tobytes()
+        synthetic = fake_observation(ALL_INPUTS, *which)
+        return synthetic.images["agentview"].tobytes() + synthetic.vector().tobytes()
 
     assert bytes_of(1, 2) == bytes_of(1, 2)
     assert len({bytes_of(1, 2), bytes_of(1, 3), bytes_of(2, 2)}) == 3
 
 
 def test_synthetic_readings_describe_one_posture():
-    state = fake_observation(EVERYTHING, 5).state
+    state = fake_observation(ALL_INPUTS, 5).state
     x, y, z, w = quaternion = state[State.EEF_QUAT_XYZW]
     assert np.linalg.norm(quaternion) == pytest.approx(1)
     rotation = [

@@ -45,29 +45,32 @@ class Flags(Policy):
 
 
 @pytest.fixture
-def ran(monkeypatch):
+def run_command(monkeypatch):
     """Runs a command line. Returns the policy that would be served and its options."""
 
-    def run_it(policy_class, *arguments):
+    def run_policy(policy_class, *arguments):
         served = []
         monkeypatch.setattr(
             command_module, "serve", lambda policy, **options: served.append((policy, options))
         )
         run(policy_class, arguments)
-        [one] = served
-        return one
+        [call] = served
+        return call
 
-    return run_it
+    return run_policy
 
 
-def test_parameters_become_flags_of_their_types(ran):
-    policy, options = ran(Flags, "--checkpoint", "org/weights")
+def test_parameters_become_flags_of_their_types(run_command):
+    policy, options = run_command(Flags, "--checkpoint", "org/weights")
     assert policy.given == ("org/weights", 10, None, True, False, Path("table"), 0.5, None)
     assert policy.description.execute == 8
     assert options == {
-        "listen": "127.0.0.1:0", "tls": None, "token_file": None, "insecure": False,
+        "listen": "127.0.0.1:0",
+        "tls": None,
+        "token_file": None,
+        "insecure": False,
     }
-    policy, options = ran(
+    policy, options = run_command(
         Flags,
         *("--checkpoint=w --steps 3 --scale 2 --no-fast --quiet --table /t --noise 1").split(),
         *("--note hm --execute 4 --listen localhost:0").split(),
@@ -77,16 +80,16 @@ def test_parameters_become_flags_of_their_types(ran):
     assert options["listen"] == "localhost:0"
 
 
-def test_a_parameter_execute_of_the_policy_replaces_the_flag(ran):
+def test_a_parameter_execute_of_the_policy_replaces_the_flag(run_command):
     class WithExecute(Flags):
         def __init__(self, execute: int = 2):
             self.description = Description(name="own", horizon=8, execute=execute)
 
-    assert ran(WithExecute)[0].description.execute == 2
-    assert ran(WithExecute, "--execute", "5")[0].description.execute == 5
+    assert run_command(WithExecute)[0].description.execute == 2
+    assert run_command(WithExecute, "--execute", "5")[0].description.execute == 5
 
 
-def test_a_policy_without_a_constructor_has_the_servers_flags_only(ran):
+def test_a_policy_without_a_constructor_has_the_servers_flags_only(run_command):
     class Plain(Policy):
         description = Description(name="plain", horizon=4)
 
@@ -95,7 +98,7 @@ def test_a_policy_without_a_constructor_has_the_servers_flags_only(ran):
 
         infer = reset
 
-    assert ran(Plain, "--execute", "1")[0].description.execute == 1
+    assert run_command(Plain, "--execute", "1")[0].description.execute == 1
     assert Plain.description.execute == 4
 
 
@@ -154,8 +157,8 @@ def test_help_shows_the_docstring_and_fits_a_terminal(capsys, monkeypatch):
     [
         (lambda self, sizes: None, None),
         (lambda self, sizes=(1, 2): None, r"parameter sizes=\(1, 2\) of Odd.*annotate"),
-        (lambda self, listen="here": None, "called like a flag of the server.*rename"),
-        (lambda self, help="me": None, "called like a flag of the server.*rename"),
+        (lambda self, listen="here": None, "has the name of a server flag.*rename"),
+        (lambda self, help="me": None, "has the name of a server flag.*rename"),
         (lambda self, sizes, /: None, "parameter sizes of Odd"),
     ],
 )
@@ -194,7 +197,7 @@ async def infer_later(self, observation):
         ),
         (
             {"infer": lambda self, _: np.zeros(7), "end": None},
-            "'end' of policy Own is no method: write `def end(self, episode)`",
+            "'end' of policy Own is not a method: write `def end(self, episode)`",
         ),
         (
             {"infer": lambda self, _: None},
@@ -225,16 +228,16 @@ def test_a_policy_without_reset_gives_a_one_line_error(tmp_path):
 
 
 def test_resolved_settings_are_printed_before_the_address(tmp_path):
-    script = tmp_path / "it.py"
+    script = tmp_path / "own.py"
     script.write_text(
         "from rollout_policies import *\n"
-        "class It(Policy):\n"
+        "class Own(Policy):\n"
         "    def __init__(self, weights: str):\n"
         "        print('a model that prints while it loads')\n"
-        "        self.description = Description('it', checkpoint=weights, settings={'a': 'b'})\n"
+        "        self.description = Description('own', checkpoint=weights, settings={'a': 'b'})\n"
         "    def reset(self, episode): pass\n"
         "    def infer(self, observation): return [0.0] * 7\n"
-        "run(It)\n"
+        "run(Own)\n"
     )
     with open(tmp_path / "stderr", "w+") as errors:
         command = [sys.executable, str(script), "--weights", "org/w"]
@@ -246,7 +249,7 @@ def test_resolved_settings_are_printed_before_the_address(tmp_path):
             client.channel.close()
     assert lines[:9] == [
         "a model that prints while it loads",
-        "policy: it",
+        "policy: own",
         "checkpoint: org/w",
         "cameras: none",
         "state: none",
@@ -270,20 +273,20 @@ def test_a_failing_warm_up_stops_the_server_before_it_listens(tmp_path, capfd):
 
 def test_the_port_is_closed_during_the_warm_up(tmp_path):
     ready, go = tmp_path / "ready", tmp_path / "go"
-    script = tmp_path / "it.py"
+    script = tmp_path / "own.py"
     script.write_text(
         "import pathlib, socket, sys, time\n"
         "from rollout_policies import *\n"
         "with socket.create_server(('127.0.0.1', 0)) as free:\n"
         "    port = free.getsockname()[1]\n"
-        "class It(Policy):\n"
-        "    description = Description('it')\n"
+        "class Own(Policy):\n"
+        "    description = Description('own')\n"
         "    def warm_up(self):\n"
         f"        pathlib.Path({str(ready)!r}).write_text(str(port))\n"
         f"        while not pathlib.Path({str(go)!r}).exists(): time.sleep(0.01)\n"
         "    def reset(self, episode): pass\n"
         "    def infer(self, observation): return [0.0] * 7\n"
-        "run(It, ['--listen', f'127.0.0.1:{port}'])\n"
+        "run(Own, ['--listen', f'127.0.0.1:{port}'])\n"
     )
     with subprocess.Popen([sys.executable, str(script)], stdout=subprocess.PIPE) as process:
         while not (ready.exists() and ready.read_text()):

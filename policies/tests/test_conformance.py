@@ -66,13 +66,13 @@ class ComputedPredvla:
         return [len(instruction) / 100]
 
     def step(self, correction, joints, frames):
-        seen = 0.0 if frames is None else frames[0].mean() / 255
-        correction.append((correction[-1] + seen + joints.mean() / 10) / 3)
+        brightness = 0.0 if frames is None else frames[0].mean() / 255
+        correction.append((correction[-1] + brightness + joints.mean() / 10) / 3)
         return np.full(7, correction[-1])
 
 
 def around_computed_networks():
-    """Adapters of policies whose upstream is in no registry. The check plays a
+    """Returns adapters of policies whose upstream packages are in no registry. The check plays a
     task of libero_object."""
     served = {"suite": "libero_object", "checkpoint": "none: computed in the network's place"}
     bounds = {"q01": [-1.0] * 7, "q99": [1.0] * 7, "mask": [True] * 6 + [False]}

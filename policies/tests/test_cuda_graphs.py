@@ -49,14 +49,14 @@ def test_a_network_with_cuda_graphs_answers_many_connections(tmp_path):
     program.write_text(POLICY)
     with running(sys.executable, program) as (_, address):
         described = Description.from_message(Client(address).describe())
-        shown = [to_message(fake_observation(described, seed)) for seed in range(4)]
+        observations = [to_message(fake_observation(described, seed)) for seed in range(4)]
 
         def episode(number):
             client = Client(address)
             client.reset(session=f"s{number}")
             return [
                 client.infer(f"s{number}", query, observation)
-                for query, observation in enumerate(shown)
+                for query, observation in enumerate(observations)
             ]
 
         with ThreadPoolExecutor(16) as pool:

@@ -1,4 +1,4 @@
-"""Checkpoints from folders and from the hub, for which a stand-in is used."""
+"""Checkpoints from folders and from a simulated hub."""
 
 import sys
 from types import SimpleNamespace
@@ -18,29 +18,29 @@ def hub(tmp_path, monkeypatch):
     """A hub with one repository; it records its requests."""
     snapshot = tmp_path / "models--me--mine" / "snapshots" / COMMIT
     (snapshot / "ckpt" / "small").mkdir(parents=True)
-    asked = []
+    requests = []
 
     def snapshot_download(repository, revision=None, **given):
-        asked.append((repository, revision, given))
+        requests.append((repository, revision, given))
         if repository != "me/mine":
             raise OSError("401 Client Error\nRepository Not Found")
         return str(snapshot)
 
     fake = SimpleNamespace(snapshot_download=snapshot_download)
     monkeypatch.setitem(sys.modules, "huggingface_hub", fake)
-    return SimpleNamespace(asked=asked, snapshot=snapshot)
+    return SimpleNamespace(requests=requests, snapshot=snapshot)
 
 
 def test_a_revision_is_requested_and_the_commit_is_recorded(hub):
     fetched = fetch(entry("smolvla"), "me/mine", "v2")
-    assert hub.asked == [("me/mine", "v2", {})]
+    assert hub.requests == [("me/mine", "v2", {})]
     assert fetched.folder == hub.snapshot
     assert fetched.settings == {"revision": COMMIT}
 
 
 def test_a_local_folder_has_no_revision(hub, tmp_path):
     fetched = fetch(entry("smolvla"), str(tmp_path))
-    assert (fetched.folder, fetched.settings, hub.asked) == (tmp_path, {}, [])
+    assert (fetched.folder, fetched.settings, hub.requests) == (tmp_path, {}, [])
     with pytest.raises(UnusableOption, match="--revision names a commit of the hub"):
         fetch(entry("smolvla"), str(tmp_path), "v2")
     # The path of one of the hub's own folders contains its commit.
@@ -50,22 +50,24 @@ def test_a_local_folder_has_no_revision(hub, tmp_path):
 def test_a_folder_of_a_repository_is_found_in_it(hub):
     fetched = fetch(entry("minerva"), "me/mine/small")
     assert fetched.folder == hub.snapshot / "ckpt" / "small"
-    assert hub.asked[0][2] == {"allow_patterns": ["small/*", "*/small/*"]}
-    with pytest.raises(UnusableCheckpoint, match="has no folders large; its top folders are ckpt"):
+    assert hub.requests[0][2] == {"allow_patterns": ["small/*", "*/small/*"]}
+    with pytest.raises(
+        UnusableCheckpoint, match="has no folders named large; its top folders are ckpt"
+    ):
         fetch(entry("minerva"), "me/mine/large")
 
 
 def test_minerva_s_default_is_a_folder_of_its_repository(hub):
     with pytest.raises(UnusableCheckpoint):
         fetch(entry("minerva"), entry("minerva").checkpoint_for(None))
-    assert hub.asked[0][0] == "k1000dai/MINERVA"
+    assert hub.requests[0][0] == "k1000dai/MINERVA"
 
 
 @pytest.mark.parametrize("name", ["./ckpt", "/no/such/folder", "~/none", "weights"])
 def test_a_name_that_is_neither_folder_nor_hub_name_is_refused_without_a_request(hub, name):
     with pytest.raises(NoCheckpoint, match="there is no folder"):
         fetch(entry("smolvla"), name)
-    assert hub.asked == []
+    assert hub.requests == []
 
 
 def test_the_error_for_a_missing_hub_repository_lists_all_downloads(hub):
@@ -73,7 +75,7 @@ def test_the_error_for_a_missing_hub_repository_lists_all_downloads(hub):
         fetch(entry("vla-jepa"), "me/none", "v2")
     for words in (
         "there is no folder me/none here",
-        "did not give me/none at v2: 401 Client Error",
+        "did not provide me/none at v2: 401 Client Error",
         "Qwen/Qwen3-VL-2B-Instruct",
         "HF_HUB_OFFLINE=1",
     ):
@@ -90,4 +92,4 @@ def test_every_policy_refuses_an_unknown_suite(hub):
     for name in ("pi05", "minerva", "univla"):
         with pytest.raises(UnusableOption, match="--suite must be one of"):
             load(name, Options(suite="libero_90"))
-    assert hub.asked == []
+    assert hub.requests == []

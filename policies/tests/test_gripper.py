@@ -54,7 +54,7 @@ def test_a_gripper_that_never_opens_is_logged_once(serving, caplog, gripper, war
             for query_index in range(5):
                 client.infer(session, query_index)
             client.end(session)
-        # Too short for a judgement.
+        # This episode has too few actions for a warning.
         client.reset("d")
         client.infer("d")
         client.end("d")

@@ -8,7 +8,7 @@ import rollout_policies
 PACKAGE = pathlib.Path(rollout_policies.__file__).parent
 
 
-def name_of(path):
+def module_name(path):
     parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
     return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
 
@@ -25,11 +25,13 @@ def imported_by(path, modules):
 
 
 def test_there_is_no_import_cycle():
-    paths = {name_of(path): path for path in PACKAGE.rglob("*.py")}
-    left = {name: set(imported_by(path, paths.keys())) for name, path in paths.items()}
-    assert {"rollout_policies.policy"} <= left["rollout_policies.server"]
+    paths = {module_name(path): path for path in PACKAGE.rglob("*.py")}
+    remaining = {name: set(imported_by(path, paths.keys())) for name, path in paths.items()}
+    assert {"rollout_policies.policy"} <= remaining["rollout_policies.server"]
     # Repeatedly removes the files that import none of the others.
-    while leaves := [name for name, imported in left.items() if not imported & left.keys()]:
+    while leaves := [
+        name for name, imported in remaining.items() if not imported & remaining.keys()
+    ]:
         for name in leaves:
-            del left[name]
-    assert not left, f"these files import one another in a circle: {sorted(left)}"
+            del remaining[name]
+    assert not remaining, f"these files import one another in a cycle: {sorted(remaining)}"

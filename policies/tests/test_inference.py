@@ -20,7 +20,7 @@ from rollout_policies.proto import policy_pb2 as pb
 
 THREADS = pathlib.Path(__file__).parent / "threads.py"
 #: Longest wait of a test before it fails, s.
-PATIENCE = 60
+TIMEOUT = 60
 
 
 def test_one_thread_creates_warms_up_and_queries_a_policy(tmp_path):
@@ -38,19 +38,19 @@ def test_one_thread_creates_warms_up_and_queries_a_policy(tmp_path):
             queries = [client.request(session, 1) for session in sessions[:2]]
             client.stub.InferBatch(pb.InferBatchRequest(queries=queries))
             list(pool.map(client.end, sessions))
-        # Queued after the ends, which are not awaited.
+        # This reset is queued after the ends, which are not awaited.
         client.reset("last")
         client.channel.close()
     threads = {}
     for line in notes.read_text().splitlines():
         method, thread = line.split()
         threads.setdefault(method, set()).add(thread)
-    of_model = [threads[name] for name in threads if name != "prepare"]
+    model_threads = [threads[name] for name in threads if name != "prepare"]
     assert set(threads) == {
         "__init__", "warm_up", "reset", "infer", "infer_batch", "end", "prepare",
     }
-    assert of_model == [of_model[0]] * len(of_model) and len(of_model[0]) == 1
-    assert threads["prepare"].isdisjoint(of_model[0])
+    assert model_threads == [model_threads[0]] * len(model_threads) and len(model_threads[0]) == 1
+    assert threads["prepare"].isdisjoint(model_threads[0])
 
 
 def test_frames_are_prepared_while_the_model_answers_other_queries(serving):
@@ -69,7 +69,7 @@ def test_frames_are_prepared_while_the_model_answers_other_queries(serving):
             return observation.episode.session
 
         def infer(self, observation):
-            assert self.other_is_prepared.wait(PATIENCE), "prepare waits for its turn"
+            assert self.other_is_prepared.wait(TIMEOUT), "prepare waits for its turn"
             assert observation.prepared == observation.episode.session
             return np.zeros(7)
 
@@ -103,25 +103,25 @@ def test_an_exception_in_prepare_fails_its_query_only(serving):
     assert len(good.response.actions) == 7
 
 
-def test_a_query_whose_caller_has_left_is_not_computed(serving, monkeypatch):
+def test_a_query_cancelled_by_its_caller_is_not_computed(serving, monkeypatch):
     class Slow(Policy):
         description = Description(name="slow", max_batch=2)
 
         def __init__(self):
-            self.asked, self.begun, self.release = [], threading.Event(), threading.Event()
+            self.sessions, self.begun, self.release = [], threading.Event(), threading.Event()
 
         def reset(self, episode):
             pass
 
         def infer(self, observation):
-            self.asked.append(observation.episode.session)
+            self.sessions.append(observation.episode.session)
             self.begun.set()
-            assert self.release.wait(PATIENCE)
+            assert self.release.wait(TIMEOUT)
             return np.zeros(7)
 
     calls, submit = [], InferenceThread.submit
 
-    def noting_submit(*arguments):
+    def recording_submit(*arguments):
         calls.append(submit(*arguments))
         return calls[-1]
 
@@ -129,72 +129,72 @@ def test_a_query_whose_caller_has_left_is_not_computed(serving, monkeypatch):
     client = serving(policy)
     for session in "abc":
         client.reset(session)
-    monkeypatch.setattr(InferenceThread, "submit", noting_submit)
+    monkeypatch.setattr(InferenceThread, "submit", recording_submit)
 
-    def asked(method, message):
+    def submitted(method, message):
         """Returns a call that has reached its server, and the server's future for it."""
         before = len(calls)
         call = method.future(message)
         until(lambda: len(calls) > before)
         return call, calls[-1]
 
-    first, _ = asked(client.stub.Infer, client.request("a"))
-    assert policy.begun.wait(PATIENCE)
-    alone = asked(client.stub.Infer, client.request("b"))
+    first, _ = submitted(client.stub.Infer, client.request("a"))
+    assert policy.begun.wait(TIMEOUT)
+    alone = submitted(client.stub.Infer, client.request("b"))
     queries = [client.request("b"), client.request("c")]
-    batch = asked(client.stub.InferBatch, pb.InferBatchRequest(queries=queries))
-    waits, _ = asked(client.stub.Infer, client.request("c"))
-    for call, of_server in (alone, batch):
+    batch = submitted(client.stub.InferBatch, pb.InferBatchRequest(queries=queries))
+    last_call, _ = submitted(client.stub.Infer, client.request("c"))
+    for call, server_future in (alone, batch):
         call.cancel()
-        until(of_server.cancelled)
+        until(server_future.cancelled)
     policy.release.set()
-    assert len(first.result(PATIENCE).actions) == len(waits.result(PATIENCE).actions) == 7
-    assert policy.asked == ["a", "c"]
+    assert len(first.result(TIMEOUT).actions) == len(last_call.result(TIMEOUT).actions) == 7
+    assert policy.sessions == ["a", "c"]
 
 
 def until(is_true):
     """Waits until a condition holds."""
-    deadline = time.monotonic() + PATIENCE
+    deadline = time.monotonic() + TIMEOUT
     while not is_true():
-        assert time.monotonic() < deadline, "nothing came of it"
+        assert time.monotonic() < deadline, "the condition does not hold in time"
         time.sleep(0.005)
 
 
 def test_calls_are_made_in_order_and_queued_calls_are_cancelled_at_the_end():
     inference = InferenceThread()
-    made, swept, release = [], threading.Event(), threading.Event()
+    executed, swept, release = [], threading.Event(), threading.Event()
     thread = threading.Thread(target=inference.work, args=(swept.set, 0.01), daemon=True)
-    calls = [inference.submit(made.append, at) for at in range(5)]
+    calls = [inference.submit(executed.append, at) for at in range(5)]
     failing = inference.submit(lambda: 1 / 0)
     thread.start()
-    assert isinstance(failing.exception(PATIENCE), ZeroDivisionError)
-    assert made == [0, 1, 2, 3, 4] and all(call.done() for call in calls)
-    assert swept.wait(PATIENCE)
+    assert isinstance(failing.exception(TIMEOUT), ZeroDivisionError)
+    assert executed == [0, 1, 2, 3, 4] and all(call.done() for call in calls)
+    assert swept.wait(TIMEOUT)
     under_way = threading.Event()
-    first = inference.submit(lambda: (under_way.set(), release.wait(PATIENCE)))
-    waiting = inference.submit(made.append, "too late")
-    assert under_way.wait(PATIENCE)
+    first = inference.submit(lambda: (under_way.set(), release.wait(TIMEOUT)))
+    waiting = inference.submit(executed.append, "too late")
+    assert under_way.wait(TIMEOUT)
     inference.close()
     release.set()
-    thread.join(PATIENCE)
+    thread.join(TIMEOUT)
     assert first.result()[1] is True
-    for late in (waiting, inference.submit(made.append, "later still")):
+    for late in (waiting, inference.submit(executed.append, "later still")):
         with pytest.raises(CancelledError):
-            late.result(PATIENCE)
-    assert "too late" not in made
+            late.result(TIMEOUT)
+    assert "too late" not in executed
 
 
 def test_idle_episodes_are_closed_although_calls_keep_arriving():
     inference, swept = InferenceThread(), threading.Event()
-    gives_up_at = time.monotonic() + PATIENCE
+    deadline = time.monotonic() + TIMEOUT
 
-    def again():
-        if swept.is_set() or time.monotonic() > gives_up_at:
+    def resubmit():
+        if swept.is_set() or time.monotonic() > deadline:
             inference.close()
         else:
-            inference.submit(again)
+            inference.submit(resubmit)
 
-    inference.submit(again)
+    inference.submit(resubmit)
     inference.work(swept.set, 0.01)
     assert swept.is_set()
 
@@ -213,7 +213,7 @@ def test_running_queries_are_answered_before_a_server_stops(tmp_path):
         "        self.waits = episode.session == 's'\n"
         "    def infer(self, observation):\n"
         "        if self.waits:\n"
-        "            self.go.with_suffix('.asked').touch()\n"
+        "            self.go.with_suffix('.queried').touch()\n"
         "        while self.waits and not self.go.exists():\n"
         "            time.sleep(0.01)\n"
         "        return np.zeros(7)\n"
@@ -223,14 +223,14 @@ def test_running_queries_are_answered_before_a_server_stops(tmp_path):
     with running(sys.executable, str(script), "--go", str(go)) as (process, address):
         client = Client(address)
         client.reset()
-        answer = client.stub.Infer.future(client.request(), timeout=PATIENCE)
-        while not go.with_suffix(".asked").exists():
+        answer = client.stub.Infer.future(client.request(), timeout=TIMEOUT)
+        while not go.with_suffix(".queried").exists():
             assert process.poll() is None
             time.sleep(0.01)
         process.terminate()
         go.touch()
         assert len(answer.result().actions) == 7
-        assert process.wait(PATIENCE) == 0
+        assert process.wait(TIMEOUT) == 0
         client.channel.close()
 
 
@@ -278,11 +278,11 @@ def test_a_policy_without_valid_answers_fails_in_the_warm_up(answer, expected):
 
 
 def test_a_policy_that_refuses_all_synthetic_episodes_is_served_without_warm_up(caplog):
-    class Elsewhere(WarmedUp):
+    class RefusingAllSuites(WarmedUp):
         def reset(self, episode):
             raise ValueError("another robot's tasks")
 
-    policy = Elsewhere(np.zeros(7))
+    policy = RefusingAllSuites(np.zeros(7))
     with caplog.at_level(logging.WARNING):
         policy.warm_up()
     assert policy.sizes == []
@@ -293,10 +293,10 @@ def test_a_policy_that_refuses_all_synthetic_episodes_is_served_without_warm_up(
 def test_jpeg_round_trips_run_outside_the_inference_thread(serving, monkeypatch, name):
     policies = around_computed_networks()
     policy, *_ = [policy for policy in policies if policy.description.name == name]
-    prepared_in = []
+    preparing_threads = []
 
     def frame(turned):
-        prepared_in.append(threading.current_thread().name)
+        preparing_threads.append(threading.current_thread().name)
         return turned
 
     monkeypatch.setattr(openvla_oft, "frame", frame)
@@ -304,5 +304,5 @@ def test_jpeg_round_trips_run_outside_the_inference_thread(serving, monkeypatch,
     client = serving(policy)
     client.reset(suite="libero_object", instruction="pick up the butter")
     client.infer(observation=to_message(fake_observation(policy.description)))
-    assert len(prepared_in) == len(policy.description.cameras)
-    assert "inference" not in prepared_in
+    assert len(preparing_threads) == len(policy.description.cameras)
+    assert "inference" not in preparing_threads

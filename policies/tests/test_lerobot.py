@@ -14,7 +14,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from conftest import assert_conforms
-from test_adapters import next_one, observation
+from test_adapters import later_query, observation
 
 pytest.importorskip("lerobot", reason="lerobot is not installed")
 
@@ -55,9 +55,9 @@ def loaded(name, folder, **options):
 
 def play(policy, seed, queries=3):
     """Returns the answers of an episode that is started again."""
-    seen = observation(seed)
-    policy.reset(seen.episode)
-    return [policy.infer(next_one(seen, index)) for index in range(queries)]
+    first_query = observation(seed)
+    policy.reset(first_query.episode)
+    return [policy.infer(later_query(first_query, index)) for index in range(queries)]
 
 
 def test_the_description_has_parameters_and_checkpoint(policy, checkpoint):
@@ -65,7 +65,7 @@ def test_the_description_has_parameters_and_checkpoint(policy, checkpoint):
     assert described.checkpoint == str(checkpoint[1])
     assert len(described.checkpoint_digest) == 64
     assert described.parameters > 100_000
-    # Horizon and executed actions from each checkpoint, since none is the paper's.
+    # Each checkpoint's own horizon and executed actions, since none is in the catalogue.
     expected = {"smolvla": (50, 50), "pi05": (10, 10), "vla-jepa": (7, 7), "act": (1, 1)}
     assert (described.horizon, described.execute) == expected[checkpoint[0]]
 
@@ -79,8 +79,8 @@ def test_the_settings_hold_the_resolved_configuration(policy, checkpoint):
     }
     assert settings["image slots"] == slots.get(name, "image=agentview, image2=robot0_eye_in_hand")
     assert settings["state slots"] == "observation.state=eef_pos, eef_axis_angle, gripper_pos"
-    way = {"pi05": "QUANTILES", "vla-jepa": "MIN_MAX"}.get(name, "MEAN_STD")
-    assert settings["statistics"].startswith(f"actions {way} ")
+    mode = {"pi05": "QUANTILES", "vla-jepa": "MIN_MAX"}.get(name, "MEAN_STD")
+    assert settings["statistics"].startswith(f"actions {mode} ")
     assert "the state " in settings["statistics"]
     assert (settings["device"], settings["precision"]) == ("cpu", settings["precision"])
     assert settings["lerobot"]
@@ -110,24 +110,24 @@ def test_interleaved_episodes_equal_single_ones(policy):
     episodes = [observation(1), observation(2)]
     for one in episodes:
         policy.reset(one.episode)
-    together = [[policy.infer(next_one(one, index)) for one in episodes] for index in range(3)]
+    together = [[policy.infer(later_query(one, index)) for one in episodes] for index in range(3)]
     assert np.array_equal(np.swapaxes(together, 0, 1), alone)
 
 
 def test_actions_depend_on_instruction_and_frames(policy, checkpoint):
     # Random weights depend little on the input; the test needs only some dependence.
-    seen = observation(1)
+    first_query = observation(1)
     dark = observation(1)
     object.__setattr__(
         dark, "images", {key: np.zeros_like(dark.images[key]) for key in dark.images}
     )
     answers = []
-    for one in (seen, dark, observation(1, instruction="pick up the butter")):
+    for one in (first_query, dark, observation(1, instruction="pick up the butter")):
         policy.reset(one.episode)
         answers.append(policy.infer(one))
     assert (answers[0] != answers[1]).any()
-    reads = checkpoint[0] != "act"
-    assert (answers[0] != answers[2]).any() == reads
+    uses_instruction = checkpoint[0] != "act"
+    assert (answers[0] != answers[2]).any() == uses_instruction
 
 
 def test_a_chunk_continues_the_actions_under_way(policy, checkpoint):
@@ -135,25 +135,27 @@ def test_a_chunk_continues_the_actions_under_way(policy, checkpoint):
     assert policy.description.real_time_chunking == (name in ("smolvla", "pi05"))
     if not policy.description.real_time_chunking:
         return
-    seen = observation(1)
-    policy.reset(seen.episode)
-    free = policy.infer(seen)
+    first_query = observation(1)
+    policy.reset(first_query.episode)
+    free = policy.infer(first_query)
     # Actions of another episode replace the rest of an earlier chunk; any actions would do.
     executed = policy.infer(observation(2))[2:].astype(np.float32)
     delay = 4
-    continued = policy.infer(replace(seen, under_way=UnderWay(executed, delay)))
+    continued = policy.infer(replace(first_query, under_way=UnderWay(executed, delay)))
     assert continued.shape == free.shape and np.isfinite(continued).all()
 
-    def apart(chunk, steps):
+    def distance(chunk, steps):
         return np.abs(chunk[steps] - executed[steps]).mean()
 
     # lerobot's guidance fades from the delay on, and ends after ten actions.
-    until, later = slice(0, delay), slice(delay, 8)
-    assert apart(continued, until) < apart(free, until) / 2
-    assert np.array_equal(policy.infer(seen), free), "without actions under way, nothing changes"
-    # The last chunk does not guide the new chunk beyond its own end.
-    short = policy.infer(replace(seen, under_way=UnderWay(executed[:delay], delay)))
-    assert apart(continued, later) < apart(short, later)
+    during_delay, after_delay = slice(0, delay), slice(delay, 8)
+    assert distance(continued, during_delay) < distance(free, during_delay) / 2
+    assert np.array_equal(policy.infer(first_query), free), (
+        "without actions under way, nothing changes"
+    )
+    # The last chunk does not guide the new chunk beyond the last chunk's end.
+    short = policy.infer(replace(first_query, under_way=UnderWay(executed[:delay], delay)))
+    assert distance(continued, after_delay) < distance(short, after_delay)
 
 
 def test_a_batch_changes_low_order_bits_only(checkpoint):
@@ -176,7 +178,7 @@ def altered(checkpoint, tmp_path):
 
 @contextlib.contextmanager
 def stored_tensors(folder):
-    """Yields the tensors of a checkpoint for modification."""
+    """Yields the tensors of a checkpoint, and stores them again afterwards."""
     weights = folder / "model.safetensors"
     tensors = load_file(weights)
     yield tensors
@@ -184,8 +186,8 @@ def stored_tensors(folder):
 
 
 @contextlib.contextmanager
-def json_of(folder, file):
-    """Yields a file's content for modification."""
+def json_content(folder, file):
+    """Yields a JSON file's content, and writes it again afterwards."""
     path = folder / file
     content = json.loads(path.read_text("utf-8"))
     yield content
@@ -202,7 +204,7 @@ def test_weights_under_other_names_are_refused(altered):
 
 
 #: For each policy, a tensor that its actions depend on.
-ACTING = {
+ACTING_TENSOR = {
     "smolvla": "model.action_out_proj.weight",
     "pi05": "model.action_out_proj.weight",
     "vla-jepa": "model.action_model.action_encoder.layer1.weight",
@@ -213,15 +215,15 @@ ACTING = {
 def test_a_file_that_lacks_one_tensor_is_refused(altered):
     name, folder = altered
     with stored_tensors(folder) as tensors:
-        tensors.pop(acting := acting_name(name, tensors))
-    with pytest.raises(UnusableCheckpoint, match=rf"1 missing in the file \({acting}\)"):
+        tensors.pop(acting_tensor := acting_tensor_of(name, tensors))
+    with pytest.raises(UnusableCheckpoint, match=rf"1 missing in the file \({acting_tensor}\)"):
         loaded(name, folder)
 
 
 def test_a_file_with_one_tensor_too_many_is_refused(altered):
     name, folder = altered
     with stored_tensors(folder) as tensors:
-        tensors["model.another.weight"] = tensors[acting_name(name, tensors)].clone()
+        tensors["model.another.weight"] = tensors[acting_tensor_of(name, tensors)].clone()
     with pytest.raises(
         UnusableCheckpoint, match=r"unknown to the network \(model.another.weight\)"
     ):
@@ -236,13 +238,13 @@ def test_a_large_tensor_that_differs_from_the_file_is_refused(altered, monkeypat
     inner = adapter._require_weights
     largest = []
 
-    def look(network, file, checkpoint):
+    def require_weights_after_a_change(network, file, checkpoint):
         tensors = network.state_dict()
         largest.append(max(tensors, key=lambda key: tensors[key].numel()))
         tensors[largest[0]].flatten()[-1] += 1
         inner(network, file, checkpoint)
 
-    monkeypatch.setattr(adapter, "_require_weights", look)
+    monkeypatch.setattr(adapter, "_require_weights", require_weights_after_a_change)
     with pytest.raises(UnusableCheckpoint, match="1 of other content") as refused:
         loaded(name, folder)
     assert largest[0] in str(refused.value)
@@ -253,7 +255,7 @@ def test_embeddings_that_are_tied_in_the_file_are_loaded_or_refused(altered):
     # π0.5's, but not into SmolVLA's.
     name, folder = altered
     if name not in ("smolvla", "pi05"):
-        pytest.skip(f"{name} has no file without them")
+        pytest.skip(f"{name} has no tied embeddings")
     with stored_tensors(folder) as tensors:
         [embedding] = [key for key in tensors if key.endswith("embed_tokens.weight")]
         del tensors[embedding]
@@ -264,10 +266,10 @@ def test_embeddings_that_are_tied_in_the_file_are_loaded_or_refused(altered):
             loaded(name, folder)
 
 
-def acting_name(name, tensors):
-    """Returns ACTING's tensor, or the last one of the acting part."""
-    if ACTING[name] in tensors:
-        return ACTING[name]
+def acting_tensor_of(name, tensors):
+    """Returns the tensor in ACTING_TENSOR, or else the last one whose name contains `action`."""
+    if ACTING_TENSOR[name] in tensors:
+        return ACTING_TENSOR[name]
     return sorted(key for key in tensors if "action" in key and key.endswith("weight"))[-1]
 
 
@@ -316,8 +318,8 @@ def test_a_checkpoint_without_statistics_is_refused(altered, which):
 
 def drop_statistics(file, which):
     tensors = load_file(file)
-    kept = {key: tensors[key] for key in tensors if not key.startswith(f"{which}.")}
-    save_file(kept, file)
+    others = {key: tensors[key] for key in tensors if not key.startswith(f"{which}.")}
+    save_file(others, file)
 
 
 def test_a_missing_file_is_named_with_the_remedy(altered):
@@ -337,7 +339,7 @@ def test_the_error_for_a_failed_download_lists_all_downloads(altered, monkeypatc
     if field is None:
         pytest.skip(f"{name}'s configuration names no repository")
     monkeypatch.setenv("HF_HUB_OFFLINE", "1")
-    with json_of(folder, "config.json") as config:
+    with json_content(folder, "config.json") as config:
         config[field] = "nobody/nothing"
     with pytest.raises(UnusableCheckpoint, match="downloaded: nobody/nothing .*HF_HUB_OFFLINE"):
         loaded(name, folder)

@@ -1,5 +1,5 @@
-"""An unmodified server of openpi's kind behind the gateway receives the inputs
-that openpi's own LIBERO client would send.
+"""A server with openpi's interface behind the gateway receives the inputs that openpi's
+own LIBERO client would send.
 
 Runs the program that the environment variable POLICY_GATEWAY names.
 """
@@ -31,13 +31,13 @@ def program():
 
 
 @pytest.fixture
-def shown(tmp_path):
+def received(tmp_path):
     """File in which the server records its inputs."""
-    return tmp_path / "shown.jsonl"
+    return tmp_path / "received.jsonl"
 
 
-def simulated(shown, *arguments):
-    return running([sys.executable, str(SERVER), "--shown", str(shown), *arguments])
+def simulated(received, *arguments):
+    return running([sys.executable, str(SERVER), "--received", str(received), *arguments])
 
 
 def observation(side=256):
@@ -56,10 +56,10 @@ def observation(side=256):
     return frames, pb.Observation(images=images, state=state)
 
 
-def test_the_server_gets_the_inputs_of_openpis_own_client(program, shown):
+def test_the_server_gets_the_inputs_of_openpis_own_client(program, received):
     frames, message = observation()
     with (
-        simulated(shown) as server,
+        simulated(received) as server,
         client_behind(program, "--route", f"x=ws://{server}") as client,
     ):
         described = client.describe()
@@ -72,7 +72,7 @@ def test_the_server_gets_the_inputs_of_openpis_own_client(program, shown):
     assert first.shape == (5, 7)
     assert (first == again).all(), "a retry is answered from the gateway's memory"
     assert (first != other).any()
-    lines = [json.loads(line) for line in shown.read_text().splitlines()]
+    lines = [json.loads(line) for line in received.read_text().splitlines()]
     assert len(lines) == 2
     expected = [
         image_tools.convert_to_uint8(
@@ -89,8 +89,8 @@ def test_the_server_gets_the_inputs_of_openpis_own_client(program, shown):
     }
 
 
-def test_the_server_passes_the_conformance_check_except_for_seeds(program, shown):
-    with simulated(shown) as server:
+def test_the_server_passes_the_conformance_check_except_for_seeds(program, received):
+    with simulated(received) as server:
         check = subprocess.run(
             [program, "check", f"ws://{server}?execute=10", "--suite", "libero_goal"],
             capture_output=True,
@@ -100,14 +100,14 @@ def test_the_server_passes_the_conformance_check_except_for_seeds(program, shown
     assert check.returncode == 0, check.stdout + check.stderr
     assert "skip  the same seed gives the same actions: its random numbers" in check.stdout
     assert "pass  a retry gets the same actions" in check.stdout
-    prompts = {json.loads(line)["prompt"] for line in shown.read_text().splitlines()}
+    prompts = {json.loads(line)["prompt"] for line in received.read_text().splitlines()}
     assert prompts == {"open the middle drawer of the cabinet"}
 
 
-def test_the_policys_exception_reaches_the_worker_and_the_next_query_is_answered(program, shown):
+def test_the_policys_exception_reaches_the_worker_and_the_next_query_is_answered(program, received):
     _, message = observation()
     with (
-        simulated(shown) as server,
+        simulated(received) as server,
         client_behind(program, "--route", f"x=ws://{server}") as client,
     ):
         client.reset(instruction="raise")
@@ -119,9 +119,9 @@ def test_the_policys_exception_reaches_the_worker_and_the_next_query_is_answered
         assert client.infer(observation=message).shape == (5, 7)
 
 
-def test_actions_of_another_width_are_refused(program, shown):
+def test_actions_of_another_width_are_refused(program, received):
     _, message = observation()
-    with simulated(shown, "--width", "14") as server:
+    with simulated(received, "--width", "14") as server:
         with client_behind(program, "--route", f"x=ws://{server}") as client:
             client.reset(instruction="reach")
             with pytest.raises(grpc.RpcError) as caught:
@@ -129,11 +129,11 @@ def test_actions_of_another_width_are_refused(program, shown):
     assert "its actions are 14 numbers wide, not 7" in caught.value.details()
 
 
-def test_the_key_in_the_token_file_is_sent_to_the_server(program, shown, tmp_path):
+def test_the_key_in_the_token_file_is_sent_to_the_server(program, received, tmp_path):
     _, message = observation()
     config = tmp_path / "gateway.toml"
     key = tmp_path / "key"
-    with simulated(shown, "--api-key", KEY) as server:
+    with simulated(received, "--api-key", KEY) as server:
         config.write_text(f'[policy.x]\nreplicas = ["ws://{server}"]\ntoken_file = "{key}"\n')
         key.touch(mode=0o600)
         key.write_text("worker another-key-than-that\n")

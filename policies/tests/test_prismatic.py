@@ -10,7 +10,7 @@ from types import ModuleType, SimpleNamespace
 
 import numpy as np
 import pytest
-from test_adapters import next_one, observation
+from test_adapters import later_query, observation
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed")
 transformers = pytest.importorskip("transformers", reason="transformers is not installed")
@@ -28,16 +28,16 @@ LANGUAGE_MODEL = transformers.LlamaConfig(
 
 
 class Network(torch.nn.Module):
-    """OpenVLAForActionPrediction: stores its device, and answers its weights."""
+    """Replaces OpenVLAForActionPrediction. Its answer is one of its weights."""
 
     def __init__(self):
         super().__init__()
         self.inner = torch.nn.Linear(WIDTH, WIDTH)
-        self.vision_backbone = SimpleNamespace(set_num_images_in_input=self.see)
+        self.vision_backbone = SimpleNamespace(set_num_images_in_input=self.set_image_count)
         self.llm_dim = WIDTH
         self.config = SimpleNamespace(text_config=LANGUAGE_MODEL)
 
-    def see(self, images):
+    def set_image_count(self, images):
         self.images = images
 
     @classmethod
@@ -48,9 +48,9 @@ class Network(torch.nn.Module):
         return network
 
     def predict_action(self, action_head, proprio_projector, pixel_values, proprio, **_):
-        places = [self.inner.weight, pixel_values, *action_head.parameters()]
-        places += proprio_projector.parameters()
-        assert len({place.device for place in places}) == 1
+        tensors = [self.inner.weight, pixel_values, *action_head.parameters()]
+        tensors += proprio_projector.parameters()
+        assert len({tensor.device for tensor in tensors}) == 1
         return np.full((8, 7), float(self.inner.weight[0, 0])), None
 
 
@@ -71,7 +71,7 @@ def module_of(**parts):
 
 @pytest.fixture
 def upstream(monkeypatch):
-    """Upstream's modules for the duration of a test."""
+    """Replaces upstream's modules for the duration of a test."""
     folder = SimpleNamespace(from_pretrained=lambda folder: None)
     modules = {
         "timm": {},
@@ -94,7 +94,7 @@ def upstream(monkeypatch):
         monkeypatch.setitem(sys.modules, name, module_of(**parts))
     monkeypatch.setattr(transformers.AutoTokenizer, "from_pretrained", lambda folder: None)
     # Result of OpenVLA-OFT's own transformers.
-    monkeypatch.setattr(prismatic, "_sees_ahead", lambda *_: True)
+    monkeypatch.setattr(prismatic, "_attends_to_later_tokens", lambda *_: True)
 
 
 @pytest.fixture
@@ -102,15 +102,15 @@ def oft(tmp_path, upstream):
     """Makes a small OpenVLA-OFT checkpoint with random weights."""
     torch.manual_seed(1)
     save_file(Network().state_dict(), tmp_path / "model-00001-of-00001.safetensors")
-    for part, made in {
+    for part, module in {
         "action_head": torch.nn.Linear(WIDTH, 7),
         "proprio_projector": torch.nn.Linear(8, WIDTH),
     }.items():
-        stored = {f"module.{name}": tensor for name, tensor in made.state_dict().items()}
+        stored = {f"module.{name}": tensor for name, tensor in module.state_dict().items()}
         torch.save(stored, tmp_path / f"{part}--50000_checkpoint.pt")
     numbers = {
-        of: {"q01": [-1.0] * width, "q99": [1.0] * width}
-        for of, width in (("action", 7), ("proprio", 8))
+        key: {"q01": [-1.0] * width, "q99": [1.0] * width}
+        for key, width in (("action", 7), ("proprio", 8))
     }
     statistics = {"libero_goal_no_noops": numbers}
     (tmp_path / "dataset_statistics.json").write_text(json.dumps(statistics))
@@ -124,14 +124,16 @@ def served(folder, name="openvla-oft", **options):
 
 def test_all_parts_of_openvla_oft_are_loaded_onto_the_chosen_device(oft):
     policy = served(oft)
-    seen = observation()
-    policy.reset(seen.episode)
-    assert policy.infer(seen).shape == policy.infer(next_one(seen, 1)).shape == (8, 7)
+    first_query = observation()
+    policy.reset(first_query.episode)
+    assert (
+        policy.infer(first_query).shape == policy.infer(later_query(first_query, 1)).shape == (8, 7)
+    )
     assert policy.model.network.images == 2
     settings = policy.description.settings
     assert (settings["device"], settings["precision"]) == ("cpu", "bfloat16")
     assert settings["statistics"].startswith("libero_goal_no_noops: actions QUANTILES ")
-    # "meta" holds no numbers, but it differs from upstream's device.
+    # Tensors on the device "meta" hold no numbers, but "meta" differs from upstream's device.
     parts = (policy.model.action_head, policy.model.proprio_projector, policy.model.network)
     elsewhere = served(oft, device="meta").model
     for part in (elsewhere.network, elsewhere.action_head, elsewhere.proprio_projector):
@@ -154,7 +156,7 @@ def test_a_part_that_lacks_a_tensor_is_refused(oft, part):
     stored = torch.load(file, weights_only=True)
     del stored["module.bias"]
     torch.save(stored, file)
-    with pytest.raises(UnusableCheckpoint, match=rf"of {part}, 1 missing in the file \(bias\)"):
+    with pytest.raises(UnusableCheckpoint, match=rf"of {part}: 1 missing in the file \(bias\)"):
         served(oft)
 
 
@@ -183,28 +185,31 @@ def test_a_checkpoint_without_proprio_statistics_is_refused(oft):
 
 def test_another_robot_s_chunk_is_refused(oft):
     sys.modules["prismatic.vla.constants"].NUM_ACTIONS_CHUNK = 25
-    with pytest.raises(UnusableCheckpoint, match="chunks of 25 actions, and LIBERO's are 8"):
+    with pytest.raises(UnusableCheckpoint, match="chunks of 25 actions, but LIBERO needs 8"):
         served(oft)
 
 
 def test_openvla_oft_refuses_the_standard_transformers(oft, monkeypatch):
-    # Both have the same version, but only in OpenVLA-OFT's does a token attend to later ones.
+    # The standard transformers and OpenVLA-OFT's have the same version, but only in OpenVLA-OFT's
+    # does a token attend to later tokens.
     monkeypatch.undo()
     network = Network()
-    assert not prismatic._sees_ahead(network, torch, transformers)
+    assert not prismatic._attends_to_later_tokens(network, torch, transformers)
     attention = transformers.models.llama.modeling_llama.LlamaModel.forward
 
-    def both_ways(self, *arguments, **named):
+    def without_causal_mask(self, *arguments, **named):
         width = named["inputs_embeds"].shape[1]
         named["attention_mask"] = torch.zeros(1, 1, width, width)
         return attention(self, *arguments, **named)
 
-    monkeypatch.setattr(transformers.models.llama.modeling_llama.LlamaModel, "forward", both_ways)
-    assert prismatic._sees_ahead(network, torch, transformers)
+    monkeypatch.setattr(
+        transformers.models.llama.modeling_llama.LlamaModel, "forward", without_causal_mask
+    )
+    assert prismatic._attends_to_later_tokens(network, torch, transformers)
 
 
 def test_a_transformers_with_another_attention_is_refused(oft, monkeypatch):
-    monkeypatch.setattr(prismatic, "_sees_ahead", lambda *_: False)
+    monkeypatch.setattr(prismatic, "_attends_to_later_tokens", lambda *_: False)
     with pytest.raises(UpstreamMissing, match="does not see later tokens.*environment"):
         served(oft)
 
@@ -217,30 +222,30 @@ class Pool(torch.nn.Linear):
 
 
 @pytest.fixture
-def of_univla(oft, monkeypatch):
+def univla_checkpoint(oft, monkeypatch):
     """Makes a small UniVLA checkpoint with random weights."""
-    monkeypatch.setattr(prismatic, "_sees_ahead", lambda *_: False)
+    monkeypatch.setattr(prismatic, "_attends_to_later_tokens", lambda *_: False)
     pools = module_of(MAPBlock=Pool)
     monkeypatch.setitem(sys.modules, "prismatic.models.policy.transformer_utils", pools)
     torch.save(univla._decoder(entry("univla")).state_dict(), oft / "action_decoder.pt")
     return oft
 
 
-def test_univla_s_decoder_must_fit_exactly(of_univla):
-    policy = served(of_univla, "univla")
+def test_univla_s_decoder_must_fit_exactly(univla_checkpoint):
+    policy = served(univla_checkpoint, "univla")
     assert policy.description.settings["evaluation"] == "upstream"
-    file = of_univla / "action_decoder.pt"
+    file = univla_checkpoint / "action_decoder.pt"
     stored = torch.load(file, weights_only=True)
     stored["extra"] = stored.pop("visual_pool.bias")
     torch.save(stored, file)
-    with pytest.raises(UnusableCheckpoint, match="of the decoder, .*visual_pool.bias.*extra"):
-        served(of_univla, "univla")
+    with pytest.raises(UnusableCheckpoint, match="of the decoder: .*visual_pool.bias.*extra"):
+        served(univla_checkpoint, "univla")
     file.unlink()
     with pytest.raises(UnusableCheckpoint, match="no action_decoder.pt.*pre-trained"):
-        served(of_univla, "univla")
+        served(univla_checkpoint, "univla")
 
 
-def test_univlas_random_numbers_continue_across_queries(of_univla):
+def test_univlas_random_numbers_continue_across_queries(univla_checkpoint):
     model = univla.UnivlaModel(
         SimpleNamespace(
             predict_latent_action=lambda **_: (

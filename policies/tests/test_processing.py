@@ -1,7 +1,7 @@
 """Frames, readings and actions against the results of the upstream definitions.
 
-Where a framework defines the result, it printed the numbers here for the frame
-of `pattern`: TensorFlow 2.15.1 and PyTorch 2.7.1, on x86-64.
+Numbers that a framework defines were printed by the framework for the frame of
+`pattern`: TensorFlow 2.15.1 and PyTorch 2.7.1, on x86-64.
 """
 
 import hashlib
@@ -76,15 +76,15 @@ def test_the_centre_crop_is_tensorflows():
 
 
 def test_plain_shrinking_equals_torch_without_antialias():
-    # From PyTorch 2.11.0, as are the next ones.
-    assert images.resize_plainly(pattern(8), 5, 5)[..., 2].tolist() == [
+    # These numbers and the next ones are from PyTorch 2.11.0.
+    assert images.resize_bilinear(pattern(8), 5, 5)[..., 2].tolist() == [
         [40, 43, 45, 48, 50],
         [43, 58, 73, 88, 104],
         [45, 73, 101, 129, 157],
         [48, 88, 129, 170, 211],
         [50, 104, 157, 211, 139],
     ]
-    assert images.resize_plainly(pattern(8), 11, 11)[3, :4].tolist() == [
+    assert images.resize_bilinear(pattern(8), 11, 11)[3, :4].tolist() == [
         [13, 22, 40],
         [17, 23, 46],
         [22, 24, 53],
@@ -93,15 +93,15 @@ def test_plain_shrinking_equals_torch_without_antialias():
 
 
 def test_the_study_crops_univla_s_frames_to_whole_pixels():
-    framed = study_frame(pattern(256))
-    assert framed.shape == (224, 224, 3)
-    assert framed[100, :3].tolist() == [[90, 46, 132], [98, 28, 188], [105, 42, 161]]
-    assert framed[223, 223].tolist() == [133, 232, 98]
+    study_pixels = study_frame(pattern(256))
+    assert study_pixels.shape == (224, 224, 3)
+    assert study_pixels[100, :3].tolist() == [[90, 46, 132], [98, 28, 188], [105, 42, 161]]
+    assert study_pixels[223, 223].tolist() == [133, 232, 98]
     # Upstream's own preparation gives other pixels.
-    assert (framed != frame(pattern(256))).mean() > 0.5
+    assert (study_pixels != frame(pattern(256))).mean() > 0.5
 
 
-def test_a_crop_of_everything_changes_nothing():
+def test_a_crop_of_the_whole_frame_changes_nothing():
     assert (images.centre_crop(pattern(16), 1.0, 16) == pattern(16)).all()
 
 
@@ -122,7 +122,7 @@ def test_a_jpeg_keeps_an_even_surface():
     assert (jpeg.round_trip(grey) == grey).all()
 
 
-def test_a_frame_that_is_not_made_of_units_is_refused():
+def test_a_frame_with_a_side_that_is_no_multiple_of_16_is_refused():
     with pytest.raises(ValueError, match="20x16"):
         jpeg.round_trip(np.zeros((16, 20, 3), dtype=np.uint8))
 
@@ -137,7 +137,7 @@ def test_frames_become_planes_between_0_and_1():
     ("quaternion", "expected"),
     [
         ([0.0, 0.0, 0.0, 1.0], [0, 0, 0]),
-        # 2 acos(0.8), and the same rotation in the other direction: 2 pi minus it.
+        # 2 acos(0.8), and the same rotation in the other direction: 2 pi minus that angle.
         ([0.6, 0.0, 0.0, 0.8], [2 * math.acos(0.8), 0, 0]),
         ([0.6, 0.0, 0.0, -0.8], [2 * math.pi - 2 * math.acos(0.8), 0, 0]),
         # A hand that points down, as LIBERO's does.
@@ -146,20 +146,20 @@ def test_frames_become_planes_between_0_and_1():
         ([0.0, 0.0, 0.0, 1.0 + 1e-9], [0, 0, 0]),
     ],
 )
-def test_axis_angles_are_robosuites_and_antipodes_are_not_flipped(quaternion, expected):
+def test_axis_angles_equal_robosuites_and_keep_the_quaternions_sign(quaternion, expected):
     assert axis_angle(np.array(quaternion)) == pytest.approx(expected, abs=1e-12)
 
 
 @pytest.mark.parametrize(
-    ("learnt", "commanded"), [(0.0, 1), (0.2, 1), (0.5, 0), (0.9, -1), (1, -1)]
+    ("from_rlds", "commanded"), [(0.0, 1), (0.2, 1), (0.5, 0), (0.9, -1), (1, -1)]
 )
-def test_a_gripper_of_rlds_is_converted(learnt, commanded):
+def test_a_gripper_of_rlds_is_converted(from_rlds, commanded):
     chunk = np.zeros((2, 7))
     chunk[:, :6] = 0.3
-    chunk[:, 6] = learnt
-    turned = gripper_from_rlds(chunk)
-    assert (turned[:, 6] == commanded).all()
-    assert (turned[:, :6] == 0.3).all() and chunk[0, 6] == learnt
+    chunk[:, 6] = from_rlds
+    converted = gripper_from_rlds(chunk)
+    assert (converted[:, 6] == commanded).all()
+    assert (converted[:, :6] == 0.3).all() and chunk[0, 6] == from_rlds
 
 
 def test_scaling_by_bounds_is_invertible_and_respects_the_mask():

@@ -23,8 +23,8 @@ def samples():
 @pytest.mark.parametrize("sample", samples())
 def test_a_sample_serves_a_policy_that_answers(sample, serving, monkeypatch):
     served = []
-    # Replaces serving without end.
-    monkeypatch.setattr(rollout_policies, "run", lambda made: served.append(made()))
+    # Replaces `run`, which would serve until the process is stopped.
+    monkeypatch.setattr(rollout_policies, "run", lambda policy_class: served.append(policy_class()))
     exec(compile(sample, str(PAGE), "exec"), {"__name__": "__main__"})
     [policy] = served
     client = serving(policy)

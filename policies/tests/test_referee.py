@@ -20,7 +20,7 @@ class PositionSensitive(Policy):
     """Answers depend on the positions in its frames, its state and its instruction."""
 
     description = Description(
-        name="looking",
+        name="position-sensitive",
         horizon=4,
         cameras=CAMERAS,
         state=(State.EEF_POS, State.EEF_AXIS_ANGLE, State.GRIPPER_POS),
@@ -34,37 +34,37 @@ class PositionSensitive(Policy):
 
     def infer(self, observation):
         weights = np.random.default_rng(7)
-        seen = np.zeros(7)
+        features = np.zeros(7)
         for frame in self.frames(observation):
             coarse = frame[4::8, 4::8].astype(float).ravel() / 255 - 0.5
-            seen += weights.normal(0, 0.1, (7, coarse.size)) @ coarse
-        seen += weights.normal(0, 0.5, (7, 8)) @ observation.vector()
-        seen += 0.2 * np.sin(sum(observation.episode.instruction.encode()) + np.arange(7))
-        return 0.8 * np.sin(seen + 0.2 * np.arange(4)[:, None])
+            features += weights.normal(0, 0.1, (7, coarse.size)) @ coarse
+        features += weights.normal(0, 0.5, (7, 8)) @ observation.vector()
+        features += 0.2 * np.sin(sum(observation.episode.instruction.encode()) + np.arange(7))
+        return 0.8 * np.sin(features + 0.2 * np.arange(4)[:, None])
 
 
 class Flipped(PositionSensitive):
-    """Uses its frames without turning them: bottom row first."""
+    """Uses its frames as they arrive, bottom row first, instead of upright."""
 
     def frames(self, observation):
         return [observation.images[camera.name] for camera in CAMERAS]
 
 
-class Keeping(PositionSensitive):
+class Leaking(PositionSensitive):
     """Keeps the frames of all episodes, and so uses more and more memory."""
 
     def __init__(self):
-        self.kept = []
+        self.copies = []
 
     def infer(self, observation):
         for frame in self.frames(observation):
-            self.kept.append(np.repeat(frame, 8, axis=0))
+            self.copies.append(np.repeat(frame, 8, axis=0))
         return super().infer(observation)
 
 
 @pytest.fixture
-def judged():
-    """Runs a command on servers of given policies: `judged("doctor", policy) -> JSON`."""
+def run_command():
+    """Runs a command on servers of given policies: `run_command("doctor", policy) -> JSON`."""
     program = os.environ.get("POLICY_GATEWAY")
     if program is None:
         pytest.skip("POLICY_GATEWAY does not name the policy-gateway program")
@@ -73,13 +73,13 @@ def judged():
     def run(command, *policies):
         servers.extend(start(policy) for policy in policies)
         urls = [f"grpc://{server.address}" for server in servers[-len(policies) :]]
-        ran = subprocess.run(
+        finished = subprocess.run(
             [program, command, *urls, "--json"], capture_output=True, text=True, check=False
         )
-        assert ran.returncode in (0, 1) and ran.stdout, ran.stderr
-        judgement = json.loads(ran.stdout)
+        assert finished.returncode in (0, 1) and finished.stdout, finished.stderr
+        judgement = json.loads(finished.stdout)
         verdict = judgement["is_same" if command == "compare" else "is_sound"]
-        assert verdict == (ran.returncode == 0)
+        assert verdict == (finished.returncode == 0)
         return judgement
 
     yield run
@@ -96,18 +96,18 @@ def failed(examination):
 
 
 @pytest.mark.parametrize("policy", [PositionSensitive, ColourServo])
-def test_a_correct_server_has_no_findings(judged, policy):
-    assert failed(judged("doctor", policy())) == {}
-    assert judged("compare", policy(), policy())["differences"] == []
+def test_a_correct_server_has_no_findings(run_command, policy):
+    assert failed(run_command("doctor", policy())) == {}
+    assert run_command("compare", policy(), policy())["differences"] == []
 
 
-def test_unturned_frames_are_found(judged):
-    (difference,) = judged("compare", PositionSensitive(), Flipped())["differences"]
+def test_frames_that_are_not_turned_are_found(run_command):
+    (difference,) = run_command("compare", PositionSensitive(), Flipped())["differences"]
     assert difference["kind"] == "frame_orientation"
     assert "flipped vertically" in difference["text"]
 
 
-def test_a_server_that_keeps_every_episode_is_found_by_its_memory(judged):
-    found = failed(judged("doctor", Keeping()))
+def test_a_server_that_keeps_every_episode_is_found_by_its_memory(run_command):
+    found = failed(run_command("doctor", Leaking()))
     assert list(found) == ["memory"]
     assert f"process {os.getpid()} grew" in found["memory"]

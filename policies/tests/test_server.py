@@ -10,7 +10,7 @@ import sys
 import grpc
 import numpy as np
 import pytest
-from conftest import Answering, Client, Noisy, Seeing, refusal
+from conftest import Answering, Client, Noisy, Recording, refusal
 
 from rollout_policies import Description, Gripper, Policy, State, UnusableDescription, start
 from rollout_policies.proto import policy_pb2 as pb
@@ -29,8 +29,8 @@ def readings(eef=(1.0, 2.0, 3.0), gripper=(0.04, -0.04)):
 
 
 def test_the_description_reaches_the_caller(serving):
-    described = serving(Seeing()).describe()
-    assert (described.protocol_version, described.name) == (1, "seeing")
+    described = serving(Recording()).describe()
+    assert (described.protocol_version, described.name) == (1, "recording")
     assert (described.horizon, described.execute) == (1, 1)
     camera = described.cameras[0]
     assert (camera.name, camera.width, camera.height) == ("agentview", 3, 2)
@@ -38,9 +38,9 @@ def test_the_description_reaches_the_caller(serving):
 
 
 def test_resolved_settings_are_sent_and_printed(serving):
-    class Resolved(Seeing):
+    class Resolved(Recording):
         description = dataclasses.replace(
-            Seeing.description,
+            Recording.description,
             checkpoint="org/weights",
             settings={"image slots": "image=agentview", "revision": "1f2e3d"},
             gripper=Gripper.RLDS,
@@ -55,7 +55,7 @@ def test_resolved_settings_are_sent_and_printed(serving):
         ("taught on", "libero"),
     ]
     assert Resolved.description.lines() == [
-        "policy: seeing",
+        "policy: recording",
         "checkpoint: org/weights",
         "cameras: agentview 3x2",
         "state: eef_pos, gripper_pos",
@@ -83,7 +83,7 @@ def test_a_request_for_another_policy_is_refused(serving):
 
 
 def test_the_instruction_and_the_seed_arrive_verbatim(serving):
-    policy = Seeing()
+    policy = Recording()
     sentence = "kindly relocate the milk; s'il vous plaît"
     serving(policy).reset(instruction=sentence, suite="libero_goal", seed=2**64 - 1)
     assert policy.episode.instruction == sentence
@@ -92,7 +92,7 @@ def test_the_instruction_and_the_seed_arrive_verbatim(serving):
 
 
 def test_images_arrive_bottom_row_first_and_can_be_turned(serving):
-    policy = Seeing()
+    policy = Recording()
     client = serving(policy)
     client.reset()
     client.infer(observation=pb.Observation(images=[frame()], state=readings()))
@@ -104,20 +104,24 @@ def test_images_arrive_bottom_row_first_and_can_be_turned(serving):
 
 
 def test_frames_are_contiguous_and_may_be_written_to(serving):
-    policy = Seeing()
+    policy = Recording()
     client = serving(policy)
     client.reset()
     client.infer(observation=pb.Observation(images=[frame()], state=readings()))
-    seen = policy.observation
-    for image in (seen.images["agentview"], seen.upright("agentview"), seen.rotated("agentview")):
+    received = policy.observation
+    for image in (
+        received.images["agentview"],
+        received.upright("agentview"),
+        received.rotated("agentview"),
+    ):
         assert image.flags.c_contiguous and image.flags.writeable
     # A copy, so that changing it does not change the frame.
-    seen.upright("agentview")[:] = 0
-    assert seen.images["agentview"][0, 1].tolist() == [3, 4, 5]
+    received.upright("agentview")[:] = 0
+    assert received.images["agentview"][0, 1].tolist() == [3, 4, 5]
 
 
 def test_robot_readings_arrive_by_name_and_join_into_a_vector(serving):
-    policy = Seeing()
+    policy = Recording()
     client = serving(policy)
     client.reset()
     client.infer(observation=pb.Observation(images=[frame()], state=readings()))
@@ -135,8 +139,8 @@ def test_robot_readings_arrive_by_name_and_join_into_a_vector(serving):
         (pb.Observation(images=[frame()], state=readings(eef=[1.0])), "1 numbers, not 3"),
     ],
 )
-def test_an_observation_that_lacks_something_is_refused_naming_it(serving, observation, expected):
-    client = serving(Seeing())
+def test_an_observation_without_a_requested_input_is_refused(serving, observation, expected):
+    client = serving(Recording())
     client.reset()
     code, text = refusal(client.infer, query_index=4, observation=observation)
     assert code == grpc.StatusCode.INVALID_ARGUMENT
@@ -149,7 +153,7 @@ def test_a_retry_gets_the_same_actions_without_another_query(serving):
     client.reset()
     first = client.infer(query_index=0)
     assert (client.infer(query_index=0) == first).all()
-    assert policy.asked == 1
+    assert policy.query_count == 1
     assert (client.infer(query_index=1) != first).all()
 
 
@@ -164,9 +168,7 @@ def test_a_retry_gets_the_same_actions_without_another_query(serving):
 )
 def test_actions_under_way_reach_the_policy_in_its_gripper_convention(serving, gripper, expected):
     class RealTimeChunking(Policy):
-        description = Description(
-            name="told", horizon=3, gripper=gripper, real_time_chunking=True
-        )
+        description = Description(name="rtc", horizon=3, gripper=gripper, real_time_chunking=True)
 
         def reset(self, episode):
             episode.memory = []
@@ -243,15 +245,13 @@ def test_episodes_do_not_share_memory(serving):
         (RuntimeError("CUDA error:\nout of memory"), "RuntimeError: CUDA error: out of memory"),
     ],
 )
-def test_an_error_of_the_policy_is_one_line_without_session_and_query(
-    serving, answer, expected
-):
+def test_an_error_of_the_policy_is_one_line_without_session_and_query(serving, answer, expected):
     client = serving(Answering(answer))
     client.reset("object/t0/clean/L0/c00#r0#a1")
     code, text = refusal(client.infer, "object/t0/clean/L0/c00#r0#a1", 9)
     assert code == grpc.StatusCode.INTERNAL
     assert expected in text and "\n" not in text
-    # The caller knows these, and a campaign shows them beside the text.
+    # The caller knows policy, session and query, and a campaign shows them beside the text.
     assert "crooked" not in text and "object/t0" not in text and "query" not in text
 
 
@@ -265,7 +265,7 @@ def test_the_error_of_a_failing_reset_has_its_exception(serving):
     assert text == "reset raised KeyError: 'fly'"
 
 
-def test_a_session_that_was_never_opened_is_an_outage(serving):
+def test_a_query_of_a_session_that_was_never_opened_is_unavailable(serving):
     code, text = refusal(serving(Noisy()).infer, "unheard-of")
     assert code == grpc.StatusCode.UNAVAILABLE
     assert "'unheard-of'" in text
@@ -295,7 +295,7 @@ def test_an_inconsistent_description_is_refused_at_construction():
         Description(name="")
     with pytest.raises(ValueError, match="horizon is 2000, not within 1..1040"):
         Description(name="p", horizon=2000)
-    with pytest.raises(ValueError, match="setting 'revision' is 3;.* are texts"):
+    with pytest.raises(ValueError, match="setting 'revision' is 3;.* must be strings"):
         Description(name="p", settings={"revision": 3})
     with pytest.raises(ValueError, match="checkpoint has 513 bytes, and results hold 512"):
         Description(name="p", checkpoint="x" * 513)
@@ -315,7 +315,7 @@ def test_the_error_for_a_missing_description_has_the_line_to_write(attributes, e
     nameless = type("Nameless", (Policy,), {**methods, **attributes})
     with pytest.raises(UnusableDescription, match=expected):
         start(nameless())
-    with pytest.raises(UnusableDescription, match="make one"):
+    with pytest.raises(UnusableDescription, match="create one"):
         start(nameless)
 
 

@@ -131,7 +131,7 @@ def test_an_idle_episode_ends_without_a_further_call(serving, monkeypatch):
     client.infer("b", 1)
 
 
-def test_a_reset_that_raises_leaves_no_episode_and_ends_the_one_before(serving):
+def test_a_reset_that_raises_opens_no_episode_and_ends_the_earlier_one(serving):
     class FailingReset(Remembering):
         def reset(self, episode):
             if self.episodes:

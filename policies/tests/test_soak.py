@@ -51,9 +51,9 @@ def test_memory_and_latency_are_level_over_two_thousand_episodes(tmp_path):
             name = f"goal/t0/clean/i{episode:04}#r0"
             client.reset(name)
             for query_index in range(QUERIES):
-                asked = time.perf_counter()
+                sent = time.perf_counter()
                 client.infer(name, query_index)
-                latencies.append(time.perf_counter() - asked)
+                latencies.append(time.perf_counter() - sent)
             client.end(name)
             if episode % EPISODES_PER_MEASUREMENT == 0:
                 memory.append(resident_bytes(process.pid))

@@ -29,7 +29,7 @@ from vla_eval.runners.sync_runner import SyncEpisodeRunner  # noqa: E402
 SERVER = Path(__file__).parent / "recording_vla_eval_server.py"
 BENCHMARK = "vla_eval.benchmarks.libero.benchmark:LIBEROBenchmark"
 SUITE = "libero_goal"
-EVERYTHING = {"send_wrist_image": True, "send_state": True}
+ALL_INPUTS = {"send_wrist_image": True, "send_state": True}
 STEPS = 6
 
 
@@ -58,7 +58,7 @@ def lines(received):
 
 
 def messages(received):
-    return [line for line in lines(received) if line["type"] != "gone"]
+    return [line for line in lines(received) if line["type"] != "disconnected"]
 
 
 def until(condition, seconds=30):
@@ -79,7 +79,7 @@ def rotation_of(quaternion):
     )
 
 
-def moments():
+def simulated_observations():
     """Returns robosuite's observations at a few steps, including the hand's
     rest, near half a turn, and quaternions of either sign."""
     generator = np.random.default_rng(3)
@@ -97,53 +97,55 @@ def moments():
         }
 
 
-def observation(moment):
+def observation(simulated):
     images = [
-        pb.Image(camera=camera, width=256, height=256, rgb=moment[f"{camera}_image"].tobytes())
+        pb.Image(camera=camera, width=256, height=256, rgb=simulated[f"{camera}_image"].tobytes())
         for camera in ("agentview", "robot0_eye_in_hand")
     ]
-    quaternion = moment["robot0_eef_quat"]
+    quaternion = simulated["robot0_eef_quat"]
     readings = {
-        pb.STATE_FIELD_EEF_POS: moment["robot0_eef_pos"],
+        pb.STATE_FIELD_EEF_POS: simulated["robot0_eef_pos"],
         pb.STATE_FIELD_EEF_QUAT_XYZW: quaternion,
         pb.STATE_FIELD_EEF_ROTATION: rotation_of(quaternion).ravel(),
-        pb.STATE_FIELD_GRIPPER_POS: moment["robot0_gripper_qpos"],
+        pb.STATE_FIELD_GRIPPER_POS: simulated["robot0_gripper_qpos"],
     }
     state = [pb.StateReading(field=field, values=values) for field, values in readings.items()]
     return pb.Observation(images=images, state=state)
 
 
-OBSERVATION = observation(next(moments()))
+OBSERVATION = observation(next(simulated_observations()))
 
 
-class Rehearsed(LIBEROBenchmark):
-    """vla-eval's LIBERO benchmark, with made-up moments in place of the simulator.
+class ReplayedBenchmark(LIBEROBenchmark):
+    """vla-eval's LIBERO benchmark, with synthetic observations in place of the simulator.
 
-    The controller's site is turned against the hand as in robosuite's Panda gripper
+    The controller's site is turned relative to the hand as in robosuite's Panda gripper
     (`panda_gripper.xml`: -90 degrees about z)."""
 
     def reset(self, task):
-        self.left = moments()
+        self.remaining = simulated_observations()
         self.executed = []
         self._env = self
         return self.next()
 
     def next(self):
-        moment = next(self.left, None)
-        if moment is not None:
+        simulated = next(self.remaining, None)
+        if simulated is not None:
             turn = np.array([[0, 1, 0], [-1, 0, 0], [0, 0, 1]])
             controller = SimpleNamespace(
-                ee_pos=moment["robot0_eef_pos"],
-                ee_ori_mat=rotation_of(moment["robot0_eef_quat"]) @ turn,
+                ee_pos=simulated["robot0_eef_pos"],
+                ee_ori_mat=rotation_of(simulated["robot0_eef_quat"]) @ turn,
             )
             self.robots = [SimpleNamespace(controller=controller)]
-        return moment
+        return simulated
 
     def close(self):
         pass
 
     def step(self, action):
-        if isinstance(action, dict):  # vla-eval's runner; itself, as the environment
+        # vla-eval's runner passes a dictionary. The base class then steps its environment, which
+        # is this object, with an array.
+        if isinstance(action, dict):
             return super().step(action)
         self.executed.append(action)
         return self.next() or {name: np.zeros(4) for name in STATE_NAMES}, 0.0, False, {}
@@ -152,19 +154,19 @@ class Rehearsed(LIBEROBenchmark):
 STATE_NAMES = ("robot0_eef_pos", "robot0_eef_quat", "robot0_gripper_qpos")
 
 
-def until_it_ended(received):
+def wait_for_episode_end(received):
     until(lambda: messages(received)[-1]["type"] == "episode_end")
 
 
 def played_by_vla_eval(server, instruction, **params):
     """Plays one episode with vla-eval's own client. Returns the executed actions."""
-    benchmark = Rehearsed(SUITE, **params)
+    benchmark = ReplayedBenchmark(SUITE, **params)
 
     async def play():
         connection = Connection(f"ws://{server}")
         await connection.connect(benchmark=BENCHMARK)
         task = {"name": instruction, "suite": SUITE, "task_id": 3, "episode_idx": 0}
-        # The episode ends before the observation after the last step, which has no moment.
+        # The episode ends before the observation after the last step, which is not simulated.
         runner = SyncEpisodeRunner()
         benchmark.check_done = lambda step: len(benchmark.executed) == STEPS
         await runner.run_episode(benchmark, task, connection, max_steps=STEPS)
@@ -178,12 +180,12 @@ def played_by_the_gateway(program, server, received, instruction):
     with gateway(program, server) as client:
         client.reset(suite=SUITE, instruction=instruction)
         actions = [
-            client.infer(query_index=at, observation=observation(moment))
-            for at, moment in enumerate(moments())
+            client.infer(query_index=at, observation=observation(simulated))
+            for at, simulated in enumerate(simulated_observations())
         ]
         client.stub.End(pb.EndRequest(session="s"))
         # The gateway forwards the end in the background.
-        until_it_ended(received)
+        wait_for_episode_end(received)
     return np.concatenate(actions)
 
 
@@ -202,27 +204,28 @@ def assert_alike(ours, theirs):
 
 @pytest.mark.parametrize(
     "params",
-    [{}, EVERYTHING, {**EVERYTHING, "quat_no_antipodal": True, "env_seed": 0}],
+    [{}, ALL_INPUTS, {**ALL_INPUTS, "quat_no_antipodal": True, "env_seed": 0}],
     ids=["an image", "everything", "quaternions as they are"],
 )
 @pytest.mark.parametrize("chunk_size", [None, 4], ids=["single actions", "chunks"])
-def test_the_server_receives_message_by_message_what_vla_evals_own_benchmark_sends(
+def test_the_server_receives_the_messages_of_vla_evals_own_benchmark(
     program, received, tmp_path, params, chunk_size
 ):
-    by_theirs = tmp_path / "theirs.jsonl"
+    expected_file = tmp_path / "theirs.jsonl"
     arguments = [] if chunk_size is None else ["--chunk-size", str(chunk_size)]
     instruction = "pick it up" if chunk_size is None else "answer a chunk"
-    with serving(by_theirs, *arguments, **params) as server:
+    with serving(expected_file, *arguments, **params) as server:
         theirs = played_by_vla_eval(server, instruction, **params)
-        until_it_ended(by_theirs)
+        wait_for_episode_end(expected_file)
     with serving(received, *arguments, **params) as server:
         ours = played_by_the_gateway(program, server, received, instruction)
     assert ours.shape == (STEPS, 7)
     np.testing.assert_array_equal(ours, theirs)
     assert set(ours[:, 6]) == {-1, 1}
 
-    expected = messages(by_theirs)
-    # The description, requested before every Reset, left its connection open for the episode.
+    expected = messages(expected_file)
+    # The gateway requests the description before every Reset, and uses its connection for the
+    # episode.
     hello, *episode = messages(received)
     assert [line["type"] for line in episode] == [line["type"] for line in expected][1:]
     start, *observations, end = expected[1:]
@@ -241,14 +244,14 @@ def test_frames_are_sent_in_each_image_format(program, received, form, sent):
     y, x = np.mgrid[:256, :256] / 16
     waves = np.stack([np.sin(x) + np.cos(y), np.sin(x + y), np.cos(x - y)], axis=-1)
     frame = np.uint8(127 + 60 * waves)
-    moment = {**next(moments()), "agentview_image": frame}
+    simulated = {**next(simulated_observations()), "agentview_image": frame}
     with serving(received) as server:
         with gateway(program, server, f"?image_format={form}") as client:
             client.reset(suite=SUITE, instruction="reach")
-            client.infer(observation=observation(moment))
-    [shown] = [line for line in messages(received) if line["type"] == "observation"]
-    assert shown["forms"] == {"agentview": sent}
-    dtype, *shape, digest, mean = shown["payload"]["images"]["agentview"]
+            client.infer(observation=observation(simulated))
+    [sent_line] = [line for line in messages(received) if line["type"] == "observation"]
+    assert sent_line["forms"] == {"agentview": sent}
+    dtype, *shape, digest, mean = sent_line["payload"]["images"]["agentview"]
     assert (dtype, shape) == ("|u1", [256, 256, 3])
     turned = np.ascontiguousarray(frame[::-1, ::-1])
     is_lossless = described(turned)[4] == digest
@@ -291,10 +294,10 @@ def test_every_episode_has_its_own_connection_and_chunks(program, received):
                 action = client.infer(session, step, OBSERVATION)
                 expected = np.float32(scripted(step))
                 np.testing.assert_array_equal(action[0, :6], expected[:6])
-        assert not [line for line in lines(received) if line["type"] == "gone"]
+        assert not [line for line in lines(received) if line["type"] == "disconnected"]
         client.stub.End(pb.EndRequest(session="a"))
-        until(lambda: [line for line in lines(received) if line["type"] == "gone"])
-        assert [line["type"] for line in lines(received)][-2:] == ["episode_end", "gone"]
+        until(lambda: [line for line in lines(received) if line["type"] == "disconnected"])
+        assert [line["type"] for line in lines(received)][-2:] == ["episode_end", "disconnected"]
         with pytest.raises(grpc.RpcError) as caught:
             client.infer("a", 3, OBSERVATION)
         assert caught.value.code() == grpc.StatusCode.UNAVAILABLE
@@ -302,8 +305,8 @@ def test_every_episode_has_its_own_connection_and_chunks(program, received):
 
 
 def test_the_description_has_resolved_settings_and_the_address_takes_precedence(program, received):
-    asked = {"send_state": True, "env_seed": 0, "success_mode": "truncation"}
-    with serving(received, "--gripper", "binary_close_positive", **asked) as server:
+    parameters = {"send_state": True, "env_seed": 0, "success_mode": "truncation"}
+    with serving(received, "--gripper", "binary_close_positive", **parameters) as server:
         with gateway(program, server) as client:
             description = client.describe()
         with gateway(program, server, "?send_wrist_image=true&send_state=false") as client:
@@ -389,7 +392,7 @@ def test_the_error_of_a_refused_episode_has_the_policys_reason(program, received
     assert "episode_start_failed: KeyError: 'no such task'" in caught.value.details()
 
 
-def test_a_server_that_dies_in_an_episode_is_an_outage_until_it_restarts(program, received):
+def test_a_server_that_dies_in_an_episode_is_unavailable_until_it_restarts(program, received):
     with serving(received) as server:
         port = server.rsplit(":", 1)[1]
         with gateway(program, server) as client:
@@ -419,7 +422,7 @@ def test_a_server_that_dies_in_an_episode_is_an_outage_until_it_restarts(program
 
 
 def test_the_server_passes_the_conformance_check_except_for_seeds(program, received):
-    with serving(received, "--chunk-size", "4", **EVERYTHING) as server:
+    with serving(received, "--chunk-size", "4", **ALL_INPUTS) as server:
         check = subprocess.run(
             [program, "check", f"vla-eval://{server}", "--suite", SUITE],
             capture_output=True,

@@ -69,12 +69,12 @@ def torch_network():
     return torch, network.to(torch.bfloat16)
 
 
-@pytest.mark.parametrize("piece", [1, 7_000, 1 << 24])
-def test_files_are_compared_in_pieces_of_any_size(tmp_path, monkeypatch, piece):
+@pytest.mark.parametrize("count", [1, 7_000, 1 << 24])
+def test_files_are_compared_in_parts_of_any_size(tmp_path, monkeypatch, count):
     _, network = torch_network()
     from safetensors.torch import save_file
 
-    monkeypatch.setattr(weights, "PIECE", piece)
+    monkeypatch.setattr(weights, "COMPARED_NUMBERS", count)
     file = tmp_path / "model.safetensors"
     # Files may have a higher precision than the network.
     stored = {f"old.{name}": tensor.float() for name, tensor in network.state_dict().items()}
@@ -97,19 +97,19 @@ def test_a_file_is_never_read_whole(tmp_path, monkeypatch):
     from safetensors.torch import save_file
 
     save_file(network.state_dict(), tmp_path / "model.safetensors")
-    monkeypatch.setattr(weights, "PIECE", 3_000)
+    monkeypatch.setattr(weights, "COMPARED_NUMBERS", 3_000)
     largest = 0
-    inner = weights._InFile.__getitem__
+    inner = weights._StoredTensor.__getitem__
 
     def watched(self, rows):
         nonlocal largest
-        piece = inner(self, rows)
-        largest = max(largest, piece.numel())
-        return piece
+        part = inner(self, rows)
+        largest = max(largest, part.numel())
+        return part
 
-    monkeypatch.setattr(weights._InFile, "__getitem__", watched)
-    with weights.stored_in(tmp_path.glob("*.safetensors")) as there:
-        weights.require_loaded(network, there, "mine")
+    monkeypatch.setattr(weights._StoredTensor, "__getitem__", watched)
+    with weights.stored_in(tmp_path.glob("*.safetensors")) as stored:
+        weights.require_loaded(network, stored, "mine")
     assert 0 < largest <= 3_000
 
 

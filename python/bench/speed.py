@@ -37,7 +37,9 @@ def main() -> None:
     parser.add_argument("--environments", type=int, default=16)
     parser.add_argument("--steps", type=int, default=30)
     given = parser.parse_args()
-    measured = {"one": one, "processes": processes, "threads": threads}[given.mode](given)
+    measured = {"one": measure_one, "processes": measure_processes, "threads": measure_threads}[
+        given.mode
+    ](given)
     print(json.dumps(measured))
 
 
@@ -49,7 +51,7 @@ def actions(count: int) -> np.ndarray:
 
 def files(task: str) -> tuple[str, np.ndarray]:
     """Returns the path of a task's BDDL file, and its initial states."""
-    # The original imports torch and calls nothing of it here.
+    # The original imports torch, and does not call it here.
     sys.modules.setdefault("torch", types.ModuleType("torch"))
     from libero.libero import benchmark
 
@@ -72,7 +74,7 @@ def init_states(tasks, index: int) -> np.ndarray:
 
 
 def environment(bddl: str, *, frames: bool):
-    """Constructs an environment as scripts do."""
+    """Constructs an environment as evaluation scripts do."""
     from libero.libero.envs.env_wrapper import ControlEnv
 
     return ControlEnv(
@@ -95,31 +97,29 @@ def median_ms(work: Callable[[], object], times: int) -> float:
     return statistics.median(taken) * 1e3
 
 
-def one(given: argparse.Namespace) -> dict[str, float]:
+def measure_one(given: argparse.Namespace) -> dict[str, float]:
     """Returns the duration of one environment's calls, ms."""
     bddl, states = files(given.task)
     measured = {}
     for frames, name in ((False, "step_ms"), (True, "frames_ms")):
-        made = environment(bddl, frames=frames)
-        made.seed(0)
-        made.reset()
-        made.set_init_state(states[0])
-        chosen = iter(actions(given.steps + WARM_UP))
+        env = environment(bddl, frames=frames)
+        env.seed(0)
+        env.reset()
+        env.set_init_state(states[0])
+        moves = iter(actions(given.steps + WARM_UP))
         for _ in range(WARM_UP):
-            made.step(next(chosen))
-        measured[name] = median_ms(
-            lambda made=made, chosen=chosen: made.step(next(chosen)), given.steps
-        )
+            env.step(next(moves))
+        measured[name] = median_ms(lambda env=env, moves=moves: env.step(next(moves)), given.steps)
         if frames:
-            # Resets are timed only without frames, since each would draw one for its observation.
-            made.close()
+            # Resets are timed only without frames, since each would render its observation.
+            env.close()
             continue
-        measured["reset_ms"] = median_ms(made.reset, RESETS)
-        made.close()
+        measured["reset_ms"] = median_ms(env.reset, RESETS)
+        env.close()
     return measured
 
 
-def processes(given: argparse.Namespace) -> dict[str, float]:
+def measure_processes(given: argparse.Namespace) -> dict[str, float]:
     """Returns observations per second of environments in processes, and megabytes of each."""
     import multiprocessing
 
@@ -129,12 +129,12 @@ def processes(given: argparse.Namespace) -> dict[str, float]:
     bddl, states = files(given.task)
     count = given.environments
     make = [_Maker(bddl)] * count
-    made = SubprocVectorEnv(make)
-    made.reset()
-    made.set_init_state([states[0]] * count)
-    rate = observations_per_second(made.step, given.steps, count)
-    memory = [pss_mb(worker.process.pid) for worker in made.workers]
-    made.close()
+    env = SubprocVectorEnv(make)
+    env.reset()
+    env.set_init_state([states[0]] * count)
+    rate = observations_per_second(env.step, given.steps, count)
+    memory = [pss_mb(worker.process.pid) for worker in env.workers]
+    env.close()
     return {"observations_per_second": rate, "further_mb": statistics.median(memory)}
 
 
@@ -148,7 +148,7 @@ class _Maker:
         return environment(self.bddl, frames=True)
 
 
-def threads(given: argparse.Namespace) -> dict[str, float]:
+def measure_threads(given: argparse.Namespace) -> dict[str, float]:
     """Returns observations per second of environments in this process, and megabytes of each."""
     import rollout_libero
 
@@ -158,23 +158,23 @@ def threads(given: argparse.Namespace) -> dict[str, float]:
     single.reset()
     single.step(actions(1))
     before = pss_mb(os.getpid())
-    made = rollout_libero.VectorEnvironment(given.task, count, **options)
-    made.reset()
-    made.step(np.repeat(actions(1), count, axis=0))
-    further = (pss_mb(os.getpid()) - before) / count
-    rate = observations_per_second(made.step, given.steps, count)
-    made.close()
+    env = rollout_libero.VectorEnvironment(given.task, count, **options)
+    env.reset()
+    env.step(np.repeat(actions(1), count, axis=0))
+    growth = (pss_mb(os.getpid()) - before) / count
+    rate = observations_per_second(env.step, given.steps, count)
+    env.close()
     single.close()
-    return {"observations_per_second": rate, "further_mb": further}
+    return {"observations_per_second": rate, "further_mb": growth}
 
 
 def observations_per_second(step: Callable[[np.ndarray], object], steps: int, count: int) -> float:
     """Returns the rate of `count` environments that step together, after untimed steps."""
-    chosen = np.repeat(actions(steps + WARM_UP)[:, None], count, axis=1)
-    for action in chosen[:WARM_UP]:
+    moves = np.repeat(actions(steps + WARM_UP)[:, None], count, axis=1)
+    for action in moves[:WARM_UP]:
         step(action)
     start = time.perf_counter()
-    for action in chosen[WARM_UP:]:
+    for action in moves[WARM_UP:]:
         step(action)
     return steps * count / (time.perf_counter() - start)
 
@@ -184,7 +184,7 @@ def pss_mb(process: int) -> float:
     for line in Path(f"/proc/{process}/smaps_rollup").read_text().splitlines():
         if line.startswith("Pss:"):
             return int(line.split()[1]) / 1024
-    raise OSError(f"read the memory of process {process}")
+    raise OSError(f"failed to read the memory of process {process}: no line `Pss:`")
 
 
 if __name__ == "__main__":

@@ -67,13 +67,13 @@ class Episode:
     def save(self, path: Path) -> None:
         """Writes the episode's file."""
         actions, rewards, terminated, truncated = map(np.array, zip(*self._steps, strict=True))
-        seen = {
+        stacked = {
             key: np.stack([observation[key] for observation in self._observations])
             for key in self._observations[0]
         }
         np.savez_compressed(
             path,
-            **seen,
+            **stacked,
             actions=actions,
             rewards=rewards,
             terminated=terminated,
@@ -82,7 +82,7 @@ class Episode:
         )
 
 
-def seen_by(observations: Observations, index: int) -> Observations:
+def observation_of(observations: Observations, index: int) -> Observations:
     """Returns a copy of one environment's observation: a view would keep the frames of all."""
     return {key: values[index].copy() for key, values in observations.items()}
 
@@ -99,7 +99,8 @@ def collect(
     observations, infos = envs.reset(seed=seed)
     instructions = [str(text) for text in infos["instruction"]]
     running = [
-        Episode(seen_by(observations, index), instructions[index]) for index in range(envs.num_envs)
+        Episode(observation_of(observations, index), instructions[index])
+        for index in range(envs.num_envs)
     ]
     has_ended = np.zeros(envs.num_envs, dtype=bool)
     written = steps = successes = 0
@@ -107,14 +108,14 @@ def collect(
         actions = policy.act(observations)
         observations, rewards, terminated, truncated, _ = envs.step(actions)
         for index in range(envs.num_envs):
-            seen = seen_by(observations, index)
+            observation = observation_of(observations, index)
             if has_ended[index]:
                 # With autoreset, this step was the reset and executed no action.
-                running[index] = Episode(seen, instructions[index])
+                running[index] = Episode(observation, instructions[index])
                 continue
             episode = running[index]
             ending = bool(terminated[index]), bool(truncated[index])
-            episode.add(actions[index], float(rewards[index]), *ending, seen)
+            episode.add(actions[index], float(rewards[index]), *ending, observation)
             if any(ending) and written < episodes:
                 episode.save(output / f"episode_{written:05d}.npz")
                 written += 1

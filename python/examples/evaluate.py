@@ -50,7 +50,7 @@ def succeeds(env: rollout_libero.Environment, policy: Policy, init_state: int, s
     observation, info = env.reset(seed=seed, options={"init_state": init_state})
     policy.reset(info["instruction"])
     while True:
-        # Only the last frames of a chunk are used, so only those are drawn.
+        # Only the last frames of a chunk are used, so only those are rendered.
         observation, _, terminated, truncated, info = env.step_chunk(
             policy.act(observation), render="last"
         )

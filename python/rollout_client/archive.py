@@ -28,10 +28,12 @@ from .errors import CoordinatorError
 #: The newest format and schema that can be read.
 FORMAT, SCHEMA = 1, 13
 
-#: Bytes per read.
-PIECE = 1 << 20
+#: Largest number of bytes per read of a file.
+READ_BYTES = 1 << 20
 
 LIST, DATABASE = "archive.json", "coordinator.sqlite"
+#: Place in an error about bytes after the last member.
+END = "the end"
 #: Members of every archive, in order; all others are films.
 MEMBERS = ("specification.json", "provenance.json", "report.json", DATABASE)
 #: File name of a film.
@@ -41,7 +43,7 @@ FILM = re.compile(r"[A-Za-z0-9_-][A-Za-z0-9._-]*\.mp4")
 MAX_LIST = 64 << 20
 #: Largest ratio of the members' size to the archive's, unless their total is below SMALL bytes.
 MAX_RATIO, SMALL = 100, 64 << 20
-#: Most zeros after the last member, bytes.
+#: Largest number of zeros after the last member, bytes.
 MAX_PADDING = 1 << 20
 
 #: Tables that are read.
@@ -81,7 +83,7 @@ class Rollout:
     #: Time of the commit, milliseconds since the Unix epoch.
     committed_ms: int
     #: Position of the end-effector at rest and after each step: steps + 1 rows of x, y, z, m, in
-    #: the world frame, rounded to 0.1 mm; float32. Empty if not kept.
+    #: the world frame, rounded to 0.1 mm; float32. Empty if the archive lacks it.
     path: np.ndarray[Any, np.dtype[np.float32]]
     #: The policy's actions: seven numbers per step, clipped to [-1, 1] in matched campaigns;
     #: float32. Empty unless the campaign records transitions.
@@ -183,31 +185,31 @@ class Archive:
                 entries = _Entries(stream)
                 listed = entries.next()
                 if listed is None or listed.name != LIST or not 0 <= listed.size <= MAX_LIST:
-                    raise self._bad("it is no archive of a campaign", LIST)
-                contents: dict[str, Any] = json.loads(b"".join(entries.pieces(listed.size)))
+                    raise self._bad("it is not an archive of a campaign", LIST)
+                contents: dict[str, Any] = json.loads(b"".join(entries.read(listed.size)))
                 self._check_version(contents)
                 self._check_members(contents, folder)
                 for member in contents["members"]:
                     name = member["name"]
                     self._member(entries, member, folder)
-                name = "its end"
+                name = END
                 if entries.next() is not None:
                     raise self._bad(f"there are members that {LIST} does not name", name)
                 if len(stream.read(MAX_PADDING + 1)) > MAX_PADDING:
-                    raise self._bad("there is more behind it", name)
+                    raise self._bad("data follow it", name)
         except FileNotFoundError as error:
             raise ArchiveError(f"failed to read archive {self._file}: no such file") from error
         except (OSError, EOFError, tarfile.TarError, zlib.error) as error:
-            raise self._bad("it is cut off, damaged or something else", name) from error
+            raise self._bad("it is truncated, damaged or of another format", name) from error
         except (ValueError, KeyError, TypeError) as error:
             if isinstance(error, ArchiveError):
                 raise
-            raise self._bad("it is no list of members", LIST) from error
+            raise self._bad("it is not a list of members", LIST) from error
         return contents
 
     def _check_version(self, contents: dict[str, Any]) -> None:
         for what, version, newest in (
-            ("form", contents["format"], FORMAT),
+            ("format", contents["format"], FORMAT),
             ("schema", contents["schema"], SCHEMA),
         ):
             if version > newest:
@@ -254,26 +256,27 @@ class Archive:
         if entry is not None and entry.type == tarfile.GNUTYPE_LONGNAME:
             # A name that is too long for a header is stored before it, in a separate entry.
             if not 0 <= entry.size <= len(name) + 1:
-                raise self._bad("another one is in its place, or none", name)
-            found = b"".join(entries.pieces(entry.size)).rstrip(b"\0").decode("utf-8", "replace")
+                raise self._bad("another member is in its place, or none", name)
+            found = b"".join(entries.read(entry.size)).rstrip(b"\0").decode("utf-8", "replace")
             entry = entries.next()
         if entry is None or found != name or not entry.isreg():
-            raise self._bad("another one is in its place, or none", name)
+            raise self._bad("another member is in its place, or none", name)
         if entry.size != size:
-            raise self._bad(f"it is not what {LIST} says: it has {entry.size} bytes", name)
+            raise self._bad(f"it has {entry.size} bytes, and {LIST} states {size}", name)
         target = folder / name
         target.parent.mkdir(parents=True, exist_ok=True)
         digest = hashlib.sha256()
         with target.open("xb") as out:
-            for piece in entries.pieces(size):
-                digest.update(piece)
-                out.write(piece)
+            for data in entries.read(size):
+                digest.update(data)
+                out.write(data)
         if digest.hexdigest() != member["sha256"]:
-            raise self._bad(f"it is not what {LIST} says", name)
+            raise self._bad(f"its SHA-256 is not the one in {LIST}", name)
 
     def _bad(self, problem: str, member: str) -> ArchiveError:
+        place = member if member == END else f"member {member}"
         return ArchiveError(
-            f"failed to read member {member} of archive {self._file}: {problem}; copy it again, or"
+            f"failed to read {place} of archive {self._file}: {problem}; copy it again, or"
             " archive the campaign again with `coordinator campaign archive`"
         )
 
@@ -288,22 +291,24 @@ class _Entries:
     def next(self) -> tarfile.TarInfo | None:
         """Returns the next header; None at the end. The previous entry must be read first."""
         try:
-            return tarfile.TarInfo.frombuf(self._exactly(tarfile.BLOCKSIZE), "utf-8", "replace")
+            return tarfile.TarInfo.frombuf(
+                self._read_exactly(tarfile.BLOCKSIZE), "utf-8", "replace"
+            )
         except tarfile.HeaderError as error:
             if type(error).__name__ == "EOFHeaderError":
                 return None
             raise
 
-    def pieces(self, size: int) -> Iterator[bytes]:
-        """Yields the bytes of an entry piece by piece, then skips the padding of its last block."""
-        left = size
-        while left > 0:
-            piece = self._exactly(min(left, PIECE))
-            left -= len(piece)
-            yield piece
-        self._exactly(-size % tarfile.BLOCKSIZE)
+    def read(self, size: int) -> Iterator[bytes]:
+        """Yields the bytes of an entry in parts, then skips the padding of its last block."""
+        remaining = size
+        while remaining > 0:
+            data = self._read_exactly(min(remaining, READ_BYTES))
+            remaining -= len(data)
+            yield data
+        self._read_exactly(-size % tarfile.BLOCKSIZE)
 
-    def _exactly(self, size: int) -> bytes:
+    def _read_exactly(self, size: int) -> bytes:
         read = self._stream.read(size)
         if len(read) < size:
             raise EOFError
@@ -315,8 +320,8 @@ def _tables_only(
 ) -> int:
     """Permits SQLite to read real tables only. A view or a generated column in place of a table
     would run expressions written by the archive's author."""
-    is_of_a_table = action == sqlite3.SQLITE_READ and table in TABLES and view is None
-    is_allowed = action == sqlite3.SQLITE_SELECT or is_of_a_table
+    is_table_read = action == sqlite3.SQLITE_READ and table in TABLES and view is None
+    is_allowed = action == sqlite3.SQLITE_SELECT or is_table_read
     return sqlite3.SQLITE_OK if is_allowed else sqlite3.SQLITE_DENY
 
 

@@ -65,7 +65,7 @@ class Client:
         self._connection.close()
 
     def campaigns(self) -> pd.DataFrame:
-        """A row per campaign, oldest first, with the fields of Status."""
+        """Returns a row per campaign, oldest first, with the fields of Status."""
         answer = self._connection.call(
             self._connection.operator.ListCampaigns, wire.ListCampaignsRequest()
         )
@@ -90,18 +90,18 @@ class Client:
         return Campaign(json.loads(text)["name"], self._connection, self._program)
 
     def forecast(self, spec: Spec, *, policy_rate: float | None = None) -> Forecast:
-        """Returns the rollouts that `create` would make of a specification, the time
-        that the workers connected now would take, and the bottleneck. Creates nothing.
+        """Returns the number of rollouts that `create` would create, the time that the currently
+        connected workers would take, and the bottleneck. Creates nothing.
 
-        policy_rate: maximal queries per second of the policy's server, all
-        replicas together, as `policy-gateway check` measures them.
+        policy_rate: maximal queries per second of all replicas of the policy's server together, as
+        `policy-gateway check` measures them.
         """
         text = _text(spec)
         rows = self._program.run("manifest", "expand", "--spec", "-", text=text).splitlines()
         suites = Counter(json.loads(row)["suite"] for row in rows)
         fields = json.loads(text)
-        times = fields.get("replicates", 1)
-        rollouts = {suite: count * times for suite, count in sorted(suites.items())}
+        replicates = fields.get("replicates", 1)
+        rollouts = {suite: count * replicates for suite, count in sorted(suites.items())}
         request = wire.ForecastRequest(
             policy=fields["policy"]["name"],
             rollouts=[
@@ -113,7 +113,7 @@ class Client:
         return Forecast.of(rollouts, answer)
 
     def workers(self) -> pd.DataFrame:
-        """Returns a row per worker, including those that have gone, latest calls first."""
+        """Returns a row per worker, including workers that have ended, latest calls first."""
         answer = self._connection.call(
             self._connection.operator.ListWorkers, wire.ListWorkersRequest()
         )

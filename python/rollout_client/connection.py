@@ -26,7 +26,7 @@ from .proto.coordinator_pb2_grpc import OperatorServiceStub
 #: First and longest pause between tries, which double, s.
 FIRST_PAUSE, LONGEST_PAUSE = 0.25, 4.0
 #: Longest wait for an answer of one message, s.
-PATIENCE = 60.0
+ANSWER_TIMEOUT = 60.0
 #: Status codes that may mean a connection failure; all other codes come from a server.
 CONNECTION_CODES = (
     grpc.StatusCode.UNAVAILABLE,
@@ -65,15 +65,15 @@ class Connection:
     def call(self, method: Callable[..., T], request: object) -> T:
         """Calls until the coordinator answers or the time for retries is over.
         All operator calls may be repeated safely. Raises CoordinatorError."""
-        return self._patiently(
-            lambda: method(request, timeout=PATIENCE, metadata=self.access.metadata)
+        return self._with_retries(
+            lambda: method(request, timeout=ANSWER_TIMEOUT, metadata=self.access.metadata)
         )
 
     def collect(self, method: Callable[..., Iterable[T]], request: object) -> list[T]:
         """Like `call`, for a method whose answer is a stream."""
-        return self._patiently(lambda: list(method(request, metadata=self.access.metadata)))
+        return self._with_retries(lambda: list(method(request, metadata=self.access.metadata)))
 
-    def _patiently(self, send: Callable[[], T]) -> T:
+    def _with_retries(self, send: Callable[[], T]) -> T:
         deadline = time.monotonic() + self.retry_secs
         pause = FIRST_PAUSE
         has_warned = False
@@ -81,7 +81,7 @@ class Connection:
             try:
                 return send()
             except grpc.RpcError as error:
-                found = self._found(error)
+                found = self._diagnosis(error)
                 failure = _refusal(error) if found is None else self._unreachable(found)
                 is_temporary = _is_outage(error) if found is None else not found.is_final
             if not is_temporary or time.monotonic() + pause > deadline:
@@ -92,20 +92,20 @@ class Connection:
             time.sleep(pause)
             pause = min(2 * pause, LONGEST_PAUSE)
 
-    def _found(self, error: grpc.RpcError) -> probe.Found | None:
+    def _diagnosis(self, error: grpc.RpcError) -> probe.Finding | None:
         """Identifies the server at the URL; None if the coordinator itself answered."""
         code, details = error.code(), error.details() or ""
         is_from_web_server = details.startswith(probe.WEB_ANSWER)
         # Only answers of a server have headers; errors of this client have none.
         has_answered = bool(error.trailing_metadata()) and not is_from_web_server
-        is_unknown_call = code is grpc.StatusCode.UNIMPLEMENTED
+        is_unimplemented = code is grpc.StatusCode.UNIMPLEMENTED
         may_be_lost = is_from_web_server or code in CONNECTION_CODES
-        if not may_be_lost or has_answered and not is_unknown_call:
+        if not may_be_lost or has_answered and not is_unimplemented:
             return None
-        found = probe.look(self.access)
-        return probe.OLDER if found is probe.BROKEN and is_unknown_call else found
+        found = probe.identify_server(self.access)
+        return probe.OLDER if found is probe.BROKEN and is_unimplemented else found
 
-    def _unreachable(self, found: probe.Found) -> UnreachableError:
+    def _unreachable(self, found: probe.Finding) -> UnreachableError:
         return UnreachableError(self.access.url, found.words, found.remedy)
 
 
@@ -116,7 +116,8 @@ def _is_outage(error: grpc.RpcError) -> bool:
 def _refusal(error: grpc.RpcError) -> CoordinatorError:
     """Converts a coordinator's error to an exception with its message."""
     code = error.code()
-    words = f"failed to {error.details() or f'do this: {code.name}, without a reason'}"
+    details = error.details() or f"complete the call: gRPC status {code.name}, without a reason"
+    words = f"failed to {details}"
     if code in (grpc.StatusCode.UNAUTHENTICATED, grpc.StatusCode.PERMISSION_DENIED):
         return AccessDeniedError(f"{words} (in Python: `token_file`)")
     if code is grpc.StatusCode.NOT_FOUND:

@@ -26,7 +26,7 @@ class UnreachableError(CoordinatorError, ConnectionError):
 
 
 class AccessDeniedError(CoordinatorError, PermissionError):
-    """The coordinator does not know the token, or its role does not permit the call."""
+    """The coordinator does not know the token, or the token's role does not permit the call."""
 
 
 class NoSuchCampaignError(CoordinatorError, LookupError):
@@ -35,8 +35,8 @@ class NoSuchCampaignError(CoordinatorError, LookupError):
 
 
 class RefusedError(CoordinatorError):
-    """The coordinator, or its program on this machine, refused. The message is
-    its own, and nothing has changed."""
+    """The coordinator, or its program on this machine, refused a request and changed nothing. The
+    message is that of the coordinator or the program."""
 
 
 class ProgramError(CoordinatorError, FileNotFoundError):

@@ -13,10 +13,10 @@ from .access import Access
 from .channel import channel
 
 #: Longest wait for each answer, s.
-PATIENCE = 3.0
-#: First bytes of an HTTP/2 client: its preface, and settings that change nothing.
+ANSWER_TIMEOUT = 3.0
+#: First bytes of an HTTP/2 client: its preface, and an empty SETTINGS frame.
 PREFACE = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0"
-#: Bytes of an HTTP/2 frame's header, and the position of its type.
+#: Bytes of an HTTP/2 frame's header, position of its type, and the type SETTINGS.
 FRAME_HEAD, FRAME_TYPE, SETTINGS_FRAME = 9, 3, 4
 #: Characters of a server's reply that are quoted.
 QUOTED_CHARS = 60
@@ -36,7 +36,7 @@ NAME_ANOTHER = "give Client the address of the coordinator"
 
 
 @dataclass(frozen=True)
-class Found:
+class Finding:
     """Finding at a coordinator's URL, with its remedy."""
 
     words: str
@@ -46,37 +46,37 @@ class Found:
 
 
 #: The coordinator answers the diagnosis: only the failed call lost its connection.
-BROKEN = Found(
+BROKEN = Finding(
     "the connection ended before the answer came",
     "try again; the coordinator's log says why, if it failed",
     is_final=False,
 )
-OLDER = Found(
+OLDER = Finding(
     "the coordinator there does not have this call",
     "use the same version of coordinator and rollout-libero",
     is_final=True,
 )
-ENCRYPTED = Found(
-    "the server there speaks TLS",
+ENCRYPTED = Finding(
+    "the server there uses TLS",
     "write https:// in place of http://, and name its certificate authority with `ca`",
     is_final=True,
 )
-CLEAR = Found(
-    "the server there does not speak TLS",
+CLEAR = Finding(
+    "the server there does not use TLS",
     "write http:// in place of https://, or start the coordinator with --tls-cert and --tls-key",
     is_final=True,
 )
-MUTE = Found(
-    "what listens there hangs up or says nothing",
+MUTE = Finding(
+    "the server there closes the connection or sends nothing",
     "check that the URL names the port of the coordinator",
     is_final=False,
 )
 
 
-def look(access: Access) -> Found:
+def identify_server(access: Access) -> Finding:
     """Connects as the client does, and describes the server. Takes a few seconds at most."""
     try:
-        connection = socket.create_connection((access.host, access.port), timeout=PATIENCE)
+        connection = socket.create_connection((access.host, access.port), timeout=ANSWER_TIMEOUT)
     except OSError as error:
         return _no_connection(access, error)
     if access.is_encrypted:
@@ -86,28 +86,29 @@ def look(access: Access) -> Found:
                     _context(access).wrap_socket(connection, server_hostname=access.host)
                 )
             except ssl.SSLCertVerificationError as error:
-                return _certificate(access, error)
+                return _certificate_finding(access, error)
             except OSError:
                 # No TLS, or no version that both sides support.
-                return _in_the_clear(access)
-        return found or _server_of_grpc(access)
+                return _identify_without_tls(access)
+        return found or _identify_grpc_server(access)
     with connection:
         found = _read_reply(connection)
-    if found is MUTE and _speaks_tls(access):
+    if found is MUTE and _accepts_tls(access):
         return ENCRYPTED
-    return found or _server_of_grpc(access)
+    return found or _identify_grpc_server(access)
 
 
-def _no_connection(access: Access, error: OSError) -> Found:
+def _no_connection(access: Access, error: OSError) -> Finding:
     if isinstance(error, socket.gaierror):
         words = f"no address is known for the name `{access.host}`"
-        return Found(words, "correct the host's name in the URL", is_final=False)
+        return Finding(words, "correct the host's name in the URL", is_final=False)
     if isinstance(error, ConnectionRefusedError):
         remedy = f"start it with `coordinator serve`, or {NAME_ANOTHER}"
-        return Found("nothing listens there", remedy, is_final=False)
-    return Found(
+        return Finding("nothing listens there", remedy, is_final=False)
+    return Finding(
         f"the machine does not answer ({error.strerror or 'timed out'})",
-        f"check that it is up and that no firewall is between, or {NAME_ANOTHER}",
+        "check that the machine is running and that no firewall blocks the connection, or"
+        f" {NAME_ANOTHER}",
         is_final=False,
     )
 
@@ -121,7 +122,7 @@ def _context(access: Access) -> ssl.SSLContext:
     return context
 
 
-def _certificate(access: Access, error: ssl.SSLCertVerificationError) -> Found:
+def _certificate_finding(access: Access, error: ssl.SSLCertVerificationError) -> Finding:
     if error.verify_code in UNTRUSTED:
         words = "its certificate was signed by an authority that is not known here"
         if access.ca is not None:
@@ -138,17 +139,19 @@ def _certificate(access: Access, error: ssl.SSLCertVerificationError) -> Found:
         remedy = "start the coordinator with a new certificate in --tls-cert"
     elif error.verify_code == NOT_YET_VALID:
         words = "its certificate is not valid yet"
-        remedy = "set the clocks of both machines right"
+        remedy = "correct the clocks of both machines"
     else:
         words = f"its certificate cannot be used ({error.verify_message})"
         remedy = "start the coordinator with its own certificate, as docs/OPERATING.md describes"
-    return Found(words, remedy, is_final=True)
+    return Finding(words, remedy, is_final=True)
 
 
-def _in_the_clear(access: Access) -> Found:
+def _identify_without_tls(access: Access) -> Finding:
     """Connects without TLS, and describes a server that completes no TLS handshake."""
     try:
-        with socket.create_connection((access.host, access.port), timeout=PATIENCE) as connection:
+        with socket.create_connection(
+            (access.host, access.port), timeout=ANSWER_TIMEOUT
+        ) as connection:
             found = _read_reply(connection)
     except OSError:
         return MUTE
@@ -156,22 +159,24 @@ def _in_the_clear(access: Access) -> Found:
     return CLEAR if found is None or "web server" in found.words else found
 
 
-def _speaks_tls(access: Access) -> bool:
+def _accepts_tls(access: Access) -> bool:
     context = ssl.create_default_context()
     context.check_hostname = False
     context.verify_mode = ssl.CERT_NONE
     try:
-        with socket.create_connection((access.host, access.port), timeout=PATIENCE) as connection:
+        with socket.create_connection(
+            (access.host, access.port), timeout=ANSWER_TIMEOUT
+        ) as connection:
             context.wrap_socket(connection, server_hostname=access.host).close()
     except OSError:
         return False
     return True
 
 
-def _read_reply(connection: socket.socket) -> Found | None:
+def _read_reply(connection: socket.socket) -> Finding | None:
     """Sends an HTTP/2 client's preface, and describes the reply; None if it is HTTP/2."""
     reply = b""
-    connection.settimeout(PATIENCE)
+    connection.settimeout(ANSWER_TIMEOUT)
     try:
         # A server may send first, and close the connection because of the preface.
         connection.sendall(PREFACE)
@@ -179,10 +184,10 @@ def _read_reply(connection: socket.socket) -> Found | None:
             reply += more
     except OSError:
         pass
-    return _kind(reply)
+    return _describe_reply(reply)
 
 
-def _kind(reply: bytes) -> Found | None:
+def _describe_reply(reply: bytes) -> Finding | None:
     line = reply.decode("utf-8", "replace").partition("\n")[0]
     quoted = "".join(character for character in line if character.isprintable())[:QUOTED_CHARS]
     if not reply:
@@ -190,46 +195,46 @@ def _kind(reply: bytes) -> Found | None:
     if reply[:1] in (b"\x15", b"\x16") and reply[1:2] == b"\x03":
         return ENCRYPTED
     if reply.startswith(b"SSH-"):
-        return _other("an SSH server is there")
+        return _wrong_server("an SSH server is there")
     if reply.startswith((b"HTTP/", b"<")):
-        return _web(quoted)
+        return _web_server(quoted)
     if reply[:1] == b"\0" and reply[FRAME_TYPE : FRAME_TYPE + 1] == bytes([SETTINGS_FRAME]):
         return None
-    return _other(f"a server of another kind is there, which says {quoted!r}")
+    return _wrong_server(f"a server of another kind is there, whose answer begins with {quoted!r}")
 
 
-def _other(words: str) -> Found:
-    return Found(words, NAME_ANOTHER, is_final=True)
+def _wrong_server(words: str) -> Finding:
+    return Finding(words, NAME_ANOTHER, is_final=True)
 
 
-def _web(status_line: str) -> Found:
+def _web_server(status_line: str) -> Finding:
     if any(status in status_line.split() for status in PROXY_WAITING):
         words = f"a proxy there cannot reach the server behind it ({status_line})"
-        return Found(words, "start it with `coordinator serve`", is_final=False)
-    return _other(f"a web server of another kind is there ({status_line})")
+        return Finding(words, "start it with `coordinator serve`", is_final=False)
+    return _wrong_server(f"a web server of another kind is there ({status_line})")
 
 
-def _server_of_grpc(access: Access) -> Found:
+def _identify_grpc_server(access: Access) -> Finding:
     """Describes an HTTP/2 server by the gRPC methods that it implements."""
     with channel(access) as opened:
         found = _has_call(opened, access, COORDINATOR_CALL)
         if found is True:
             return BROKEN
-        if isinstance(found, Found):
+        if isinstance(found, Finding):
             return found
         if _has_call(opened, access, POLICY_CALL) is True:
-            return _other("a policy server or policy-gateway is there, not a coordinator")
-    return _other("a gRPC server is there, and it is not a coordinator")
+            return _wrong_server("a policy server or policy-gateway is there, not a coordinator")
+    return _wrong_server("a gRPC server is there, and it is not a coordinator")
 
 
-def _has_call(opened: grpc.Channel, access: Access, path: str) -> bool | Found:
+def _has_call(opened: grpc.Channel, access: Access, path: str) -> bool | Finding:
     """Returns True if a server has the method `path`, or a description if it is no gRPC server."""
     call = opened.unary_unary(path, request_serializer=None, response_deserializer=None)
     try:
-        call(b"", timeout=PATIENCE, metadata=access.metadata)
+        call(b"", timeout=ANSWER_TIMEOUT, metadata=access.metadata)
     except grpc.RpcError as error:
         details = error.details() or ""
         if details.startswith(WEB_ANSWER):
-            return _web(f"HTTP status {details.removeprefix(WEB_ANSWER)}")
+            return _web_server(f"HTTP status {details.removeprefix(WEB_ANSWER)}")
         return error.code() is not grpc.StatusCode.UNIMPLEMENTED
     return True

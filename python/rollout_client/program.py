@@ -36,11 +36,11 @@ class Program:
                 " Client(program=…)"
             ) from error
         if done.returncode != 0:
-            said = done.stderr.strip().removeprefix("error: ")
-            raise RefusedError(said or f"{' '.join(command)} ended with {done.returncode}")
+            message = done.stderr.strip().removeprefix("error: ")
+            raise RefusedError(message or f"{' '.join(command)} ended with {done.returncode}")
         return done.stdout
 
-    def connected(self, *words: str | Path) -> list[str | Path]:
+    def with_connection(self, *words: str | Path) -> list[str | Path]:
         """Returns the words, followed by the flags that name this client's coordinator."""
         access = self._access
         names: list[str | Path] = ["--connect", access.url]

@@ -136,8 +136,8 @@ class Report:
         return self._of_transition("compensated")
 
     def _of_transition(self, name: str) -> pd.DataFrame:
-        is_it = self.configurations["transition"].eq(name).fillna(False)
-        rows: pd.DataFrame = self.configurations.loc[is_it].reset_index(drop=True)
+        is_match = self.configurations["transition"].eq(name).fillna(False)
+        rows: pd.DataFrame = self.configurations.loc[is_match].reset_index(drop=True)
         return rows
 
 
@@ -169,7 +169,7 @@ def report(connection: Connection, program: Program, sources: tuple[str | Path, 
     with TemporaryDirectory(prefix="rollout-") as folder:
         table = Path(folder) / "configurations.csv"
         command = ("report", *names, "--json", *files, "--table", table)
-        text = program.run(*program.connected(*command))
+        text = program.run(*program.with_connection(*command))
         # NA may be the name of a policy.
         rows = pd.read_csv(table, dtype=types, keep_default_na=False, na_values=[""])
     document = json.loads(text)
@@ -186,7 +186,7 @@ def compare(connection: Connection, program: Program, a: str | Path, b: str | Pa
     """Compares A - B for campaigns (names) or result files (paths). Raises CoordinatorError."""
     _require_campaigns(connection, (a, b))
     words = [word for source in (a, b) for word in _source(source)]
-    text = program.run(*program.connected("compare", *words, "--json"))
+    text = program.run(*program.with_connection("compare", *words, "--json"))
     document = json.loads(text)
     return Comparison(
         json=document,

@@ -24,13 +24,13 @@ class Start(NamedTuple):
     row: str
     """Manifest row, JSON, for the simulator."""
     init_state: int | None
-    """None if objects are placed anew."""
+    """None if LIBERO's samplers place the objects."""
     instruction: str
     max_steps: int
     execution: str
     """Execution model: the robot's behaviour while an answer is computed."""
     turn: int
-    """The environment's turn in the sequence of starts, after this start."""
+    """The environment's position in the sequence of starts, after this start."""
     generator: np.random.Generator
     """The environment's generator after the draws of this start."""
 
@@ -57,10 +57,10 @@ class Starts:
         stride: int = 1,
     ) -> None:
         if max_steps is not None and max_steps < 1:
-            raise ValueError(f"failed to choose max_steps {max_steps}: it is 1 or more, or None")
+            raise ValueError(f"failed to set max_steps {max_steps}: it must be 1 or more, or None")
         if settle_steps is not None and settle_steps < 0:
             raise ValueError(
-                f"failed to choose settle_steps {settle_steps}: it is 0 or more, or None"
+                f"failed to set settle_steps {settle_steps}: it must be 0 or more, or None"
             )
         self._task = task
         self._count = count
@@ -125,29 +125,29 @@ class Starts:
         """
         generator = copy.deepcopy(generator)
         turn = self._turn if turn is None else turn
-        wanted = options.get("init_state")
-        if wanted is not None:
-            wanted = self._checked(wanted)
+        init_state = options.get("init_state")
+        if init_state is not None:
+            init_state = self._checked(init_state)
         elif self._chosen == "sampled":
             sampled = {
                 "sampled": int(generator.integers(2**32, dtype=np.uint32)),
-                "settle_steps": self._settled(self._perturbed or self._nominal(0)),
+                "settle_steps": self._settle_steps_of(self._perturbed or self._nominal(0)),
                 "perturbed": self._perturbed,
             }
             return self._start(sampled, None, turn, generator)
         if self._perturbed is not None:
             row = dict(self._perturbed)
-            if wanted is not None:
-                row["init_id"] = wanted
-        elif wanted is not None:
-            row = self._nominal(wanted)
+            if init_state is not None:
+                row["init_id"] = init_state
+        elif init_state is not None:
+            row = self._nominal(init_state)
         elif self._chosen == "random":
             row = self._nominal(int(generator.integers(self._count)))
         else:
             assert not isinstance(self._chosen, str)
             row = self._nominal(self._chosen[turn % len(self._chosen)])
             turn += self._stride
-        row["num_steps_wait"] = self._settled(row)
+        row["num_steps_wait"] = self._settle_steps_of(row)
         return self._start(row, row["init_id"], turn, generator)
 
     def use(self, start: Start) -> None:
@@ -168,13 +168,13 @@ class Starts:
         )
 
     def _execution_of(self, row: Mapping[str, Any] | None) -> str:
-        of_row = "wait" if row is None else row.get("execution", "wait")
-        if self._execution in (None, of_row):
-            return of_row
+        row_execution = "wait" if row is None else row.get("execution", "wait")
+        if self._execution in (None, row_execution):
+            return row_execution
         if row is not None and row["axis"] == "latency":
             raise ValueError(
                 f"failed to run {row['rollout_id']} under execution model {self._execution!r}: the "
-                f"row's latency axis already sets {of_row!r}; leave out `execution`"
+                f"row's latency axis already sets {row_execution!r}; leave out `execution`"
             )
         return self._execution
 
@@ -197,8 +197,8 @@ class Starts:
         row: dict[str, Any] = json.loads(native.nominal_row(self._task.name, init_state))
         return row
 
-    def _settled(self, row: Mapping[str, Any]) -> int:
-        """Returns the control steps without action before the first observation."""
+    def _settle_steps_of(self, row: Mapping[str, Any]) -> int:
+        """Returns the number of control steps without action before the first observation."""
         return row["num_steps_wait"] if self._settle_steps is None else self._settle_steps
 
     def _checked(self, init_state: int) -> int:
@@ -217,8 +217,8 @@ def _chosen(init_states: InitStates, count: int) -> str | Sequence[int]:
         return init_states
     if isinstance(init_states, str):
         raise ValueError(
-            f"failed to choose init_states {init_states!r}: it is 'cycle', 'random', 'sampled', a "
-            "number, or numbers"
+            f"failed to choose init_states {init_states!r}: it must be 'cycle', 'random', "
+            "'sampled', a number, or numbers"
         )
     given = [init_states] if isinstance(init_states, int) else init_states
     numbers = [int(number) for number in given]

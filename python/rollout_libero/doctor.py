@@ -14,7 +14,7 @@ from importlib import metadata
 from pathlib import Path
 
 SHIM = "rollout-libero-shim"
-OF_THE_SHIM = "_absent.py"
+SHIM_MARKER = "_absent.py"
 """A file that only the shim's package contains."""
 RIVALS = ("libero", "hf-libero", "rlinf-libero")
 """Other distributions with a package `libero`."""
@@ -23,37 +23,37 @@ REINSTALL = f"pip install --force-reinstall --no-deps {SHIM}, from its wheel, af
 
 def examine(path: Iterable[str] | None = None) -> tuple[list[str], list[str]]:
     """Returns findings about the imported package, and faults with their remedies."""
-    found, wrong = [], []
+    found, faults = [], []
     rivals = [name for name in RIVALS if _version(name) is not None]
     installed = _version(SHIM)
     imported = _imported()
     if imported is None:
-        wrong.append(f"no libero can be imported: {REINSTALL}")
-    elif (imported / OF_THE_SHIM).is_file():
+        faults.append(f"no libero can be imported: {REINSTALL}")
+    elif (imported / SHIM_MARKER).is_file():
         version = installed or "(not installed, but found in a folder)"
         found.append(f"libero is {SHIM} {version}: {imported}")
         if rivals:
-            wrong.append(
+            faults.append(
                 f"{', '.join(rivals)} installs a package libero into the same folder: "
                 f"pip uninstall {' '.join(rivals)}, then {REINSTALL}"
             )
     else:
-        wrong.append(f"libero is not {SHIM}, but {imported}: {_remedy(imported, rivals)}")
+        faults.append(f"libero is not {SHIM}, but {imported}: {_remedy(imported, rivals)}")
     for folder in _folders(sys.path if path is None else path):
         if imported is not None and not _is_same(folder, imported):
             found.append(f"hidden by the imported package, which is earlier on the path: {folder}")
     found += _configuration()
-    return found, wrong
+    return found, faults
 
 
 def report() -> int:
     """Prints the findings; returns the exit status, 1 if there is a fault."""
-    found, wrong = examine()
+    found, faults = examine()
     for line in found:
         print(line)
-    for line in wrong:
+    for line in faults:
         print(f"wrong: {line}")
-    return 1 if wrong else 0
+    return 1 if faults else 0
 
 
 def _imported() -> Path | None:
@@ -86,8 +86,8 @@ def _folders(path: Iterable[str]) -> list[Path]:
 
 
 def _configuration() -> list[str]:
-    """Folders in LIBERO's configuration file that override those of the
-    package. They may belong to an old installation."""
+    """Returns a text for each folder in LIBERO's configuration file that overrides one of the
+    package. Such folders may belong to an old installation."""
     folder = os.environ.get("LIBERO_CONFIG_PATH", os.path.expanduser("~/.libero"))
     file = Path(folder) / "config.yaml"
     try:
@@ -103,8 +103,8 @@ def _configuration() -> list[str]:
     ]
 
 
-def _is_same(one: Path, other: Path) -> bool:
-    return os.path.realpath(one) == os.path.realpath(other)
+def _is_same(first: Path, other: Path) -> bool:
+    return os.path.realpath(first) == os.path.realpath(other)
 
 
 def _version(distribution: str) -> str | None:

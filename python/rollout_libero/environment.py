@@ -62,7 +62,7 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
             frame: m, and axis times angle, rad), which cannot be combined with the actuation
             axis.
         renderer: ``"software"``; ``"gl"`` or ``"gl:N"`` for OpenGL, which ties the
-            environment's frames to the thread that draws them.
+            environment's frames to the thread that renders them.
 
     The reward is 1 in the successful step, which ends the rollout, and 0 in all others.
     ``info`` has ``success``, ``instruction``, ``init_state`` and ``steps``.
@@ -108,7 +108,7 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         if self.starts.execution != "wait":
             raise ValueError(
                 f"failed to make an environment under execution model {self.starts.execution!r}: "
-                "this one executes actions as they are given; use VectorEnvironment, or Schedule"
+                "Environment executes actions without delay; use VectorEnvironment, or Schedule"
             )
         self._space = observation_space(cameras, height, width)
         self.observation_space = cast("gymnasium.Space[Observation]", self._space)
@@ -120,7 +120,7 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         known = self.simulation.names("camera")
         for camera in cameras:
             if camera not in known:
-                raise ValueError(f"failed to look through camera `{camera}`: the scene has {known}")
+                raise ValueError(f"failed to use camera `{camera}`: the scene has {known}")
 
     @property
     def instruction(self) -> str:
@@ -138,7 +138,7 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         """Begins a rollout, up to the policy's first action.
 
         A seed selects its start. With ``init_states="cycle"`` that is initial state
-        ``seed % 50``; with numbers, the one at place ``seed % len(numbers)``; later
+        ``seed % 50``; with numbers, number ``seed % len(numbers)`` of them; later
         resets without a seed continue in turn. ``"random"`` and ``"sampled"`` draw from
         the generator that the seed starts. ``options={"init_state": 7}`` takes
         precedence, and a configuration's own initial state does not depend on the seed.
@@ -146,8 +146,8 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         generator = self.np_random if seed is None else seeding.np_random(seed)[0]
         start = self.starts.plan(generator, options or {}, turn=seed)
         none = np.empty((1, 0, ACTION_WIDTH))
-        shown = self._batch.advance(none, [0], [start.row], self._cameras, mirrored=self._mirrored)
-        (error,) = shown["errors"]
+        result = self._batch.advance(none, [0], [start.row], self._cameras, mirrored=self._mirrored)
+        (error,) = result["errors"]
         if isinstance(error, UNTOUCHED):
             raise error
         super().reset(seed=seed)
@@ -157,7 +157,7 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
             self._rollout.is_over = True
             raise error
         self._rollout.begin(start)
-        return self._observation(shown), self._info(success=False)
+        return self._observation(result), self._info(success=False)
 
     def step(self, action: ArrayLike) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Executes a control step, 50 ms, with seven numbers: translation, rotation, gripper."""
@@ -166,8 +166,7 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise ValueError(
                 f"failed to step with an action of shape {action.shape}: it has {ACTION_WIDTH} "
                 "numbers, three of translation, three of rotation and the gripper; use step_chunk "
-                "for "
-                "several"
+                "for several actions"
             )
         return self.step_chunk(action[np.newaxis])
 
@@ -193,7 +192,7 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
             raise ValueError(
                 f"failed to step with actions of shape {actions.shape}: expected [steps, 7]"
             )
-        shown = self._batch.advance(
+        result = self._batch.advance(
             actions[np.newaxis],
             [rollout.max_steps - rollout.steps],
             [None],
@@ -202,12 +201,12 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
             absolute=self._absolute,
             mirrored=self._mirrored,
         )
-        taken, success = int(shown["steps"][0]), bool(shown["success"][0])
-        (error,) = shown["errors"]
+        taken, success = int(result["steps"][0]), bool(result["success"][0])
+        (error,) = result["errors"]
         truncated = rollout.advance(taken, success, error)
         if error is not None:
             raise error
-        observation = self._observation(shown)
+        observation = self._observation(result)
         if render == "all":
             observation = {name: values[:taken] for name, values in observation.items()}
         return observation, float(success), success, truncated, self._info(success=success)
@@ -233,8 +232,8 @@ class Environment(gymnasium.Env[Observation, NDArray[np.float32]]):
         """Frees the environment; later calls raise ``ClosedError``."""
         self.simulation.close()
 
-    def _observation(self, shown: dict[str, Any]) -> Observation:
-        return {name: shown[name][0] for name in self._space if name in shown}
+    def _observation(self, result: dict[str, Any]) -> Observation:
+        return {name: result[name][0] for name in self._space if name in result}
 
     def _info(self, *, success: bool) -> dict[str, Any]:
         return {

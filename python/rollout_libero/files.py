@@ -81,7 +81,7 @@ _STAMP = ".unpacked"
 
 
 def sources_folder() -> Path:
-    """The present or future folder of the sources: ``$ROLLOUT_SOURCES``, else
+    """Returns the folder of the sources, which may not exist yet: ``$ROLLOUT_SOURCES``, else
     ``rollout/sources`` in the user's cache folder."""
     if given := os.environ.get("ROLLOUT_SOURCES"):
         return Path(given)
@@ -143,7 +143,7 @@ def assets(name_or_path: str | os.PathLike[str] | None = None) -> str:
 
 
 def bddl_file(task: Task) -> Path:
-    """The BDDL file of a task."""
+    """Returns the path of a task's BDDL file."""
     return sources() / "libero" / "bddl_files" / task.suite / f"{task.file}.bddl"
 
 

@@ -37,7 +37,9 @@ _PARAMETERS = {"bddl_file_name", "camera_heights", "camera_widths", "seed"}
 def register() -> None:
     """Replaces RLinf's ``LiberoEnv``. A second call has no effect."""
     if os.environ.get("LIBERO_TYPE", "standard").lower() != "standard":
-        print("rollout_libero.rlinf: LIBERO_TYPE is not standard; RLinf's own processes go on")
+        print(
+            "rollout_libero.rlinf: LIBERO_TYPE is not standard, so RLinf's own processes simulate"
+        )
         return
     from rlinf.envs.libero import libero_env
 
@@ -59,13 +61,13 @@ def together(base: Any) -> Any:
             if unknown:
                 raise ValueError(
                     f"env.init_params has {', '.join(sorted(unknown))}, which rollout_libero.rlinf "
-                    "does not know: leave it out, or unset RLINF_EXT_MODULE"
+                    "does not support: leave it out, or unset RLINF_EXT_MODULE"
                 )
             draws_all = _is_recorded(self.cfg)
             if draws_all:
                 print(
                     "rollout_libero.rlinf: videos are saved or data is collected, so every step is "
-                    "drawn: set video_cfg.save_video to False to be fast"
+                    "rendered: set video_cfg.save_video to False for speed"
                 )
             self.env = Rows(parameters, threads=_threads(), draws_all=draws_all)
 

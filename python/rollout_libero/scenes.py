@@ -1,6 +1,6 @@
 """Compiled scenes, one per task and asset pack in a process, shared by all of
-its environments. Recent ones outlive their environments, so that frameworks
-that close and create an environment at every reset do not wait."""
+its environments. Recent scenes outlive their environments, so that frameworks
+that close and create an environment at every reset do not compile them again."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ _Key = tuple[Hashable, ...]
 _scenes: weakref.WeakValueDictionary[_Key, native.Scene] = (
     weakref.WeakValueDictionary()
 )
-_kept: OrderedDict[_Key, native.Scene] = OrderedDict()
-MAX_KEPT = 10
+_recent: OrderedDict[_Key, native.Scene] = OrderedDict()
+MAX_RECENT = 10
 """Number of scenes kept without an environment: enough for the tasks of a suite."""
 _lock = threading.Lock()
 _compiling: dict[_Key, threading.Lock] = {}
-MAX_NAMED = 5
+MAX_NAMES = 5
 """Number of files of a pack that a warning names."""
 
 
@@ -61,18 +61,18 @@ def scene(
             found = native.Scene(bddl_file, assets=pack, sources=sources, init_file=init_file)
             _scenes[key] = found
             if found.pack == "custom":
-                differing = ", ".join(found.pack_differences[:MAX_NAMED]) or "all files"
+                differing = ", ".join(found.pack_differences[:MAX_NAMES]) or "all files"
                 warnings.warn(
                     f"the asset pack {pack} is not LIBERO's; {len(found.pack_differences)} of "
                     f"LIBERO's files differ: {differing}",
                     stacklevel=2,
                 )
-    _keep(key, found)
+    _keep_recent(key, found)
     return found
 
 
 def _version(file: str) -> Hashable:
-    """Version of the file, so that a changed file gives another scene."""
+    """Returns a key of the file's content, so that a changed file gives another scene."""
     try:
         status = os.stat(file)
     except OSError:
@@ -80,9 +80,9 @@ def _version(file: str) -> Hashable:
     return file, status.st_mtime_ns, status.st_size
 
 
-def _keep(key: _Key, found: native.Scene) -> None:
+def _keep_recent(key: _Key, found: native.Scene) -> None:
     with _lock:
-        _kept[key] = found
-        _kept.move_to_end(key)
-        while len(_kept) > MAX_KEPT:
-            _kept.popitem(last=False)
+        _recent[key] = found
+        _recent.move_to_end(key)
+        while len(_recent) > MAX_RECENT:
+            _recent.popitem(last=False)

@@ -14,9 +14,9 @@ class Task(NamedTuple):
     """A task of the benchmark."""
 
     name: str
-    """``libero_goal/3``: its suite, and its index in the benchmark's order."""
+    """Suite and index in the benchmark's order, such as ``libero_goal/3``."""
     file: str
-    """Stem of its BDDL file and of its initial states."""
+    """Stem of the names of the task's BDDL file and initial states."""
     suite: str
     instruction: str
     max_steps: int

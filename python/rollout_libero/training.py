@@ -1,8 +1,8 @@
 """Many environments in one process, for reinforcement learning of a policy.
 
-Beyond gymnasium's ``VectorEnvironment``, they run any task of a BDDL file, and another task at each
-reset; start from a given state, as the original's ``set_init_state`` does; execute chunks of
-actions past success; and accept calls for some rows only.
+Beyond ``VectorEnvironment``, the interface of gymnasium, they run the task of any BDDL file, and
+another task at each reset; start from a given state, as the original's ``set_init_state`` does;
+execute chunks of actions past success; and accept calls for some rows only.
 """
 
 from __future__ import annotations
@@ -131,29 +131,29 @@ class TrainingEnvironment:
                 f"failed to begin in {len(rows)} rows: {len(starts)} starts were given"
             )
         for row, start in zip(rows, starts, strict=True):
-            self._make(row, start.task)
+            self._assign(row, start.task)
         # Equal starts are simulated once, in the first row that has them.
         first: dict[tuple[str, str], int] = {}
         leader_of = [
-            first.setdefault((_bddl_file(start.task), self._row(start)), at)
+            first.setdefault((_bddl_file(start.task), self._start_row(start)), at)
             for at, start in enumerate(starts)
         ]
         leaders = sorted(first.values())
-        held = [self._held(rows[at]) for at in leaders]
-        shown = self._advance(
-            held,
-            np.empty((len(held), 0, ACTION_WIDTH)),
-            [self._row(starts[at]) for at in leaders],
+        simulations = [self._simulation(rows[at]) for at in leaders]
+        result = self._advance(
+            simulations,
+            np.empty((len(simulations), 0, ACTION_WIDTH)),
+            [self._start_row(starts[at]) for at in leaders],
             render,
         )
-        errors = dict(zip(leaders, shown["errors"], strict=True))
+        errors = dict(zip(leaders, result["errors"], strict=True))
         for at, leader in enumerate(leader_of):
             if at != leader and errors[leader] is None:
-                self._held(rows[at]).restore(self._held(rows[leader]).snapshot())
+                self._simulation(rows[at]).restore(self._simulation(rows[leader]).snapshot())
         order = np.searchsorted(leaders, leader_of)
         observation = {
             name: values if len(leaders) == len(rows) else values[order]
-            for name, values in self._observation(shown).items()
+            for name, values in self._observation(result).items()
         }
         return _finished(observation, rows, [errors[leader] for leader in leader_of])
 
@@ -177,23 +177,23 @@ class TrainingEnvironment:
                 f"failed to step with actions of shape {actions.shape}: expected [{len(rows)}, "
                 "steps, 7]"
             )
-        shown = self._advance(
-            [self._held(row) for row in rows], actions, [None] * len(rows), render
+        result = self._advance(
+            [self._simulation(row) for row in rows], actions, [None] * len(rows), render
         )
-        stepped = Stepped(self._observation(shown), shown["successes"])
-        return _finished(stepped, rows, shown["errors"])
+        stepped = Stepped(self._observation(result), result["successes"])
+        return _finished(stepped, rows, result["errors"])
 
     def frame(self, row: int, camera: str, width: int, height: int) -> NDArray[np.uint8]:
         """Returns an upright picture, in any size, of a row at its last observation."""
-        return self._held(row).frame(camera, width, height)[::-1]
+        return self._simulation(row).frame(camera, width, height)[::-1]
 
     def snapshot(self, row: int) -> native.Snapshot:
         """Returns the complete state for a row's next step."""
-        return self._held(row).snapshot()
+        return self._simulation(row).snapshot()
 
     def restore(self, row: int, snapshot: native.Snapshot) -> None:
         """Continues a row from a snapshot of a row of the same task."""
-        self._held(row).restore(snapshot)
+        self._simulation(row).restore(snapshot)
 
     def close(self) -> None:
         """Frees the environments."""
@@ -202,16 +202,16 @@ class TrainingEnvironment:
                 simulation.close()
         self.simulations = [None] * self.num_envs
 
-    def _make(self, row: int, task: str) -> None:
+    def _assign(self, row: int, task: str) -> None:
         """Assigns a task to a row's simulation."""
         scene = scenes.scene(_bddl_file(task), self._assets)
-        held = self.simulations[row]
-        if held is None or held.scene is not scene:
-            if held is not None:
-                held.close()
+        simulation = self.simulations[row]
+        if simulation is None or simulation.scene is not scene:
+            if simulation is not None:
+                simulation.close()
             self.simulations[row] = native.Simulation(scene)
 
-    def _held(self, row: int) -> native.Simulation:
+    def _simulation(self, row: int) -> native.Simulation:
         simulation = self.simulations[row]
         if simulation is None:
             raise ValueError(f"failed to step row {row}: it has no rollout; call reset")
@@ -227,7 +227,7 @@ class TrainingEnvironment:
             raise ValueError(f"failed to choose rows {chosen}: rows are 0 to {self.num_envs - 1}")
         return chosen
 
-    def _row(self, start: Start) -> str:
+    def _start_row(self, start: Start) -> str:
         steps, action = self._settle
         row = {
             "legacy_seed": start.seed,
@@ -257,9 +257,9 @@ class TrainingEnvironment:
             past_success=True,
         )
 
-    def _observation(self, shown: dict[str, Any]) -> Observation:
+    def _observation(self, result: dict[str, Any]) -> Observation:
         names = [*(camera for camera, _, _ in self._cameras), *READINGS]
-        return {name: shown[name] for name in names if name in shown}
+        return {name: result[name] for name in names if name in result}
 
 
 def _bddl_file(task: str) -> str:

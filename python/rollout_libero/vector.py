@@ -103,7 +103,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         self.num_envs = len(names) if num_envs is None else num_envs
         if not names or self.num_envs < 1:
             raise ValueError(
-                "failed to make environments: give at least one task, and num_envs from 1"
+                "failed to make environments: give at least one task, and num_envs of at least 1"
             )
         self._absolute = is_absolute(control)
         self._execute = execute
@@ -114,8 +114,8 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         sharing = Counter(task.name for task in self.tasks)
         ranks: Counter[str] = Counter()
         self.starts = []
-        perturbations = _each(perturbation, self.num_envs)
-        budgets = _budgets(max_steps, self.num_envs)
+        perturbations = _perturbations_of(perturbation, self.num_envs)
+        budgets = _budgets_of(max_steps, self.num_envs)
         for task, scene, perturbed, budget in zip(
             self.tasks, scenes, perturbations, budgets, strict=True
         ):
@@ -173,9 +173,9 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
                 f"failed to reset with a mask of shape {mask.shape}: expected ({self.num_envs},) "
                 "with at least one True"
             )
-        wanted: Any = options.get("init_state")
-        chosen = np.broadcast_to(wanted, self.num_envs)
-        seeds = _seeds(seed, self.num_envs)
+        given: Any = options.get("init_state")
+        init_states = np.broadcast_to(given, self.num_envs)
+        seeds = _seeds_of(seed, self.num_envs)
         starts = {}
         for at in np.flatnonzero(mask).tolist():
             own_seed = turn = seeds[at]
@@ -184,19 +184,19 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
                 generator = seeding.np_random(own_seed)[0]
             if isinstance(seed, int | np.integer):
                 turn = int(seed) + self.starts[at].rank
-            wanted = {"init_state": chosen[at]}
-            starts[at] = self.starts[at].plan(generator, wanted, turn=turn)
-        shown = self._batch.advance(
+            option = {"init_state": init_states[at]}
+            starts[at] = self.starts[at].plan(generator, option, turn=turn)
+        advanced = self._batch.advance(
             np.empty((self.num_envs, 0, ACTION_WIDTH)),
             [0] * self.num_envs,
             self._rows(starts),
             self._cameras,
             mirrored=self._mirrored,
         )
-        errors = shown["errors"]
+        errors = advanced["errors"]
         self._begin(starts, errors)
         infos = self._infos(np.zeros(self.num_envs, bool))
-        result = self._observation(shown), infos
+        result = self._observation(advanced), infos
         return self._finished(result, infos, errors)
 
     def step(
@@ -255,7 +255,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
             for rollout in self._rollouts
         ]
         actions, schedules = self._scheduled(actions, limits, expert is not None)
-        shown = self._batch.advance(
+        advanced = self._batch.advance(
             actions,
             limits,
             self._rows(starts),
@@ -265,7 +265,11 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
             mirrored=self._mirrored,
             expert=None if expert is None else np.asarray(expert, dtype=bool),
         )
-        taken, success, errors = shown["steps"].astype(np.int64), shown["success"], shown["errors"]
+        taken, success, errors = (
+            advanced["steps"].astype(np.int64),
+            advanced["success"],
+            advanced["errors"],
+        )
         self._begin(starts, errors)
         truncated = np.zeros(self.num_envs, bool)
         for at, rollout in enumerate(self._rollouts):
@@ -273,13 +277,13 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
                 truncated[at] = rollout.advance(int(taken[at]), bool(success[at]), errors[at])
             if at in schedules and not isinstance(errors[at], UNTOUCHED):
                 rollout.schedule = schedules[at]
-        observation, infos = self._observation(shown), self._infos(success)
+        observation, infos = self._observation(advanced), self._infos(success)
         infos["taken"] = taken
         if expert is not None:
-            infos["expert_action"] = shown["expert_action"]
+            infos["expert_action"] = advanced["expert_action"]
         ended = (success | truncated) & [error is None for error in errors]
         if self.autoreset_mode == AutoresetMode.SAME_STEP and ended.any():
-            self._begin_at_once(ended, observation, infos, render, errors)
+            self._begin_same_step(ended, observation, infos, render, errors)
         result = observation, success.astype(np.float64), success, truncated, infos
         return self._finished(result, infos, errors)
 
@@ -348,7 +352,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         for simulation in self.simulations:
             simulation.close()
 
-    def _begin_at_once(
+    def _begin_same_step(
         self,
         ended: NDArray[np.bool_],
         observation: Observation,
@@ -357,29 +361,29 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         errors: list[Exception | None],
     ) -> None:
         """Begins new rollouts in place of those that ended in this step."""
-        which = np.flatnonzero(ended).tolist()
-        infos["final_obs"] = _rows_as_objects(observation, which, self.num_envs)
+        indices = np.flatnonzero(ended).tolist()
+        infos["final_obs"] = _rows_as_objects(observation, indices, self.num_envs)
         infos["_final_obs"] = ended
         final = {name: infos[name] for name in ("success", "init_state", "steps")}
         infos["final_info"] = {name: values.copy() for name, values in final.items()}
         infos["_final_info"] = ended
-        starts = {at: self.starts[at].plan(self._generators[at], {}) for at in which}
-        batch = native.Batch([self.simulations[at] for at in which], self._threads)
-        shown = batch.advance(
-            np.empty((len(which), 0, ACTION_WIDTH)),
-            [0] * len(which),
-            [starts[at].row for at in which],
+        starts = {at: self.starts[at].plan(self._generators[at], {}) for at in indices}
+        batch = native.Batch([self.simulations[at] for at in indices], self._threads)
+        advanced = batch.advance(
+            np.empty((len(indices), 0, ACTION_WIDTH)),
+            [0] * len(indices),
+            [starts[at].row for at in indices],
             self._cameras,
             render="none" if render == "none" else "last",
             mirrored=self._mirrored,
         )
-        for at, error in zip(which, shown["errors"], strict=True):
+        for at, error in zip(indices, advanced["errors"], strict=True):
             errors[at] = error
         self._begin(starts, errors)
-        begun = self._observation(shown)
+        begun = self._observation(advanced)
         for name, values in observation.items():
             last = values[:, -1] if values.ndim > begun[name].ndim else values
-            last[which] = begun[name]
+            last[indices] = begun[name]
         infos.update(self._infos(infos["success"]))
 
     def _rows(self, starts: Mapping[int, Start]) -> list[str | None]:
@@ -403,7 +407,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
                 self._rollouts[at].is_over = True
 
     def _schedule(self, at: int, start: Start) -> native.Schedule | None:
-        """The schedule of a rollout; None if its chunks are executed as they are given."""
+        """Returns the schedule of a rollout; None if its chunks are executed as they are given."""
         if start.execution == "wait" and self._execute is None:
             return None
         state = start.init_state or 0
@@ -422,8 +426,8 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         error.environments, error.result = failed, result
         raise error
 
-    def _observation(self, shown: dict[str, Any]) -> Observation:
-        return {name: shown[name] for name in self._space if name in shown}
+    def _observation(self, advanced: dict[str, Any]) -> Observation:
+        return {name: advanced[name] for name in self._space if name in advanced}
 
     def _infos(self, success: NDArray[np.bool_]) -> dict[str, Any]:
         schedules = [rollout.schedule for rollout in self._rollouts]
@@ -444,7 +448,7 @@ class VectorEnvironment(VectorEnv[Observation, NDArray[np.float32], NDArray[Any]
         }
 
 
-def _each(perturbation: Any, count: int) -> list[Any]:
+def _perturbations_of(perturbation: Any, count: int) -> list[Any]:
     if perturbation is None or isinstance(perturbation, str | Mapping):
         return [perturbation] * count
     if len(perturbation) != count:
@@ -454,7 +458,7 @@ def _each(perturbation: Any, count: int) -> list[Any]:
     return list(perturbation)
 
 
-def _budgets(max_steps: int | Sequence[int] | None, count: int) -> list[int | None]:
+def _budgets_of(max_steps: int | Sequence[int] | None, count: int) -> list[int | None]:
     if max_steps is None or isinstance(max_steps, int):
         return [max_steps] * count
     if len(max_steps) != count:
@@ -464,7 +468,7 @@ def _budgets(max_steps: int | Sequence[int] | None, count: int) -> list[int | No
     return list(max_steps)
 
 
-def _seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
+def _seeds_of(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
     if seed is None:
         return [None] * count
     if isinstance(seed, int | np.integer):
@@ -475,10 +479,10 @@ def _seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | No
 
 
 def _rows_as_objects(
-    observation: Observation, which: Sequence[int], count: int
+    observation: Observation, indices: Sequence[int], count: int
 ) -> NDArray[np.object_]:
     """Copies some environments' observations, in the form that gymnasium uses in an info."""
     rows = np.full(count, None, dtype=object)
-    for at in which:
+    for at in indices:
         rows[at] = {name: values[at].copy() for name, values in observation.items()}
     return rows

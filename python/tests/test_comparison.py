@@ -1,4 +1,4 @@
-"""The comparison's judgement and tables (python/bench/rl), on given measurements."""
+"""Verdicts and tables of the RL comparison (python/bench/rl), on given measurements."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def test_motion_is_compared_until_the_first_contact(bench: Any) -> None:
     checks = bench("checks")
     theirs = replay([0.0, 1.0, 2.0], success=3, contact=3)
     assert checks.verdict(theirs, replay([0.0, 1.0, 2.5], 3))["same_motion"]
-    apart = checks.verdict(theirs, replay([0.0, 1.0 + 1e-8, 2.0], 3))
-    assert not apart["same_motion"]
-    assert apart["apart_before_contact"] == pytest.approx(1e-8)
+    verdict = checks.verdict(theirs, replay([0.0, 1.0 + 1e-8, 2.0], 3))
+    assert not verdict["same_motion"]
+    assert verdict["apart_before_contact"] == pytest.approx(1e-8)
 
 
 @pytest.mark.parametrize(("ours", "is_same"), [(3, True), (5, True), (6, False), (None, False)])

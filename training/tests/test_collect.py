@@ -18,7 +18,7 @@ LENGTHS = (7, 10)
 """Steps until success of even and of odd environments."""
 
 
-class MadeUp:
+class FakeEnvironments:
     """Fake environments; both their pictures and their expert's actions encode the step."""
 
     max_steps = np.array([20, 20])
@@ -72,7 +72,7 @@ class MadeUp:
 
 
 def shards_of(folder: Path, monkeypatch: pytest.MonkeyPatch, **given: Any) -> list[Shard]:
-    monkeypatch.setattr(libero, "VectorEnvironment", MadeUp)
+    monkeypatch.setattr(libero, "VectorEnvironment", FakeEnvironments)
     monkeypatch.setattr(collect, "WORDINGS", 2)
     monkeypatch.setattr(collect, "compile_scenes", lambda *_: None)
     usual: dict[str, Any] = {
@@ -90,10 +90,10 @@ def test_frames_labels_and_episodes_agree(tmp_path: Path, monkeypatch: pytest.Mo
     assert shards
     for shard in shards:
         ends = np.cumsum(shard.episode_steps)
-        begun = ends - shard.episode_steps
-        in_episode = np.arange(len(shard.label)) - np.repeat(begun, shard.episode_steps)
+        first_steps = ends - shard.episode_steps
+        in_episode = np.arange(len(shard.label)) - np.repeat(first_steps, shard.episode_steps)
         np.testing.assert_allclose(shard.label[:, 0], in_episode / 100, rtol=1e-6)
-        step = shard.frame_step - shard.of_frames(begun)
+        step = shard.frame_step - shard.repeat_per_frame(first_steps)
         assert (step % 4 == 0).all()
         assert (shard.frames == step[:, None, None, None, None]).all()
         np.testing.assert_allclose(shard.state[:, 0], step / 10, rtol=1e-6)
@@ -180,7 +180,7 @@ def test_the_student_takes_part_once_its_weights_exist(
     drivers = np.concatenate([shard.driver for shard in shards])
     assert set(drivers) <= {Driver.IN_TURNS, Driver.STUDENT} and len(drivers)
     for shard in shards:
-        begun = np.cumsum(shard.episode_steps) - shard.episode_steps
-        step = shard.frame_step - shard.of_frames(begun)
+        first_steps = np.cumsum(shard.episode_steps) - shard.episode_steps
+        step = shard.frame_step - shard.repeat_per_frame(first_steps)
         assert (step % 4 == 0).all()
         assert (shard.frames == step[:, None, None, None, None]).all()

@@ -34,12 +34,12 @@ def test_a_push_is_one_direction_for_three_to_ten_steps() -> None:
     actions = np.concatenate([order.actions for order in orders], axis=1)
     pushed = np.concatenate([order.source for order in orders], axis=1) == Source.PUSH
     assert np.abs(actions[pushed][:, :3]).max(axis=1).min() >= 0.49
-    for of_one, where in zip(actions, pushed, strict=True):
-        starts = np.flatnonzero(np.diff(of_one[:, 0] * where, prepend=0.0) * where)
+    for row, mask in zip(actions, pushed, strict=True):
+        starts = np.flatnonzero(np.diff(row[:, 0] * mask, prepend=0.0) * mask)
         for start in starts:
-            same = (of_one[start:, :6] == of_one[start, :6]).all(axis=1)
+            same = (row[start:, :6] == row[start, :6]).all(axis=1)
             steps = len(same) if same.all() else int(np.argmin(same))
-            assert 3 <= steps <= 10 or start + steps == len(of_one)
+            assert 3 <= steps <= 10 or start + steps == len(row)
 
 
 def test_the_student_is_queried_when_its_actions_are_used_up() -> None:
@@ -49,12 +49,14 @@ def test_the_student_is_queried_when_its_actions_are_used_up() -> None:
     answered = np.zeros((N, 8, 7))
     since = np.zeros(N)
     for _ in range(100):
-        asks = drives.asks()
-        assert ((since >= 4) | (since == 0))[asks].all() and (since[~asks] < 8).all()
-        answers = np.random.default_rng(3).uniform(-1, 1, (int(asks.sum()), 8, 7))
-        drives.answer(asks, answers)
-        answered[asks] = answers
-        since[asks] = 0
+        needs_answer = drives.needs_answer()
+        assert ((since >= 4) | (since == 0))[needs_answer].all() and (
+            since[~needs_answer] < 8
+        ).all()
+        answers = np.random.default_rng(3).uniform(-1, 1, (int(needs_answer.sum()), 8, 7))
+        drives.answer(needs_answer, answers)
+        answered[needs_answer] = answers
+        since[needs_answer] = 0
         orders = drives.next(4)
         assert not orders.expert.any() and (orders.source == Source.STUDENT).all()
         first = since.astype(int)
@@ -70,8 +72,8 @@ def test_student_and_expert_take_turns() -> None:
     drives.begin(np.arange(N))
     by_student = []
     for _ in range(100):
-        asks = drives.asks()
-        drives.answer(asks, np.ones((int(asks.sum()), 8, 7)))
+        needs_answer = drives.needs_answer()
+        drives.answer(needs_answer, np.ones((int(needs_answer.sum()), 8, 7)))
         orders = drives.next(4)
         by_student.append(orders.source[:, 0] == Source.STUDENT)
         assert (orders.expert == (orders.source != Source.STUDENT)).all()

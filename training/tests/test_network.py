@@ -55,14 +55,14 @@ def test_an_answer_does_not_depend_on_its_batch(network: Network) -> None:
     torch.testing.assert_close(alone.gripper, together.gripper[1:2], rtol=1e-4, atol=1e-5)
 
 
-def test_words_never_trained_on_add_nothing() -> None:
+def test_words_that_never_occur_in_training_have_no_effect() -> None:
     network = Network().eval()
     *views, _, _ = queries(2)
-    heard = [
+    outputs = [
         network(*views, *(torch.from_numpy(array) for array in instruction_rows(texts))).arm
         for texts in (["", ""], ["open it", "shut the microwave"])
     ]
-    torch.testing.assert_close(heard[0], heard[1])
+    torch.testing.assert_close(outputs[0], outputs[1])
 
 
 def test_actions_are_clipped_and_the_gripper_is_binary(network: Network) -> None:
@@ -75,11 +75,11 @@ def test_actions_are_clipped_and_the_gripper_is_binary(network: Network) -> None
 def test_a_learned_point_is_at_the_maps_peak() -> None:
     """Columns and rows range from -1 to 1; the picture's top left is (-1, -1)."""
     encoder = Network().agentview.eval()
-    seen: list[torch.Tensor] = []
+    inputs: list[torch.Tensor] = []
 
     class Peak(torch.nn.Module):
         def forward(self, x: torch.Tensor) -> torch.Tensor:
-            seen.append(x)
+            inputs.append(x)
             scores = torch.zeros(len(x), 64, 16, 16)
             scores[:, :, 3, 12] = 100.0
             return scores
@@ -95,17 +95,17 @@ def test_a_learned_point_is_at_the_maps_peak() -> None:
     torch.testing.assert_close(out[:64], torch.full((64,), -1 + 2 * 24 / 31))
     torch.testing.assert_close(out[64:128], torch.full((64,), -1 + 2 * 7 / 31))
     torch.testing.assert_close(out[128:192], torch.full((64,), 150.0))
-    torch.testing.assert_close(out[192:], seen[0].mean(dim=(2, 3))[0])
+    torch.testing.assert_close(out[192:], inputs[0].mean(dim=(2, 3))[0])
 
 
 def test_pictures_shrink_by_the_area_mean() -> None:
     pictures = torch.randint(0, 256, (2, 3, 8, 12, 3), dtype=torch.uint8)
-    wide = pictures.numpy().astype(np.int64)
+    wide_integers = pictures.numpy().astype(np.int64)
     total = (
-        wide[..., ::2, ::2, :]
-        + wide[..., 1::2, ::2, :]
-        + wide[..., ::2, 1::2, :]
-        + wide[..., 1::2, 1::2, :]
+        wide_integers[..., ::2, ::2, :]
+        + wide_integers[..., 1::2, ::2, :]
+        + wide_integers[..., ::2, 1::2, :]
+        + wide_integers[..., 1::2, 1::2, :]
     )
     assert np.array_equal(shrink(pictures).numpy(), (total + 2) // 4)
     assert shrink(torch.full((2, 2, 3), 255, dtype=torch.uint8)).tolist() == [[[255] * 3]]

@@ -74,12 +74,12 @@ def test_targets_continue_after_noise_and_end_when_the_student_drifts(tmp_path: 
 
 
 def test_the_experts_failed_episodes_are_left_out(tmp_path: Path) -> None:
-    lost = Outcome.FAILURE
+    failed = Outcome.FAILURE
     kinds = [
-        episode(3), episode(3, outcome=lost), episode(3, outcome=Outcome.UNFINISHED),
-        episode(3, outcome=lost, driver=Driver.DISTURBED),
-        episode(3, outcome=lost, driver=Driver.STUDENT),
-        episode(3, outcome=lost, driver=Driver.IN_TURNS),
+        episode(3), episode(3, outcome=failed), episode(3, outcome=Outcome.UNFINISHED),
+        episode(3, outcome=failed, driver=Driver.DISTURBED),
+        episode(3, outcome=failed, driver=Driver.STUDENT),
+        episode(3, outcome=failed, driver=Driver.IN_TURNS),
     ]  # fmt: skip
     shard = read(write(tmp_path, 0, kinds))
     assert worth_learning(shard).tolist() == [True, False, True, False, True, True]

@@ -39,20 +39,21 @@ def fill(folder: Path, shards: int, *, first: int = 0, task: int = 0) -> None:
 
 
 def arguments(folder: Path, **given: object) -> argparse.Namespace:
-    usual: dict[str, object] = {
+    defaults: dict[str, object] = {
         "data": [folder / "data"], "run": folder / "run", "seconds": 0.5, "watch": False,
         "stop_after": None,
         "start_from": None, "name": "student", "batch": 2, "learning_rate": 1e-3,
         "weight_decay": 1e-3, "wordings": 3, "suite_weights": [1.0] * 4, "capacity": 200,
         "processes": 1, "compile": False, "seed": 0, "device": "cpu",
     }  # fmt: skip
-    return argparse.Namespace(**(usual | given))
+    return argparse.Namespace(**(defaults | given))
 
 
 def test_a_library_separates_held_out_episodes_and_loads_new_shards(tmp_path: Path) -> None:
     fill(tmp_path, 2)
     library = Library([tmp_path], 100, 100, [1.0] * 4, CPU)
-    # Shard 0 holds out its first episode; shard 1 would hold out its eighth, which it lacks.
+    # The first episode of shard 0 is held out. In shard 1 it would be the eighth, but the shard
+    # has only three episodes.
     assert library.refresh() == 24
     assert library.held_out.count == 4 and library.training.count == 20
     assert library.refresh() == 0
@@ -63,14 +64,14 @@ def test_a_library_separates_held_out_episodes_and_loads_new_shards(tmp_path: Pa
     assert library.by_suite.tolist() == [32, 0, 0, 0]
 
 
-def test_later_frames_replace_others_when_the_store_is_full(tmp_path: Path) -> None:
+def test_new_frames_replace_stored_frames_when_the_store_is_full(tmp_path: Path) -> None:
     fill(tmp_path, 2)
     library = Library([tmp_path], 14, 100, [1.0] * 4, CPU)
     torch.manual_seed(0)
     library.refresh()
     assert library.training.count == 14
-    seen = library.training.batch(torch.arange(14)).pictures[:, 0, 0, 0, 0].unique().tolist()
-    assert min(seen) < 10 <= max(seen)
+    values = library.training.batch(torch.arange(14)).pictures[:, 0, 0, 0, 0].unique().tolist()
+    assert min(values) < 10 <= max(values)
 
 
 def test_suites_are_drawn_by_their_weights(tmp_path: Path) -> None:

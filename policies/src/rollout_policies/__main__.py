@@ -72,7 +72,7 @@ def _parser() -> argparse.ArgumentParser:
         prog="python -m rollout_policies", description=__doc__.splitlines()[0]
     )
     commands = parser.add_subparsers(dest="command", required=True)
-    commands.add_parser("list", help="the policies, their checkpoints and what they need")
+    commands.add_parser("list", help="list the policies, their checkpoints and packages")
     server = commands.add_parser("serve", help="load a policy and serve it")
     server.add_argument("policy", choices=list(MODULES))
     server.add_argument(
@@ -165,7 +165,7 @@ def _image_keys(text: str) -> dict[str, str]:
     keys = {role.strip(): slot.strip() for role, slot in pairs}
     if len(keys) != len(pairs) or not all(keys.values()) or not set(keys) <= set(ROLES):
         raise argparse.ArgumentTypeError(
-            f"{text!r} is not of the form scene=SLOT,wrist=SLOT, each once and either of them"
+            f"{text!r} is not of the form scene=SLOT,wrist=SLOT (one of the two may be missing)"
         )
     return keys
 

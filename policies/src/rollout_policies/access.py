@@ -21,7 +21,7 @@ import grpc
 ROLES = ("worker", "operator", "viewer")
 #: Roles that may query a policy.
 ASKING_ROLES = ("worker", "operator")
-#: Fewest and most bytes of a token, most tokens of a file, and most bytes of a file.
+#: Shortest and longest token, bytes; largest number of tokens in a file, and largest file, bytes.
 MIN_TOKEN_BYTES, MAX_TOKEN_BYTES = 16, 256
 MAX_TOKENS = 256
 MAX_TOKEN_FILE_BYTES = 128 << 10
@@ -31,7 +31,7 @@ TOKENS_VARIABLE = "ROLLOUT_TOKENS"
 HEALTH_PATH = "/grpc.health.v1.Health/"
 #: Interval after which a refusal of the same kind to the same machine is logged again, s.
 LOGGED_AGAIN_SECS = 600.0
-#: Most machines and kinds of refusal whose last log time is remembered.
+#: Largest number of pairs of machine and kind of refusal whose last log time is stored.
 MAX_LOGGED = 1024
 
 log = logging.getLogger("rollout_policies")
@@ -91,9 +91,7 @@ class Tokens:
                 )
             entries.append((words[0], words[1]))
         if not entries:
-            raise AccessError(
-                f"failed to find a token in {place}: write one `ROLE TOKEN` per line"
-            )
+            raise AccessError(f"failed to find a token in {place}: write one `ROLE TOKEN` per line")
         if len(entries) > MAX_TOKENS:
             raise AccessError(f"failed to read {place}: it holds more than {MAX_TOKENS} tokens")
         return cls(tuple(entries))
@@ -121,7 +119,7 @@ def _require_private(what: str, path: str | Path, found: os.stat_result) -> None
     if stat.S_ISREG(found.st_mode) and found.st_mode & others:
         raise AccessError(
             f"failed to read {what} {path}: its permissions, {found.st_mode & 0o777:04o}, let other"
-            f" users at it; take them away with `chmod 600 {path}`"
+            f" users access it; restrict them with `chmod 600 {path}`"
         )
 
 
@@ -130,11 +128,11 @@ def _problem(words: list[str]) -> str | None:
         return "it is not two words"
     role, token = words
     if role not in ROLES:
-        return "its first word is no role"
+        return "its first word is not a role"
     if len(token) < MIN_TOKEN_BYTES:
         return "the token is too short to be a secret: take 32 random hex digits"
     if len(token) > MAX_TOKEN_BYTES:
-        return "the token is longer than any token"
+        return "the token is too long"
     if not all("!" <= character <= "~" for character in token):
         return "the token holds something other than visible ASCII characters"
     return None
@@ -191,9 +189,9 @@ def require_guarded(listen: str, encrypted: bool, tokens: Tokens | None) -> None
         return
     if is_loopback(listen.rpartition(":")[0]):
         return
-    missing = "every client would be let in, in the clear"
+    missing = "every client would be admitted, in the clear"
     if encrypted:
-        missing = "every client would be let in without a token"
+        missing = "every client would be admitted without a token"
     elif tokens:
         missing = "tokens would be sent in the clear"
     raise UnguardedAddress(
@@ -225,7 +223,7 @@ class TokenGate(grpc.ServerInterceptor):
         if role is None:
             return self._refusal(
                 grpc.StatusCode.UNAUTHENTICATED,
-                "let the caller in: the token is none that this server knows",
+                "let the caller in: this server does not know the token",
             )
         if role not in ASKING_ROLES:
             return self._refusal(

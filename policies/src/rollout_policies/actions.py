@@ -34,22 +34,20 @@ def read_actions(answer: object, horizon: int) -> np.ndarray:
         raise UnusableActions(f"it answered {len(actions)} actions; its horizon is {horizon}")
     if not np.isfinite(actions).all():
         row, column = np.argwhere(~np.isfinite(actions))[0]
-        raise UnusableActions(
-            f"component {column} of action {row} is {actions[row, column]}"
-        )
+        raise UnusableActions(f"component {column} of action {row} is {actions[row, column]}")
     return actions
 
 
 def from_simulator(actions: np.ndarray, gripper: Gripper) -> np.ndarray:
     """Converts actions float32 [n, 7] from the simulator's gripper convention to `gripper`."""
-    turned = actions.copy()
+    converted = actions.copy()
     if gripper is Gripper.RLDS:
-        turned[:, -1] = (1 - turned[:, -1]) / 2
+        converted[:, -1] = (1 - converted[:, -1]) / 2
     elif gripper is Gripper.ZERO_OPENS:
-        turned[:, -1] = (1 + turned[:, -1]) / 2
+        converted[:, -1] = (1 + converted[:, -1]) / 2
     elif gripper is not Gripper.MINUS_ONE_OPENS:
-        turned[:, -1] *= -1
-    return turned
+        converted[:, -1] *= -1
+    return converted
 
 
 def to_simulator(actions: np.ndarray, gripper: Gripper) -> np.ndarray:
@@ -59,13 +57,13 @@ def to_simulator(actions: np.ndarray, gripper: Gripper) -> np.ndarray:
         return actions
     if gripper is Gripper.RLDS:
         return gripper_from_rlds(actions).astype(np.float32)
-    turned = actions.copy()
-    turned[:, -1] *= -1
+    converted = actions.copy()
+    converted[:, -1] *= -1
     if gripper is Gripper.ZERO_OPENS:
         # After the sign change the range is -1 (closed) to 0 (open); adding 1 gives RLDS's range.
-        turned[:, -1] += 1
-        return gripper_from_rlds(turned).astype(np.float32)
-    return turned
+        converted[:, -1] += 1
+        return gripper_from_rlds(converted).astype(np.float32)
+    return converted
 
 
 def read_under_way(message: pb.InferRequest, description: Description) -> UnderWay | None:

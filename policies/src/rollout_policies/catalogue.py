@@ -58,7 +58,7 @@ class Entry:
         return checkpoint is None or checkpoint in self.checkpoint.values()
 
     def checkpoint_for(self, suite: str | None) -> str:
-        """The checkpoint's id for a suite such as "libero_goal".
+        """Returns the checkpoint's id for a suite such as "libero_goal".
 
         Raises NoCheckpoint if a suite is needed and is missing or unknown.
         """
@@ -66,7 +66,7 @@ class Entry:
             return self.checkpoint
         if suite is None or suite not in self.checkpoint:
             raise NoCheckpoint(
-                f"{self.title} has other weights for every suite: --suite must be one of"
+                f"{self.title} has separate weights for every suite: --suite must be one of"
                 f" {', '.join(self.checkpoint)}, and is {suite or 'missing'}"
             )
         return self.checkpoint[suite]

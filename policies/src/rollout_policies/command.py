@@ -25,7 +25,7 @@ FLAG_TYPES = (bool, int, float, str, Path)
 
 
 def run(policy_class: type[Policy], arguments: Sequence[str] | None = None) -> None:
-    """Makes a policy from the command line and serves it until it is stopped.
+    """Creates a policy from the command line and serves it until the process is stopped.
 
     Every parameter of the class's `__init__` becomes a flag. The flag's type (bool,
     int, float, str or Path) is that of the parameter's annotation or default; `X | None` is
@@ -132,7 +132,7 @@ def _parser(policy_class: type[Policy]) -> tuple[argparse.ArgumentParser, list[s
     """Returns the command line of a class, and the names of its constructor's parameters."""
     if not (isinstance(policy_class, type) and issubclass(policy_class, Policy)):
         raise UnusableDescription(
-            f"run makes the policy itself: give it a subclass of rollout_policies.Policy, not"
+            f"run creates the policy itself: give it a subclass of rollout_policies.Policy, not"
             f" {policy_class!r}"
         )
     doc = inspect.cleandoc(policy_class.__doc__ or f"Serves {policy_class.__name__}.")
@@ -145,7 +145,7 @@ def _parser(policy_class: type[Policy]) -> tuple[argparse.ArgumentParser, list[s
     parameters = []
     try:
         for parameter in inspect.signature(policy_class, eval_str=True).parameters.values():
-            # *args and **kwargs have no names of their own.
+            # Flags are not generated for *args and **kwargs.
             if parameter.kind not in (parameter.VAR_POSITIONAL, parameter.VAR_KEYWORD):
                 _add_flag(group, policy_class, parameter)
                 parameters.append(parameter.name)
@@ -159,7 +159,7 @@ def _parser(policy_class: type[Policy]) -> tuple[argparse.ArgumentParser, list[s
         add_server_flags(parser)
     except argparse.ArgumentError as error:
         raise UnusableParameter(
-            f"a parameter of {policy_class.__name__} is called like a flag of the server"
+            f"a parameter of {policy_class.__name__} has the name of a server flag"
             f" ({error}); rename the parameter"
         ) from error
     return parser, parameters
@@ -173,7 +173,7 @@ def _add_flag(
     if kind is None or parameter.kind is parameter.POSITIONAL_ONLY:
         raise UnusableParameter(
             f"no flag can be made for parameter {parameter} of {policy_class.__name__}: annotate"
-            " it with bool, int, float, str, Path or one of them `| None`, or make the policy"
+            " it with bool, int, float, str, Path or one of them `| None`, or create the policy"
             " yourself and call serve"
         )
     required = parameter.default is parameter.empty

@@ -169,13 +169,13 @@ class Description:
         if size > MAX_MESSAGE_BYTES:
             raise ValueError(
                 f"policy {self.name!r}: its frames are {size} bytes per query, and a message"
-                f" holds {MAX_MESSAGE_BYTES}"
+                f" holds at most {MAX_MESSAGE_BYTES}"
             )
         for name, value in self.settings.items():
             if not (isinstance(name, str) and name and isinstance(value, str)):
                 raise ValueError(
                     f"policy {self.name!r}: setting {name!r} is {value!r}; names and values of"
-                    " settings are texts"
+                    " settings must be strings"
                 )
 
     def to_message(self) -> pb.DescribeResponse:

@@ -17,15 +17,17 @@ TASKS = {
     "libero_goal": "open the middle drawer of the cabinet",
     "libero_10": "put both the alphabet soup and the tomato sauce in the basket",
 }
-#: Objects on the table of a frame.
-THINGS = 6
+#: Number of objects on the table of a frame.
+OBJECTS = 6
 #: The Panda's rest posture, rad.
 JOINTS = (0.0, -0.16, 0.0, -2.44, 0.0, 2.23, 0.785)
 #: Spread of readings around the rest posture: m and rad; joint velocities, rad/s.
 AWAY = 0.05
 
 
-def fake_episode(suite: str = "libero_object", seed: int = 0, session: str = "made up") -> Episode:
+def fake_episode(
+    suite: str = "libero_object", seed: int = 0, session: str = "synthetic"
+) -> Episode:
     """Returns an episode of a task of this suite, or of `libero_object` if the
     suite is unknown."""
     return Episode(session, suite, TASKS.get(suite, TASKS["libero_object"]), seed)
@@ -40,7 +42,7 @@ def fake_observation(
     """Returns an observation as the description requests it, drawn from (seed, query_index).
 
     Frames show a table with coloured objects; readings are consistent with one
-    arm near its rest posture. Without `episode`, an episode is made up, too.
+    arm near its rest posture. Without `episode`, an episode is generated, too.
     """
     rng = np.random.default_rng([seed, query_index])
     readings = fake_readings(rng)
@@ -58,7 +60,7 @@ def fake_frame(camera: Camera, rng: np.random.Generator) -> np.ndarray:
     up = np.linspace(0.0, 1.0, height)[:, None, None]
     wood, wall = rng.uniform([120, 90, 60], [200, 150, 110]), rng.uniform(150, 230, 3)
     frame = np.where(up < 0.7, wood * (0.7 + 0.4 * up), np.broadcast_to(wall, (height, width, 3)))
-    for _ in range(THINGS):
+    for _ in range(OBJECTS):
         bottom, left = rng.uniform(0.05, 0.55), rng.uniform(0.0, 0.85)
         tall, wide = rng.uniform(0.05, 0.2, 2)
         rows = slice(int(bottom * height), int((bottom + tall) * height) + 1)

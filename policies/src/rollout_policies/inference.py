@@ -38,18 +38,18 @@ class InferenceThread:
         sweep_at = time.monotonic() + every_secs
         while True:
             # Checked before each call, because a busy queue is never idle.
-            left = sweep_at - time.monotonic()
-            if left <= 0:
+            remaining_secs = sweep_at - time.monotonic()
+            if remaining_secs <= 0:
                 sweep()
                 sweep_at = time.monotonic() + every_secs
                 continue
             try:
-                waiting = self._calls.get(timeout=left)
+                queued = self._calls.get(timeout=remaining_secs)
             except queue.Empty:
                 continue
-            if waiting is None:
+            if queued is None:
                 return
-            answer, call, arguments = waiting
+            answer, call, arguments = queued
             if self._closed:
                 answer.cancel()
             elif answer.set_running_or_notify_cancel():

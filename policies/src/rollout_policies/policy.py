@@ -70,17 +70,17 @@ class Policy(abc.ABC):
 
     def end(self, episode: Episode) -> None:  # noqa: B027 - most policies need nothing here
         """Called when an episode is over: it ended, was started again, or was
-        forgotten after a long silence. The server releases `episode.memory`
+        removed after a long idle time. The server releases `episode.memory`
         afterwards, so most policies need nothing here."""
 
     def warm_up(self) -> None:
         """Does slow initial work, such as compiling, before the server accepts
         a connection.
 
-        Unless overridden, answers made-up observations: one, and a full batch if the
+        Unless overridden, answers synthetic observations: one, and a full batch if the
         policy takes batches. An exception stops the server before it starts.
         """
-        _answer_made_up(self)
+        _answer_synthetic(self)
 
 
 class UnusableDescription(TypeError):
@@ -108,7 +108,7 @@ def require_methods(policy_class: type[Policy]) -> None:
         if method in getattr(policy_class, "__abstractmethods__", ()):
             raise UnusableDescription(f"policy {name} has no method {method!r}: write {line}")
         if not callable(function):
-            raise UnusableDescription(f"{method!r} of policy {name} is no method: write {line}")
+            raise UnusableDescription(f"{method!r} of policy {name} is not a method: write {line}")
         if inspect.iscoroutinefunction(function):
             raise UnusableDescription(
                 f"method {method!r} of policy {name} is a coroutine, and the server calls plain"
@@ -134,9 +134,9 @@ def description_of(policy: Policy) -> Description:
     policy's methods cannot be called."""
     name = type(policy).__name__
     if not isinstance(policy, Policy):
-        remedy = " (make one: MyPolicy(), not MyPolicy)" if isinstance(policy, type) else ""
+        remedy = " (create one: MyPolicy(), not MyPolicy)" if isinstance(policy, type) else ""
         raise UnusableDescription(
-            f"{policy!r} is no policy: give an instance of a subclass of"
+            f"{policy!r} is not a policy: give an instance of a subclass of"
             f" rollout_policies.Policy{remedy}"
         )
     require_methods(type(policy))
@@ -155,12 +155,12 @@ def description_of(policy: Policy) -> Description:
     return described
 
 
-def _answer_made_up(policy: Policy) -> None:
-    """Makes a policy answer a made-up observation and, if it takes batches, a
+def _answer_synthetic(policy: Policy) -> None:
+    """Makes a policy answer a synthetic observation and, if it takes batches, a
     full batch of them. The episodes are ended afterwards.
 
     A policy that accepts no episode of any suite is not warmed up, with a
-    warning: it may know tasks other than those made up here. Propagates
+    warning: it may know only tasks other than those of `fake`. Propagates
     exceptions of its methods; raises UnusableActions.
     """
     description = policy.description
@@ -168,7 +168,7 @@ def _answer_made_up(policy: Policy) -> None:
     episodes: list[Episode] = []
     try:
         for at in range(sizes[-1]):
-            episode = _begun(policy, at)
+            episode = _begin_episode(policy, at)
             if episode is None:
                 return
             episodes.append(episode)
@@ -187,7 +187,7 @@ def _answer_made_up(policy: Policy) -> None:
             policy.end(episode)
 
 
-def _begun(policy: Policy, seed: int) -> Episode | None:
+def _begin_episode(policy: Policy, seed: int) -> Episode | None:
     """Begins an episode of the first suite whose task the policy accepts."""
     refusals = []
     for suite in TASKS:
@@ -198,7 +198,7 @@ def _begun(policy: Policy, seed: int) -> Episode | None:
         except Exception as error:
             refusals.append(f"{suite}: {error}")
     log.warning(
-        "policy %r is not warmed up, because it refuses a made-up episode of every suite (%s);"
+        "policy %r is not warmed up, because it refuses a synthetic episode of every suite (%s);"
         " its first answer may be slow",
         policy.description.name,
         "; ".join(refusals),

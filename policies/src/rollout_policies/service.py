@@ -176,7 +176,10 @@ class PolicyService(pb_grpc.PolicyServicer):
     def close_idle(self) -> None:
         """Forgets episodes that have been idle for too long."""
         for session in self._sessions.close_idle():
-            log.info("session %r is forgotten: nobody ended it", session.episode.session)
+            log.info(
+                "session %r is removed: it was idle, and its caller did not end it",
+                session.episode.session,
+            )
             self._forget(session)
 
     def _begin(self, episode: Episode) -> str | None:
@@ -189,8 +192,8 @@ class PolicyService(pb_grpc.PolicyServicer):
         except Exception as error:
             log.exception("reset of session %r failed", episode.session)
             return f"reset raised {one_line(error)}"
-        for idlest in self._sessions.open(Session(episode)):
-            self._forget(idlest)
+        for removed in self._sessions.open(Session(episode)):
+            self._forget(removed)
         return None
 
     def _forget(self, session: Session) -> None:
@@ -230,7 +233,7 @@ class PolicyService(pb_grpc.PolicyServicer):
                     results[at] = result
         answers = self._infer([results[at] for at in unanswered])
         for at, answer in zip(unanswered, answers):
-            results[at] = self._keep(results[at], answer)
+            results[at] = self._record_answer(results[at], answer)
         return results
 
     def _result_without_policy(
@@ -288,7 +291,9 @@ class PolicyService(pb_grpc.PolicyServicer):
             )
             return error
 
-    def _keep(self, observation: Observation, answer: Any) -> pb.InferResponse | QueryError:
+    def _record_answer(
+        self, observation: Observation, answer: Any
+    ) -> pb.InferResponse | QueryError:
         name, query = observation.episode.session, observation.query_index
         if isinstance(answer, Exception):
             return QueryError(grpc.StatusCode.INTERNAL, f"infer raised {one_line(answer)}")
@@ -311,7 +316,7 @@ class PolicyService(pb_grpc.PolicyServicer):
 def _not_open(where: str) -> QueryError:
     return QueryError(
         grpc.StatusCode.UNAVAILABLE,
-        f"{where}: the session is not open here (it was ended, started anew or idle for long, or"
+        f"{where}: the session is not open here (it was ended, restarted or idle for long, or"
         " the server was restarted since its Reset); start the rollout again",
     )
 

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from .episode import Episode
 from .proto import policy_pb2 as pb
 
-#: Number of episodes kept; the one idle for longest is forgotten first.
+#: Largest number of open episodes. Beyond it, the episode idle for longest is removed.
 MAX_SESSIONS = 1024
 #: Idle time after which an episode counts as over, unless a caller ended it before.
 IDLE_SECS = 900.0
@@ -27,11 +27,10 @@ class Session:
     #: The last query and its answer, in one attribute because threads that handle a retry read it
     #: while another thread writes it.
     last: tuple[int, pb.InferResponse] | None = None
-    #: Number of answered actions that are executed; and True if one of them opened the gripper.
+    #: Number of executed actions in all answers; and True if one of them opened the gripper.
     executed: int = 0
     opened: bool = False
     used_at: float = 0.0
-
 
     def answered(self, query_index: int) -> pb.InferResponse | None:
         """Returns the answer to a query, if it was the last query."""
@@ -64,8 +63,8 @@ class SessionTable:
             session.used_at = self._clock()
             self._sessions[session.episode.session] = session
             self._sessions.move_to_end(session.episode.session)
-            over = max(0, len(self._sessions) - self._most)
-            return [self._sessions.popitem(last=False)[1] for _ in range(over)]
+            excess = max(0, len(self._sessions) - self._most)
+            return [self._sessions.popitem(last=False)[1] for _ in range(excess)]
 
     def get(self, name: str) -> Session | None:
         """Returns an open session and resets its idle time."""
@@ -83,9 +82,9 @@ class SessionTable:
 
     def close_idle(self) -> list[Session]:
         """Removes and returns the sessions that have been idle for too long."""
-        gone = []
+        removed = []
         with self._lock:
             latest = self._clock() - self._idle_secs
             while self._sessions and next(iter(self._sessions.values())).used_at < latest:
-                gone.append(self._sessions.popitem(last=False)[1])
-        return gone
+                removed.append(self._sessions.popitem(last=False)[1])
+        return removed

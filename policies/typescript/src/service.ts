@@ -18,7 +18,7 @@ import type { InferRequest__Output } from "../generated/rollout/policy/v1/InferR
 import type { InferResponse } from "../generated/rollout/policy/v1/InferResponse.js";
 import type { ResetRequest__Output } from "../generated/rollout/policy/v1/ResetRequest.js";
 import type { ResetResponse } from "../generated/rollout/policy/v1/ResetResponse.js";
-import { ACTION_WIDTH, act, CAMERA, HORIZON, type Sight } from "./wander.js";
+import { ACTION_WIDTH, act, CAMERA, HORIZON, type Inputs } from "./wander.js";
 
 const NAME = "wander";
 const PROTOCOL_VERSION = 1;
@@ -101,13 +101,13 @@ function infer(request: InferRequest__Output, session: Session | undefined): Inf
     );
   }
   if (session.last?.query === request.queryIndex) return session.last.answer;
-  const actions = act(sightOf(request, where), session.seed, request.queryIndex);
+  const actions = act(inputsOf(request, where), session.seed, request.queryIndex);
   const answer = { actions, actionWidth: ACTION_WIDTH };
   session.last = { query: request.queryIndex, answer };
   return answer;
 }
 
-function sightOf(request: InferRequest__Output, where: string): Sight {
+function inputsOf(request: InferRequest__Output, where: string): Inputs {
   const image = request.observation?.images.find(({ camera }) => camera === CAMERA.name);
   const reading = request.observation?.state.find(({ field }) => field === "STATE_FIELD_EEF_POS");
   const bytes = CAMERA.width * CAMERA.height * 3;

@@ -13,7 +13,7 @@ export const HORIZON = 4;
 /** The requested camera, with the size of its frames in pixels. */
 export const CAMERA = { name: "robot0_eye_in_hand", width: 32, height: 32 };
 
-/** Height that the fingertips are kept at, m, world frame. */
+/** Height at which the policy keeps the fingertips, m, world frame. */
 const HEIGHT = 1.1;
 /** Command per metre of missing height. */
 const GAIN = 5;
@@ -23,7 +23,7 @@ const REACH = 0.3;
 const DARK = 60;
 
 /** The inputs of one query. */
-export interface Sight {
+export interface Inputs {
   /** RGB, row after row, the bottom row first. */
   rgb: Buffer;
   /** Fingertips, m, world frame. */
@@ -35,9 +35,9 @@ export interface Sight {
  * seed and the query's index, so that neither a retry nor another order of requests
  * changes a rollout.
  */
-export function act(sight: Sight, seed: string, query: number): number[] {
-  const rise = clip(GAIN * (HEIGHT - (sight.position[2] ?? HEIGHT)));
-  const gripper = mean(sight.rgb) < DARK ? 1 : -1;
+export function act(inputs: Inputs, seed: string, query: number): number[] {
+  const rise = clip(GAIN * (HEIGHT - (inputs.position[2] ?? HEIGHT)));
+  const gripper = mean(inputs.rgb) < DARK ? 1 : -1;
   const random = uniform(seed, query, 2 * HORIZON);
   return Array.from({ length: HORIZON }, (_, at) => [
     REACH * (random[2 * at] ?? 0),

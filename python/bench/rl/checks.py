@@ -1,5 +1,5 @@
-"""Checks that a comparison is fair: the same motion in both simulators, and the accelerator's
-name as the original's OpenGL gives it.
+"""Checks that a comparison is fair: the same motion in both simulators, and the name of the
+original's OpenGL renderer.
 
 usage: checks.py record TASK FILE    records the scripted expert's actions (rollout_libero)
        checks.py replay TASK FILE    replays them with the `libero` that is imported; prints JSON
@@ -14,14 +14,14 @@ from typing import Any
 import numpy as np
 from stand_ins import prepare
 
-#: Recorded control steps at most.
-LONGEST = 300
-#: Largest difference of joints (rad), fingers and hand (m) before the robot first touches anything.
+#: Largest number of recorded control steps.
+MAX_STEPS = 300
+#: Largest difference of a reading (rad or m) before the robot first touches anything.
 TOLERANCE = 1e-9
-#: Largest difference of the step in which the goal is reached.
+#: Largest difference between the steps in which the goal is reached.
 SUCCESS_STEPS = 2
 _STATE = 0
-NOTHING = [0.0] * 6 + [-1.0]
+NO_OP = [0.0] * 6 + [-1.0]
 SETTLING = 10
 READINGS = ("robot0_joint_pos", "robot0_eef_pos", "robot0_eef_quat", "robot0_gripper_qpos")
 
@@ -51,7 +51,7 @@ def recorded(task: str) -> np.ndarray:
     )
     envs.reset(seed=0)
     actions = []
-    for _ in range(LONGEST):
+    for _ in range(MAX_STEPS):
         *_, infos = envs.step_chunk(np.zeros((1, 1, 7)), expert=np.ones((1, 1), bool))
         actions.append(infos["expert_action"][0, 0])
         if infos["success"][0]:
@@ -73,11 +73,13 @@ def replayed(task: str, actions: np.ndarray) -> dict[str, Any]:
     env.reset()
     env.set_init_state(states[_STATE])
     for _ in range(SETTLING):
-        env.step(NOTHING)
+        env.step(NO_OP)
     readings, success, contact = [], None, None
     for step, action in enumerate(actions, 1):
-        seen, _, _, _ = env.step(action.tolist())
-        readings.append(np.concatenate([np.asarray(seen[name]) for name in READINGS]).tolist())
+        observation, _, _, _ = env.step(action.tolist())
+        readings.append(
+            np.concatenate([np.asarray(observation[name]) for name in READINGS]).tolist()
+        )
         if success is None and env.check_success():
             success = step
         if contact is None and touches(env):
@@ -93,7 +95,7 @@ def replayed(task: str, actions: np.ndarray) -> dict[str, Any]:
 
 
 def touches(env: Any) -> bool | None:
-    """Returns true if the robot touches something else; None if the simulator does not say."""
+    """Returns true if the robot touches something else; None in the shim, without contacts."""
     try:
         from robosuite.utils import binding_utils  # noqa: F401
     except ImportError:
@@ -123,17 +125,17 @@ def _renderer() -> str | None:
 
 def verdict(theirs: dict[str, Any], ours: dict[str, Any]) -> dict[str, Any]:
     """Compares two replays: fair if `same_motion` and `same_success` hold."""
-    until = (theirs["contact"] or len(theirs["readings"]) + 1) - 1
-    apart = np.abs(np.asarray(theirs["readings"]) - np.asarray(ours["readings"]))
-    before = float(apart[:until].max()) if until else 0.0
+    free_steps = (theirs["contact"] or len(theirs["readings"]) + 1) - 1
+    differences = np.abs(np.asarray(theirs["readings"]) - np.asarray(ours["readings"]))
+    before_contact = float(differences[:free_steps].max()) if free_steps else 0.0
     successes = (theirs["success"], ours["success"])
     return {
         "first_contact": theirs["contact"],
-        "apart_before_contact": before,
+        "apart_before_contact": before_contact,
         "success_original": successes[0],
         "success_shim": successes[1],
         "renderer": theirs["renderer"],
-        "same_motion": before <= TOLERANCE,
+        "same_motion": before_contact <= TOLERANCE,
         "same_success": successes[0] == successes[1]
         or (None not in successes and abs(successes[0] - successes[1]) <= SUCCESS_STEPS),
     }

@@ -4,15 +4,16 @@ simulator in turn, and prints a table in Markdown. Needs no network and no build
     python compare.py --original FOLDERS --shim FOLDERS --out FOLDER
 
 `FOLDERS` are entries of PYTHONPATH, separated by colons: of robosuite 1.4.0 and rlinf-libero or
-hf-libero, and of the wheels of this project. RLinf and what both need is found in either or in
-the environment. `LIBERO_CONFIG_PATH` is the original's, ROLLOUT_SOURCES and ROLLOUT_ASSETS are
-those of rollout_libero. Results are written after every run, so that an interrupted
-comparison has results.
+hf-libero, and of the wheels of this project. RLinf and the packages that both simulators need may
+be in either or in the environment. The original uses `LIBERO_CONFIG_PATH`, and rollout_libero
+uses ROLLOUT_SOURCES and ROLLOUT_ASSETS. Results are written after every run, so that an
+interrupted comparison has results.
 
 Arms: O, the original, rendering through EGL. O', the original that renders only the last step of
-a chunk. S, the shim with every frame drawn. S+, the shim as it is. V, rows of one process: by
-RLINF_EXT_MODULE in RLinf, and a TrainingEnvironment in place of SimpleVLA-RL's processes. RLinf
-reads every frame, so its S+ is S.
+a chunk. S, the shim with every frame read. S+, the shim with only the last frames of chunks read:
+it renders only frames that are read. V, all environments in one process: by RLINF_EXT_MODULE in
+RLinf, and by a TrainingEnvironment in place of SimpleVLA-RL's processes. RLinf reads every frame,
+so its S+ equals S.
 """
 
 from __future__ import annotations
@@ -35,9 +36,9 @@ from stand_ins import LAST_OF_CHUNK
 
 HERE = Path(__file__).resolve().parent
 ARMS = {"rlinf": ("O", "O'", "S", "V"), "simplevla": ("O", "O'", "S", "S+", "V")}
-#: Environments that a framework runs at most: RLinf gives each another one of a task's 50 states,
-#: and SimpleVLA-RL runs few at a time.
-MOST = {"rlinf": 50, "simplevla": 16}
+#: Largest number of environments of a framework: RLinf starts each in a different one of a task's
+#: 50 states, and SimpleVLA-RL runs few at a time.
+MAX_ENVIRONMENTS = {"rlinf": 50, "simplevla": 16}
 
 
 def main() -> int:
@@ -52,7 +53,7 @@ def main() -> int:
     for number, size, framework, task in itertools.product(
         range(1, given.rounds + 1), given.environments, given.frameworks, given.tasks
     ):
-        count = min(size, MOST[framework])
+        count = min(size, MAX_ENVIRONMENTS[framework])
         if count != size and count in given.environments:
             continue
         scenario = {"framework": framework, "task": task, "environments": count}
@@ -60,7 +61,7 @@ def main() -> int:
         keys = {arm: (framework, task, count, arm) for arm in arms}
         # A round has all of its arms or none, so that all are measured under the same conditions.
         if end - time.monotonic() < 1.1 * sum(longest.get(key, 0.0) for key in keys.values()):
-            print(f"{scenario}, round {number}: no time is left for it", flush=True)
+            print(f"{scenario}, round {number}: skipped for lack of time", flush=True)
             continue
         for arm, key in keys.items():
             begun = time.monotonic()
@@ -70,7 +71,7 @@ def main() -> int:
             print(f"{key}, round {number}: {json.dumps(measured)}", flush=True)
             report.write(results, given.out)
     print(report.markdown(results))
-    fair = all(one["same_motion"] and one["same_success"] for one in results["checks"].values())
+    fair = all(task["same_motion"] and task["same_success"] for task in results["checks"].values())
     return 0 if fair else 1
 
 
@@ -103,7 +104,8 @@ def arguments() -> argparse.Namespace:
     parser.add_argument(
         "--shared-reset",
         action="store_true",
-        help="all policies of a process go on from one reset, whose time counts in each",
+        help="reset once per process; each policy continues after the previous one, and the reset's"
+        " time counts in each",
     )
     parser.add_argument("--rounds", type=int, default=3)
     parser.add_argument("--minutes", type=float, default=24 * 60.0, help="longest duration")
@@ -129,9 +131,9 @@ def fairness(given: argparse.Namespace) -> dict[str, Any]:
 
 
 def measure(
-    given: argparse.Namespace, framework: str, arm: str, task: str, count: int, left: float
+    given: argparse.Namespace, framework: str, arm: str, task: str, count: int, limit_secs: float
 ) -> dict[str, Any]:
-    """Runs one arm, at most for `left` seconds; returns its measures, or its error."""
+    """Runs one arm, at most for `limit_secs`; returns its measures, or its error."""
     python = given.original_python if arm.startswith("O") else given.shim_python
     command = [python, HERE / "measure.py", framework, arm, task]
     command += ["--environments", count, "--chunk", given.chunk, "--steps", given.steps]
@@ -141,7 +143,7 @@ def measure(
     if arm == "O'":
         variables[LAST_OF_CHUNK] = f"{SETTLING[framework]}:{given.chunk}"
     try:
-        return call(command, variables, left)
+        return call(command, variables, limit_secs)
     except RuntimeError as error:
         return {"error": str(error)}
 
@@ -160,14 +162,14 @@ def environment(given: argparse.Namespace, arm: str) -> dict[str, str]:
         "PYOPENGL_PLATFORM": given.gl,
     }
     if not original:
-        # The shim has its own settings.
+        # The shim must not write into the original's settings.
         variables["LIBERO_CONFIG_PATH"] = str(given.out / "shim-settings")
     variables.pop("RLINF_EXT_MODULE", None)
     return variables
 
 
 def call(command: list[Any], variables: dict[str, str], limit: float) -> Any:
-    """Runs a program in a session of its own; returns the JSON of its last line.
+    """Runs a program in a new session; returns the JSON of its last line.
 
     Raises:
         RuntimeError: with the end of its messages if it fails or exceeds the limit, s.

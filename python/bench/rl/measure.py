@@ -1,6 +1,7 @@
 """Measures rollouts of one framework with one simulator, and prints a line of JSON.
 
-`compare.py` runs it in turn for each simulator, with `PYTHONPATH` set to it. Options: --help.
+`compare.py` runs this program for each simulator in turn, with the simulator in `PYTHONPATH`.
+Options: --help.
 """
 
 from __future__ import annotations
@@ -45,7 +46,8 @@ def measured(given: argparse.Namespace) -> dict[str, Any]:
     from policies import Policy
 
     policies = [Policy(name) for name in given.policies]
-    # PyTorch and the accelerator's context are the policy's, and not counted in this process.
+    # PyTorch and the accelerator's context belong to the policy, so they are loaded before the
+    # environments' memory is measured.
     importlib.import_module("torch")
     memory, on_card = pss_mb(), _card_mb()
     begun = time.perf_counter()
@@ -55,7 +57,7 @@ def measured(given: argparse.Namespace) -> dict[str, Any]:
     results: dict[str, Any] = {}
     resets: list[float] = []
     try:
-        # Untimed: compiles, fills caches, and starts what is kept.
+        # Measured separately: the first rollout compiles, fills caches, and starts processes.
         warm = time.perf_counter()
         rollouts.reset()
         rollouts.chunk(actions[0])
@@ -69,19 +71,19 @@ def measured(given: argparse.Namespace) -> dict[str, Any]:
                 **_run(rollouts, policy, actions),
                 "reset_s": resets[-1],
             }
-        further = (pss_mb() - memory) / given.environments
+        memory_each = (pss_mb() - memory) / given.environments
         card = None if on_card is None else (_card_mb() or 0.0) - on_card
     finally:
         rollouts.close()
-    for one in results.values():
-        lasted = one.pop("lasted_s")
-        one["steps_per_second"] = given.environments * len(actions) * given.chunk / lasted
-        one["trajectories_per_second"] = given.environments / (one["reset_s"] + lasted)
+    for result in results.values():
+        lasted = result.pop("lasted_s")
+        result["steps_per_second"] = given.environments * len(actions) * given.chunk / lasted
+        result["trajectories_per_second"] = given.environments / (result["reset_s"] + lasted)
     return {
         "loop": rollouts.loop,
         "construct_s": constructed,
         "first_s": warm,
-        "pss_mb": further,
+        "pss_mb": memory_each,
         "card_mb": card,
         "cpu_s": sum(resource.getrusage(who).ru_utime for who in _USERS),
         "policies": results,
@@ -102,7 +104,7 @@ def _construct(given: argparse.Namespace) -> Any:
 
 
 def _run(rollouts: Any, policy: Any, actions: np.ndarray) -> dict[str, float]:
-    whole, simulated = [], []
+    answered_and_simulated, simulated = [], []
     with policy:
         products, start = policy.products(), time.perf_counter()
         for chunk in actions:
@@ -111,13 +113,13 @@ def _run(rollouts: Any, policy: Any, actions: np.ndarray) -> dict[str, float]:
             answered = time.perf_counter()
             rollouts.chunk(chunk)
             end = time.perf_counter()
-            whole.append(1e3 * (end - begun))
+            answered_and_simulated.append(1e3 * (end - begun))
             simulated.append(1e3 * (end - answered))
         lasted = time.perf_counter() - start
         products = policy.products() - products
     result = {
-        "chunk_ms_p50": float(np.percentile(whole, 50)),
-        "chunk_ms_p95": float(np.percentile(whole, 95)),
+        "chunk_ms_p50": float(np.percentile(answered_and_simulated, 50)),
+        "chunk_ms_p95": float(np.percentile(answered_and_simulated, 95)),
         "simulation_ms_p50": float(np.percentile(simulated, 50)),
         "lasted_s": lasted,
     }
@@ -130,8 +132,8 @@ def _actions(given: argparse.Namespace) -> np.ndarray:
     """Returns a smooth motion in the air, [chunks, environments, steps of a chunk, 7]."""
     chunks = max(1, given.steps // given.chunk)
     phase = np.linspace(0, 3, chunks * given.chunk)[:, None] + np.arange(7)
-    each = np.linspace(0.2, 0.4, given.environments)[:, None, None]
-    moves = each * np.sin(phase)
+    amplitudes = np.linspace(0.2, 0.4, given.environments)[:, None, None]
+    moves = amplitudes * np.sin(phase)
     return moves.reshape(given.environments, chunks, given.chunk, 7).swapaxes(0, 1)
 
 
@@ -156,8 +158,8 @@ def _tree(root: int) -> list[int]:
             continue
         parents.setdefault(int(fields[1]), []).append(int(status.parent.name))
     found = [root]
-    for one in found:
-        found += parents.get(one, [])
+    for process in found:
+        found += parents.get(process, [])
     return found
 
 
@@ -165,10 +167,10 @@ def _card_mb() -> float | None:
     """Returns the memory in use on the first accelerator, MB; None without one."""
     command = ["nvidia-smi", "--id=0", "--query-gpu=memory.used", "--format=csv,noheader,nounits"]
     try:
-        asked = subprocess.run(command, capture_output=True, text=True, check=True)
+        query = subprocess.run(command, capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):
         return None
-    return float(asked.stdout)
+    return float(query.stdout)
 
 
 if __name__ == "__main__":

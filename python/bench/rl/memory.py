@@ -13,7 +13,7 @@ from measure import pss_mb
 
 from rollout_libero.training import Start, TrainingEnvironment
 
-#: Chunks of eight steps. The renderer caches what has not moved for some frames.
+#: Chunks of eight steps, enough for the renderer to cache the objects that do not move.
 _CHUNKS = 12
 
 
@@ -23,11 +23,12 @@ def main() -> None:
     parser.add_argument("task", nargs="?", default="libero_goal/8")
     parser.add_argument("--rows", nargs="+", type=int, default=[16, 48])
     given = parser.parse_args()
-    # The first rows' process also has the libraries, the scene, and each thread's buffers.
-    held = [_rows(given.task, 1)]
+    # A first row, which is not counted, loads the libraries and the scene, and allocates each
+    # thread's buffers.
+    kept_alive = [_rows(given.task, 1)]
     before = pss_mb()
     for count in given.rows:
-        held.append(_rows(given.task, count))
+        kept_alive.append(_rows(given.task, count))
         now = pss_mb()
         print(f"{given.task}, {count} rows: {(now - before) / count:.2f} MB each")
         before = now

@@ -1,4 +1,4 @@
-"""Stand-ins for a policy: they take time, or the accelerator, and their actions are given."""
+"""Simulated policies: they only occupy time or the accelerator, since the actions are given."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ class Policy:
     """A policy by name: `none`, `sleep:MS`, `card:MS`, `busy`.
 
     `none` answers at once and `sleep:MS` after that time; `card:MS` multiplies matrices on the
-    accelerator for that time. Beside `busy`, another process multiplies matrices without a pause,
-    as the policy does for another worker's environments.
+    accelerator for that time. With `busy`, another process multiplies matrices without a pause,
+    as a policy does that answers another worker's environments.
     """
 
     def __init__(self, name: str) -> None:
@@ -24,7 +24,7 @@ class Policy:
         if self.kind not in ("none", "sleep", "card", "busy"):
             raise ValueError(f"policy {name}: choose none, sleep:MS, card:MS or busy")
         self.seconds = float(ms or 0) / 1e3
-        self._neighbour: Any = None
+        self._busy_process: Any = None
         self._products: Any = None
         if self.kind == "card":
             self._left, self._right = _matrices()
@@ -34,24 +34,24 @@ class Policy:
         if self.kind == "busy":
             context = multiprocessing.get_context("spawn")
             self._products = context.Value("L", 0)
-            self._neighbour = context.Process(
+            self._busy_process = context.Process(
                 target=_keep_busy, args=(self._products,), daemon=True
             )
-            self._neighbour.start()
+            self._busy_process.start()
             while not self._products.value:
-                if not self._neighbour.is_alive():
+                if not self._busy_process.is_alive():
                     raise RuntimeError("the process that keeps the accelerator busy has ended")
                 time.sleep(0.05)
         return self
 
     def __exit__(self, *_error: Any) -> None:
-        if self._neighbour is not None:
-            self._neighbour.terminate()
-            self._neighbour.join()
-            self._neighbour = None
+        if self._busy_process is not None:
+            self._busy_process.terminate()
+            self._busy_process.join()
+            self._busy_process = None
 
     def answer(self) -> None:
-        """Takes the time of an answer."""
+        """Blocks for the duration of an answer."""
         if self.kind == "sleep":
             time.sleep(self.seconds)
         elif self.kind == "card":
@@ -60,7 +60,7 @@ class Policy:
                 _multiply(self._left, self._right)
 
     def products(self) -> int:
-        """Returns the number of the neighbour's matrix products until now."""
+        """Returns the number of matrix products that the busy process has computed."""
         return self._products.value if self._products is not None else 0
 
 
@@ -69,8 +69,8 @@ def _matrices() -> tuple[Any, Any]:
 
     device = "cuda" if torch.cuda.is_available() else "cpu"
     side = _SIDE if device == "cuda" else 256
-    kind = torch.bfloat16 if device == "cuda" else torch.float32
-    return tuple(torch.randn(side, side, device=device, dtype=kind) for _ in range(2))  # type: ignore[return-value]
+    dtype = torch.bfloat16 if device == "cuda" else torch.float32
+    return tuple(torch.randn(side, side, device=device, dtype=dtype) for _ in range(2))  # type: ignore[return-value]
 
 
 def _multiply(left: Any, right: Any) -> None:

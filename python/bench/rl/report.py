@@ -33,8 +33,8 @@ def machine() -> str:
     words = [f"{len(os.sched_getaffinity(0))} × {name}"]
     try:
         command = ["nvidia-smi", "--query-gpu=name,driver_version", "--format=csv,noheader"]
-        asked = subprocess.run(command, capture_output=True, text=True, check=True)
-        words += asked.stdout.splitlines()
+        query = subprocess.run(command, capture_output=True, text=True, check=True)
+        words += query.stdout.splitlines()
     except (OSError, subprocess.CalledProcessError):
         words.append("no accelerator")
     return ", ".join(filter(None, words))
@@ -47,12 +47,12 @@ def write(results: dict[str, Any], folder: Path) -> None:
 
 
 def markdown(results: dict[str, Any]) -> str:
-    """Returns the tables of all scenarios."""
+    """Returns the results of the checks, and the tables of all scenarios."""
     lines = [f"On {results['machine']}.", ""]
     for task, check in results["checks"].items():
         lines.append(
-            f"- {task}: OpenGL of the original: {check['renderer']}; readings of the robot at most "
-            f"{check['apart_before_contact']:.1e} apart before the first contact (step "
+            f"- {task}: OpenGL of the original: {check['renderer']}; readings of the robot differ "
+            f"by at most {check['apart_before_contact']:.1e} before the first contact (step "
             f"{check['first_contact']}); success at step {check['success_original']} in the "
             f"original, {check['success_shim']} in the shim"
         )
@@ -67,18 +67,18 @@ def markdown(results: dict[str, Any]) -> str:
 
 
 def _policies(runs: list[dict[str, Any]]) -> list[str]:
-    good = [run for run in runs if "error" not in run]
-    names = list(dict.fromkeys(name for run in good for name in run["policies"]))
-    lines = _head(["policy", "arm", *(title for _, title, _ in _COLUMNS), "steps/s to O", "to O'"])
+    succeeded = [run for run in runs if "error" not in run]
+    names = list(dict.fromkeys(name for run in succeeded for name in run["policies"]))
+    lines = _head(["policy", "arm", *(title for _, title, _ in _COLUMNS), "ratio to O", "to O'"])
     for name in names:
-        first: dict[str, float] = {}
-        for arm, of_arm in _by_arm(good).items():
-            rows = [run["policies"][name] for run in of_arm]
+        speeds: dict[str, float] = {}
+        for arm, arm_runs in _by_arm(succeeded).items():
+            rows = [run["policies"][name] for run in arm_runs]
             speed = statistics.median(row["steps_per_second"] for row in rows)
-            first[arm] = speed
+            speeds[arm] = speed
             cells = [_cell([row.get(key) for row in rows], digits) for key, _, digits in _COLUMNS]
             ratios = [
-                f"{speed / first[base]:.2f}" if base in first else "–" for base in ("O", "O'")
+                f"{speed / speeds[base]:.2f}" if base in speeds else "–" for base in ("O", "O'")
             ]
             lines.append("| " + " | ".join([name, arm, *cells, *ratios]) + " |")
     return lines
@@ -86,9 +86,9 @@ def _policies(runs: list[dict[str, Any]]) -> list[str]:
 
 def _processes(runs: list[dict[str, Any]]) -> list[str]:
     lines = _head(["arm", "rounds", *(title for _, title, _ in _PROCESS)])
-    for arm, of_arm in _by_arm([run for run in runs if "error" not in run]).items():
-        cells = [_cell([run.get(key) for run in of_arm], digits) for key, _, digits in _PROCESS]
-        lines.append("| " + " | ".join([arm, str(len(of_arm)), *cells]) + " |")
+    for arm, arm_runs in _by_arm([run for run in runs if "error" not in run]).items():
+        cells = [_cell([run.get(key) for run in arm_runs], digits) for key, _, digits in _PROCESS]
+        lines.append("| " + " | ".join([arm, str(len(arm_runs)), *cells]) + " |")
     loops = sorted({run["loop"] for run in runs if "loop" in run})
     lines += ["", f"Run by {', '.join(loops)}."] if loops else []
     lines += [
@@ -111,10 +111,10 @@ def _head(titles: list[str]) -> list[str]:
 
 
 def _cell(values: list[float | None], digits: int) -> str:
-    known = [value for value in values if value is not None]
-    if not known:
+    present = [value for value in values if value is not None]
+    if not present:
         return "–"
-    middle = f"{statistics.median(known):,.{digits}f}"
-    if len(known) == 1:
+    middle = f"{statistics.median(present):,.{digits}f}"
+    if len(present) == 1:
         return middle
-    return f"{middle} ({min(known):,.{digits}f}–{max(known):,.{digits}f})"
+    return f"{middle} ({min(present):,.{digits}f}–{max(present):,.{digits}f})"

@@ -20,7 +20,7 @@ import numpy as np
 SIDE = 256
 #: Settling steps at the start of a rollout, by framework.
 SETTLING = {"rlinf": 15, "simplevla": 10}
-_NOTHING = [0.0] * 6 + [-1.0]
+_NO_OP = [0.0] * 6 + [-1.0]
 
 
 class Rollouts(Protocol):
@@ -95,7 +95,7 @@ class SimpleVLA:
 
     They send the observation at the end of each chunk through a queue. They run the framework's own
     `env_worker` if `ROLLOUT_FRAMEWORKS` names a folder with a checkout `SimpleVLA-RL`, otherwise
-    the same loop, written here. With `every_frame` all frames are read.
+    `_roll_out`, the same loop. With `every_frame` all frames are read, not only the sent ones.
     """
 
     def __init__(self, task: str, count: int, *, every_frame: bool) -> None:
@@ -134,8 +134,8 @@ class SimpleVLA:
         self._receive()
 
     def chunk(self, actions: np.ndarray) -> None:
-        for (_, given, _), one in zip(self._started, actions, strict=True):
-            given.put(one)
+        for (_, queue, _), chunk in zip(self._started, actions, strict=True):
+            queue.put(chunk)
         self._receive()
 
     def close(self) -> None:
@@ -210,14 +210,14 @@ def _roll_out(
     env = OffScreenRenderEnv(bddl_file_name=bddl, camera_heights=SIDE, camera_widths=SIDE)
     env.seed(0)
     env.reset()
-    seen = env.set_init_state(states[trial])
+    observation = env.set_init_state(states[trial])
     for _ in range(config.num_steps_wait):
-        seen, *_ = env.step(_NOTHING)
-    answers.put({"obs": seen})
+        observation, *_ = env.step(_NO_OP)
+    answers.put({"obs": observation})
     while (chunk := actions.get()) is not None:
         for action in chunk:
-            seen, *_ = env.step(action.tolist())
-        answers.put({"obs": seen})
+            observation, *_ = env.step(action.tolist())
+        answers.put({"obs": observation})
     env.close()
     answers.put({"type": "terminate"})
 

@@ -1,6 +1,6 @@
-"""Prepares the imports of RLinf's and LIBERO's files, which are run unmodified, in a process and
-in those that it spawns: stand-ins for packages that these files import and never call here, and
-the original that renders only at the end of each chunk.
+"""Prepares a process, and those that it spawns, to import RLinf's and LIBERO's unmodified files:
+replaces packages that these files import and do not call here, and lets the original render only
+at the end of each chunk if the environment asks for it.
 """
 
 from __future__ import annotations
@@ -18,8 +18,9 @@ from unittest.mock import MagicMock
 
 import numpy as np
 
-#: Imports for videos, data sets and training. Installed packages of these names take precedence.
-_BESIDE = (
+#: Replaced packages, for videos, data sets and training. Installed packages of these names take
+#: precedence.
+_REPLACED = (
     "codetiming",
     "cv2",
     "draccus",
@@ -35,13 +36,14 @@ _BESIDE = (
     "tqdm",
     "transformers",
 )
-#: Set to "SETTLING:CHUNK" for an original that renders only the last step of each chunk.
+#: Environment variable, "SETTLING:CHUNK", with which the original renders only the last step of
+#: each chunk.
 LAST_OF_CHUNK = "ROLLOUT_BENCH_LAST_OF_CHUNK"
 
 
 class _StandIns(importlib.abc.MetaPathFinder, importlib.abc.Loader):
     def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
-        if name.partition(".")[0] in _BESIDE:
+        if name.partition(".")[0] in _REPLACED:
             return importlib.machinery.ModuleSpec(name, self, is_package=True)
         return None
 
@@ -62,7 +64,7 @@ def _attribute(name: str) -> Any:
 
 def prepare() -> None:
     """Makes the frameworks' files importable. Spawned processes call it, too."""
-    # The original imports PyTorch, and calls nothing of it in these rollouts.
+    # The original imports PyTorch, and does not call it in these rollouts.
     if importlib.util.find_spec("torch") is None:
         sys.modules["torch"] = types.ModuleType("torch")
     sys.meta_path.append(_StandIns())
@@ -84,31 +86,31 @@ def _render_last_of_chunk(settling: int, chunk: int) -> None:
     from libero.libero.envs import env_wrapper
 
     count = 0
-    draws = True
-    last: dict[tuple[Any, ...], Any] = {}
+    is_rendered = True
+    last_pictures: dict[tuple[Any, ...], Any] = {}
     render, step = binding_utils.MjSim.render, env_wrapper.ControlEnv.step
     set_init_state = env_wrapper.ControlEnv.set_init_state
 
     @functools.wraps(render)
     def rendered(self: Any, *arguments: Any, **named: Any) -> Any:
         key = (arguments, tuple(sorted(named.items())))
-        if draws or key not in last:
-            last[key] = render(self, *arguments, **named)
-        return last[key]
+        if is_rendered or key not in last_pictures:
+            last_pictures[key] = render(self, *arguments, **named)
+        return last_pictures[key]
 
     @functools.wraps(step)
     def stepped(self: Any, action: np.ndarray) -> Any:
-        nonlocal count, draws
+        nonlocal count, is_rendered
         count += 1
-        draws = count >= settling and (count - settling) % chunk == 0
+        is_rendered = count >= settling and (count - settling) % chunk == 0
         return step(self, action)
 
     @functools.wraps(set_init_state)
-    def begun(self: Any, state: np.ndarray) -> Any:
-        nonlocal count, draws
-        count, draws = 0, False
+    def started(self: Any, state: np.ndarray) -> Any:
+        nonlocal count, is_rendered
+        count, is_rendered = 0, False
         return set_init_state(self, state)
 
     binding_utils.MjSim.render = rendered
     env_wrapper.ControlEnv.step = stepped
-    env_wrapper.ControlEnv.set_init_state = begun
+    env_wrapper.ControlEnv.set_init_state = started

@@ -1,13 +1,14 @@
-"""Compares the success of recorded trajectories here and in the original, both without rendering.
+"""Compares the success of recorded trajectories in rollout_libero and in the original, without
+rendering.
 
 usage: trajectories.py record FOLDER [--each N] [--tasks TASK …]   with rollout_libero
        trajectories.py replay FOLDER                               with the original LIBERO
        trajectories.py table FOLDER                                prints the comparison
 
-`record` lets the scripted expert drive from the first N released states of every task, and writes
-its actions, the robot's readings and the success of each step. `replay` executes the same actions
-in the original, whose MuJoCo collides as the benchmark's (`nativeccd` off). Files that exist are
-not made again, so both commands continue where they were interrupted.
+`record` runs the scripted expert from the first N released states of every task, and writes its
+actions, the robot's readings and the success of each step. `replay` executes the same actions in
+the original, whose MuJoCo detects collisions as the benchmark's does (`nativeccd` off). Existing
+files are kept, so both commands continue where they were interrupted.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from checks import NOTHING, READINGS, SETTLING, SUCCESS_STEPS, TOLERANCE, touches
+from checks import NO_OP, READINGS, SETTLING, SUCCESS_STEPS, TOLERANCE, touches
 from rollouts import task_files
 from stand_ins import prepare
 
@@ -61,7 +62,8 @@ def record(task: str, each: int, folder: Path) -> None:
         return
     bddl, states = task_files(task)
     envs = TrainingEnvironment(each, cameras=[], settle_steps=SETTLING)
-    # The original's environment is reset once more for each trajectory.
+    # `replay` resets one environment of the original for all trajectories, so that each trajectory
+    # has one reset more than the previous one.
     envs.reset([Start(bddl, states[at], loads=LOADS + at) for at in range(each)])
     batch = native.Batch(envs.simulations, 2)
     steps: list[dict[str, Any]] = []
@@ -119,11 +121,11 @@ def replay(recorded: Path) -> None:
         env.reset()
         env.set_init_state(states[row])
         for _ in range(SETTLING):
-            env.step(NOTHING)
+            env.step(NO_OP)
         contact = 0
         for step, action in enumerate(given["actions"][row, :end]):
-            seen, *_ = env.step(action)
-            readings[row, step] = np.concatenate([seen[name] for name in READINGS])
+            observation, *_ = env.step(action)
+            readings[row, step] = np.concatenate([observation[name] for name in READINGS])
             success[row, step] = env.check_success()
             if not contact and touches(env):
                 contact = step + 1
@@ -136,12 +138,12 @@ def replay(recorded: Path) -> None:
 def table(folder: Path) -> list[str]:
     """Returns the comparison, a row for each suite, and the trajectories that differ."""
     rows = [
-        "| | trajectories | solved here, there | same step | within "
-        f"{SUCCESS_STEPS} | apart before contact, at most | apart by {TOLERANCE:g} from step | "
-        "contact from step |",
+        "| | trajectories | solved here, in the original | same step | within "
+        f"{SUCCESS_STEPS} | largest difference before contact | first difference above "
+        f"{TOLERANCE:g}, step | first contact, step |",
         "| --- |" + " --- |" * 7,
     ]
-    others = []
+    different = []
     everything = []
     for suite in _SUITES:
         all_of_suite = []
@@ -155,49 +157,49 @@ def table(folder: Path) -> list[str]:
                 all_of_suite.append(one)
                 if not one["within"]:
                     task = recorded.name.partition(".")[0]
-                    others.append(f"{task}, state {row}: {one}")
+                    different.append(f"{task}, state {row}: {one}")
         if all_of_suite:
             rows.append(_row(suite, all_of_suite))
         everything += all_of_suite
     rows.append(_row("all", everything))
-    return [*rows, "", *others]
+    return [*rows, "", *different]
 
 
 def compared(here: Any, there: Any, row: int, end: int) -> dict[str, Any]:
-    """Compares a trajectory. Steps count from 1; 0 stands for never."""
+    """Compares a trajectory here and in the original (`there`). Steps count from 1; 0 is never."""
 
     def first(holds: Any) -> int:
         return int(np.argmax(holds)) + 1 if np.any(holds) else 0
 
-    apart = np.abs(here["readings"][row, :end] - there["readings"][row, :end]).max(axis=1)
-    ours, theirs = (first(of["success"][row, :end]) for of in (here, there))
+    differences = np.abs(here["readings"][row, :end] - there["readings"][row, :end]).max(axis=1)
+    ours, theirs = (first(side["success"][row, :end]) for side in (here, there))
     contact = int(there["contacts"][row])
-    before = apart[: contact - 1] if contact else apart
+    before = differences[: contact - 1] if contact else differences
     return {
         "here": ours,
         "there": theirs,
         "within": (not ours) == (not theirs) and abs(ours - theirs) <= SUCCESS_STEPS,
         "contact": contact,
-        "differs": first(apart > TOLERANCE),
+        "differs": first(differences > TOLERANCE),
         "before": float(before.max(initial=0.0)),
     }
 
 
-def _row(name: str, ones: list[dict[str, Any]]) -> str:
+def _row(name: str, trajectories: list[dict[str, Any]]) -> str:
     def spread(key: str) -> str:
-        steps = [one[key] for one in ones if one[key]]
-        never = len(ones) - len(steps)
+        steps = [each[key] for each in trajectories if each[key]]
+        never = len(trajectories) - len(steps)
         words = f"{statistics.median(steps):.0f} ({min(steps)}–{max(steps)})" if steps else ""
         return ", ".join(filter(None, [words, f"never in {never}" if never else ""]))
 
-    solved = [sum(one[where] > 0 for one in ones) for where in ("here", "there")]
+    solved = [sum(each[side] > 0 for each in trajectories) for side in ("here", "there")]
     cells = [
         name,
-        str(len(ones)),
+        str(len(trajectories)),
         f"{solved[0]}, {solved[1]}",
-        str(sum(one["here"] == one["there"] for one in ones)),
-        str(sum(one["within"] for one in ones)),
-        f"{max(one['before'] for one in ones):.1e}",
+        str(sum(one["here"] == one["there"] for one in trajectories)),
+        str(sum(one["within"] for one in trajectories)),
+        f"{max(one['before'] for one in trajectories):.1e}",
         spread("differs"),
         spread("contact"),
     ]
@@ -205,7 +207,7 @@ def _row(name: str, ones: list[dict[str, Any]]) -> str:
 
 
 def _collide_as_recorded() -> None:
-    """Lets the original collide as the benchmark's MuJoCo 2.3.7."""
+    """Makes the original detect collisions as the benchmark's MuJoCo 2.3.7 does."""
     import mujoco
     from robosuite.utils import binding_utils
 

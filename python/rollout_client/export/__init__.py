@@ -8,7 +8,7 @@ from types import ModuleType
 from ..errors import SettingsError
 
 
-def needed(package: str) -> ModuleType:
+def import_package(package: str) -> ModuleType:
     """Imports a package that an export needs. Raises SettingsError."""
     try:
         return importlib.import_module(package)

@@ -18,7 +18,7 @@ import numpy as np
 
 from ..archive import Archive, ArchiveError, Rollout
 from ..errors import SettingsError
-from . import needed
+from . import import_package
 
 #: Control steps, and pictures of a film, per second.
 FPS = 20
@@ -43,7 +43,7 @@ def export(archive: Archive, folder: str | os.PathLike[str], *, films: bool = Fa
     films: only rollouts that were filmed, with their films. Raises ArchiveError if
     there are none, and SettingsError if the folder is not new or pyarrow is missing.
     """
-    needed("pyarrow")
+    import_package("pyarrow")
     target = Path(folder)
     if target.exists() and any(target.iterdir()):
         raise SettingsError(f"failed to export into {target}: it is not empty; name a new folder")
@@ -53,9 +53,9 @@ def export(archive: Archive, folder: str | os.PathLike[str], *, films: bool = Fa
         if len(rollout.actions) > 0 and (rollout.film or not films):
             writer.add(rollout)
     if writer.episodes == 0:
-        what = "was filmed and has its actions" if films else "has its actions"
+        what = "a film and recorded actions" if films else "recorded actions"
         raise ArchiveError(
-            f"failed to export campaign {archive.name}: no rollout of it {what}; create campaigns"
+            f"failed to export campaign {archive.name}: no rollout has {what}; create campaigns"
             " with --record transitions to keep actions"
         )
     writer.finish(archive)

@@ -7,7 +7,7 @@ import os
 from pathlib import Path
 
 from ..archive import Archive
-from . import needed
+from . import import_package
 from .rates import points
 
 
@@ -18,7 +18,7 @@ def export(archive: Archive, folder: str | os.PathLike[str]) -> int:
     that condition so far, at the time of the commit. The text `specification`
     is the campaign's. Raises SettingsError if tensorboard is missing.
     """
-    needed("tensorboard")
+    import_package("tensorboard")
     from tensorboard.compat.proto.event_pb2 import Event
     from tensorboard.compat.proto.summary_pb2 import Summary, SummaryMetadata
     from tensorboard.compat.proto.tensor_pb2 import TensorProto

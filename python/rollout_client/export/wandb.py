@@ -6,7 +6,7 @@ import os
 from pathlib import Path
 
 from ..archive import Archive
-from . import needed
+from . import import_package
 from .rates import points
 
 COLUMNS = ["rollout_id", "replicate", "task", "axis", "level", "success", "steps", "wall_secs"]
@@ -15,7 +15,7 @@ COLUMNS = ["rollout_id", "replicate", "task", "axis", "level", "success", "steps
 def export(archive: Archive, folder: str | os.PathLike[str], *, project: str = "rollout") -> int:
     """Writes a run into a folder, without the network: `wandb sync` uploads it.
     Returns its number of points. Raises SettingsError if wandb is missing."""
-    wandb = needed("wandb")
+    wandb = import_package("wandb")
     target = Path(folder)
     target.mkdir(parents=True, exist_ok=True)
     run = wandb.init(

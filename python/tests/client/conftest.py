@@ -25,7 +25,7 @@ UNSET = ("COORDINATOR_URL", "ROLLOUT_TOKENS", "ROLLOUT_TOKEN_FILE", "ROLLOUT_CA"
 
 
 @pytest.fixture(autouse=True, scope="session")
-def nothing_is_set():
+def unset_variables():
     with pytest.MonkeyPatch.context() as patch:
         for name in UNSET:
             patch.delenv(name, raising=False)

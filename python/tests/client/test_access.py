@@ -53,7 +53,7 @@ def guarded(serve, certificates, tmp_path_factory):
 def test_an_operator_and_the_program_use_a_coordinator_with_tls_and_tokens(
     guarded, certificates, connect, tmp_path
 ):
-    # The client uses the operator's line of a file with several roles.
+    # Of a file with several roles, the client uses the operator's line.
     tokens = token_file(tmp_path, "# mine", *(f"{r} {t}" for r, t in sorted(TOKENS.items())[::-1]))
     client = connect(guarded, ca=certificates / "ca.pem", token_file=tokens)
     campaign = client.create(specification("guarded"))
@@ -78,7 +78,7 @@ def test_the_error_for_a_refused_token_has_the_remedy(guarded, certificates, con
     ca = certificates / "ca.pem"
     with pytest.raises(AccessDeniedError, match="without a token.*token_file"):
         connect(guarded, ca=ca).campaigns()
-    with pytest.raises(AccessDeniedError, match="none that this server knows"):
+    with pytest.raises(AccessDeniedError, match="does not know the token"):
         connect(guarded, ca=ca, token_file=token_file(tmp_path, f"viewer {'d' * 32}")).campaigns()
     viewer = token_file(tmp_path, f"viewer {TOKENS['viewer']}")
     client = connect(guarded, ca=ca, token_file=viewer)
@@ -90,7 +90,7 @@ def test_the_error_for_a_refused_token_has_the_remedy(guarded, certificates, con
 
 
 @pytest.mark.parametrize(
-    ("lines", "said"),
+    ("lines", "expected"),
     [
         (["operator"], "line 1 .*ROLE TOKEN"),
         (["", "king 0123456789abcdef"], "line 2 .*ROLE TOKEN"),
@@ -98,10 +98,10 @@ def test_the_error_for_a_refused_token_has_the_remedy(guarded, certificates, con
         (["# nothing"], "token of role operator or viewer"),
     ],
 )
-def test_an_unusable_token_file_is_named_with_the_line(tmp_path, lines, said):
-    with pytest.raises(SettingsError, match=said) as wrong:
+def test_an_unusable_token_file_is_named_with_the_line(tmp_path, lines, expected):
+    with pytest.raises(SettingsError, match=expected) as refused:
         Client(token_file=token_file(tmp_path, *lines))
-    assert TOKENS["worker"] not in str(wrong.value)
+    assert TOKENS["worker"] not in str(refused.value)
 
 
 def test_invalid_files_and_addresses_are_named(tmp_path):
@@ -118,13 +118,13 @@ def test_invalid_files_and_addresses_are_named(tmp_path):
 def test_a_token_is_never_sent_in_the_clear_to_another_machine(tmp_path):
     tokens = token_file(tmp_path, f"viewer {TOKENS['viewer']}")
 
-    def shown(url):
+    def sends_token(url):
         return bool(Client(url, token_file=tokens)._connection.access.metadata)
 
     urls = ("https://h:1", "http://127.0.0.1:1", "http://[::1]:1", "http://localhost:1")
-    assert all(map(shown, urls))
+    assert all(map(sends_token, urls))
     urls = ("http://h:1", "http://10.0.0.7:1", "http://localhost.evil:1", "grpc://h:1")
-    assert not any(map(shown, urls))
+    assert not any(map(sends_token, urls))
 
 
 def unreachable(client):
@@ -155,7 +155,8 @@ def test_servers_of_other_kinds_are_named(connect, gateway, listening):
     mail = listening(b"220 mail ESMTP\r\n")
     assert "220 mail ESMTP" in unreachable(connect(f"http://127.0.0.1:{mail}")).found
     mute = listening(b"")
-    assert "hangs up or says nothing" in unreachable(connect(f"http://127.0.0.1:{mute}")).found
+    error = unreachable(connect(f"http://127.0.0.1:{mute}"))
+    assert "closes the connection or sends nothing" in error.found
     proxy = listening(b"HTTP/1.1 502 Bad Gateway\r\n\r\n")
     assert "a proxy there" in unreachable(connect(f"http://127.0.0.1:{proxy}")).found
 
@@ -172,9 +173,9 @@ def test_a_web_server_is_named(connect):
 def test_a_url_with_the_wrong_scheme_is_diagnosed(guarded, certificates, connect, serve):
     plain = serve()
     error = unreachable(connect(f"https://{plain.address}", ca=certificates / "ca.pem"))
-    assert error.found == "the server there does not speak TLS"
+    assert error.found == "the server there does not use TLS"
     error = unreachable(connect(guarded.replace("https", "http")))
-    assert error.found == "the server there speaks TLS"
+    assert error.found == "the server there uses TLS"
     assert "https://" in error.remedy
 
 

@@ -1,4 +1,4 @@
-"""Creates, lists, steers and follows campaigns, with a real coordinator."""
+"""Campaigns of a real coordinator: creation, lists, pauses and status."""
 
 import json
 import signal
@@ -42,7 +42,7 @@ def test_a_campaign_is_created_from_fields_and_from_a_file(client, tmp_path):
 def test_campaigns_and_jobs_equal_the_command_lines_output(client, programs):
     client.create(specification("first"))
     printed = client._program.run(
-        *client._program.connected("campaign", "status", "first", "--json")
+        *client._program.with_connection("campaign", "status", "first", "--json")
     )
     printed = json.loads(printed)["campaigns"][0]
     listed = client.campaigns().iloc[0]
@@ -169,10 +169,10 @@ def test_a_missing_campaign_is_named_and_a_renamed_one_with_its_new_name(client)
         client.campaign("nope")
     campaign = client.create(specification("first"))
     program = client._program
-    program.run(*program.connected("campaign", "rename", "first", "second"))
-    for ask in (campaign.status, campaign.results, campaign.report, campaign.pause):
+    program.run(*program.with_connection("campaign", "rename", "first", "second"))
+    for method in (campaign.status, campaign.results, campaign.report, campaign.pause):
         with pytest.raises(NoSuchCampaignError, match="second"):
-            ask()
+            method()
 
 
 def test_jobs_are_listed_in_pages_and_filtered(client, monkeypatch):

@@ -42,11 +42,11 @@ def archive(serve, connect, gateway, programs, run, tmp_path_factory):
 def test_an_archive_has_the_results_and_the_motion_of_its_campaign(archive):
     file, campaign = archive
     results = campaign.results().set_index("rollout_id")
-    with Archive(file) as kept:
-        assert kept.name == "kept"
-        assert kept.specification()["record"] == "transitions"
-        assert kept.report()["reports"][0]["policy"] == "expert"
-        rollouts = list(kept.rollouts())
+    with Archive(file) as opened:
+        assert opened.name == "kept"
+        assert opened.specification()["record"] == "transitions"
+        assert opened.report()["reports"][0]["policy"] == "expert"
+        rollouts = list(opened.rollouts())
     assert [rollout.rollout_id for rollout in rollouts] == list(results.index)
     for rollout in rollouts:
         result = results.loc[rollout.rollout_id]
@@ -87,7 +87,9 @@ def test_an_incomplete_or_altered_archive_is_refused(archive, tmp_path):
         )
 
     altered(lambda member, content: content[:-1] + b"?" if "report" in member.name else content)
-    with pytest.raises(ArchiveError, match=r"report\.json .*not what archive\.json says"):
+    with pytest.raises(
+        ArchiveError, match=r"report\.json .*SHA-256 is not the one in archive\.json"
+    ):
         Archive(bad)
     altered(with_list(format=2))
     with pytest.raises(ArchiveError, match="install a release at least as new"):
@@ -97,13 +99,13 @@ def test_an_incomplete_or_altered_archive_is_refused(archive, tmp_path):
     with pytest.raises(ArchiveError, match="its members do not begin with"):
         Archive(bad)
     bad.write_bytes(whole + gzip.compress(bytes(2 << 20)))
-    with pytest.raises(ArchiveError, match="there is more behind it"):
+    with pytest.raises(ArchiveError, match="data follow it"):
         Archive(bad)
 
 
-def rewritten(file, to, films=(), sql="", lie=None):
-    """Writes an archive with added films and a changed database, and a correct
-    list of members, except for one member's size."""
+def rewritten(file, to, films=(), sql="", wrong_size_of=None):
+    """Writes an archive with added films and a changed database. Its list of members is correct,
+    except for the size of the member `wrong_size_of`."""
     with tarfile.open(file) as tar:
         members = {member.name: tar.extractfile(member).read() for member in tar}
     contents = json.loads(members.pop("archive.json"))
@@ -116,7 +118,7 @@ def rewritten(file, to, films=(), sql="", lie=None):
     contents["members"] = [
         {
             "name": name,
-            "bytes": 1 if name == lie else len(content),
+            "bytes": 1 if name == wrong_size_of else len(content),
             "sha256": hashlib.sha256(content).hexdigest(),
         }
         for name, content in members.items()
@@ -142,21 +144,21 @@ def test_a_film_outside_the_archive_is_refused(archive, tmp_path):
     """
     for path in (secret, "coordinator.sqlite", "artifacts/kept/../../../secret", "secret"):
         rewritten(file, bad, sql=filmed.format(path=path))
-        with Archive(bad) as kept:
+        with Archive(bad) as opened:
             with pytest.raises(ArchiveError, match="which is not in the archive"):
-                export(kept, tmp_path / "dataset", films=True)
+                export(opened, tmp_path / "dataset", films=True)
         exported = [path for path in tmp_path.glob("dataset/**/*") if path.is_file()]
         assert all(b"hunter2" not in path.read_bytes() for path in exported)
     # A film with a name too long for a tar header is a member like any other.
     film = f"artifacts/kept/{'f' * 120}.mp4"
     rewritten(file, bad, films={film: b"a film"}, sql=filmed.format(path=film))
-    with Archive(bad) as kept:
-        assert {rollout.film.read_bytes() for rollout in kept.rollouts()} == {b"a film"}
+    with Archive(bad) as opened:
+        assert {rollout.film.read_bytes() for rollout in opened.rollouts()} == {b"a film"}
 
 
 def test_a_malicious_archive_takes_no_memory_or_disk_and_runs_no_code(archive, tmp_path):
     file, _ = archive
-    swollen = 192 << 20
+    expanded_bytes = 192 << 20
     bad = tmp_path / "bad.tar.gz"
     film = "artifacts/kept/film.mp4"
     for page in ("artifacts/kept/page.html", "artifacts/kept/../film.mp4", "artifacts/film.mp4"):
@@ -167,19 +169,19 @@ def test_a_malicious_archive_takes_no_memory_or_disk_and_runs_no_code(archive, t
     try:
         with gzip.open(bad, "wb", compresslevel=1) as out:
             name = tarfile.TarInfo("././@LongLink")
-            name.type, name.size = tarfile.GNUTYPE_LONGNAME, swollen
+            name.type, name.size = tarfile.GNUTYPE_LONGNAME, expanded_bytes
             out.write(name.tobuf(tarfile.GNU_FORMAT))
-            for _ in range(swollen >> 20):
+            for _ in range(expanded_bytes >> 20):
                 out.write(b"n" * (1 << 20))
-        with pytest.raises(ArchiveError, match="no archive of a campaign"):
+        with pytest.raises(ArchiveError, match="not an archive of a campaign"):
             Archive(bad)
-        assert tracemalloc.get_traced_memory()[1] < swollen / 4
+        assert tracemalloc.get_traced_memory()[1] < expanded_bytes / 4
     finally:
         tracemalloc.stop()
-    rewritten(file, bad, films={film: bytes(swollen)})
+    rewritten(file, bad, films={film: bytes(expanded_bytes)})
     with pytest.raises(ArchiveError, match="it claims 192 MiB of members"):
         Archive(bad)
-    rewritten(file, bad, films={film: bytes(swollen)}, lie=film)
+    rewritten(file, bad, films={film: bytes(expanded_bytes)}, wrong_size_of=film)
     with pytest.raises(ArchiveError, match="it has 201326592 bytes"):
         Archive(bad)
     # If the authorizer permitted views, this view would count without end.
@@ -190,8 +192,8 @@ def test_a_malicious_archive_takes_no_memory_or_disk_and_runs_no_code(archive, t
             SELECT job_id, x'' AS path, x'' AS actions FROM n WHERE job_id < 0;
     """
     rewritten(file, bad, sql=endless)
-    with Archive(bad) as kept, pytest.raises(ArchiveError, match="archive the campaign again"):
-        list(kept.rollouts())
+    with Archive(bad) as opened, pytest.raises(ArchiveError, match="archive the campaign again"):
+        list(opened.rollouts())
     assert not (tmp_path / "outside").exists()
 
 
@@ -205,8 +207,8 @@ def test_a_lerobot_dataset_has_an_episode_for_each_rollout(archive, tmp_path):
         for path in (folder / "meta").glob("*.jsonl")
     }
     info = json.loads((folder / "meta/info.json").read_text())
-    with Archive(file) as kept:
-        rollouts = list(kept.rollouts())
+    with Archive(file) as opened:
+        rollouts = list(opened.rollouts())
     assert info["codebase_version"] == "v2.1"
     assert info["total_episodes"] == len(rollouts) == len(lines["episodes"])
     assert info["total_frames"] == sum(rollout.steps for rollout in rollouts)
@@ -291,6 +293,6 @@ def test_a_package_that_is_missing_is_named_with_the_command(archive, tmp_path, 
 
     file, _ = archive
     monkeypatch.setitem(sys.modules, "pyarrow", None)
-    with Archive(file) as kept, pytest.raises(SettingsError, match="pip install pyarrow"):
-        lerobot.export(kept, tmp_path / "dataset")
-    assert export.needed("json") is json
+    with Archive(file) as opened, pytest.raises(SettingsError, match="pip install pyarrow"):
+        lerobot.export(opened, tmp_path / "dataset")
+    assert export.import_package("json") is json

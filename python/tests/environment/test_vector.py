@@ -1,4 +1,4 @@
-"""Many environments at once."""
+"""``VectorEnvironment``: seeds, autoreset modes, failures, snapshots and threads."""
 
 import threading
 

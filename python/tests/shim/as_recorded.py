@@ -10,7 +10,7 @@ import numpy as np
 
 
 def _disable_native_ccd() -> None:
-    """Disables `nativeccd`, so that MuJoCo 3.3.7 collides as the benchmark's 2.3.7."""
+    """Disables `nativeccd`, so that MuJoCo 3.3.7 detects collisions as the benchmark's 2.3.7."""
     import mujoco
     from robosuite.utils import binding_utils
 

@@ -22,7 +22,7 @@ from reference import fetched_assets
 
 @pytest.fixture(scope="module", autouse=True)
 def assets() -> Iterator[None]:
-    """Draws with LIBERO's assets if they can be fetched, otherwise with simple shapes."""
+    """Uses LIBERO's assets if they can be fetched, otherwise the built-in simple shapes."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("ROLLOUT_ASSETS", "libero" if fetched_assets() else "primitives")
         yield

@@ -17,6 +17,7 @@ from typing import Any
 import pytest
 
 HERE = Path(__file__).resolve().parent
+#: Longest duration of a script.
 MINUTES = 20
 
 
@@ -46,7 +47,7 @@ def run(python: str, script: str, *arguments: str, **variables: str) -> Any:
 
 
 def run_original(script: str, *arguments: str, **variables: str) -> Any:
-    """Runs a script with the original, which draws with OpenGL without a display."""
+    """Runs a script with the original, which renders with OpenGL without a display."""
     python = original_python()
     packages = subprocess.run(
         [python, "-c", "import site; print(site.getsitepackages()[0])"],
@@ -55,7 +56,7 @@ def run_original(script: str, *arguments: str, **variables: str) -> Any:
         check=True,
     ).stdout.strip()
     root = Path(packages) / "libero" / "libero"
-    # Without this configuration the original asks on standard input.
+    # Without a configuration file, the original asks for its folders on standard input.
     with tempfile.TemporaryDirectory() as settings:
         folders = {
             "benchmark_root": root,

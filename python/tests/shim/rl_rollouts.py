@@ -29,17 +29,17 @@ SUITE, SIZE = "libero_spatial", 64
 Rollouts = dict[str, Any]
 SOURCES = Path(os.environ.get("FRAMEWORK_SOURCES") or ".")
 #: Packages for policies and training that these files import but do not call here.
-_BESIDE = (
+_REPLACED = (
     *("codetiming", "draccus", "h5py", "hydra", "imageio", "matplotlib", "natsort", "ray"),
     *("pandas", "robosuite", "tensordict", "tensorflow", "termcolor", "tqdm", "transformers"),
 )
 
 
 class _StandIns(importlib.abc.MetaPathFinder, importlib.abc.Loader):
-    """Finder of stand-ins for packages of these names that are not installed. Tried last."""
+    """Replaces the packages of ``_REPLACED`` that are not installed. Python tries it last."""
 
     def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
-        if name.partition(".")[0] in _BESIDE:
+        if name.partition(".")[0] in _REPLACED:
             return importlib.machinery.ModuleSpec(name, self, is_package=True)
         return None
 
@@ -56,7 +56,7 @@ def _absent(name: str) -> Any:
     raise AttributeError(name)
 
 
-class _Bare(importlib.abc.MetaPathFinder):
+class _PlainFolders(importlib.abc.MetaPathFinder):
     """Finds frameworks' packages as plain folders, because their __init__ imports training code."""
 
     def find_spec(self, name: str, path: Any = None, target: Any = None) -> Any:
@@ -72,7 +72,7 @@ class _Bare(importlib.abc.MetaPathFinder):
 
 
 # Spawned processes import this file, too.
-sys.meta_path.insert(0, _Bare())
+sys.meta_path.insert(0, _PlainFolders())
 sys.meta_path.append(_StandIns())
 
 
@@ -110,24 +110,24 @@ def rlinf(together: bool = False, suite: str = SUITE, **settings: Any) -> Rollou
         }
     )
     env = module.LiberoEnv(cfg, 2, 0, 1, None)
-    chance = np.random.default_rng(2)
-    seen: list[Any] = []
+    rng = np.random.default_rng(2)
+    outputs: list[Any] = []
     begun = time.perf_counter()
     for _ in range(2):
         env.is_start = True
         observation, _ = env.reset()
-        seen.append(observation)
+        outputs.append(observation)
         for _ in range(2):
-            chunk = torch.from_numpy(chance.uniform(-1, 1, (2, 8, 7)).astype(np.float32))
+            chunk = torch.from_numpy(rng.uniform(-1, 1, (2, 8, 7)).astype(np.float32))
             *results, infos = env.chunk_step(chunk)
-            looked = results[0] if cfg.video_cfg.save_video else results[0][-1]
-            seen.append([looked, *results[1:], infos[-1].get("episode")])
-            seen.append(len(results[0]))
+            observed = results[0] if cfg.video_cfg.save_video else results[0][-1]
+            outputs.append([observed, *results[1:], infos[-1].get("episode")])
+            outputs.append(len(results[0]))
         env.update_reset_state_ids()
     took = time.perf_counter() - begun
     env.env.close()
     tasks = [str(task) for task in env.task_descriptions]
-    return {"seen": as_arrays(seen), "tasks": tasks, "seconds": took}
+    return {"outputs": as_arrays(outputs), "tasks": tasks, "seconds": took}
 
 
 def rlinf_of_130() -> Rollouts:
@@ -180,7 +180,7 @@ class _Construct:
 
 
 def simplevla_rl() -> Rollouts:
-    """Runs the framework's rollout process, forked from one that has imported everything."""
+    """Runs the framework's rollout process, forked from a process that has imported LIBERO."""
     from libero.libero.envs import OffScreenRenderEnv  # noqa: F401
 
     rollout = importlib.import_module("verl.workers.rollout.rob_rollout")
@@ -191,25 +191,25 @@ def simplevla_rl() -> Rollouts:
     process = context.Process(target=rollout.env_worker, args=arguments, daemon=True)
     begun = time.perf_counter()
     process.start()
-    seen = [answers.get(timeout=120)]
-    chance = np.random.default_rng(4)
-    while seen[-1]["active"]:
-        actions.put(chance.uniform(-1, 1, (8, 7)))
-        seen.append(answers.get(timeout=120))
+    outputs = [answers.get(timeout=120)]
+    rng = np.random.default_rng(4)
+    while outputs[-1]["active"]:
+        actions.put(rng.uniform(-1, 1, (8, 7)))
+        outputs.append(answers.get(timeout=120))
     took = time.perf_counter() - begun
     actions.put(None)
     assert answers.get(timeout=60) == {"type": "terminate"}
     process.join(timeout=60)
-    return {"seen": seen, "tasks": [seen[0]["task_description"]], "seconds": took}
+    return {"outputs": outputs, "tasks": [outputs[0]["task_description"]], "seconds": took}
 
 
-def _vectors(venv: Any, kind: str, reconfigured: bool = False) -> Rollouts:
-    """Resets some of several environments; their results replace earlier ones."""
+def _roll_out_vector(venv: Any, kind: str, reconfigured: bool = False) -> Rollouts:
+    """Steps two environments, and resets one of them again; its results replace earlier ones."""
     envs = getattr(venv, kind)([_Construct(i) for i in (0, 3)])
     states = [_task(0)[1][1], _task(3)[1][2]]
     envs.seed(4)
     envs.reset()
-    seen = [envs.set_init_state(states)]
+    outputs = [envs.set_init_state(states)]
     begun = time.perf_counter()
     moves = np.random.default_rng(4).uniform(-1, 1, (3, 2, 7))
     for action in moves:
@@ -223,13 +223,13 @@ def _vectors(venv: Any, kind: str, reconfigured: bool = False) -> Rollouts:
     renewed = envs.set_init_state(init_state=[states[1]], id=[1])
     renewed, *_ = envs.step(action=[[0.0] * 6 + [-1.0]], id=[1])
     observations[[1]] = renewed
-    seen += [observations, rewards, dones, [dict(info) for info in infos]]
+    outputs += [observations, rewards, dones, [dict(info) for info in infos]]
     envs.close()
-    return {"seen": seen, "tasks": [], "seconds": took}
+    return {"outputs": outputs, "tasks": [], "seconds": took}
 
 
 def verl_vla() -> Rollouts:
-    return _vectors(
+    return _roll_out_vector(
         importlib.import_module("verl_vla.envs.libero.venv"),
         "ReconfigureSubprocEnv",
         reconfigured=True,
@@ -237,11 +237,13 @@ def verl_vla() -> Rollouts:
 
 
 def vlarl() -> Rollouts:
-    return _vectors(importlib.import_module("ppo.envs.venv"), "SubprocVectorEnv")
+    return _roll_out_vector(importlib.import_module("ppo.envs.venv"), "SubprocVectorEnv")
 
 
 def siirl() -> Rollouts:
-    return _vectors(importlib.import_module("siirl.environment.embodied.venv"), "SubprocVectorEnv")
+    return _roll_out_vector(
+        importlib.import_module("siirl.environment.embodied.venv"), "SubprocVectorEnv"
+    )
 
 
 def ript_vla() -> Rollouts:
@@ -256,20 +258,20 @@ def ript_vla() -> Rollouts:
     def construct() -> Any:
         return utils.LiberoWrapper(1, suite, meta, names, SIZE, SIZE, device="cpu")
 
-    seen: list[Any] = []
+    outputs: list[Any] = []
     begun = time.perf_counter()
     for count in (1, 2):
         envs = utils.LiberoVectorWrapper(construct, count)
         assert envs.action_space.shape == (count, 7)
         states = _task(1)[1][:count]
         for reset in (envs.reset_ori, envs.reset):
-            seen.append(reset(states)[0])
-            seen.append(list(envs.step(np.full((count, 7), 0.3))))
+            outputs.append(reset(states)[0])
+            outputs.append(list(envs.step(np.full((count, 7), 0.3))))
         pictures = envs.render()
         assert [picture.shape for picture in pictures] == [(SIZE, SIZE, 3)] * count
         envs._env.close()
     took = time.perf_counter() - begun
-    return {"seen": as_arrays(seen), "tasks": [], "seconds": took}
+    return {"outputs": as_arrays(outputs), "tasks": [], "seconds": took}
 
 
 def rlinf_recorded() -> Rollouts:

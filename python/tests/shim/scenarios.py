@@ -38,7 +38,7 @@ def make(task: str, kind: Any = OffScreenRenderEnv, **arguments: Any) -> Any:
     return kind(bddl_file_name=path, **arguments)
 
 
-def blind(task: str, **arguments: Any) -> Any:
+def make_without_frames(task: str, **arguments: Any) -> Any:
     return make(task, use_camera_obs=False, **arguments)
 
 
@@ -54,14 +54,14 @@ def actions(count: int) -> np.ndarray:
     return np.stack([*moves, np.where(t % 20 < 10, -1.0, 1.0)], axis=1)
 
 
-def generator() -> str:
+def generator_digest() -> str:
     state = np.random.get_state()
     return hashlib.sha256(repr((state[1].tolist(), state[2:])).encode()).hexdigest()
 
 
-def placed(env: Any, log: Log, label: str, observation: Any) -> None:
+def log_placement(env: Any, log: Log, label: str, observation: Any) -> None:
     model = env.sim.model
-    log.append((f"{label} generator", generator()))
+    log.append((f"{label} generator", generator_digest()))
     log.append((f"{label} state", env.get_sim_state()))
     log.append((f"{label} body_pos", np.array(model.body_pos)))
     log.append((f"{label} body_quat", np.array(model.body_quat)))
@@ -71,22 +71,22 @@ def placed(env: Any, log: Log, label: str, observation: Any) -> None:
 def resets(task: str, hard_reset: bool) -> Log:
     log: Log = []
     np.random.seed(11)
-    env = blind(task, hard_reset=hard_reset)
-    log.append(("constructed generator", generator()))
+    env = make_without_frames(task, hard_reset=hard_reset)
+    log.append(("constructed generator", generator_digest()))
     log.append(("constructed state", env.get_sim_state()))
     env.seed(7)
     for i in range(3):
-        placed(env, log, f"reset {i}", env.reset())
+        log_placement(env, log, f"reset {i}", env.reset())
         for j, action in enumerate(actions(3)):
             log.append((f"reset {i} step {j}", env.step(action)))
     env.seed(7)
-    placed(env, log, "seeded again", env.reset())
+    log_placement(env, log, "seeded again", env.reset())
     env.close()
     return log
 
 
 def absolute_control() -> Log:
-    env = blind("goal")
+    env = make_without_frames("goal")
     env.seed(0)
     env.reset()
     observation = env.set_init_state(initial_states("goal")[3])
@@ -97,9 +97,9 @@ def absolute_control() -> Log:
     log: Log = []
     start = np.array(observation["robot0_eef_pos"])
     for i in range(25):
-        to = start + [0.004 * i, -0.003 * i, -0.002 * i]
+        target = start + [0.004 * i, -0.003 * i, -0.002 * i]
         turn = [np.pi, 0.02 * i, -0.01 * i]
-        log.append((f"step {i}", env.step([*to, *turn, 1.0 if i > 12 else -1.0])))
+        log.append((f"step {i}", env.step([*target, *turn, 1.0 if i > 12 else -1.0])))
         controller = env.robots[0].controller
         log.append((f"ee_pos {i}", np.array(controller.ee_pos)))
         log.append((f"ee_ori_mat {i}", np.array(controller.ee_ori_mat)))
@@ -113,24 +113,24 @@ def absolute_control() -> Log:
 
 def states() -> Log:
     """Reads and writes states in the middle of an episode, with and without observing."""
-    env = blind("drawer")
+    env = make_without_frames("drawer")
     env.seed(1)
     env.reset()
     log: Log = [("set", env.set_init_state(initial_states("drawer")[5]))]
     for i, action in enumerate(actions(12)):
         log.append((f"step {i}", env.step(action)))
-    kept = env.get_sim_state()
-    log.append(("kept", kept))
+    saved = env.get_sim_state()
+    log.append(("saved", saved))
     for action in actions(5):
         env.step(action)
-    env.set_state(kept)
+    env.set_state(saved)
     log.append(("set, not observed", env.env._get_observations()))
     log.append(("set, success", bool(env.check_success())))
     for i, action in enumerate(actions(3)):
         log.append((f"step after set {i}", env.step(action)))
     # Each of these calls shifts the time at which later steps observe.
     for i in range(27):
-        log.append((f"regenerated {i}", env.regenerate_obs_from_state(kept)))
+        log.append((f"regenerated {i}", env.regenerate_obs_from_state(saved)))
         if i % 3 == 0 or i > 20:
             log.append((f"step after regenerated {i}", env.step(actions(1)[0])))
     env.sim.forward()
@@ -141,7 +141,7 @@ def states() -> Log:
 
 
 def horizon() -> Log:
-    env = blind("goal", horizon=4)
+    env = make_without_frames("goal", horizon=4)
     env.seed(0)
     env.reset()
     log: Log = []
@@ -157,7 +157,7 @@ def horizon() -> Log:
     env.reset()
     log.append(("after reset", (bool(env.env.done), env.env.timestep)))
     env.close()
-    env = blind("goal", horizon=2, ignore_done=True)
+    env = make_without_frames("goal", horizon=2, ignore_done=True)
     env.reset()
     for _ in range(4):
         env.step(actions(1)[0])
@@ -167,7 +167,7 @@ def horizon() -> Log:
 
 
 def frames() -> Log:
-    """Draws frames, depths, and pictures of the current state."""
+    """Renders frames, depths, and pictures of the current state."""
     env = make("in_drawer", camera_depths=True, camera_heights=[96, 128], camera_widths=[128, 64])
     env.seed(2)
     log: Log = [("reset", env.reset())]
@@ -229,7 +229,7 @@ def stove() -> Log:
 
 def details() -> Log:
     """Reads values that scripts use besides observations."""
-    env = blind("stove")
+    env = make_without_frames("stove")
     env.seed(4)
     env.reset()
     env.set_init_state(initial_states("stove")[0])

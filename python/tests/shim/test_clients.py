@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from frames import DRAWN_HERE, assert_close_frames
+from frames import RENDERED_HERE, assert_close_frames
 from original import original_python, run, run_original
 
 import libero
@@ -29,7 +29,7 @@ SUITE, TASK = "libero_object", 0
 # Number of steps before the gripper touches anything.
 UNTOUCHED = 34
 # Grasps amplify rounding, so success may come this many frames earlier or later.
-LATER = 2
+SUCCESS_FRAMES = 2
 
 
 @pytest.fixture(scope="module")
@@ -55,13 +55,13 @@ def actions(tmp_path_factory: pytest.TempPathFactory, real_assets: Path) -> Path
     for _ in range(10):
         observation, *_ = env.step([0.0] * 6 + [-1.0])
     target = env.obj_of_interest[0]
-    at, basket = observation[f"{target}_pos"], observation["basket_1_pos"]
-    above, lifted = at + [0, 0, 0.12], at + [0, 0, 0.25]
+    position, basket = observation[f"{target}_pos"], observation["basket_1_pos"]
+    above, lifted = position + [0, 0, 0.12], position + [0, 0, 0.25]
     open_, closed = -1.0, 1.0
     plan = [
         (22, above, open_),
-        (20, at, open_),
-        (8, at, closed),
+        (20, position, open_),
+        (8, position, closed),
         (15, lifted, closed),
         (30, basket + [0, 0, 0.3], closed),
         (10, basket + [0, 0, 0.2], closed),
@@ -71,7 +71,7 @@ def actions(tmp_path_factory: pytest.TempPathFactory, real_assets: Path) -> Path
     for steps, goal, gripper in plan:
         for _ in range(steps):
             towards = np.clip((goal - observation["robot0_eef_pos"]) / 0.05, -1, 1)
-            # Clients pass single precision on.
+            # Clients convert actions to single precision.
             taken.append(np.float32([*towards, 0, 0, 0, gripper]))
             observation, _, done, _ = env.step(taken[-1])
     assert done, "the script did not put the object into the basket"
@@ -94,7 +94,7 @@ def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def test_a_client_gets_the_same_episode_as_with_the_original(
     client: str, clients: str, actions: Path, shim: Path, tmp_path: Path
 ) -> None:
-    # vla-eval and torchrl write or need a configuration; an empty folder acts as a new one.
+    # vla-eval and torchrl write or need LIBERO's configuration. An empty folder is a new one.
     ours = run(
         clients,
         "client_episodes.py",
@@ -112,7 +112,7 @@ def test_a_client_gets_the_same_episode_as_with_the_original(
     theirs = run_original(
         "client_episodes.py", client, str(actions), CLIENT_PACKAGES=packages(clients)
     )
-    assert abs(len(ours) - len(theirs)) <= LATER
+    assert abs(len(ours) - len(theirs)) <= SUCCESS_FRAMES
     assert [list(step) for step in ours[:90]] == [list(step) for step in theirs[:90]]
     # Until the gripper touches something, frames and readings are equal. Later, rounding errors
     # grow in the original too, and frames are only similar.
@@ -131,11 +131,11 @@ def assert_same(our: Any, their: Any, what: str) -> None:
     elif isinstance(their, np.ndarray) and their.dtype == np.uint8:
         channels_last = -1 if their.shape[-1] == 3 else 0
         our, their = (np.moveaxis(frame, channels_last, -1) for frame in (our, their))
-        assert_close_frames(our, their, what, DRAWN_HERE)
+        assert_close_frames(our, their, what, RENDERED_HERE)
     elif isinstance(their, np.ndarray) and their.dtype.kind == "f":
         assert our.dtype == their.dtype, what
-        near = 1e-9 if their.dtype == np.float64 else 1e-6
-        np.testing.assert_allclose(our, their, rtol=0, atol=near, err_msg=what)
+        tolerance = 1e-9 if their.dtype == np.float64 else 1e-6
+        np.testing.assert_allclose(our, their, rtol=0, atol=tolerance, err_msg=what)
     else:
         np.testing.assert_array_equal(our, their, err_msg=what)
 
@@ -146,8 +146,8 @@ def assert_alike(our: Any, their: Any, what: str) -> None:
         for key in their:
             assert_alike(our[key], their[key], f"{what}: {key}")
     elif isinstance(their, np.ndarray) and their.dtype == np.uint8:
-        near = (np.abs(our.astype(int) - their.astype(int)) <= 16).mean()
-        assert near >= 0.995, f"{what}: {near:.2%} of the values are alike"
+        share = (np.abs(our.astype(int) - their.astype(int)) <= 16).mean()
+        assert share >= 0.995, f"{what}: {share:.2%} of the values are nearly equal"
 
 
 def succeeded(step: dict[str, Any]) -> bool:
@@ -155,13 +155,13 @@ def succeeded(step: dict[str, Any]) -> bool:
 
 
 def version(python: str) -> str:
-    return ask(python, "import sys; print(sys.version_info[:2])")
+    return printed_by(python, "import sys; print(sys.version_info[:2])")
 
 
 def packages(python: str) -> str:
-    return ask(python, "import site; print(site.getsitepackages()[0])")
+    return printed_by(python, "import site; print(site.getsitepackages()[0])")
 
 
-def ask(python: str, code: str) -> str:
+def printed_by(python: str, code: str) -> str:
     done = subprocess.run([python, "-c", code], capture_output=True, text=True, check=True)
     return done.stdout.strip()

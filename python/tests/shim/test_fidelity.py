@@ -29,7 +29,9 @@ READINGS = (
 )
 SEED = 20260904
 SETTLING = [0.0] * 6 + [-1.0]
+#: Largest difference of a position from the original's, m or rad.
 NEAR = 1e-9
+#: Response of the original to noise below which `NEAR` is the limit in contact, too.
 CALM = 1e-11
 SENSITIVITY = (
     json.loads((SHARED / "oracle" / "sensitivity.json").read_text())["tasks"] if RECORDED else {}
@@ -46,9 +48,9 @@ pytestmark = pytest.mark.skipif(not RECORDED, reason=f"no recordings in {SHARED 
 def task(request: pytest.FixtureRequest, real_assets: Path) -> Iterator[Path]:
     """A task's folder; its scene is compiled once for all tests."""
     suite, i = suite_of(request.param)
-    kept = OffScreenRenderEnv(bddl_file_name=suite.get_task_bddl_file_path(i))
+    compiling_env = OffScreenRenderEnv(bddl_file_name=suite.get_task_bddl_file_path(i))
     yield request.param
-    kept.close()
+    compiling_env.close()
 
 
 def suite_of(task: Path) -> tuple[Any, int]:
@@ -61,15 +63,15 @@ def seeded(task: Path) -> OffScreenRenderEnv:
     env = OffScreenRenderEnv(
         bddl_file_name=suite.get_task_bddl_file_path(i), camera_heights=256, camera_widths=256
     )
-    show_frames(env, False)
+    set_frames_active(env, False)
     env.seed(SEED)
     env.reset()
     return env
 
 
-def show_frames(env: OffScreenRenderEnv, shown: bool) -> None:
+def set_frames_active(env: OffScreenRenderEnv, active: bool) -> None:
     for camera in CAMERAS:
-        env.env.modify_observable(f"{camera}_image", "active", shown)
+        env.env.modify_observable(f"{camera}_image", "active", active)
 
 
 @pytest.mark.parametrize("initial_state", [0, 1])
@@ -88,10 +90,10 @@ def test_smooth_steps_give_the_originals_readings_and_frames(
     assert env.check_success() == loaded["success0"][initial_state]
     for _ in range(9):
         env.step(SETTLING)
-    show_frames(env, True)
+    set_frames_active(env, True)
     settled = env.step(SETTLING)[0]
     check_frames(task, initial_state, 0, settled)
-    show_frames(env, False)
+    set_frames_active(env, False)
     nq = model.nq
     np.testing.assert_allclose(
         env.get_sim_state()[1 : 1 + nq], loaded["qpos10"][initial_state], atol=NEAR
@@ -100,7 +102,7 @@ def test_smooth_steps_give_the_originals_readings_and_frames(
     check_readings(recorded, 0, settled)
     for step, action in enumerate(recorded["actions"], start=1):
         if step == len(recorded["actions"]):
-            show_frames(env, True)
+            set_frames_active(env, True)
         observation, reward, done, info = env.step(action)
         check_readings(recorded, step, observation)
         state = env.get_sim_state()
@@ -128,13 +130,13 @@ def test_grasping_gives_the_originals_success_and_positions_within_rounding(
     for step, action in enumerate(recorded["actions"], start=1):
         _, _, done, _ = env.step(action)
         assert done == env.check_success() == recorded["success"][step]
-        limit = rounding_grows_to(task, step)
+        limit = permitted_error(task, step)
         qpos = env.get_sim_state()[1 : 1 + nq]
         np.testing.assert_allclose(qpos, recorded["qpos"][step], rtol=0, atol=limit)
     env.close()
 
 
-def rounding_grows_to(task: Path, step: int) -> float:
+def permitted_error(task: Path, step: int) -> float:
     """Permitted position error at a step in contact: a hundred times the original's
     response to noise of 1e-14 in its torques, as in docs/FIDELITY.md."""
     measured = SENSITIVITY.get(f"{task.parent.name}/{int(task.name[:2])}", {}).get("contact")
@@ -153,8 +155,8 @@ def test_an_environments_frames_are_the_originals_turned_by_180_degrees(
         (None, lambda raw: raw[::-1, ::-1]),
         ("upright", lambda raw: raw[::-1]),
     ):
-        asked = {} if orientation is None else {"orientation": orientation}
-        env = rollout_libero.Environment(f"{suite}/{number}", init_states=0, **asked)
+        options = {} if orientation is None else {"orientation": orientation}
+        env = rollout_libero.Environment(f"{suite}/{number}", init_states=0, **options)
         observation, _ = env.reset()
         for camera in CAMERAS:
             name = f"img_0_00_{camera}.png"

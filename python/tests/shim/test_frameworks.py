@@ -21,7 +21,7 @@ import libero.libero
 from libero.libero import benchmark, get_libero_path, paths, set_libero_default_path
 from libero.libero.envs import DummyVectorEnv, OffScreenRenderEnv, SubprocVectorEnv, venv
 
-NOTHING = [0.0] * 6 + [-1.0]
+NO_OP = [0.0] * 6 + [-1.0]
 PACKAGE = os.path.dirname(os.path.abspath(libero.libero.__file__))
 
 
@@ -44,7 +44,7 @@ def in_a_process(code: str, **environment: str) -> subprocess.CompletedProcess[s
     )
 
 
-# RLinf: every process points its configuration at the package.
+# RLinf: every process sets the package's folder in the configuration.
 
 
 def test_the_root_is_the_package_as_in_the_original(config_file: Path) -> None:
@@ -109,7 +109,7 @@ def test_the_constants_that_convert_depths_to_metres_are_available(bddl_file: st
     env.close()
 
 
-# verl-vla, and projects based on an RLinf that had no copy of LIBERO's module yet.
+# verl-vla, and projects based on a version of RLinf without a copy of LIBERO's module.
 
 
 def _serve_once(parent: Any, connection: Any, env_fn: Any, buffers: Any = None) -> None:
@@ -123,7 +123,7 @@ def _serve_once(parent: Any, connection: Any, env_fn: Any, buffers: Any = None) 
         connection.send(env.step(data) if command == "step" else env.reset(**data))
 
 
-class OwnWorker(venv.SubprocEnvWorker):
+class CustomWorker(venv.SubprocEnvWorker):
     """A worker with another project's constructor and process."""
 
     def __init__(self, env_fn: Any) -> None:
@@ -163,12 +163,12 @@ class Counting:
 
 
 def test_a_subclass_of_the_worker_of_another_project_works() -> None:
-    envs = venv.BaseVectorEnv([Counting] * 2, OwnWorker)
-    assert envs.worker_class is OwnWorker
+    envs = venv.BaseVectorEnv([Counting] * 2, CustomWorker)
+    assert envs.worker_class is CustomWorker
     assert (envs.wait_num, envs.timeout, envs.waiting_conn) == (2, None, [])
     envs.reset()
-    observations, *_ = envs.step([NOTHING] * 2)
-    assert [seen["at"].item() for seen in observations] == [1, 1]
+    observations, *_ = envs.step([NO_OP] * 2)
+    assert [observation["at"].item() for observation in observations] == [1, 1]
     envs.close()
 
 
@@ -199,12 +199,12 @@ def test_buffers_of_a_space_are_shared_with_a_process() -> None:
 def test_spaces_and_pictures_of_several_environments(kind: Any) -> None:
     envs = kind([Counting] * 2)
     observations, infos = envs.reset()
-    assert [seen["at"].item() for seen in observations] == [0, 0]
+    assert [observation["at"].item() for observation in observations] == [0, 0]
     assert infos == [{"begun": True}] * 2
     assert [space.shape for space in envs.action_space] == [(7,)] * 2
     assert list(envs.observation_space[1]) == ["at"]
     assert envs.reward_range == [None] * 2
-    envs.step([NOTHING] * 2)
+    envs.step([NO_OP] * 2)
     assert envs.render() == [1, 1]
     assert envs.render(scale=3) == [3, 3]
     envs.close()
@@ -213,7 +213,7 @@ def test_spaces_and_pictures_of_several_environments(kind: Any) -> None:
 
 
 class Slow(Counting):
-    """A slow environment that records when it runs."""
+    """A slow environment that returns when a call began and ended."""
 
     def set_init_state(self, state: float) -> Any:
         begun = time.monotonic()
@@ -224,9 +224,9 @@ class Slow(Counting):
 def test_states_are_set_concurrently() -> None:
     envs = SubprocVectorEnv([Slow] * 3)
     envs.reset()
-    seen = envs.set_init_state([0.5, 0.3, 0.4])
-    assert max(times["begun"] for times in seen) < min(times["ended"] for times in seen)
-    assert [round(times["ended"] - times["begun"], 1) for times in seen] == [0.5, 0.3, 0.4]
+    calls = envs.set_init_state([0.5, 0.3, 0.4])
+    assert max(call["begun"] for call in calls) < min(call["ended"] for call in calls)
+    assert [round(call["ended"] - call["begun"], 1) for call in calls] == [0.5, 0.3, 0.4]
     envs.close()
 
 
@@ -250,7 +250,7 @@ def test_the_timer_works_and_missing_video_utilities_name_the_remedy() -> None:
         import libero.libero.utils.utils  # noqa: F401
 
 
-# SimpleVLA-RL: a process per rollout, forked from one that has loaded everything.
+# SimpleVLA-RL: a process per rollout, forked from a process that has loaded LIBERO.
 
 
 def forked(work: Any) -> Any:
@@ -260,7 +260,7 @@ def forked(work: Any) -> Any:
     process = context.Process(target=lambda: queue.put(work()), daemon=True)
     process.start()
     process.join(timeout=120)
-    assert process.exitcode == 0, "the forked process hangs, or has ended otherwise"
+    assert process.exitcode == 0, "the forked process hangs, or has failed"
     return queue.get()
 
 
@@ -268,8 +268,8 @@ def rollout(env: OffScreenRenderEnv, state: Any) -> list[Any]:
     env.seed(0)
     env.reset()
     env.set_init_state(state)
-    seen = [env.step([0.3, -0.2, -0.4, 0, 0, 0.1, -1])[0] for _ in range(3)]
-    return [seen[-1]["agentview_image"], seen[-1]["robot0_eef_pos"]]
+    observations = [env.step([0.3, -0.2, -0.4, 0, 0, 0.1, -1])[0] for _ in range(3)]
+    return [observations[-1]["agentview_image"], observations[-1]["robot0_eef_pos"]]
 
 
 def test_a_forked_process_constructs_and_steps(bddl_file: str) -> None:
@@ -278,7 +278,7 @@ def test_a_forked_process_constructs_and_steps(bddl_file: str) -> None:
     def construct() -> OffScreenRenderEnv:
         return OffScreenRenderEnv(bddl_file_name=bddl_file, camera_heights=32, camera_widths=32)
 
-    def anew() -> list[Any]:
+    def new_rollout() -> list[Any]:
         return rollout(construct(), state)
 
     idle, stop = construct(), threading.Event()
@@ -287,8 +287,8 @@ def test_a_forked_process_constructs_and_steps(bddl_file: str) -> None:
     for thread in others:
         thread.start()
     try:
-        expected = anew()
-        answers = [forked(anew), forked(lambda: rollout(idle, state)), rollout(idle, state)]
+        expected = new_rollout()
+        answers = [forked(new_rollout), forked(lambda: rollout(idle, state)), rollout(idle, state)]
     finally:
         stop.set()
     for answer in answers:
@@ -309,7 +309,7 @@ def test_another_allocator_is_tolerated(bddl_file: str) -> None:
         "def work():\n"
         f"    env = OffScreenRenderEnv(bddl_file_name={bddl_file!r}, use_camera_obs=False)\n"
         "    env.reset()\n"
-        f"    env.step({NOTHING})\n"
+        f"    env.step({NO_OP})\n"
         "    env.close()\n"
         "work()\n"
         "process = multiprocessing.get_context('fork').Process(target=work)\n"
@@ -347,15 +347,15 @@ def test_doctor_reports_the_imported_libero(tmp_path: Path) -> None:
             check=False,
         )
 
-    well = doctor()
-    assert well.returncode == 0, well.stdout + well.stderr
-    assert "libero is rollout-libero-shim" in well.stdout
+    correct = doctor()
+    assert correct.returncode == 0, correct.stdout + correct.stderr
+    assert "libero is rollout-libero-shim" in correct.stdout
     (tmp_path / "third_party/libero/libero/libero").mkdir(parents=True)
     (tmp_path / "third_party/libero/libero/__init__.py").touch()
-    ill = doctor(tmp_path / "third_party/libero")
-    assert ill.returncode == 1
-    assert str(tmp_path / "third_party/libero/libero") in ill.stdout
-    assert "take it out of PYTHONPATH" in ill.stdout
+    shadowed = doctor(tmp_path / "third_party/libero")
+    assert shadowed.returncode == 1
+    assert str(tmp_path / "third_party/libero/libero") in shadowed.stdout
+    assert "take it out of PYTHONPATH" in shadowed.stdout
 
 
 def test_assets_are_fetched_by_the_originals_command() -> None:

@@ -27,16 +27,16 @@ from libero.libero.envs import (
 )
 from rollout_libero import scenes
 
-NOTHING = [0.0] * 6 + [-1.0]
+NO_OP = [0.0] * 6 + [-1.0]
 
 
 @pytest.fixture
 def env(bddl_file: str) -> Any:
-    made = OffScreenRenderEnv(bddl_file_name=bddl_file, camera_heights=32, camera_widths=32)
-    made.seed(0)
-    made.reset()
-    yield made
-    made.close()
+    constructed = OffScreenRenderEnv(bddl_file_name=bddl_file, camera_heights=32, camera_widths=32)
+    constructed.seed(0)
+    constructed.reset()
+    yield constructed
+    constructed.close()
 
 
 @pytest.fixture
@@ -139,15 +139,16 @@ def test_a_configuration_that_is_not_yaml_is_named(config_file: Path) -> None:
     ],
 )
 def test_every_task_of_a_suite_has_its_files_and_its_instruction(suite: str, tasks: int) -> None:
-    made = benchmark.get_benchmark_dict()[suite]()
-    assert (made.name, made.n_tasks, made.get_num_tasks()) == (suite, tasks, tasks)
+    benchmark_suite = benchmark.get_benchmark_dict()[suite]()
+    assert benchmark_suite.name == suite
+    assert benchmark_suite.n_tasks == benchmark_suite.get_num_tasks() == tasks
     for i in range(tasks):
-        task = made.get_task(i)
+        task = benchmark_suite.get_task(i)
         assert task.problem_folder == suite
-        assert Path(made.get_task_bddl_file_path(i)).is_file()
+        assert Path(benchmark_suite.get_task_bddl_file_path(i)).is_file()
         assert Path(get_libero_path("init_states"), suite, task.init_states_file).is_file()
         assert task.language and "SCENE" not in task.language and "_" not in task.language
-    assert len(set(made.get_task_names())) == tasks
+    assert len(set(benchmark_suite.get_task_names())) == tasks
 
 
 def test_instructions_leave_out_the_scene() -> None:
@@ -270,9 +271,9 @@ def test_a_scene_outlives_its_environments(
     construct(str(own))
     assert len(compiled) == 2
     suite = benchmark.get_benchmark("libero_goal")()
-    for i in range(scenes.MAX_KEPT):
+    for i in range(scenes.MAX_RECENT):
         construct(suite.get_task_bddl_file_path(i))
-    assert len(scenes._kept) == scenes.MAX_KEPT
+    assert len(scenes._recent) == scenes.MAX_RECENT
 
 
 def test_a_device_is_accepted_and_not_used(bddl_file: str) -> None:
@@ -292,7 +293,7 @@ def test_actions_of_another_shape_are_refused(env: OffScreenRenderEnv) -> None:
         with pytest.raises(ValueError, match="an action has 7 numbers"):
             env.step(action)
     assert env.env.timestep == 0
-    env.step(tuple(NOTHING))
+    env.step(tuple(NO_OP))
     env.step(np.zeros(7, dtype=np.float32))
     assert env.env.timestep == 2
 
@@ -310,7 +311,7 @@ def test_a_closed_environment_is_reported(bddl_file: str) -> None:
     env.close()
     for use in (
         env.reset,
-        lambda: env.step(NOTHING),
+        lambda: env.step(NO_OP),
         env.get_sim_state,
         env.check_success,
         lambda: env.env,
@@ -329,7 +330,7 @@ def test_two_threads_in_one_environment_get_an_error(env: OffScreenRenderEnv) ->
     def work() -> None:
         for _ in range(40):
             try:
-                env.step(NOTHING)
+                env.step(NO_OP)
                 outcomes.append(None)
             except rollout_libero.BusyError as error:
                 outcomes.append(error)
@@ -341,19 +342,19 @@ def test_two_threads_in_one_environment_get_an_error(env: OffScreenRenderEnv) ->
         thread.join()
     assert len(outcomes) == 160
     errors = [error for error in outcomes if error is not None]
-    assert errors, "no two of the threads ever met"
+    assert errors, "no two threads used the environment at the same time"
     assert all("thread" in str(error) for error in errors)
-    env.step(NOTHING)
+    env.step(NO_OP)
 
 
 def test_a_step_after_the_end_is_refused_with_the_remedy(bddl_file: str) -> None:
     env = OffScreenRenderEnv(bddl_file_name=bddl_file, use_camera_obs=False, horizon=1)
     env.reset()
-    env.step(NOTHING)
+    env.step(NO_OP)
     with pytest.raises(ValueError, match="terminated episode.*call reset"):
-        env.step(NOTHING)
+        env.step(NO_OP)
     env.reset()
-    env.step(NOTHING)
+    env.step(NO_OP)
     env.close()
 
 
@@ -397,36 +398,38 @@ def test_a_camera_is_moved_in_one_environment_only(bddl_file: str) -> None:
     positions[moved.sim.model.camera_name2id("agentview")] += [0.1, 0.2, 0.0]
     moved.sim.model.set("cam_pos", positions)
     np.testing.assert_array_equal(moved.sim.model.cam_pos, positions)
-    after = [env.step(NOTHING)[0]["agentview_image"] for env in (moved, other)]
+    after = [env.step(NO_OP)[0]["agentview_image"] for env in (moved, other)]
     assert (after[0] != after[1]).mean() > 0.2
     for env in (moved, other):
         env.close()
 
 
 def test_rendering_the_current_state_does_not_shift_observations(bddl_file: str) -> None:
-    def run(look: bool) -> list[Any]:
+    def run(renders: bool) -> list[Any]:
         env = OffScreenRenderEnv(bddl_file_name=bddl_file, use_camera_obs=False)
         env.seed(0)
         env.reset()
-        seen = []
+        hand_positions = []
         for i in range(4):
-            seen.append(env.step([0.5, 0.1 * i, -0.2, 0.3, 0, 0, 1])[0]["robot0_proprio-state"])
-            if look:
+            hand_positions.append(
+                env.step([0.5, 0.1 * i, -0.2, 0.3, 0, 0, 1])[0]["robot0_proprio-state"]
+            )
+            if renders:
                 env.sim.render(camera_name="agentview", width=16, height=16)
         env.close()
-        return seen
+        return hand_positions
 
-    np.testing.assert_array_equal(run(look=True), run(look=False))
+    np.testing.assert_array_equal(run(renders=True), run(renders=False))
 
 
 def test_omitted_keys_are_not_observed(env: OffScreenRenderEnv) -> None:
     env.env.modify_observable("agentview_image", "enabled", False)
     env.env.modify_observable("robot0_joint_vel", "active", False)
-    observation, *_ = env.step(NOTHING)
+    observation, *_ = env.step(NO_OP)
     assert "agentview_image" not in observation
     assert observation["robot0_proprio-state"].shape == (32,)
     env.env.modify_observable("agentview_image", "enabled", True)
-    assert "agentview_image" in env.step(NOTHING)[0]
+    assert "agentview_image" in env.step(NO_OP)[0]
     with pytest.raises(KeyError, match="nothing is observed as"):
         env.env.modify_observable("sideview_image", "enabled", True)
     with pytest.raises(NotImplementedError, match="corrupter"):
@@ -455,7 +458,7 @@ def test_omitted_modules_are_refused_with_the_remedy(env: OffScreenRenderEnv) ->
         env.robots[0].controller.kp = 10
 
 
-def test_a_problems_class_makes_the_environment_too(bddl_file: str) -> None:
+def test_an_environment_is_constructed_from_its_problem_class(bddl_file: str) -> None:
     problem = bddl_utils.get_problem_info(bddl_file)["problem_name"]
     config = {"type": "OSC_POSE", "kp": 150, "control_delta": False}
     arguments = {"robots": ["Panda"], "use_camera_obs": False, "reward_scale": 2.0}
@@ -491,7 +494,7 @@ def test_segmentations_are_split_by_instance(bddl_file: str) -> None:
 # Several environments.
 
 
-class Blind:
+class Constructor:
     """A constructor of environments that can be sent to a process."""
 
     def __init__(self, bddl_file: str) -> None:
@@ -503,14 +506,14 @@ class Blind:
         )
 
 
-def seen(observations: Any) -> list[Any]:
+def hand_positions(observations: Any) -> list[Any]:
     return [observation["robot0_eef_pos"] for observation in observations]
 
 
 @pytest.mark.parametrize("kind", [DummyVectorEnv, SubprocVectorEnv])
 def test_several_environments_equal_single_ones(kind: Any, bddl_file: str) -> None:
     state = benchmark.get_benchmark("libero_goal")().get_task_init_states(8)
-    envs = kind([lambda: Blind(bddl_file)() for _ in range(3)])
+    envs = kind([lambda: Constructor(bddl_file)() for _ in range(3)])
     assert len(envs) == 3
     envs.seed([5, 6, 7])
     assert envs.reset().shape == (3,)
@@ -522,7 +525,7 @@ def test_several_environments_equal_single_ones(kind: Any, bddl_file: str) -> No
     assert envs.check_success() == [False] * 3
     assert len(envs.get_env_attr("language_instruction")) == 3
 
-    one = Blind(bddl_file)()
+    one = Constructor(bddl_file)()
     one.seed(7)
     one.reset()
     one.set_init_state(state[2])
@@ -547,14 +550,14 @@ def test_several_environments_equal_single_ones(kind: Any, bddl_file: str) -> No
 
 @pytest.mark.parametrize("kind", [DummyVectorEnv, SubprocVectorEnv])
 def test_after_an_error_answers_belong_to_their_own_calls(kind: Any, bddl_file: str) -> None:
-    envs = kind([Blind(bddl_file)] * 2)
+    envs = kind([Constructor(bddl_file)] * 2)
     envs.reset()
     moves = [[0.9, 0.9, 0, 0, 0, 0, -1]] * 2
     with pytest.raises(ValueError, match="7 numbers"):
         envs.step([[0.0], moves[1]])
     # The other environment has stepped. Its answer must not become the answer to the next call.
-    before = seen(envs.step(moves)[0])
-    after = seen(envs.step(moves)[0])
+    before = hand_positions(envs.step(moves)[0])
+    after = hand_positions(envs.step(moves)[0])
     states = envs.get_sim_state()
     assert all(np.abs(now - then).max() > 1e-4 for now, then in zip(after, before))
     assert [state[0] for state in states] == pytest.approx([0.1, 0.15])
@@ -565,7 +568,7 @@ def test_after_an_error_answers_belong_to_their_own_calls(kind: Any, bddl_file: 
 
 
 def test_the_answer_to_an_interrupted_command_is_dropped(bddl_file: str) -> None:
-    envs = SubprocVectorEnv([Blind(bddl_file)])
+    envs = SubprocVectorEnv([Constructor(bddl_file)])
     envs.reset()
     envs.workers[0].send([0.9, 0.9, 0, 0, 0, 0, -1])
     assert envs.get_sim_state()[0][0] == pytest.approx(0.05)
@@ -573,8 +576,8 @@ def test_the_answer_to_an_interrupted_command_is_dropped(bddl_file: str) -> None
 
 
 def test_a_failed_construction_in_a_process_raises_its_error(bddl_file: str) -> None:
-    envs = SubprocVectorEnv([Blind("nowhere.bddl")])
+    envs = SubprocVectorEnv([Constructor("nowhere.bddl")])
     with pytest.raises(FileNotFoundError, match="nowhere.bddl"):
         envs.reset()
     with pytest.raises(NotImplementedError, match="leave wait_num"):
-        SubprocVectorEnv([Blind(bddl_file)] * 2, wait_num=1)
+        SubprocVectorEnv([Constructor(bddl_file)] * 2, wait_num=1)

@@ -1,5 +1,5 @@
-"""Pictures of observations, drawn when they are read. However and whenever they are
-read, copied or sent, they equal pictures that were drawn at once, bit for bit."""
+"""Pictures of observations are drawn when they are read. However and whenever an observation is
+read, copied or sent, its pictures equal those drawn at once, bit for bit."""
 
 from __future__ import annotations
 
@@ -20,35 +20,36 @@ from libero.libero.envs import OffScreenRenderEnv, SegmentationRenderEnv, _unuse
 from libero.libero.envs._lazy import Observation, Undrawn
 
 PICTURES = ("agentview_image", "robot0_eye_in_hand_image")
+#: Ways to read all entries of an observation.
 READINGS: list[Callable[[Observation], dict[str, Any]]] = [
     dict,
-    lambda seen: {**seen},
-    lambda seen: dict(seen.items()),
-    lambda seen: dict(zip(seen, seen.values())),
-    lambda seen: {key: seen[key] for key in seen},
-    lambda seen: {key: seen.get(key) for key in seen},
-    lambda seen: {key: seen.setdefault(key) for key in seen},
-    lambda seen: dict(reversed(list(reversed(seen.items())))),
-    lambda seen: {key: seen.pop(key) for key in list(seen)},
-    lambda seen: dict(reversed([seen.popitem() for _ in range(len(seen))])),
-    lambda seen: dict(seen.popitem(last=False) for _ in range(len(seen))),
-    lambda seen: dict(seen.copy()),
-    lambda seen: dict(copy.copy(seen)),
-    lambda seen: copy.deepcopy(seen),
-    lambda seen: pickle.loads(pickle.dumps(seen)),
-    lambda seen: pickle.loads(pickle.dumps(seen, protocol=2)),
-    lambda seen: seen | {},
-    lambda seen: {} | seen,
-    lambda seen: OrderedDict(seen),
-    lambda seen: (lambda **given: given)(**seen),
-    lambda seen: _updated(seen),
-    lambda seen: np.stack([seen])[0],
+    lambda observation: {**observation},
+    lambda observation: dict(observation.items()),
+    lambda observation: dict(zip(observation, observation.values())),
+    lambda observation: {key: observation[key] for key in observation},
+    lambda observation: {key: observation.get(key) for key in observation},
+    lambda observation: {key: observation.setdefault(key) for key in observation},
+    lambda observation: dict(reversed(list(reversed(observation.items())))),
+    lambda observation: {key: observation.pop(key) for key in list(observation)},
+    lambda observation: dict(reversed([observation.popitem() for _ in range(len(observation))])),
+    lambda observation: dict(observation.popitem(last=False) for _ in range(len(observation))),
+    lambda observation: dict(observation.copy()),
+    lambda observation: dict(copy.copy(observation)),
+    lambda observation: copy.deepcopy(observation),
+    lambda observation: pickle.loads(pickle.dumps(observation)),
+    lambda observation: pickle.loads(pickle.dumps(observation, protocol=2)),
+    lambda observation: observation | {},
+    lambda observation: {} | observation,
+    lambda observation: OrderedDict(observation),
+    lambda observation: (lambda **given: given)(**observation),
+    lambda observation: _updated(observation),
+    lambda observation: np.stack([observation])[0],
 ]
 
 
-def _updated(seen: Observation) -> dict[str, Any]:
+def _updated(observation: Observation) -> dict[str, Any]:
     other: dict[str, Any] = {}
-    other.update(seen)
+    other.update(observation)
     return other
 
 
@@ -61,8 +62,9 @@ def construct(bddl_file: str, **arguments: Any) -> OffScreenRenderEnv:
     return env
 
 
-def undrawn(seen: Observation) -> list[str]:
-    return [key for key in seen if type(OrderedDict.__getitem__(seen, key)) is Undrawn]
+def unrendered(observation: Observation) -> list[str]:
+    values = {key: OrderedDict.__getitem__(observation, key) for key in observation}
+    return [key for key, value in values.items() if type(value) is Undrawn]
 
 
 def actions(steps: int) -> np.ndarray:
@@ -71,64 +73,64 @@ def actions(steps: int) -> np.ndarray:
 
 @pytest.mark.parametrize("number", range(len(READINGS)))
 def test_lazy_observations_equal_those_drawn_at_once(number: int, bddl_file: str) -> None:
-    env, eager = construct(bddl_file), construct(bddl_file)
+    env, eager_env = construct(bddl_file), construct(bddl_file)
     for action in actions(2):
-        late, *_ = env.step(action)
-        early, *_ = eager.step(action)
-        early = OrderedDict((key, early[key]) for key in early)
-    assert undrawn(late) == list(PICTURES)
+        lazy, *_ = env.step(action)
+        drawn, *_ = eager_env.step(action)
+        drawn = OrderedDict((key, drawn[key]) for key in drawn)
+    assert unrendered(lazy) == list(PICTURES)
     env.step(action)
-    read = READINGS[number](late)
-    assert list(read) == list(early)
-    for key, array in early.items():
+    read = READINGS[number](lazy)
+    assert list(read) == list(drawn)
+    for key, array in drawn.items():
         assert type(read[key]) is type(array) is np.ndarray
         assert read[key].dtype == array.dtype and read[key].flags.writeable
         np.testing.assert_array_equal(read[key], array, err_msg=key)
 
 
-def test_unread_observations_draw_nothing(bddl_file: str) -> None:
+def test_unread_observations_render_no_pictures(bddl_file: str) -> None:
     size = {"camera_heights": 23, "camera_widths": 31}
     env = OffScreenRenderEnv(bddl_file_name=bddl_file, **size)
     # The scene's first observation through these cameras is drawn at once, to find errors early.
-    assert undrawn(env.reset()) == []
-    assert undrawn(env.reset()) == list(PICTURES)
+    assert unrendered(env.reset()) == []
+    assert unrendered(env.reset()) == list(PICTURES)
     other = OffScreenRenderEnv(bddl_file_name=bddl_file, **size)
-    assert undrawn(other.reset()) == list(PICTURES)
+    assert unrendered(other.reset()) == list(PICTURES)
     other.close()
     large = OffScreenRenderEnv(bddl_file_name=bddl_file, camera_heights=5000)
     with pytest.raises(ValueError, match="each side may have 1 to 4096"):
         large.reset()
     large.close()
-    seen, *_ = env.step(actions(1)[0])
-    assert len(seen) > 20 and "agentview_image" in seen
-    assert seen["agentview_image"] is seen["agentview_image"]
-    assert undrawn(seen) == ["robot0_eye_in_hand_image"]
+    observation, *_ = env.step(actions(1)[0])
+    assert len(observation) > 20 and "agentview_image" in observation
+    assert observation["agentview_image"] is observation["agentview_image"]
+    assert unrendered(observation) == ["robot0_eye_in_hand_image"]
     env.close()
 
 
 def test_an_unused_camera_is_black_and_the_other_is_unchanged(
     bddl_file: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    asked = {"camera_depths": True, "camera_segmentations": "instance"}
-    env = construct(bddl_file, **asked)
+    options = {"camera_depths": True, "camera_segmentations": "instance"}
+    env = construct(bddl_file, **options)
     expected = dict(env.step(actions(1)[0])[0])
     env.close()
     monkeypatch.setattr(_unused, "_said", set())
     monkeypatch.setenv("ROLLOUT_UNUSED_CAMERAS", " robot0_eye_in_hand,")
-    env = construct(bddl_file, **asked)
-    seen = dict(env.step(actions(1)[0])[0])
-    assert list(seen) == list(expected)
+    env = construct(bddl_file, **options)
+    observation = dict(env.step(actions(1)[0])[0])
+    assert list(observation) == list(expected)
     for key, array in expected.items():
-        assert (seen[key].shape, seen[key].dtype) == (array.shape, array.dtype), key
+        assert (observation[key].shape, observation[key].dtype) == (array.shape, array.dtype), key
         if key.startswith("robot0_eye_in_hand_"):
             array = np.zeros_like(array)
-        np.testing.assert_array_equal(seen[key], array, err_msg=key)
+        np.testing.assert_array_equal(observation[key], array, err_msg=key)
     picture = env.sim.render(32, 24, camera_name="robot0_eye_in_hand")
-    assert picture.any(), "to ask for a picture is to use the camera"
+    assert picture.any(), "`sim.render` renders an unused camera, too"
     env.close()
     construct(bddl_file).close()
-    said = capsys.readouterr().err
-    assert said.count("robot0_eye_in_hand: its frames are black") == 1, said
+    printed = capsys.readouterr().err
+    assert printed.count("robot0_eye_in_hand: its frames are black") == 1, printed
     monkeypatch.setenv("ROLLOUT_UNUSED_CAMERAS", "wrist")
     with pytest.raises(ValueError, match="no such camera: choose of .*agentview"):
         construct(bddl_file)
@@ -136,13 +138,13 @@ def test_an_unused_camera_is_black_and_the_other_is_unchanged(
 
 @pytest.mark.parametrize("seed", range(4))
 def test_pictures_read_in_any_order_are_those_drawn_at_once(seed: int, bddl_file: str) -> None:
-    chance = random.Random(seed)
-    env, eager = construct(bddl_file), construct(bddl_file)
+    rng = random.Random(seed)
+    env, eager_env = construct(bddl_file), construct(bddl_file)
     states = benchmark.get_benchmark("libero_goal")().get_task_init_states(8)
-    kept: list[tuple[Observation, dict[str, Any]]] = []
+    pairs: list[tuple[Observation, dict[str, Any]]] = []
     steps = iter(actions(40))
 
-    def moved(env: OffScreenRenderEnv, what: str, value: Any) -> Observation:
+    def changed(env: OffScreenRenderEnv, what: str, value: Any) -> Observation:
         if what == "reset":
             env.seed(value)
             return env.reset()
@@ -158,25 +160,25 @@ def test_pictures_read_in_any_order_are_those_drawn_at_once(seed: int, bddl_file
         return env.step(value)[0]
 
     for _ in range(40):
-        what = chance.choice(["step"] * 5 + ["reset", "state", "camera", "stove"])
-        value = next(steps) if what in ("step", "stove") else chance.randrange(50)
-        late, early = (moved(environment, what, value) for environment in (env, eager))
-        kept.append((late, dict(early)))
-        while kept and chance.random() < 0.4:
-            late, early = kept[chance.randrange(len(kept))]
-            key = chance.choice(PICTURES)
-            np.testing.assert_array_equal(late[key], early[key])
-        if chance.random() < 0.2:
-            # Dropping an observation without reading it does no harm.
-            kept.pop(chance.randrange(len(kept))) if kept else None
+        what = rng.choice(["step"] * 5 + ["reset", "state", "camera", "stove"])
+        value = next(steps) if what in ("step", "stove") else rng.randrange(50)
+        lazy, drawn = (changed(environment, what, value) for environment in (env, eager_env))
+        pairs.append((lazy, dict(drawn)))
+        while pairs and rng.random() < 0.4:
+            lazy, drawn = pairs[rng.randrange(len(pairs))]
+            key = rng.choice(PICTURES)
+            np.testing.assert_array_equal(lazy[key], drawn[key])
+        if rng.random() < 0.2:
+            # An observation may be dropped unread.
+            pairs.pop(rng.randrange(len(pairs))) if pairs else None
             gc.collect()
-    chance.shuffle(kept)
-    for late, early in kept:
-        for key in late:
-            np.testing.assert_array_equal(late[key], early[key])
+    rng.shuffle(pairs)
+    for lazy, drawn in pairs:
+        for key in lazy:
+            np.testing.assert_array_equal(lazy[key], drawn[key])
     # Reading pictures has not changed the state.
-    np.testing.assert_array_equal(env.get_sim_state(), eager.get_sim_state())
-    for environment in (env, eager):
+    np.testing.assert_array_equal(env.get_sim_state(), eager_env.get_sim_state())
+    for environment in (env, eager_env):
         environment.close()
 
 
@@ -208,10 +210,10 @@ def test_observations_are_compared_by_their_pictures(bddl_file: str) -> None:
 def test_a_picture_is_drawn_while_its_environment_is_busy_or_closed(
     bddl_file: str,
 ) -> None:
-    env, eager = construct(bddl_file), construct(bddl_file)
+    env, eager_env = construct(bddl_file), construct(bddl_file)
     action = actions(1)[0]
-    expected = dict(eager.step(action)[0])
-    late, *_ = env.step(action)
+    expected = dict(eager_env.step(action)[0])
+    lazy, *_ = env.step(action)
     look = env.env._held.get().look()
 
     failed: list[Exception] = []
@@ -225,7 +227,7 @@ def test_a_picture_is_drawn_while_its_environment_is_busy_or_closed(
 
     thread = threading.Thread(target=compute)
     thread.start()
-    np.testing.assert_array_equal(late["agentview_image"], expected["agentview_image"])
+    np.testing.assert_array_equal(lazy["agentview_image"], expected["agentview_image"])
     while thread.is_alive():
         # Drawn again each time from the recorded poses.
         np.testing.assert_array_equal(
@@ -236,11 +238,11 @@ def test_a_picture_is_drawn_while_its_environment_is_busy_or_closed(
     assert failed == []
     env.close()
     np.testing.assert_array_equal(
-        late["robot0_eye_in_hand_image"], expected["robot0_eye_in_hand_image"]
+        lazy["robot0_eye_in_hand_image"], expected["robot0_eye_in_hand_image"]
     )
 
 
-def test_depths_and_segmentations_are_drawn_late_too(bddl_file: str) -> None:
+def test_depths_and_segmentations_are_rendered_when_read_too(bddl_file: str) -> None:
     def make() -> SegmentationRenderEnv:
         env = SegmentationRenderEnv(
             bddl_file_name=bddl_file,
@@ -253,13 +255,13 @@ def test_depths_and_segmentations_are_drawn_late_too(bddl_file: str) -> None:
         env.reset()
         return env
 
-    env, eager = make(), make()
-    kept = []
+    env, eager_env = make(), make()
+    pairs = []
     for action in actions(4):
-        kept.append((env.step(action)[0], dict(eager.step(action)[0])))
-    assert len(undrawn(kept[0][0])) == 8
-    for late, early in reversed(kept):
-        for key in reversed(early):
-            np.testing.assert_array_equal(late[key], early[key], err_msg=key)
-    for environment in (env, eager):
+        pairs.append((env.step(action)[0], dict(eager_env.step(action)[0])))
+    assert len(unrendered(pairs[0][0])) == 8
+    for lazy, drawn in reversed(pairs):
+        for key in reversed(drawn):
+            np.testing.assert_array_equal(lazy[key], drawn[key], err_msg=key)
+    for environment in (env, eager_env):
         environment.close()

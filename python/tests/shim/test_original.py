@@ -1,4 +1,4 @@
-"""The shim against the original, run live: the same scenarios with both."""
+"""The same scenarios, run with the shim and with the original, have the same results."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from frames import DRAWN_HERE, assert_close_frames
+from frames import RENDERED_HERE, assert_close_frames
 from original import original_python, run_original, run_shim
 from reference import fetched_assets
 
@@ -30,7 +30,7 @@ NEAR_IN_SINGLE_PRECISION = 1e-6
 
 
 @pytest.mark.parametrize("scenario", SCENARIOS)
-def test_a_scenario_gives_what_the_original_gives(scenario: str) -> None:
+def test_a_scenario_has_the_originals_results(scenario: str) -> None:
     original_python()
     if fetched_assets() is None:
         pytest.skip("LIBERO's assets cannot be fetched")
@@ -61,15 +61,15 @@ def assert_same_array(our: Any, their: Any, what: str) -> None:
     assert our.shape == their.shape, what
     assert our.dtype == their.dtype, what
     if their.dtype == np.uint8:
-        assert_close_frames(our, their, what, DRAWN_HERE)
+        assert_close_frames(our, their, what, RENDERED_HERE)
     elif "segmentation" in what:
         same = (our == their).mean()
         assert same >= 0.999, f"{what}: {same:.4%} of the pixels are the same"
     elif "depth" in what:
         # Depths jump at pixels where one rounding decides which surface is visible.
-        near = (np.abs(our - their) <= 1e-5).mean()
-        assert near >= 0.999, f"{what}: {near:.4%} of the depths are the same"
+        share = (np.abs(our - their) <= 1e-5).mean()
+        assert share >= 0.999, f"{what}: {share:.4%} of the depths are the same"
     else:
         single = "eef_quat" in what and "_to_" in what or "eef_pos" in what and "_to_" in what
-        near = NEAR_IN_SINGLE_PRECISION if single or "object-state" in what else NEAR
-        np.testing.assert_allclose(our, their, rtol=0, atol=near, err_msg=what)
+        tolerance = NEAR_IN_SINGLE_PRECISION if single or "object-state" in what else NEAR
+        np.testing.assert_allclose(our, their, rtol=0, atol=tolerance, err_msg=what)

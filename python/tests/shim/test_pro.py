@@ -49,9 +49,10 @@ for one in (suite, changed):
     env.seed(0)
     env.reset()
     state = one.get_task_init_states(8)[3]
-    seen = env.set_init_state(state)
+    observation = env.set_init_state(state)
     np.testing.assert_array_equal(env.get_sim_state()[1:], state[1:])
-    print(*np.round(seen["akita_black_bowl_1_pos"], 3), *np.round(seen["plate_1_pos"], 3))
+    bowl, plate = observation["akita_black_bowl_1_pos"], observation["plate_1_pos"]
+    print(*np.round(bowl, 3), *np.round(plate, 3))
     env.close()
 """
 

@@ -50,7 +50,7 @@ def assert_ended(envs: SubprocVectorEnv) -> None:
         (stubs.observe_function, Exception, "observe_function"),
     ],
 )
-def test_environments_outlive_what_cannot_be_sent(
+def test_environments_continue_after_an_answer_that_cannot_be_sent(
     action: Any, error: type[Exception], message: str, channel: None
 ) -> None:
     envs = SubprocVectorEnv([stubs.Stub] * 2)

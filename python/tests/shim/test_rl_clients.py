@@ -43,7 +43,7 @@ def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
-def rolled_out(python: str, shim: Path, out: Path, framework: str, sources: Path | None) -> Any:
+def roll_out(python: str, shim: Path, out: Path, framework: str, sources: Path | None) -> Any:
     environment = {
         **os.environ,
         "PYTHONPATH": str(shim),
@@ -71,8 +71,8 @@ def checkout(name: str) -> Path:
     return folder
 
 
-def rlinf(python: str, which: str) -> Path | None:
-    if which == "checkout":
+def rlinf(python: str, installation: str) -> Path | None:
+    if installation == "checkout":
         return checkout("RLinf")
     if subprocess.run([python, "-c", "import rlinf"], capture_output=True, check=False).returncode:
         pytest.skip("RLinf is not among the clients")
@@ -93,41 +93,41 @@ def assert_same(ours: Any, theirs: Any, what: str) -> None:
         np.testing.assert_array_equal(ours, theirs, err_msg=what)
 
 
-@pytest.mark.parametrize("which", ["package", "checkout"])
+@pytest.mark.parametrize("installation", ["package", "checkout"])
 @pytest.mark.parametrize("kind", ["rlinf", "rlinf_auto_reset", "rlinf_evaluated", "rlinf_recorded"])
 def test_rlinf_in_one_process_equals_rlinfs_processes(
-    kind: str, which: str, python: str, shim: Path, tmp_path: Path
+    kind: str, installation: str, python: str, shim: Path, tmp_path: Path
 ) -> None:
-    sources = rlinf(python, which)
-    theirs = rolled_out(python, shim, tmp_path, kind, sources)
-    ours = rolled_out(python, shim, tmp_path, f"{kind}_together", sources)
+    sources = rlinf(python, installation)
+    theirs = roll_out(python, shim, tmp_path, kind, sources)
+    ours = roll_out(python, shim, tmp_path, f"{kind}_together", sources)
     assert ours["tasks"] == theirs["tasks"]
-    assert len(theirs["seen"]) == 10
-    assert_same(ours["seen"], theirs["seen"], kind)
+    assert len(theirs["outputs"]) == 10
+    assert_same(ours["outputs"], theirs["outputs"], kind)
     print(
         f"{kind}: {theirs['seconds']:.1f} s in processes, {ours['seconds']:.1f} s in one process"
     )
 
 
-@pytest.mark.parametrize("which", ["package", "checkout"])
+@pytest.mark.parametrize("installation", ["package", "checkout"])
 def test_rlinf_counts_the_tasks_of_all_suites(
-    which: str, python: str, shim: Path, tmp_path: Path
+    installation: str, python: str, shim: Path, tmp_path: Path
 ) -> None:
-    rollouts = rolled_out(python, shim, tmp_path, "rlinf_of_130", rlinf(python, which))
-    known = {
+    rollouts = roll_out(python, shim, tmp_path, "rlinf_of_130", rlinf(python, installation))
+    instructions = {
         task.language
         for suite in benchmark.libero_suites
         for task in benchmark.task_maps[suite].values()
     }
-    assert set(rollouts["tasks"]) <= known
-    assert rollouts["seen"][0]["main_images"].shape == (2, SIZE, SIZE, 3)
+    assert set(rollouts["tasks"]) <= instructions
+    assert rollouts["outputs"][0]["main_images"].shape == (2, SIZE, SIZE, 3)
 
 
 def test_simplevla_rl_rolls_out_in_a_forked_process(
     python: str, shim: Path, tmp_path: Path
 ) -> None:
-    rollouts = rolled_out(python, shim, tmp_path, "simplevla_rl", checkout("SimpleVLA-RL"))
-    first, *steps = rollouts["seen"]
+    rollouts = roll_out(python, shim, tmp_path, "simplevla_rl", checkout("SimpleVLA-RL"))
+    first, *steps = rollouts["outputs"]
     suite = benchmark.get_benchmark(SUITE)()
     env = OffScreenRenderEnv(
         bddl_file_name=suite.get_task_bddl_file_path(2), camera_heights=256, camera_widths=256
@@ -136,18 +136,18 @@ def test_simplevla_rl_rolls_out_in_a_forked_process(
     env.reset()
     env.set_init_state(suite.get_task_init_states(2)[5])
     for _ in range(10):
-        seen, *_ = env.step([0, 0, 0, 0, 0, 0, -1])
-    assert_same(first["obs"], dict(seen), "first")
+        observation, *_ = env.step([0, 0, 0, 0, 0, 0, -1])
+    assert_same(first["obs"], dict(observation), "first")
     assert first["task_description"] == suite.get_task(2).language
     assert [step["finish_step"] for step in steps] == [8, 16, 24]
     assert [step["active"] for step in steps] == [True, True, False]
-    chance = np.random.default_rng(4)
+    rng = np.random.default_rng(4)
     for step in steps:
-        for action in chance.uniform(-1, 1, (8, 7)):
+        for action in rng.uniform(-1, 1, (8, 7)):
             # The framework's own functions make the gripper binary and invert it.
             action[-1] = -np.sign(2 * action[-1] - 1)
-            seen, *_ = env.step(action.tolist())
-        assert_same(step["obs"], dict(seen), "step")
+            observation, *_ = env.step(action.tolist())
+        assert_same(step["obs"], dict(observation), "step")
     env.close()
 
 
@@ -157,8 +157,8 @@ def test_simplevla_rl_rolls_out_in_a_forked_process(
 def test_a_frameworks_several_environments_equal_the_shims(
     framework: str, name: str, python: str, shim: Path, tmp_path: Path
 ) -> None:
-    rollouts = rolled_out(python, shim, tmp_path, framework, checkout(name))
-    begun, observations, rewards, dones, infos = rollouts["seen"]
+    rollouts = roll_out(python, shim, tmp_path, framework, checkout(name))
+    begun, observations, rewards, dones, infos = rollouts["outputs"]
     suite = benchmark.get_benchmark(SUITE)()
     moves = np.random.default_rng(4).uniform(-1, 1, (3, 2, 7))
     tasks = [(0, 1), (3, 2)]
@@ -170,17 +170,17 @@ def test_a_frameworks_several_environments_equal_the_shims(
         )
         env.seed(4 + row)
         env.reset()
-        seen = env.set_init_state(suite.get_task_init_states(task)[state])
-        assert_same(dict(begun[row]), dict(seen), f"{framework} {row}")
+        observation = env.set_init_state(suite.get_task_init_states(task)[state])
+        assert_same(dict(begun[row]), dict(observation), f"{framework} {row}")
         for action in moves[:, row]:
-            seen, *_ = env.step(action.tolist())
+            observation, *_ = env.step(action.tolist())
         if row == 0:
-            assert_same(dict(observations[0]), dict(seen), framework)
+            assert_same(dict(observations[0]), dict(observation), framework)
         elif framework != "verl_vla":
             env.reset()
             env.set_init_state(suite.get_task_init_states(task)[4])
-            seen, *_ = env.step([0.0] * 6 + [-1.0])
-            assert_same(dict(observations[1]), dict(seen), f"{framework} renewed")
+            observation, *_ = env.step([0.0] * 6 + [-1.0])
+            assert_same(dict(observations[1]), dict(observation), f"{framework} renewed")
         env.close()
     if framework == "verl_vla":
         env = OffScreenRenderEnv(
@@ -191,16 +191,16 @@ def test_a_frameworks_several_environments_equal_the_shims(
         env.seed(9)
         env.reset()
         env.set_init_state(suite.get_task_init_states(5)[4])
-        seen, *_ = env.step([0.0] * 6 + [-1.0])
-        assert_same(dict(observations[1]), dict(seen), "another task")
+        observation, *_ = env.step([0.0] * 6 + [-1.0])
+        assert_same(dict(observations[1]), dict(observation), "another task")
         env.close()
     assert rewards.tolist() == [0.0, 0.0] and dones.tolist() == [False, False]
     assert infos == [{"env_id": 0}, {"env_id": 1}]
 
 
 def test_ript_wraps_one_environment_and_several(python: str, shim: Path, tmp_path: Path) -> None:
-    rollouts = rolled_out(python, shim, tmp_path, "ript_vla", checkout("ript-vla"))
-    alone, several = rollouts["seen"][:4], rollouts["seen"][4:]
+    rollouts = roll_out(python, shim, tmp_path, "ript_vla", checkout("ript-vla"))
+    alone, several = rollouts["outputs"][:4], rollouts["outputs"][4:]
     # `reset_ori` returns the observation before it sets the states; the second reset sets them.
     for count, (first, stepped, reset, again) in ((1, alone), (2, several)):
         assert first["agentview_rgb"].shape == (count, SIZE, SIZE, 3)
@@ -208,4 +208,4 @@ def test_ript_wraps_one_environment_and_several(python: str, shim: Path, tmp_pat
         for observation, reward, terminated, truncated, info in (stepped, again):
             assert observation["agentview_rgb"].shape == (count, SIZE, SIZE, 3)
             assert reward.shape == terminated.shape == truncated.shape == (count,)
-            assert [of_env["success"] for of_env in info] == [False] * count
+            assert [env_info["success"] for env_info in info] == [False] * count

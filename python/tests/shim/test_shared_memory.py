@@ -18,51 +18,51 @@ from libero.libero.envs._shared_memory import SIZE, SharedMemory
 FRAME = (256, 256, 3)
 
 
-def drawing() -> Any:
+def frame_environment() -> Any:
     """Returns a class of environments whose observations are frames with the number of their
     steps. It is local, so that spawned processes need not import this module."""
 
-    class Drawing:
+    class FrameEnvironment:
         def __init__(self) -> None:
             self.steps = 0
 
-        def _seen(self) -> dict[str, Any]:
+        def _observation(self) -> dict[str, Any]:
             frame = np.full(FRAME, self.steps, np.uint8)
             return {"frame": frame, "again": frame, "small": np.array([self.steps])}
 
         def reset(self) -> dict[str, Any]:
             self.steps = 0
-            return self._seen()
+            return self._observation()
 
         def step(self, action: Any) -> Any:
             self.steps += 1
-            return self._seen(), 0.0, False, {}
+            return self._observation(), 0.0, False, {}
 
         def close(self) -> None:
             pass
 
-    return Drawing
+    return FrameEnvironment
 
 
 @pytest.fixture(params=["fork", "spawn", "forkserver"])
-def started(request: Any) -> Iterator[str]:
-    """Starts processes by this method."""
+def start_method(request: Any) -> Iterator[str]:
+    """Sets the method that starts processes."""
     before = multiprocessing.get_start_method(allow_none=True)
     multiprocessing.set_start_method(request.param, force=True)
     yield request.param
     multiprocessing.set_start_method(before, force=True)
 
 
-def test_observations_outlive_the_next_step(started: str) -> None:
-    envs = SubprocVectorEnv([drawing()] * 2)
+def test_observations_outlive_the_next_step(start_method: str) -> None:
+    envs = SubprocVectorEnv([frame_environment()] * 2)
     first = envs.reset()
     second, *_ = envs.step([0.0] * 2)
     third, *_ = envs.step([0.0], id=[1])
-    for seen, number in ((first[0], 0), (first[1], 0), (second[0], 1), (third[0], 2)):
-        frame = seen["frame"]
+    for observation, number in ((first[0], 0), (first[1], 0), (second[0], 1), (third[0], 2)):
+        frame = observation["frame"]
         assert frame.shape == FRAME and frame.dtype == np.uint8
-        assert (frame == number).all() and seen["small"] == number
-        assert seen["again"] is frame
+        assert (frame == number).all() and observation["small"] == number
+        assert observation["again"] is frame
         assert frame.flags.owndata and frame.flags.writeable
     envs.close()
 
@@ -110,7 +110,7 @@ def test_arrays_beyond_the_memory_stay_in_the_message() -> None:
 def test_environments_close_their_descriptors() -> None:
     before = len(os.listdir("/proc/self/fd"))
     for _ in range(3):
-        envs = SubprocVectorEnv([drawing()] * 2)
+        envs = SubprocVectorEnv([frame_environment()] * 2)
         envs.reset()
         envs.close()
         del envs
@@ -128,15 +128,15 @@ def test_frames_have_the_bits_of_those_of_one_process(
         return OffScreenRenderEnv(bddl_file_name=bddl_file, camera_heights=96, camera_widths=96)
 
     states = benchmark.get_benchmark("libero_goal")().get_task_init_states(8)[:1]
-    seen: list[Any] = []
+    observations: list[Any] = []
     for kind in (DummyVectorEnv, SubprocVectorEnv):
         # Several environments of one process would share NumPy's generator.
         envs = kind([construct])
         envs.seed(3)
-        seen += [envs.reset()[0], envs.set_init_state(states)[0]]
-        seen.append(envs.step([[0.5, 0, 0, 0, 0, 0, -1]])[0][0])
+        observations += [envs.reset()[0], envs.set_init_state(states)[0]]
+        observations.append(envs.step([[0.5, 0, 0, 0, 0, 0, -1]])[0][0])
         envs.close()
-    for alone, sent in zip(seen[:3], seen[3:]):
+    for alone, sent in zip(observations[:3], observations[3:]):
         assert list(sent) == list(alone)
         for name, value in alone.items():
             np.testing.assert_array_equal(sent[name], value)

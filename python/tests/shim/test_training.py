@@ -25,72 +25,74 @@ NAMES = {
 
 
 def task(suite: str, i: int) -> tuple[str, np.ndarray]:
-    made = benchmark.get_benchmark(suite)()
-    return made.get_task_bddl_file_path(i), made.get_task_init_states(i)
+    tasks = benchmark.get_benchmark(suite)()
+    return tasks.get_task_bddl_file_path(i), tasks.get_task_init_states(i)
 
 
-def begun(start: Start, settle_steps: int = 10, resets: int = 1) -> tuple[OffScreenRenderEnv, Any]:
-    """Returns an environment of the shim, started as a script would start it."""
+def started_in_shim(
+    start: Start, settle_steps: int = 10, resets: int = 1
+) -> tuple[OffScreenRenderEnv, Any]:
+    """Returns an environment of the shim, started as by a script, and its observation."""
     env = OffScreenRenderEnv(bddl_file_name=start.task, camera_heights=SIZE, camera_widths=SIZE)
     for _ in range(resets):
         env.seed(start.seed)
-        seen = env.reset()
+        from_shim = env.reset()
     if start.state is not None:
-        seen = env.set_init_state(start.state)
+        from_shim = env.set_init_state(start.state)
     for _ in range(settle_steps):
-        seen, *_ = env.step(SETTLING)
-    return env, seen
+        from_shim, *_ = env.step(SETTLING)
+    return env, from_shim
 
 
-def assert_same(observation: Any, at: int, seen: Any) -> None:
+def assert_same(observation: Any, at: int, from_shim: Any) -> None:
     for ours, theirs in NAMES.items():
-        expected = seen[theirs]
+        expected = from_shim[theirs]
         expected = expected[::-1, ::-1] if theirs.endswith("image") else expected
         np.testing.assert_array_equal(observation[ours][at], expected, err_msg=ours)
 
 
 @pytest.fixture
 def envs() -> Any:
-    made = TrainingEnvironment(3, height=SIZE, width=SIZE, threads=2)
-    yield made
-    made.close()
+    environment = TrainingEnvironment(3, height=SIZE, width=SIZE, threads=2)
+    yield environment
+    environment.close()
 
 
 def test_rows_of_any_tasks_equal_scripts_environments(envs: TrainingEnvironment) -> None:
     # A drawer whose joint and place depend on the seed, an object, and a task of libero_90.
     tasks = [task("libero_goal", 0), task("libero_object", 3), task("libero_90", 44)]
     starts = [Start(file, states[7 + i], seed=20 + i) for i, (file, states) in enumerate(tasks)]
-    shim = [begun(start) for start in starts]
+    shim = [started_in_shim(start) for start in starts]
     observation = envs.reset(starts)
-    for at, (_, seen) in enumerate(shim):
-        assert_same(observation, at, seen)
+    for at, (_, from_shim) in enumerate(shim):
+        assert_same(observation, at, from_shim)
     chunk = np.random.default_rng(0).uniform(-1, 1, (3, 5, 7))
     stepped = envs.step_chunk(chunk)
     assert stepped.success.shape == (3, 5)
     for at, (env, _) in enumerate(shim):
         for action in chunk[at]:
-            seen, *_ = env.step(action)
-        assert_same(stepped.observation, at, seen)
+            from_shim, *_ = env.step(action)
+        assert_same(stepped.observation, at, from_shim)
     # Another task in the middle row only: without a state, in a reused environment.
     other = Start(task("libero_goal", 6)[0], seed=5, loads=3)
     observation = envs.reset([other], rows=[1])
-    assert_same(observation, 0, begun(other, resets=2)[1])
+    assert_same(observation, 0, started_in_shim(other, resets=2)[1])
     assert observation["agentview"].shape == (1, SIZE, SIZE, 3)
     assert observation["agentview"].flags.c_contiguous and observation["agentview"].flags.writeable
     # The other rows have not moved.
     stepped = envs.step_chunk(chunk[[2, 0], :2], rows=[2, 0], render="all")
-    for place, row in enumerate((2, 0)):
+    for at, row in enumerate((2, 0)):
         for step, action in enumerate(chunk[row, :2]):
-            seen, *_ = shim[row][0].step(action)
-            assert_same({k: v[:, step] for k, v in stepped.observation.items()}, place, seen)
+            from_shim, *_ = shim[row][0].step(action)
+            assert_same({k: v[:, step] for k, v in stepped.observation.items()}, at, from_shim)
 
 
 def test_chunks_continue_past_success_and_report_it_per_step(envs: TrainingEnvironment) -> None:
     file, states = task("libero_object", 0)
     start = Start(file, states[0], seed=7)
-    env, seen = begun(start)
+    env, from_shim = started_in_shim(start)
     target = env.obj_of_interest[0]
-    at, basket = seen[f"{target}_pos"], seen["basket_1_pos"]
+    at, basket = from_shim[f"{target}_pos"], from_shim["basket_1_pos"]
     plan = [
         (22, at + [0, 0, 0.12], -1.0),
         (20, at, -1.0),
@@ -100,25 +102,25 @@ def test_chunks_continue_past_success_and_report_it_per_step(envs: TrainingEnvir
         (10, basket + [0, 0, 0.2], 1.0),
         (39, basket + [0, 0, 0.2], -1.0),
     ]
-    actions, held = [], []
+    actions, expected = [], []
     for steps, goal, gripper in plan:
         for _ in range(steps):
-            towards = np.clip((goal - seen["robot0_eef_pos"]) / 0.05, -1, 1)
+            towards = np.clip((goal - from_shim["robot0_eef_pos"]) / 0.05, -1, 1)
             actions.append([*towards, 0, 0, 0, gripper])
-            seen, _, done, _ = env.step(actions[-1])
-            held.append(done)
-    assert any(held) and not held[0], "the script did not put the object into the basket"
+            from_shim, _, done, _ = env.step(actions[-1])
+            expected.append(done)
+    assert any(expected) and not expected[0], "the script did not put the object into the basket"
     envs.reset([start], rows=[0])
-    told = []
+    successes = []
     for chunk in np.array(actions).reshape(-1, 8, 7):
         stepped = envs.step_chunk(chunk[None], rows=[0], render="none")
-        told += stepped.success[0].tolist()
+        successes += stepped.success[0].tolist()
         assert "agentview" not in stepped.observation
-    assert told == held
-    first = held.index(True)
-    assert len(held) - first > 8, "nothing came after success"
+    assert successes == expected
+    first = expected.index(True)
+    assert len(expected) - first > 8, "too few steps follow the success"
     for name in ("eef_pos", "joint_pos"):
-        np.testing.assert_array_equal(stepped.observation[name][0], seen[NAMES[name]])
+        np.testing.assert_array_equal(stepped.observation[name][0], from_shim[NAMES[name]])
 
 
 def test_rows_with_equal_starts_settle_once_and_then_step_independently(
@@ -126,15 +128,15 @@ def test_rows_with_equal_starts_settle_once_and_then_step_independently(
 ) -> None:
     file, states = task("libero_goal", 8)
     group = Start(file, states[2], seed=3)
-    begins: list[int] = []
+    counts: list[int] = []
     advance = envs._advance
     monkeypatch.setattr(
-        envs, "_advance", lambda sims, *rest: begins.append(len(sims)) or advance(sims, *rest)
+        envs, "_advance", lambda sims, *rest: counts.append(len(sims)) or advance(sims, *rest)
     )
     observation = envs.reset([group, Start(file, states[4], seed=3), group])
-    assert begins == [2]
+    assert counts == [2]
     for at, start in enumerate([group, Start(file, states[4], seed=3), group]):
-        assert_same(observation, at, begun(start)[1])
+        assert_same(observation, at, started_in_shim(start)[1])
     moves = np.random.default_rng(1).uniform(-1, 1, (3, 4, 7))
     stepped = envs.step_chunk(moves)
     alone = TrainingEnvironment(1, height=SIZE, width=SIZE)
@@ -154,15 +156,15 @@ def test_rows_with_equal_starts_settle_once_and_then_step_independently(
 
 def test_settling_steps_and_action_are_configurable() -> None:
     file, states = task("libero_goal", 8)
-    made = TrainingEnvironment(
+    environment = TrainingEnvironment(
         1, height=SIZE, width=SIZE, settle_steps=15, settle_action=[0.0] * 7
     )
-    observation = made.reset([Start(file, states[1], seed=9)])
-    env, _ = begun(Start(file, states[1], seed=9), settle_steps=0)
+    observation = environment.reset([Start(file, states[1], seed=9)])
+    env, _ = started_in_shim(Start(file, states[1], seed=9), settle_steps=0)
     for _ in range(15):
-        seen, *_ = env.step([0.0] * 7)
-    assert_same(observation, 0, seen)
-    made.close()
+        from_shim, *_ = env.step([0.0] * 7)
+    assert_same(observation, 0, from_shim)
+    environment.close()
 
 
 def test_a_refused_call_moves_no_row(envs: TrainingEnvironment) -> None:
@@ -189,11 +191,11 @@ def test_a_refused_call_moves_no_row(envs: TrainingEnvironment) -> None:
 def test_failed_rows_are_named_and_the_others_continue(envs: TrainingEnvironment) -> None:
     file, states = task("libero_goal", 8)
     envs.reset([Start(file, states[0])] * 3)
-    wild = states[0].copy()
-    wild[1:8] = 1e9  # rad: the physics diverges
+    diverging = states[0].copy()
+    diverging[1:8] = 1e9  # rad: the physics diverges
     simulation = envs.simulations[1]
     assert simulation is not None
-    simulation.set_state(wild)
+    simulation.set_state(diverging)
     with pytest.raises(rollout_libero.SimulationError) as caught:
         envs.step_chunk(np.zeros((3, 2, 7)))
     error: Any = caught.value

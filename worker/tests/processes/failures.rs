@@ -48,7 +48,7 @@ async fn answers_that_no_robot_can_execute_are_the_policys_fault() {
             ("narrow", "its actions are 6 numbers wide, not 7"),
             (
                 "ragged",
-                "it answered 13 numbers, which are no whole actions of 7",
+                "it answered 13 numbers, which is not a multiple of 7",
             ),
             ("empty", "it answered no action"),
             (

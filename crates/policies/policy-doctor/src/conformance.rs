@@ -73,20 +73,20 @@ impl fmt::Display for Point {
     /// Writes the requirement as a sentence that is true of a conforming server.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            Self::Description => "the description can be true",
+            Self::Description => "the description is consistent",
             Self::Version => "another protocol version is refused",
-            Self::Health => "the health service says that it serves",
+            Self::Health => "the health service reports SERVING",
             Self::Shape => "answers are finite actions, n × 7, within the horizon",
             Self::Range => "actions lie within -1..1",
             Self::Retry => "a retry gets the same actions",
             Self::SameSeed => "the same seed gives the same actions",
-            Self::OtherSeed => "another seed gives other actions just if declared stochastic",
-            Self::Order => "the order of queries changes nothing",
-            Self::Isolation => "sessions do not touch one another",
+            Self::OtherSeed => "another seed gives other actions exactly if declared stochastic",
+            Self::Order => "the order of queries does not change the actions",
+            Self::Isolation => "sessions do not affect one another",
             Self::Restart => "a Reset starts an open session anew",
-            Self::Batch => "a batch's neighbours change nothing",
+            Self::Batch => "other queries of a batch do not change the actions",
             Self::Unopened => "a session that was never opened is refused",
-            Self::Speed => "it answers at speed",
+            Self::Speed => "answer times are measured",
         })
     }
 }
@@ -158,7 +158,9 @@ async fn examine(
         | Point::Batch
             if described.unseeded =>
         {
-            verdict::skip("its random numbers follow no seed, so that no two episodes are alike")
+            verdict::skip(
+                "its random numbers do not depend on the seed, so episodes cannot be compared",
+            )
         }
         Point::Description => {
             verdict::description(described, policy_protocol::description(described))
@@ -182,7 +184,7 @@ async fn examine(
             verdict::seeds(described.stochastic, answers, &other.answers)
         }
         Point::Order if described.stateful => {
-            verdict::skip("the policy is stateful: its queries come in order")
+            verdict::skip("the policy is stateful: it requires queries in order")
         }
         Point::Order => {
             let backward = probe

@@ -191,7 +191,7 @@ pub enum ActionFault {
     #[error("it answered no action")]
     Empty,
     /// The count of numbers is not a multiple of [`ACTION_WIDTH`].
-    #[error("it answered {numbers} numbers, which are no whole actions of {ACTION_WIDTH}")]
+    #[error("it answered {numbers} numbers, which is not a multiple of {ACTION_WIDTH}")]
     Ragged { numbers: usize },
     #[error("it answered {count} actions, but its Describe says at most {horizon}")]
     TooMany { count: usize, horizon: u32 },
@@ -203,8 +203,8 @@ pub enum ActionFault {
     },
     /// A number exceeds [`LARGEST_NUMBER`].
     #[error(
-        "component {component} of action {action} is {value:e}, and actions lie within -1..1: is \
-         it un-normalised?"
+        "component {component} of action {action} is {value:e}, and actions lie within -1..1: \
+         check the un-normalisation"
     )]
     TooLarge {
         action: usize,

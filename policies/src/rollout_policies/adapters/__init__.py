@@ -95,14 +95,14 @@ def _require_options(listed: Entry, options: Options) -> None:
         )
 
 
-def executed(listed: Entry, options: Options, *, chunk: int, own: int) -> int:
+def executed(listed: Entry, options: Options, *, chunk: int, from_checkpoint: int) -> int:
     """Returns the number of executed actions of a chunk: the command line's, else LIBERO-CTRL's
-    for the checkpoints of the catalogue, else the checkpoint's, `own`.
+    for the checkpoints of the catalogue, else `from_checkpoint`, the checkpoint's own.
 
     Raises UnusableOption for a number that does not fit the chunk.
     """
     protocol = listed.execute if listed.lists(options.checkpoint) else None
-    candidates = (options.execute, protocol, own)
+    candidates = (options.execute, protocol, from_checkpoint)
     number = next(number for number in candidates if number is not None)
     if not 1 <= number <= chunk:
         source = "--execute" if options.execute is not None else "the number of executed actions"

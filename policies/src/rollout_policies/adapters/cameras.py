@@ -14,7 +14,7 @@ from .upstream import UnusableCheckpoint, UnusableOption
 SCENE, WRIST = "agentview", "robot0_eye_in_hand"
 #: The two cameras by their names on the command line.
 ROLES = {"scene": SCENE, "wrist": WRIST}
-#: Names seen in published checkpoints, data sets and evaluations of LIBERO.
+#: Names that occur in published checkpoints, data sets and evaluations of LIBERO.
 NAMES = {
     SCENE: frozenset(
         "image agentview agentview_image agentview_rgb agentview_cam agent_view base base_0_rgb"
@@ -51,7 +51,7 @@ def camera_of_slot(
     cameras.
     """
     if given:
-        return _as_given(slots, given)
+        return _assigned_by_flag(slots, given)
     found: dict[str, str] = {}
     for slot in slots:
         roles = {_camera(name) for name in _names_of(slot, renamed or {})}
@@ -73,7 +73,7 @@ def short(slot: str) -> str:
     return slot.rpartition(".")[2]
 
 
-def _as_given(slots: Sequence[str], given: Mapping[str, str]) -> dict[str, str]:
+def _assigned_by_flag(slots: Sequence[str], given: Mapping[str, str]) -> dict[str, str]:
     by_name = {**{short(slot): slot for slot in slots}, **{slot: slot for slot in slots}}
     found = {}
     for role, name in given.items():
@@ -84,13 +84,13 @@ def _as_given(slots: Sequence[str], given: Mapping[str, str]) -> dict[str, str]:
                 f" of this checkpoint, whose slots are {_listed(slots)}"
             )
         if by_name[name] in found:
-            raise UnusableOption(f"--image-keys: two cameras are given to slot {name}")
+            raise UnusableOption(f"--image-keys: two cameras are assigned to slot {name}")
         found[by_name[name]] = ROLES[role]
     return found
 
 
 def _names_of(slot: str, renamed: Mapping[str, str]) -> list[str]:
-    """Names of the slot's images in the training data."""
+    """Returns the names of the slot's images in the training data."""
     return [source for source, target in renamed.items() if target == slot] or [slot]
 
 

@@ -59,15 +59,15 @@ def fetch(entry: Entry, name: str, revision: str | None = None) -> Fetched:
         snapshot = Path(hub.snapshot_download(repository, revision=revision, **given))
     except (OSError, ValueError) as error:
         raise UnusableCheckpoint(
-            f"{entry.title}'s weights: there is no folder {name} here, and the hub did not give"
+            f"{entry.title}'s weights: there is no folder {name} here, and the hub did not provide"
             f" {repository}{f' at {revision}' if revision else ''}: {first_line(error)}."
             f" {downloads(entry.downloads)}"
         ) from error
     commit = snapshot.name if COMMIT.fullmatch(snapshot.name) else ""
-    return Fetched(_inside(snapshot, folder, name), commit)
+    return Fetched(_subfolder(snapshot, folder, name), commit)
 
 
-def _inside(snapshot: Path, folder: str | None, name: str) -> Path:
+def _subfolder(snapshot: Path, folder: str | None, name: str) -> Path:
     if folder is None:
         return snapshot
     wanted = Path(folder).parts
@@ -76,7 +76,7 @@ def _inside(snapshot: Path, folder: str | None, name: str) -> Path:
     if len(found) != 1:
         top = sorted(path.name for path in snapshot.iterdir() if path.is_dir())
         raise UnusableCheckpoint(
-            f"checkpoint {name}: its repository has {len(found) or 'no'} folders {folder};"
+            f"checkpoint {name}: its repository has {len(found) or 'no'} folders named {folder};"
             f" its top folders are {', '.join(top) or 'none'}"
         )
     return found[0]

@@ -44,7 +44,9 @@ class FlowPolicy(Policy):
         model = LerobotModel.load(entry, options, kind=kind, **replaced)
         model.chunk_in_real_time()
         config = model.config
-        execute = executed(entry, options, chunk=config.chunk_size, own=config.n_action_steps)
+        execute = executed(
+            entry, options, chunk=config.chunk_size, from_checkpoint=config.n_action_steps
+        )
         return cls(entry, model, execute=execute, max_batch=options.max_batch)
 
     def reset(self, episode: Episode) -> None:
@@ -70,7 +72,7 @@ class FlowPolicy(Policy):
         return [answers[at] for at in range(len(observations))]
 
     def noise(self, observations: Sequence[Observation]) -> np.ndarray:
-        """Initial noise of the flow, [batch, n, width]. Each row comes from its own
+        """Returns the flow's initial noise, [batch, n, width]. Each row comes from its own
         query's generator and does not depend on the other queries of the batch."""
         config = self.model.config
         shape = (config.chunk_size, config.max_action_dim)

@@ -33,7 +33,7 @@ STATE, ACTION = "observation.state", "action"
 WEIGHTS, CONFIG, BEFORE = "model.safetensors", "config.json", "policy_preprocessor.json"
 #: Contents of the state vector, in order.
 STATE_CONTENT = "eef_pos, eef_axis_angle, gripper_pos"
-#: Policies that run without a missing image; others fail at the first query.
+#: Policies that can run with an empty image slot; others fail at the first query.
 LEAVE_SLOTS_EMPTY = ("smolvla", "pi05")
 _LANGUAGE_MODEL = "model.paligemma_with_expert.paligemma"
 #: Permitted differences of the weights, by lerobot's policy type.
@@ -192,7 +192,7 @@ class LerobotModel:
     def chunk_in_real_time(self) -> None:
         """Enables real-time chunking if lerobot's policy supports it: guidance of the flow makes a
         chunk continue the actions that are executed during inference. Uses the checkpoint's
-        settings, else lerobot's. Queries without such actions get the same bits as without it."""
+        settings, else lerobot's. Answers to queries without such actions keep the same bits."""
         if not hasattr(self.config, "rtc_config") or not hasattr(
             self.network, "init_rtc_processor"
         ):
@@ -210,7 +210,7 @@ class LerobotModel:
         noise: np.ndarray | None = None,
         under_way: UnderWay | None = None,
     ) -> np.ndarray:
-        """Chunks of actions [batch, n, 7], in the world's units.
+        """Returns chunks of actions [batch, n, 7], in the world's units.
 
         `noise` is the flow's initial noise, [batch, n, width]; without it the
         network draws from torch's generator. `under_way` has the actions that are executed
@@ -247,9 +247,9 @@ class LerobotModel:
         import torch
 
         self.network.reset()
-        kept = vars(self.network)
-        others = {"config", *vars(torch.nn.Module())}
-        return copy.deepcopy({key: kept[key] for key in kept if key not in others})
+        attributes = vars(self.network)
+        excluded = {"config", *vars(torch.nn.Module())}
+        return copy.deepcopy({key: attributes[key] for key in attributes if key not in excluded})
 
     def act(self, observation: Observation, memory: dict[str, Any]) -> np.ndarray:
         """Returns the next action [7] of an episode and advances its memory.
@@ -273,8 +273,8 @@ class LerobotModel:
         batch = batch_of(observations, self.slots, self.with_state)
         if under_way is not None:
             # lerobot's processor normalises actions in a batch, as in training.
-            left = under_way.actions[: self.config.chunk_size]
-            batch[ACTION] = np.array(left, dtype=np.float32)[np.newaxis]
+            scheduled = under_way.actions[: self.config.chunk_size]
+            batch[ACTION] = np.array(scheduled, dtype=np.float32)[np.newaxis]
         return self.before(
             {
                 key: torch.from_numpy(value) if isinstance(value, np.ndarray) else value
@@ -295,7 +295,7 @@ def _require_files(folder: Path, name: str) -> None:
         remedy = f"name {folder / 'pretrained_model'}"
     elif lacking == [BEFORE]:
         remedy = (
-            "it was saved before lerobot kept statistics in files of their own: convert it with"
+            "it was saved before lerobot kept statistics in separate files: convert it with"
             " python -m lerobot.processor.migrate_policy_normalization"
         )
     raise UnusableCheckpoint(f"checkpoint {name} has no {' and no '.join(lacking)}; {remedy}")
@@ -365,28 +365,31 @@ def _statistics(
             f"the checkpoint's actions are {width} numbers, and LIBERO's are {ACTION_WIDTH}:"
             " it was trained for another robot, or for none"
         )
-    found = [_of(ACTION, "ACTION", config, after, "Unnormalizer", ACTION_WIDTH)]
+    found = [_feature_summary(ACTION, "ACTION", config, after, "Unnormalizer", ACTION_WIDTH)]
     if with_state:
-        found.append(_of(STATE, "STATE", config, before, "Normalizer", STATE_WIDTH))
-    images = [_of(slot, "VISUAL", config, before, "Normalizer") for slot in sorted(slots)]
+        found.append(_feature_summary(STATE, "STATE", config, before, "Normalizer", STATE_WIDTH))
+    images = [
+        _feature_summary(slot, "VISUAL", config, before, "Normalizer") for slot in sorted(slots)
+    ]
     return found + [text for text in images if not text.endswith("not normalised")]
 
 
-def _of(
+def _feature_summary(
     key: str, kind: str, config: Any, pipeline: Any, step_name: str, width: int | None = None
 ) -> str:
     """Returns the summary of one feature's statistics, from `require_statistics`."""
     what = {"ACTION": "actions", "STATE": "the state"}.get(kind, f"images of {short(key)}")
-    declared = {_name(of): _name(mode) for of, mode in config.normalization_mapping.items()}
+    declared = {_name(each): _name(mode) for each, mode in config.normalization_mapping.items()}
     mode = declared.get(kind, "IDENTITY")
     statistics: dict[str, Any] = {}
     for step in pipeline.steps:
         # A step applies to all actions, but only to the observations that it names.
         if _is(step, step_name) and (kind == "ACTION" or key in step.features):
-            mode = {_name(of): _name(way) for of, way in step.norm_map.items()}.get(kind, mode)
+            modes = {_name(each): _name(by_step) for each, by_step in step.norm_map.items()}
+            mode = modes.get(kind, mode)
             for name, tensor in step.state_dict().items():
-                of, _, statistic = name.rpartition(".")
-                if of == key:
+                feature, _, statistic = name.rpartition(".")
+                if feature == key:
                     statistics[statistic] = tensor.float().cpu().numpy()
     return require_statistics(what, mode, statistics, width)
 

@@ -56,7 +56,7 @@ class Minerva(Policy):
 
 def load(entry: Entry, options: Options) -> Policy:
     """Loads the checkpoint; see `rollout_policies.adapters.load`."""
-    executed(entry, options, chunk=EXECUTE, own=EXECUTE)
+    executed(entry, options, chunk=EXECUTE, from_checkpoint=EXECUTE)
     model = LerobotModel.load(
         entry, options, n_action_steps=EXECUTE, temporal_ensemble_coeff=ENSEMBLE
     )

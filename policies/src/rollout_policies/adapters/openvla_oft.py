@@ -156,13 +156,13 @@ def load(entry: Entry, options: Options) -> Policy:
     """Loads the checkpoint; see `rollout_policies.adapters.load`."""
     checkpoint = entry.checkpoint_for(options.suite)
     checkpoint = options.checkpoint or checkpoint
-    execute = executed(entry, options, chunk=CHUNK, own=CHUNK)
+    execute = executed(entry, options, chunk=CHUNK, from_checkpoint=CHUNK)
     fetched = fetch(entry, checkpoint, options.revision)
     folder = fetched.folder
-    parts = _parts(folder, checkpoint)
-    statistics, key, brief = statistics_in(folder, options.suite)
+    parts = _part_files(folder, checkpoint)
+    statistics, key, summary = statistics_in(folder, options.suite)
     state = statistics[key].get("proprio", {})
-    state_brief = require_statistics("the state", "QUANTILES", state, STATE_WIDTH)
+    state_summary = require_statistics("the state", "QUANTILES", state, STATE_WIDTH)
     network, processor = load_network(entry, folder, checkpoint, options.device, causal=False)
     network.norm_stats = statistics
     network.vision_backbone.set_num_images_in_input(2)
@@ -199,28 +199,28 @@ def load(entry: Entry, options: Options) -> Policy:
         weights=digest([*folder.glob("*.safetensors"), *parts.values()]),
         execute=execute,
         settings={
-            "statistics": f"{brief}; {state_brief}",
+            "statistics": f"{summary}; {state_summary}",
             **precision(options.device, network, model.action_head),
             **fetched.settings,
         },
     )
 
 
-def _parts(folder: Path, checkpoint: str) -> dict[str, Path]:
-    """The files of the parts that are trained separately from the network, by part."""
+def _part_files(folder: Path, checkpoint: str) -> dict[str, Path]:
+    """Returns the files of the parts that are trained separately from the network, by part."""
     found = {
         part: sorted(folder.glob(f"*{part}*checkpoint*")) for part in (HEAD, PROJECTOR, *NOT_SERVED)
     }
-    for part, way in NOT_SERVED.items():
+    for part, method in NOT_SERVED.items():
         if found[part]:
             raise UnusableCheckpoint(
-                f"checkpoint {checkpoint} was trained with {way} (it has"
+                f"checkpoint {checkpoint} was trained with {method} (it has"
                 f" {found[part][0].name}), which this adapter does not serve"
             )
     for part in (HEAD, PROJECTOR):
         if len(found[part]) != 1:
             raise UnusableCheckpoint(
                 f"checkpoint {checkpoint} has {len(found[part]) or 'no'} files of its {part}"
-                " (*checkpoint.pt), and one is needed: of several, leave one"
+                " (*checkpoint.pt), and exactly one is needed"
             )
     return {part: found[part][0] for part in (HEAD, PROJECTOR)}

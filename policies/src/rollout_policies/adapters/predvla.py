@@ -52,7 +52,7 @@ def frame(raw: np.ndarray) -> np.ndarray:
     return resize(raw, SIDE, SIDE, BILINEAR)
 
 
-def looks(step: int, stride: int) -> bool:
+def uses_frames(step: int, stride: int) -> bool:
     """Returns True if this step uses frames: the first does, then every
     `stride`-th."""
     return step % stride == 0
@@ -73,8 +73,10 @@ class PredvlaModel:
     network: Any
     front: Any
     correction_class: Any
+    #: Number of steps between two steps that use frames.
     stride: int
     device: str
+    #: Compiled replacement of a correction's `_roll`; None on a CPU.
     roll: Any = None
 
     @property
@@ -97,18 +99,21 @@ class PredvlaModel:
     def step(
         self, correction: Any, joints: np.ndarray, frames: tuple[np.ndarray, np.ndarray] | None
     ) -> np.ndarray:
-        """One step: seven joints and two fingers [9], and both frames if the step uses them."""
+        """Advances a correction by one step and returns the action [7]. `joints` has seven arm
+        joints and two fingers; `frames` is None at a step that uses no frames."""
         import torch
 
-        felt = self.front.q(
+        proprioception = self.front.q(
             {
                 "robot0_joint_pos": joints[:7].astype(np.float32),
                 "robot0_gripper_qpos": joints[7:].astype(np.float32),
             }
         )
-        seen = torch.zeros(self.network.v_dim) if frames is None else self.front.v(*frames)
-        looked = torch.full((1,), 0.0 if frames is None else 1.0, device=self.device)
-        action = correction.step(seen.to(self.device)[None], felt.to(self.device)[None], looked)
+        vision = torch.zeros(self.network.v_dim) if frames is None else self.front.v(*frames)
+        has_frames = torch.full((1,), 0.0 if frames is None else 1.0, device=self.device)
+        action = correction.step(
+            vision.to(self.device)[None], proprioception.to(self.device)[None], has_frames
+        )
         return np.asarray(action[0], dtype=np.float64)
 
 
@@ -150,7 +155,7 @@ class PredVla(Policy):
     def infer(self, observation: Observation) -> np.ndarray:
         memory = observation.episode.memory
         frames = None
-        if looks(memory.step, self.model.stride):
+        if uses_frames(memory.step, self.model.stride):
             frames = tuple(frame(observation.images[camera.name]) for camera in (SCENE, WRIST))
         joints = observation.vector(State.JOINT_POS, State.GRIPPER_POS)
         action = self.model.step(memory.correction, joints, frames)
@@ -158,7 +163,7 @@ class PredVla(Policy):
         return action
 
 
-def _saved(torch: Any, file: Path) -> dict[str, Any]:
+def _read_checkpoint(torch: Any, file: Path) -> dict[str, Any]:
     """Returns the contents of a checkpoint file: tensors, numbers and text. Anything
     else is refused, because unpickling it could run code of its author."""
     try:
@@ -177,7 +182,7 @@ def load(entry: Entry, options: Options) -> Policy:
     """Loads the checkpoint; see `rollout_policies.adapters.load`."""
     checkpoint = entry.checkpoint_for(options.suite)
     checkpoint = options.checkpoint or checkpoint
-    executed(entry, options, chunk=1, own=1)
+    executed(entry, options, chunk=1, from_checkpoint=1)
     if options.revision is not None:
         raise UnusableOption(
             f"--revision names a commit of the hub, but {entry.title}'s weights are files in its"
@@ -186,15 +191,15 @@ def load(entry: Entry, options: Options) -> Policy:
     torch = require("torch", entry)
     package = require("predvla.model", entry)
     home = Path(package.__file__).parents[1]
-    file = _file(entry, checkpoint, home)
+    file = _checkpoint_file(entry, checkpoint, home)
     correction = require("predvla.er_batch", entry).ERBatch
-    saved = _saved(torch, file)
+    saved = _read_checkpoint(torch, file)
     _require_trained_for(options.suite, saved["cfg"], checkpoint)
     network = package.PredVLA(saved["cfg"]).to(options.device).eval()
     load_stored(network, saved["model"], checkpoint)
     for number in network.parameters():
         number.requires_grad_(False)
-    cache = Path(_cache(saved["cfg"]["paths"]["cache_root"], home))
+    cache = Path(_statistics_path(saved["cfg"]["paths"]["cache_root"], home))
     statistics = sorted(cache.glob("*.npz"))
     if not statistics:
         raise UnusableCheckpoint(
@@ -230,7 +235,7 @@ def load(entry: Entry, options: Options) -> Policy:
     )
 
 
-def _file(entry: Entry, name: str, home: Path) -> Path:
+def _checkpoint_file(entry: Entry, name: str, home: Path) -> Path:
     """Returns a checkpoint's file, local or from the authors' repository."""
     for file in (Path(name).expanduser(), home / name):
         if file.is_file():
@@ -250,7 +255,7 @@ def _require_trained_for(suite: str, config: Mapping[str, Any], checkpoint: str)
         )
 
 
-def _cache(named: str, home: Path) -> str:
+def _statistics_path(named: str, home: Path) -> str:
     """Returns the path of the front end's statistics. Checkpoints name it relative to a folder
     of their authors, whose contents are in `home` here."""
     path = Path(named)

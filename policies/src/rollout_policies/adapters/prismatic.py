@@ -38,7 +38,7 @@ def statistics_of(suite: str, all_statistics: Mapping[str, Any]) -> str:
             return key
     raise UnusableCheckpoint(
         f"the checkpoint has no statistics of {suite}; it has those of"
-        f" {', '.join(all_statistics) or 'nothing'}"
+        f" {', '.join(all_statistics) or 'no suite'}"
     )
 
 
@@ -52,14 +52,14 @@ def statistics_in(folder: Path, suite: str) -> tuple[dict[str, Any], str, str]:
     if not file.is_file():
         raise UnusableCheckpoint(
             f"checkpoint {folder} has no {STATISTICS}, without which its actions mean nothing:"
-            " it was not fine-tuned on LIBERO, or the file was left behind"
+            " it was not fine-tuned on LIBERO, or the file was not copied"
         )
     # The statistics in the configuration are those of the pre-training.
-    everything = json.loads(file.read_text("utf-8"))
-    key = statistics_of(suite, everything)
-    actions = everything[key].get("action", {})
-    brief = require_statistics("actions", "QUANTILES", actions, ACTION_WIDTH)
-    return everything, key, f"{key}: {brief}"
+    all_statistics = json.loads(file.read_text("utf-8"))
+    key = statistics_of(suite, all_statistics)
+    actions = all_statistics[key].get("action", {})
+    summary = require_statistics("actions", "QUANTILES", actions, ACTION_WIDTH)
+    return all_statistics, key, f"{key}: {summary}"
 
 
 def load_network(
@@ -71,8 +71,8 @@ def load_network(
     token does not see later ones. Raises UnusableCheckpoint if weights are
     missing, UpstreamMissing if the installed transformers is not the policy's.
     """
-    # timm must be imported before TensorFlow, which upstream imports: the reverse order has been
-    # seen to crash the process.
+    # timm must be imported before TensorFlow, which upstream imports: the reverse order has crashed
+    # the process.
     require("timm", entry)
     torch = require("torch", entry)
     transformers = require("transformers", entry)
@@ -83,7 +83,7 @@ def load_network(
     )
     with stored_in(folder.glob("*.safetensors")) as stored:
         require_loaded(network, stored, checkpoint)
-    if _sees_ahead(network, torch, transformers) == causal:
+    if _attends_to_later_tokens(network, torch, transformers) == causal:
         raise UpstreamMissing(
             f"the installed transformers ({transformers.__version__}) is not the one that"
             f" {entry.title} needs: in its language models a token"
@@ -98,7 +98,7 @@ def load_network(
     return network.to(device).eval(), processor
 
 
-def _sees_ahead(network: Any, torch: Any, transformers: Any) -> bool:
+def _attends_to_later_tokens(network: Any, torch: Any, transformers: Any) -> bool:
     """Returns True if a token's output depends on later tokens, in a small
     language model of the network's kind."""
     config = copy.deepcopy(network.config.text_config)

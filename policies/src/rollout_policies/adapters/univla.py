@@ -1,5 +1,5 @@
 """UniVLA: the language model samples latent actions, and a small decoder turns
-them into twelve real ones.
+them into twelve actions of the robot.
 
 It is queried at every step. Its inputs are the scene camera's frame and its last latent
 actions. It averages the predictions of its last twelve chunks for the current step.
@@ -23,7 +23,7 @@ from ..description import Description
 from ..episode import Episode, Observation
 from ..policy import Policy
 from ..processing.actions import Ensemble, from_bounds
-from ..processing.images import resize_plainly
+from ..processing.images import resize_bilinear
 from ..processing.robot import gripper_from_rlds
 from . import Options, executed
 from .fetch import fetch
@@ -53,10 +53,10 @@ def study_frame(turned: np.ndarray) -> np.ndarray:
     """Converts a frame [256, 256, 3], turned by 180 degrees, to the study's
     input: bilinear to 224 without antialiasing, the centre in whole pixels,
     enlarged again."""
-    small = resize_plainly(turned, SIDE, SIDE)
+    small = resize_bilinear(turned, SIDE, SIDE)
     side = round(SIDE * CROP_AREA**0.5)
     start = (SIDE - side) // 2
-    return resize_plainly(small[start : start + side, start : start + side], SIDE, SIDE)
+    return resize_bilinear(small[start : start + side, start : start + side], SIDE, SIDE)
 
 
 #: Conversion of a frame to the network's input, by evaluation protocol.
@@ -71,8 +71,8 @@ def prompt_after(instruction: str, history: str) -> str:
 
 
 def history_of(tokens: Iterable[int]) -> str:
-    """Names of latent actions. Sampling may draw a token of another kind (such
-    as the end of the sentence), which is left out."""
+    """Returns the names of latent actions. Sampling may draw a token of another kind (such as
+    the end of the sentence), which is left out."""
     steps = (int(token) - FIRST_TOKEN for token in tokens)
     return "".join(f"<ACT_{step}>" for step in steps if 0 <= step < LATENT_ACTIONS)
 
@@ -83,7 +83,8 @@ class Memory:
 
     history: str = ""
     ensemble: Ensemble = field(default_factory=lambda: Ensemble(DECAY))
-    #: State of the generator, unless it is reseeded at every query.
+    #: Seed, and then state, of the generator in the study's protocol. The authors' protocol reseeds
+    #: the generator at every query.
     generator: Any = None
 
 
@@ -111,7 +112,7 @@ class UnivlaModel:
         from PIL import Image
 
         inputs = self.processor(text, Image.fromarray(pixels))
-        self._start(generator)
+        self._set_generator(generator)
         with torch.inference_mode():
             latent, visual, tokens = self.network.predict_latent_action(
                 **inputs.to(self.device, dtype=torch.bfloat16),
@@ -121,24 +122,24 @@ class UnivlaModel:
             )
             chunk = self.decoder(latent.float(), visual.float())
         drawn = [int(token) for token in tokens[0]]
-        return chunk.reshape(CHUNK, -1).cpu().numpy(), drawn, self._generator()
+        return chunk.reshape(CHUNK, -1).cpu().numpy(), drawn, self._generator_state()
 
-    def _start(self, generator: Any) -> None:
+    def _set_generator(self, generator: Any) -> None:
         import torch
 
         if isinstance(generator, int):
             torch.manual_seed(generator)
             return
-        processor, card = generator
-        torch.set_rng_state(processor)
-        if card is not None:
-            torch.cuda.set_rng_state(card, self.device)
+        cpu_state, gpu_state = generator
+        torch.set_rng_state(cpu_state)
+        if gpu_state is not None:
+            torch.cuda.set_rng_state(gpu_state, self.device)
 
-    def _generator(self) -> tuple[Any, Any]:
+    def _generator_state(self) -> tuple[Any, Any]:
         import torch
 
-        on_card = self.device.startswith("cuda")
-        return torch.get_rng_state(), torch.cuda.get_rng_state(self.device) if on_card else None
+        on_gpu = self.device.startswith("cuda")
+        return torch.get_rng_state(), torch.cuda.get_rng_state(self.device) if on_gpu else None
 
 
 class UniVla(Policy):
@@ -161,7 +162,7 @@ class UniVla(Policy):
         self.model = model
         self.statistics = statistics
         self.frame = FRAMES[evaluation]
-        self.as_study = evaluation == "study"
+        self.follows_study = evaluation == "study"
         self.description = Description(
             name=entry.name,
             checkpoint=checkpoint,
@@ -170,7 +171,7 @@ class UniVla(Policy):
             cameras=(SCENE,),
             stateful=True,
             # In the study, every episode draws the same random numbers.
-            stochastic=not self.as_study,
+            stochastic=not self.follows_study,
             settings={
                 **(settings or {}),
                 "image slots": f"first={SCENE.name}",
@@ -192,7 +193,7 @@ class UniVla(Policy):
         chunk, tokens, memory.generator = self.model.chunk(
             *(observation.prepared or self.prepare(observation)),
             prompt_after(observation.episode.instruction, memory.history),
-            memory.generator if self.as_study else seed_of(observation),
+            memory.generator if self.follows_study else seed_of(observation),
         )
         memory.history = history_of(tokens)
         action = memory.ensemble.add(chunk)
@@ -204,7 +205,7 @@ def load(entry: Entry, options: Options) -> Policy:
     """Loads the checkpoint; see `rollout_policies.adapters.load`."""
     listed = entry.checkpoint_for(options.suite)
     checkpoint = options.checkpoint or listed
-    executed(entry, options, chunk=1, own=1)
+    executed(entry, options, chunk=1, from_checkpoint=1)
     fetched = fetch(entry, checkpoint, options.revision)
     folder = fetched.folder
     if not (folder / DECODER).is_file():
@@ -212,8 +213,8 @@ def load(entry: Entry, options: Options) -> Policy:
             f"checkpoint {checkpoint} has no {DECODER}, which turns latent actions into the robot's"
             " actions: it was pre-trained, but not fine-tuned on LIBERO"
         )
-    everything, key, brief = statistics_in(folder, options.suite)
-    statistics = everything[key]["action"]
+    all_statistics, key, summary = statistics_in(folder, options.suite)
+    statistics = all_statistics[key]["action"]
     # The gripper is not normalised.
     statistics.setdefault("mask", [True] * 6 + [False])
     network, processor = load_network(entry, folder, checkpoint, options.device, causal=True)
@@ -231,7 +232,7 @@ def load(entry: Entry, options: Options) -> Policy:
         weights=digest([*folder.glob("*.safetensors"), folder / DECODER]),
         evaluation=options.evaluation,
         settings={
-            "statistics": brief,
+            "statistics": summary,
             **precision(options.device, network, decoder),
             **fetched.settings,
         },
@@ -254,7 +255,7 @@ def _decoder(entry: Entry) -> Any:
             self.proj = nn.Sequential(nn.Linear(DECODER_WIDTH, 7 * CHUNK), nn.Tanh())
 
         def forward(self, latent: Any, visual: Any) -> Any:
-            seen = self.visual_pool(visual)
-            return self.proj(self.latent_action_pool(latent[:, -LATENT_STEPS:], init_embed=seen))
+            pooled = self.visual_pool(visual)
+            return self.proj(self.latent_action_pool(latent[:, -LATENT_STEPS:], init_embed=pooled))
 
     return Decoder()

@@ -12,8 +12,8 @@ from typing import Any
 from ..catalogue import Entry
 from ..episode import Episode
 
-#: Bytes per read.
-PIECE = 1 << 20
+#: Bytes per read of a file.
+READ_BYTES = 1 << 20
 
 
 class UpstreamMissing(ImportError):
@@ -66,8 +66,8 @@ def digest(files: Iterable[Path]) -> str:
         total.update(path.name.encode())
         with path.open("rb") as file:
             of_file = hashlib.sha256()
-            while piece := file.read(PIECE):
-                of_file.update(piece)
+            while data := file.read(READ_BYTES):
+                of_file.update(data)
         total.update(of_file.digest())
     return total.hexdigest()
 

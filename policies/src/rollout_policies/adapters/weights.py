@@ -17,8 +17,8 @@ from typing import Any
 
 from .upstream import UnusableCheckpoint
 
-#: Numbers read from a file at a time; at least one row.
-PIECE = 1 << 24
+#: Numbers of a stored tensor that are read and compared at a time; at least one row.
+COMPARED_NUMBERS = 1 << 24
 #: Names shown for each kind of difference.
 SHOWN = 3
 #: Tensors that networks compute at construction, and that older versions of transformers
@@ -121,12 +121,13 @@ def require_loaded(
 
     Raises UnusableCheckpoint, which names the differences.
     """
-    found = compare(network.state_dict(), stored, _same, exceptions)
+    found = compare(network.state_dict(), stored, _is_equal, exceptions)
     if differences := str(found):
         raise UnusableCheckpoint(
-            f"checkpoint {checkpoint} was not loaded as it is stored: of {part}, {differences}."
-            " Tensors that were not loaded are random. Install the version of the policy's package"
-            " that wrote the checkpoint, or write the checkpoint again with the installed version"
+            f"checkpoint {checkpoint} was not loaded as it is stored. Tensors of {part}:"
+            f" {differences}. Tensors that were not loaded are random. Install the version of the"
+            " policy's package that wrote the checkpoint, or write the checkpoint again with the"
+            " installed version"
         )
 
 
@@ -158,11 +159,11 @@ def stored_in(
         for path in sorted(files):
             file = stack.enter_context(safe_open(str(path), framework="pt"))
             for name in file.keys():
-                tensors[rename(name)] = _InFile(file, name)
+                tensors[rename(name)] = _StoredTensor(file, name)
         yield tensors
 
 
-class _InFile:
+class _StoredTensor:
     """A tensor of an open safetensors file, read row by row."""
 
     def __init__(self, file: Any, name: str) -> None:
@@ -177,14 +178,14 @@ class _InFile:
         return self._file.get_tensor(self._name)
 
 
-def _same(loaded: Any, in_file: Any) -> bool:
+def _is_equal(loaded: Any, in_file: Any) -> bool:
     """Returns True if both tensors are equal in the data type of the loaded tensor."""
     import torch
 
     if not loaded.shape:
-        whole = in_file.whole() if isinstance(in_file, _InFile) else in_file
+        whole = in_file.whole() if isinstance(in_file, _StoredTensor) else in_file
         return torch.equal(whole.to(loaded.device, loaded.dtype), loaded)
-    rows = max(1, PIECE // max(1, loaded[:1].numel()))
+    rows = max(1, COMPARED_NUMBERS // max(1, loaded[:1].numel()))
     return all(
         torch.equal(
             in_file[start : start + rows].to(loaded.device, loaded.dtype),

@@ -36,7 +36,7 @@ def check(policy: Policy, *, suite: str = "libero_object") -> list[Finding]:
     server = Server(policy, description_of(policy), "127.0.0.1:0")
     outcome: list[list[Finding] | BaseException] = []
 
-    def ask() -> None:
+    def run_check() -> None:
         try:
             outcome.append(check_server(Target(f"grpc://{server.address}", suite=suite)))
         except BaseException as error:
@@ -44,10 +44,10 @@ def check(policy: Policy, *, suite: str = "libero_object") -> list[Finding]:
         finally:
             server.stop(0)
 
-    asking = threading.Thread(target=ask, name="check", daemon=True)
-    asking.start()
+    thread = threading.Thread(target=run_check, name="check", daemon=True)
+    thread.start()
     server.work()
-    asking.join()
+    thread.join()
     [findings] = outcome
     if isinstance(findings, BaseException):
         raise findings

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import grpc
 
 from . import verdict
-from .probe import QUERIES, CannotCheck, Played, Probe
+from .probe import QUERIES, CannotCheck, EpisodeAnswers, Probe
 from .verdict import Verdict
 
 #: Seed of the reference episode, and another seed.
@@ -22,21 +22,21 @@ class Point(enum.Enum):
     """A point of the protocol, as a sentence that is true of a conforming server. The members
     are in the order of the checks."""
 
-    DESCRIPTION = "the description can be true"
+    DESCRIPTION = "the description is consistent"
     VERSION = "another protocol version is refused"
-    HEALTH = "the health service says that it serves"
+    HEALTH = "the health service reports SERVING"
     SHAPE = "answers are finite actions, n × 7, within the horizon"
     RANGE = "actions lie within -1..1"
     RETRY = "a retry gets the same actions"
     SAME_SEED = "the same seed gives the same actions"
-    OTHER_SEED = "another seed gives other actions just if declared stochastic"
-    ORDER = "the order of queries changes nothing"
-    ISOLATION = "sessions do not touch one another"
+    OTHER_SEED = "another seed gives other actions exactly if declared stochastic"
+    ORDER = "the order of queries does not change the actions"
+    ISOLATION = "sessions do not affect one another"
     RESTART = "a Reset starts an open session anew"
-    BATCH = "a batch's neighbours change nothing"
+    BATCH = "other queries of a batch do not change the actions"
     UNOPENED = "a session that was never opened is refused"
-    END = "the end of an episode is noted"
-    SPEED = "it answers at speed"
+    END = "the end of an episode is accepted"
+    SPEED = "answer times are measured"
 
 
 #: Points that compare episodes of the same seed.
@@ -72,7 +72,7 @@ def examine(probe: Probe) -> Iterator[Finding]:
     try:
         reference = probe.episode("reference", SEED)
     except grpc.RpcError as error:
-        why = verdict.words_of(error)
+        why = verdict.describe_error(error)
         raise CannotCheck(f"failed to play one episode: {why}") from error
     for point in Point:
         try:
@@ -84,11 +84,11 @@ def examine(probe: Probe) -> Iterator[Finding]:
         yield Finding(point, found)
 
 
-def _examined(point: Point, probe: Probe, reference: Played) -> Verdict:
+def _examined(point: Point, probe: Probe, reference: EpisodeAnswers) -> Verdict:
     described, answers = probe.described, reference.answers
     if point in SEEDED and described.unseeded:
         return verdict.skipped(
-            "its random numbers follow no seed, so that no two episodes are alike"
+            "its random numbers do not depend on the seed, so episodes cannot be compared"
         )
     if point is Point.DESCRIPTION:
         return verdict.description(described)
@@ -109,7 +109,7 @@ def _examined(point: Point, probe: Probe, reference: Played) -> Verdict:
         return verdict.seeds(described.stochastic, answers, other)
     if point is Point.ORDER:
         if described.stateful:
-            return verdict.skipped("the policy is stateful: its queries come in order")
+            return verdict.skipped("the policy is stateful: it requires queries in order")
         backward = probe.episode("backward", SEED, range(QUERIES - 1, -1, -1))
         return verdict.same(answers, backward.answers)
     if point is Point.ISOLATION:
@@ -124,5 +124,5 @@ def _examined(point: Point, probe: Probe, reference: Played) -> Verdict:
         return probe.unopened()
     if point is Point.END:
         return probe.ended(SEED)
-    wall_secs, together = probe.side_by_side(CONCURRENCY)
-    return verdict.speed(reference.latencies, CONCURRENCY, wall_secs, together)
+    wall_secs, concurrent = probe.concurrent_episodes(CONCURRENCY)
+    return verdict.speed(reference.latencies, CONCURRENCY, wall_secs, concurrent)

@@ -27,10 +27,10 @@ from .verdict import Verdict
 
 #: Queries in one episode.
 QUERIES = 5
-#: Most queries in one batch, and the time limit of an answer, s: as in the gateway.
+#: Largest number of queries in one batch, and the time limit of an answer, s: as in the gateway.
 MAX_BATCH_QUERIES = 64
 ANSWER_WITHIN_SECS = 50.0
-#: Seed of all made-up observations; episodes differ only in their own seed.
+#: Seed of all synthetic observations; episodes differ only in their own seed.
 SCENE_SEED = 0
 
 
@@ -44,9 +44,9 @@ class Target:
 
     #: grpc://HOST:PORT or http://HOST:PORT, or with TLS https:// or grpcs://.
     url: str
-    #: Name of the policy there; empty for the only one.
+    #: Name of the policy; empty if the server has only one.
     policy: str = ""
-    #: Suite of the made-up task.
+    #: Suite of the synthetic task.
     suite: str = "libero_object"
     #: Authority that signed the server's certificate, PEM; None uses the system's authorities.
     ca: str | Path | None = None
@@ -54,12 +54,12 @@ class Target:
 
 
 @dataclass
-class Played:
+class EpisodeAnswers:
     """Answers of one episode."""
 
     #: Answers by query index.
     answers: list[pb.InferResponse] = field(default_factory=list)
-    #: Latency of each query, in the order asked, s.
+    #: Latency of each query, in the order of the queries, s.
     latencies: list[float] = field(default_factory=list)
 
 
@@ -79,7 +79,7 @@ class Probe(contextlib.AbstractContextManager):
             self.described: pb.DescribeResponse = self._describe(PROTOCOL_VERSION)
         except grpc.RpcError as error:
             self._channel.close()
-            why = verdict.words_of(error)
+            why = verdict.describe_error(error)
             raise CannotCheck(f"failed to have {target.url} describe its policy: {why}") from error
         if self.described.privileged:
             self._channel.close()
@@ -91,7 +91,7 @@ class Probe(contextlib.AbstractContextManager):
             self._scenes = [self._scene(query_index) for query_index in range(QUERIES)]
         except ValueError as error:
             self._channel.close()
-            raise CannotCheck(f"failed to make up an observation: {error}") from error
+            raise CannotCheck(f"failed to generate an observation: {error}") from error
 
     def __exit__(self, *_: object) -> None:
         self._channel.close()
@@ -105,7 +105,7 @@ class Probe(contextlib.AbstractContextManager):
             if error.code() == grpc.StatusCode.FAILED_PRECONDITION:
                 return verdict.passed()
             return verdict.refused(error)
-        return verdict.failed(f"it describes itself to a caller of version {newer}")
+        return verdict.failed(f"it accepts a caller of protocol version {newer}")
 
     def health(self) -> Verdict:
         """Checks that the health service answers for policies."""
@@ -114,12 +114,14 @@ class Probe(contextlib.AbstractContextManager):
         answer = check(bytes([health.SERVICE_TAG, len(name)]) + name, **self._options())
         if answer == health.SERVING:
             return verdict.passed()
-        return verdict.failed("it does not say SERVING")
+        return verdict.failed("it does not report SERVING")
 
-    def episode(self, name: str, seed: int, order: Iterable[int] = range(QUERIES)) -> Played:
+    def episode(
+        self, name: str, seed: int, order: Iterable[int] = range(QUERIES)
+    ) -> EpisodeAnswers:
         """Plays one episode with its queries in this order."""
         self._reset(name, seed)
-        answers, played = {}, Played()
+        answers, played = {}, EpisodeAnswers()
         for query_index in order:
             sent = time.perf_counter()
             answers[query_index] = self._infer(name, query_index)
@@ -168,9 +170,7 @@ class Probe(contextlib.AbstractContextManager):
         answers = []
         for query_index in range(QUERIES):
             queries = [self._query(name, query_index) for name in names]
-            batch = self._stub.InferBatch(
-                pb.InferBatchRequest(queries=queries), **self._options()
-            )
+            batch = self._stub.InferBatch(pb.InferBatchRequest(queries=queries), **self._options())
             if len(batch.results) != size:
                 raise CannotCheck(f"a batch of {size} came back with {len(batch.results)} results")
             for result in batch.results:
@@ -202,16 +202,16 @@ class Probe(contextlib.AbstractContextManager):
                     raise
                 self.episode("after the end", seed)
                 return verdict.skipped(
-                    "it does not implement End, which is newer, and drops sessions by itself"
+                    "it does not implement End, a later addition, and drops idle sessions by itself"
                 )
         self.episode("after the end", seed)
         return verdict.passed()
 
-    def side_by_side(self, concurrency: int) -> tuple[float, list[float]]:
+    def concurrent_episodes(self, concurrency: int) -> tuple[float, list[float]]:
         """Plays this many episodes concurrently. Returns the total time and each query's, s."""
         began = time.perf_counter()
         with ThreadPoolExecutor(concurrency) as pool:
-            played = pool.map(lambda at: self.episode(f"side by side {at}", at), range(concurrency))
+            played = pool.map(lambda at: self.episode(f"concurrent {at}", at), range(concurrency))
             latencies = [latency for episode in played for latency in episode.latencies]
         return time.perf_counter() - began, latencies
 
@@ -254,7 +254,7 @@ class Probe(contextlib.AbstractContextManager):
         known = {reading.value for reading in State}
         # Inputs of unknown kinds are left out; a server that needs them reports an error.
         wanted = Description(
-            name="made up",
+            name="synthetic",
             cameras=tuple(
                 Camera(camera.name, camera.width, camera.height)
                 for camera in self.described.cameras
@@ -294,7 +294,7 @@ def _connected(target: Target) -> tuple[grpc.Channel, tuple[tuple[str, str], ...
     if not (encrypted or url.scheme in ("http", "grpc")) or not url.netloc or url.path.strip("/"):
         raise CannotCheck(
             f"failed to read {target.url!r} as a policy server's address: write grpc://HOST:PORT,"
-            " or https:// for one over TLS (openpi's servers: `policy-gateway check ws://...`)"
+            " or https://HOST:PORT over TLS (openpi's servers: `policy-gateway check ws://...`)"
         )
     options = [
         ("grpc.max_receive_message_length", MAX_MESSAGE_BYTES),

@@ -58,10 +58,10 @@ def skipped(reason: str) -> Verdict:
 
 def refused(error: grpc.RpcError) -> Verdict:
     """Returns a failure: the server gave no answer."""
-    return failed(f"the server refused: {words_of(error)}")
+    return failed(f"the server refused: {describe_error(error)}")
 
 
-def words_of(error: grpc.RpcError) -> str:
+def describe_error(error: grpc.RpcError) -> str:
     """Describes a failed call."""
     return f"{error.details()} ({error.code().name})"
 
@@ -89,7 +89,7 @@ def shapes(answers: Sequence[pb.InferResponse], horizon: int) -> Verdict:
             )
         if numbers % ACTION_WIDTH:
             return failed(
-                f"at query {at}, it answered {numbers} numbers, which are no whole actions of"
+                f"at query {at}, it answered {numbers} numbers, which is not a multiple of"
                 f" {ACTION_WIDTH}"
             )
         try:
@@ -105,8 +105,8 @@ def numbers_range(answers: Sequence[pb.InferResponse]) -> Verdict:
     if largest <= 1.0:
         return passed()
     if largest <= LARGEST_PLAUSIBLE:
-        return passed(f"the largest is {largest:.4g}: workers clip it, and count that")
-    return failed(f"the largest is {largest:.4g}: is it un-normalised?")
+        return passed(f"the largest is {largest:.4g}: workers clip such numbers and count them")
+    return failed(f"the largest is {largest:.4g}: check its un-normalisation")
 
 
 def same(expected: Sequence[pb.InferResponse], found: Sequence[pb.InferResponse]) -> Verdict:
@@ -121,35 +121,37 @@ def seeds(
     """Checks that another seed has the effect that the policy declares."""
     at = first_difference(one, other)
     if stochastic and at is None:
-        return failed("it declares itself stochastic, but seeds 1 and 2 give the same")
+        return failed("it declares itself stochastic, but seeds 1 and 2 give the same actions")
     if not stochastic and at is not None:
         return failed(f"it declares itself deterministic, but seeds 1 and 2 differ at query {at}")
     return passed()
 
 
 def batch(alone: Sequence[pb.InferResponse], batched: Sequence[pb.InferResponse]) -> Verdict:
-    """Checks that answers in a batch equal those given singly."""
+    """Checks that answers in a batch equal those to single queries."""
     if first_difference(alone, batched) is None:
         return passed("bit for bit")
     lengths = [[len(answer.actions) for answer in answers] for answers in (alone, batched)]
     if lengths[0] != lengths[1]:
-        return failed("in a batch there are other numbers of actions")
+        return failed("in a batch the answers have other numbers of actions")
     differences = [abs(a - b) for a, b in zip(_numbers(alone), _numbers(batched))]
     largest = max(differences)
     # `max` may miss a NaN, because comparisons with it are false.
     if largest <= BATCH_TOLERANCE and not any(map(math.isnan, differences)):
-        return passed(f"but they move actions by up to {largest:.1e}: batches cost reproducibility")
+        return passed(
+            f"except by up to {largest:.1e}: actions depend on the batch in low-order bits"
+        )
     return failed(f"in a batch the actions differ by up to {largest:.4g}")
 
 
 def speed(
-    alone: Sequence[float], concurrency: int, wall_secs: float, together: Sequence[float]
+    alone: Sequence[float], concurrency: int, wall_secs: float, concurrent: Sequence[float]
 ) -> Verdict:
     """Reports the latencies, s, of single queries and of `concurrency`
     concurrent episodes that took `wall_secs` in total."""
     return passed(
         f"one by one {_percentiles(alone)}; {concurrency} episodes at once"
-        f" {_percentiles(together)}, {len(together) / wall_secs:.0f} queries/s"
+        f" {_percentiles(concurrent)}, {len(concurrent) / wall_secs:.0f} queries/s"
     )
 
 

@@ -91,7 +91,7 @@ def find_blob(frame: np.ndarray) -> tuple[np.ndarray, float] | None:
 
 
 def smooth(values: np.ndarray) -> np.ndarray:
-    """Mean over a box around each pixel, borders replicated."""
+    """Returns the mean over a box around each pixel, borders replicated."""
     padded = np.pad(values, BOX // 2, mode="edge")
     windows = np.lib.stride_tricks.sliding_window_view(padded, (BOX, BOX))
     return windows.mean(axis=(2, 3))

@@ -47,5 +47,5 @@ class Ensemble:
         while len(self.chunks) > len(self.chunks[-1]):
             self.chunks.pop()
         weights = np.exp(-self.decay * np.arange(len(self.chunks)))
-        opinions = np.stack([chunk[age] for age, chunk in enumerate(self.chunks)])
-        return weights @ opinions / weights.sum()
+        actions = np.stack([chunk[age] for age, chunk in enumerate(self.chunks)])
+        return weights @ actions / weights.sum()

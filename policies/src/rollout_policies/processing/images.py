@@ -43,7 +43,7 @@ def resize(frame: np.ndarray, height: int, width: int, kernel: Kernel) -> np.nda
     return np.clip(np.round(filtered), 0, 255).astype(np.uint8)
 
 
-def resize_plainly(frame: np.ndarray, height: int, width: int) -> np.ndarray:
+def resize_bilinear(frame: np.ndarray, height: int, width: int) -> np.ndarray:
     """Resizes by linear interpolation between the two nearest samples, without
     antialiasing.
 
@@ -57,12 +57,12 @@ def resize_plainly(frame: np.ndarray, height: int, width: int) -> np.ndarray:
         centres = (np.arange(target, dtype=np.float32) + np.float32(0.5)) * np.float32(
             size / target
         )
-        values = _interpolated(values, axis, np.clip(centres - np.float32(0.5), 0, size - 1))
+        values = _interpolate(values, axis, np.clip(centres - np.float32(0.5), 0, size - 1))
     return np.clip(np.round(values), 0, 255).astype(np.uint8)
 
 
 def _filter_matrix(size: int, target: int, kernel: Kernel) -> np.ndarray:
-    """Weight of every sample [size] in every result [target]; rows sum to 1."""
+    """Returns the weight of every sample [size] in every result [target]; rows sum to 1."""
     weight_at, radius = kernel
     step = size / target
     # Pixels are squares: the centre of the first pixel is at one half.
@@ -93,18 +93,18 @@ def _sample_linearly(
 ) -> np.ndarray:
     """Returns `count` values between two positions, given as fractions of the whole."""
     last = values.shape[axis] - 1
-    return _interpolated(
+    return _interpolate(
         values, axis, np.linspace(start * last, end * last, count, dtype=np.float32)
     )
 
 
-def _interpolated(values: np.ndarray, axis: int, places: np.ndarray) -> np.ndarray:
+def _interpolate(values: np.ndarray, axis: int, positions: np.ndarray) -> np.ndarray:
     """Interpolates values at positions between samples, along one axis."""
-    below = np.floor(places).astype(int)
-    above = np.ceil(places).astype(int)
+    below = np.floor(positions).astype(int)
+    above = np.ceil(positions).astype(int)
     shape = [1] * values.ndim
-    shape[axis] = len(places)
-    share = (places - below).reshape(shape)
+    shape[axis] = len(positions)
+    share = (positions - below).reshape(shape)
     low, high = values.take(below, axis), values.take(above, axis)
     return low + (high - low) * share
 

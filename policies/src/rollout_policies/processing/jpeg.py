@@ -47,8 +47,8 @@ MIDDLE = 128
 
 #: The slow forward transform of eight values: the root of 2 times cosines, with
 #: thirteen fractional bits. These are sums of Loeffler, Ligtenberg and
-#: Moschytz's rounded multipliers, so some are one off. The second half of each
-#: row mirrors the first, with its sign in odd rows.
+#: Moschytz's rounded multipliers, so some differ by one from the rounded product.
+#: The second half of each row mirrors the first, with the opposite sign in odd rows.
 SLOW_BITS = 13
 SLOW_HALF = np.array(
     [
@@ -63,7 +63,8 @@ SLOW_HALF = np.array(
     ]
 )
 MIRROR = np.where(np.arange(BLOCK) % 2, -1, 1)[:, None]
-#: Integers far below 2^53, so that floats multiply them exactly, and faster.
+#: The transform as floats, which NumPy multiplies faster than integers: all numbers are far below
+#: 2^53, so the products are exact.
 SLOW = np.hstack([SLOW_HALF, MIRROR * SLOW_HALF[:, ::-1]]).astype(np.float64)
 #: Fractional bits kept between the row and column passes.
 SLOW_SUM_BITS = 2
@@ -74,8 +75,8 @@ FAST_FACTORS = np.where(
     np.arange(BLOCK) == 0, 1.0, np.sqrt(2) * np.cos(np.pi / 16 * np.arange(BLOCK))
 )
 FAST_SUM_BITS = 2
-#: Their multipliers, with eight fractional bits: the root of 2, twice the
-#: cosine of 22.5 degrees, and the difference and sum of both halves' roots.
+#: Multipliers of the fast inverse transform, with eight fractional bits: the root of 2, twice the
+#: cosine of 22.5 degrees, and the difference and sum of twice its cosine and twice its sine.
 FAST_BITS = 8
 ROOT_2, TWICE_COS, DIFFERENCE, SUM = 362, 473, 277, 669
 
@@ -90,31 +91,33 @@ def round_trip(frame: np.ndarray, quality: int = 95) -> np.ndarray:
     """
     height, width, _ = frame.shape
     if height % UNIT or width % UNIT:
-        raise ValueError(f"a frame of {width}x{height} is not made of {UNIT}x{UNIT} units")
-    planes = _shifted(frame @ TO_LUMA_CHROMA.T + CHROMA_BIAS, COLOUR_BITS)
-    luma = _coded(planes[..., 0] - MIDDLE, _steps(LUMA_STEPS, quality))
+        raise ValueError(f"a frame of {width}x{height} is not a multiple of {UNIT}x{UNIT} pixels")
+    planes = _shift_right(frame @ TO_LUMA_CHROMA.T + CHROMA_BIAS, COLOUR_BITS)
+    luma = _quantise(planes[..., 0] - MIDDLE, _quantisation_steps(LUMA_STEPS, quality))
     blue, red = (
-        _enlarged(_coded(_halved(planes[..., index]), _steps(CHROMA_STEPS, quality)))
+        _upsample(
+            _quantise(_subsample(planes[..., index]), _quantisation_steps(CHROMA_STEPS, quality))
+        )
         for index in (1, 2)
     )
-    tint = _shifted(np.stack([blue, red], axis=-1) @ TO_RGB.T, COLOUR_BITS)
+    tint = _shift_right(np.stack([blue, red], axis=-1) @ TO_RGB.T, COLOUR_BITS)
     return np.clip(luma[..., None] + MIDDLE + tint, 0, 255).astype(np.uint8)
 
 
-def _steps(table: np.ndarray, quality: int) -> np.ndarray:
-    """Returns the table for a quality of 1..100, by libjpeg's rule."""
+def _quantisation_steps(table: np.ndarray, quality: int) -> np.ndarray:
+    """Returns a quantisation table for a quality of 1..100, scaled by libjpeg's rule."""
     percent = 5000 // quality if quality < 50 else 200 - 2 * quality
     return np.clip((table * percent + 50) // 100, 1, 255)
 
 
-def _halved(plane: np.ndarray) -> np.ndarray:
-    """Means of two by two pixels; .5 is rounded down and up alternately."""
+def _subsample(plane: np.ndarray) -> np.ndarray:
+    """Returns the means of two by two pixels; .5 is rounded down and up alternately."""
     height, width = plane.shape
     sums = plane.reshape(height // 2, 2, width // 2, 2).sum(axis=(1, 3))
     return (sums + 1 + np.arange(width // 2) % 2) // 4
 
 
-def _coded(plane: np.ndarray, steps: np.ndarray) -> np.ndarray:
+def _quantise(plane: np.ndarray, steps: np.ndarray) -> np.ndarray:
     """Returns a plane, centred on 0, with its coefficients rounded to whole steps."""
     height, width = plane.shape
     blocks = plane.reshape(height // BLOCK, BLOCK, width // BLOCK, BLOCK).swapaxes(1, 2)
@@ -126,12 +129,12 @@ def _coded(plane: np.ndarray, steps: np.ndarray) -> np.ndarray:
 
 
 def _slow_forward(blocks: np.ndarray) -> np.ndarray:
-    """Coefficients of blocks [.., 8, 8], in eighths."""
-    rows = _shifted(blocks @ SLOW.T, SLOW_BITS - SLOW_SUM_BITS)
-    return _shifted(SLOW @ rows, SLOW_BITS + SLOW_SUM_BITS)
+    """Returns the coefficients of blocks [.., 8, 8], in eighths."""
+    rows = _shift_right(blocks @ SLOW.T, SLOW_BITS - SLOW_SUM_BITS)
+    return _shift_right(SLOW @ rows, SLOW_BITS + SLOW_SUM_BITS)
 
 
-def _shifted(values: np.ndarray, bits: int) -> np.ndarray:
+def _shift_right(values: np.ndarray, bits: int) -> np.ndarray:
     """Removes this many fractional bits, with halves rounded up."""
     return values.astype(np.int64) + (1 << (bits - 1)) >> bits
 
@@ -151,7 +154,7 @@ def _times(values: np.ndarray, multiplier: int) -> np.ndarray:
 
 
 def _fast_inverse_once(c: np.ndarray) -> np.ndarray:
-    """Eight values [8, ..] from eight scaled coefficients [8, ..]."""
+    """Returns eight values [8, ..] from eight scaled coefficients [8, ..]."""
     outer, inner = c[0] + c[4], c[0] - c[4]
     pair = c[2] + c[6]
     turned = _times(c[2] - c[6], ROOT_2) - pair
@@ -170,7 +173,7 @@ def _fast_inverse_once(c: np.ndarray) -> np.ndarray:
     return np.stack(first + last[::-1])
 
 
-def _enlarged(plane: np.ndarray) -> np.ndarray:
+def _upsample(plane: np.ndarray) -> np.ndarray:
     """Doubles the size: each value is three quarters its own sample and one quarter the
     neighbour's, down and across, as in libjpeg's triangle filter."""
     sums = _doubled(_doubled(plane, axis=0), axis=1)

@@ -12,7 +12,7 @@ STATE_FIELDS = (State.EEF_POS, State.EEF_QUAT_XYZW, State.GRIPPER_POS)
 
 
 def axis_angle(quaternion: np.ndarray) -> np.ndarray:
-    """Axis times angle, rad (3), of a quaternion x y z w.
+    """Returns axis times angle, rad (3), of a quaternion x y z w.
 
     robosuite's `quat2axisangle`: the sign of the quaternion is kept, so angles
     reach up to two pi. Making w positive first would give other numbers for the
@@ -26,7 +26,7 @@ def axis_angle(quaternion: np.ndarray) -> np.ndarray:
 
 
 def state_vector(observation: Observation) -> np.ndarray:
-    """The eight numbers of the state of LIBERO policies, float64: position of the fingertip
+    """Returns the eight numbers of LIBERO policies' state, float64: position of the fingertip
     site (m), orientation as axis times angle (rad), the two finger joints (m)."""
     return np.concatenate(
         [
@@ -44,6 +44,6 @@ def gripper_from_rlds(actions: np.ndarray) -> np.ndarray:
     OpenVLA's `normalize_gripper_action(binarize=True)`, then
     `invert_gripper_action`; exactly one half gives 0.
     """
-    turned = np.array(actions, dtype=np.float64)
-    turned[..., -1] = -np.sign(2 * turned[..., -1] - 1)
-    return turned
+    converted = np.array(actions, dtype=np.float64)
+    converted[..., -1] = -np.sign(2 * converted[..., -1] - 1)
+    return converted

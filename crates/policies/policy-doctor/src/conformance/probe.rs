@@ -133,9 +133,7 @@ impl Probe {
         {
             Err(status) if status.code() == Code::FailedPrecondition => verdict::pass(""),
             Err(status) => verdict::refused(&status),
-            Ok(_) => verdict::fail(format!(
-                "it describes itself to a caller of version {newer}"
-            )),
+            Ok(_) => verdict::fail(format!("it accepts a caller of protocol version {newer}")),
         }
     }
 

@@ -91,10 +91,12 @@ pub(crate) fn range(answers: &[InferResponse]) -> Verdict {
         pass("")
     } else if largest <= LARGEST_PLAUSIBLE {
         pass(format!(
-            "the largest is {largest}: workers clip it, and count that"
+            "the largest is {largest}: workers clip such numbers and count them"
         ))
     } else {
-        fail(format!("the largest is {largest}: is it un-normalised?"))
+        fail(format!(
+            "the largest is {largest}: check its un-normalisation"
+        ))
     }
 }
 
@@ -110,7 +112,9 @@ pub(crate) fn same(expected: &[InferResponse], found: &[InferResponse]) -> Verdi
 pub(crate) fn seeds(stochastic: bool, one: &[InferResponse], other: &[InferResponse]) -> Verdict {
     match (stochastic, first_difference(one, other)) {
         (true, Some(_)) | (false, None) => pass(""),
-        (true, None) => fail("it declares itself stochastic, but seeds 1 and 2 give the same"),
+        (true, None) => {
+            fail("it declares itself stochastic, but seeds 1 and 2 give the same actions")
+        }
         (false, Some(at)) => fail(format!(
             "it declares itself deterministic, but seeds 1 and 2 differ at query {at}"
         )),
@@ -133,7 +137,7 @@ pub(crate) fn batch(alone: &[InferResponse], batched: &[InferResponse]) -> Verdi
     let largest = differences.fold(0.0, f32::max);
     if is_comparable && largest <= BATCH_TOLERANCE {
         pass(format!(
-            "but they move actions by up to {largest:e}: batches cost reproducibility"
+            "except by up to {largest:e}: actions depend on the batch in low-order bits"
         ))
     } else {
         fail(format!("in a batch the actions differ by up to {largest}"))
