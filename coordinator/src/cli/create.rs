@@ -48,7 +48,7 @@ Examples:
   Two tasks under all axes at one level, 64 rollouts:
     coordinator campaign create --name first --policy student \\
         --endpoint http://127.0.0.1:7412 --tasks libero_object/0-1 --axes all --configs 0-3
-  The whole of LIBERO-CTRL v0.1, how long it takes, and nothing created:
+  The duration of all of LIBERO-CTRL v0.1, without creating the campaign:
     coordinator campaign create --name v01 --policy student \\
         --endpoint http://127.0.0.1:7412 --tasks all --axes all --levels L1,L2,L3 \\
         --nominal all --dry-run

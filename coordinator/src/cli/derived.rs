@@ -80,7 +80,7 @@ impl DerivedCampaign<'_> {
         let prospect = prospect(&client.report(self.source).await?)?;
         let proposal = self.proposal(client, &source, &prospect).await;
         if !flags.create {
-            let created = format!("nothing was created; `{command} --create` does that");
+            let created = format!("nothing was created; `{command} --create` creates the campaign");
             print_line(&format!("{proposal}\n{created}"))?;
             return Ok(false);
         }

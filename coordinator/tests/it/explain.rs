@@ -164,7 +164,7 @@ async fn explain_without_create_changes_nothing_and_names_the_flag() {
             );
             assert!(output.contains("takes at most "), "{output}");
             assert!(
-                output.contains(&format!("`coordinator {command} first --create` does that")),
+                output.contains(&format!("`coordinator {command} first --create` creates")),
                 "{output}"
             );
         }

@@ -76,8 +76,8 @@ impl Comparison {
         for (subject, side) in subjects.into_iter().zip(&sides) {
             if let Some(protocol) = &subject.protocol {
                 reasons.push(format!(
-                    "`{}` is a campaign of LIBERO's family, under {protocol}: its report has its \
-                     losses against the unperturbed rollouts",
+                    "`{}` is a campaign of LIBERO's family, under {protocol}: read its losses \
+                     against the unperturbed rollouts in the report of the campaign",
                     side.label
                 ));
             }
@@ -301,9 +301,10 @@ fn different_directions([a, b]: [&Subject; 2], sides: &[Side; 2]) -> Option<Stri
     (a.directions != b.directions).then(|| {
         format!(
             "the designs differ in their directions (`{}`: {}, `{}`: {}), so that perturbed \
-             rollouts of one id are not the same: where they are paired, intervals about new \
-             directions take them as shared; create both campaigns with the same `--directions`, \
-             or say in a file's `about.json` that it has its own",
+             rollouts with the same id differ: intervals about new directions treat the \
+             directions of paired rollouts as shared by all tasks; create both campaigns with \
+             the same `--directions`, or set `\"directions\": \"own\"` in the `about.json` of \
+             results whose tasks have directions of their own",
             sides[0].label,
             words(a.directions),
             sides[1].label,

@@ -84,8 +84,8 @@ impl AxisInteractions {
         if let Some((explanation, _)) = explains {
             notes.push(format!(
                 "these configurations were picked because simultaneous perturbation changes their \
-                 outcome: what follows is true of them, and not of all configurations of `{}`; for \
-                 that, create a campaign with `--subsets all`",
+                 outcome: the results hold for them, and not for all configurations of `{}`; to \
+                 measure all configurations, create a campaign with `--subsets all`",
                 explanation.campaign
             ));
         }
@@ -166,9 +166,10 @@ impl AxisInteractions {
              interaction, in points: what its axes do together beyond all that their subsets do. \
              Nominal success and all interactions add up to simultaneous success. A share is an \
              axis's Shapley value: its effect, averaged over all orders in which axes can be added. \
-             Of a pair, the Shapley interaction index is how much one axis changes the effect of the \
-             other; below 0 they do more harm together. In brackets, 95 % intervals; those of all \
-             shares hold together, so do those of all pairs, and of all effects of subsets.",
+             The index of a pair is its Shapley interaction index: the amount by which one axis \
+             changes the effect of the other; below 0 they do more harm together. Brackets hold \
+             95 % intervals, which hold simultaneously for all shares, for all pairs, and for all \
+             effects of subsets.",
         );
         text
     }
