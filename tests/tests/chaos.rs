@@ -15,8 +15,8 @@ use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
 use tests::chaos::{Fault, Fleet, LEASE, Plan, Schedule, SlotKind, Way};
 
 /// Numbers of schedules with simulated slots and with MuJoCo.
-const SIMULATED: u64 = 48;
-const REAL: u64 = 4;
+const SIMULATED_SCHEDULES: u64 = 48;
+const REAL_SCHEDULES: u64 = 4;
 /// Number of concurrent systems for each core; most of the time they wait.
 const AT_A_TIME_PER_CORE: usize = 3;
 
@@ -25,12 +25,12 @@ const CHARGED: &str = "SELECT coalesce(sum(charged), 0) FROM failure";
 
 #[test]
 fn a_campaign_under_faults_ends_as_the_undisturbed_one() {
-    play(SlotKind::Simulated, seeds(0..SIMULATED));
+    play(SlotKind::Simulated, seeds(0..SIMULATED_SCHEDULES));
 }
 
 #[test]
 fn a_campaign_with_mujoco_under_faults_ends_as_the_undisturbed_one() {
-    play(SlotKind::Real, seeds(100..100 + REAL));
+    play(SlotKind::Real, seeds(100..100 + REAL_SCHEDULES));
 }
 
 /// Returns the seeds that the environment requests, or the default ones.
@@ -43,7 +43,7 @@ fn seeds(default: std::ops::Range<u64>) -> VecDeque<u64> {
     (number(first)..=number(last)).collect()
 }
 
-/// Plays schedules, several at a time; names those that failed at the end.
+/// Plays schedules, several at a time, and finally names those that failed.
 fn play(slots: SlotKind, seeds: VecDeque<u64>) {
     let start = Instant::now();
     let expected = Fleet::start(slots).outcome();

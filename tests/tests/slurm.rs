@@ -29,8 +29,8 @@ fn a_campaign_on_a_real_cluster_loses_no_result_and_charges_no_attempt() {
     let campaign = ClusterCampaign::open(cluster);
 
     // The array spans two nodes, and the gateway is on the one with the GPU.
-    let gateway = campaign.job_called("rollout-gateway");
-    let array = campaign.job_called("rollout-workers");
+    let gateway = campaign.job_named("rollout-gateway");
+    let array = campaign.job_named("rollout-workers");
     let tasks = [1, 2].map(|task| format!("{array}_{task}"));
     campaign.wait_until("both workers run", |campaign| campaign.live_workers() == 2);
     let node = |job: &str| campaign.cluster.job(job).node;
@@ -265,7 +265,7 @@ impl ClusterCampaign {
         );
     }
 
-    fn job_called(&self, name: &str) -> String {
+    fn job_named(&self, name: &str) -> String {
         let name = format!("--name={name}");
         let jobs = self
             .cluster

@@ -90,17 +90,17 @@ fn variants(file: &Path, sources: &Path, more: &[&str]) -> Output {
 
 #[track_caller]
 fn succeed(output: Output) -> String {
-    let complaint = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{complaint}");
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{errors}");
     String::from_utf8(output.stdout).expect("UTF-8")
 }
 
 #[track_caller]
-fn refused(output: &Output, expected: &[&str]) {
-    let complaint = String::from_utf8_lossy(&output.stderr);
-    assert!(!output.status.success(), "{complaint}");
+fn assert_refused(output: &Output, expected: &[&str]) {
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success(), "{errors}");
     for words in expected {
-        assert!(complaint.contains(words), "no `{words}`: {complaint}");
+        assert!(errors.contains(words), "no `{words}`: {errors}");
     }
 }
 
@@ -221,8 +221,8 @@ fn missing_and_foreign_files_are_named_before_anything_starts() {
     ] {
         assert!(counted.contains(words), "no `{words}`: {counted}");
     }
-    let complaint = ["run 1 of the 2 chosen", "stove.pruned_init", "--runnable"];
-    refused(&suite.call(&run), &complaint);
+    let expected = ["run 1 of the 2 chosen", "stove.pruned_init", "--runnable"];
+    assert_refused(&suite.call(&run), &expected);
     assert!(!output.exists(), "nothing ran");
     succeed(suite.call(&[&run[..], &["--runnable"]].concat()));
     assert_eq!(results(&output).len(), 1);
@@ -234,7 +234,7 @@ fn missing_and_foreign_files_are_named_before_anything_starts() {
     let mut other = file.clone();
     other["seed"] = 7.into();
     suite.write(&other);
-    refused(
+    assert_refused(
         &suite.call(&run),
         &["protocol `kitchen@", "give another --output"],
     );
@@ -269,15 +269,15 @@ fn missing_and_foreign_files_are_named_before_anything_starts() {
     check(&file, &["stove.bddl"]);
 
     suite.write(&json!({"name": "kitchen"}));
-    refused(
+    assert_refused(
         &suite.call(&[]),
         &["kitchen.json", "`start`", "docs/FAMILY.md"],
     );
-    refused(
+    assert_refused(
         &suite.call(&["--protocol", "pro-bddl"]),
         &["cannot be used with"],
     );
-    refused(
+    assert_refused(
         &suite.call(&["--pro", "libero_goal_swap"]),
         &["cannot be used with"],
     );
@@ -405,7 +405,7 @@ async fn a_campaign_of_ten_tasks_of_libero_90_has_the_outcomes_of_worker_variant
     let both = [&create[..], &["--protocol", "pro-bddl"]].concat();
     assert!(!campaigns.call(&both).status.success());
     fs::write(&path, "{}").expect("writes");
-    refused(
+    assert_refused(
         &campaigns.call(&create),
         &["ten.json", "`name`", "docs/FAMILY.md"],
     );

@@ -172,10 +172,10 @@ impl Session {
             fatal: true,
             ..failure(problem, &output)
         };
-        sent.map_err(|error| fatal(format!("the shell is gone: {error}")))?;
+        sent.map_err(|error| fatal(format!("the shell has ended: {error}")))?;
         match self.answers.recv_timeout(PATIENCE) {
             Ok(answer) => Ok((answer, output)),
-            Err(RecvTimeoutError::Disconnected) => Err(fatal("the shell is gone".to_owned())),
+            Err(RecvTimeoutError::Disconnected) => Err(fatal("the shell has ended".to_owned())),
             Err(RecvTimeoutError::Timeout) => {
                 let secs = PATIENCE.as_secs();
                 Err(fatal(format!("it takes more than {secs} s")))
