@@ -12,7 +12,7 @@ use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
-use tests::chaos::{Fault, Fleet, LEASE, Plan, Schedule, SlotKind, Way};
+use tests::chaos::{Fault, Fleet, LEASE, Link, Plan, Schedule, SlotKind};
 
 /// Numbers of schedules with simulated slots and with MuJoCo.
 const SIMULATED_SCHEDULES: u64 = 48;
@@ -145,7 +145,7 @@ fn repeated_network_outages_charge_neither_rollouts_nor_workers() {
     let mut fleet = Fleet::start(SlotKind::Simulated);
     for _ in 0..6 {
         fleet.inject(Fault::Block(
-            Way::ToCoordinator,
+            Link::ToCoordinator,
             LEASE + Duration::from_secs(1),
         ));
         std::thread::sleep(Duration::from_millis(300));

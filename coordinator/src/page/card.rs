@@ -218,7 +218,7 @@ fn origin(shown: &ShownRollout, replicate: u32) -> Markup {
         facts.push(("worker", worker.to_string()));
     }
     if let Some(result) = &shown.result {
-        facts.extend(of_result(result));
+        facts.extend(result_facts(result));
     }
     html! {
         dl.facts {
