@@ -47,11 +47,11 @@ fn a_campaign_on_a_real_cluster_loses_no_result_and_charges_no_attempt() {
         campaign.count("committed") >= 4
     });
 
-    // A worker that is told to stop while it waits for its next rollout returns no attempt.
+    // A worker that is asked to stop while it waits for its next rollout returns no attempt.
     while campaign.returned_attempts() == 0 {
         assert!(
             !campaign.is_finished(),
-            "no worker was told to stop during a rollout"
+            "no worker was asked to stop during a rollout"
         );
         campaign.wait_until("both workers have rollouts", |campaign| {
             campaign.count("leased") == 2 || campaign.is_finished()

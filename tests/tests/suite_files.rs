@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use sqlx::Connection;
 use tests::programs::{Campaigns, Process, program};
 
-/// Prompt of `libero_goal/8`, which the student knows.
+/// Prompt of `libero_goal/8`, on which the student was trained.
 const PROMPT: &str = "put the bowl on the plate";
 
 /// Outcome, digests of scene and initial state, digest of the policy's first frames, and prompt.
@@ -343,7 +343,8 @@ async fn a_campaign_of_ten_tasks_of_libero_90_has_the_outcomes_of_worker_variant
     let sources = tests::files::sources();
     succeed(variants(&path, sources.dir(), &run));
     let alone = results(&output).into_iter();
-    let alone: BTreeMap<String, Outcome> = alone.map(|(name, (_, it))| (name, it)).collect();
+    let alone = alone.map(|(name, (_, outcome))| (name, outcome));
+    let alone: BTreeMap<String, Outcome> = alone.collect();
     assert_eq!(alone.len(), 10);
     assert_eq!(stored(&data).await, alone);
 

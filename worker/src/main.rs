@@ -288,7 +288,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
         assignment: &assignment,
         files: own_task.as_ref().map(OwnTask::files),
         variant: None,
-        draw: !arguments.no_video,
+        renders_ends: !arguments.no_video,
         output: &arguments.output,
     };
     let result = single::run(&mut simulator, actor.as_mut(), &request)?.result;

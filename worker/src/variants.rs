@@ -91,7 +91,7 @@ impl Run<'_> {
             assignment: &assignment,
             files: Some(files),
             variant: Some(start),
-            draw: self.video,
+            renders_ends: self.video,
             output: &output,
         };
         let finished = single::run(simulator, actor, &request)?;

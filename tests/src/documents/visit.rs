@@ -42,7 +42,7 @@ pub fn failures(page: &str, text: &str) -> Vec<String> {
                         continue;
                     };
                     failures.push(describe_failure(page, command, &failure));
-                    if failure.fatal {
+                    if failure.is_fatal {
                         return failures;
                     }
                 }

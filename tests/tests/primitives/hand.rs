@@ -242,8 +242,8 @@ fn sideways_offsets(preferred: [f64; 2]) -> Vec<[f64; 2]> {
         || (-MAX_SIDEWAYS_STEPS..=MAX_SIDEWAYS_STEPS).map(|step| f64::from(step) * SIDEWAYS_STEP);
     let mut sideways_offsets: Vec<_> = steps().flat_map(|x| steps().map(move |y| [x, y])).collect();
     sideways_offsets.sort_by(|a, b| {
-        let away = |aside: &[f64; 2]| (aside[0] - preferred[0]).hypot(aside[1] - preferred[1]);
-        away(a).total_cmp(&away(b))
+        let distance = |at: &[f64; 2]| (at[0] - preferred[0]).hypot(at[1] - preferred[1]);
+        distance(a).total_cmp(&distance(b))
     });
     sideways_offsets
 }
