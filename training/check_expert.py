@@ -5,7 +5,7 @@
 In each rollout the expert drives, with interruptions: ``pushes`` adds a push to its
 actions; a ``stranger`` stands still, wanders, or repeats the expert's actions of a
 second ago, with a gripper command of its own. The expert begins at the benchmark's
-released states and has twice the benchmark's steps. Nothing is drawn.
+released states and has twice the benchmark's steps. No frames are rendered.
 """
 
 from __future__ import annotations
@@ -35,6 +35,7 @@ WANDERING = np.array([0.5, 0.5, 0.5, 0.1, 0.1, 0.1])
 """Largest action of a wandering stranger; a push is three times as large. Larger rotations would
 end at the joint limits, from which no policy that commands the hand recovers."""
 LATE, STILL, WANDERS = range(3)
+"""Motions of a stranger: the expert's delayed actions, none, or one random action."""
 
 
 def rollout(name: str, state: int, arguments: argparse.Namespace) -> tuple[bool, int]:
@@ -53,21 +54,21 @@ def rollout(name: str, state: int, arguments: argparse.Namespace) -> tuple[bool,
     env.reset(seed=state)
     rng = np.random.default_rng([arguments.seed, TASK_NAMES.index(name), state])
     late = deque([np.zeros(7)] * DELAY, maxlen=DELAY)
-    strange, left, steps, turns = False, int(rng.integers(*BETWEEN)), 0, 0
-    drives, wander, gripper = STILL, np.zeros(6), -1.0
+    interrupted, left, steps, turns = False, int(rng.integers(*BETWEEN)), 0, 0
+    motion, wander, gripper = STILL, np.zeros(6), -1.0
     while True:
         if left == 0 and disturbed and turns < 2 * STRETCHES:
-            strange, turns = not strange, turns + 1
-            left = int(rng.integers(*(STRETCH if strange else BETWEEN)))
-            drives, gripper = int(rng.integers(3)), float(rng.choice([-1.0, 1.0]))
+            interrupted, turns = not interrupted, turns + 1
+            left = int(rng.integers(*(STRETCH if interrupted else BETWEEN)))
+            motion, gripper = int(rng.integers(3)), float(rng.choice([-1.0, 1.0]))
             wander = rng.uniform(-1.0, 1.0, 6) * WANDERING
         left -= 1
         action, expert = np.zeros(7), True
-        if strange and arguments.driver == "pushes":
+        if interrupted and arguments.driver == "pushes":
             action[:6] = 3.0 * wander
-        elif strange:
-            own = {LATE: late[0][:6], STILL: np.zeros(6), WANDERS: wander}[drives]
-            action, expert = np.append(own, late[0][6] if drives == LATE else gripper), False
+        elif interrupted:
+            own = {LATE: late[0][:6], STILL: np.zeros(6), WANDERS: wander}[motion]
+            action, expert = np.append(own, late[0][6] if motion == LATE else gripper), False
         *_, terminated, truncated, info = env.step_chunk(
             action[np.newaxis, np.newaxis], "none", expert=np.full((1, 1), expert)
         )
@@ -93,7 +94,7 @@ def check(arguments: argparse.Namespace) -> None:
             failed = [state for state, (success, _) in solves if not success]
             solved += len(ended) - len(failed)
             median = int(np.median([steps for _, steps in ended]))
-            shown = f"   not {failed}" if failed else ""
+            shown = f"   failed from states {failed}" if failed else ""
             print(
                 f"{name:18} {len(ended) - len(failed)}/{len(ended)}  median {median}{shown}",
                 flush=True,

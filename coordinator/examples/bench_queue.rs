@@ -85,13 +85,13 @@ async fn main() -> Result<()> {
     let mut background = JoinSet::new();
     for worker in 0..arguments.slots.div_ceil(arguments.slots_per_worker) {
         queue.register(&worker_info(worker, &arguments)).await?;
-        background.spawn(beat(queue.clone(), worker));
+        background.spawn(send_heartbeats(queue.clone(), worker));
     }
-    let sweeping = queue.clone();
+    let swept_queue = queue.clone();
     background.spawn(async move {
         loop {
-            tokio::time::sleep(sweeping.timing().sweep).await;
-            sweeping.sweep().await?;
+            tokio::time::sleep(swept_queue.timing().sweep).await;
+            swept_queue.sweep().await?;
         }
     });
 
@@ -197,7 +197,7 @@ async fn run_slot(
     let worker = worker_id(slot / arguments.slots_per_worker);
     let span = Duration::from_millis(arguments.rollout_millis);
     // Random start delay, so that the slots do not claim in lockstep.
-    tokio::time::sleep(span.mul_f64(share(&mut rng))).await;
+    tokio::time::sleep(span.mul_f64(random_fraction(&mut rng))).await;
     let mut warm_task: Option<String> = None;
     while measured.committed.load(Ordering::Relaxed) < jobs {
         let request = ClaimRequest {
@@ -220,7 +220,7 @@ async fn run_slot(
         );
         let row: ManifestRow = serde_json::from_str(&job.manifest_row)?;
         warm_task = Some(row.id.task().to_string());
-        tokio::time::sleep(span.mul_f64(0.8 + 0.4 * share(&mut rng))).await;
+        tokio::time::sleep(span.mul_f64(0.8 + 0.4 * random_fraction(&mut rng))).await;
         let report = outcome(&worker, &job, &row, &mut rng);
         let began = Instant::now();
         let reply = queue.commit(&report).await?;
@@ -234,7 +234,7 @@ async fn run_slot(
 }
 
 /// Sends a worker's heartbeats. They renew no leases, since rollouts are shorter than a lease.
-async fn beat(queue: Arc<Queue>, worker: u32) -> Result<()> {
+async fn send_heartbeats(queue: Arc<Queue>, worker: u32) -> Result<()> {
     loop {
         tokio::time::sleep(queue.timing().heartbeat).await;
         queue.heartbeat(&worker_id(worker), &[]).await?;
@@ -340,7 +340,7 @@ fn cpu_secs() -> Result<f64> {
     Ok(ticks.sum::<Result<f64>>()? / 100.0)
 }
 
-fn share(rng: &mut impl Rng) -> f64 {
+fn random_fraction(rng: &mut impl Rng) -> f64 {
     f64::from(rng.next_u32()) / f64::from(u32::MAX)
 }
 

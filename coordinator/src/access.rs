@@ -11,7 +11,7 @@ pub(crate) const LOG_IN: &str = "/login";
 /// Path prefix of the calls for workers.
 const WORKER_SERVICE: &str = "/rollout.coordinator.v1.WorkerService/";
 /// Read-only calls of the operator service.
-const READING: [&str; 8] = [
+const READ_ONLY_CALLS: [&str; 8] = [
     "/rollout.coordinator.v1.OperatorService/ListCampaigns",
     "/rollout.coordinator.v1.OperatorService/GetCampaign",
     "/rollout.coordinator.v1.OperatorService/ListJobs",
@@ -23,17 +23,17 @@ const READING: [&str; 8] = [
 ];
 
 /// Pages and files that need no login. They reveal nothing about campaigns.
-const OPEN: [&str; 5] = [LOG_IN, "/logout", "/style.css", "/page.js", "/icon.svg"];
+const PUBLIC_PATHS: [&str; 5] = [LOG_IN, "/logout", "/style.css", "/page.js", "/icon.svg"];
 
 /// Returns the kind of resource at a path and the roles that may access it.
 pub(crate) fn resource(path: &str) -> Resource {
     if path.starts_with(WORKER_SERVICE) {
         Resource::Call(Allowed::OneOf(&[Role::Worker]))
-    } else if READING.contains(&path) {
+    } else if READ_ONLY_CALLS.contains(&path) {
         Resource::Call(Allowed::OneOf(&READERS))
     } else if is_call(path) {
         Resource::Call(Allowed::OneOf(&[Role::Operator]))
-    } else if OPEN.contains(&path) {
+    } else if PUBLIC_PATHS.contains(&path) {
         Resource::Page(Allowed::Everybody)
     } else {
         Resource::Page(Allowed::OneOf(&READERS))

@@ -31,7 +31,7 @@ pub use unpack::{Unpacked, unpack};
 /// Version of the archive format; archives with a newer one are rejected.
 const FORMAT: u32 = 1;
 /// Member that holds the table of contents.
-const LIST: &str = "archive.json";
+const CONTENTS_FILE: &str = "archive.json";
 /// Prefix of temporary folders for campaigns being exported or imported.
 pub const MOVING_PREFIX: &str = queue::MOVING_PREFIX;
 
@@ -50,14 +50,14 @@ pub struct Contents {
     pub source: Option<SourceOutcomes>,
     /// Archives that were merged into this one; empty unless merged.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
-    pub merged_from: Vec<Half>,
+    pub merged_from: Vec<MergedArchive>,
     /// The other members, in order.
     pub members: Vec<Member>,
 }
 
 /// Archive that was merged into another one.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Half {
+pub struct MergedArchive {
     pub campaign: String,
     /// Name and version of the program that wrote the archive.
     pub program: String,

@@ -9,7 +9,7 @@ use terminal::{counted, wrapped};
 use crate::words::duration_text;
 
 /// Share of waiting in a rollout's time from which the text explains it, percent.
-const MUCH_WAITING: f64 = 20.0;
+const LARGE_WAITING_PERCENT: f64 = 20.0;
 
 pub fn message(forecast: Forecast) -> ForecastResponse {
     ForecastResponse {
@@ -114,7 +114,7 @@ pub fn parts(speed: &Speed) -> String {
             share(secs),
             1_000.0 * secs / speed.policy_queries
         ),
-        "waiting" if share(secs) >= MUCH_WAITING => {
+        "waiting" if share(secs) >= LARGE_WAITING_PERCENT => {
             format!(
                 "waiting {:.0} % (for cores, a graphics card or a disk)",
                 share(secs)
@@ -136,7 +136,7 @@ pub fn bottleneck(speed: &Speed, slots: u32) -> Option<String> {
     let enough_duration = duration_text(speed.enough_slots_secs?);
     let enough_slots_text = counted(enough.into(), "slot");
     let fewer = match enough < slots {
-        true => format!("; {enough_slots_text} would do"),
+        true => format!("; {enough_slots_text} would suffice"),
         false => String::new(),
     };
     Some(match speed.bottleneck() {
@@ -206,10 +206,10 @@ mod tests {
     fn a_bottleneck_other_than_slots_is_named_with_its_remedy() {
         let cores = describe(&measured(Bottleneck::Cores), "pi05").replace("\n    ", " ");
         assert!(cores.ends_with("do not help; more cores do"), "{cores}");
-        let mut many = measured(Bottleneck::Policy);
-        many.slots = 64;
-        let policy = describe(&many, "pi05").replace("\n    ", " ");
-        let end = "do not help; 22 slots would do; more replicas of the policy do";
+        let mut with_enough_slots = measured(Bottleneck::Policy);
+        with_enough_slots.slots = 64;
+        let policy = describe(&with_enough_slots, "pi05").replace("\n    ", " ");
+        let end = "do not help; 22 slots would suffice; more replicas of the policy do";
         assert!(policy.ends_with(end), "{policy}");
     }
 
@@ -244,15 +244,15 @@ mod tests {
     fn a_large_share_of_waiting_is_explained() {
         let small = parts(&measured(Bottleneck::Slots).speed.expect("a speed"));
         assert!(small.contains("waiting 10 %; mean"), "{small}");
-        let much = Speed {
+        let mostly_waiting = Speed {
             physics_secs: 3.0,
             waiting_secs: 1.0,
             ..Speed::default()
         };
         assert!(
-            parts(&much).contains("waiting 25 % (for cores, "),
+            parts(&mostly_waiting).contains("waiting 25 % (for cores, "),
             "{}",
-            parts(&much)
+            parts(&mostly_waiting)
         );
     }
 

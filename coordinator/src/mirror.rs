@@ -12,7 +12,7 @@ use queue::{FilmHere, Forgotten, Queue};
 use crate::storage::{Storage, StorageError};
 
 /// Interval between two scans for films.
-const PAUSE: Duration = Duration::from_secs(2);
+const SCAN_INTERVAL: Duration = Duration::from_secs(2);
 /// Concurrent uploads: the storage's latency exceeds the transfer time of a film.
 const CONCURRENCY: usize = 8;
 /// Longest pause between retries while the storage fails.
@@ -20,17 +20,17 @@ const LONGEST_PAUSE: Duration = Duration::from_secs(60);
 
 /// Moves films until the future is dropped.
 pub(crate) async fn run(queue: Arc<Queue>, storage: Arc<Storage>) {
-    let mut pause = PAUSE;
+    let mut pause = SCAN_INTERVAL;
     loop {
         match move_films(&queue, &storage).await {
-            Ok(()) if pause > PAUSE => {
+            Ok(()) if pause > SCAN_INTERVAL => {
                 tracing::info!("films are stored at {} again", storage.location());
-                pause = PAUSE;
+                pause = SCAN_INTERVAL;
             }
             Ok(()) => {}
             Err(problem) => {
                 // Logged once per outage.
-                if pause == PAUSE {
+                if pause == SCAN_INTERVAL {
                     tracing::error!(
                         "failed to {problem}; films stay in the data folder and are retried"
                     );

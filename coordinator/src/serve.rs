@@ -148,12 +148,15 @@ impl Coordinator {
         // Background tasks, aborted when this function returns.
         let mut background = Tasks::default();
         let notifier = page.clone();
-        background.spawn("the page's changes", async move {
+        background.spawn("the polling of changes for pages", async move {
             notifier.poll_changes().await
         });
         let calls = grpc::services(&queue, &gauges, storage.as_ref());
         if let Some(storage) = storage {
-            background.spawn("the films' mirror", mirror::run(queue.clone(), storage));
+            background.spawn(
+                "the task that moves films",
+                mirror::run(queue.clone(), storage),
+            );
         }
         // A task of its own, since a sweep waits for the database writer while connections and
         // signals must not.

@@ -176,7 +176,7 @@ impl Storage {
         };
         let bytes = copied.map_err(|error| self.failed("store", key, &error))?;
         let stored = self.store.head(&at).await;
-        let stored = stored.map_err(|error| self.failed("look for", key, &error))?;
+        let stored = stored.map_err(|error| self.failed("find", key, &error))?;
         match stored.size == bytes {
             true => Ok(()),
             false => {

@@ -14,9 +14,9 @@ const FILMING_SECS_PER_STEP: f64 = 0.12;
 const ACTION_BYTES_PER_STEP: f64 = 28.0;
 /// Fraction of configurations whose outcome simultaneous perturbation changed in the paper: 1,417
 /// of 8,400 over seven policies and three levels (table of paired outcomes, b + c).
-const CHANGED_IN_THE_PAPER: f64 = 0.17;
+const PAPER_CHANGED_SHARE: f64 = 0.17;
 /// Largest such fraction of one policy at one level: 134 of 400.
-const MOST_CHANGED_IN_THE_PAPER: f64 = 0.34;
+const PAPER_MAX_CHANGED_SHARE: f64 = 0.34;
 
 /// Describes the disk space and time of a campaign's videos; `None` if it records none.
 pub fn describe(campaign: &NewCampaign) -> Option<String> {
@@ -32,10 +32,10 @@ pub fn describe(campaign: &NewCampaign) -> Option<String> {
             "videos of configurations whose outcome changes: up to\n  {} if {:.0} % change, \
              as in the paper;\n  {} if {:.0} % do, the largest share there;\nuntil they \
              are filmed, up to {} of actions",
-            videos(CHANGED_IN_THE_PAPER),
-            CHANGED_IN_THE_PAPER * 100.0,
-            videos(MOST_CHANGED_IN_THE_PAPER),
-            MOST_CHANGED_IN_THE_PAPER * 100.0,
+            videos(PAPER_CHANGED_SHARE),
+            PAPER_CHANGED_SHARE * 100.0,
+            videos(PAPER_MAX_CHANGED_SHARE),
+            PAPER_MAX_CHANGED_SHARE * 100.0,
             size(steps * ACTION_BYTES_PER_STEP),
         )),
         record => Some(format!(

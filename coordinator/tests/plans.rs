@@ -28,7 +28,7 @@ use tracing_subscriber::util::SubscriberInitExt;
 
 /// Tables of a few rows, by the names and aliases that statements give them: campaigns, their
 /// tasks, policies, workers, origins.
-const SMALL: [&str; 10] = [
+const SMALL_TABLES: [&str; 10] = [
     "c",
     "t",
     "p",
@@ -41,9 +41,9 @@ const SMALL: [&str; 10] = [
     "ending_tally",
 ];
 /// Indices that hold only jobs that are leased, backed off or run alone.
-const OF_FEW_JOBS: [&str; 4] = ["job_leased", "job_held", "job_backed_off", "job_alone"];
+const SMALL_INDICES: [&str; 4] = ["job_leased", "job_held", "job_backed_off", "job_alone"];
 /// Indices that frequent statements must walk.
-const WALKED: [&str; 4] = ["job_queued", "job_leased", "job_siblings", "worker_seen"];
+const REQUIRED_INDICES: [&str; 4] = ["job_queued", "job_leased", "job_siblings", "worker_seen"];
 
 /// Evidence that a loop of the table in docs/ARCHITECTURE.md walks no campaign, or the reason why
 /// it may.
@@ -349,10 +349,10 @@ async fn inspect_plan(
         walked.extend(index.map(str::to_owned));
         let is_scan = words[0] == "SCAN" && words[1] != "CONSTANT";
         // `json_each` walks values that the statement itself contains.
-        let is_small = SMALL.contains(&words[1])
+        let is_small = SMALL_TABLES.contains(&words[1])
             || words[1].starts_with('(')
             || line.contains("VIRTUAL TABLE");
-        if is_scan && !is_small && !index.is_some_and(|index| OF_FEW_JOBS.contains(&index)) {
+        if is_scan && !is_small && !index.is_some_and(|index| SMALL_INDICES.contains(&index)) {
             faults.push(line);
         }
     }
@@ -373,7 +373,7 @@ async fn campaign_walks(connection: &mut SqliteConnection, statement: &str) -> V
             .iter()
             .any(|start| word.starts_with(start))
         });
-        index.is_some_and(|index| !OF_FEW_JOBS.contains(&index))
+        index.is_some_and(|index| !SMALL_INDICES.contains(&index))
             && line.ends_with("(campaign_id=?)")
     };
     lines.into_iter().filter(walks).collect()
@@ -431,19 +431,19 @@ async fn no_frequent_statement_walks_all_jobs() {
     );
     // A provenance is inserted once per kind of worker, not once per rollout, and SQLite would
     // search the rows that refer to it only if references were broken.
-    let is_hot = |statement: &&String| {
+    let is_inspected = |statement: &&String| {
         verbs.iter().any(|verb| statement.starts_with(verb))
             && !statement.starts_with("INSERT INTO provenance")
     };
-    let hot: Vec<&String> = statements.iter().filter(is_hot).collect();
-    assert!(hot.len() >= 20, "{statements:#?}");
+    let inspected: Vec<&String> = statements.iter().filter(is_inspected).collect();
+    assert!(inspected.len() >= 20, "{statements:#?}");
     let mut walked = BTreeSet::new();
-    for statement in hot {
+    for statement in inspected {
         let (faults, indices) = inspect_plan(&mut connection, statement).await;
         assert!(faults.is_empty(), "{faults:?} in\n{statement}");
         walked.extend(indices);
     }
-    for index in WALKED {
+    for index in REQUIRED_INDICES {
         assert!(walked.contains(index), "{index} is not walked: {walked:?}");
     }
 
@@ -461,7 +461,7 @@ async fn no_frequent_statement_walks_all_jobs() {
             "{part} in {frequent:#?}"
         );
     }
-    for statement in frequent.iter().filter(is_hot) {
+    for statement in frequent.iter().filter(is_inspected) {
         let is_outcomes = statement.contains("LEFT JOIN result r");
         assert!(
             !is_outcomes,

@@ -297,7 +297,7 @@ def test_an_inconsistent_description_is_refused_at_construction():
         Description(name="p", horizon=2000)
     with pytest.raises(ValueError, match="setting 'revision' is 3;.* must be strings"):
         Description(name="p", settings={"revision": 3})
-    with pytest.raises(ValueError, match="checkpoint has 513 bytes, and results hold 512"):
+    with pytest.raises(ValueError, match="checkpoint has 513 bytes, and results hold at most 512"):
         Description(name="p", checkpoint="x" * 513)
     with pytest.raises(ValueError, match="a reading is named twice"):
         Description(name="p", state=(State.EEF_POS, State.EEF_POS))

@@ -81,15 +81,15 @@ def test_files_are_compared_in_parts_of_any_size(tmp_path, monkeypatch, count):
     stored["old.0.weight"] += 1e-6 * stored["old.0.weight"]
     save_file(stored, file)
 
-    def look():
+    def require_loaded():
         with weights.stored_in([file], lambda name: name.removeprefix("old.")) as there:
             weights.require_loaded(network, there, "mine")
 
-    look()
+    require_loaded()
     stored["old.0.weight"][-1, -1] += 1
     save_file(stored, file)
     with pytest.raises(UnusableCheckpoint, match=r"1 of other content \(0.weight\)"):
-        look()
+        require_loaded()
 
 
 def test_a_file_is_never_read_whole(tmp_path, monkeypatch):

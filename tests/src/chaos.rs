@@ -8,5 +8,5 @@ mod schedule;
 mod wire;
 
 pub use fleet::{Fleet, LEASE, Plan, SlotKind};
-pub use schedule::{Fault, Schedule, Way};
+pub use schedule::{Fault, Link, Schedule};
 pub use wire::Wire;

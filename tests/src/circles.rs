@@ -273,29 +273,26 @@ fn use_tree(tokens: &[TokenTree]) -> Vec<Vec<String>> {
 
 /// Returns the strongly connected components with more than one module.
 fn components(imports: &Imports) -> Vec<BTreeSet<Module>> {
-    let reach = |from: &Module| {
-        let mut seen = BTreeSet::new();
-        let mut open = vec![from];
-        while let Some(module) = open.pop() {
+    let reachable = |from: &Module| {
+        let mut visited = BTreeSet::new();
+        let mut pending = vec![from];
+        while let Some(module) = pending.pop() {
             for next in imports.get(module).into_iter().flat_map(BTreeMap::keys) {
-                if seen.insert(next.clone()) {
-                    open.push(next);
+                if visited.insert(next.clone()) {
+                    pending.push(next);
                 }
             }
         }
-        seen
+        visited
     };
     let reached: BTreeMap<&Module, BTreeSet<Module>> =
-        imports.keys().map(|from| (from, reach(from))).collect();
+        imports.keys().map(|from| (from, reachable(from))).collect();
     let components: BTreeSet<BTreeSet<Module>> = reached
         .iter()
-        .map(|(from, seen)| {
-            let back = |to: &&Module| {
-                reached
-                    .get(to)
-                    .is_some_and(|reachable| reachable.contains(*from))
-            };
-            seen.iter().filter(back).cloned().collect()
+        .map(|(from, others)| {
+            let reaches_back =
+                |to: &&Module| reached.get(to).is_some_and(|others| others.contains(*from));
+            others.iter().filter(reaches_back).cloned().collect()
         })
         .collect();
     components

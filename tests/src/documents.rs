@@ -1,6 +1,6 @@
 //! Runs the commands of the documentation as a reader would paste them.
 //!
-//! A page is a session of one shell in a folder that looks like the checkout. Its
+//! A page is a session of one shell in a folder with the checkout's files. Its
 //! blocks marked `sh` run in order; servers run until the page ends. An HTML
 //! comment before a block changes this:
 //!

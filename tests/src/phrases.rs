@@ -2,7 +2,7 @@
 //! readers, and artefacts of sentences assembled from parts.
 
 /// Phrases of libraries, in lower case.
-const OF_LIBRARIES: [&str; 33] = [
+const LIBRARY_PHRASES: [&str; 33] = [
     "h2 protocol error",
     "http2 error",
     "transport error",
@@ -39,13 +39,13 @@ const OF_LIBRARIES: [&str; 33] = [
 ];
 
 /// Artefacts of sentences assembled from parts, in lower case.
-const SLIPS: [&str; 5] = ["failed to failed", "failed to cannot", "``", ": :", "; ;"];
+const ASSEMBLY_ARTEFACTS: [&str; 5] = ["failed to failed", "failed to cannot", "``", ": :", "; ;"];
 
 /// Returns the fault of a message, if it has one: a raw phrase, a repeated word,
 /// or nothing after "failed to".
 pub fn raw_phrase(message: &str) -> Option<String> {
     let lower = message.to_lowercase();
-    let raw = OF_LIBRARIES.into_iter().chain(SLIPS);
+    let raw = LIBRARY_PHRASES.into_iter().chain(ASSEMBLY_ARTEFACTS);
     if let Some(phrase) = raw.into_iter().find(|phrase| lower.contains(phrase)) {
         return Some(phrase.to_owned());
     }
@@ -75,10 +75,10 @@ fn bare_range(lower: &str) -> Option<String> {
 
 fn doubled_word(lower: &str) -> Option<String> {
     let words: Vec<&str> = lower.split_whitespace().collect();
-    let twice = words.windows(2).find(|pair| {
+    let pair = words.windows(2).find(|pair| {
         pair[0] == pair[1] && pair[0].chars().all(char::is_alphabetic) && pair[0] != "that"
     });
-    twice.map(|pair| pair.join(" "))
+    pair.map(|pair| pair.join(" "))
 }
 
 #[cfg(test)]

@@ -24,11 +24,11 @@ const PROGRAMS: [&str; 8] = [
     "squeue",
 ];
 /// Debian's folder of daemons, which may be missing from `PATH`.
-const DAEMONS: &str = "/usr/sbin";
+const DAEMON_FOLDER: &str = "/usr/sbin";
 /// Timeout of the cluster's operations.
 const PATIENCE: Duration = Duration::from_secs(300);
 /// Timeout of the end of the cluster's jobs.
-const END: Duration = Duration::from_secs(40);
+const JOB_END_TIMEOUT: Duration = Duration::from_secs(40);
 
 /// A running cluster; its jobs and daemons are ended when it is dropped.
 pub struct Cluster {
@@ -253,14 +253,14 @@ impl Cluster {
             assert!(
                 start.elapsed() < PATIENCE,
                 "timed out before: {goal}\n{}",
-                self.state()
+                self.queue_and_log()
             );
             sleep(Duration::from_millis(250));
         }
     }
 
     /// Returns the queue and the end of the controller's log, for a test that failed.
-    pub fn state(&self) -> String {
+    pub fn queue_and_log(&self) -> String {
         let queue = self.command("squeue").args(["--all", "--array"]).output();
         let queue = queue.map(|output| String::from_utf8_lossy(&output.stdout).into_owned());
         let log = std::fs::read_to_string(self.path("slurmctld.log")).unwrap_or_default();
@@ -289,7 +289,7 @@ impl Drop for Cluster {
     fn drop(&mut self) {
         // Jobs outlive the daemons that started them.
         let start = Instant::now();
-        while !self.cancel_jobs() && start.elapsed() < END {
+        while !self.cancel_jobs() && start.elapsed() < JOB_END_TIMEOUT {
             sleep(Duration::from_millis(500));
         }
         for daemon in self.daemons.iter_mut().rev() {
@@ -337,7 +337,7 @@ pub fn free_ports<const N: usize>() -> [u16; N] {
 
 fn find(program: &str) -> Option<PathBuf> {
     let path = std::env::var_os("PATH").unwrap_or_default();
-    let folders = std::env::split_paths(&path).chain([PathBuf::from(DAEMONS)]);
+    let folders = std::env::split_paths(&path).chain([PathBuf::from(DAEMON_FOLDER)]);
     let mut paths = folders.map(|folder| folder.join(program));
     paths.find(|path| path.is_file())
 }

@@ -30,7 +30,7 @@ AXES = ["camera", "lighting", "robot", "sensor", "actuation", "language"]
 ALPHA = 0.05
 MARGIN = 0.05
 FINDING_ALPHA = 0.01
-FEWEST_TASKS = 5
+MIN_TASKS = 5
 PERMUTATIONS = 1999
 SIGNS = 4000
 # Allows for the sampling error of two 95th percentiles of 4,000 draws each.
@@ -108,17 +108,17 @@ class Sample:
             both = (variance, df)
         if self.own_directions:
             both = new
-        if self.tasks < FEWEST_TASKS:
+        if self.tasks < MIN_TASKS:
             new = both = None
-        ends = {"product": around_product, "mean": around_mean}.get(
-            is_share, wilson if is_share else around
+        interval = {"product": product_interval, "mean": unbounded_t_interval}.get(
+            is_share, wilson if is_share else t_interval
         )
         has_spread = new is not None and new[0] > 1e-24
         return {
             "value": value,
-            "these_tasks": ends(value, within, len(self.x)),
-            "new_tasks": ends(value, new, self.tasks),
-            "new_tasks_and_directions": ends(value, both, self.tasks),
+            "these_tasks": interval(value, within, len(self.x)),
+            "new_tasks": interval(value, new, self.tasks),
+            "new_tasks_and_directions": interval(value, both, self.tasks),
             "standard_error": new[0] ** 0.5 if has_spread else None,
             "df": float(new[1]) if has_spread else None,
         }
@@ -131,14 +131,14 @@ def grouped_rows(labels, rows):
     return groups
 
 
-def around(value, variance, _):
+def t_interval(value, variance, _):
     if variance is None or variance[0] <= 1e-24:
         return None
     half = student.isf(ALPHA / 2, variance[1]) * variance[0] ** 0.5
     return [max(value - half, -1.0), min(value + half, 1.0)]
 
 
-def around_mean(value, variance, _):
+def unbounded_t_interval(value, variance, _):
     """Interval around a mean in a unit without bounds, such as steps, so its ends are not
     clipped."""
     if variance is None or variance[0] <= 1e-24:
@@ -147,7 +147,7 @@ def around_mean(value, variance, _):
     return [value - half, value + half]
 
 
-def around_product(value, variance, _):
+def product_interval(value, variance, _):
     """Interval on the scale log(-log), on which a product of shares is the log of a sum."""
     if variance is None or variance[0] <= 1e-24 or not 0 < value < 1:
         return None
@@ -181,8 +181,8 @@ def sign_flip(net):
         kernel[-1] += 0.5
         distribution = np.convolve(distribution, kernel)
     reach = len(distribution) // 2
-    far = np.abs(np.arange(-reach, reach + 1)) >= abs(sum(net))
-    return float(distribution[far].sum())
+    is_extreme = np.abs(np.arange(-reach, reach + 1)) >= abs(sum(net))
+    return float(distribution[is_extreme].sum())
 
 
 def holm(p):
@@ -203,8 +203,8 @@ def two_sided(estimate):
 def equivalence(estimate):
     if estimate["standard_error"] is None:
         return None
-    near = (MARGIN - abs(estimate["value"])) / estimate["standard_error"]
-    return float(student.sf(near, estimate["df"]))
+    statistic = (MARGIN - abs(estimate["value"])) / estimate["standard_error"]
+    return float(student.sf(statistic, estimate["df"]))
 
 
 def net_by_task(keys, change):
@@ -245,7 +245,7 @@ def excess(keys, y, placebo):
         row[3:] = [1, *np.mean(np.array(chosen, dtype=float), axis=0)]
     sample = Sample(list(rows), list(rows.values()))
 
-    def four(statistic, is_share):
+    def estimates(statistic, is_share):
         weights = {"r_e": (1, 0), "r_c": (0, 1), "r_d": (1, 1), "i": (-1, 1)}
         return {
             name: sample.estimate(lambda s, w=w: statistic(s, *w), is_share and name != "i")
@@ -256,8 +256,8 @@ def excess(keys, y, placebo):
     return {
         "n": len(y),
         "placebo": len(placebo[1]),
-        "floor": four(floor, True),
-        "excess": four(lambda s, e, c: (e * s[1] + c * s[2]) / s[0] - floor(s, e, c), False),
+        "floor": estimates(floor, True),
+        "excess": estimates(lambda s, e, c: (e * s[1] + c * s[2]) / s[0] - floor(s, e, c), False),
     }
 
 
@@ -277,9 +277,9 @@ def directions(keys, simultaneous):
     for task in range(tasks.max() + 1):
         columns = np.flatnonzero(tasks == task)
         shuffled[:, columns] = rng.permuted(shuffled[:, columns], axis=1)
-    far = (spread(shuffled) >= spread(simultaneous) - 1e-9).sum()
+    extreme = (spread(shuffled) >= spread(simultaneous) - 1e-9).sum()
     rates = simultaneous @ weights / sizes
-    return dict(zip(map(str, names.tolist()), rates.tolist())), (far + 1) / (PERMUTATIONS + 1)
+    return dict(zip(map(str, names.tolist()), rates.tolist())), (extreme + 1) / (PERMUTATIONS + 1)
 
 
 def inference(rows, placebo):
@@ -328,8 +328,8 @@ def inference(rows, placebo):
         result["losses"] = losses
     if placebo is not None:
         stacked = lambda rows: np.array([row[4] + [row[5]] for row in rows], dtype=float)
-        of_placebo = ([tuple(row[:3]) for row in placebo], stacked(placebo))
-        result["excess"] = excess(keys, stacked(rows), of_placebo)
+        placebo_outcomes = ([tuple(row[:3]) for row in placebo], stacked(placebo))
+        result["excess"] = excess(keys, stacked(rows), placebo_outcomes)
     else:
         result["excess"] = None
     return result, keys, sim
@@ -458,7 +458,7 @@ def compare_policies(campaign, comparison):
 
 class Comparison:
     def __init__(self):
-        self.agreed, self.wrong = 0, []
+        self.agreed, self.differences = 0, []
 
     def check(self, where, ours, theirs, tolerance=TOLERANCE):
         if isinstance(ours, dict) and theirs is not None:
@@ -475,7 +475,7 @@ class Comparison:
     def count(self, where, ours, theirs, agrees):
         self.agreed += agrees
         if not agrees:
-            self.wrong.append(f"{where}: {ours} here, {theirs} in the report")
+            self.differences.append(f"{where}: {ours} here, {theirs} in the report")
 
 
 def claims(cells):
@@ -497,8 +497,8 @@ def claims(cells):
     adjusted = holm([p for p, _ in tested.values()])
     return {
         (level, "directions" if name == "directions" else "simultaneity")
-        for ((level, name), (_, is_right)), p in zip(tested.items(), adjusted)
-        if p < FINDING_ALPHA and is_right
+        for ((level, name), (_, has_claimed_sign)), p in zip(tested.items(), adjusted)
+        if p < FINDING_ALPHA and has_claimed_sign
     }
 
 
@@ -611,11 +611,11 @@ def main():
     for campaign in campaigns:
         check = compare_policies if "compared" in campaign else compare
         check(campaign, comparison)
-    for line in comparison.wrong[:20]:
+    for line in comparison.differences[:20]:
         print(line, file=sys.stderr)
     print(f"{comparison.agreed} figures of {len(campaigns)} campaigns agree")
-    if comparison.wrong:
-        sys.exit(f"{len(comparison.wrong)} figures differ")
+    if comparison.differences:
+        sys.exit(f"{len(comparison.differences)} figures differ")
 
 
 main()

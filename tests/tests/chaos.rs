@@ -12,11 +12,11 @@ use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use sqlx::sqlite::{SqliteConnectOptions, SqlitePool};
-use tests::chaos::{Fault, Fleet, LEASE, Plan, Schedule, SlotKind, Way};
+use tests::chaos::{Fault, Fleet, LEASE, Link, Plan, Schedule, SlotKind};
 
 /// Numbers of schedules with simulated slots and with MuJoCo.
-const SIMULATED: u64 = 48;
-const REAL: u64 = 4;
+const SIMULATED_SCHEDULES: u64 = 48;
+const REAL_SCHEDULES: u64 = 4;
 /// Number of concurrent systems for each core; most of the time they wait.
 const AT_A_TIME_PER_CORE: usize = 3;
 
@@ -25,12 +25,12 @@ const CHARGED: &str = "SELECT coalesce(sum(charged), 0) FROM failure";
 
 #[test]
 fn a_campaign_under_faults_ends_as_the_undisturbed_one() {
-    play(SlotKind::Simulated, seeds(0..SIMULATED));
+    play(SlotKind::Simulated, seeds(0..SIMULATED_SCHEDULES));
 }
 
 #[test]
 fn a_campaign_with_mujoco_under_faults_ends_as_the_undisturbed_one() {
-    play(SlotKind::Real, seeds(100..100 + REAL));
+    play(SlotKind::Real, seeds(100..100 + REAL_SCHEDULES));
 }
 
 /// Returns the seeds that the environment requests, or the default ones.
@@ -43,7 +43,7 @@ fn seeds(default: std::ops::Range<u64>) -> VecDeque<u64> {
     (number(first)..=number(last)).collect()
 }
 
-/// Plays schedules, several at a time; names those that failed at the end.
+/// Plays schedules, several at a time, and finally names those that failed.
 fn play(slots: SlotKind, seeds: VecDeque<u64>) {
     let start = Instant::now();
     let expected = Fleet::start(slots).outcome();
@@ -145,7 +145,7 @@ fn repeated_network_outages_charge_neither_rollouts_nor_workers() {
     let mut fleet = Fleet::start(SlotKind::Simulated);
     for _ in 0..6 {
         fleet.inject(Fault::Block(
-            Way::ToCoordinator,
+            Link::ToCoordinator,
             LEASE + Duration::from_secs(1),
         ));
         std::thread::sleep(Duration::from_millis(300));

@@ -55,7 +55,7 @@ fn serve(name: &str, arguments: &[&str], variables: &[(&str, &str)]) -> (String,
 }
 
 /// Returns the exit codes in the table of docs/OPERATING.md.
-fn documented() -> Vec<i32> {
+fn documented_codes() -> Vec<i32> {
     let page = std::fs::read_to_string(checkout().join("docs/OPERATING.md")).expect("the page");
     let section = page
         .split("\n## ")
@@ -147,7 +147,7 @@ fn exit_codes_are_those_of_the_table() {
     let mut codes: Vec<i32> = found.iter().map(|(_, expected, _)| *expected).collect();
     codes.sort_unstable();
     codes.dedup();
-    assert_eq!(documented(), codes);
+    assert_eq!(documented_codes(), codes);
 }
 
 /// Returns the options in a program's help, each with its environment variable, if any.

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use tests::documents::folder::checkout;
-use tests::documents::visit::{failures, visit};
+use tests::documents::visit::{failures, run_page};
 
 /// One test per page: pages run concurrently, and the test report names the page that fails.
 macro_rules! pages {
@@ -12,7 +12,7 @@ macro_rules! pages {
         $(
             #[test]
             fn $test() {
-                visit($page);
+                run_page($page);
             }
         )*
     };
@@ -96,7 +96,7 @@ policy-gateway --config gateway.toml
 }
 
 #[test]
-fn every_page_is_visited() {
+fn every_page_has_a_test() {
     let mut found = Vec::new();
     let root = checkout();
     let mut folders = vec![root.clone()];

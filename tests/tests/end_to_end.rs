@@ -155,7 +155,7 @@ fn refusal(name: &str, arguments: &[&str]) -> (Option<i32>, String) {
 }
 
 #[test]
-fn invalid_input_is_refused_with_the_thing_the_place_and_the_remedy() {
+fn invalid_input_is_refused_with_its_place_and_the_remedy() {
     let check = |name: &str, arguments: &[&str], code: i32, words: &[&str]| {
         let (status, errors) = refusal(name, arguments);
         assert_eq!(status, Some(code), "{name} {arguments:?}: {errors}");

@@ -26,7 +26,7 @@ const IDS: [&str; 5] = [
     "goal/t8/plus:view_0_0_190_0_0/i00",
 ];
 /// Variants with task files of their own, and their ids.
-const OWN: [(&str, &str); 2] = [
+const WITH_OWN_FILES: [(&str, &str); 2] = [
     (
         "put_the_bowl_on_the_plate_language_1_view_0_0_100_0_0_initstate_0",
         "goal/t8/plus:language_1/i00",
@@ -99,15 +99,15 @@ fn variants(test: &str) -> (Vec<&'static str>, BTreeSet<String>) {
     match scene::has_task_files(Benchmark::Plus, &tests::files::sources()) {
         false => println!("skipped in part {test}: no task files of LIBERO-Plus"),
         true => {
-            names.extend(OWN.map(|(name, _)| name));
-            ids.extend(OWN.map(|(_, id)| id.to_owned()));
+            names.extend(WITH_OWN_FILES.map(|(name, _)| name));
+            ids.extend(WITH_OWN_FILES.map(|(_, id)| id.to_owned()));
         }
     }
     (names, ids)
 }
 
 /// Runs the variants with `worker variants`; returns the outcomes by the campaign's ids.
-fn run_alone(campaigns: &Campaigns, variants: &str, output: &Path) -> Outcomes {
+fn run_variants(campaigns: &Campaigns, variants: &str, output: &Path) -> Outcomes {
     let mut command = Command::new(program("worker"));
     command.args(["variants", "--variant", variants]);
     command.args(["--assets", "primitives", "--policy", "student"]);
@@ -167,7 +167,7 @@ async fn a_campaign_of_variants_has_the_outcomes_of_worker_variants() {
         assert!(shown.contains(&line), "{shown}");
     }
     assert!(outcomes.keys().eq(ids.iter()), "{outcomes:?}");
-    let alone = run_alone(&campaigns, &joined, &folder.path().join("alone"));
+    let alone = run_variants(&campaigns, &joined, &folder.path().join("alone"));
     assert_eq!(outcomes, alone);
     // The changes reached the simulator: no two variants have the same first frames. Variants of
     // the language are left out, because another instruction changes no picture.

@@ -150,7 +150,7 @@ fn frames_of_real_scenes_have_the_same_bits_on_every_machine() {
 fn depths_and_segments_equal_those_of_opengl() {
     const SIZE: [u32; 2] = [256, 256];
     // A thousandth of the pixels: those at silhouettes and where surfaces meet.
-    const MOST: usize = 65;
+    const LIMIT: usize = 65;
     let drawers = [
         Drawer::open(Renderer::Software).unwrap(),
         match Drawer::open(Renderer::Gl(GlDevice::Auto)) {
@@ -187,7 +187,7 @@ fn depths_and_segments_equal_those_of_opengl() {
             assert!(kinds.len() > 5, "{task} {camera} shows {kinds:?}");
             let differ = ours.iter().zip(&theirs).filter(|(a, b)| a != b).count();
             println!("{task} {camera}: {differ} segments differ");
-            assert!(differ <= MOST, "{task} {camera}: {differ} segments differ");
+            assert!(differ <= LIMIT, "{task} {camera}: {differ} segments differ");
             let [ours, theirs] = drawers
                 .each_ref()
                 .map(|drawer| environment.depth(drawer, camera, SIZE).unwrap());
@@ -195,7 +195,7 @@ fn depths_and_segments_equal_those_of_opengl() {
             let differ = ours.iter().zip(&theirs);
             let differ = differ.filter(|(a, b)| (*a - *b).abs() > 1e-6).count();
             println!("{task} {camera}: {differ} depths differ");
-            assert!(differ <= MOST, "{task} {camera}: {differ} depths differ");
+            assert!(differ <= LIMIT, "{task} {camera}: {differ} depths differ");
         }
     }
 }

@@ -126,7 +126,7 @@ const RADII: [f64; 2] = [0.5, 16.0];
 
 /// Returns the smallest radius at which a rollout fails: larger for later tasks, and largest for
 /// the robot axis alone.
-fn fails_from(task: usize, config: u16, condition: Condition) -> f64 {
+fn failure_radius(task: usize, config: u16, condition: Condition) -> f64 {
     let scale = match condition {
         Condition::Combination => 0.6,
         Condition::Single(Axis::Camera) => 1.1,
@@ -148,7 +148,7 @@ fn outcomes_by_radius() -> String {
         let mut all: Vec<(RolloutId, bool)> = nominal.collect();
         for condition in conditions.into_iter().chain([Condition::Combination]) {
             for config in 0..2 {
-                let from = fails_from(index, config, condition);
+                let from = failure_radius(index, config, condition);
                 let recovers = condition == conditions[0] && index == 2;
                 for radius in (1..)
                     .map(|k| step * f64::from(k))

@@ -29,8 +29,8 @@ fn a_campaign_on_a_real_cluster_loses_no_result_and_charges_no_attempt() {
     let campaign = ClusterCampaign::open(cluster);
 
     // The array spans two nodes, and the gateway is on the one with the GPU.
-    let gateway = campaign.job_called("rollout-gateway");
-    let array = campaign.job_called("rollout-workers");
+    let gateway = campaign.job_named("rollout-gateway");
+    let array = campaign.job_named("rollout-workers");
     let tasks = [1, 2].map(|task| format!("{array}_{task}"));
     campaign.wait_until("both workers run", |campaign| campaign.live_workers() == 2);
     let node = |job: &str| campaign.cluster.job(job).node;
@@ -47,11 +47,11 @@ fn a_campaign_on_a_real_cluster_loses_no_result_and_charges_no_attempt() {
         campaign.count("committed") >= 4
     });
 
-    // A worker that is told to stop while it waits for its next rollout returns no attempt.
+    // A worker that is asked to stop while it waits for its next rollout returns no attempt.
     while campaign.returned_attempts() == 0 {
         assert!(
             !campaign.is_finished(),
-            "no worker was told to stop during a rollout"
+            "no worker was asked to stop during a rollout"
         );
         campaign.wait_until("both workers have rollouts", |campaign| {
             campaign.count("leased") == 2 || campaign.is_finished()
@@ -265,7 +265,7 @@ impl ClusterCampaign {
         );
     }
 
-    fn job_called(&self, name: &str) -> String {
+    fn job_named(&self, name: &str) -> String {
         let name = format!("--name={name}");
         let jobs = self
             .cluster

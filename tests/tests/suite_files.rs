@@ -12,7 +12,7 @@ use serde_json::{Value, json};
 use sqlx::Connection;
 use tests::programs::{Campaigns, Process, program};
 
-/// Prompt of `libero_goal/8`, which the student knows.
+/// Prompt of `libero_goal/8`, on which the student was trained.
 const PROMPT: &str = "put the bowl on the plate";
 
 /// Outcome, digests of scene and initial state, digest of the policy's first frames, and prompt.
@@ -90,17 +90,17 @@ fn variants(file: &Path, sources: &Path, more: &[&str]) -> Output {
 
 #[track_caller]
 fn succeed(output: Output) -> String {
-    let complaint = String::from_utf8_lossy(&output.stderr);
-    assert!(output.status.success(), "{complaint}");
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{errors}");
     String::from_utf8(output.stdout).expect("UTF-8")
 }
 
 #[track_caller]
-fn refused(output: &Output, expected: &[&str]) {
-    let complaint = String::from_utf8_lossy(&output.stderr);
-    assert!(!output.status.success(), "{complaint}");
+fn assert_refused(output: &Output, expected: &[&str]) {
+    let errors = String::from_utf8_lossy(&output.stderr);
+    assert!(!output.status.success(), "{errors}");
     for words in expected {
-        assert!(complaint.contains(words), "no `{words}`: {complaint}");
+        assert!(errors.contains(words), "no `{words}`: {errors}");
     }
 }
 
@@ -221,8 +221,8 @@ fn missing_and_foreign_files_are_named_before_anything_starts() {
     ] {
         assert!(counted.contains(words), "no `{words}`: {counted}");
     }
-    let complaint = ["run 1 of the 2 chosen", "stove.pruned_init", "--runnable"];
-    refused(&suite.call(&run), &complaint);
+    let expected = ["run 1 of the 2 chosen", "stove.pruned_init", "--runnable"];
+    assert_refused(&suite.call(&run), &expected);
     assert!(!output.exists(), "nothing ran");
     succeed(suite.call(&[&run[..], &["--runnable"]].concat()));
     assert_eq!(results(&output).len(), 1);
@@ -234,7 +234,7 @@ fn missing_and_foreign_files_are_named_before_anything_starts() {
     let mut other = file.clone();
     other["seed"] = 7.into();
     suite.write(&other);
-    refused(
+    assert_refused(
         &suite.call(&run),
         &["protocol `kitchen@", "give another --output"],
     );
@@ -269,15 +269,15 @@ fn missing_and_foreign_files_are_named_before_anything_starts() {
     check(&file, &["stove.bddl"]);
 
     suite.write(&json!({"name": "kitchen"}));
-    refused(
+    assert_refused(
         &suite.call(&[]),
         &["kitchen.json", "`start`", "docs/FAMILY.md"],
     );
-    refused(
+    assert_refused(
         &suite.call(&["--protocol", "pro-bddl"]),
         &["cannot be used with"],
     );
-    refused(
+    assert_refused(
         &suite.call(&["--pro", "libero_goal_swap"]),
         &["cannot be used with"],
     );
@@ -343,7 +343,8 @@ async fn a_campaign_of_ten_tasks_of_libero_90_has_the_outcomes_of_worker_variant
     let sources = tests::files::sources();
     succeed(variants(&path, sources.dir(), &run));
     let alone = results(&output).into_iter();
-    let alone: BTreeMap<String, Outcome> = alone.map(|(name, (_, it))| (name, it)).collect();
+    let alone = alone.map(|(name, (_, outcome))| (name, outcome));
+    let alone: BTreeMap<String, Outcome> = alone.collect();
     assert_eq!(alone.len(), 10);
     assert_eq!(stored(&data).await, alone);
 
@@ -405,7 +406,7 @@ async fn a_campaign_of_ten_tasks_of_libero_90_has_the_outcomes_of_worker_variant
     let both = [&create[..], &["--protocol", "pro-bddl"]].concat();
     assert!(!campaigns.call(&both).status.success());
     fs::write(&path, "{}").expect("writes");
-    refused(
+    assert_refused(
         &campaigns.call(&create),
         &["ten.json", "`name`", "docs/FAMILY.md"],
     );

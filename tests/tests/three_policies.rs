@@ -37,30 +37,30 @@ fn behind_one_gateway(data: &Path, servers: &[(&str, &Process)]) -> Campaigns {
 
 #[test]
 fn a_restarted_policy_delays_only_its_own_campaign() {
-    let names = ["steady", "calm", "mortal"];
-    let [steady, calm, mut mortal] = names.map(|name| server(name, "127.0.0.1:0"));
+    let names = ["one", "two", "killed"];
+    let [one, two, mut killed] = names.map(|name| server(name, "127.0.0.1:0"));
     let data = tempfile::tempdir().expect("a folder");
-    let servers = [("steady", &steady), ("calm", &calm), ("mortal", &mortal)];
+    let servers = [("one", &one), ("two", &two), ("killed", &killed)];
     let campaigns = behind_one_gateway(data.path(), &servers);
     // The campaign of the policy to be killed comes first, so that it is in progress by then.
-    campaigns.create("mortal", "mortal", "libero_object/0", "0,1");
+    campaigns.create("killed", "killed", "libero_object/0", "0,1");
     let worker = campaigns.simulated_worker(2, &[]);
-    campaigns.wait_for_commits("mortal", Some(1));
-    mortal.signal("-KILL");
-    let address = address(&mortal).to_owned();
-    campaigns.create("steady", "steady", "libero_object/0", "0,1");
-    campaigns.create("calm", "calm", "libero_object/0", "0,1");
-    campaigns.wait_for_commits("steady", None);
-    campaigns.wait_for_commits("calm", None);
-    let status = campaigns.succeed(&["campaign", "status", "mortal"]);
+    campaigns.wait_for_commits("killed", Some(1));
+    killed.signal("-KILL");
+    let address = address(&killed).to_owned();
+    campaigns.create("one", "one", "libero_object/0", "0,1");
+    campaigns.create("two", "two", "libero_object/0", "0,1");
+    campaigns.wait_for_commits("one", None);
+    campaigns.wait_for_commits("two", None);
+    let status = campaigns.succeed(&["campaign", "status", "killed"]);
     assert!(
         !status.contains("finished"),
         "finished without its policy: {status}"
     );
-    assert!(status.contains("mortal"), "{status}");
+    assert!(status.contains("killed"), "{status}");
 
-    mortal = server("mortal", &address);
-    campaigns.wait_for_commits("mortal", None);
+    killed = server("killed", &address);
+    campaigns.wait_for_commits("killed", None);
     for name in names {
         assert_eq!(campaigns.outcomes(name).len(), ROLLOUTS, "{name}");
         for row in campaigns.succeed(&["jobs", "list", name]).lines() {
@@ -70,5 +70,5 @@ fn a_restarted_policy_delays_only_its_own_campaign() {
             );
         }
     }
-    drop((worker, mortal));
+    drop((worker, killed));
 }

@@ -11,12 +11,12 @@ use tests::programs::{Campaigns, Process, program};
 const PATIENCE: Duration = Duration::from_secs(120);
 /// A policy server built with the package `rollout_policies`, whose actions repeat one number seven
 /// times.
-const CROOKED: &str = "\
+const INVALID_POLICY: &str = "\
 import numpy as np
 from rollout_policies import Description, Policy, serve
 
-class Crooked(Policy):
-    description = Description(name='crooked')
+class Invalid(Policy):
+    description = Description(name='invalid')
 
     def warm_up(self):
         pass  # A warm-up would detect the invalid answer before the first query.
@@ -27,25 +27,25 @@ class Crooked(Policy):
     def infer(self, observation):
         return np.full(7, NUMBER)
 
-serve(Crooked())
+serve(Invalid())
 ";
 
-/// Creates a campaign of the policy `crooked`, whose actions consist of this number, beside other
+/// Creates a campaign of the policy `invalid`, whose actions consist of this number, beside other
 /// policies. Returns `None` if no interpreter is configured.
-fn crooked(test: &str, number: &str, data: &Path) -> Option<(Campaigns, Process)> {
+fn start_campaigns(test: &str, number: &str, data: &Path) -> Option<(Campaigns, Process)> {
     let Some(python) = std::env::var_os("ROLLOUT_PYTHON") else {
         eprintln!("SKIPPED {test}: `cargo xtask test` sets ROLLOUT_PYTHON");
         return None;
     };
-    let program_text = CROOKED.replace("NUMBER", number);
+    let program_text = INVALID_POLICY.replace("NUMBER", number);
     let policy = Process::serve(Command::new(python).args(["-u", "-c", &program_text]));
-    let route = format!("crooked={}", policy.url.replacen("http://", "grpc://", 1));
+    let route = format!("invalid={}", policy.url.replacen("http://", "grpc://", 1));
     let mut campaigns = Campaigns::start(data);
     let mut gateway = Command::new(program("policy-gateway"));
     gateway.args(["--listen", "127.0.0.1:0", "--route", &route]);
     gateway.args(["--route", "noop=builtin:noop"]);
     campaigns.gateway = Process::serve(&mut gateway);
-    campaigns.create("crooked", "crooked", "libero_object/0", "0");
+    campaigns.create("invalid", "invalid", "libero_object/0", "0");
     Some((campaigns, policy))
 }
 
@@ -66,33 +66,33 @@ fn wait_for(campaigns: &Campaigns, arguments: &[&str], words: &str) {
 fn actions_of_1e9_become_no_outcome() {
     let data = tempfile::tempdir().unwrap();
     let test = "actions_of_1e9_become_no_outcome";
-    let Some((campaigns, _policy)) = crooked(test, "1e9", data.path()) else {
+    let Some((campaigns, _policy)) = start_campaigns(test, "1e9", data.path()) else {
         return;
     };
     let _worker = Process::worker(&campaigns.coordinator.url, 1, "primitives");
-    let show = ["jobs", "show", "crooked", "object/t0/camera/L3/c00"];
+    let show = ["jobs", "show", "invalid", "object/t0/camera/L3/c00"];
     let named = "component 0 of action 0 is 1e9, and actions lie within -1..1";
     wait_for(&campaigns, &show, named);
-    assert!(campaigns.outcomes("crooked").is_empty());
+    assert!(campaigns.outcomes("invalid").is_empty());
 }
 
 #[test]
 fn a_policy_that_answers_nan_delays_no_other_campaign() {
     let data = tempfile::tempdir().unwrap();
     let test = "a_policy_that_answers_nan_delays_no_other_campaign";
-    let Some((campaigns, _policy)) = crooked(test, "np.nan", data.path()) else {
+    let Some((campaigns, _policy)) = start_campaigns(test, "np.nan", data.path()) else {
         return;
     };
     let worker = Process::worker(&campaigns.coordinator.url, 1, "primitives");
     // The policy is paused after five attempts; the worker must continue.
-    let status = ["campaign", "status", "crooked"];
-    wait_for(&campaigns, &status, "policy `crooked` is paused");
-    campaigns.create("sound", "noop", "libero_object/0", "0");
-    campaigns.wait_for_commits("sound", None);
-    assert_eq!(campaigns.outcomes("sound").len(), 7);
-    assert!(campaigns.outcomes("crooked").is_empty());
+    let status = ["campaign", "status", "invalid"];
+    wait_for(&campaigns, &status, "policy `invalid` is paused");
+    campaigns.create("unaffected", "noop", "libero_object/0", "0");
+    campaigns.wait_for_commits("unaffected", None);
+    assert_eq!(campaigns.outcomes("unaffected").len(), 7);
+    assert!(campaigns.outcomes("invalid").is_empty());
     // The same worker retries the policy until its rollouts are quarantined.
-    let list = ["jobs", "list", "crooked", "--state", "quarantined"];
+    let list = ["jobs", "list", "invalid", "--state", "quarantined"];
     wait_for(&campaigns, &list, "object/t0/");
     let workers = campaigns.succeed(&["workers"]);
     assert!(workers.contains("slots busy"), "{workers}");

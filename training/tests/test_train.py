@@ -88,15 +88,15 @@ def test_suites_are_drawn_by_their_weights(tmp_path: Path) -> None:
 def test_a_shift_repeats_the_edge() -> None:
     picture = torch.arange(128, dtype=torch.uint8).expand(1, 2, 3, 128, 128).permute(0, 1, 3, 4, 2)
     shift = torch.tensor([[[0, 3], [-2, -4]]])
-    still = PictureChange(shift, torch.ones(1, 2, 1, 1, 3), torch.zeros(1, 2, 1, 1, 1),
-                          torch.zeros(1, 2, 1, 1, 1))  # fmt: skip
-    left, right = changed(picture.contiguous(), still)
+    shift_only = PictureChange(shift, torch.ones(1, 2, 1, 1, 3), torch.zeros(1, 2, 1, 1, 1),
+                               torch.zeros(1, 2, 1, 1, 1))  # fmt: skip
+    left, right = changed(picture.contiguous(), shift_only)
     columns = (left[0, 0, 5] + 1) * 127.5
     assert columns.round().tolist() == [*range(3, 128), 127, 127, 127]
     assert ((right[0, 2, 9] + 1) * 127.5).round().tolist() == [0] * 4 + [*range(124)]
 
 
-def test_unchanged_pictures_equal_the_input_in_use() -> None:
+def test_unchanged_pictures_equal_the_input_at_inference() -> None:
     pictures = torch.randint(0, 256, (2, 2, 128, 128, 3), dtype=torch.uint8)
     none = PictureChange(torch.zeros(2, 2, 2, dtype=torch.int64), torch.ones(2, 2, 1, 1, 3),
                          torch.zeros(2, 2, 1, 1, 1), torch.zeros(2, 2, 1, 1, 1))  # fmt: skip
@@ -108,9 +108,10 @@ def test_instructions_in_training_have_the_features_of_their_words() -> None:
     wordings = Wordings(3, 0, CPU)
     rows, present = wordings.canonical(torch.tensor([0, 27]))
     for at, task in enumerate((0, 27)):
-        own, there = instruction_rows([canonical(TASK_NAMES[task])])
-        mine = np.bincount(rows[at][present[at] > 0], minlength=BUCKETS)
-        assert np.array_equal(mine, np.bincount(own[0][there[0] > 0], minlength=BUCKETS))
+        expected, expected_present = instruction_rows([canonical(TASK_NAMES[task])])
+        found = np.bincount(rows[at][present[at] > 0], minlength=BUCKETS)
+        words = np.bincount(expected[0][expected_present[0] > 0], minlength=BUCKETS)
+        assert np.array_equal(found, words)
 
 
 def test_dropping_a_word_drops_its_pairs(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -34,13 +34,13 @@ pub enum PolicyError {
         /// `None` if it never answered one, or is overloaded.
         answered: Option<u32>,
     },
-    #[error("{} at {endpoint} cannot be used: {fault}", named(policy))]
+    #[error("{} at {endpoint} cannot be used: {fault}", label(policy))]
     Description {
         policy: String,
         endpoint: String,
         fault: DescriptionFault,
     },
-    #[error("{} cannot be run this way: {problem}", named(policy))]
+    #[error("{} cannot be run this way: {problem}", label(policy))]
     TooLate {
         policy: String,
         /// Length and delay of the answers. Part of the message rather than its source, because
@@ -50,7 +50,7 @@ pub enum PolicyError {
     #[error(
         "{} at {endpoint} gave an invalid answer to {call}: {fault}; \
          `policy-gateway doctor` looks for the cause",
-        named(policy)
+        label(policy)
     )]
     Nonsense {
         /// The call: "query 3".
@@ -75,7 +75,7 @@ pub enum PolicyError {
 }
 
 /// Returns a policy's name for use in a sentence; a server's only policy has no name.
-fn named(policy: &str) -> String {
+fn label(policy: &str) -> String {
     match policy {
         "" => "the policy".to_owned(),
         name => format!("policy `{name}`"),
@@ -89,7 +89,7 @@ fn sentence(policy: &str, endpoint: &str, verb: &str, call: &str, problem: &str)
     if !policy.is_empty() && (is_named(" ") || is_named(":")) {
         format!("{call} failed: {problem}")
     } else {
-        format!("{} at {endpoint} {verb} {call}: {problem}", named(policy))
+        format!("{} at {endpoint} {verb} {call}: {problem}", label(policy))
     }
 }
 
@@ -141,8 +141,8 @@ pub trait Actor {
         Ok(())
     }
 
-    /// Tells the actor that the episode is over. Errors are ignored: a policy bounds its stored
-    /// sessions in any case.
+    /// Ends the episode at the actor. Errors are ignored: a policy bounds its stored sessions in
+    /// any case.
     fn end(&mut self, _session: PolicySession<'_>) {}
 
     /// Returns the actions for one observation: between one and `horizon`, finite, not yet clipped.

@@ -76,7 +76,7 @@ pub fn provide(
 
 /// Reason why a row's files are not there. The messages read after "failed to …".
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Unprovided {
+pub enum ProvideError {
     /// Files could not be fetched or read; a later attempt may succeed.
     Fetch(String),
     /// Files that are not fetched are missing or wrong.
@@ -107,7 +107,7 @@ impl Provider {
     }
 
     /// Returns the benchmarks whose task files were not fetched.
-    pub fn absent(&self) -> impl Iterator<Item = Benchmark> {
+    pub fn missing_benchmarks(&self) -> impl Iterator<Item = Benchmark> {
         let all = [Benchmark::Plus, Benchmark::Pro].into_iter();
         all.filter(|benchmark| !scene::has_task_files(*benchmark, &self.sources))
     }
@@ -122,7 +122,7 @@ impl Provider {
     /// # Errors
     /// If the assets cannot be fetched, or those of a variant are in no index, or its task files
     /// are missing.
-    pub fn provide(&self, row: &ManifestRow) -> Result<(), Unprovided> {
+    pub fn provide(&self, row: &ManifestRow) -> Result<(), ProvideError> {
         let task = row.id.task();
         let files = match row.id.variant() {
             None => TaskFiles::of_task(&self.sources, task),
@@ -149,7 +149,7 @@ impl Provider {
             }
         };
         let provided = self.pack.provide(&[files], &mut report);
-        let fetched = provided.map_err(|error| Unprovided::Fetch(transport::chain(&error)))?;
+        let fetched = provided.map_err(|error| ProvideError::Fetch(transport::chain(&error)))?;
         if fetched.replaced > 0 {
             let replaced = counted(fetched.replaced as u64, "altered file");
             tracing::warn!("{task}: {replaced} of LIBERO's assets replaced");
@@ -159,9 +159,10 @@ impl Provider {
 
     /// Returns the files of a variant's task. Fails if the variant lacks files other than LIBERO's
     /// assets.
-    fn files_of_variant(&self, row: &ManifestRow) -> Result<TaskFiles, Unprovided> {
-        let fault =
-            |error: &(dyn std::error::Error + 'static)| Unprovided::Fetch(transport::chain(error));
+    fn files_of_variant(&self, row: &ManifestRow) -> Result<TaskFiles, ProvideError> {
+        let fault = |error: &(dyn std::error::Error + 'static)| {
+            ProvideError::Fetch(transport::chain(error))
+        };
         // Before the check: a file that is corrected meanwhile counts as changed.
         let files = self.stamps(row);
         let lack = variants::lack(row, &self.pack, &self.sources).map_err(|error| fault(&error))?;
@@ -170,7 +171,7 @@ impl Provider {
             None | Some(Lack::States { .. }) => {
                 variants::files(row, &self.sources).map_err(|error| fault(&error))
             }
-            Some(lack) => Err(Unprovided::Lack {
+            Some(lack) => Err(ProvideError::Lack {
                 error: format!("run {}: this worker lacks {lack}", row.id),
                 files,
             }),
@@ -409,7 +410,7 @@ pub fn describe_differences(pack: &AssetPack, given: &Path) -> Option<String> {
         return None;
     }
     let differences = pack.differences().to_vec();
-    let how = match differences.len() {
+    let summary = match differences.len() {
         0 => "it has none of LIBERO's files".to_owned(),
         count => format!(
             "{} differ: {}",
@@ -418,7 +419,7 @@ pub fn describe_differences(pack: &AssetPack, given: &Path) -> Option<String> {
         ),
     };
     Some(format!(
-        "the asset pack {} is not LIBERO's, and its results go by the name `custom`: {how}",
+        "the asset pack {} is not LIBERO's, and its results go by the name `custom`: {summary}",
         given.display()
     ))
 }

@@ -22,8 +22,8 @@ pub struct SlotProgram {
 /// Creates a connection with a child: the parent's end, and the child's standard input. See
 /// [`crate::parent`].
 pub(crate) fn connection() -> io::Result<(UnixStream, Stdio)> {
-    let (ours, theirs) = UnixStream::pair()?;
-    Ok((ours, Stdio::from(OwnedFd::from(theirs))))
+    let (parent_end, child_end) = UnixStream::pair()?;
+    Ok((parent_end, Stdio::from(OwnedFd::from(child_end))))
 }
 
 /// Describes how a process ended; reads after "the process".

@@ -1,7 +1,7 @@
 //! A worker: leases jobs from the coordinator, simulates them, queries the policy and reports
 //! outcomes.
 //!
-//! There are two kinds of process: [`supervise`] is the parent, which talks to the coordinator and
+//! There are two kinds of process: [`supervise`] is the parent, which calls the coordinator and
 //! has no simulator; [`slot`] is a child, which simulates and has no connection to the
 //! coordinator. [`rollout`] runs one job in a child. [`measure`] finds the number of children that
 //! a machine runs best.

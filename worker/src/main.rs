@@ -29,7 +29,7 @@ use worker::assets::Provider;
 use worker::child::SlotProgram;
 use worker::ids::{WorkerId, host_name, machine, random_id, random_number};
 use worker::message::{Assignment, Session, VideoOf, VideoRequest};
-use worker::policy::{OF_ONE_ROLLOUT, POLICY_CALL_DEADLINE, PolicyClient};
+use worker::policy::{POLICY_CALL_DEADLINE, PolicyClient, ROLLOUT_SETTINGS};
 use worker::single::{OwnTask, RecordedActions};
 use worker::slot::warn_of_scene_files;
 use worker::supervise::{self, Config, Identity};
@@ -260,7 +260,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
         (None, Some(endpoint)) => Box::new(PolicyClient::new(
             endpoint,
             &arguments.access.access(&[Role::Worker, Role::Operator])?,
-            OF_ONE_ROLLOUT,
+            ROLLOUT_SETTINGS,
         )?),
         (None, None) => unreachable!("clap requires --endpoint or --actions"),
     };
@@ -288,7 +288,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
         assignment: &assignment,
         files: own_task.as_ref().map(OwnTask::files),
         variant: None,
-        draw: !arguments.no_video,
+        renders_ends: !arguments.no_video,
         output: &arguments.output,
     };
     let result = single::run(&mut simulator, actor.as_mut(), &request)?.result;
@@ -330,7 +330,7 @@ fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
     }
     print(&audit.report())?;
     let access = arguments.access.access(&[Role::Worker, Role::Operator])?;
-    let mut actor = PolicyClient::new(endpoint, &access, OF_ONE_ROLLOUT)?;
+    let mut actor = PolicyClient::new(endpoint, &access, ROLLOUT_SETTINGS)?;
     let assign = |row: ManifestRow, folder: &Path| Assignment {
         policy: arguments.policy.clone().unwrap_or_default(),
         policy_endpoint: endpoint.clone(),
@@ -377,7 +377,7 @@ fn standalone_assignment(row: ManifestRow, replicate: u32, realisation: Realisat
 fn run_rescue(arguments: RescueArguments) -> anyhow::Result<()> {
     let row = libero_ctrl::row_of(arguments.id)?;
     let access = arguments.access.access(&[Role::Worker, Role::Operator])?;
-    let mut actor = PolicyClient::new(&arguments.endpoint, &access, OF_ONE_ROLLOUT)?;
+    let mut actor = PolicyClient::new(&arguments.endpoint, &access, ROLLOUT_SETTINGS)?;
     let simulator = open(&arguments.simulator)?;
     assets::provide(&simulator.pack, &simulator.sources, [row.id.task()])?;
     let mut simulator = Simulator::new(simulator);
@@ -441,8 +441,8 @@ fn run_worker(
     let mut simulator_arguments = simulator_arguments.clone();
     if let Some(Err(error)) = SceneFolder::of_process().map(SceneFolder::check) {
         // Warns here once, instead of in every slot.
-        let why = transport::chain(&error);
-        tracing::warn!("scenes are kept in the memory of each slot: failed to {why}");
+        let problem = transport::chain(&error);
+        tracing::warn!("scenes are kept in the memory of each slot: failed to {problem}");
         simulator_arguments.scenes = Some("off".into());
     }
     let lacking_tasks = assets::check(&simulator.pack, &simulator.sources)?;
@@ -467,7 +467,7 @@ fn run_worker(
             let slot = program_of("bench-slot", program, &simulator_arguments, &simulator);
             let chosen = measure::choose_slots(slot, CACHED_SCENES)
                 .context("choose --slots by measurement (`--slots N` needs none)")?;
-            tracing::info!("--slots auto: {}, {}", chosen.slots, chosen.why);
+            tracing::info!("--slots auto: {}, {}", chosen.slots, chosen.reason);
             chosen.slots
         }
     };

@@ -47,7 +47,7 @@ pub enum MeasureError {
     Silent { slots: usize, secs: f64 },
     /// The connection between parent and slot failed, or the table cannot be printed.
     #[error("exchange messages with a slot, or print the measurements")]
-    Talk(#[from] io::Error),
+    Exchange(#[from] io::Error),
     #[error(transparent)]
     Rollout(#[from] RolloutError),
 }

@@ -42,17 +42,17 @@ pub struct PolicyClient {
 }
 
 /// Names, in messages, of the settings with which a campaign's user addresses a policy.
-pub const OF_A_CAMPAIGN: Settings = Settings {
+pub const CAMPAIGN_SETTINGS: Settings = Settings {
     address: "the campaign's endpoint",
     authority: "the worker's --ca",
     clear: "http://",
     encrypted: "https://",
 };
 /// Names, in messages, of the settings with which the user of `worker rollout` addresses a policy.
-pub const OF_ONE_ROLLOUT: Settings = Settings {
+pub const ROLLOUT_SETTINGS: Settings = Settings {
     address: "--endpoint",
     authority: "--ca",
-    ..OF_A_CAMPAIGN
+    ..CAMPAIGN_SETTINGS
 };
 
 impl PolicyClient {

@@ -165,9 +165,9 @@ pub(crate) fn run_resumed(
         first_frame_digest: String::new(),
     };
     // Opens the renderer first, so that a failure to render costs no simulation.
-    let draws = !description.about.cameras.is_empty() || assignment.video.is_some();
+    let needs_renderer = !description.about.cameras.is_empty() || assignment.video.is_some();
     let (renderer, fingerprint) = stage
-        .renderer_and_fingerprint(draws)
+        .renderer_and_fingerprint(needs_renderer)
         .map_err(|source| run.simulator_failed(source))?;
     let (result, digests, realised) = run.simulate(stage)?;
     let evidence = Evidence {

@@ -40,7 +40,7 @@ pub struct Request<'a> {
     /// Initial conditions of a variant of LIBERO-Plus or LIBERO-PRO.
     pub variant: Option<VariantStart>,
     /// True if the first and the last frame of both cameras are rendered.
-    pub draw: bool,
+    pub renders_ends: bool,
     pub output: &'a Path,
 }
 
@@ -88,13 +88,13 @@ pub fn run(
 ) -> Result<Finished, SingleError> {
     let (assignment, output) = (request.assignment, request.output);
     fs::create_dir_all(output).map_err(|source| write_error(output, source))?;
-    let mut capture = Capture::new(request.draw);
+    let mut capture = Capture::new(request.renders_ends);
     let stage = match &request.files {
         None => Stage::of_the_protocol(simulator),
         Some(files) => Stage::of_files(simulator, files.clone()),
     };
     let stage = stage.with_variant(request.variant.clone());
-    let mut stage = match request.draw {
+    let mut stage = match request.renders_ends {
         true => stage,
         false => stage.with_a_renderer_only_if_needed(),
     };

@@ -17,7 +17,7 @@ use crate::actor::PolicyError;
 use crate::filming::film;
 use crate::message::{Assignment, Failure, FailureKind, RolloutEvent, SlotCommand, SlotEvent};
 use crate::parent::{FromParent, Parent};
-use crate::policy::{OF_A_CAMPAIGN, PolicyClient};
+use crate::policy::{CAMPAIGN_SETTINGS, PolicyClient};
 use crate::rollout::{self, RolloutError, Watcher};
 use crate::stage::Stage;
 use crate::variants::{Prepared, VariantsError};
@@ -67,7 +67,7 @@ pub fn run(config: SimulatorConfig, access: &Access) -> Result<(), SlotError> {
             parent: &parent,
             attempt: assignment.attempt,
             abandoned: &abandoned,
-            broken: None,
+            connection_error: None,
         };
         run_assignment(
             &mut simulator,
@@ -75,7 +75,7 @@ pub fn run(config: SimulatorConfig, access: &Access) -> Result<(), SlotError> {
             &assignment,
             &mut reporter,
         );
-        if let Some(error) = reporter.broken {
+        if let Some(error) = reporter.connection_error {
             return Err(SlotError::Parent(error));
         }
         warn_of_scene_files();
@@ -178,7 +178,7 @@ fn client<'a>(
 ) -> Result<&'a mut PolicyClient, PolicyError> {
     let client = match last.take() {
         Some(client) if client.endpoint() == endpoint => client,
-        _ => PolicyClient::new(endpoint, access, OF_A_CAMPAIGN)?,
+        _ => PolicyClient::new(endpoint, access, CAMPAIGN_SETTINGS)?,
     };
     Ok(last.insert(client))
 }
@@ -189,15 +189,15 @@ struct Reporter<'a> {
     attempt: AttemptId,
     abandoned: &'a Abandoned,
     /// Error that broke the connection to the parent.
-    broken: Option<io::Error>,
+    connection_error: Option<io::Error>,
 }
 
 impl Reporter<'_> {
     fn report(&mut self, event: RolloutEvent) {
-        if self.broken.is_none() {
+        if self.connection_error.is_none() {
             let attempt = self.attempt;
             let sent = self.parent.send(&SlotEvent::Rollout { attempt, event });
-            self.broken = sent.err();
+            self.connection_error = sent.err();
         }
     }
 
@@ -210,7 +210,7 @@ impl Reporter<'_> {
         if done.is_multiple_of(PROGRESS_EVERY) {
             self.report(event(done));
         }
-        match self.broken {
+        match self.connection_error {
             Some(_) => ControlFlow::Break(()),
             None => ControlFlow::Continue(()),
         }

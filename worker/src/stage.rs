@@ -60,9 +60,9 @@ impl<'a> Stage<'a> {
     /// empty if no renderer is needed.
     pub(crate) fn renderer_and_fingerprint(
         &mut self,
-        draws: bool,
+        needs_renderer: bool,
     ) -> Result<(String, String), SimError> {
-        if !draws && !self.always_names_renderer {
+        if !needs_renderer && !self.always_names_renderer {
             return Ok(Default::default());
         }
         let renderer = self.simulator.renderer_name()?;

@@ -53,7 +53,7 @@ impl Run<'_> {
         &self,
         simulator: SimulatorConfig,
         actor: &mut dyn Actor,
-        say: &mut dyn FnMut(&str),
+        report: &mut dyn FnMut(&str),
     ) -> Result<Tally, VariantsError> {
         let (sources, pack) = (simulator.sources.clone(), simulator.pack.clone());
         let pin = self.rules.pin(&pack);
@@ -65,7 +65,7 @@ impl Run<'_> {
             }
             let row = self.run_case(case, &sources, &pack, &mut simulator, actor)?;
             let outcome = if row.success { "success" } else { "failure" };
-            say(&format!(
+            report(&format!(
                 "{}: {outcome} after {} steps",
                 row.variant, row.steps
             ));
@@ -91,7 +91,7 @@ impl Run<'_> {
             assignment: &assignment,
             files: Some(files),
             variant: Some(start),
-            draw: self.video,
+            renders_ends: self.video,
             output: &output,
         };
         let finished = single::run(simulator, actor, &request)?;

@@ -105,7 +105,7 @@ impl CompletedRollout {
     }
 }
 
-fn parsed(model: &str) -> Execution {
+fn parse_model(model: &str) -> Execution {
     model.parse().expect("a model")
 }
 
@@ -134,7 +134,7 @@ fn row() -> ManifestRow {
 }
 
 fn run_under(simulator: &mut Simulator, model: &str, answers_slowly: bool) -> CompletedRollout {
-    run_row(simulator, row().under(&parsed(model)), answers_slowly)
+    run_row(simulator, row().under(&parse_model(model)), answers_slowly)
 }
 
 fn run_row(simulator: &mut Simulator, row: ManifestRow, answers_slowly: bool) -> CompletedRollout {
@@ -204,7 +204,7 @@ fn a_latency_rollout_is_nominal_with_a_delayed_policy() {
     let ran = run_row(&mut simulator, late.under(&Execution::Wait), false);
     let delayed_nominal = run_row(
         &mut simulator,
-        nominal.clone().under(&parsed("overlap:4")),
+        nominal.clone().under(&parse_model("overlap:4")),
         false,
     );
     assert_eq!(ran.bits(), delayed_nominal.bits());
@@ -246,7 +246,7 @@ fn a_delay_as_long_as_an_answer_is_a_failure_on_the_latency_axis() {
     let id = "spatial/t0/latency/r20/c00".parse().expect("an id");
     let mut late = row_of(id).expect("a row");
     late.max_steps = STEPS;
-    assert_eq!(late.execution, parsed("overlap:10"));
+    assert_eq!(late.execution, parse_model("overlap:10"));
     let ran = run_row(&mut simulator, late, false);
     let result = &ran.simulated.finished.result;
     assert_eq!((result.success, result.steps), (false, STEPS));
@@ -260,7 +260,7 @@ fn a_policy_whose_every_action_would_be_dropped_is_not_run() {
     let Some(mut simulator) = simulator(test) else {
         return;
     };
-    let mut assignment = assignment(row().under(&parsed("overlap:10")));
+    let mut assignment = assignment(row().under(&parse_model("overlap:10")));
     assignment.policy = "nervous".to_owned();
     let mut actor = SensitivePolicy {
         answers_slowly: false,

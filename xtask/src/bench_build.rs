@@ -63,7 +63,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
         }
         let mut git = Command::new("git");
         capture(git.args(["clone", "--quiet"]).arg(root).arg(&clone))?;
-        // Tests look for the reference data beside their checkout.
+        // Tests expect the reference data beside their checkout.
         let (shared, link) = (root.join("../shared"), root.join("target/shared"));
         if shared.exists() && !link.exists() {
             let shared = fs::canonicalize(&shared).context("find the reference data")?;

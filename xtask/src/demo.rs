@@ -3,8 +3,8 @@
 //! a page, the results, and videos of the configurations whose outcome changes under simultaneous
 //! perturbation.
 //!
-//! The policy is the student: a small network that comes with the gateway, looks through both
-//! cameras and reads the instruction, so that every axis affects it.
+//! The policy is the student: a small network that comes with the gateway and reads the frames of
+//! both cameras and the instruction, so that every axis affects it.
 
 use std::path::{Path, PathBuf};
 use std::process::Command;

@@ -18,13 +18,13 @@ const TESTED_WITH: [&str; 2] = ["ray==2.60.0", "pytest>=7"];
 /// If a test fails.
 pub(crate) fn test(root: &Path, cache: &Path, programs: &Path) -> Result<()> {
     let dir = cache.join("ray");
-    let mut lacking = None;
+    let mut problem = None;
     step("Ray for the tests of deploy/ray", || {
         // If Ray is unavailable, these tests are skipped with a message.
         let outcome = environment(&dir, &TESTED_WITH).map(str::to_owned);
-        Ok(outcome.unwrap_or_else(|error| lacking.insert(format!("none: {error:#}")).clone()))
+        Ok(outcome.unwrap_or_else(|error| problem.insert(format!("none: {error:#}")).clone()))
     })?;
-    if lacking.is_some() {
+    if problem.is_some() {
         println!("  skipped deploy/ray/tests: no Ray");
         return Ok(());
     }

@@ -46,7 +46,7 @@ impl Running {
         };
         let start = Instant::now();
         loop {
-            if let Some(url) = announced(&running.log, name)? {
+            if let Some(url) = announced_url(&running.log, name)? {
                 running.url = url;
                 return Ok(running);
             }
@@ -111,7 +111,7 @@ impl std::fmt::Display for Running {
 
 /// Returns the address announced in a program's log. A worker has none, and counts as started at
 /// its first line.
-fn announced(log: &Path, name: &str) -> Result<Option<String>> {
+fn announced_url(log: &Path, name: &str) -> Result<Option<String>> {
     for line in BufReader::new(File::open(log)?).lines() {
         let line = line?;
         if name == "worker" {

@@ -181,15 +181,15 @@ fn gl_packages() -> Result<&'static str> {
 
 /// Installs Debian packages, which requires root.
 fn install(packages: &[&str]) -> Result<()> {
-    let by_hand = format!("apt-get install --yes {}", packages.join(" "));
+    let manual_command = format!("apt-get install --yes {}", packages.join(" "));
     let is_root = capture(Command::new("id").arg("-u")).is_ok_and(|id| id == "0");
     if !is_root {
-        bail!("install missing packages: run `sudo {by_hand}`, then run this command again");
+        bail!("install missing packages: run `sudo {manual_command}`, then run this command again");
     }
     let apt_get = |arguments: &[&str]| {
         let mut apt = Command::new("apt-get");
         apt.args(arguments).env("DEBIAN_FRONTEND", "noninteractive");
-        capture(&mut apt).with_context(|| format!("install packages (by hand: `{by_hand}`)"))
+        capture(&mut apt).with_context(|| format!("install packages (by hand: `{manual_command}`)"))
     };
     apt_get(&["update"])?;
     apt_get(&[&["install", "--yes", "--no-install-recommends"], packages].concat())?;

@@ -26,18 +26,19 @@ pub(crate) fn check(report: &Path, shared: &Path) -> Result<()> {
     let text = std::fs::read_to_string(report)
         .with_context(|| format!("read nextest's report {}", report.display()))?;
     let read = |mark| {
-        list(&text, mark).with_context(|| format!("read nextest's report {}", report.display()))
+        marked_lines(&text, mark)
+            .with_context(|| format!("read nextest's report {}", report.display()))
     };
     let not_run = read(NOT_RUN)?;
     if !not_run.is_empty() {
         println!("Documented commands that no test runs:");
     }
-    for (_, why) in &not_run {
-        println!("  {why}");
+    for (_, reason) in &not_run {
+        println!("  {reason}");
     }
     let skipped = read(MARK)?;
-    for (test, why) in &skipped {
-        println!("  {test}: {why}");
+    for (test, reason) in &skipped {
+        println!("  {test}: {reason}");
     }
     match skipped.len() {
         0 => println!("No test was skipped."),
@@ -50,7 +51,7 @@ pub(crate) fn check(report: &Path, shared: &Path) -> Result<()> {
     }
     let missing_reference: Vec<&str> = skipped
         .iter()
-        .filter(|(_, why)| shared.exists() && why.contains(REFERENCE))
+        .filter(|(_, reason)| shared.exists() && reason.contains(REFERENCE))
         .map(|(test, _)| test.as_str())
         .collect();
     ensure!(
@@ -64,7 +65,7 @@ pub(crate) fn check(report: &Path, shared: &Path) -> Result<()> {
 }
 
 /// Returns the tests' lines that begin with `mark`, each with the test's name, sorted.
-fn list(report: &str, mark: &str) -> Result<Vec<(String, String)>> {
+fn marked_lines(report: &str, mark: &str) -> Result<Vec<(String, String)>> {
     let document = roxmltree::Document::parse(report)?;
     let tests = document
         .descendants()
@@ -77,8 +78,8 @@ fn list(report: &str, mark: &str) -> Result<Vec<(String, String)>> {
             lines
                 .filter(|line| begins_with(line, mark))
                 .map(move |line| {
-                    let why = line.split_once(": ").map_or(line, |(_, why)| why);
-                    (name.to_owned(), why.to_owned())
+                    let reason = line.split_once(": ").map_or(line, |(_, reason)| reason);
+                    (name.to_owned(), reason.to_owned())
                 })
         })
         .collect();
@@ -106,37 +107,37 @@ mod tests {
                 </system-err></testcase>
             <testcase name='a_holds'><system-out>nothing is skipped here</system-out></testcase>
             </testsuite></testsuites>";
-        let test_b = |why: &str| ("b_is_held".to_owned(), why.to_owned());
+        let test_b = |reason: &str| ("b_is_held".to_owned(), reason.to_owned());
         let skipped = [test_b("no npm"), test_b("no reference data at ../shared")];
-        assert_eq!(list(report, MARK).expect("XML"), skipped);
+        assert_eq!(marked_lines(report, MARK).expect("XML"), skipped);
         let not_run = [test_b("A.md:7: needs a GPU")];
-        assert_eq!(list(report, NOT_RUN).expect("XML"), not_run);
+        assert_eq!(marked_lines(report, NOT_RUN).expect("XML"), not_run);
     }
 
     #[test]
     fn a_test_that_misses_existing_reference_data_fails_the_run() {
         let folder = tempfile::tempdir().expect("a folder");
         let report = folder.path().join("junit.xml");
-        let write = |why: &str| {
+        let write = |reason: &str| {
             let text = format!(
-                "<testsuites><testcase name='a'><system-out>skipped{why}</system-out></testcase>\
+                "<testsuites><testcase name='a'><system-out>skipped{reason}</system-out></testcase>\
                  <testcase name='b'><system-out>skipped b: no chromium</system-out></testcase>\
                  </testsuites>"
             );
             std::fs::write(&report, text).expect("a report");
         };
         let (here, absent) = (folder.path(), folder.path().join("absent"));
-        for why in [
+        for reason in [
             " a: no reference data at /elsewhere/tests/../../shared/oracle/tasks",
             ": /here/crates/analysis/paired/../../../shared/libero-ctrl-v0.1 is not here",
         ] {
-            write(why);
-            let error = check(&report, here).expect_err(why).to_string();
+            write(reason);
+            let error = check(&report, here).expect_err(reason).to_string();
             assert!(
                 error.ends_with("did not find their part of it: a"),
                 "{error}"
             );
-            check(&report, &absent).expect(why);
+            check(&report, &absent).expect(reason);
         }
         write(" a: no chromium");
         check(&report, here).expect("a missing tool is no failure");

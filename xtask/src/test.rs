@@ -76,7 +76,7 @@ pub(crate) fn run(root: &Path, suites: &[Suite], filters: &[String]) -> Result<(
             }
             Suite::Policies => policies(root, &cache, &programs)?,
             Suite::Archive => {
-                println!("Testing the release archive, of the programs just built");
+                println!("Testing the release archive, with the programs just built");
                 dist::test(root, &cache, &programs, deploy::schemas(&cache).as_deref())?;
             }
             Suite::Wheels => {
@@ -116,7 +116,7 @@ fn rust(root: &Path, cache: &Path, programs: &Path, filters: &[String]) -> Resul
         let outcome = setup::slurm().map(str::to_owned);
         Ok(outcome.unwrap_or_else(|error| format!("none: {error:#}")))
     })?;
-    step("built-in pack as generated", || {
+    step("built-in pack matches its source", || {
         let mut generator = Command::new("python3");
         capture(
             generator

@@ -34,7 +34,7 @@ const TESTED_WITH: [&str; 10] = [
     "wandb>=0.17",
 ];
 /// Largest allowed size of a wheel, bytes.
-const LARGEST: u64 = 25 * 1024 * 1024;
+const MAX_WHEEL_BYTES: u64 = 25 * 1024 * 1024;
 
 /// Cargo profile of the extension.
 #[derive(Clone, Copy, PartialEq)]
@@ -103,8 +103,8 @@ fn build(root: &Path, cache: &Path, profile: Profile) -> Result<Vec<PathBuf>> {
         let path = entry?.path();
         let size = path.metadata()?.len();
         ensure!(
-            size <= LARGEST,
-            "build {}: it has {size} bytes, more than {LARGEST}",
+            size <= MAX_WHEEL_BYTES,
+            "build {}: it has {size} bytes, more than {MAX_WHEEL_BYTES}",
             path.display()
         );
         wheels.push(path);

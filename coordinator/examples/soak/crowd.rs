@@ -17,7 +17,7 @@ use tonic::{Code, Status};
 use transport::Connection;
 
 use super::server::CoordinatorAccess;
-use super::{Arguments, Shared, drawn};
+use super::{Arguments, Shared, hash_fraction};
 
 /// Heartbeat interval of a worker.
 const HEARTBEAT: Duration = Duration::from_secs(5);
@@ -27,7 +27,7 @@ const CALL_TIMEOUT: Duration = Duration::from_secs(60);
 const PAUSE: Duration = Duration::from_secs(1);
 /// Time without running rollouts after which the campaigns count as finished. Longer than a lease,
 /// since a restored backup brings leases back.
-const QUIET: Duration = Duration::from_secs(45);
+const IDLE_TIME: Duration = Duration::from_secs(45);
 /// Number of filming tasks, and the size of the films that they upload.
 const FILMERS: u32 = 8;
 const FILM_BYTES: usize = 16 << 10;
@@ -107,7 +107,7 @@ impl Crowd {
                 client: crowd.client(),
                 held: Shared::default(),
             });
-            tasks.spawn(crowd.clone().beat(worker.clone()));
+            tasks.spawn(crowd.clone().send_heartbeats(worker.clone()));
             for slot in 0..slots {
                 tasks.spawn(crowd.clone().run_slot(worker.clone(), slot));
             }
@@ -142,10 +142,10 @@ impl Crowd {
         [&self.refused, &self.failed, &self.films].map(|count| count.load(Ordering::Relaxed))
     }
 
-    /// Returns true if no rollout has been running for [`QUIET`].
+    /// Returns true if no rollout has been running for [`IDLE_TIME`].
     pub(crate) fn is_finished(&self) -> bool {
-        let quiet = self.last_busy.lock().expect("no panic").elapsed();
-        self.running.load(Ordering::Relaxed) == 0 && quiet > QUIET
+        let idle = self.last_busy.lock().expect("no panic").elapsed();
+        self.running.load(Ordering::Relaxed) == 0 && idle > IDLE_TIME
     }
 
     pub(crate) async fn stop(&self) {
@@ -158,13 +158,13 @@ impl Crowd {
     }
 
     /// Counts a failed call and pauses, since the coordinator may be down.
-    async fn failed(&self, _: &Status) {
+    async fn count_failure(&self, _: &Status) {
         self.failed.fetch_add(1, Ordering::Relaxed);
         *self.last_busy.lock().expect("no panic") = Instant::now();
         tokio::time::sleep(PAUSE).await;
     }
 
-    async fn beat(self: Arc<Self>, worker: Arc<Worker>) {
+    async fn send_heartbeats(self: Arc<Self>, worker: Arc<Worker>) {
         let mut client = worker.client.clone();
         let held = &worker.held;
         let mut since = Instant::now();
@@ -174,7 +174,7 @@ impl Crowd {
             if !worker.is_registered.load(Ordering::SeqCst) {
                 match client.register(registration(&id, worker.slots)).await {
                     Ok(_) => worker.is_registered.store(true, Ordering::SeqCst),
-                    Err(status) => self.failed(&status).await,
+                    Err(status) => self.count_failure(&status).await,
                 }
                 continue;
             }
@@ -203,7 +203,7 @@ impl Crowd {
                     if is_refused(&status) {
                         worker.start_again(start);
                     }
-                    self.failed(&status).await;
+                    self.count_failure(&status).await;
                 }
             }
         }
@@ -214,7 +214,7 @@ impl Crowd {
         let held = &worker.held;
         // Staggered start, as in a cluster.
         let name = format!("{} {slot}", worker.number);
-        tokio::time::sleep(self.rollout.mul_f64(drawn(&name))).await;
+        tokio::time::sleep(self.rollout.mul_f64(hash_fraction(&name))).await;
         let mut claims = 0_u64;
         let mut warm = String::new();
         while !self.is_stopped() {
@@ -227,7 +227,7 @@ impl Crowd {
             let id = worker.id(start);
             let request = wire::ClaimRequest {
                 worker_id: id.clone(),
-                claim_id: format!("{:016x}{:016x}", bits(&id) ^ u64::from(slot), claims),
+                claim_id: format!("{:016x}{:016x}", hash_bits(&id) ^ u64::from(slot), claims),
                 wait_secs: 0.0,
                 warm_task: warm.clone(),
                 lacking_tasks: Vec::new(),
@@ -239,7 +239,7 @@ impl Crowd {
                     if is_refused(&status) {
                         worker.start_again(start);
                     }
-                    self.failed(&status).await;
+                    self.count_failure(&status).await;
                     continue;
                 }
             };
@@ -266,7 +266,7 @@ impl Crowd {
     async fn roll_out(&self, client: &mut Client, lease: &wire::Lease) -> String {
         let row: ManifestRow = serde_json::from_str(&lease.manifest_row).expect("a row");
         // 0.5 to 1.5 times the mean duration.
-        let share = 0.5 + drawn(&lease.attempt_id);
+        let share = 0.5 + hash_fraction(&lease.attempt_id);
         tokio::time::sleep(self.rollout.mul_f64(share)).await;
         let report = report(lease, &row);
         while !self.is_stopped() {
@@ -284,7 +284,7 @@ impl Crowd {
                     self.refused.fetch_add(1, Ordering::Relaxed);
                     break;
                 }
-                Err(status) => self.failed(&status).await,
+                Err(status) => self.count_failure(&status).await,
             }
         }
         row.id.task().to_string()
@@ -299,7 +299,7 @@ impl Crowd {
             let film = match client.next_film(request).await {
                 Ok(answer) => answer.into_inner().film,
                 Err(status) => {
-                    self.failed(&status).await;
+                    self.count_failure(&status).await;
                     continue;
                 }
             };
@@ -315,7 +315,7 @@ impl Crowd {
             let sent = client.put_artifact(tokio_stream::iter([chunk])).await;
             match sent {
                 Ok(_) => drop(self.films.fetch_add(1, Ordering::Relaxed)),
-                Err(status) => self.failed(&status).await,
+                Err(status) => self.count_failure(&status).await,
             }
         }
     }
@@ -352,7 +352,7 @@ fn succeeds(row: &ManifestRow) -> bool {
     let axes = row.axes();
     let name = format!("{} {} {config}", row.id.task(), row.id.level());
     let is_both = axes.contains(Axis::Camera) && axes.contains(Axis::Sensor);
-    !(is_both && drawn(&name) < EMERGENT)
+    !(is_both && hash_fraction(&name) < EMERGENT)
 }
 
 fn report(lease: &wire::Lease, row: &ManifestRow) -> wire::CommitRequest {
@@ -415,8 +415,8 @@ fn realised(row: &str) -> Vec<wire::RealisedAxis> {
     }
 }
 
-fn bits(text: &str) -> u64 {
-    (drawn(text) * 2_f64.powi(32)) as u64 ^ u64::from(std::process::id()) << 32
+fn hash_bits(text: &str) -> u64 {
+    (hash_fraction(text) * 2_f64.powi(32)) as u64 ^ u64::from(std::process::id()) << 32
 }
 
 fn sha(text: &str) -> String {

@@ -102,14 +102,14 @@ async fn run(arguments: &Arguments) -> Result<()> {
     };
     watch.follow(server.process_id(), &server.log());
     wait_until(KILL).await;
-    watch.note("killed");
+    watch.record_event("killed");
     server.kill_and_start()?;
     watch.follow(server.process_id(), &server.log());
     wait_until(BACK_UP).await;
-    watch.note("backed up");
+    watch.record_event("backed up");
     let backup = server.back_up()?;
     wait_until(RESTORE).await;
-    watch.note("restored");
+    watch.record_event("restored");
     server.restore(&backup)?;
     watch.follow(server.process_id(), &server.log());
     wait_until(PATIENCE).await;
@@ -186,7 +186,7 @@ fn create(server: &Server, arguments: &Arguments) -> Result<()> {
 }
 
 /// Hashes a text to a number in [0, 1).
-pub(crate) fn drawn(text: &str) -> f64 {
+pub(crate) fn hash_fraction(text: &str) -> f64 {
     use sha2::{Digest, Sha256};
     let digest = Sha256::digest(text.as_bytes());
     let bits = digest

@@ -180,7 +180,10 @@ impl Server {
                 "start the coordinator; see {}",
                 self.log().display()
             );
-            ensure!(began.elapsed() < PATIENCE, "start the coordinator in time");
+            ensure!(
+                began.elapsed() < PATIENCE,
+                "start the coordinator: it does not listen"
+            );
             std::thread::sleep(Duration::from_millis(50));
         }
         Ok(())

@@ -57,7 +57,7 @@ struct FollowedProcess {
 }
 
 /// Longest latencies of page, metrics and status since the last sample, seconds.
-type Longest = Shared<[Option<f64>; 3]>;
+type LongestLatencies = Shared<[Option<f64>; 3]>;
 
 pub(crate) struct Watch {
     followed: Shared<FollowedProcess>,
@@ -71,7 +71,7 @@ impl Watch {
             Shared::<FollowedProcess>::default(),
             Shared::<Vec<Sample>>::default(),
         );
-        let longest = Longest::default();
+        let longest = LongestLatencies::default();
         let mut tasks = JoinSet::new();
         tasks.spawn(request_pages(coordinator.clone(), longest.clone(), 0));
         tasks.spawn(request_pages(coordinator.clone(), longest.clone(), 1));
@@ -102,7 +102,7 @@ impl Watch {
         followed.log = log.to_owned();
     }
 
-    pub(crate) fn note(&self, event: &'static str) {
+    pub(crate) fn record_event(&self, event: &'static str) {
         self.followed.lock().expect("no panic").event = Some(event);
     }
 
@@ -146,7 +146,7 @@ fn sample(
     began: Instant,
     data: &Path,
     followed: &Shared<FollowedProcess>,
-    longest: &Longest,
+    longest: &LongestLatencies,
     crowd: &Crowd,
 ) -> Sample {
     let mut claims = crowd.take_claims();
@@ -186,13 +186,13 @@ fn size(file: &Path) -> u64 {
     std::fs::metadata(file).map_or(0, |metadata| metadata.len())
 }
 
-fn note(longest: &Longest, kind: usize, took: Duration) {
+fn record_latency(longest: &LongestLatencies, kind: usize, took: Duration) {
     let longest = &mut longest.lock().expect("no panic")[kind];
     *longest = Some(longest.unwrap_or_default().max(took.as_secs_f64()));
 }
 
 /// Requests the pages in turn (kind 0) or the metrics (kind 1).
-async fn request_pages(coordinator: CoordinatorAccess, longest: Longest, kind: usize) {
+async fn request_pages(coordinator: CoordinatorAccess, longest: LongestLatencies, kind: usize) {
     for turn in 0_usize.. {
         tokio::time::sleep(REQUEST_INTERVAL).await;
         let path = match kind {
@@ -202,7 +202,7 @@ async fn request_pages(coordinator: CoordinatorAccess, longest: Longest, kind: u
         let sent_at = Instant::now();
         // Failed requests are not counted, since the coordinator is down at times.
         if get(&coordinator, path).await.is_ok() {
-            note(&longest, kind, sent_at.elapsed());
+            record_latency(&longest, kind, sent_at.elapsed());
         }
     }
 }
@@ -233,7 +233,7 @@ async fn get(coordinator: &CoordinatorAccess, path: &str) -> Result<()> {
     }
 }
 
-async fn request_status(coordinator: CoordinatorAccess, longest: Longest) {
+async fn request_status(coordinator: CoordinatorAccess, longest: LongestLatencies) {
     let endpoint = Endpoint::from_shared(coordinator.url.clone()).expect("a URL");
     let connection = coordinator.operator.connect_lazy(endpoint).expect("a host");
     let mut client = OperatorServiceClient::new(connection);
@@ -244,7 +244,7 @@ async fn request_status(coordinator: CoordinatorAccess, longest: Longest) {
             .list_campaigns(wire::ListCampaignsRequest::default())
             .await;
         if listed.is_ok() {
-            note(&longest, 2, sent_at.elapsed());
+            record_latency(&longest, 2, sent_at.elapsed());
         }
     }
 }

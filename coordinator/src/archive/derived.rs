@@ -65,18 +65,18 @@ pub(super) async fn derive(from: &Portable) -> Result<Derived, ArchiveError> {
 pub(super) fn difference(archived: &str, fresh: &str) -> Option<String> {
     let read = |text| serde_json::from_str::<Value>(text);
     match (read(archived), read(fresh)) {
-        (Ok(archived), Ok(fresh)) => differs(&archived, &fresh, ""),
+        (Ok(archived), Ok(fresh)) => first_difference(&archived, &fresh, ""),
         _ => Some("its beginning, which is not JSON".to_owned()),
     }
 }
 
-fn differs(archived: &Value, fresh: &Value, place: &str) -> Option<String> {
+fn first_difference(archived: &Value, fresh: &Value, place: &str) -> Option<String> {
     match (archived, fresh) {
         (Value::Object(archived), Value::Object(fresh)) => {
             archived.iter().find_map(|(key, value)| {
                 let place = format!("{place}.{key}");
                 match fresh.get(key) {
-                    Some(fresh) => differs(value, fresh, &place),
+                    Some(fresh) => first_difference(value, fresh, &place),
                     None => Some(place),
                 }
             })
@@ -85,7 +85,7 @@ fn differs(archived: &Value, fresh: &Value, place: &str) -> Option<String> {
             let pairs = archived.iter().zip(fresh).enumerate();
             let mut pairs = pairs.map(|(at, (archived, fresh))| (at, archived, fresh));
             pairs.find_map(|(at, archived, fresh)| {
-                differs(archived, fresh, &format!("{place}[{at}]"))
+                first_difference(archived, fresh, &format!("{place}[{at}]"))
             })
         }
         _ => (archived != fresh).then(|| match place {

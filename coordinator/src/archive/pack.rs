@@ -11,7 +11,7 @@ use sha2::{Digest, Sha256};
 use tar::{Builder, EntryType, Header};
 
 use super::derived::{self, Derived};
-use super::{ArchiveError, Contents, FORMAT, Half, LIST, Member};
+use super::{ArchiveError, CONTENTS_FILE, Contents, FORMAT, Member, MergedArchive};
 
 /// Archive ready to be written: its table of contents and the files of its members.
 #[derive(Debug)]
@@ -30,7 +30,7 @@ pub async fn package(
     campaign: Portable,
     film: impl Fn(&str) -> PathBuf,
     source: Option<SourceOutcomes>,
-    merged_from: Vec<Half>,
+    merged_from: Vec<MergedArchive>,
 ) -> Result<Package, ArchiveError> {
     let mut members: Vec<(String, PathBuf)> = Vec::new();
     let mut missing = Vec::new();
@@ -63,7 +63,8 @@ pub async fn package(
     let folder = campaign.folder().to_owned();
     campaign.close().await?;
     let name = contents.campaign.clone();
-    let listed = tokio::task::spawn_blocking(move || list(&folder, derived_members, members)).await;
+    let listed =
+        tokio::task::spawn_blocking(move || list_members(&folder, derived_members, members)).await;
     let listed = listed.map_err(|_| ArchiveError::Panicked { archive: name })??;
     let (members, files) = listed.into_iter().unzip();
     contents.members = members;
@@ -71,7 +72,7 @@ pub async fn package(
 }
 
 /// Writes the derived members beside the database and computes size and digest of every file.
-fn list(
+fn list_members(
     folder: &Path,
     derived_members: Derived,
     films: Vec<(String, PathBuf)>,
@@ -119,11 +120,11 @@ impl Package {
         let mut tar = Builder::new(GzEncoder::new(out, Compression::fast()));
         let list = serde_json::to_vec_pretty(&self.contents);
         let list = list.map_err(|error| ArchiveError::Json {
-            member: LIST,
+            member: CONTENTS_FILE,
             source: error.into(),
         })?;
         let mut head = header(list.len() as u64);
-        tar.append_data(&mut head, LIST, list.as_slice())
+        tar.append_data(&mut head, CONTENTS_FILE, list.as_slice())
             .map_err(failed)?;
         for (member, path) in self.contents.members.iter().zip(&self.files) {
             let file = File::open(path).map_err(input_error(path))?;

@@ -15,11 +15,11 @@ use tar::{Archive, Entries, Entry, EntryType};
 
 use super::derived::{self, PROVENANCE, REPORT, SPECIFICATION};
 use super::pack::copy_digesting;
-use super::{ArchiveError, Contents, FORMAT, LIST, Member};
+use super::{ArchiveError, CONTENTS_FILE, Contents, FORMAT, Member};
 use crate::disk::{DEFAULT_MIN_FREE_MIB, Room};
 
 /// Largest table of contents, bytes: enough for three hundred thousand films.
-const MAX_LIST_BYTES: u64 = 64 << 20;
+const MAX_CONTENTS_BYTES: u64 = 64 << 20;
 /// Highest compression ratio, against decompression bombs. Films do not compress, and a database of
 /// repetitive rows compresses to a twentieth.
 const MAX_RATIO: u64 = 100;
@@ -55,7 +55,7 @@ type Members<'a> = Entries<'a, Compressed>;
 /// See [`ArchiveError`]. Members unpacked before the error remain in `into`.
 pub async fn unpack(file: &Path, name: &str, into: &Path) -> Result<Unpacked, ArchiveError> {
     let (path, archive, folder) = (file.to_owned(), name.to_owned(), into.to_owned());
-    let read = move || Reading { archive: &archive }.members(&path, &folder);
+    let read = move || ArchiveReader { archive: &archive }.members(&path, &folder);
     let read = tokio::task::spawn_blocking(read).await;
     let contents = read.map_err(|_| ArchiveError::Panicked {
         archive: name.to_owned(),
@@ -101,11 +101,11 @@ pub async fn unpack(file: &Path, name: &str, into: &Path) -> Result<Unpacked, Ar
 }
 
 /// Reader of one archive; `archive` is its name in messages.
-struct Reading<'a> {
+struct ArchiveReader<'a> {
     archive: &'a str,
 }
 
-impl Reading<'_> {
+impl ArchiveReader<'_> {
     /// Unpacks every member and checks it against the table of contents.
     fn members(&self, file: &Path, into: &Path) -> Result<Contents, ArchiveError> {
         let unreadable = |source| ArchiveError::Read {
@@ -115,7 +115,7 @@ impl Reading<'_> {
         let opened = File::open(file).map_err(unreadable)?;
         let compressed_bytes = opened.metadata().map_err(unreadable)?.len();
         let mut tar = Archive::new(GzDecoder::new(BufReader::new(opened)));
-        let entries = tar.entries().map_err(|_| self.foreign(NO_TAR))?;
+        let entries = tar.entries().map_err(|_| self.not_an_archive(NO_TAR))?;
         let mut entries = entries.raw(true);
         let contents = self.list(&mut entries)?;
         self.check_room(&contents, compressed_bytes, into)?;
@@ -123,7 +123,7 @@ impl Reading<'_> {
             self.member(&mut entries, member, into)?;
         }
         if let Some(next) = entries.next() {
-            next.map_err(|error| self.broken("its end", error))?;
+            next.map_err(|error| self.read_error("its end", error))?;
             return Err(self.altered(
                 "its end",
                 "it holds members that archive.json does not list",
@@ -132,7 +132,7 @@ impl Reading<'_> {
         // The gzip trailer holds the checksum, so the stream must be read to its very end.
         let mut rest = tar.into_inner().take(MAX_PADDING_BYTES);
         let read = io::copy(&mut rest, &mut io::sink());
-        read.map_err(|error| self.broken("its end", error))?;
+        read.map_err(|error| self.read_error("its end", error))?;
         let mut trailing = [0];
         if rest.limit() == 0 {
             return Err(self.altered("its end", "data follows the last member"));
@@ -141,7 +141,7 @@ impl Reading<'_> {
         match compression.into_inner().read(&mut trailing) {
             Ok(0) => Ok(contents),
             Ok(_) => Err(self.altered("its end", "data follows the last member")),
-            Err(error) => Err(self.broken("its end", error)),
+            Err(error) => Err(self.read_error("its end", error)),
         }
     }
 
@@ -156,25 +156,25 @@ impl Reading<'_> {
         }
         let first = entries
             .next()
-            .ok_or_else(|| self.foreign("it holds nothing"))?;
+            .ok_or_else(|| self.not_an_archive("it holds nothing"))?;
         let mut first = first.map_err(|error| match error.kind() {
-            ErrorKind::UnexpectedEof => self.broken(LIST, error),
-            _ => self.foreign(NO_TAR),
+            ErrorKind::UnexpectedEof => self.read_error(CONTENTS_FILE, error),
+            _ => self.not_an_archive(NO_TAR),
         })?;
-        let is_list = first.path_bytes().as_ref() == LIST.as_bytes()
+        let is_contents = first.path_bytes().as_ref() == CONTENTS_FILE.as_bytes()
             && first.header().entry_type() == EntryType::Regular;
-        if !is_list {
-            return Err(self.foreign(format!("it does not begin with {LIST}")));
+        if !is_contents {
+            return Err(self.not_an_archive(format!("it does not begin with {CONTENTS_FILE}")));
         }
-        if first.size() > MAX_LIST_BYTES {
-            return Err(self.foreign(format!("its {LIST} exceeds the size limit")));
+        if first.size() > MAX_CONTENTS_BYTES {
+            return Err(self.not_an_archive(format!("its {CONTENTS_FILE} exceeds the size limit")));
         }
         let mut text = Vec::new();
         let read = first.read_to_end(&mut text);
-        read.map_err(|error| self.broken(LIST, error))?;
+        read.map_err(|error| self.read_error(CONTENTS_FILE, error))?;
         let unreadable = |error: serde_json::Error| {
             let problem = libero_ctrl::JsonError::from(error);
-            self.foreign(format!("{LIST}: {problem}"))
+            self.not_an_archive(format!("{CONTENTS_FILE}: {problem}"))
         };
         let versions: Versions = serde_json::from_slice(&text).map_err(unreadable)?;
         let known = newest_known_schema();
@@ -199,7 +199,7 @@ impl Reading<'_> {
 
     /// Checks that the members are those of an archive and that no path leads out of the folder.
     fn check_names(&self, contents: &Contents) -> Result<(), ArchiveError> {
-        let refused = |problem: String| Err(self.altered(LIST, &problem));
+        let refused = |problem: String| Err(self.altered(CONTENTS_FILE, &problem));
         if let Err(error) = CampaignName::parse(&contents.campaign) {
             return refused(error.to_string());
         }
@@ -214,7 +214,7 @@ impl Reading<'_> {
         let films = format!("{ARTIFACTS_FOLDER}/{}/", contents.campaign);
         for name in &names[MEMBERS.len()..] {
             if !name.strip_prefix(films.as_str()).is_some_and(is_film) {
-                return refused(format!("`{}` is no film of this campaign", shown(name)));
+                return refused(format!("`{}` is no film of this campaign", shorten(name)));
             }
         }
         Ok(())
@@ -236,7 +236,7 @@ impl Reading<'_> {
                 total >> 20,
                 compressed_bytes >> 10
             );
-            return Err(self.altered(LIST, &problem));
+            return Err(self.altered(CONTENTS_FILE, &problem));
         }
         std::fs::create_dir_all(into).map_err(|source| ArchiveError::Write {
             path: into.to_owned(),
@@ -270,7 +270,7 @@ impl Reading<'_> {
         member: &Member,
         into: &Path,
     ) -> Result<(), ArchiveError> {
-        let name = shown(&member.name);
+        let name = shorten(&member.name);
         let displaced = || self.altered(name, "another member is in its place");
         let mut entry = self.next(entries, name)?;
         let mut found = entry.path_bytes().into_owned();
@@ -281,7 +281,7 @@ impl Reading<'_> {
             }
             found.clear();
             let read = entry.read_to_end(&mut found);
-            read.map_err(|error| self.broken(name, error))?;
+            read.map_err(|error| self.read_error(name, error))?;
             found.pop_if(|last| *last == 0);
             entry = self.next(entries, name)?;
         }
@@ -294,7 +294,7 @@ impl Reading<'_> {
         let path = into.join(&member.name);
         let written = write(&path, entry);
         let (bytes, sha256) = written.map_err(|failed| match failed {
-            Failed::Reading(error) => self.broken(name, error),
+            Failed::Reading(error) => self.read_error(name, error),
             Failed::Writing(source) => ArchiveError::Write {
                 path: path.clone(),
                 source,
@@ -316,7 +316,7 @@ impl Reading<'_> {
         member: &str,
     ) -> Result<Entry<'a, Compressed>, ArchiveError> {
         let next = entries.next().transpose();
-        let next = next.map_err(|error| self.broken(member, error))?;
+        let next = next.map_err(|error| self.read_error(member, error))?;
         next.ok_or_else(|| ArchiveError::Damaged {
             archive: self.archive.to_owned(),
             member: member.to_owned(),
@@ -324,7 +324,7 @@ impl Reading<'_> {
     }
 
     /// Returns the error for a file that is not an archive.
-    fn foreign(&self, problem: impl ToString) -> ArchiveError {
+    fn not_an_archive(&self, problem: impl ToString) -> ArchiveError {
         ArchiveError::Foreign {
             archive: self.archive.to_owned(),
             problem: problem.to_string(),
@@ -341,7 +341,7 @@ impl Reading<'_> {
     }
 
     /// Classifies a read error: an OS error concerns the file, any other its content.
-    fn broken(&self, member: &str, error: io::Error) -> ArchiveError {
+    fn read_error(&self, member: &str, error: io::Error) -> ArchiveError {
         let archive = self.archive.to_owned();
         match error.raw_os_error() {
             Some(_) => ArchiveError::Read {
@@ -383,6 +383,6 @@ fn is_film(file: &str) -> bool {
 }
 
 /// Shortens a name for a message.
-fn shown(name: &str) -> &str {
+fn shorten(name: &str) -> &str {
     queue::ids::shortened(name, 120)
 }

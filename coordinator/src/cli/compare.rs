@@ -70,12 +70,12 @@ impl FromArgMatches for Sources {
         let names = names.unwrap_or_default().cloned().map(Source::Campaign);
         let folders = matches.get_many::<PathBuf>("from");
         let folders = folders.unwrap_or_default().cloned().map(Source::Folder);
-        let places = |name| matches.indices_of(name).unwrap_or_default();
-        let mut sources: Vec<(usize, Source)> = places("campaigns")
+        let indices = |name| matches.indices_of(name).unwrap_or_default();
+        let mut sources: Vec<(usize, Source)> = indices("campaigns")
             .zip(names)
-            .chain(places("from").zip(folders))
+            .chain(indices("from").zip(folders))
             .collect();
-        sources.sort_by_key(|(place, _)| *place);
+        sources.sort_by_key(|(index, _)| *index);
         Ok(Self(
             sources.into_iter().map(|(_, source)| source).collect(),
         ))
@@ -90,9 +90,9 @@ impl FromArgMatches for Sources {
 pub(super) async fn compare(arguments: CompareArguments) -> Result<(), CommandError> {
     let sources = arguments.sources.0;
     if sources.len() != 2 {
-        let given = sources.len();
+        let count = sources.len();
         return Err(usage(anyhow!(
-            "compare two policies: {given} given; name two campaigns, or folders with --from"
+            "compare two policies: {count} given; name two campaigns, or folders with --from"
         )));
     }
     if let Some(rule) = &arguments.stop {

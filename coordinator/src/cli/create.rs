@@ -48,7 +48,7 @@ Examples:
   Two tasks under all axes at one level, 64 rollouts:
     coordinator campaign create --name first --policy student \\
         --endpoint http://127.0.0.1:7412 --tasks libero_object/0-1 --axes all --configs 0-3
-  The whole of LIBERO-CTRL v0.1, how long it takes, and nothing created:
+  The duration of all of LIBERO-CTRL v0.1, without creating the campaign:
     coordinator campaign create --name v01 --policy student \\
         --endpoint http://127.0.0.1:7412 --tasks all --axes all --levels L1,L2,L3 \\
         --nominal all --dry-run
@@ -147,14 +147,14 @@ struct SpecFlags {
     replicates: u32,
     /// Rollouts to film: `none`; `failures`; `transitions`, those of configurations whose outcome
     /// changes under simultaneous perturbation, filmed afterwards by `worker film`; or `all`.
-    #[arg(long, value_parser = one_of::<Record>(RECORDS), default_value = "none")]
+    #[arg(long, value_parser = enum_parser::<Record>(RECORDS), default_value = "none")]
     record: Record,
     /// Asset pack required of the workers: `primitives`, `libero`, or the first digits of a pack's
     /// digest. If omitted, the first result determines it.
     #[arg(long, value_name = "PACK", hide_short_help = true)]
     assets: Option<String>,
-    /// Renderer required of the workers: `software` or `gl`. If omitted, as for --assets.
-    #[arg(long, value_parser = one_of::<RendererKind>(RENDERERS), hide_short_help = true)]
+    /// Renderer required of the workers: `software` or `gl`. If omitted, the first result sets it.
+    #[arg(long, value_parser = enum_parser::<RendererKind>(RENDERERS), hide_short_help = true)]
     renderer: Option<RendererKind>,
     /// Motion of the robot while an answer is under way, which takes N control steps of 50 ms:
     /// `wait`; `hold:N`, the arm holds still; `overlap:N`, it continues with the previous answer;
@@ -210,7 +210,7 @@ struct StopFlags {
     stop_seed: u64,
     /// Strata of that order: `suites` or `tasks`, one configuration of each per round; for rules
     /// about new tasks `whole_tasks`, one whole task of every suite per round.
-    #[arg(long, requires = "stop", value_parser = one_of::<Strata>(STRATA),
+    #[arg(long, requires = "stop", value_parser = enum_parser::<Strata>(STRATA),
         hide_short_help = true)]
     stop_strata: Option<Strata>,
 }
@@ -238,7 +238,7 @@ struct DesignFlags {
     configs: Vec<String>,
     /// Nominal rollouts: `eval`, those of the configurations' initial states;
     /// `all`; or `none`.
-    #[arg(long, value_parser = one_of::<Nominal>(NOMINALS), default_value = "eval")]
+    #[arg(long, value_parser = enum_parser::<Nominal>(NOMINALS), default_value = "eval")]
     nominal: Nominal,
     /// Seed of the configurations beyond the protocol's ten.
     #[arg(long, value_name = "SEED", default_value_t = 0, hide_short_help = true,
@@ -247,7 +247,7 @@ struct DesignFlags {
     /// Directions: `shared`, a configuration has the same direction in all tasks, as in the paper;
     /// or `own`, each task has its own directions, drawn from --design-seed, so that results
     /// generalise beyond ten directions.
-    #[arg(long, value_parser = one_of::<Directions>(DIRECTIONS), default_value = "shared",
+    #[arg(long, value_parser = enum_parser::<Directions>(DIRECTIONS), default_value = "shared",
         hide_short_help = true)]
     directions: Directions,
     /// Configurations to run at L0, a subset of --configs; all of them if omitted.
@@ -295,7 +295,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
         if let Some(words) = planning::describe(&planning) {
             print_line(&words)?;
         }
-        return print_size(&campaign);
+        return print_video_estimate(&campaign);
     }
     let client = arguments.connection.client()?;
     let request = CreateCampaignRequest {
@@ -318,7 +318,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
             "it keeps priority {kept}: `coordinator campaign set-priority` changes it"
         ))?;
     }
-    print_size(&campaign)
+    print_video_estimate(&campaign)
 }
 
 /// Prints the execution model of the rollouts unless it is `wait`, and the reason if the policy
@@ -382,7 +382,7 @@ fn print_stop(spec: &CampaignSpec, campaign: &NewCampaign) -> Result<(), Command
     Ok(())
 }
 
-fn print_size(campaign: &NewCampaign) -> Result<(), CommandError> {
+fn print_video_estimate(campaign: &NewCampaign) -> Result<(), CommandError> {
     if let Some(words) = video_estimate::describe(campaign) {
         print_line(&words)?;
     }
@@ -437,12 +437,12 @@ fn design_of_flags(arguments: &CreateArguments) -> anyhow::Result<Design> {
         "metric" => Axis::METRIC.to_vec(),
         "all" => Axis::ALL.to_vec(),
         "none" | "" => Vec::new(),
-        _ => parsed(&given)?,
+        _ => parse_names(&given)?,
     };
     // A design without axes has no perturbation to which a level could apply.
     let levels: Vec<Level> = match axes.is_empty() && !latency {
         true => Vec::new(),
-        false => parsed(&arguments.design.levels)?,
+        false => parse_names(&arguments.design.levels)?,
     };
     let subsets = subsets(&arguments.design.subsets, axes.iter().copied().collect())?;
     let design = Design {
@@ -479,7 +479,7 @@ fn subsets(given: &[String], axes: AxisSet) -> Result<Vec<AxisSet>, UnknownName>
     match given.join(",").as_str() {
         "all" => Ok(all.collect()),
         "pairs" => Ok(all.filter(|set| set.len() == 2).collect()),
-        _ => parsed(given),
+        _ => parse_names(given),
     }
 }
 
@@ -520,7 +520,9 @@ fn range(text: &str) -> Option<(u16, u16)> {
 }
 
 /// Returns a parser of an enum by its name in a specification; `names` lists the valid values.
-pub(super) fn one_of<T>(names: impl Into<PossibleValuesParser>) -> impl TypedValueParser<Value = T>
+pub(super) fn enum_parser<T>(
+    names: impl Into<PossibleValuesParser>,
+) -> impl TypedValueParser<Value = T>
 where
     T: DeserializeOwned + Clone + Send + Sync + 'static,
 {
@@ -529,6 +531,6 @@ where
         .try_map(|name| serde_json::from_value(name.into()))
 }
 
-fn parsed<T: FromStr<Err = UnknownName>>(names: &[String]) -> Result<Vec<T>, UnknownName> {
+fn parse_names<T: FromStr<Err = UnknownName>>(names: &[String]) -> Result<Vec<T>, UnknownName> {
     names.iter().map(|name| name.parse()).collect()
 }

@@ -80,7 +80,7 @@ impl DerivedCampaign<'_> {
         let prospect = prospect(&client.report(self.source).await?)?;
         let proposal = self.proposal(client, &source, &prospect).await;
         if !flags.create {
-            let created = format!("nothing was created; `{command} --create` does that");
+            let created = format!("nothing was created; `{command} --create` creates the campaign");
             print_line(&format!("{proposal}\n{created}"))?;
             return Ok(false);
         }
@@ -180,13 +180,13 @@ async fn spec(client: &Client, name: &str) -> Result<CampaignSpec, CommandError>
 /// first line of their text to standard error whenever it changes.
 pub(super) async fn poll_findings<T>(
     until_complete: bool,
-    found: impl AsyncFn() -> Result<T, CommandError>,
+    fetch: impl AsyncFn() -> Result<T, CommandError>,
     is_complete: impl Fn(&T) -> bool,
     text: impl Fn(&T) -> String,
 ) -> Result<T, CommandError> {
     let mut printed = String::new();
     loop {
-        let found = found().await?;
+        let found = fetch().await?;
         if !until_complete || is_complete(&found) {
             return Ok(found);
         }

@@ -7,7 +7,7 @@ use report::{Findings, Subject};
 use terminal::{number, number_from};
 
 use super::command::{CommandError, Connection, print_line, usage};
-use super::create::{RECORDS, one_of};
+use super::create::{RECORDS, enum_parser};
 use super::derived::{self, CreateFlags, DerivedCampaign};
 
 /// Most replicates of one subset.
@@ -45,7 +45,7 @@ pub(super) struct ExplainArguments {
     repeats: Option<u32>,
     /// Subsets to film: `none`; `transitions`, those that show the explanation, filmed afterwards
     /// by `worker film`; `failures`; or `all`. [default: as CAMPAIGN]
-    #[arg(long, value_parser = one_of::<Record>(RECORDS))]
+    #[arg(long, value_parser = enum_parser::<Record>(RECORDS))]
     record: Option<Record>,
     #[command(flatten)]
     create: CreateFlags,

@@ -33,32 +33,32 @@ fn read_text(path: &Path) -> Result<String, CommandError> {
         )),
         Err(error) => Err(error.into()),
     };
-    checked.map_err(|error| usage(error.context(format!("read {}", name_of(path)))))
+    checked.map_err(|error| usage(error.context(format!("read {}", input_name(path)))))
 }
 
 /// Reads a specification; an invalid one is a usage error.
 pub(super) fn read_spec(path: &Path) -> Result<CampaignSpec, CommandError> {
     let spec = CampaignSpec::from_json(&read_text(path)?);
-    spec.with_context(|| format!("use {}", name_of(path)))
+    spec.with_context(|| format!("use {}", input_name(path)))
         .map_err(usage)
 }
 
 /// Reads a suite file; an invalid one is a usage error.
 pub(super) fn read_suite_file(path: &Path) -> Result<SuiteFile, CommandError> {
     let file = SuiteFile::from_json(&read_text(path)?);
-    file.with_context(|| format!("use {}", name_of(path)))
+    file.with_context(|| format!("use {}", input_name(path)))
         .map_err(usage)
 }
 
 /// Reads a manifest. An invalid one is a failure, not a usage error, since the command was valid.
 pub(super) fn read_manifest(path: &Path) -> Result<Vec<ManifestRow>, CommandError> {
     let text = read_text(path)?;
-    let rows = manifest::parse(&text).with_context(|| format!("use {}", name_of(path)));
+    let rows = manifest::parse(&text).with_context(|| format!("use {}", input_name(path)));
     Ok(rows?)
 }
 
 /// Name of a path in messages.
-pub(super) fn name_of(path: &Path) -> String {
+pub(super) fn input_name(path: &Path) -> String {
     match is_standard_input(path) {
         true => "standard input".to_owned(),
         false => path.display().to_string(),

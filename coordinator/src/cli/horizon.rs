@@ -24,7 +24,7 @@ pub(super) async fn check(
     suites: impl IntoIterator<Item = &str>,
     connection: &Connection,
 ) -> Result<Option<String>, CommandError> {
-    let models = overlaps(spec);
+    let models = overlap_models(spec);
     let Some(longest) = models.last() else {
         return Ok(None);
     };
@@ -62,7 +62,7 @@ pub(super) async fn check(
 
 /// Returns the models under which rollouts of a campaign drop actions: its own, if that is
 /// `overlap`, and those of the latency axis, the longest delay last.
-fn overlaps(spec: &CampaignSpec) -> Vec<Execution> {
+fn overlap_models(spec: &CampaignSpec) -> Vec<Execution> {
     let levels: BTreeSet<Level> = match &spec.rollouts {
         Rollouts::Design(design) if design.latency => design.levels.iter().copied().collect(),
         Rollouts::Manifest(rows) => {

@@ -8,8 +8,8 @@ use super::command::{CommandError, Connection, print_line};
 
 #[derive(Args, Debug)]
 pub(super) struct InteractionsArguments {
-    /// Campaign that runs all subsets of the axes: of `campaign create --subsets all`, or
-    /// of `explain --exhaustive`.
+    /// Campaign that runs all subsets of the axes, created by `campaign create --subsets all` or
+    /// by `explain --exhaustive`.
     campaign: String,
     /// Print JSON, as docs/JSON.md describes it.
     #[arg(long)]

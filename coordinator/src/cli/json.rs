@@ -91,8 +91,8 @@ forms! {
         live_workers: u32 = status.live_workers,
         policy_outage: Option<String> =
             status.policy_paused.then(|| status.policy_pause_reason.clone()),
-        waiting_reason: Option<String> = given(&status.waiting_reason),
-        mixed_fingerprints: Option<String> = given(&status.mixed_fingerprints),
+        waiting_reason: Option<String> = non_empty(&status.waiting_reason),
+        mixed_fingerprints: Option<String> = non_empty(&status.mixed_fingerprints),
         early_stop: Option<EarlyStop> = status.early_stop.as_ref().map(|early| EarlyStop {
             rule: early.rule.clone(),
             seed: early.seed,
@@ -101,7 +101,7 @@ forms! {
             used: early.used,
             saved: early.used.map(|_| status.queued),
         }),
-        follows_from: Option<String> = given(&status.follows_from),
+        follows_from: Option<String> = non_empty(&status.follows_from),
         created_at: String = instant(status.created_unix_ms),
     }
 
@@ -125,24 +125,24 @@ forms! {
         steps: Option<u32> = job.steps,
         attempts: u32 = job.attempt,
         charged_attempts: u32 = job.charged_attempts,
-        attempt_id: Option<String> = given(&job.attempt_id),
-        worker_id: Option<String> = given(&job.lease_owner),
+        attempt_id: Option<String> = non_empty(&job.attempt_id),
+        worker_id: Option<String> = non_empty(&job.lease_owner),
         control_steps: Option<u32> = (job.state == "leased").then_some(job.control_steps),
         lease_left_secs: Option<f64> = (job.state == "leased").then_some(job.lease_left_secs),
         backoff_left_secs: Option<f64> = (job.state == "queued").then_some(job.backoff_left_secs),
-        last_error: Option<String> = given(&job.last_error),
+        last_error: Option<String> = non_empty(&job.last_error),
     }
 
     ResultOrigin from result: wire::ResultOrigin {
         goal: Option<Goal> = result.goal.as_ref().map(Goal::from_message),
-        prompt: Option<String> = given(&result.prompt),
+        prompt: Option<String> = non_empty(&result.prompt),
         attempt: u32 = result.attempt,
         worker_id: String = result.worker_id.clone(),
         host: String = result.host.clone(),
         renderer: String = result.renderer.clone(),
         wall_secs: f64 = result.wall_secs,
         divergences: u32 = result.divergences,
-        video: Option<String> = given(&result.video),
+        video: Option<String> = non_empty(&result.video),
         committed_at: String = instant(result.committed_unix_ms),
     }
 
@@ -173,7 +173,7 @@ forms! {
         is_alive: bool = worker.alive,
         has_signed_off: bool = worker.signed_off,
         failures_in_a_row: u32 = worker.charged_in_a_row,
-        stopped_reason: Option<String> = given(&worker.stopped_reason),
+        stopped_reason: Option<String> = non_empty(&worker.stopped_reason),
         registered_at: String = instant(worker.registered_unix_ms),
         last_call_at: String = instant(worker.last_seen_unix_ms),
     }
@@ -185,7 +185,7 @@ pub(super) fn print(answer: &impl Serialize) -> Result<(), CommandError> {
     Ok(print_line(&text)?)
 }
 
-fn given(text: &str) -> Option<String> {
+fn non_empty(text: &str) -> Option<String> {
     (!text.is_empty()).then(|| text.to_owned())
 }
 

@@ -24,7 +24,7 @@ pub(super) fn is_finished(status: &CampaignStatus) -> bool {
 pub(super) fn line(status: &CampaignStatus) -> String {
     let done = status.committed;
     let percent = (done * 100).checked_div(status.total).unwrap_or(0);
-    let pace = if status.state() == State::Cancelled {
+    let state_text = if status.state() == State::Cancelled {
         "cancelled".to_owned()
     } else if status.state() == State::Stopped {
         "stopped early".to_owned()
@@ -42,7 +42,7 @@ pub(super) fn line(status: &CampaignStatus) -> String {
         format!("{} running  {rate}  ETA {eta}", status.leased)
     };
     let name = shortened(&status.campaign, NAME_BYTES);
-    let counts = format!("{done}/{} {percent}%  {pace}", status.total);
+    let counts = format!("{done}/{} {percent}%  {state_text}", status.total);
     let used_columns = name.chars().count() + counts.chars().count() + 2;
     let bar_columns = LINE_COLUMNS.saturating_sub(used_columns).min(BAR_COLUMNS) as u64;
     let filled = (done * bar_columns).checked_div(status.total).unwrap_or(0);

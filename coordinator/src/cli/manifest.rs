@@ -9,7 +9,7 @@ use libero_ctrl::{Design, DesignVersion, ManifestRow, manifest};
 use terminal::counted;
 
 use super::command::{CommandError, failure, print, print_line, usage};
-use super::files::{name_of, read_manifest, read_spec, write_atomically};
+use super::files::{input_name, read_manifest, read_spec, write_atomically};
 
 #[derive(Debug, Subcommand)]
 pub(super) enum ManifestCommand {
@@ -90,7 +90,7 @@ fn check(path: &Path) -> Result<(), CommandError> {
     let nominal = rows.iter().filter(|row| is_nominal(row)).count();
     Ok(print_line(&format!(
         "{}: {}, {nominal} nominal and {} perturbed; design {}",
-        name_of(path),
+        input_name(path),
         counted(rows.len() as u64, "row"),
         rows.len() - nominal,
         DesignVersion::of_manifest(&rows)
@@ -103,7 +103,7 @@ fn diff(first: &Path, second: &Path) -> Result<(), CommandError> {
     for difference in &differences {
         print_line(&difference.to_string())?;
     }
-    let (first, second) = (name_of(first), name_of(second));
+    let (first, second) = (input_name(first), input_name(second));
     match differences.len() {
         0 => Ok(print_line(&format!(
             "{first} and {second} have the same {}",

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use anyhow::{Context, anyhow};
 use clap::Args;
-use coordinator::archive::{ArchiveError, Half, MOVING_PREFIX, Unpacked, package, unpack};
+use coordinator::archive::{ArchiveError, MOVING_PREFIX, MergedArchive, Unpacked, package, unpack};
 use coordinator::client::Service;
 use coordinator::storage::Storage;
 use proto::coordinator::{ArchiveCampaignRequest, ImportCampaignResponse, ImportChunk};
@@ -140,7 +140,7 @@ pub(super) async fn import(arguments: ImportArguments) -> Result<(), CommandErro
 
 pub(super) async fn merge(arguments: MergeArguments) -> Result<(), CommandError> {
     let output = &arguments.output;
-    // The halves are unpacked beside the output file, on whose disk there must be room anyway.
+    // The archives are unpacked beside the output file, on whose disk there must be room anyway.
     let parent_folder = match output.parent() {
         Some(parent) if parent != Path::new("") => parent,
         _ => Path::new("."),
@@ -153,30 +153,30 @@ pub(super) async fn merge(arguments: MergeArguments) -> Result<(), CommandError>
     let Some((_, first)) = archives.next() else {
         return Ok(());
     };
-    let mut whole = read_archive(first, &folder, 0).await?;
-    let mut halves = vec![half(&whole)];
+    let mut combined = read_archive(first, &folder, 0).await?;
+    let mut inputs = vec![describe_input(&combined)];
     let mut merged = Merged::default();
     let mut repeated = 0;
     for (number, path) in archives {
         let other = read_archive(path, &folder, number).await?;
-        halves.push(half(&other));
+        inputs.push(describe_input(&other));
         let into = folder.path().join(format!("merged-{number}"));
         let name = arguments.name.as_ref();
-        let done = merge_halves(&whole.campaign, &other.campaign, &into, name).await;
+        let done = merge_halves(&combined.campaign, &other.campaign, &into, name).await;
         let (campaign, counts) = done.map_err(|error| merge_error(error, first, path))?;
         repeated += counts.both;
         merged = counts;
-        move_films(&into, &campaign, [&whole, &other]).await?;
-        whole = Unpacked {
+        move_films(&into, &campaign, [&combined, &other]).await?;
+        combined = Unpacked {
             campaign,
-            contents: whole.contents,
+            contents: combined.contents,
         };
     }
-    let folder_of_films = whole.campaign.folder().to_owned();
+    let folder_of_films = combined.campaign.folder().to_owned();
     let artifacts = folder_of_films.join(queue::ARTIFACTS_FOLDER);
-    let films = artifacts.join(whole.campaign.campaign.name.as_str());
-    let name = whole.campaign.campaign.name.clone();
-    let package = package(whole.campaign, |film| films.join(film), None, halves).await;
+    let films = artifacts.join(combined.campaign.campaign.name.as_str());
+    let name = combined.campaign.campaign.name.clone();
+    let package = package(combined.campaign, |film| films.join(film), None, inputs).await;
     let package = package.map_err(failure)?;
     let mut file = AtomicFile::create(output)?;
     package.write(file.writer(), output).map_err(failure)?;
@@ -252,31 +252,31 @@ async fn read_archive(
 }
 
 /// Describes an input archive for the contents of the merged archive.
-fn half(archive: &Unpacked) -> Half {
+fn describe_input(archive: &Unpacked) -> MergedArchive {
     let members = &archive.contents.members;
     let database = members.iter().find(|member| member.name == DATABASE_FILE);
-    Half {
+    MergedArchive {
         campaign: archive.contents.campaign.clone(),
         program: archive.contents.program.clone(),
         database: database.map_or_else(String::new, |member| member.sha256.clone()),
     }
 }
 
-/// Moves the halves' films to their paths in the merged campaign.
+/// Moves the films of two archives to their paths in the merged campaign.
 async fn move_films(
     into: &Path,
     campaign: &queue::Portable,
-    halves: [&Unpacked; 2],
+    inputs: [&Unpacked; 2],
 ) -> anyhow::Result<()> {
     for film in campaign.films().await? {
         let path = into.join(&film.path);
         let name = path.file_name().unwrap_or_default();
         let folder = path.parent().unwrap_or(into);
         std::fs::create_dir_all(folder).with_context(|| format!("make {}", folder.display()))?;
-        for half in halves {
-            let artifacts = half.campaign.folder().join(queue::ARTIFACTS_FOLDER);
+        for input in inputs {
+            let artifacts = input.campaign.folder().join(queue::ARTIFACTS_FOLDER);
             let from = artifacts
-                .join(half.campaign.campaign.name.as_str())
+                .join(input.campaign.campaign.name.as_str())
                 .join(name);
             if from.is_file() {
                 let moved = std::fs::rename(&from, &path);

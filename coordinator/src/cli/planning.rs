@@ -78,7 +78,8 @@ impl Planning {
                 if Assumed::nearest(&assumed, Level::L2).is_none() {
                     return Err(usage(anyhow!(
                         "plan from {earlier}: no configuration has an outcome under each axis \
-                         and simultaneously; name a campaign or a folder with such outcomes"
+                         alone and under all axes simultaneously; name a campaign or a folder \
+                         with such outcomes"
                     )));
                 }
                 (format!("those of {earlier}"), assumed)

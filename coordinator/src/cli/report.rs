@@ -42,11 +42,11 @@ pub(super) struct ReportArguments {
     #[arg(long, value_name = "DIR")]
     figures: Option<PathBuf>,
     /// Write all outcomes, one row per configuration: FILE.csv or FILE.parquet.
-    #[arg(long, value_name = "FILE", value_parser = table)]
+    #[arg(long, value_name = "FILE", value_parser = parse_table)]
     table: Vec<(PathBuf, TableForm)>,
     /// Published nominal success of a policy, for the reproduction gate: over all suites,
     /// or, as `libero_goal:openvla=97.1`, of one suite.
-    #[arg(long, value_name = "[SUITE:]POLICY=PERCENT", value_parser = published)]
+    #[arg(long, value_name = "[SUITE:]POLICY=PERCENT", value_parser = parse_published)]
     published: Vec<Published>,
     #[command(flatten)]
     connection: Connection,
@@ -118,7 +118,7 @@ pub(super) async fn report(arguments: ReportArguments) -> Result<(), CommandErro
     Ok(print_line(text.trim_end())?)
 }
 
-fn published(text: &str) -> Result<Published, String> {
+fn parse_published(text: &str) -> Result<Published, String> {
     let (policy, percent) = text
         .rsplit_once('=')
         .ok_or("write for example openvla=97.1, or libero_goal:openvla=97.1")?;
@@ -165,7 +165,7 @@ fn add_published(subjects: &mut [Subject], published: &[Published]) -> anyhow::R
     Ok(())
 }
 
-fn table(name: &str) -> Result<(PathBuf, TableForm), &'static str> {
+fn parse_table(name: &str) -> Result<(PathBuf, TableForm), &'static str> {
     let path = PathBuf::from(name);
     match path.extension().and_then(OsStr::to_str) {
         Some("csv") => Ok((path, TableForm::Csv)),

@@ -85,7 +85,7 @@ fn success_so_far(subject: &Subject) -> String {
     let advice = match nominal {
         (_, 0) => "no nominal rollout has an outcome yet",
         (0, _) => "a policy that never succeeds nominally is usually set up wrongly",
-        _ => "the policy does succeed, so look for a partial mistake, if there is any",
+        _ => "the policy succeeds in some rollouts, so at most a part of its setup is wrong",
     };
     format!(
         "campaign {}: {} of {} nominal and {} of {} perturbed rollouts succeed; {advice}",

@@ -12,7 +12,7 @@ use super::command::{CommandError, Connection, print_line};
 use super::json;
 
 /// Time for which `--all` lists a worker after its last call.
-const REMEMBERED: Duration = Duration::from_secs(7 * 86_400);
+const LISTED_AFTER_DEPARTURE: Duration = Duration::from_secs(7 * 86_400);
 
 #[derive(Args, Debug)]
 pub(super) struct WorkersArguments {
@@ -39,7 +39,7 @@ pub(super) async fn workers(arguments: WorkersArguments) -> Result<(), CommandEr
     }
     let (recent, forgotten): (Vec<_>, Vec<_>) = departed
         .iter()
-        .partition(|worker| worker.silent_secs < REMEMBERED.as_secs_f64());
+        .partition(|worker| worker.silent_secs < LISTED_AFTER_DEPARTURE.as_secs_f64());
     let shown = alive
         .iter()
         .chain(recent.iter().copied().filter(|_| arguments.all));
@@ -80,7 +80,7 @@ fn line(worker: &WorkerStatus) -> String {
         (false, _) if worker.signed_off => "ended".to_owned(),
         (false, _) => "gone".to_owned(),
         (true, "") => format!("{}/{} slots busy", worker.leases, worker.slots),
-        (true, reason) => format!("leases no more: {reason}"),
+        (true, reason) => format!("gets no more leases: {reason}"),
     };
     let failures = match worker.charged_in_a_row {
         0 => String::new(),

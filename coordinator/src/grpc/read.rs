@@ -194,9 +194,9 @@ pub(super) fn policy_rate(given: Option<f64>) -> Result<Option<f64>, Status> {
 
 /// Reads the filters of `ListJobs`.
 pub(super) fn job_filter(request: &wire::ListJobsRequest) -> Result<JobFilter<'_>, Status> {
-    let given = |text: &'_ str| (!text.is_empty()).then(|| text.to_owned());
-    let condition = given(&request.condition).map(|name| name.parse());
-    let level = given(&request.level).map(|name| name.parse());
+    let non_empty = |text: &'_ str| (!text.is_empty()).then(|| text.to_owned());
+    let condition = non_empty(&request.condition).map(|name| name.parse());
+    let level = non_empty(&request.level).map(|name| name.parse());
     let task = request.task.as_str();
     if !task.is_empty() {
         select_tasks(task).map_err(invalid)?;
@@ -209,7 +209,7 @@ pub(super) fn job_filter(request: &wire::ListJobsRequest) -> Result<JobFilter<'_
             "failure" => Some(false),
             other => {
                 return Err(invalid(format!(
-                    "`{}` is no outcome; there are success and failure",
+                    "`{}` is not an outcome; write success or failure",
                     shortened(other, MAX_ROLLOUT_ID_BYTES)
                 )));
             }
@@ -228,7 +228,7 @@ fn job_state(state: &str) -> Result<Option<&str>, Status> {
         "" => Ok(None),
         "queued" | "leased" | "committed" | "quarantined" => Ok(Some(state)),
         other => Err(invalid(format!(
-            "`{}` is no state of a job; there are queued, leased, committed, quarantined",
+            "`{}` is not a job state; the states are queued, leased, committed, quarantined",
             shortened(other, MAX_ROLLOUT_ID_BYTES)
         ))),
     }

@@ -9,7 +9,7 @@ use queue::read::Counts;
 
 use super::bar::bar;
 use super::campaigns::progress;
-use super::layout::{Place, Sheet, breakable, table};
+use super::layout::{Sheet, Tab, breakable, table};
 use super::problem::Problem;
 use super::speed::speed;
 use super::state::Page;
@@ -28,13 +28,13 @@ pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
         .analyses
         .iter()
         .find_map(|analysis| analysis.findings.as_ref());
-    let measuring = explained.map_or(name.as_str(), |findings| findings.campaign.as_str());
-    let link = |id: RolloutId, replicate: u32| address(measuring, id, replicate);
+    let measuring_campaign = explained.map_or(name.as_str(), |findings| findings.campaign.as_str());
+    let link = |id: RolloutId, replicate: u32| address(measuring_campaign, id, replicate);
     let is_paired = document
         .analyses
         .iter()
         .all(|analysis| analysis.is_paired());
-    // The table of a campaign of LIBERO's family has its dimensions instead.
+    // A campaign of LIBERO's family has a table by dimension instead.
     let progress_by_condition = match &document.family {
         Some(_) => Markup::default(),
         None => by_condition(records, name.as_str()),
@@ -49,7 +49,7 @@ pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
         (::report::sections(&document, Some(&link)))
         @if !is_paired { (progress_by_condition) }
     };
-    Ok(Sheet::new(Place::Campaigns, name.to_string(), main))
+    Ok(Sheet::new(Tab::Campaigns, name.to_string(), main))
 }
 
 /// Returns the address of the page of a rollout's configuration.

@@ -6,7 +6,7 @@ use queue::rules::campaign::CampaignState;
 
 use super::bar::{bar, legend, words};
 use super::compare;
-use super::layout::{Place, Sheet};
+use super::layout::{Sheet, Tab};
 use super::problem::Problem;
 use super::state::Page;
 use crate::words::{duration_text, rate_text};
@@ -35,7 +35,7 @@ pub(super) async fn sheet(page: &Page) -> Result<Sheet, Problem> {
             }
         }
     };
-    Ok(Sheet::new(Place::Campaigns, "Campaigns", main))
+    Ok(Sheet::new(Tab::Campaigns, "Campaigns", main))
 }
 
 /// Renders the progress of one campaign: pace, bar, counts and notes on obstacles.
@@ -47,7 +47,7 @@ pub(super) fn progress(status: &CampaignStatus) -> Markup {
         p.pace {
             strong { (percent) " %" }
             " " (done) " of " (counts.total()) " rollouts"
-            " · " (pace(status))
+            " · " (describe_pace(status))
         }
         (bar(counts, &words(counts)))
         (legend(counts))
@@ -99,7 +99,7 @@ fn notes(status: &CampaignStatus) -> Markup {
     }
 }
 
-fn pace(status: &CampaignStatus) -> String {
+fn describe_pace(status: &CampaignStatus) -> String {
     if let Some(source) = awaited(status)
         && unfinished(status) == 0
         && !status.campaign.state.is_over()

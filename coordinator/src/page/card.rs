@@ -163,7 +163,7 @@ fn perturbed(shown: &ShownRollout) -> Markup {
                 }
             }
             [] if shown.id.condition() == Condition::Latency => {
-                p.muted { "The policy is late, and nothing else perturbed." }
+                p.muted { "The policy's answers are delayed; nothing else is perturbed." }
             }
             [] => p.muted { "Nothing is perturbed." },
             [axis] => (values(*axis)),
@@ -218,7 +218,7 @@ fn origin(shown: &ShownRollout, replicate: u32) -> Markup {
         facts.push(("worker", worker.to_string()));
     }
     if let Some(result) = &shown.result {
-        facts.extend(of_result(result));
+        facts.extend(result_facts(result));
     }
     html! {
         dl.facts {
@@ -243,7 +243,7 @@ fn goal(result: &ResultLine) -> String {
     result.goal().map(words).unwrap_or_default()
 }
 
-fn of_result(result: &ResultLine) -> Vec<(&'static str, String)> {
+fn result_facts(result: &ResultLine) -> Vec<(&'static str, String)> {
     let (from, pin) = (&result.provenance, &result.provenance.pin);
     let privileged = match from.policy_privileged {
         true => ", sees the simulator's state",
@@ -252,10 +252,10 @@ fn of_result(result: &ResultLine) -> Vec<(&'static str, String)> {
     let residual = result.ik_residual_mm.map(|mm| format!("{mm:.2} mm"));
     let divergent = match result.divergences {
         0 => String::new(),
-        times => format!("{times} reports of another outcome"),
+        count => format!("{count} reports of another outcome"),
     };
     let committed = utc_text(result.committed_ms);
-    let pack_digest = short(&pin.asset_pack_digest);
+    let pack_digest = prefix(&pin.asset_pack_digest);
     vec![
         (
             "committed",
@@ -279,17 +279,17 @@ fn of_result(result: &ResultLine) -> Vec<(&'static str, String)> {
         ("assets", format!("{} {pack_digest}", pin.asset_pack)),
         ("simulator", format!("MuJoCo {}", pin.mujoco_version)),
         ("renderer", pin.renderer.clone()),
-        ("fingerprint", short(&from.fingerprint)),
+        ("fingerprint", prefix(&from.fingerprint)),
         ("machine", from.host.clone()),
         ("worker's program", from.program_version.clone()),
-        ("scene", short(&result.digests.scene)),
-        ("initial state's bytes", short(&result.digests.init_state)),
-        ("first frames", short(&result.digests.first_frame)),
+        ("scene", prefix(&result.digests.scene)),
+        ("initial state's bytes", prefix(&result.digests.init_state)),
+        ("first frames", prefix(&result.digests.first_frame)),
     ]
 }
 
 /// Truncates a digest to its first 16 characters.
-fn short(digest: &str) -> String {
+fn prefix(digest: &str) -> String {
     match digest.is_ascii() && digest.len() > 16 {
         true => format!("{}…", &digest[..16]),
         false => digest.to_owned(),

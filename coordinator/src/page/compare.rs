@@ -4,7 +4,7 @@ use maud::{Markup, html};
 use queue::ids::{CampaignName, shortened};
 use queue::read::{Campaign, View};
 
-use super::layout::{Place, Sheet};
+use super::layout::{Sheet, Tab};
 use super::problem::Problem;
 use super::state::Page;
 
@@ -23,7 +23,7 @@ pub(super) async fn sheet(page: &Page, query: &str) -> Result<Sheet, Problem> {
     let form = form(&names, [a.as_deref(), b.as_deref()]);
     let (Some(a), Some(b)) = (a, b) else {
         let main = html! { (crumbs()) h1 { "Compare two campaigns" } (form) };
-        return Ok(Sheet::new(Place::Campaigns, "Compare", main));
+        return Ok(Sheet::new(Tab::Campaigns, "Compare", main));
     };
     let (a, b) = (
         campaign(&mut view, &a).await?,
@@ -49,13 +49,13 @@ pub(super) async fn sheet(page: &Page, query: &str) -> Result<Sheet, Problem> {
             }
         }
     };
-    Ok(Sheet::new(Place::Campaigns, title, main))
+    Ok(Sheet::new(Tab::Campaigns, title, main))
 }
 
 /// Renders the selection form; empty if there are fewer than two campaigns.
 pub(super) fn form(names: &[String], chosen: [Option<&str>; 2]) -> Markup {
-    let select = |id: &str, chosen: Option<&str>, otherwise: usize| {
-        let chosen = chosen.or_else(|| names.get(otherwise).map(String::as_str));
+    let select = |id: &str, chosen: Option<&str>, default_index: usize| {
+        let chosen = chosen.or_else(|| names.get(default_index).map(String::as_str));
         html! {
             select #(id) name=(id) {
                 @for name in names {

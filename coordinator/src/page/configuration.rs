@@ -11,7 +11,7 @@ use rollout_types::Motion;
 
 use super::campaign::address;
 use super::card::{self, ShownRollout};
-use super::layout::{Place, Sheet, crumbs};
+use super::layout::{Sheet, Tab, crumbs};
 use super::problem::Problem;
 use super::state::Page;
 use super::subsets;
@@ -73,7 +73,7 @@ pub(super) async fn sheet(
         }
     };
     let title = format!("{requested} in {name}");
-    Ok(Sheet::new(Place::Campaigns, title, main))
+    Ok(Sheet::new(Tab::Campaigns, title, main))
 }
 
 /// Parses the `replicate` parameter of a query; 0 if absent.
@@ -176,8 +176,8 @@ fn navigation_links(
     let is_same_level = |id: &&RolloutId| id.level() == requested.level();
     let row: Vec<&RolloutId> = neighbours.iter().filter(is_same_level).collect();
     let place = row.iter().position(|id| **id == requested);
-    let before = place.and_then(|place| row.get(place.checked_sub(1)?));
-    let after = place.and_then(|place| row.get(place + 1));
+    let previous = place.and_then(|place| row.get(place.checked_sub(1)?));
+    let next = place.and_then(|place| row.get(place + 1));
     let levels = neighbours
         .iter()
         .filter(|id| id.number() == requested.number());
@@ -189,8 +189,8 @@ fn navigation_links(
     let current = to(requested, replicate);
     html! {
         nav.ways aria-label="Other configurations" {
-            @if let Some(id) = before { a rel="prev" href=(to(**id, replicate)) { "← " (number(**id)) } }
-            @if let Some(id) = after { a rel="next" href=(to(**id, replicate)) { (number(**id)) " →" } }
+            @if let Some(id) = previous { a rel="prev" href=(to(**id, replicate)) { "← " (number(**id)) } }
+            @if let Some(id) = next { a rel="next" href=(to(**id, replicate)) { (number(**id)) " →" } }
             (choice("Level ", levels.collect(), &current))
             (choice("Replicate ", replicates.collect(), &current))
         }

@@ -19,29 +19,29 @@ pub(super) struct Films {
 
 /// Renders the minimal subsets found from one start as list items.
 pub(super) fn describe_answer(answer: &Answer, transition: Transition) -> Markup {
-    let (does, does_not) = verbs(transition);
+    let (changed, unchanged) = verbs(transition);
     html! {
         @for minimal in &answer.minimal {
             li {
-                @if !answer.start.is_empty() { "Under " (named(answer.start)) " it fails. " }
-                "Under " strong { (named(minimal.set)) } " it " (does)
+                @if !answer.start.is_empty() { "Under " (name(answer.start)) " it fails. " }
+                "Under " strong { (name(minimal.set)) } " it " (changed)
                 // The first sentence says already that the rollout fails under the start.
                 @if answer.start.is_empty() || minimal.below != [answer.start] {
-                    ", and " (does_not) " under " (list(&minimal.below))
+                    ", and " (unchanged) " under " (names(&minimal.below))
                 }
                 @if minimal.is_established() {
                     ": all of these axes are needed."
                 } @else {
                     @let open = minimal.open.len();
                     "; " (open) @if open == 1 { " smaller subset was" } @else { " smaller subsets were" }
-                    " not run, so that fewer axes might do."
+                    " not run, so fewer axes might suffice."
                 }
             }
         }
         @for pair in &answer.non_monotone {
             li {
-                "More axes undo it: under " (named(pair.superset)) " it " (does_not) ", although under "
-                (named(pair.minimal)) " it " (does) "."
+                "Further axes reverse this: under " (name(pair.superset)) " it " (unchanged)
+                ", although under " (name(pair.minimal)) " it " (changed) "."
             }
         }
     }
@@ -85,13 +85,13 @@ fn side_by_side(
     let filmed: Vec<&Film> = shown.iter().filter(|film| film.is_filmed).collect();
     let is_shown = |set: &AxisSet| filmed.iter().any(|film| film.set == *set);
     let below: Vec<AxisSet> = minimal.below.iter().copied().filter(is_shown).collect();
-    let (does, does_not) = verbs(transition);
+    let (changed, unchanged) = verbs(transition);
     let markup = html! {
         h3 { "In films" }
         @if is_shown(&minimal.set) && !below.is_empty() {
             p {
-                "The same initial state and the same perturbations: under " (named(minimal.set))
-                " it " (does) "; beside it, under " (list(&below)) ", it " (does_not) "."
+                "The same initial state and the same perturbations: under " (name(minimal.set))
+                " it " (changed) "; beside it, under " (names(&below)) ", it " (unchanged) "."
             }
         }
         @if !filmed.is_empty() { div.rollouts.films { @for film in &filmed { (card(film)) } } }
@@ -204,7 +204,7 @@ const fn verbs(transition: Transition) -> (&'static str, &'static str) {
 }
 
 /// Names a subset: `camera and robot together`, `camera alone`, `no perturbation`.
-fn named(set: AxisSet) -> String {
+fn name(set: AxisSet) -> String {
     let names: Vec<&str> = set.axes().map(libero_ctrl::Axis::name).collect();
     match names.as_slice() {
         [] => "no perturbation".to_owned(),
@@ -214,7 +214,7 @@ fn named(set: AxisSet) -> String {
 }
 
 /// Joins several subsets: `camera alone; under robot alone`.
-fn list(sets: &[AxisSet]) -> String {
-    let names: Vec<String> = sets.iter().map(|set| named(*set)).collect();
+fn names(sets: &[AxisSet]) -> String {
+    let names: Vec<String> = sets.iter().map(|set| name(*set)).collect();
     names.join("; under ")
 }

@@ -8,15 +8,15 @@ use super::answer::FILES_VERSION;
 pub(super) struct Sheet {
     pub(super) title: String,
     /// Navigation entry that is highlighted.
-    pub(super) place: Place,
+    pub(super) tab: Tab,
     pub(super) main: Markup,
 }
 
 impl Sheet {
-    pub(super) fn new(place: Place, title: impl Into<String>, main: Markup) -> Sheet {
+    pub(super) fn new(tab: Tab, title: impl Into<String>, main: Markup) -> Sheet {
         Sheet {
             title: title.into(),
-            place,
+            tab,
             main,
         }
     }
@@ -24,7 +24,7 @@ impl Sheet {
 
 /// An entry of the navigation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Place {
+pub(super) enum Tab {
     Campaigns,
     Workers,
     Policies,
@@ -34,19 +34,19 @@ pub(super) enum Place {
 /// Reload interval of browsers without JavaScript, seconds.
 const RELOAD_SECS: u32 = 10;
 
-const NAVIGATION: [(Place, &str, &str); 4] = [
-    (Place::Campaigns, "/", "Campaigns"),
-    (Place::Workers, "/workers", "Workers"),
-    (Place::Policies, "/policies", "Policies"),
-    (Place::Quarantine, "/quarantine", "Quarantine"),
+const NAVIGATION: [(Tab, &str, &str); 4] = [
+    (Tab::Campaigns, "/", "Campaigns"),
+    (Tab::Workers, "/workers", "Workers"),
+    (Tab::Policies, "/policies", "Policies"),
+    (Tab::Quarantine, "/quarantine", "Quarantine"),
 ];
 
 /// Renders a live page, which updates itself.
 pub(super) fn live_page(sheet: &Sheet, may_log_out: bool) -> Markup {
     let top = html! {
         nav aria-label="Pages" {
-            @for (place, address, name) in NAVIGATION {
-                @let current = (place == sheet.place).then_some("page");
+            @for (tab, address, name) in NAVIGATION {
+                @let current = (tab == sheet.tab).then_some("page");
                 a href=(address) aria-current=[current] { (name) }
             }
         }

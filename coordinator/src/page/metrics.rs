@@ -51,7 +51,7 @@ async fn collect(page: &Page) -> Result<Arc<str>, Problem> {
     policy_metrics(&mut text, &policies);
     let total_of = |count: fn(&CampaignStatus) -> u64| campaigns.iter().map(count).sum::<u64>();
     let ended = "rollout_attempts_ended_total";
-    text.family(ended, COUNTER, "Attempts by how they ended.");
+    text.family(ended, COUNTER, "Attempts by ending.");
     let committed = total_of(|status| status.counts.committed);
     text.sample(ended, &[("ending", "committed")], committed as f64);
     for (ending, count) in &endings {

@@ -7,7 +7,7 @@ use queue::rules::outage::PolicyState;
 use terminal::counted;
 
 use super::campaign::rollout;
-use super::layout::{self, Place, Sheet};
+use super::layout::{self, Sheet, Tab};
 use super::problem::Problem;
 use super::state::Page;
 use crate::words::{duration_text, runs_on};
@@ -15,7 +15,7 @@ use crate::words::{duration_text, runs_on};
 /// Most quarantined rollouts shown.
 const MAX_QUARANTINED: u32 = 500;
 /// Most departed workers shown.
-const MAX_GONE: usize = 20;
+const MAX_DEPARTED: usize = 20;
 
 pub(super) async fn workers(page: &Page) -> Result<Sheet, Problem> {
     let mut view = page.queue.view().await?;
@@ -34,10 +34,10 @@ pub(super) async fn workers(page: &Page) -> Result<Sheet, Problem> {
                 "Their rollouts were leased to other workers. Of " (departed.len()) ", those with the \
                 latest calls:"
             }
-            (workers_table("Departed workers", &departed[..departed.len().min(MAX_GONE)], now))
+            (workers_table("Departed workers", &departed[..departed.len().min(MAX_DEPARTED)], now))
         }
     };
-    Ok(Sheet::new(Place::Workers, "Workers", main))
+    Ok(Sheet::new(Tab::Workers, "Workers", main))
 }
 
 pub(super) async fn policies(page: &Page) -> Result<Sheet, Problem> {
@@ -48,7 +48,7 @@ pub(super) async fn policies(page: &Page) -> Result<Sheet, Problem> {
         @if policies.is_empty() { p { "No campaign has named a policy yet." } }
         @for policy in &policies { (policy_section(policy, now)) }
     };
-    Ok(Sheet::new(Place::Policies, "Policies", main))
+    Ok(Sheet::new(Tab::Policies, "Policies", main))
 }
 
 /// Renders the page of the quarantined rollouts of all campaigns.
@@ -77,7 +77,7 @@ pub(super) async fn quarantine(page: &Page) -> Result<Sheet, Problem> {
             (quarantine_table(&quarantined))
         }
     };
-    Ok(Sheet::new(Place::Quarantine, "Quarantine", main))
+    Ok(Sheet::new(Tab::Quarantine, "Quarantine", main))
 }
 
 fn workers_table(name: &str, workers: &[WorkerLine], now: UnixMillis) -> Markup {
@@ -106,7 +106,7 @@ fn worker_row(line: &WorkerLine, now: UnixMillis) -> Markup {
             td { (duration_text(silent)) " ago" }
             td.words {
                 @match &line.stopped_reason {
-                    Some(reason) => { "leases no more: " (reason) }
+                    Some(reason) => { "gets no more leases: " (reason) }
                     None if line.charged_in_a_row > 0 => {
                         (counted(line.charged_in_a_row.into(), "failure")) " in a row"
                     }

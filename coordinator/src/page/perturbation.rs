@@ -4,11 +4,11 @@
 use libero_ctrl::{Axis, ManifestRow};
 
 /// Formatter of one parameter.
-type Phrase = fn(f64) -> String;
+type Formatter = fn(f64) -> String;
 
 /// Describes the perturbation of a rollout along an axis, one line per parameter.
 pub(super) fn lines(row: &ManifestRow, axis: Axis) -> Vec<String> {
-    let phrases: &[Phrase] = match axis {
+    let formatters: &[Formatter] = match axis {
         Axis::Camera => &CAMERA,
         Axis::Lighting => &LIGHTING,
         Axis::Robot => &ROBOT,
@@ -23,8 +23,8 @@ pub(super) fn lines(row: &ManifestRow, axis: Axis) -> Vec<String> {
         }
     };
     let values = row.perturbation.values(axis);
-    let pairs = phrases.iter().zip(values);
-    let lines = pairs.map(|(phrase, value)| phrase(value));
+    let pairs = formatters.iter().zip(values);
+    let lines = pairs.map(|(formatter, value)| formatter(value));
     // Typographic minus before numbers; hyphens within words stay.
     lines.map(|line| line.replace(" -", " −")).collect()
 }
@@ -32,7 +32,7 @@ pub(super) fn lines(row: &ManifestRow, axis: Axis) -> Vec<String> {
 // Parameters of each axis in the order of its keys. Parameters that act by magnitude are shown
 // without a sign.
 
-const CAMERA: [Phrase; 5] = [
+const CAMERA: [Formatter; 5] = [
     |degrees| format!("azimuth {degrees:+.1}°"),
     |degrees| format!("elevation {degrees:+.1}°"),
     |metres| format!("distance {:+.1} cm", 100.0 * metres),
@@ -40,7 +40,7 @@ const CAMERA: [Phrase; 5] = [
     |metres| format!("look-at point along y {:+.1} cm", 100.0 * metres),
 ];
 
-const LIGHTING: [Phrase; 5] = [
+const LIGHTING: [Formatter; 5] = [
     |ev| format!("brightness {ev:+.2} EV"),
     |log2| format!("warmth {log2:+.2} in log₂"),
     |log2| format!("green tint {log2:+.2} in log₂"),
@@ -48,7 +48,7 @@ const LIGHTING: [Phrase; 5] = [
     |degrees| format!("height of the lights {degrees:+.1}°"),
 ];
 
-const ROBOT: [Phrase; 6] = [
+const ROBOT: [Formatter; 6] = [
     |metres| format!("hand along x {:+.1} cm", 100.0 * metres),
     |metres| format!("hand along y {:+.1} cm", 100.0 * metres),
     |metres| format!("hand along z {:+.1} cm", 100.0 * metres),
@@ -57,7 +57,7 @@ const ROBOT: [Phrase; 6] = [
     |degrees| format!("hand turned about z {degrees:+.1}°"),
 ];
 
-const SENSOR: [Phrase; 4] = [
+const SENSOR: [Formatter; 4] = [
     |sigma| {
         format!(
             "noise, standard deviation {:.2} % of full scale",
@@ -69,7 +69,7 @@ const SENSOR: [Phrase; 4] = [
     |px| format!("motion blur {:.2} px at 128 px", px.abs()),
 ];
 
-const ACTUATION: [Phrase; 5] = [
+const ACTUATION: [Formatter; 5] = [
     |log2| format!("gain ×{:.2}", log2.exp2()),
     |fraction| format!("bias {:+.1} % of a demonstrated action", 100.0 * fraction),
     |degrees| format!("command frame turned {degrees:+.1}°"),

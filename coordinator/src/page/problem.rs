@@ -61,7 +61,7 @@ impl Problem {
         }
     }
 
-    fn words(&self) -> Markup {
+    fn description(&self) -> Markup {
         match self {
             Problem::Page => html! { "Nothing is at this address." },
             Problem::Address => html! { "It is longer than any address of this program." },
@@ -98,7 +98,7 @@ impl IntoResponse for Problem {
         let (code, title) = self.code_and_title();
         let main = html! {
             h1 { (title) }
-            p { (self.words()) }
+            p { (self.description()) }
             p { a href="/" { "All campaigns" } }
         };
         answer::page(code, layout::static_page(title, &main).into_string())

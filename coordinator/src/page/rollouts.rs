@@ -7,7 +7,7 @@ use queue::ids::{JobId, JobName};
 use queue::read::{JobFilter, JobLine};
 
 use super::campaign::rollout;
-use super::layout::{self, Place, Sheet, crumbs};
+use super::layout::{self, Sheet, Tab, crumbs};
 use super::problem::Problem;
 use super::state::Page;
 
@@ -26,7 +26,7 @@ const CHOICES: [(&str, &str); 6] = [
 
 /// Filter and position parsed from a query.
 #[derive(Default)]
-struct Wanted {
+struct Selection {
     /// Query of one of [`CHOICES`]; `None` lists all rollouts.
     choice: Option<&'static str>,
     after: i64,
@@ -35,9 +35,9 @@ struct Wanted {
 }
 
 pub(super) async fn sheet(page: &Page, name: &str, query: &str) -> Result<Sheet, Problem> {
-    let wanted = Wanted::read(query)?;
+    let selection = Selection::read(query)?;
     let (campaign, mut view) = page.campaign(name).await?;
-    let (lines, next) = match &wanted.id {
+    let (lines, next) = match &selection.id {
         Some(id) => {
             let job = JobName {
                 rollout_id: id.clone(),
@@ -50,7 +50,7 @@ pub(super) async fn sheet(page: &Page, name: &str, query: &str) -> Result<Sheet,
             }
         }
         None => {
-            let (name, value) = wanted.choice.unwrap_or_default().split_once('=').unzip();
+            let (name, value) = selection.choice.unwrap_or_default().split_once('=').unzip();
             let filter = JobFilter {
                 state: value.filter(|_| name == Some("state")),
                 success: value
@@ -59,7 +59,7 @@ pub(super) async fn sheet(page: &Page, name: &str, query: &str) -> Result<Sheet,
                 task: None,
                 condition: None,
                 level: None,
-                after: JobId(wanted.after),
+                after: JobId(selection.after),
                 limit: PAGE_JOBS + 1,
             };
             let mut lines = view.jobs(&campaign, filter).await?;
@@ -73,22 +73,22 @@ pub(super) async fn sheet(page: &Page, name: &str, query: &str) -> Result<Sheet,
     let main = html! {
         (crumbs(campaign))
         h1 { "Rollouts of " (campaign) }
-        (filters(campaign, &wanted))
+        (filters(campaign, &selection))
         @if lines.is_empty() { p { "There are none." } } @else { (table(campaign, &lines)) }
         @if let Some(next) = next {
-            @let choice = wanted.choice.map(|choice| format!("{choice}&"));
+            @let choice = selection.choice.map(|choice| format!("{choice}&"));
             p { a rel="next" href={ "?" (choice.unwrap_or_default()) "after=" (next) } {
-                "The next ones"
+                "Next rollouts"
             } }
         }
     };
     let title = format!("Rollouts of {campaign}");
-    Ok(Sheet::new(Place::Campaigns, title, main))
+    Ok(Sheet::new(Tab::Campaigns, title, main))
 }
 
-impl Wanted {
-    fn read(query: &str) -> Result<Wanted, Problem> {
-        let mut wanted = Wanted::default();
+impl Selection {
+    fn read(query: &str) -> Result<Selection, Problem> {
+        let mut selection = Selection::default();
         for (name, value) in form_urlencoded::parse(query.as_bytes()) {
             match name.as_ref() {
                 "state" | "outcome" if value.is_empty() => {}
@@ -99,40 +99,41 @@ impl Wanted {
                         "A state is one of queued, leased, committed and quarantined, an outcome \
                          success or failure.",
                     ))?;
-                    wanted.choice = Some(choice);
+                    selection.choice = Some(choice);
                 }
                 "after" => {
                     let after = value.parse();
-                    wanted.after = after.map_err(|_| Problem::Query("`after` takes a number."))?;
+                    selection.after =
+                        after.map_err(|_| Problem::Query("`after` takes a number."))?;
                 }
-                "id" if !value.trim().is_empty() => wanted.id = Some(released(value.trim())),
+                "id" if !value.trim().is_empty() => selection.id = Some(released_id(value.trim())),
                 _ => {}
             }
         }
-        Ok(wanted)
+        Ok(selection)
     }
 }
 
 /// Converts a rollout id in the paper's spelling to the released one.
-fn released(id: &str) -> String {
+fn released_id(id: &str) -> String {
     let parsed: Result<RolloutId, _> = id.parse();
     parsed.map_or_else(|_| id.to_owned(), |id| id.to_string())
 }
 
-fn filters(campaign: &str, wanted: &Wanted) -> Markup {
+fn filters(campaign: &str, selection: &Selection) -> Markup {
     let base = format!("/campaigns/{campaign}/rollouts");
     html! {
         nav.ways aria-label="States and outcomes" {
-            a href=(base) aria-current=[wanted.choice.is_none().then_some("true")] { "all" }
+            a href=(base) aria-current=[selection.choice.is_none().then_some("true")] { "all" }
             @for (choice, words) in CHOICES {
-                @let current = (wanted.choice == Some(choice)).then_some("true");
+                @let current = (selection.choice == Some(choice)).then_some("true");
                 a href={ (base) "?" (choice) } aria-current=[current] { (words) }
             }
         }
         form.find action=(base) {
             label for="id" { "Rollout id" }
             input #id name="id" placeholder="object/t0/simultaneous/L2/c00" size="32"
-                value=[wanted.id.as_deref()];
+                value=[selection.id.as_deref()];
             button { "Find" }
         }
     }

@@ -17,11 +17,11 @@ use tokio::time::Instant;
 /// Most concurrent computations over all keys.
 const COMPUTATIONS: usize = 2;
 
-/// Cache of the newest value of each key, for at most `most` keys.
+/// Cache of the newest value of each key, for at most `capacity` keys.
 #[derive(Debug)]
 pub(super) struct SingleFlightCache<V> {
     entries: Mutex<HashMap<String, Entry<V>>>,
-    most: usize,
+    capacity: usize,
     computing: Arc<Semaphore>,
 }
 
@@ -37,11 +37,11 @@ pub(super) struct CachedValue<V> {
 }
 
 impl<V: Clone + Send + 'static> SingleFlightCache<V> {
-    /// Creates an empty cache for at most `most` keys.
-    pub(super) fn new(most: usize) -> SingleFlightCache<V> {
+    /// Creates an empty cache for at most `capacity` keys.
+    pub(super) fn new(capacity: usize) -> SingleFlightCache<V> {
         SingleFlightCache {
             entries: Mutex::default(),
-            most,
+            capacity,
             computing: Arc::new(Semaphore::new(COMPUTATIONS)),
         }
     }
@@ -96,9 +96,9 @@ impl<V: Clone + Send + 'static> SingleFlightCache<V> {
         }
         let at = Instant::now();
         let computation = read.await?;
-        let turn = self.computing.clone().acquire_owned().await;
+        let permit = self.computing.clone().acquire_owned().await;
         let computed = tokio::task::spawn_blocking(move || {
-            let _turn = turn;
+            let _permit = permit;
             let value = computation()?;
             *cached = Some(CachedValue {
                 value: value.clone(),
@@ -116,7 +116,7 @@ impl<V: Clone + Send + 'static> SingleFlightCache<V> {
         if let Some(entry) = entries.get(key) {
             return entry.clone();
         }
-        if entries.len() >= self.most {
+        if entries.len() >= self.capacity {
             // Evicts every entry that no caller holds; values being computed stay.
             entries.retain(|_, entry| Arc::strong_count(entry) > 1);
         }
@@ -167,8 +167,8 @@ mod tests {
             cache.compute("page", |_| true, read, JoinError::to_string)
         };
         for _ in 0..5 {
-            let given_up = tokio::time::timeout(Duration::from_millis(20), request()).await;
-            assert!(given_up.is_err(), "the computation is not finished");
+            let timed_out = tokio::time::timeout(Duration::from_millis(20), request()).await;
+            assert!(timed_out.is_err(), "the computation is not finished");
         }
         // Enough signals for every computation, had several been started.
         (0..6).for_each(|_| release.send(()).expect("a waiting computation"));

@@ -142,13 +142,13 @@ impl Page {
                 || (cached.value.0.0.is_of_same_campaign(&editions.0)
                     && cached.at.elapsed() < cache_time(cached.cost))
         };
-        let wanted = editions.clone();
+        let computed_editions = editions.clone();
         let read = async {
             let subject = report::subject(view, campaign).await?;
             Ok::<_, Problem>(move || {
                 let document = Document::new(vec![subject]);
                 let document = document.map_err(|error| Problem::failed(&error))?;
-                Ok((wanted, Arc::new(document)))
+                Ok((computed_editions, Arc::new(document)))
             })
         };
         let (_, document) = self
@@ -174,7 +174,7 @@ impl Page {
                 || (both.all(|(cached, now)| cached.is_of_same_campaign(now))
                     && cached.at.elapsed() < cache_time(cached.cost))
         };
-        let wanted = editions.clone();
+        let computed_editions = editions.clone();
         let read = async {
             let documents = [self.document(a, view).await?, self.document(b, view).await?];
             let setups = [
@@ -184,7 +184,7 @@ impl Page {
             Ok::<_, Problem>(move || {
                 let [a, b] = documents.each_ref().map(|document| &document.analyses[0]);
                 let compared = Comparison::of([a, b], setups.each_ref());
-                Ok((wanted, Arc::new(compared)))
+                Ok((computed_editions, Arc::new(compared)))
             })
         };
         // Campaign names contain no spaces, so the key is unambiguous.

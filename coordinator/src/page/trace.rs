@@ -15,15 +15,15 @@ const UNIT_M: f64 = 1e-4;
 const WIDTH: f64 = 248.0;
 const HEIGHT: f64 = 136.0;
 /// Side of the square that shows the path from above.
-const ABOVE: f64 = 104.0;
+const VIEW_SIDE: f64 = 104.0;
 /// Top of the drawings, below their headings.
 const TOP: f64 = 16.0;
 /// Left edge of the drawing of the height.
 const LEFT: f64 = 138.0;
 /// The scale bar, m.
-const BAR_M: f64 = 0.1;
+const SCALE_BAR_M: f64 = 0.1;
 /// Least extent of a scale, m, so that the jitter of a resting hand is not magnified.
-const LEAST_M: f64 = 0.1;
+const MIN_EXTENT_M: f64 = 0.1;
 
 /// The scale that several paths share.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -65,7 +65,7 @@ impl Extent {
     /// Returns the scale of the view from above, user units per metre.
     fn scale(&self) -> f64 {
         let [x, y] = [0, 1].map(|axis| self.high[axis] - self.low[axis]);
-        ABOVE / x.max(y).max(LEAST_M)
+        VIEW_SIDE / x.max(y).max(MIN_EXTENT_M)
     }
 
     /// Projects a position to the view from above, the robot at the top: world x points down, y to
@@ -73,7 +73,7 @@ impl Extent {
     fn project_from_above(&self, [x, y, _]: [f64; 3]) -> [f64; 2] {
         let scale = self.scale();
         let middle = |axis: usize| f64::midpoint(self.low[axis], self.high[axis]);
-        let half = ABOVE / 2.0;
+        let half = VIEW_SIDE / 2.0;
         [
             2.0 + half + (y - middle(1)) * scale,
             TOP + half + (x - middle(0)) * scale,
@@ -82,10 +82,10 @@ impl Extent {
 
     fn height(&self, step: usize, z: f64) -> [f64; 2] {
         let across = step as f64 / self.steps.max(1) as f64;
-        let span = (self.high[2] - self.low[2]).max(LEAST_M);
+        let span = (self.high[2] - self.low[2]).max(MIN_EXTENT_M);
         [
             LEFT + across * (WIDTH - LEFT - 4.0),
-            TOP + ABOVE - (z - self.low[2]) / span * ABOVE,
+            TOP + VIEW_SIDE - (z - self.low[2]) / span * VIEW_SIDE,
         ]
     }
 }
@@ -96,14 +96,14 @@ pub(super) fn plot(path: &Path, nominal: Option<&Path>, extent: &Extent) -> Mark
     let under = nominal.map(|nominal| lines(nominal, extent));
     let begin = path.first().map(|first| extent.project_from_above(*first));
     let end = path.last().map(|last| extent.project_from_above(*last));
-    let bar = BAR_M * extent.scale();
-    let base = TOP + ABOVE + 12.0;
+    let bar = SCALE_BAR_M * extent.scale();
+    let base = TOP + VIEW_SIDE + 12.0;
     html! {
         svg.panel.trace role="img" viewBox={ "0 0 " (WIDTH) " " (HEIGHT) } {
             title { (description(path)) }
             text.tiny.muted x="2" y="9" { "hand from above" }
             text.tiny.muted x=(LEFT) y="9" { "height" }
-            line.grid x1=(LEFT) x2=(WIDTH - 4.0) y1=(TOP + ABOVE) y2=(TOP + ABOVE) {}
+            line.grid x1=(LEFT) x2=(WIDTH - 4.0) y1=(TOP + VIEW_SIDE) y2=(TOP + VIEW_SIDE) {}
             @if let Some((above, height)) = &under {
                 polyline.under points=(above) {}
                 polyline.under points=(height) {}
@@ -200,11 +200,11 @@ mod tests {
                     );
                 };
                 let [x, y] = extent.project_from_above(*position);
-                within([2.0, 2.0 + ABOVE], x);
-                within([TOP, TOP + ABOVE], y);
+                within([2.0, 2.0 + VIEW_SIDE], x);
+                within([TOP, TOP + VIEW_SIDE], y);
                 let [x, y] = extent.height(step, position[2]);
                 within([LEFT, WIDTH], x);
-                within([TOP, TOP + ABOVE], y);
+                within([TOP, TOP + VIEW_SIDE], y);
             }
         }
         assert!(Extent::from_paths([Path::new()].iter()).is_none());

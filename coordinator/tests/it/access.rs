@@ -36,13 +36,13 @@ pub(crate) fn write_private(path: &Path, text: &str) {
 }
 
 /// A coordinator that requires tokens, with its log.
-pub(crate) struct Guarded {
+pub(crate) struct GuardedCoordinator {
     folder: TempDir,
     serve: Serve,
 }
 
-impl Guarded {
-    pub(crate) fn start(arguments: &[&str]) -> Guarded {
+impl GuardedCoordinator {
+    pub(crate) fn start(arguments: &[&str]) -> GuardedCoordinator {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let tokens = format!("worker {WORKER}\noperator {OPERATOR}\nviewer {VIEWER}\n");
         write_private(&folder.path().join("tokens"), &tokens);
@@ -52,7 +52,7 @@ impl Guarded {
         let arguments = [&tokens, arguments].concat();
         let data = folder.path().join("data");
         let serve = Serve::start_with(&data, &arguments, log.into());
-        Guarded { folder, serve }
+        GuardedCoordinator { folder, serve }
     }
 
     pub(crate) fn url(&self) -> &str {
@@ -121,7 +121,7 @@ async fn list(channel: &Channel, token: Option<&str>) -> Result<(), Status> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn unauthenticated_callers_are_refused_logged_once_and_change_nothing() {
-    let guarded = Guarded::start(&[]);
+    let guarded = GuardedCoordinator::start(&[]);
     let channel = guarded.channel().await;
     let before = guarded.rows().await;
     let spec = || small_spec("stranger").to_string();
@@ -144,7 +144,7 @@ async fn unauthenticated_callers_are_refused_logged_once_and_change_nothing() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_token_allows_only_the_calls_of_its_role() {
-    let guarded = Guarded::start(&[]);
+    let guarded = GuardedCoordinator::start(&[]);
     let channel = guarded.channel().await;
     let before = guarded.rows().await;
     let spec = || small_spec("one").to_string();
@@ -177,7 +177,7 @@ async fn a_token_allows_only_the_calls_of_its_role() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn names_of_a_million_characters_are_refused_in_every_field() {
-    let guarded = Guarded::start(&[]);
+    let guarded = GuardedCoordinator::start(&[]);
     let channel = guarded.channel().await;
     let before = guarded.rows().await;
     let long = "n".repeat(MILLION);
@@ -220,7 +220,7 @@ async fn names_of_a_million_characters_are_refused_in_every_field() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn an_oversized_message_is_refused_before_it_is_read() {
-    let guarded = Guarded::start(&[]);
+    let guarded = GuardedCoordinator::start(&[]);
     let channel = guarded.channel().await;
     let before = guarded.rows().await;
     let mut worker = WorkerServiceClient::new(with_token(&channel, Some(WORKER)));
@@ -274,7 +274,7 @@ impl Authority {
 }
 
 /// Lists the campaigns over TLS with the certificate authority in a file.
-fn list_over_tls(guarded: &Guarded, ca: &Path) -> Output {
+fn list_over_tls(guarded: &GuardedCoordinator, ca: &Path) -> Output {
     let port = guarded.serve.url.rsplit(':').next().expect("a port");
     let tokens = guarded.folder.path().join("tokens");
     coordinator(&[
@@ -295,7 +295,7 @@ fn list_over_tls(guarded: &Guarded, ca: &Path) -> Output {
 async fn over_tls_a_token_is_accepted_and_untrusted_certificates_are_refused() {
     let authority = Authority::new();
     let valid = authority.sign(3_000);
-    let guarded = Guarded::start(&valid.each_ref().map(String::as_str));
+    let guarded = GuardedCoordinator::start(&valid.each_ref().map(String::as_str));
     succeed(list_over_tls(&guarded, &authority.path("ca.pem")));
     let before = guarded.rows().await;
     let other = Authority::new();
@@ -308,7 +308,7 @@ async fn over_tls_a_token_is_accepted_and_untrusted_certificates_are_refused() {
 async fn an_expired_certificate_is_refused_at_once() {
     let authority = Authority::new();
     let expired = authority.sign(2_020);
-    let guarded = Guarded::start(&expired.each_ref().map(String::as_str));
+    let guarded = GuardedCoordinator::start(&expired.each_ref().map(String::as_str));
     let before = guarded.rows().await;
     let message = &fail(list_over_tls(&guarded, &authority.path("ca.pem")), 1);
     assert!(message.contains("certificate expired"), "{message}");

@@ -54,7 +54,7 @@ async fn film(worker: &mut Worker, lease: &wire::Lease) -> String {
     put.into_inner().path
 }
 
-/// Regression: a typo in the endpoint could only be corrected by creating the campaign anew.
+/// Regression: a typo in the endpoint could only be corrected by creating another campaign.
 #[tokio::test]
 async fn a_campaign_continues_at_once_after_its_endpoint_is_corrected() {
     let bench = Bench::start().await;

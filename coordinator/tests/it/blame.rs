@@ -18,7 +18,7 @@ async fn create(bench: &Bench, name: &str, policy: &str) {
     assert_eq!(bench.create(&spec).await.expect("created").jobs_total, 12);
 }
 
-async fn misbehaves(worker: &mut Worker, lease: &proto::coordinator::Lease) -> Released {
+async fn report_misbehaviour(worker: &mut Worker, lease: &proto::coordinator::Lease) -> Released {
     let released = worker.release(lease, Reason::PolicyMisbehaved).await;
     assert_eq!(released.stop_leasing, "", "the worker is not stopped");
     released.verdict()
@@ -34,7 +34,7 @@ async fn invalid_answers_pause_the_policy_and_stop_no_worker() {
         assert!(!bench.status("first").await.policy_paused, "{number}");
         let leases = worker.claim(2).await;
         let lease = leases.iter().find(|lease| lease.policy == "nonsense");
-        misbehaves(&mut worker, lease.expect("the older campaign's job")).await;
+        report_misbehaviour(&mut worker, lease.expect("the older campaign's job")).await;
         for lease in leases.iter().filter(|lease| lease.policy == "sound") {
             assert_eq!(worker.commit(lease, true).await, Verdict::Accepted);
         }
@@ -62,7 +62,7 @@ async fn rollouts_of_a_misbehaving_policy_are_quarantined_with_its_error() {
         bench.advance(PAST_BACKOFF_SECS).await;
         other.heartbeat(&[], 0).await;
         let lease = worker.claim_one().await;
-        misbehaves(&mut worker, &lease).await;
+        report_misbehaviour(&mut worker, &lease).await;
     }
     let quarantined = "SELECT count(*) FROM job
         WHERE state = 'quarantined' AND last_error = 'simulated failure'";

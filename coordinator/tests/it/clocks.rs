@@ -29,11 +29,11 @@ const INSTANTS: [(&str, &str, Option<i64>); 20] = [
     // Displayed to people, and the basis of the rates in estimates.
     ("artifact", "stored_ms", Some(0)),
     ("campaign", "created_ms", Some(0)),
-    // Decides whether an unsuitable result was leased in good faith.
+    // Decides whether a lease predates the pin: its unsuitable result is then not charged.
     ("campaign", "pinned_ms", Some(0)),
     ("campaign", "state_since_ms", Some(0)),
     ("divergence", "reported_ms", Some(0)),
-    // Latest report of a worker that was cut off; its distance from `leased_ms` is kept.
+    // Latest time of a report by a disconnected worker; its distance from `leased_ms` is kept.
     ("failure", "ceiling_ms", None),
     ("failure", "failed_ms", Some(0)),
     ("failure", "leased_ms", Some(0)),

@@ -17,7 +17,7 @@ use crate::process::{CREATE, Serve, coordinator, fail, succeed, text};
 
 const MODEL: &str = "overlap:3*812+4*188";
 
-fn json_of(printed: &[u8]) -> Value {
+fn parse_json(printed: &[u8]) -> Value {
     serde_json::from_str(text(printed)).expect("JSON")
 }
 
@@ -44,7 +44,7 @@ async fn results_reports_and_tables_carry_the_execution_model() {
             assert_eq!(row.get("execution"), expected.as_ref(), "{line}");
         }
         let report = serve.command(&["report", name, "--json"]);
-        assert_eq!(json_of(&report.stdout)["reports"][0]["execution"], model);
+        assert_eq!(parse_json(&report.stdout)["reports"][0]["execution"], model);
         let report = serve.command(&["report", name, "--full"]);
         let is_shown = text(&report.stdout).contains(&format!("execution model {model}\n"));
         assert_eq!(is_shown, model != "wait", "{}", text(&report.stdout));
@@ -54,7 +54,7 @@ async fn results_reports_and_tables_carry_the_execution_model() {
     let (path, from) = (rows.to_string_lossy(), folder.path().to_string_lossy());
     succeed(serve.command(&["export", "demo", "--format", "jsonl", "--output", &path]));
     let read = coordinator(&["report", "--from", &from, "--json"]);
-    assert_eq!(json_of(&read.stdout)["reports"][0]["execution"], MODEL);
+    assert_eq!(parse_json(&read.stdout)["reports"][0]["execution"], MODEL);
 }
 
 #[test]
@@ -68,10 +68,10 @@ fn a_dry_run_and_a_manifest_carry_the_execution_model() {
     let message = run(&["--dry-run"]);
     let line = format!("execution model {MODEL}: an answer takes effect after 150 to 200 ms");
     assert!(message.contains(&line), "{message}");
-    let message = json_of(run(&["--dry-run", "--json"]).as_bytes());
+    let message = parse_json(run(&["--dry-run", "--json"]).as_bytes());
     assert_eq!(message["execution"], MODEL);
     let waits = coordinator(&[&CREATE[..], &["--dry-run", "--json"], &nowhere].concat());
-    assert_eq!(json_of(&waits.stdout)["execution"], "wait");
+    assert_eq!(parse_json(&waits.stdout)["execution"], "wait");
 
     let (spec, rows) = (path("late.json"), path("late.jsonl"));
     std::fs::write(&spec, run(&["--print-spec"])).expect("written");
@@ -88,7 +88,7 @@ fn a_dry_run_and_a_manifest_carry_the_execution_model() {
         coordinator(&flags.concat())
     };
     let imported_spec = imported(&[]);
-    assert_eq!(json_of(&imported_spec.stdout)["execution"], MODEL);
+    assert_eq!(parse_json(&imported_spec.stdout)["execution"], MODEL);
     let message = &fail(imported(&["--execution", "hold:2"]), 2);
     assert!(message.contains("`execution` is hold:2"), "{message}");
 }
@@ -170,7 +170,7 @@ async fn delays_as_long_as_the_policys_answers_are_refused_at_creation() {
     // arm holds still meanwhile.
     for (name, model) in [("some", "overlap:9*1+12*9"), ("all", "hold:10")] {
         let message = &succeed(create(name, model, &[]));
-        assert!(!message.contains("does not say"), "{message}");
+        assert!(!message.contains("is unknown"), "{message}");
     }
     serving.shutdown().await;
     let created = create("unknown", "overlap:10", &[]);

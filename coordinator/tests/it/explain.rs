@@ -38,7 +38,7 @@ pub(crate) fn outcome(id: &RolloutId) -> Outcome {
 }
 
 /// Expected findings, task by task: the start of the search, and the minimal subsets.
-const FOUND: [(&str, &str, &[&str]); 6] = [
+const EXPECTED: [(&str, &str, &[&str]); 6] = [
     ("object/t0", "none", &["camera+robot"]),
     ("object/t1", "none", &["camera+robot"]),
     ("object/t2", "none", &["camera+lighting+sensor"]),
@@ -101,7 +101,7 @@ async fn planted_rules_are_found_again() {
     assert_eq!(found["transitions"], 6);
     assert_eq!(found["explained"], 6);
     let configurations = found["configurations"].as_array().expect("a list");
-    for (configuration, (task, start, minimal)) in configurations.iter().zip(FOUND) {
+    for (configuration, (task, start, minimal)) in configurations.iter().zip(EXPECTED) {
         let name = configuration["configuration"].as_str().expect("a name");
         assert!(name.starts_with(task), "{name}");
         let answer = &configuration["explanation"]["answers"][0];
@@ -164,7 +164,7 @@ async fn explain_without_create_changes_nothing_and_names_the_flag() {
             );
             assert!(output.contains("takes at most "), "{output}");
             assert!(
-                output.contains(&format!("`coordinator {command} first --create` does that")),
+                output.contains(&format!("`coordinator {command} first --create` creates")),
                 "{output}"
             );
         }

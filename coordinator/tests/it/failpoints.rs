@@ -17,7 +17,7 @@ use tokio::task::JoinSet;
 use tonic::Status;
 
 use crate::harness::{Worker, small_spec};
-use crate::invariants::sound;
+use crate::invariants::valid_database;
 use crate::process::Serve;
 
 /// Number of processes that run, and are killed, at the same time.
@@ -247,7 +247,7 @@ async fn kill_at_failpoint(folder: TempDir, side: Side, step: Step) -> Vec<u8> {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_kill_around_any_transaction_keeps_the_invariants_and_the_report() {
-    let folder = sound().await;
+    let folder = valid_database().await;
     let undisturbed = finish(copy_of(folder.path()).path()).await;
     // Additions to derived campaigns are tested in `explain` and `thresholds`, and early stops in
     // `stops`.

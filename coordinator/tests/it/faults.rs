@@ -202,13 +202,13 @@ async fn another_outcome_of_a_committed_rollout_is_recorded_as_a_divergence() {
 #[tokio::test]
 async fn reports_without_a_lease_are_refused() {
     let bench = one_job().await;
-    let (mut holder, mut liar) = (bench.worker("holder").await, bench.worker("liar").await);
+    let (mut holder, mut other) = (bench.worker("holder").await, bench.worker("other").await);
     let lease = holder.claim_one().await;
     let unknown = Lease {
         attempt_id: "1".repeat(32),
         ..lease.clone()
     };
-    let refused = liar
+    let refused = other
         .try_commit(&unknown, true)
         .await
         .expect_err("an unknown attempt");
@@ -217,10 +217,10 @@ async fn reports_without_a_lease_are_refused() {
         attempt_id: unknown.attempt_id.clone(),
         ..ReleaseRequest::default()
     };
-    let refused = liar.service.release(release).await.expect_err("no reason");
+    let refused = other.service.release(release).await.expect_err("no reason");
     assert_eq!(refused.code(), Code::InvalidArgument);
     // A worker cannot renew another one's lease.
-    let lost_leases = liar.heartbeat(&[&lease], 5).await;
+    let lost_leases = other.heartbeat(&[&lease], 5).await;
     assert_eq!(lost_leases, std::slice::from_ref(&lease.attempt_id));
     assert_eq!(holder.commit(&lease, true).await, Verdict::Accepted);
     assert_eq!(bench.count("SELECT count(*) FROM divergence").await, 0);

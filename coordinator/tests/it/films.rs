@@ -11,7 +11,7 @@ const LONG_SECS: u64 = 16 * 60;
 
 /// Creates a campaign of one configuration that stores actions, with outcomes for the nominal
 /// rollout and both single axes. Returns the lease of the combination.
-async fn all_but_the_combination(outcome: bool) -> (Bench, Worker, wire::Lease) {
+async fn commit_all_but_combination(outcome: bool) -> (Bench, Worker, wire::Lease) {
     let bench = Bench::start().await;
     let spec = with(small_spec("filmed"), json!({"record": "transitions"}));
     bench.create(&spec).await.expect("created");
@@ -60,7 +60,7 @@ pub(crate) async fn upload(worker: &mut Worker, attempt_id: &str) {
 #[tokio::test]
 async fn all_rollouts_of_a_configuration_with_a_transition_are_filmed() {
     for conjunction in [true, false] {
-        let (bench, mut worker, combination) = all_but_the_combination(conjunction).await;
+        let (bench, mut worker, combination) = commit_all_but_combination(conjunction).await;
         assert!(
             take_films(&mut worker).await.is_empty(),
             "the combination has no outcome"
@@ -85,7 +85,7 @@ async fn all_rollouts_of_a_configuration_with_a_transition_are_filmed() {
 
 #[tokio::test]
 async fn a_motion_with_invalid_length_is_refused_and_not_stored() {
-    let (bench, mut worker, combination) = all_but_the_combination(true).await;
+    let (bench, mut worker, combination) = commit_all_but_combination(true).await;
     let steps = proto::MAX_MOTION_STEPS;
     for (path, actions) in [
         (7, 28),
@@ -108,7 +108,7 @@ async fn a_motion_with_invalid_length_is_refused_and_not_stored() {
 #[tokio::test]
 async fn a_configuration_without_a_transition_is_not_filmed() {
     for outcome in [true, false] {
-        let (_bench, mut worker, combination) = all_but_the_combination(outcome).await;
+        let (_bench, mut worker, combination) = commit_all_but_combination(outcome).await;
         worker.commit(&combination, outcome).await;
         assert!(take_films(&mut worker).await.is_empty());
     }

@@ -68,7 +68,7 @@ async fn mixed_fingerprints_are_shown_in_status_report_and_page() {
     let mut one = bench.worker("a").await;
     let mut another = bench.worker("b").await;
     another.fingerprint = "other bits".to_owned();
-    let (ones, others) = (sha("bits"), sha("other bits"));
+    let (one_digest, other_digest) = (sha("bits"), sha("other bits"));
     let warning = "fingerprints, so that the machines' arithmetic or frames differ";
 
     // All four rollouts of each task share one initial state.
@@ -93,7 +93,7 @@ async fn mixed_fingerprints_are_shown_in_status_report_and_page() {
     let (verdict, _) = another.clone().commit_request(request).await;
     assert_eq!(verdict, Verdict::Accepted);
     let counts = |own_count: u32, other_count: u32| {
-        let mut counts = [(&ones, own_count), (&others, other_count)];
+        let mut counts = [(&one_digest, own_count), (&other_digest, other_count)];
         counts.sort();
         let counts = counts.map(|(digest, count)| format!("{count} of {}", &digest[..12]));
         counts.join(", ")

@@ -15,7 +15,7 @@ use crate::harness::{open_database, rollout_id, small_spec, with};
 use crate::moving::{Bench, members, write};
 use crate::process::Serve;
 
-/// Alters the database of an archive, past the coordinator, and lists its members anew.
+/// Alters the database of an archive, and recomputes the archive's table of contents.
 async fn alter(archive: &Path, into: &Path, sql: &'static str) {
     let mut altered = members(archive);
     let folder = tempfile::tempdir().expect("a folder");
@@ -152,7 +152,7 @@ async fn a_derived_rollout_with_another_step_budget_than_its_source_is_refused()
         assert_eq!(verdict, Verdict::Accepted);
     }
     let name = "moved-thresholds";
-    source.must(&["thresholds", "moved", "--create"]);
+    source.succeed(&["thresholds", "moved", "--create"]);
     let began = Instant::now();
     while source.worker.claim(1).await.is_empty() {
         assert!(
@@ -175,7 +175,7 @@ async fn a_derived_rollout_with_another_step_budget_than_its_source_is_refused()
 }
 
 /// More rollouts than two transactions of an import hold.
-fn large() -> Value {
+fn large_spec() -> Value {
     let configs: Vec<u32> = (0..10).collect();
     with(
         small_spec("large"),
@@ -197,7 +197,7 @@ async fn counts(folder: &Path) -> (i64, i64) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_large_import_takes_several_transactions_and_leaves_nothing_if_interrupted() {
-    let mut source = Bench::with(&large()).await;
+    let mut source = Bench::with(&large_spec()).await;
     // Some results are in the second transaction.
     source.run(520, "").await;
     let filmed = source.worker.claim_one().await;
@@ -212,18 +212,18 @@ async fn a_large_import_takes_several_transactions_and_leaves_nothing_if_interru
 
     let target = tempfile::tempdir().expect("a folder");
     // The third transaction of the import adds the second part of the jobs.
-    let mut dying = Serve::wait_until_listening(serve(target.path(), "After:ImportCampaign:3"));
-    let output = dying.command(&["campaign", "import", &path, "--retry-secs", "0"]);
+    let mut killed = Serve::wait_until_listening(serve(target.path(), "After:ImportCampaign:3"));
+    let output = killed.command(&["campaign", "import", &path, "--retry-secs", "0"]);
     assert!(!output.status.success(), "the interrupted import succeeded");
     let began = Instant::now();
-    while dying.ended().is_none() {
+    while killed.ended().is_none() {
         assert!(
             began.elapsed() < Duration::from_secs(30),
             "the coordinator still runs"
         );
         tokio::time::sleep(Duration::from_millis(20)).await;
     }
-    drop(dying);
+    drop(killed);
     assert_eq!(counts(target.path()).await, (1, 1_000));
     let films = target.path().join("artifacts/large");
     assert!(films.exists(), "films are stored before rows");
@@ -251,7 +251,7 @@ async fn a_large_import_takes_several_transactions_and_leaves_nothing_if_interru
     ] {
         assert_eq!(
             crate::process::text(&again.command(arguments).stdout),
-            source.must(arguments)
+            source.succeed(arguments)
         );
     }
     let mut worker = again.worker("another").await;

@@ -15,7 +15,7 @@ use crate::harness::{Bench, small_spec, with};
 use crate::process::{coordinator, text};
 
 /// For each invariant: a statement that violates it, and a word of the violation's description.
-const BROKEN: [(&str, &str, &str); 20] = [
+const BREACHES: [(&str, &str, &str); 20] = [
     (
         "file_is_whole",
         "PRAGMA writable_schema = 1; DELETE FROM sqlite_schema WHERE name = 'job_queued'",
@@ -124,7 +124,7 @@ const BROKEN: [(&str, &str, &str); 20] = [
 ];
 
 /// Returns a database that no coordinator uses, with jobs in every state.
-pub(crate) async fn sound() -> TempDir {
+pub(crate) async fn valid_database() -> TempDir {
     let bench = Bench::start().await;
     let spec = with(small_spec("sound"), json!({"configs": [0, 1]}));
     bench.create(&spec).await.expect("created");
@@ -142,7 +142,7 @@ pub(crate) async fn sound() -> TempDir {
 }
 
 /// Alters a copy of a database in a way that no coordinator would.
-async fn broken(folder: &Path, statement: &'static str) -> TempDir {
+async fn altered_copy(folder: &Path, statement: &'static str) -> TempDir {
     let copy = tempfile::tempdir().expect("a temporary folder");
     let file = copy.path().join(DATABASE_FILE);
     std::fs::copy(folder.join(DATABASE_FILE), &file).expect("copied");
@@ -181,10 +181,10 @@ async fn broken(folder: &Path, statement: &'static str) -> TempDir {
 
 #[tokio::test]
 async fn each_violated_invariant_is_reported_by_name() {
-    let folder = sound().await;
+    let folder = valid_database().await;
     assert_eq!(check(folder.path()).await.expect("a database"), []);
-    for (invariant, statement, word) in BROKEN {
-        let copy = broken(folder.path(), statement).await;
+    for (invariant, statement, word) in BREACHES {
+        let copy = altered_copy(folder.path(), statement).await;
         let file = copy.path().join(DATABASE_FILE);
         let before = std::fs::read(&file).expect("a file");
         let violations = check(copy.path()).await.expect("a database");
@@ -201,7 +201,7 @@ async fn each_violated_invariant_is_reported_by_name() {
         let files = std::fs::read_dir(copy.path()).expect("a folder").count();
         assert_eq!(files, 1, "`check` left files");
     }
-    let violated: Vec<&str> = BROKEN.iter().map(|(invariant, ..)| *invariant).collect();
+    let violated: Vec<&str> = BREACHES.iter().map(|(invariant, ..)| *invariant).collect();
     assert!(
         violated
             .into_iter()
@@ -212,11 +212,11 @@ async fn each_violated_invariant_is_reported_by_name() {
 
 #[tokio::test]
 async fn the_program_names_violations_and_fails() {
-    let folder = sound().await;
+    let folder = valid_database().await;
     let path = |folder: &TempDir| folder.path().to_str().expect("UTF-8").to_owned();
     let output = coordinator(&["check", &path(&folder)]);
     assert_eq!(text(&output.stdout), "all 20 invariants hold\n");
-    let copy = broken(folder.path(), "DELETE FROM result").await;
+    let copy = altered_copy(folder.path(), "DELETE FROM result").await;
     let output = coordinator(&["check", &path(&copy)]);
     assert_eq!(output.status.code(), Some(1));
     let printed = text(&output.stdout);

@@ -61,7 +61,7 @@ impl Bench {
         let file = bench.folder.path().join("spec.json");
         std::fs::write(&file, spec.to_string()).expect("written");
         let path = file.display().to_string();
-        bench.must(&["campaign", "create", "--spec", &path]);
+        bench.succeed(&["campaign", "create", "--spec", &path]);
         bench
     }
 
@@ -87,7 +87,7 @@ impl Bench {
     }
 
     /// Runs a command that must succeed. Returns its output.
-    pub(crate) fn must(&self, arguments: &[&str]) -> String {
+    pub(crate) fn succeed(&self, arguments: &[&str]) -> String {
         succeed(self.serve.command(arguments))
     }
 
@@ -101,16 +101,16 @@ impl Bench {
     pub(crate) fn archive(&self, name: &str) -> PathBuf {
         let file = self.folder.path().join(format!("{name}.tar.gz"));
         let path = file.display().to_string();
-        self.must(&["campaign", "archive", name, "--output", &path]);
+        self.succeed(&["campaign", "archive", name, "--output", &path]);
         file
     }
 
     pub(crate) fn import(&self, file: &Path) -> String {
-        self.must(&["campaign", "import", &file.display().to_string()])
+        self.succeed(&["campaign", "import", &file.display().to_string()])
     }
 
     pub(crate) fn report(&self, name: &str) -> String {
-        self.must(&["report", name, "--json"])
+        self.succeed(&["report", name, "--json"])
     }
 
     /// Returns all rows of the database except those of workers, which change with every call.
@@ -140,11 +140,11 @@ pub(crate) fn members(file: &Path) -> Vec<(String, Vec<u8>)> {
     entries.map(member).collect()
 }
 
-/// Writes an archive of these members. With `list_anew`, the table of contents is recomputed from
-/// the members.
-pub(crate) fn write(file: &Path, members: &[(String, Vec<u8>)], list_anew: bool) {
+/// Writes an archive of these members. With `recompute_contents`, its table of contents is computed
+/// from the members.
+pub(crate) fn write(file: &Path, members: &[(String, Vec<u8>)], recompute_contents: bool) {
     let mut members = members.to_vec();
-    if list_anew {
+    if recompute_contents {
         let mut list: Value = serde_json::from_slice(&members[0].1).expect("a list");
         let named = |(name, bytes): &(String, Vec<u8>)| {
             let digest = Sha256::digest(bytes);
@@ -191,7 +191,7 @@ async fn a_moved_campaign_continues_at_another_coordinator_to_the_same_report() 
     source.worker.release(&failed, Reason::SimulatorError).await;
     // One rollout is in progress while the campaign is archived.
     let held = source.worker.claim_one().await;
-    source.must(&["campaign", "set-priority", "moved", "7"]);
+    source.succeed(&["campaign", "set-priority", "moved", "7"]);
     let before = source.rows().await;
     let file = source.archive("moved");
     assert_eq!(source.rows().await, before, "archiving changed rows");
@@ -217,8 +217,8 @@ async fn a_moved_campaign_continues_at_another_coordinator_to_the_same_report() 
     target.assert_invariants().await;
     assert_eq!(target.report("moved"), source.report("moved"));
     assert_eq!(
-        target.must(&["export", "moved", "--format", "jsonl"]),
-        source.must(&["export", "moved", "--format", "jsonl"])
+        target.succeed(&["export", "moved", "--format", "jsonl"]),
+        source.succeed(&["export", "moved", "--format", "jsonl"])
     );
     let kept = target.folder.path().join("artifacts/moved");
     let kept: Vec<_> = std::fs::read_dir(kept).expect("films").collect();
@@ -226,12 +226,12 @@ async fn a_moved_campaign_continues_at_another_coordinator_to_the_same_report() 
     let kept = kept[0].as_ref().expect("a film").path();
     assert_eq!(std::fs::read(kept).expect("a film"), film[0]);
     let status: Value =
-        serde_json::from_str(&target.must(&["campaign", "status", "moved", "--json"]))
+        serde_json::from_str(&target.succeed(&["campaign", "status", "moved", "--json"]))
             .expect("JSON");
     let status = status.to_string();
     assert!(status.contains("\"priority\":7"), "{status}");
     // The workers that made the results are not workers of this coordinator.
-    let workers = target.must(&["workers", "--all", "--json"]);
+    let workers = target.succeed(&["workers", "--all", "--json"]);
     let workers: Value = serde_json::from_str(&workers).expect("JSON");
     let workers = workers["workers"].as_array().expect("workers");
     let alive = workers.iter().filter(|worker| worker["is_alive"] == true);
@@ -272,7 +272,7 @@ async fn importing_an_existing_name_is_refused_and_another_name_makes_a_copy() {
     assert_eq!(source.rows().await, before);
 
     // A copy beside the original shares no attempt id with it.
-    source.must(&["campaign", "import", &path, "--as", "copy"]);
+    source.succeed(&["campaign", "import", &path, "--as", "copy"]);
     source.assert_invariants().await;
     let original = source.report("moved").replace("\"moved\"", "\"copy\"");
     assert_eq!(source.report("copy"), original);
@@ -280,7 +280,7 @@ async fn importing_an_existing_name_is_refused_and_another_name_makes_a_copy() {
     assert_eq!(std::fs::read_dir(films).expect("films").count(), 1);
     source.run(64, "").await;
     source.assert_invariants().await;
-    source.must(&["campaign", "delete", "moved", "--confirm", "moved"]);
+    source.succeed(&["campaign", "delete", "moved", "--confirm", "moved"]);
     source.assert_invariants().await;
     let films = source.folder.path().join("artifacts/copy");
     assert_eq!(std::fs::read_dir(films).expect("films").count(), 1);
@@ -444,7 +444,7 @@ async fn invalid_archives_are_refused_by_name_and_change_nothing() {
 /// A small archive that would unpack to a large one costs neither memory nor disk space.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_decompression_bomb_is_refused_before_it_is_unpacked() {
-    const SWOLLEN: u64 = 192 << 20;
+    const UNPACKED_BYTES: u64 = 192 << 20;
     let mut source = Bench::with(&spec()).await;
     source.run(1, "").await;
     let sound = members(&source.archive("moved"));
@@ -470,9 +470,9 @@ async fn a_decompression_bomb_is_refused_before_it_is_unpacked() {
         }
         let mut header = tar::Header::new_gnu();
         header.set_entry_type(tar::EntryType::GNULongName);
-        header.set_size(SWOLLEN);
+        header.set_size(UNPACKED_BYTES);
         header.set_cksum();
-        tar.append(&header, std::io::repeat(b'n').take(SWOLLEN))
+        tar.append(&header, std::io::repeat(b'n').take(UNPACKED_BYTES))
             .expect("written");
         tar.into_inner()
             .expect("finished")
@@ -484,7 +484,7 @@ async fn a_decompression_bomb_is_refused_before_it_is_unpacked() {
     let mut large = sound.clone();
     large.push((
         "artifacts/moved/film.mp4".to_owned(),
-        vec![0; SWOLLEN as usize],
+        vec![0; UNPACKED_BYTES as usize],
     ));
     write(&bad, &large, true);
     refused(&["archive.json", "it claims 192 MiB of members"]);
@@ -505,22 +505,22 @@ async fn a_decompression_bomb_is_refused_before_it_is_unpacked() {
             .expect("written");
     }
     let mut out = tar.into_inner().expect("finished");
-    std::io::copy(&mut std::io::repeat(0).take(SWOLLEN), &mut out).expect("written");
+    std::io::copy(&mut std::io::repeat(0).take(UNPACKED_BYTES), &mut out).expect("written");
     out.finish().expect("finished");
     refused(&["its end"]);
 
     let grown = source.serve.peak_memory_bytes() - before;
-    assert!(grown < SWOLLEN / 2, "{} MiB were taken", grown >> 20);
+    assert!(grown < UNPACKED_BYTES / 2, "{} MiB were taken", grown >> 20);
     // The unaltered archive is accepted.
     write(&bad, &sound, false);
-    source.must(&["campaign", "import", &path, "--as", "another"]);
+    source.succeed(&["campaign", "import", &path, "--as", "another"]);
 }
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_derived_campaign_is_imported_after_its_source() {
     let mut source = Bench::with(&with(spec(), json!({"levels": ["L2"]}))).await;
     source.run(64, "").await;
-    source.must(&["explain", "moved", "--create", "--budget", "20"]);
+    source.succeed(&["explain", "moved", "--create", "--budget", "20"]);
     let name = "moved-explained";
     // Its rollouts are derived from the outcomes after a moment.
     let began = Instant::now();
@@ -539,7 +539,7 @@ async fn a_derived_campaign_is_imported_after_its_source() {
     tokio::time::sleep(Duration::from_secs(1)).await;
     assert!(
         source
-            .must(&["export", name, "--format", "jsonl"])
+            .succeed(&["export", name, "--format", "jsonl"])
             .lines()
             .count()
             > 0

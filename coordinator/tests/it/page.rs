@@ -8,7 +8,7 @@ use std::time::Duration;
 
 use proto::coordinator::release_request::Reason;
 
-use crate::access::{Guarded, OPERATOR, VIEWER, WORKER};
+use crate::access::{GuardedCoordinator, OPERATOR, VIEWER, WORKER};
 use crate::artifacts::put;
 use crate::harness::{Bench, small_spec};
 use crate::process::{coordinator, text};
@@ -451,7 +451,7 @@ async fn streams_are_bounded_and_closing_one_admits_another() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn pages_need_a_login_and_refuse_worker_tokens() {
-    let guarded = Guarded::start(&[]);
+    let guarded = GuardedCoordinator::start(&[]);
     let url = guarded.url();
     let redirected = http(url, "GET /campaigns/a?b=c\naccept: text/html").await;
     assert_eq!(redirected.code, 303);

@@ -8,7 +8,7 @@ use tonic::Code;
 use crate::harness::{Bench, Worker, sha, small_spec, with};
 
 /// Commits two siblings and returns the lease of a third.
-async fn with_siblings() -> (Bench, Worker, wire::Lease) {
+async fn commit_siblings() -> (Bench, Worker, wire::Lease) {
     let bench = Bench::start().await;
     bench.create(&small_spec("paired")).await.expect("created");
     let mut worker = bench.worker("a").await;
@@ -22,7 +22,7 @@ async fn with_siblings() -> (Bench, Worker, wire::Lease) {
 
 /// Commits a result with an altered provenance and asserts that it is refused with these words.
 async fn check_unpaired(alter: impl FnOnce(&mut wire::Provenance), words: &[&str]) {
-    let (bench, mut worker, lease) = with_siblings().await;
+    let (bench, mut worker, lease) = commit_siblings().await;
     let mut report = worker.report(&lease, true);
     alter(report.provenance.as_mut().expect("provenance"));
     let (verdict, detail) = worker.commit_request(report).await;
@@ -261,7 +261,7 @@ async fn last_bit_differences_of_processors_are_accepted_and_stored() {
 
 #[tokio::test]
 async fn digests_and_realised_values_are_stored_with_the_result() {
-    let (bench, mut worker, lease) = with_siblings().await;
+    let (bench, mut worker, lease) = commit_siblings().await;
     let mut report = worker.report(&lease, true);
     let sent = report.provenance.as_mut().expect("provenance");
     sent.first_frame_digest = sha("first frame");
@@ -288,7 +288,7 @@ async fn digests_and_realised_values_are_stored_with_the_result() {
 
 #[tokio::test]
 async fn a_result_with_missing_or_invalid_provenance_is_refused() {
-    let (bench, mut worker, lease) = with_siblings().await;
+    let (bench, mut worker, lease) = commit_siblings().await;
     let good = worker.report(&lease, true);
     let mut check = async |alter: &dyn Fn(&mut wire::CommitRequest), word: &str| {
         let mut request = good.clone();
@@ -365,7 +365,7 @@ async fn a_result_that_does_not_fit_its_row_is_refused_with_the_bound_named() {
             "281 clipped actions in 280 control steps",
         ),
     ] {
-        let (bench, mut worker, lease) = with_siblings().await;
+        let (bench, mut worker, lease) = commit_siblings().await;
         let mut report = worker.report(&lease, false);
         let result = report.result.as_mut().expect("a result");
         (result.steps, result.clipped_actions) = (steps, clipped);
@@ -382,7 +382,7 @@ async fn a_result_that_does_not_fit_its_row_is_refused_with_the_bound_named() {
 /// were down.
 #[tokio::test]
 async fn an_unreadable_sibling_is_named_and_charges_no_attempt() {
-    let (bench, _, _) = with_siblings().await;
+    let (bench, _, _) = commit_siblings().await;
     let pool = bench.database().await;
     sqlx::query("UPDATE result SET realised = '{\"camera\": 7}'")
         .execute(&pool)

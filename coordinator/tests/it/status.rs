@@ -181,7 +181,7 @@ async fn a_dry_run_forecasts_from_what_connected_workers_measured() {
         "{printed}"
     );
     let bound = "bottleneck: the policy's server, which answers no faster. More slots do not \
-                 help; 2 slots would do";
+                 help; 2 slots would suffice";
     assert!(printed.contains(bound), "{printed}");
     let wrong = serve.command(&[&dry[..], &["--policy-rate", "0"]].concat());
     assert_eq!(wrong.status.code(), Some(2));

@@ -67,10 +67,10 @@ fn planted(spec: &Value) -> Planted {
     });
     let records = Records::new(&records.collect::<Vec<_>>()).expect("no rollout twice");
     let stop = spec.stop.expect("a rule");
-    let look = CampaignLook::when_met(&records, &stop).expect("the rule is met");
-    let used = look.used.len();
+    let stop_point = CampaignLook::when_met(&records, &stop).expect("the rule is met");
+    let used = stop_point.used.len();
     assert!(
-        (5..look.units - 5).contains(&used),
+        (5..stop_point.units - 5).contains(&used),
         "a stop after {used} configurations is too near an end of the campaign for a test"
     );
     Planted {
@@ -377,8 +377,8 @@ async fn a_kill_around_any_transaction_leaves_the_same_stop_and_report() {
     assert!(found == expected_report, "{}", text(&found));
 }
 
-/// Returns a campaign whose stop rule is never met; the rule only gives it a drawn order.
-fn drawn(name: &str, seed: u64) -> Value {
+/// Returns a campaign whose stop rule is never met; the rule only gives it a random order.
+fn shuffled(name: &str, seed: u64) -> Value {
     let mut spec = spec(name);
     spec["levels"] = json!(["L1"]);
     spec["stop"] = json!({"rule": "width(I) < 0.001", "seed": seed});
@@ -391,7 +391,7 @@ async fn campaigns_in_the_same_order_are_compared_sequentially() {
     let mut worker = serve.worker("w").await;
     // A configuration has five rollouts, four of them perturbed.
     for (name, configurations) in [("weak", 20), ("strong", 25)] {
-        create(&serve, folder.path(), &drawn(name, 7));
+        create(&serve, folder.path(), &shuffled(name, 7));
         for lease in worker.claim(5 * configurations).await {
             let perturbed = id(&lease).config().is_some();
             let success = name == "strong" || !perturbed;
@@ -429,11 +429,11 @@ async fn campaigns_in_the_same_order_are_compared_sequentially() {
     );
     fits_a_terminal(words);
 
-    create(&serve, folder.path(), &drawn("elsewhere", 8));
-    let mut undrawn = drawn("undrawn", 0);
+    create(&serve, folder.path(), &shuffled("elsewhere", 8));
+    let mut undrawn = shuffled("undrawn", 0);
     undrawn["stop"] = Value::Null;
     create(&serve, folder.path(), &undrawn);
-    let mut fewer = drawn("fewer", 7);
+    let mut fewer = shuffled("fewer", 7);
     fewer["configs"] = json!([0]);
     create(&serve, folder.path(), &fewer);
     for (other, remedy) in [

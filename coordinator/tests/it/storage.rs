@@ -110,14 +110,14 @@ fn serve(data: &Path, place: &str, variables: &[(&str, String)]) -> Serve {
     serve
 }
 
-fn must(serve: &Serve, arguments: &[&str]) -> String {
+fn run(serve: &Serve, arguments: &[&str]) -> String {
     succeed(serve.command(arguments))
 }
 
 fn create(serve: &Serve, folder: &TempDir) {
     let file = folder.path().join("spec.json");
     std::fs::write(&file, small_spec("filmed").to_string()).expect("written");
-    must(
+    run(
         serve,
         &["campaign", "create", "--spec", &file.display().to_string()],
     );
@@ -204,19 +204,19 @@ async fn check_film_lifecycle(
     let coordinator = serve(folder.path(), place, variables);
     assert_served(&coordinator, &other, &second);
     let archive = folder.path().join("filmed.tar.gz").display().to_string();
-    must(
+    run(
         &coordinator,
         &["campaign", "archive", "filmed", "--output", &archive],
     );
     let other_folder = tempfile::tempdir().expect("a folder");
     let other_coordinator = Serve::start(other_folder.path());
-    let message = must(&other_coordinator, &["campaign", "import", &archive]);
+    let message = run(&other_coordinator, &["campaign", "import", &archive]);
     assert!(message.contains("2 films"), "{message}");
     assert_served(&other_coordinator, &one, &first);
     assert_eq!(local_films(&other_folder), 2);
 
     let delete = ["campaign", "delete", "filmed", "--confirm", "filmed"];
-    must(&coordinator, &delete);
+    run(&coordinator, &delete);
     wait_until("no object is left", || stored() == 0).await;
     let violations = check(folder.path()).await.expect("a database");
     assert_eq!(violations, []);
@@ -289,7 +289,7 @@ async fn a_storage_outage_loses_no_rollout_and_no_film() {
     tokio::time::sleep(Duration::from_secs(5)).await;
     assert_eq!(local_films(&folder), 2);
     assert_served(&coordinator, &rollout, &bytes);
-    let jobs = must(&coordinator, &["jobs", "list", "filmed", "--json"]);
+    let jobs = run(&coordinator, &["jobs", "list", "filmed", "--json"]);
     let jobs: serde_json::Value = serde_json::from_str(&jobs).expect("JSON");
     let jobs = jobs.to_string();
     assert!(!jobs.contains("\"charged_attempts\":1"), "{jobs}");
@@ -300,9 +300,9 @@ async fn a_storage_outage_loses_no_rollout_and_no_film() {
     assert_served(&coordinator, &rollout, &bytes);
     drop(bucket);
     // The campaign can be deleted while the storage is unavailable; its films are removed later.
-    must(&coordinator, &["campaign", "cancel", "filmed"]);
+    run(&coordinator, &["campaign", "cancel", "filmed"]);
     let delete = ["campaign", "delete", "filmed", "--confirm", "filmed"];
-    must(&coordinator, &delete);
+    run(&coordinator, &delete);
     let violations = check(folder.path()).await.expect("a database");
     assert_eq!(violations, []);
 }

@@ -15,7 +15,7 @@ use crate::page::http;
 use crate::process::{Serve, fits_a_terminal, succeed, succeed_in_json, text};
 
 /// Returns the smallest radius at which a rollout of this suite fails.
-fn fails_from(id: &RolloutId) -> f64 {
+fn failure_radius(id: &RolloutId) -> f64 {
     let task = f64::from(id.task().index());
     match (id.condition(), id.task().index()) {
         // Fails even nominally.
@@ -28,7 +28,7 @@ fn fails_from(id: &RolloutId) -> f64 {
 }
 
 fn outcome(id: &RolloutId) -> Outcome {
-    let (radius, from) = (id.level().radius(), fails_from(id));
+    let (radius, from) = (id.level().radius(), failure_radius(id));
     // Under the robot axis, the second task recovers at a larger radius.
     let robot = Condition::Single(libero_ctrl::Axis::Robot);
     let recovers = id.condition() == robot && id.task().index() == 1 && radius == 8.0;
@@ -98,7 +98,7 @@ async fn planted_thresholds_are_found_again() {
         let id = format!("{suite}/{condition}/L2/c00")
             .parse()
             .expect("an id");
-        let from = fails_from(&id);
+        let from = failure_radius(&id);
         let is_robot = condition == "robot";
         let recovers = is_robot && task == "libero_object/1";
         assert_eq!(!list(threshold, "recovers_at").is_empty(), recovers, "{id}");
@@ -248,10 +248,10 @@ async fn unmeasurable_thresholds_are_refused_before_creation() {
     refused(&first(&["--axes", "sensor"]), others);
     refused(&first(&["--budget", "20"]), "may take 24 rollouts");
     #[rustfmt::skip]
-    let bare = [&CREATE[..3], &["bare"], &CREATE[4..], &[
+    let without_nominal = [&CREATE[..3], &["bare"], &CREATE[4..], &[
         "--axes", "camera", "--nominal", "none",
     ]].concat();
-    succeed(serve.command(&bare));
+    succeed(serve.command(&without_nominal));
     refused(
         &["thresholds", "bare", "--create"],
         "it has no nominal rollouts",

@@ -18,7 +18,7 @@ const ARRIVAL: Duration = Duration::from_millis(300);
 
 /// Sends all requests while the database is locked, so that they wait for one transaction. Answers
 /// are in the order of the requests.
-async fn together<T: Send + 'static>(
+async fn send_in_one_batch<T: Send + 'static>(
     bench: &Bench,
     requests: Vec<impl Future<Output = T> + Send + 'static>,
 ) -> Vec<T> {
@@ -83,7 +83,7 @@ async fn batched_reports_each_get_their_own_verdict() {
         let (mut worker, report) = (worker.clone(), report.clone());
         async move { worker.commit_request(report).await.0 }
     });
-    let verdicts = together(&bench, requests.collect()).await;
+    let verdicts = send_in_one_batch(&bench, requests.collect()).await;
     let expected: Vec<Verdict> = mixed.iter().map(|(_, verdict)| *verdict).collect();
     assert_eq!(verdicts, expected);
     assert_eq!(bench.status("together").await.committed, 8);
@@ -100,7 +100,7 @@ async fn one_of_two_batched_reports_of_a_rollout_is_stored() {
         let (mut worker, report) = (worker.clone(), worker.report(lease, true));
         async move { worker.commit_request(report).await.0 }
     });
-    let verdicts = together(&bench, requests.collect()).await;
+    let verdicts = send_in_one_batch(&bench, requests.collect()).await;
     for (first, second) in verdicts[..6].iter().zip(&verdicts[6..]) {
         let pair = BTreeSet::from([first.as_str_name(), second.as_str_name()]);
         let expected = [Verdict::Accepted, Verdict::Duplicate];
@@ -119,7 +119,7 @@ async fn contradictory_siblings_in_one_batch_are_not_both_stored() {
         provenance.scene_digest = sha(&format!("scene {place}"));
         async move { worker.commit_request(report).await.0 }
     });
-    let mut verdicts = together(&bench, requests.collect()).await;
+    let mut verdicts = send_in_one_batch(&bench, requests.collect()).await;
     verdicts.sort_by_key(|verdict| i32::from(*verdict));
     assert_eq!(verdicts, [Verdict::Accepted, Verdict::Unpaired]);
     assert_invariants(bench).await;
@@ -140,7 +140,7 @@ async fn batched_claims_are_served_in_order_of_arrival() {
         let warm = ["libero_object/0", ""][usize::from(number % 4 == 3)];
         requests.push(async move { worker.claim_response(warm).await.lease });
     }
-    let shares = together(&bench, requests).await;
+    let shares = send_in_one_batch(&bench, requests).await;
     let mut jobs: Vec<i64> = shares.iter().flatten().map(|lease| lease.job_id).collect();
     jobs.sort_unstable();
     let expected: Vec<i64> = leases[1..].iter().map(|lease| lease.job_id).collect();

@@ -158,7 +158,7 @@ class Description:
             if size > MAX_TEXT_BYTES:
                 raise ValueError(
                     f"policy {self.name[:64]!r}: {what} has {size} bytes, and results hold"
-                    f" {MAX_TEXT_BYTES} of it"
+                    f" at most {MAX_TEXT_BYTES}"
                 )
         if len(set(self.state)) != len(self.state):
             raise ValueError(f"policy {self.name!r}: a reading is named twice in {self.state}")
@@ -179,8 +179,8 @@ class Description:
                 )
 
     def to_message(self) -> pb.DescribeResponse:
-        """Returns the description as a message. A converted gripper is one of
-        its settings."""
+        """Returns the description as a message. Its settings name the gripper convention
+        if this package converts the gripper's commands."""
         settings = dict(self.settings)
         if self.gripper is not Gripper.MINUS_ONE_OPENS:
             settings.setdefault("gripper", self.gripper.value)

@@ -22,7 +22,7 @@ OBJECTS = 6
 #: The Panda's rest posture, rad.
 JOINTS = (0.0, -0.16, 0.0, -2.44, 0.0, 2.23, 0.785)
 #: Spread of readings around the rest posture: m and rad; joint velocities, rad/s.
-AWAY = 0.05
+SPREAD = 0.05
 
 
 def fake_episode(
@@ -73,17 +73,17 @@ def fake_frame(camera: Camera, rng: np.random.Generator) -> np.ndarray:
 def fake_readings(rng: np.random.Generator) -> dict[State, np.ndarray]:
     """Returns every kind of reading, all of one posture: the fingers point
     down, and the hand is turned about the vertical."""
-    turn = rng.uniform(-AWAY, AWAY)
+    turn = rng.uniform(-SPREAD, SPREAD)
     # The orientation is a half turn about a horizontal axis at the angle `turn / 2`.
     axis = np.array([np.cos(turn / 2), np.sin(turn / 2), 0.0])
     opening = rng.uniform(0.03, 0.04)
     return {
-        State.EEF_POS: np.array([-0.15, 0.0, 0.25]) + rng.uniform(-AWAY, AWAY, 3),
+        State.EEF_POS: np.array([-0.15, 0.0, 0.25]) + rng.uniform(-SPREAD, SPREAD, 3),
         State.EEF_QUAT_XYZW: np.append(axis, 0.0),
         State.EEF_AXIS_ANGLE: np.pi * axis,
         State.EEF_ROTATION: (2 * np.outer(axis, axis) - np.eye(3)).ravel(),
-        State.JOINT_POS: np.array(JOINTS) + rng.uniform(-AWAY, AWAY, 7),
-        State.JOINT_VEL: rng.uniform(-AWAY, AWAY, 7),
+        State.JOINT_POS: np.array(JOINTS) + rng.uniform(-SPREAD, SPREAD, 7),
+        State.JOINT_VEL: rng.uniform(-SPREAD, SPREAD, 7),
         State.GRIPPER_POS: np.array([opening, -opening]),
         State.GRIPPER_VEL: np.zeros(2),
     }

@@ -19,7 +19,7 @@ use transport::Access;
 use worker::{
     actor::{Actor, PolicySession},
     message::FailureKind,
-    policy::{OF_ONE_ROLLOUT, PolicyClient},
+    policy::{PolicyClient, ROLLOUT_SETTINGS},
 };
 
 use crate::support::{Scripted, chunk, description, reloadable, serve};
@@ -35,7 +35,7 @@ const SESSION: PolicySession<'static> = PolicySession {
 
 fn worker(address: SocketAddr) -> PolicyClient {
     let endpoint = format!("grpc://{address}");
-    PolicyClient::new(&endpoint, &Access::none(), OF_ONE_ROLLOUT).expect("an endpoint")
+    PolicyClient::new(&endpoint, &Access::none(), ROLLOUT_SETTINGS).expect("an endpoint")
 }
 
 fn numbers() -> impl Strategy<Value = f32> {

@@ -14,7 +14,7 @@ use transport::Access;
 use worker::{
     actor::{Actor, PolicySession},
     message::Session,
-    policy::{OF_ONE_ROLLOUT, PolicyClient},
+    policy::{PolicyClient, ROLLOUT_SETTINGS},
 };
 
 use crate::{
@@ -67,8 +67,9 @@ async fn equal_rollouts_of_two_campaigns_get_their_own_answers() {
             session: Session::new(&rollout, 0, AttemptId::from_random([campaign; 16])),
             seed: campaign.into(),
         });
-        let client =
-            |_| PolicyClient::new(&endpoint, &Access::none(), OF_ONE_ROLLOUT).expect("an endpoint");
+        let client = |_| {
+            PolicyClient::new(&endpoint, &Access::none(), ROLLOUT_SETTINGS).expect("an endpoint")
+        };
         let mut clients = [0, 1].map(client);
         for (client, episode) in clients.iter_mut().zip(&episodes) {
             let (session, seed) = (episode.policy_session(), episode.seed);

@@ -1,5 +1,5 @@
-"""Rollouts of frameworks: RLinf's own `LiberoEnv`, a loop like SimpleVLA-RL's, and that loop's
-rollouts as rows of one process."""
+"""Rollouts in frameworks: RLinf's `LiberoEnv`, SimpleVLA-RL's loop with a process for each
+environment, and that loop's rollouts in one process, by `TrainingEnvironment`."""
 
 from __future__ import annotations
 
@@ -39,7 +39,10 @@ class Rollouts(Protocol):
 
 
 class RLinf:
-    """RLinf's `LiberoEnv`, as one of its workers runs it: rewards and metrics included."""
+    """RLinf's `LiberoEnv`, as one of its workers runs it: rewards and metrics included.
+
+    With `together`, `rollout_libero.rlinf` simulates all environments in this process.
+    """
 
     def __init__(self, task: str, count: int, steps: int, *, together: bool) -> None:
         from omegaconf import OmegaConf
@@ -127,7 +130,7 @@ class SimpleVLA:
             actions, answers = self._context.Queue(), self._context.Queue()
             start = (suite, int(number), at % self._states, config, actions, answers)
             process = self._context.Process(
-                target=_told_if_it_fails, args=(self._work, answers, *start), daemon=True
+                target=_run_and_report_failure, args=(self._work, answers, *start), daemon=True
             )
             process.start()
             self._started.append((process, actions, answers))
@@ -150,7 +153,7 @@ class SimpleVLA:
         for _, _, answers in self._started:
             answer = answers.get(timeout=300)
             if isinstance(answer, str):
-                raise RuntimeError(f"a process of the environments: {answer}")
+                raise RuntimeError(f"a process of an environment failed: {answer}")
             for camera in ("agentview_image", "robot0_eye_in_hand_image"):
                 assert answer["obs"][camera].shape == (SIDE, SIDE, 3)
 
@@ -193,7 +196,7 @@ def _env_worker() -> Callable[..., None]:
     return work
 
 
-def _told_if_it_fails(work: Callable[..., None], answers: Any, *start: Any) -> None:
+def _run_and_report_failure(work: Callable[..., None], answers: Any, *start: Any) -> None:
     try:
         # Arguments: no validation, training step 0, and practically no limit of steps.
         work(*start, False, 0, 1 << 30)
@@ -235,8 +238,8 @@ def _read_frames_of(environment: Any, method: str) -> None:
 
 
 def task_files(task: str) -> tuple[str, np.ndarray]:
-    """Returns the path of a task's BDDL file, and its initial states, which the original would read
-    with PyTorch."""
+    """Returns the path of a task's BDDL file, and the task's initial states, read without
+    PyTorch, which LIBERO uses."""
     from libero.libero import benchmark, get_libero_path
 
     suite, number = task.split("/")

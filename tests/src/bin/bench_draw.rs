@@ -83,7 +83,7 @@ struct Findings {
 /// The frame that differs most, from both renderers.
 struct Worst {
     /// Number of pixels that differ by more than [`CLOSE_LEVELS`], and of all that differ.
-    off: (usize, usize),
+    differing_pixels: (usize, usize),
     ours: Frame,
     theirs: Frame,
 }
@@ -268,10 +268,11 @@ impl Bench {
                 if frame > 0 {
                     findings.theirs.push(millis);
                 }
-                let off = findings.agreement.add(&our_frame, &their_frame);
-                if findings.worst.as_ref().is_none_or(|worst| off > worst.off) {
+                let differing_pixels = findings.agreement.add(&our_frame, &their_frame);
+                let worst = findings.worst.as_ref();
+                if worst.is_none_or(|worst| differing_pixels > worst.differing_pixels) {
                     findings.worst = Some(Worst {
-                        off,
+                        differing_pixels,
                         ours: our_frame,
                         theirs: their_frame,
                     });
@@ -307,14 +308,14 @@ impl Agreement {
     fn add(&mut self, ours: &Frame, theirs: &Frame) -> (usize, usize) {
         let (mut far, mut differ) = (0, 0);
         for (a, b) in ours.rgb.chunks_exact(3).zip(theirs.rgb.chunks_exact(3)) {
-            let off = a.iter().zip(b).map(|(a, b)| a.abs_diff(*b)).max();
-            let off = off.unwrap_or_default();
+            let difference = a.iter().zip(b).map(|(a, b)| a.abs_diff(*b)).max();
+            let difference = difference.unwrap_or_default();
             self.pixels += 1;
-            self.equal += u64::from(off == 0);
-            self.close += u64::from(off <= CLOSE_LEVELS);
-            self.largest = self.largest.max(off);
-            far += usize::from(off > CLOSE_LEVELS);
-            differ += usize::from(off > 0);
+            self.equal += u64::from(difference == 0);
+            self.close += u64::from(difference <= CLOSE_LEVELS);
+            self.largest = self.largest.max(difference);
+            far += usize::from(difference > CLOSE_LEVELS);
+            differ += usize::from(difference > 0);
         }
         (far, differ)
     }
@@ -437,11 +438,11 @@ fn save(folder: &Path, name: &str, ours: &Frame, theirs: &Frame) -> Result<()> {
         for x in 0..width {
             let at = (((height - 1 - y) * width + x) * 3) as usize;
             let (a, b) = (&ours.rgb[at..at + 3], &theirs.rgb[at..at + 3]);
-            let off: [u8; 3] =
+            let difference: [u8; 3] =
                 std::array::from_fn(|channel| a[channel].abs_diff(b[channel]).saturating_mul(50));
             picture.put_pixel(x, y, image::Rgb([a[0], a[1], a[2]]));
             picture.put_pixel(width + x, y, image::Rgb([b[0], b[1], b[2]]));
-            picture.put_pixel(2 * width + x, y, image::Rgb(off));
+            picture.put_pixel(2 * width + x, y, image::Rgb(difference));
         }
     }
     let path = folder.join(format!("{name}.png"));

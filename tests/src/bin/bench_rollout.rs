@@ -102,7 +102,7 @@ struct Timer {
     last: f64,
     phases: Phases,
     /// Time of the next control step's physics on a copy of the state, milliseconds.
-    bare: f64,
+    physics_millis: f64,
     /// Copy of the state.
     copy: Option<Data>,
     /// True if physics is timed on copies, which takes time itself.
@@ -119,7 +119,7 @@ impl Timer {
             clock,
             last: clock.now_millis(),
             phases: Phases::default(),
-            bare: 0.0,
+            physics_millis: 0.0,
             copy: None,
             times_physics,
             progress_calls: 0,
@@ -146,7 +146,7 @@ impl Timer {
                 self.copy = Some(Data::new(environment.model())?);
             }
             if let Some(copy) = &mut self.copy {
-                self.bare = bare_millis(self.clock, copy, episode);
+                self.physics_millis = bare_millis(self.clock, copy, episode);
             }
         }
         self.last = self.clock.now_millis();
@@ -163,11 +163,11 @@ fn bare_millis(clock: Clock, copy: &mut Data, episode: &mut Episode<'_>) -> f64 
     millis
 }
 
-type Shared = Rc<RefCell<Timer>>;
+type SharedTimer = Rc<RefCell<Timer>>;
 
 /// Open-loop policy that replays actions. Observations are encoded as if they were sent.
 struct OpenLoop<'a> {
-    timer: Shared,
+    timer: SharedTimer,
     description: Description,
     actions: &'a [Action],
 }
@@ -199,7 +199,7 @@ impl Actor for OpenLoop<'_> {
 
 /// Watcher that times the worker's loop.
 struct PhaseWatcher {
-    timer: Shared,
+    timer: SharedTimer,
     problem: Option<sim::SimError>,
 }
 
@@ -232,7 +232,7 @@ impl Watcher for PhaseWatcher {
             None => timer.phases.other += lap,
             Some(_) => {
                 timer.phases.steps += lap;
-                timer.phases.physics += timer.bare;
+                timer.phases.physics += timer.physics_millis;
                 timer.steps += 1;
             }
         }

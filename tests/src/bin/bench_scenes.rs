@@ -74,7 +74,7 @@ struct Arguments {
 
 /// Message of a slot whose rollout has started.
 #[derive(Clone, Copy, Serialize, Deserialize)]
-struct Begun {
+struct RolloutStarted {
     /// Seconds until the rollout's first state was ready.
     secs: f64,
 }
@@ -122,7 +122,7 @@ fn run_slot(arguments: &Arguments) -> Result<()> {
                 .to_vec(),
             privileged: false,
         };
-        println!("{}", serde_json::to_string(&Begun { secs })?);
+        println!("{}", serde_json::to_string(&RolloutStarted { secs })?);
         for step in 0..STEPS {
             episode.observe(&request)?;
             episode.step(&worker::measure::open_loop::smooth_action(step))?;
@@ -182,16 +182,16 @@ impl Slot {
         let commands = self
             .commands
             .as_mut()
-            .context("the slot has been told to exit")?;
+            .context("the slot's input is closed")?;
         writeln!(commands, "{task}").context("send a slot its task")
     }
 
-    fn begun(&mut self) -> Result<Begun> {
+    fn wait_for_start(&mut self) -> Result<RolloutStarted> {
         Ok(serde_json::from_str(&self.line()?)?)
     }
 
     /// Waits until the slot has completed its steps.
-    fn moved(&mut self) -> Result<()> {
+    fn wait_for_steps(&mut self) -> Result<()> {
         ensure!(
             self.line()?.trim() == "moved",
             "the slot did not report `moved`"
@@ -221,7 +221,7 @@ impl Slot {
         let tables = read("status", &["VmPTE:"])?;
         Ok(Memory {
             resident: read("smaps_rollup", &["Rss:"])?,
-            alone: read("smaps_rollup", &["Private_Clean:", "Private_Dirty:"])? + tables,
+            private: read("smaps_rollup", &["Private_Clean:", "Private_Dirty:"])? + tables,
             proportional: read("smaps_rollup", &["Pss:"])? + tables,
         })
     }
@@ -256,7 +256,7 @@ impl Slot {
 struct Memory {
     resident: f64,
     /// Private memory including page tables.
-    alone: f64,
+    private: f64,
     /// Proportional set size, which divides shared memory among its processes, including page
     /// tables.
     proportional: f64,
@@ -305,9 +305,9 @@ fn measure(arguments: &Arguments) -> Result<()> {
         let clock = Instant::now();
         let mut slot = start()?;
         slot.send(*task)?;
-        slot.begun()?;
+        slot.wait_for_start()?;
         starts.push(clock.elapsed().as_secs_f64());
-        slot.moved()?;
+        slot.wait_for_steps()?;
         slot.end()?;
     }
     row(
@@ -316,23 +316,23 @@ fn measure(arguments: &Arguments) -> Result<()> {
         "<= 500 ms",
     );
 
-    let (mut alone, mut resident, mut mapped) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut private, mut resident, mut mapped) = (Vec::new(), Vec::new(), Vec::new());
     for task in &tasks {
         let mut both = [start()?, start()?];
         for slot in &mut both {
             slot.send(*task)?;
-            slot.begun()?;
-            slot.moved()?;
+            slot.wait_for_start()?;
+            slot.wait_for_steps()?;
         }
         let memory = both[1].memory()?;
-        alone.push(memory.alone);
+        private.push(memory.private);
         resident.push(memory.resident);
         mapped.push(both[1].resident_of(&scenes)?);
         both.into_iter().try_for_each(Slot::end)?;
     }
     row(
         "a further slot, one scene, not shared: most",
-        format!("{:.1} MiB", most(&alone)),
+        format!("{:.1} MiB", most(&private)),
         "<= 40 MiB",
     );
     row(
@@ -349,22 +349,22 @@ fn measure(arguments: &Arguments) -> Result<()> {
     let mut slots = (0..arguments.slots)
         .map(|_| start())
         .collect::<Result<Vec<_>>>()?;
-    let mut together = Vec::new();
-    for turn in 0..tasks.len() {
+    let mut totals = Vec::new();
+    for round in 0..tasks.len() {
         for (at, slot) in slots.iter_mut().enumerate() {
-            slot.send(tasks[(at + turn) % tasks.len()])?;
+            slot.send(tasks[(at + round) % tasks.len()])?;
         }
         for slot in &mut slots {
-            slot.begun()?;
-            slot.moved()?;
+            slot.wait_for_start()?;
+            slot.wait_for_steps()?;
         }
         let all = slots.iter().map(Slot::memory).collect::<Result<Vec<_>>>()?;
-        together.push(all.iter().map(|memory| memory.proportional).sum::<f64>());
+        totals.push(all.iter().map(|memory| memory.proportional).sum::<f64>());
     }
     slots.into_iter().try_for_each(Slot::end)?;
     row(
         &format!("{} slots, all scenes in turn: most", arguments.slots),
-        format!("{:.0} MiB", most(&together)),
+        format!("{:.0} MiB", most(&totals)),
         "<= 8192 MiB",
     );
 
@@ -390,12 +390,12 @@ fn measure(arguments: &Arguments) -> Result<()> {
             in_ms(&environments),
             "<= 200 ms",
         );
-        let together = |processes: usize, count: usize| -> Result<f64> {
+        let total_memory = |processes: usize, count: usize| -> Result<f64> {
             let start = || Slot::python(python, count, &tasks, &variables);
             let mut all = (0..processes)
                 .map(|_| start())
                 .collect::<Result<Vec<_>>>()?;
-            all.iter_mut().try_for_each(Slot::moved)?;
+            all.iter_mut().try_for_each(Slot::wait_for_steps)?;
             let memory = all.iter().map(Slot::memory).collect::<Result<Vec<_>>>()?;
             all.into_iter().try_for_each(Slot::end)?;
             Ok(memory.iter().map(|memory| memory.proportional).sum())
@@ -403,12 +403,12 @@ fn measure(arguments: &Arguments) -> Result<()> {
         let count = ENVIRONMENTS * tasks.len();
         row(
             &format!("{count} environments in one Python process"),
-            format!("{:.0} MiB", together(1, count)?),
+            format!("{:.0} MiB", total_memory(1, count)?),
             "",
         );
         row(
             &format!("{PROCESSES} Python processes of {ENVIRONMENTS}"),
-            format!("{:.0} MiB", together(PROCESSES, ENVIRONMENTS)?),
+            format!("{:.0} MiB", total_memory(PROCESSES, ENVIRONMENTS)?),
             "",
         );
     }
@@ -420,8 +420,8 @@ fn start_times(mut slot: Slot, tasks: &[TaskRef]) -> Result<Vec<f64>> {
     let mut times = Vec::new();
     for task in tasks {
         slot.send(*task)?;
-        times.push(slot.begun()?.secs);
-        slot.moved()?;
+        times.push(slot.wait_for_start()?.secs);
+        slot.wait_for_steps()?;
     }
     slot.end()?;
     Ok(times)

@@ -101,13 +101,13 @@ fn run(arguments: &Arguments, tasks: &[TaskRef], rounds: usize) -> Result<()> {
         );
         memory.push(used);
     }
-    judge(&memory, tasks.len())
+    check_growth(&memory, tasks.len())
 }
 
 /// Compares the median of the last third of the rounds with that of the first, the warm-up. A
 /// maximum would grow with the number of rounds even without a leak, because allocators return
 /// pages at arbitrary times.
-fn judge(memory: &[Memory], tasks: usize) -> Result<()> {
+fn check_growth(memory: &[Memory], tasks: usize) -> Result<()> {
     let part = memory.len() / WARM_UP_PART;
     let (warm_up, last) = (&memory[..part], &memory[memory.len() - part..]);
     let median = |used: &[Memory]| {

@@ -13,7 +13,7 @@ use std::time::{Duration, Instant};
 use clap::Parser;
 use rand_chacha::ChaCha8Rng;
 use rand_chacha::rand_core::{Rng, SeedableRng};
-use tests::chaos::{Fault, Fleet, Plan, SlotKind, Way};
+use tests::chaos::{Fault, Fleet, Link, Plan, SlotKind};
 use tests::programs::program;
 
 /// Interval at which the progress of the campaign is polled.
@@ -38,7 +38,7 @@ struct Arguments {
     /// Tasks of the campaign.
     #[arg(long, default_value = "all")]
     tasks: String,
-    /// Times that every rollout runs.
+    /// Number of times that every rollout runs.
     #[arg(long, default_value_t = 2)]
     replicates: u32,
     /// Workers at a time.
@@ -106,7 +106,7 @@ fn main() -> ExitCode {
     for (label, times) in occurrences {
         println!("  {label}: {times}");
     }
-    println!("quarantined rollouts that the operator had tried again: {retried}");
+    println!("quarantined rollouts that the operator retried: {retried}");
     match outcome == expected {
         true => {
             println!("report and results: the same, {} bytes", outcome.len());
@@ -172,7 +172,7 @@ impl Rehearsal<'_> {
             } else if Instant::now() >= next_fault {
                 let fault = self.random_fault();
                 self.fleet.inject(fault);
-                self.count(name(fault));
+                self.count(describe(fault));
                 let (least, most) = INTERVAL_MILLIS;
                 let interval = least + self.rng.next_u64() % (most - least);
                 next_fault = Instant::now() + Duration::from_millis(interval);
@@ -225,12 +225,12 @@ impl Rehearsal<'_> {
             6 => Fault::KillSlot,
             7 => Fault::KillCoordinator(POLL_INTERVAL),
             8 => Fault::KillGateway(POLL_INTERVAL),
-            _ => Fault::Cut(Way::ToCoordinator),
+            _ => Fault::Cut(Link::ToCoordinator),
         }
     }
 }
 
-fn name(fault: Fault) -> &'static str {
+fn describe(fault: Fault) -> &'static str {
     match fault {
         Fault::KillWorker => "worker killed, and another one started",
         Fault::DrainWorker => "worker drained, and another one started",

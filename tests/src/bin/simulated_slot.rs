@@ -24,7 +24,7 @@ use worker::message::{
     Assignment, Evidence, Failure, FailureKind, Finished, RolloutEvent, SlotCommand, SlotEvent,
 };
 use worker::parent::Parent;
-use worker::policy::{OF_A_CAMPAIGN, PolicyClient};
+use worker::policy::{CAMPAIGN_SETTINGS, PolicyClient};
 
 /// Number of control steps of a rollout.
 const STEPS: u32 = 12;
@@ -114,8 +114,11 @@ fn play(
     let started = Instant::now();
     let row = &assignment.row;
     let session = assignment.policy_session();
-    let mut policy =
-        PolicyClient::new(&assignment.policy_endpoint, &Access::none(), OF_A_CAMPAIGN)?;
+    let mut policy = PolicyClient::new(
+        &assignment.policy_endpoint,
+        &Access::none(),
+        CAMPAIGN_SETTINGS,
+    )?;
     let description = policy.describe(session)?;
     policy.reset(
         session,

@@ -9,7 +9,7 @@ use std::process::{Command, Stdio};
 use std::thread::sleep;
 use std::time::{Duration, Instant};
 
-use super::schedule::{Fault, Schedule, Way};
+use super::schedule::{Fault, Link, Schedule};
 use super::wire::Wire;
 use crate::programs::{Process, program};
 
@@ -302,16 +302,16 @@ impl Fleet {
             Fault::StopCoordinator(time) => {
                 pause(self.coordinator.as_ref().expect("a coordinator"), time);
             }
-            Fault::Cut(way) => self.wire(way).cut(),
-            Fault::Block(way, time) => {
-                self.wire(way).block(true);
+            Fault::Cut(link) => self.wire(link).cut(),
+            Fault::Block(link, time) => {
+                self.wire(link).block(true);
                 sleep(time);
-                self.wire(way).block(false);
+                self.wire(link).block(false);
             }
-            Fault::Delay(way, by) => {
-                self.wire(way).delay(by);
+            Fault::Delay(link, by) => {
+                self.wire(link).delay(by);
                 sleep(Duration::from_secs(1));
-                self.wire(way).delay(Duration::ZERO);
+                self.wire(link).delay(Duration::ZERO);
             }
             Fault::Duplicate(time) => {
                 self.to_coordinator.duplicate(true);
@@ -392,11 +392,11 @@ impl Fleet {
         true
     }
 
-    fn wire(&self, way: Way) -> &Wire {
-        match way {
-            Way::ToCoordinator => &self.to_coordinator,
-            Way::ToGateway => &self.to_gateway,
-            Way::ToPolicy => &self.to_policy,
+    fn wire(&self, link: Link) -> &Wire {
+        match link {
+            Link::ToCoordinator => &self.to_coordinator,
+            Link::ToGateway => &self.to_gateway,
+            Link::ToPolicy => &self.to_policy,
         }
     }
 

@@ -15,14 +15,14 @@ const MAX_CHARGED_FAULTS: usize = 2;
 /// Latest start of the last fault, milliseconds; the campaign is still running then.
 const LATEST_START_MS: u64 = 2_500;
 
-/// A wire that can be broken.
+/// A connection between two programs that can be broken.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Way {
-    /// Wire from the workers to the coordinator.
+pub enum Link {
+    /// From the workers to the coordinator.
     ToCoordinator,
-    /// Wire from the slots to the gateway.
+    /// From the slots to the gateway.
     ToGateway,
-    /// Wire from the gateway to the policy.
+    /// From the gateway to the policy.
     ToPolicy,
 }
 
@@ -47,12 +47,12 @@ pub enum Fault {
     StopWorker(Duration),
     /// SIGSTOP of the coordinator, then SIGCONT.
     StopCoordinator(Duration),
-    /// All connections of a wire are cut at once.
-    Cut(Way),
-    /// A wire refuses all connections for the given time.
-    Block(Way, Duration),
-    /// All data on a wire is delayed.
-    Delay(Way, Duration),
+    /// All connections of a link are cut at once.
+    Cut(Link),
+    /// A link refuses all connections for the given time.
+    Block(Link, Duration),
+    /// All data on a link is delayed.
+    Delay(Link, Duration),
     /// All requests of workers to the coordinator arrive twice for the given time.
     Duplicate(Duration),
     /// All responses of the coordinator are lost for the given time.
@@ -135,20 +135,20 @@ fn draw(rng: &mut ChaCha8Rng, kind: u64) -> Fault {
         4 => Fault::KillPolicy(down),
         5 => Fault::StopWorker(super::LEASE + between(rng, 1_200, 2_000)),
         6 => Fault::StopCoordinator(between(rng, 300, 2_500)),
-        7 => Fault::Cut(way(rng)),
-        8 => Fault::Delay(way(rng), between(rng, 20, 400)),
+        7 => Fault::Cut(random_link(rng)),
+        8 => Fault::Delay(random_link(rng), between(rng, 20, 400)),
         9 => Fault::Duplicate(between(rng, 300, 900)),
         10 => Fault::FullDisk(between(rng, 300, 2_500)),
         11 => Fault::LoseAnswers(between(rng, 300, 4_000)),
-        12 => Fault::Block(way(rng), super::LEASE + between(rng, 200, 2_000)),
+        12 => Fault::Block(random_link(rng), super::LEASE + between(rng, 200, 2_000)),
         13 => Fault::RestartMachine(between(rng, 0, 4_000)),
         _ => Fault::ReadOnlyDatabase,
     }
 }
 
-fn way(rng: &mut ChaCha8Rng) -> Way {
-    let ways = [Way::ToCoordinator, Way::ToGateway, Way::ToPolicy];
-    ways[(rng.next_u64() % 3) as usize]
+fn random_link(rng: &mut ChaCha8Rng) -> Link {
+    let links = [Link::ToCoordinator, Link::ToGateway, Link::ToPolicy];
+    links[(rng.next_u64() % 3) as usize]
 }
 
 fn between(rng: &mut ChaCha8Rng, least_ms: u64, most_ms: u64) -> Duration {

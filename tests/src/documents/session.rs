@@ -55,7 +55,7 @@ pub struct Failure {
     /// Output of the command; only the end if it is long.
     pub output: String,
     /// True if the shell cannot execute further commands.
-    pub fatal: bool,
+    pub is_fatal: bool,
 }
 
 impl Session {
@@ -169,13 +169,13 @@ impl Session {
         let text = format!("{}\0{command}\n\0", output.display());
         let sent = self.commands.write_all(text.as_bytes());
         let fatal = |problem: String| Failure {
-            fatal: true,
+            is_fatal: true,
             ..failure(problem, &output)
         };
-        sent.map_err(|error| fatal(format!("the shell is gone: {error}")))?;
+        sent.map_err(|error| fatal(format!("the shell has ended: {error}")))?;
         match self.answers.recv_timeout(PATIENCE) {
             Ok(answer) => Ok((answer, output)),
-            Err(RecvTimeoutError::Disconnected) => Err(fatal("the shell is gone".to_owned())),
+            Err(RecvTimeoutError::Disconnected) => Err(fatal("the shell has ended".to_owned())),
             Err(RecvTimeoutError::Timeout) => {
                 let secs = PATIENCE.as_secs();
                 Err(fatal(format!("it takes more than {secs} s")))
@@ -201,7 +201,7 @@ fn failure(problem: String, output: &Path) -> Failure {
     Failure {
         problem,
         output: text,
-        fatal: false,
+        is_fatal: false,
     }
 }
 

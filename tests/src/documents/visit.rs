@@ -14,7 +14,7 @@ const SHARED: &str = "../shared";
 ///
 /// # Panics
 /// If a command fails, with its line, text and output, or if the page cannot be read.
-pub fn visit(page: &str) {
+pub fn run_page(page: &str) {
     let text = fs::read_to_string(checkout().join(page)).expect("the page");
     let failures = failures(page, &text);
     assert!(failures.is_empty(), "\n{}", failures.join("\n"));
@@ -42,7 +42,7 @@ pub fn failures(page: &str, text: &str) -> Vec<String> {
                         continue;
                     };
                     failures.push(describe_failure(page, command, &failure));
-                    if failure.fatal {
+                    if failure.is_fatal {
                         return failures;
                     }
                 }

@@ -258,20 +258,20 @@ mod tests {
     fn frames_of_another_machine_are_held_to_bounds() {
         let relation = RendererRelation::AnotherMachine;
         assert_eq!(violations(&[(600, 2)], relation), [""; 0]);
-        let broken = violations(&[(601, 2)], relation);
-        assert_eq!(broken.len(), 1);
+        let found = violations(&[(601, 2)], relation);
+        assert_eq!(found.len(), 1);
         assert!(
-            broken[0].contains("93.9900 % of pixels are equal at state 0, step 60, agentview")
-                && broken[0].contains("less than 94.0000 %")
-                && broken[0].contains("on another machine"),
-            "{broken:?}"
+            found[0].contains("93.9900 % of pixels are equal at state 0, step 60, agentview")
+                && found[0].contains("less than 94.0000 %")
+                && found[0].contains("on another machine"),
+            "{found:?}"
         );
-        let broken = violations(&[(1, 3)], relation);
-        assert_eq!(broken.len(), 1);
+        let found = violations(&[(1, 3)], relation);
+        assert_eq!(found.len(), 1);
         assert!(
-            broken[0].contains("99.9900 % of pixels are within 2 levels")
-                && broken[0].contains("the largest difference is 3"),
-            "{broken:?}"
+            found[0].contains("99.9900 % of pixels are within 2 levels")
+                && found[0].contains("the largest difference is 3"),
+            "{found:?}"
         );
     }
 
@@ -279,26 +279,26 @@ mod tests {
     fn another_driver_may_differ_by_more_where_surfaces_coincide() {
         let relation = RendererRelation::AnotherDriver;
         assert_eq!(violations(&[(50, 19), (500, 2)], relation), [""; 0]);
-        let broken = violations(&[(51, 19)], relation);
-        assert_eq!(broken.len(), 1);
-        assert!(broken[0].contains("another OpenGL driver"), "{broken:?}");
+        let found = violations(&[(51, 19)], relation);
+        assert_eq!(found.len(), 1);
+        assert!(found[0].contains("another OpenGL driver"), "{found:?}");
     }
 
     #[test]
     fn frames_of_this_machine_must_be_equal() {
         assert_eq!(violations(&[], RendererRelation::ThisMachine), [""; 0]);
-        let broken = violations(&[(1, 1)], RendererRelation::ThisMachine);
-        assert_eq!(broken.len(), 1);
-        assert!(broken[0].contains("bit for bit"), "{broken:?}");
+        let found = violations(&[(1, 1)], RendererRelation::ThisMachine);
+        assert_eq!(found.len(), 1);
+        assert!(found[0].contains("bit for bit"), "{found:?}");
     }
 
     #[test]
     fn the_software_renderer_may_differ_by_more_in_single_pixels_only() {
         let relation = RendererRelation::AnotherRenderer;
         assert_eq!(violations(&[(1, 255), (500, 2)], relation), [""; 0]);
-        let broken = violations(&[(2, 3)], relation);
-        assert_eq!(broken.len(), 1);
-        assert!(broken[0].contains("the software renderer"), "{broken:?}");
+        let found = violations(&[(2, 3)], relation);
+        assert_eq!(found.len(), 1);
+        assert!(found[0].contains("the software renderer"), "{found:?}");
         assert_eq!(violations(&[(601, 9)], relation).len(), 2);
     }
 

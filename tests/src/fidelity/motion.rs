@@ -263,12 +263,12 @@ mod tests {
         differences[30] = 9e-4;
         assert_eq!(violations(&differences, Some(&sampled)), [""; 0]);
         differences[30] = 2e-3;
-        let broken = violations(&differences, Some(&sampled));
-        assert!(broken[0].contains("200 × the original's"), "{broken:?}");
+        let found = violations(&differences, Some(&sampled));
+        assert!(found[0].contains("200 × the original's"), "{found:?}");
         differences[30] = 0.0;
         differences[10] = 1e-8;
-        let broken = violations(&differences, Some(&sampled));
-        assert_eq!(broken, ["contact-rich steps: 1.000e-8"]);
+        let found = violations(&differences, Some(&sampled));
+        assert_eq!(found, ["contact-rich steps: 1.000e-8"]);
         differences[10] = f64::NAN;
         assert_eq!(violations(&differences, Some(&sampled)).len(), 1);
     }

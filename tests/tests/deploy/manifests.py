@@ -15,14 +15,14 @@ import yaml
 VERSIONS = ("1.31", kubernetes_validate.latest_version())
 # Prefixes of kinds that are not Kubernetes' own.
 FOREIGN = ("keda.sh/",)
-ACCESS = "/etc/rollout/"
+SECRETS = "/etc/rollout/"
 
 
 def matches(selector: dict, labels: dict) -> bool:
     return selector.items() <= labels.items()
 
 
-def template(document: dict) -> dict | None:
+def pod_template(document: dict) -> dict | None:
     return document.get("spec", {}).get("template")
 
 
@@ -38,7 +38,7 @@ class Manifests:
     def add_fault(self, document: dict, fault: str) -> None:
         self.faults.append(f"{document['kind']} {document['metadata']['name']}: {fault}")
 
-    def schemas(self) -> set[str]:
+    def check_schemas(self) -> set[str]:
         foreign = set()
         for document in self.documents:
             if document["apiVersion"].startswith(FOREIGN):
@@ -55,12 +55,12 @@ class Manifests:
         return foreign
 
     def pods(self) -> list[tuple[dict, dict]]:
-        pairs = [(document, template(document)) for document in self.documents]
+        pairs = [(document, pod_template(document)) for document in self.documents]
         return [(document, pod) for document, pod in pairs if pod]
 
-    def references(self) -> None:
+    def check_references(self) -> None:
         for document, pod in self.pods():
-            self.pod(document, pod["spec"])
+            self.check_pod(document, pod["spec"])
             selector = document["spec"].get("selector")
             labels = pod["metadata"]["labels"]
             if selector and not matches(selector["matchLabels"], labels):
@@ -69,25 +69,25 @@ class Manifests:
             for document in self.by_name(kind).values():
                 spec = document["spec"]
                 selector = spec.get("podSelector", spec.get("selector"))
-                self.selected(document, selector.get("matchLabels", selector))
+                self.select_pods(document, selector.get("matchLabels", selector))
         for policy in self.by_name("NetworkPolicy").values():
-            self.policy(policy)
+            self.check_policy(policy)
         for service in self.by_name("Service").values():
-            pods = self.selected(service, service["spec"]["selector"])
+            pods = self.select_pods(service, service["spec"]["selector"])
             for port in service["spec"]["ports"]:
-                self.port(service, pods, port["targetPort"])
+                self.check_port(service, pods, port["targetPort"])
         for scaled in self.by_name("ScaledObject").values():
             target = scaled["spec"]["scaleTargetRef"]["name"]
             if target not in self.by_name("Deployment"):
                 self.add_fault(scaled, f"there is no Deployment {target}")
 
-    def selected(self, document: dict, labels: dict) -> list[dict]:
+    def select_pods(self, document: dict, labels: dict) -> list[dict]:
         found = [pod for _, pod in self.pods() if matches(labels, pod["metadata"]["labels"])]
         if not found:
             self.add_fault(document, f"no pod has the labels {labels}")
         return [pod["spec"] for pod in found]
 
-    def port(self, document: dict, pods: list[dict], name: object) -> None:
+    def check_port(self, document: dict, pods: list[dict], name: object) -> None:
         for pod in pods:
             ports = [
                 port["name"]
@@ -97,19 +97,21 @@ class Manifests:
             if name not in ports:
                 self.add_fault(document, f"no container has a port {name}")
 
-    def policy(self, policy: dict) -> None:
-        pods = self.selected(policy, policy["spec"]["podSelector"]["matchLabels"])
+    def check_policy(self, policy: dict) -> None:
+        pods = self.select_pods(policy, policy["spec"]["podSelector"]["matchLabels"])
         for direction, peers in (("ingress", "from"), ("egress", "to")):
             for rule in policy["spec"].get(direction, []):
                 others: list[dict] = []
                 for peer in rule[peers]:
                     if "podSelector" in peer:
-                        others += self.selected(policy, peer["podSelector"]["matchLabels"])
+                        others += self.select_pods(policy, peer["podSelector"]["matchLabels"])
                 for port in rule["ports"]:
                     if isinstance(port["port"], str):
-                        self.port(policy, pods if direction == "ingress" else others, port["port"])
+                        self.check_port(
+                            policy, pods if direction == "ingress" else others, port["port"]
+                        )
 
-    def pod(self, document: dict, pod: dict) -> None:
+    def check_pod(self, document: dict, pod: dict) -> None:
         if not pod["securityContext"].get("runAsNonRoot"):
             self.add_fault(document, "it may run as root")
         volumes = {volume["name"]: volume for volume in pod.get("volumes", [])}
@@ -134,12 +136,12 @@ class Manifests:
                     self.add_fault(document, f"there is no volume {mount['name']}")
             for argument in container["args"]:
                 value = argument.partition("=")[2]
-                if value.startswith(ACCESS) and value.removeprefix(ACCESS) not in files:
-                    self.add_fault(document, f"no secret has {value.removeprefix(ACCESS)}")
+                if value.startswith(SECRETS) and value.removeprefix(SECRETS) not in files:
+                    self.add_fault(document, f"no secret has {value.removeprefix(SECRETS)}")
                 if value.startswith("https://"):
-                    self.address(document, value.removeprefix("https://"))
+                    self.check_address(document, value.removeprefix("https://"))
 
-    def address(self, document: dict, address: str) -> None:
+    def check_address(self, document: dict, address: str) -> None:
         host, _, port = address.partition(":")
         service = self.by_name("Service").get(host)
         ports = [str(entry["port"]) for entry in service["spec"]["ports"]] if service else []
@@ -153,8 +155,8 @@ def main() -> int:
         loaded = yaml.safe_load_all(Path(path).read_text())
         documents += [document for document in loaded if document]
     manifests = Manifests(documents)
-    foreign = manifests.schemas()
-    manifests.references()
+    foreign = manifests.check_schemas()
+    manifests.check_references()
     if manifests.faults:
         print("\n".join(manifests.faults))
         return 1

@@ -290,7 +290,7 @@ fn rollouts(messages: &mut Messages) {
             slot: 0, end: "ended with exit status 1".to_owned(),
         },
         MeasureError::Silent { .. } => MeasureError::Silent { slots: 4, secs: 60.0 },
-        MeasureError::Talk(_) => MeasureError::Talk(io_error()),
+        MeasureError::Exchange(_) => MeasureError::Exchange(io_error()),
         MeasureError::Rollout(_) => MeasureError::Rollout(RolloutError::Abandoned),
     );
     variants!(messages, LimitError,

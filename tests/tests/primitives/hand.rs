@@ -12,15 +12,15 @@ use sim::{Environment, Episode};
 use crate::table::{MAX_OVERLAP, deepest_overlap, entities};
 
 /// Distance beyond its threshold at which a joint is set, m or rad, if its range allows.
-const BEYOND: f64 = 0.02;
+const THRESHOLD_MARGIN: f64 = 0.02;
 /// Largest overlap of an object with anything else at its release, m.
 const FREE_OVERLAP: f64 = 0.001;
 /// Steps of the search for free space, upwards and sideways, m.
-const LIFT: f64 = 0.005;
-const ASIDE: f64 = 0.02;
+const LIFT_STEP: f64 = 0.005;
+const SIDEWAYS_STEP: f64 = 0.02;
 /// Limits of the search: height, m, and number of sideways steps.
 const MAX_LIFT: f64 = 0.25;
-const MAX_ASIDE: i32 = 4;
+const MAX_SIDEWAYS_STEPS: i32 = 4;
 /// Control steps after which a released object lies still.
 const REST_STEPS: usize = 20;
 /// Number of releases of an object after which its goal counts as out of reach.
@@ -41,13 +41,13 @@ pub(crate) fn reach_goal(episode: &mut Episode<'_>) -> Result<(), String> {
     for (index, predicate) in scene.goal.iter().enumerate() {
         if predicate.arguments.len() == 2 {
             reached.push(index);
-            state = put(episode, &state, &scene.goal, &reached)
+            state = place_object(episode, &state, &scene.goal, &reached)
                 .ok_or_else(|| format!("no placement of the object makes {predicate} true"))?;
         }
     }
     let environment = episode.environment();
     environment.load(&state);
-    rest(environment)?;
+    wait_for_rest(environment)?;
     let truths = environment.goal_truths();
     let untrue = scene.goal.iter().zip(truths).find(|(_, holds)| !holds);
     match untrue {
@@ -86,7 +86,7 @@ fn resting_state(environment: &Environment) -> Vec<f64> {
     state
 }
 
-fn rest(environment: &mut Environment) -> Result<(), String> {
+fn wait_for_rest(environment: &mut Environment) -> Result<(), String> {
     for _ in 0..REST_STEPS {
         environment
             .step(&NO_OP)
@@ -116,8 +116,8 @@ fn move_joints(
         let id = model.id(ObjectKind::Joint, joint).expect("in the model");
         let range = &model.jnt_range()[id * 2..][..2];
         let position = match threshold {
-            Threshold::Above(limit) => (limit + BEYOND).min(range[1]),
-            Threshold::Below(limit) => (limit - BEYOND).max(range[0]),
+            Threshold::Above(limit) => (limit + THRESHOLD_MARGIN).min(range[1]),
+            Threshold::Below(limit) => (limit - THRESHOLD_MARGIN).max(range[0]),
         };
         if !threshold.holds(position) {
             return Err(format!(
@@ -144,7 +144,7 @@ fn joints_of<'a>(scene: &'a Scene, name: &str) -> (&'a Instance, &'a [String]) {
 /// Makes the last of the reached predicates true while the others stay true: releases its object on
 /// or in its place, at one position after another. Returns the state at rest; `None` if no position
 /// works.
-fn put(
+fn place_object(
     episode: &mut Episode<'_>,
     state: &[f64],
     goal: &[Predicate],
@@ -172,7 +172,7 @@ fn put(
         if trials > MAX_TRIALS {
             return None;
         }
-        if rest(environment).is_ok()
+        if wait_for_rest(environment).is_ok()
             && reached
                 .iter()
                 .all(|index| environment.goal_truths()[*index])
@@ -215,7 +215,7 @@ fn lift_free(environment: &mut Environment, state: &[f64], address: usize, from:
         if deepest_overlap(environment).0 <= FREE_OVERLAP {
             return true;
         }
-        state[position.end - 1] += LIFT;
+        state[position.end - 1] += LIFT_STEP;
     }
     false
 }
@@ -238,11 +238,12 @@ fn free_joint(environment: &Environment, object: &str) -> usize {
 
 /// Returns sideways offsets, m, in order of their distance from the preferred one.
 fn sideways_offsets(preferred: [f64; 2]) -> Vec<[f64; 2]> {
-    let steps = || (-MAX_ASIDE..=MAX_ASIDE).map(|step| f64::from(step) * ASIDE);
+    let steps =
+        || (-MAX_SIDEWAYS_STEPS..=MAX_SIDEWAYS_STEPS).map(|step| f64::from(step) * SIDEWAYS_STEP);
     let mut sideways_offsets: Vec<_> = steps().flat_map(|x| steps().map(move |y| [x, y])).collect();
     sideways_offsets.sort_by(|a, b| {
-        let away = |aside: &[f64; 2]| (aside[0] - preferred[0]).hypot(aside[1] - preferred[1]);
-        away(a).total_cmp(&away(b))
+        let distance = |at: &[f64; 2]| (at[0] - preferred[0]).hypot(at[1] - preferred[1]);
+        distance(a).total_cmp(&distance(b))
     });
     sideways_offsets
 }

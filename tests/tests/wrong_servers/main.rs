@@ -20,7 +20,7 @@ struct Case {
     is_encrypted: bool,
     /// Words of the finding and of the remedy.
     expected: Vec<&'static str>,
-    /// True if the client gives up at once.
+    /// True if the client must not retry.
     is_final: bool,
 }
 

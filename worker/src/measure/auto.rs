@@ -21,7 +21,7 @@ const ROUNDS: usize = 2;
 pub struct Chosen {
     pub slots: NonZeroUsize,
     /// Measurements and applied limits, in one line.
-    pub why: String,
+    pub reason: String,
 }
 
 /// Measures how many slots are worth running on this machine: at most one per core, and as many as
@@ -32,8 +32,8 @@ pub struct Chosen {
 pub fn choose_slots(program: SlotProgram, scenes: usize) -> Result<Chosen, MeasureError> {
     let cores = cores()?;
     let available = room::available()?;
-    let times = ROUNDS * numbers_to_measure(cores).len();
-    let secs = (ALL_SECS / times as f64).min(ONE_SECS);
+    let measurements = ROUNDS * numbers_to_measure(cores).len();
+    let secs = (ALL_SECS / measurements as f64).min(ONE_SECS);
     let mut slots = Slots::new(program);
     // Uses only the measured memory: a third throughput of one slot would favour that number over
     // larger ones.
@@ -64,7 +64,7 @@ pub fn choose_slots(program: SlotProgram, scenes: usize) -> Result<Chosen, Measu
     const MIB: u64 = 1 << 20;
     Ok(Chosen {
         slots: NonZeroUsize::new(slots).unwrap_or(NonZeroUsize::MIN),
-        why: format!(
+        reason: format!(
             "the fewest that reach {:.0} % of the most control steps per second \
              ({}); there are {cores} cores, and memory for {fitting} slots in {} MiB available, \
              of {} MiB each and {} MiB a scene that slots share",

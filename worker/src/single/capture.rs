@@ -17,7 +17,7 @@ use crate::rollout::{Step, Watcher};
 
 /// Trace and frames of one rollout.
 pub(super) struct Capture {
-    draw: bool,
+    renders_ends: bool,
     trace: Trace,
     /// Frames of both cameras, before the first control step and after the last one.
     ends: Vec<(&'static str, Vec<Frame>)>,
@@ -26,10 +26,10 @@ pub(super) struct Capture {
 }
 
 impl Capture {
-    /// Creates a capture; the first and the last frame are rendered only if `draw`.
-    pub(super) fn new(draw: bool) -> Self {
+    /// Creates a capture; the first and the last frame are rendered only if `renders_ends`.
+    pub(super) fn new(renders_ends: bool) -> Self {
         Self {
-            draw,
+            renders_ends,
             trace: Trace::default(),
             ends: Vec::new(),
             first_query: None,
@@ -61,7 +61,7 @@ impl Capture {
     }
 
     fn capture_ends(&mut self, title: &'static str, episode: &mut Episode<'_>) {
-        if !self.draw {
+        if !self.renders_ends {
             return;
         }
         match observe_both(episode) {

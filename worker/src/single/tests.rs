@@ -119,7 +119,7 @@ fn a_users_task_is_run_from_a_recording_and_again_from_its_trace() {
             assignment: &assignment,
             files: Some(task.files()),
             variant: None,
-            draw: false,
+            renders_ends: false,
             output,
         };
         run(&mut simulator, &mut recorded, &request).expect("an outcome")
@@ -179,7 +179,7 @@ fn answers_are_distorted_before_clipping_as_in_the_released_code() {
             assignment: &assignment,
             files: None,
             variant: None,
-            draw: false,
+            renders_ends: false,
             output: folder.path(),
         };
         let finished = run(&mut simulator, &mut recorded, &request).expect("an outcome");
@@ -218,7 +218,7 @@ fn first_and_last_frames_are_written_for_a_recording() {
         assignment: &assignment,
         files: None,
         variant: None,
-        draw: true,
+        renders_ends: true,
         output: folder.path(),
     };
     let mut simulator = simulator(sources);
@@ -320,7 +320,7 @@ fn run_and_film(
         assignment: &assignment,
         files: None,
         variant: None,
-        draw: true,
+        renders_ends: true,
         output: folder.path(),
     };
     let finished = run(simulator, &mut actor, &request).expect("an outcome");

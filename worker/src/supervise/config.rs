@@ -63,7 +63,7 @@ impl Config {
     pub(super) fn lacking_keys(&self) -> BTreeSet<String> {
         let of_pack = self.lacking_tasks.iter();
         let of_pack = of_pack.flat_map(|task| TaskKey::of_task(*task));
-        let absent = self.provider.iter().flat_map(Provider::absent);
+        let absent = self.provider.iter().flat_map(Provider::missing_benchmarks);
         let keys = of_pack.chain(absent.flat_map(TaskKey::needing));
         keys.map(|key| key.to_string()).collect()
     }

@@ -39,7 +39,7 @@ pub(crate) struct Delivery {
 pub(crate) enum Answer {
     Committed(CommitResponse),
     Released(ReleaseResponse),
-    /// The coordinator refused the report for good.
+    /// The coordinator refused the report; a retry cannot help.
     Refused(Status),
 }
 

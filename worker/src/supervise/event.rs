@@ -6,14 +6,14 @@ use tokio::task;
 use tonic::Status;
 
 use super::deliver::Answer;
-use crate::assets::Unprovided;
+use crate::assets::ProvideError;
 use crate::message::SlotEvent;
 
-/// End of a slot's process. `how` reads after the process's name.
+/// End of a slot's process. `description` reads after the process's name.
 #[derive(Debug)]
 pub(crate) struct ProcessEnd {
     /// Description of the end, such as "was killed by signal 9".
-    pub(crate) how: String,
+    pub(crate) description: String,
     /// The last lines that the process printed; the worker has relayed them already.
     pub(crate) last_lines: Vec<String>,
 }
@@ -22,10 +22,10 @@ impl ProcessEnd {
     /// Describes the end with the last lines, for readers who do not see the worker's log.
     pub(crate) fn with_last_lines(&self) -> String {
         match self.last_lines.is_empty() {
-            true => self.how.clone(),
+            true => self.description.clone(),
             false => format!(
                 "{}; its last output: {}",
-                self.how,
+                self.description,
                 self.last_lines.join(" | ")
             ),
         }
@@ -33,9 +33,12 @@ impl ProcessEnd {
 }
 
 impl From<String> for ProcessEnd {
-    fn from(how: String) -> Self {
+    fn from(description: String) -> Self {
         let last_lines = vec![];
-        Self { how, last_lines }
+        Self {
+            description,
+            last_lines,
+        }
     }
 }
 
@@ -65,7 +68,7 @@ pub(crate) enum Event {
     Provided {
         slot: usize,
         attempt: AttemptId,
-        outcome: Result<(), Unprovided>,
+        outcome: Result<(), ProvideError>,
     },
     /// The coordinator answered the report of a slot's rollout.
     Delivered {

@@ -209,7 +209,7 @@ impl Link {
         }
     }
 
-    /// Repeats a call until the coordinator answers or refuses for good.
+    /// Repeats a call until the coordinator answers or refuses permanently.
     async fn retry<T, F>(
         &self,
         deadline: Duration,

@@ -47,12 +47,12 @@ impl SlotProcess {
         tasks: &mut JoinSet<()>,
         events: mpsc::Sender<Event>,
     ) -> io::Result<Self> {
-        let (ours, theirs) = connection()?;
-        ours.set_nonblocking(true)?;
-        let connection = UnixStream::from_std(ours)?;
+        let (parent_end, child_end) = connection()?;
+        parent_end.set_nonblocking(true)?;
+        let connection = UnixStream::from_std(parent_end)?;
         let child = Command::new(&program.program)
             .args(&program.arguments)
-            .stdin(theirs)
+            .stdin(child_end)
             .stdout(Stdio::piped())
             .stderr(Stdio::piped())
             // A Ctrl-C in the terminal must reach only the parent, which lets the slots finish
@@ -98,12 +98,12 @@ async fn run_process(
         handle_requests(child, commands, requests)
     );
     let kills = OomKills::read().since(kills_before);
-    let how = match status {
+    let description = match status {
         Ok(status) => explain_status(status, kills),
         Err(error) => format!("could not be waited for ({error})"),
     };
     let end = ProcessEnd {
-        how,
+        description,
         last_lines: last_lines.into(),
     };
     // The receiver may be gone if the supervisor has ended.
@@ -124,7 +124,7 @@ async fn handle_requests(
         let done = match (request, &mut commands) {
             (Some(Request::Send(command)), Some(commands)) => send(commands, &command).await,
             (Some(Request::Kill), _) => child.start_kill(),
-            // Closing the connection tells the process to end.
+            // The process ends when its connection is closed.
             (None, _) => {
                 commands = None;
                 Ok(())
@@ -223,7 +223,7 @@ mod tests {
         check(1 << 8, "exited with code 1");
         let last_lines = VecDeque::from(["one".to_owned(), "two".to_owned()]);
         let end = ProcessEnd {
-            how: "aborted".to_owned(),
+            description: "aborted".to_owned(),
             last_lines: last_lines.into(),
         };
         assert_eq!(end.with_last_lines(), "aborted; its last output: one | two");

@@ -279,7 +279,7 @@ impl SlotState {
     }
 
     /// Records that the process was killed.
-    pub(crate) fn killed(&mut self, why: Kill) {
+    pub(crate) fn killed(&mut self, reason: Kill) {
         self.process = ProcessState::Dying;
         if let (
             Kill::Stuck,
@@ -288,7 +288,7 @@ impl SlotState {
                 control_steps,
                 ..
             },
-        ) = (why, &self.work)
+        ) = (reason, &self.work)
         {
             self.work = Work::Stuck {
                 attempt,
@@ -675,7 +675,7 @@ mod tests {
                     6 => prop_assert!(!slot.rollout_ended(attempt(2), is_filmed, now)),
                     7 => slot.filming_advanced(attempt(1), at as u32, now),
                     _ => match slot.decide(Mode::Draining, TIMEOUT, now) {
-                        Some(Decision::Kill(why)) => slot.killed(why),
+                        Some(Decision::Kill(reason)) => slot.killed(reason),
                         Some(decision) => prop_assert!(false, "{decision:?}"),
                         None => {}
                     },

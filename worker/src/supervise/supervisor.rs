@@ -304,7 +304,7 @@ impl Supervisor {
                 Some(Decision::Claim) if self.is_registered && now >= self.claims_from => {
                     self.claim(slot);
                 }
-                Some(Decision::Kill(why)) => self.kill(slot, why),
+                Some(Decision::Kill(reason)) => self.kill(slot, reason),
                 Some(Decision::Claim) | None => {}
             }
         }
@@ -342,8 +342,8 @@ impl Supervisor {
         self.process_ended(slot, end, now);
     }
 
-    fn kill(&mut self, slot: usize, why: Kill) {
-        let kill = match why {
+    fn kill(&mut self, slot: usize, reason: Kill) {
+        let kill = match reason {
             Kill::NotReady => "its process does not become ready",
             Kill::Stuck => "its rollout makes no progress",
             Kill::StuckFilming => "its video makes no progress; the result is not affected",
@@ -351,7 +351,7 @@ impl Supervisor {
         };
         tracing::warn!("slot {slot} is killed: {kill}");
         let slot = &mut self.slots[slot];
-        slot.state.killed(why);
+        slot.state.killed(reason);
         if let Some(process) = &slot.process {
             process.kill();
         }
@@ -458,10 +458,10 @@ impl Supervisor {
         let loss = state.ended(now);
         if state.cannot_start() {
             // The process's last output is in the log already.
-            let end = end.how.clone();
+            let end = end.description.clone();
             self.stop(SuperviseError::Slot { slot, end });
         } else {
-            tracing::warn!("the process of slot {slot} {}", end.how);
+            tracing::warn!("the process of slot {slot} {}", end.description);
         }
         if let Some(attempt) = loss.video {
             tracing::warn!("no video of {}: it was being made", self.label(slot));

@@ -34,8 +34,8 @@ async fn a_lease_is_acknowledged_long_before_the_next_heartbeat_is_due() {
     if !ready("a_lease_is_acknowledged_long_before_the_next_heartbeat_is_due") {
         return;
     }
-    let (rare, never) = (Duration::from_secs(50), Duration::from_secs(600));
-    let coordinator = ScriptedCoordinator::with_times(rare, never).await;
+    let (heartbeat, progress_timeout) = (Duration::from_secs(50), Duration::from_secs(600));
+    let coordinator = ScriptedCoordinator::with_times(heartbeat, progress_timeout).await;
     let policy = ScriptedPolicy::start().await;
     let _worker = WorkerProcess::start(&coordinator.url());
     coordinator.wait_for_claims(1).await;

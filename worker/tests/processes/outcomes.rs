@@ -14,7 +14,7 @@ async fn a_result_carries_its_provenance() {
     }
     let coordinator = ScriptedCoordinator::start().await;
     let policy = ScriptedPolicy::start().await;
-    coordinator.lease(lease(1, "looking", &policy.url()));
+    coordinator.lease(lease(1, "observing", &policy.url()));
     let _worker = WorkerProcess::start(&coordinator.url());
 
     let WorkerMessage::Registered(registered) = coordinator.message(0).await else {
@@ -42,7 +42,7 @@ async fn a_result_carries_its_provenance() {
     assert_eq!(provenance.realised, []);
     assert_eq!(provenance.asset_pack, "primitives");
     assert_eq!(provenance.mujoco_version, "3.3.7");
-    assert_eq!(provenance.policy_name, "looking");
+    assert_eq!(provenance.policy_name, "observing");
     assert_eq!(provenance.policy_checkpoint, "scripted");
     assert!(!provenance.renderer.is_empty());
     assert_eq!(provenance.renderer, registered.renderer);
@@ -59,7 +59,7 @@ async fn a_policy_gets_the_requested_observation_once_per_query() {
     }
     let coordinator = ScriptedCoordinator::start().await;
     let policy = ScriptedPolicy::start().await;
-    coordinator.lease(lease(1, "looking", &policy.url()));
+    coordinator.lease(lease(1, "observing", &policy.url()));
     let _worker = WorkerProcess::start(&coordinator.url());
     coordinator.message(1).await.commit();
 
@@ -105,7 +105,7 @@ async fn a_canonical_only_policy_gets_no_paraphrase() {
     }
     let coordinator = ScriptedCoordinator::start().await;
     let policy = ScriptedPolicy::start().await;
-    for (job, name) in [(1, "looking"), (2, "by-heart")] {
+    for (job, name) in [(1, "observing"), (2, "by-heart")] {
         let mut lease = lease(job, name, &policy.url());
         let mut row: ManifestRow = serde_json::from_str(&lease.manifest_row).expect("a row");
         row.instruction = "kindly put the soup into the basket".to_owned();
@@ -125,7 +125,7 @@ async fn a_canonical_only_policy_gets_no_paraphrase() {
     assert_eq!(
         instructions,
         [
-            ("looking", "kindly put the soup into the basket"),
+            ("observing", "kindly put the soup into the basket"),
             (
                 "by-heart",
                 "pick up the alphabet soup and place it in the basket"
@@ -154,18 +154,18 @@ async fn a_rollout_without_frames_names_its_slots_renderer_too() {
     }
     let coordinator = ScriptedCoordinator::start().await;
     let policy = ScriptedPolicy::start().await;
-    for (job, name) in [(1, "still"), (2, "looking")] {
+    for (job, name) in [(1, "still"), (2, "observing")] {
         coordinator.lease(lease(job, name, &policy.url()));
     }
     let _worker = WorkerProcess::start(&coordinator.url());
-    let blind = coordinator.message(1).await.commit().provenance;
-    let looking = coordinator.message(2).await.commit().provenance;
-    let (blind, looking) = (blind.expect("one"), looking.expect("one"));
-    assert_eq!(blind.first_frame_digest, "");
-    assert_eq!(looking.first_frame_digest.len(), 64);
-    assert!(!blind.renderer.is_empty());
-    assert_eq!(blind.renderer, looking.renderer);
-    assert_eq!(blind.fingerprint, looking.fingerprint);
+    let without_frames = coordinator.message(1).await.commit().provenance;
+    let observing = coordinator.message(2).await.commit().provenance;
+    let (without_frames, observing) = (without_frames.expect("one"), observing.expect("one"));
+    assert_eq!(without_frames.first_frame_digest, "");
+    assert_eq!(observing.first_frame_digest.len(), 64);
+    assert!(!without_frames.renderer.is_empty());
+    assert_eq!(without_frames.renderer, observing.renderer);
+    assert_eq!(without_frames.fingerprint, observing.fingerprint);
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -176,7 +176,7 @@ async fn the_same_rollout_has_the_same_outcome_and_frames_every_time() {
     let coordinator = ScriptedCoordinator::start().await;
     let policy = ScriptedPolicy::start().await;
     for job in 1..=2 {
-        coordinator.lease(lease(job, "looking", &policy.url()));
+        coordinator.lease(lease(job, "observing", &policy.url()));
     }
     let _worker = WorkerProcess::start(&coordinator.url());
     let first = coordinator.message(1).await.commit().provenance;
@@ -232,7 +232,7 @@ async fn worker_rollout_writes_its_result_and_frames() {
             "--assets",
             "primitives",
             "--policy",
-            "looking",
+            "observing",
             "--endpoint",
             &url,
             "--output",

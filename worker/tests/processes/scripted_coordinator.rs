@@ -140,7 +140,7 @@ impl ScriptedCoordinator {
         self.change(|state| state.lost_attempts.push(attempt_id(job)));
     }
 
-    /// Tells the worker to stop leasing in the next answer to a release.
+    /// Orders the worker to stop leasing, in the next answer to a release.
     pub(crate) fn stop_leasing(&self, reason: &str) {
         self.change(|state| reason.clone_into(&mut state.stop_leasing));
     }

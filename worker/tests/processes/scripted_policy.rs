@@ -16,7 +16,7 @@ use tokio_stream::wrappers::TcpListenerStream;
 use tonic::transport::Server;
 use tonic::{Request, Response, Status};
 
-/// Side of the frames that the policy `looking` requests, pixels.
+/// Side of the frames that the policy `observing` requests, pixels.
 pub(crate) const FRAME_SIDE: u32 = 64;
 /// Number of actions per answer; all of them are executed.
 pub(crate) const HORIZON: u32 = 8;
@@ -101,7 +101,7 @@ impl Policy for Service {
             "of-another-version" => about.protocol_version += 1,
             "hungry" => about.execute = HORIZON + 1,
             "by-heart" => about.language = Language::CanonicalOnly as i32,
-            "looking" => {
+            "observing" => {
                 about.cameras = ["agentview", "robot0_eye_in_hand"].map(camera).to_vec();
                 about.state = [
                     StateField::EefPos,

@@ -60,16 +60,16 @@ pub(super) fn make(root: &Path, cache: &Path, programs: &Path, output: &Path) ->
 pub(super) fn describe(file: &Path) -> Result<()> {
     let digest = digest(file)?;
     let name = file.file_name().unwrap_or_default().to_string_lossy();
-    let beside = file.with_file_name(format!("{name}.sha256"));
-    std::fs::write(&beside, format!("{digest}  {name}\n"))
-        .with_context(|| format!("write {}", beside.display()))?;
+    let checksum_file = file.with_file_name(format!("{name}.sha256"));
+    std::fs::write(&checksum_file, format!("{digest}  {name}\n"))
+        .with_context(|| format!("write {}", checksum_file.display()))?;
     let megabytes = file.metadata()?.len() as f64 / 1e6;
     println!("{} ({megabytes:.1} MB)", file.display());
     println!("SHA-256 {digest}");
     Ok(())
 }
 
-/// SHA-256 of a file, in hexadecimal digits.
+/// Returns the SHA-256 of a file in hexadecimal digits.
 pub(super) fn digest(path: &Path) -> Result<String> {
     let bytes = std::fs::read(path).with_context(|| format!("read {}", path.display()))?;
     let digest = Sha256::digest(bytes);

@@ -51,7 +51,7 @@ pub(crate) fn test(
 
 /// Tests an archive. `schemas` is an interpreter that validates the bill of materials.
 pub(super) fn archive(root: &Path, archive: &Archive, schemas: Option<&Path>) -> Result<()> {
-    println!("Trying {}", archive.file.display());
+    println!("Testing {}", archive.file.display());
     let folder = tempfile::tempdir().context("make a folder")?;
     let bare = BareRoot::make(&folder.path().join("root"), archive)?;
     bare.add_data()?;
@@ -62,8 +62,8 @@ pub(super) fn archive(root: &Path, archive: &Archive, schemas: Option<&Path>) ->
         Some(python) => validate(python, &unpacked.join(stage::DOCUMENTS).join(stage::BILL)),
         None => Ok("skipped: no schema"),
     })?;
-    if let Some(why) = bare.entry_problem() {
-        println!("  skipped the programs in a bare root: {why}");
+    if let Some(problem) = bare.entry_problem() {
+        println!("  skipped the programs in a bare root: {problem}");
         return Ok(());
     }
     step("versions in a bare root", || versions(root, &bare))?;

@@ -87,10 +87,10 @@ pub(super) fn shipped(root: &Path) -> Result<Vec<Crate>> {
     let lock = root.join("Cargo.lock");
     let lock = std::fs::read_to_string(&lock).with_context(|| lock.display().to_string())?;
     let checksums = checksums(&lock);
-    let used = used(&metadata);
+    let linked = linked_packages(&metadata);
     let packages = metadata.packages.into_iter();
     let third_party =
-        packages.filter(|package| package.source.is_some() && used.contains(&package.id));
+        packages.filter(|package| package.source.is_some() && linked.contains(&package.id));
     let mut crates: Vec<Crate> = third_party
         .map(|package| Crate {
             checksum: checksums
@@ -113,7 +113,7 @@ pub(super) fn shipped(root: &Path) -> Result<Vec<Crate>> {
 }
 
 /// Returns the ids of all packages that the programs link, including their own.
-fn used(metadata: &Metadata) -> BTreeSet<String> {
+fn linked_packages(metadata: &Metadata) -> BTreeSet<String> {
     let nodes: BTreeMap<_, _> = metadata
         .resolve
         .nodes

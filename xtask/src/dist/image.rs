@@ -14,7 +14,7 @@ use super::release::{VERSION, commit_time};
 use super::{bill, components, stage};
 
 /// Largest allowed size of the compressed image, bytes.
-const LARGEST: u64 = 80_000_000;
+const MAX_IMAGE_BYTES: u64 = 80_000_000;
 
 /// Checks that `buildah` is installed.
 pub(super) fn tool() -> Result<()> {
@@ -66,8 +66,8 @@ pub(super) fn make(root: &Path, archive: &Archive) -> Result<PathBuf> {
         capture(&mut buildah(&["push", "--quiet", &tag, &to]))?;
         let size = file.metadata()?.len();
         ensure!(
-            size <= LARGEST,
-            "build an image of {LARGEST} bytes at most: it has {size} bytes"
+            size <= MAX_IMAGE_BYTES,
+            "build an image of {MAX_IMAGE_BYTES} bytes at most: it has {size} bytes"
         );
         Ok(format!("{:.1} MB compressed", size as f64 / 1e6))
     })?;

@@ -54,7 +54,7 @@ pub(super) fn text(root: &Path, crates: &[Crate], components: &[Component]) -> R
             };
             found.push(format!(
                 "Copyright {authors}\n\n{}",
-                standard(root, &part.licence)?
+                standard_text(root, &part.licence)?
             ));
         }
         for text in found {
@@ -93,7 +93,7 @@ fn files(folder: &Path, depth: usize) -> Result<Vec<String>> {
 }
 
 /// Returns the standard text of a licence that a crate names but does not include.
-fn standard(root: &Path, licence: &str) -> Result<String> {
+fn standard_text(root: &Path, licence: &str) -> Result<String> {
     let file = match licence {
         expression if expression.contains("MIT") => "LICENSE-MIT",
         expression if expression.contains("Apache-2.0") => "LICENSE-APACHE",

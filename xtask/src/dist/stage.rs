@@ -198,16 +198,16 @@ fn copy(from: &Path, to: &Path) -> Result<()> {
 /// Returns all files below a folder, as sorted relative paths.
 pub(super) fn files(folder: &Path) -> Result<Vec<PathBuf>> {
     let mut found = Vec::new();
-    let mut open = vec![PathBuf::new()];
-    while let Some(inside) = open.pop() {
-        let path = folder.join(&inside);
+    let mut pending = vec![PathBuf::new()];
+    while let Some(relative) = pending.pop() {
+        let path = folder.join(&relative);
         let entries = std::fs::read_dir(&path);
         for entry in entries.with_context(|| format!("read {}", path.display()))? {
             let entry = entry?;
-            let inside = inside.join(entry.file_name());
+            let relative = relative.join(entry.file_name());
             match entry.file_type()?.is_dir() {
-                true => open.push(inside),
-                false => found.push(inside),
+                true => pending.push(relative),
+                false => found.push(relative),
             }
         }
     }

@@ -44,14 +44,14 @@ pub(super) fn fill(template: &str, values: &Values) -> String {
             };
             return vec![replace(line, &words)];
         }
-        let times = names.iter().map(|name| values.get(name).len()).max();
+        let repetitions = names.iter().map(|name| values.get(name).len()).max();
         let repeat = |time: usize| {
             replace(line, &|name| {
                 let values = values.get(name);
                 for_slurm(&values[time.min(values.len() - 1)])
             })
         };
-        (0..times.unwrap_or(1)).map(repeat).collect()
+        (0..repetitions.unwrap_or(1)).map(repeat).collect()
     });
     lines.map(|line| line + "\n").collect()
 }

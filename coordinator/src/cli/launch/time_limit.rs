@@ -84,8 +84,8 @@ mod tests {
             assert_eq!(secs(text), Ok(Some(expected)), "{text}");
         }
         assert_eq!(secs("UNLIMITED"), Ok(None));
-        for wrong in ["", "0", "4h", "1:2:3:4", "-1", "1-", "1-1:1:1:1", "9999999"] {
-            assert!(secs(wrong).is_err(), "{wrong}");
+        for invalid in ["", "0", "4h", "1:2:3:4", "-1", "1-", "1-1:1:1:1", "9999999"] {
+            assert!(secs(invalid).is_err(), "{invalid}");
         }
     }
 }

@@ -29,7 +29,7 @@ struct Granted {
     worker: WorkerId,
 }
 
-struct World {
+struct Model {
     now: UnixMillis,
     last_sweep: UnixMillis,
     rng: ChaCha8Rng,
@@ -43,8 +43,8 @@ struct World {
     results: BTreeMap<JobId, OutcomeKey>,
 }
 
-impl World {
-    fn new() -> World {
+impl Model {
+    fn new() -> Model {
         let now = UnixMillis(0);
         let job = |number: usize| Job {
             id: JobId(number as i64),
@@ -53,7 +53,7 @@ impl World {
             losses: 0,
             state: JobState::Queued { not_before: now },
         };
-        World {
+        Model {
             now,
             last_sweep: now,
             rng: ChaCha8Rng::seed_from_u64(3),
@@ -373,16 +373,16 @@ proptest! {
     fn every_job_of_the_pure_core_ends_exactly_once(
         events in prop::collection::vec(event(), 0..60)
     ) {
-        let mut world = World::new();
+        let mut model = Model::new();
         for event in &events {
-            let before = world.jobs.clone();
-            world.apply(event);
-            world.check(&before);
+            let before = model.jobs.clone();
+            model.apply(event);
+            model.check(&before);
         }
-        world.finish();
-        for job in &world.jobs {
+        model.finish();
+        for job in &model.jobs {
             let ended = matches!(job.state, JobState::Committed | JobState::Quarantined);
-            prop_assert!(ended || !world.campaign.may_lease(), "{job:?}");
+            prop_assert!(ended || !model.campaign.may_lease(), "{job:?}");
         }
     }
 }

@@ -20,7 +20,7 @@ from ..policy import Policy
 from . import Options, executed
 from .lerobot import LerobotModel
 
-#: The authors' protocol: a query at every step, and the decay of older chunks' weights.
+#: The authors' protocol: a query at every step, and the rate of the exponential chunk weights.
 EXECUTE = 1
 ENSEMBLE = 0.01
 

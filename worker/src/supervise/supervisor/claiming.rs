@@ -12,7 +12,7 @@ use tonic::{Code, Status};
 use transport::chain;
 
 use super::Supervisor;
-use crate::assets::Unprovided;
+use crate::assets::ProvideError;
 use crate::ids::random_id;
 use crate::message::{
     Assignment, Failure, FailureKind, Session, SlotCommand, VideoOf, VideoRequest,
@@ -147,7 +147,7 @@ impl Supervisor {
         &mut self,
         slot: usize,
         attempt: AttemptId,
-        outcome: Result<(), Unprovided>,
+        outcome: Result<(), ProvideError>,
         now: Instant,
     ) {
         if self.slots[slot].state.work != (Work::Preparing { attempt }) {
@@ -164,7 +164,7 @@ impl Supervisor {
                 return self.begin(slot, assignment, campaign, now);
             }
             Ok(()) => "the rollout did not begin: its slot cannot run it any more".to_owned(),
-            Err(Unprovided::Lack { error, files }) => {
+            Err(ProvideError::Lack { error, files }) => {
                 let key = TaskKey::of_row(&assignment.row);
                 let row = assignment.row.clone();
                 if self.lacks.insert(key, (row, files)).is_none() {
@@ -174,7 +174,7 @@ impl Supervisor {
                 }
                 error
             }
-            Err(Unprovided::Fetch(error)) => {
+            Err(ProvideError::Fetch(error)) => {
                 let wait = self.fetches.next_wait();
                 self.claims_from = now + wait;
                 let secs = wait.as_secs_f64();

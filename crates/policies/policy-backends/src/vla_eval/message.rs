@@ -351,7 +351,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_bytes_make_it_panic(at in 0..CHUNK.len() / 2, byte: u8, length in 0..CHUNK.len()) {
+        fn decoding_never_panics(at in 0..CHUNK.len() / 2, byte: u8, length in 0..CHUNK.len()) {
             let mut changed = bytes(CHUNK);
             changed[at] = byte;
             changed.truncate(length);
