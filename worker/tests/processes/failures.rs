@@ -48,12 +48,12 @@ async fn answers_that_no_robot_can_execute_are_the_policys_fault() {
             ("narrow", "its actions are 6 numbers wide, not 7"),
             (
                 "ragged",
-                "it answered 13 numbers, which are no whole actions of 7",
+                "it answered 13 numbers, which is not a multiple of 7",
             ),
             ("empty", "it answered no action"),
             (
                 "generous",
-                "it answered 9 actions, but its Describe says at most 8",
+                "it answered 9 actions, but its description declares at most 8",
             ),
             (
                 "broken",

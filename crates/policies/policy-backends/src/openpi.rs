@@ -1,4 +1,4 @@
-//! Back-end of unmodified openpi policy servers: a π0.5 server that speaks msgpack over WebSocket.
+//! Back-end of unmodified openpi policy servers: π0.5 servers with msgpack over WebSocket.
 //! Acts like openpi's LIBERO client: sends the same part of an observation, and executes the same
 //! number of actions of a chunk. Also manages the connections. [`frame`] resizes frames, [`codec`]
 //! encodes and decodes messages.
@@ -269,7 +269,7 @@ mod tests {
             let address: OpenpiAddress = text.parse().expect(text);
             assert_eq!(address.to_string(), text);
         }
-        let wrong = [
+        let invalid = [
             "ws://gpu7",
             "ws://:8000",
             "http://gpu7:8000",
@@ -277,7 +277,7 @@ mod tests {
             "ws://gpu7:8000?execute=0",
             "ws://gpu7:8000?run=5",
         ];
-        for text in wrong {
+        for text in invalid {
             let error = text.parse::<OpenpiAddress>().expect_err(text);
             assert!(error.to_string().contains("ws://HOST:PORT"), "{error}");
         }

@@ -1,4 +1,4 @@
-//! Back-end of unmodified vla-eval model servers, which speak msgpack over WebSocket. Acts like
+//! Back-end of unmodified vla-eval model servers, whose protocol is msgpack over WebSocket. Acts like
 //! vla-eval's LIBERO benchmark in the order of messages, the observations sent, and the use of
 //! the actions. Also manages the connections. `hello` negotiates the observations, `state` and
 //! `image` compute them, `message` encodes and decodes.
@@ -291,7 +291,7 @@ fn observation(
     format: ImageFormat,
     instruction: &str,
 ) -> Result<Value, String> {
-    let images = CAMERAS.iter().take(if terms.wrist { 2 } else { 1 });
+    let images = CAMERAS.iter().take(if terms.sends_wrist { 2 } else { 1 });
     let images = images.map(|(camera, slot)| {
         let frame = shown::frame(observation, camera)?;
         let frame = image::encode(format, FRAME_SIDE, &frame);
@@ -306,12 +306,12 @@ fn observation(
         entry("images", images),
         entry("task_description", instruction.into()),
     ];
-    if terms.state {
+    if terms.sends_state {
         let position = shown::reading(observation, StateField::EefPos)?;
         let quaternion = shown::reading(observation, StateField::EefQuatXyzw)?;
         let hand = shown::reading(observation, StateField::EefRotation)?;
         let fingers = shown::reading(observation, StateField::GripperPos)?;
-        let states = state::states(position, quaternion, fingers, terms.flips);
+        let states = state::states(position, quaternion, fingers, terms.flips_quaternion);
         let states = states
             .iter()
             .flat_map(|number| number.to_le_bytes())

@@ -17,9 +17,9 @@ const SITUATIONS: usize = 3;
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Chance {
     /// Largest difference between answers to a repeated query.
-    pub repeats: f64,
+    pub repeat_difference: f64,
     /// Largest difference between answers with two seeds.
-    pub moves: f64,
+    pub seed_difference: f64,
 }
 
 impl Chance {
@@ -38,18 +38,18 @@ impl Chance {
             .query(side, &[], SITUATIONS, |_| vec![SEED + 1])
             .await?;
         Ok(Self {
-            repeats: again.largest_difference(answers).0,
-            moves: other.largest_difference(answers).0,
+            repeat_difference: again.largest_difference(answers).0,
+            seed_difference: other.largest_difference(answers).0,
         })
     }
 
     /// Returns true if a repeated query gets the same answer.
     pub(crate) fn is_repeatable(&self) -> bool {
-        self.repeats <= REPEATABLE
+        self.repeat_difference <= REPEATABLE
     }
 
     /// Returns true if answers depend on the seed, and are equal for equal seeds.
     pub(crate) fn follows_seed(&self) -> bool {
-        self.is_repeatable() && self.moves > REPEATABLE
+        self.is_repeatable() && self.seed_difference > REPEATABLE
     }
 }

@@ -8,10 +8,10 @@ use crate::{
     answers::Answers,
     chance::{Chance, REPEATABLE},
     descriptions::{self, DescriptionDifference},
-    difference::{self, Apart, Difference, Kind, NUMBERS, size},
+    difference::{self, Difference, Kind, LargestDifference, NUMBERS, size},
     fit::{Limit, fit},
     panel::{Panel, SEED, Side},
-    search::{Course, Explanation, Found},
+    search::{Explanation, Found, SearchSetup},
     server::{ExaminationError, Server},
     situation::Situation,
     variant::Topic,
@@ -20,9 +20,9 @@ use crate::{
 /// Number of answers per situation that are averaged, if equal seeds do not give equal noise.
 const AVERAGED: usize = 8;
 /// Number of standard errors within which two means count as equal.
-const ERRORS: f64 = 2.5;
+const STANDARD_ERRORS: f64 = 2.5;
 /// Largest share of a difference that an explanation by frame size may leave unexplained.
-const LEFT_OF_SIZE: f64 = 0.4;
+const MAX_UNEXPLAINED_BY_SIZE: f64 = 0.4;
 /// Share of the answers' variation below which differences count as rounding.
 const ROUNDING: f64 = 0.02;
 /// Common default seeds.
@@ -57,9 +57,9 @@ impl Both {
         })
     }
 
-    fn apart(&self) -> Apart {
-        let (before, at) = self.a.largest_difference(&self.b);
-        Apart { before, at }
+    fn largest_difference(&self) -> LargestDifference {
+        let (value, component) = self.a.largest_difference(&self.b);
+        LargestDifference { value, component }
     }
 
     /// Returns true if the difference is small relative to the variation of the answers.
@@ -115,15 +115,15 @@ fn seed_differences(panel: &Panel, chances: [Chance; 2]) -> Vec<Difference> {
             let text = format!(
                 "{letter} answers the same observation and seed differently every time, by up to \
                  {}, and does not declare it: its noise does not come from the seed.",
-                size(chance.repeats)
+                size(chance.repeat_difference)
             );
             return vec![Difference::new(Kind::Seed, text)];
         }
     }
     let [a, b] = chances;
     let ignored = match (a.follows_seed(), b.follows_seed()) {
-        (true, false) if b.is_repeatable() => ("A", "B", a.moves),
-        (false, true) if a.is_repeatable() => ("B", "A", b.moves),
+        (true, false) if b.is_repeatable() => ("A", "B", a.seed_difference),
+        (false, true) if a.is_repeatable() => ("B", "A", b.seed_difference),
         _ => return vec![],
     };
     let (follows, ignores, by) = ignored;
@@ -142,18 +142,20 @@ async fn paired(
     both: &Both,
     chances: [Chance; 2],
 ) -> Result<(Vec<Difference>, String), ExaminationError> {
-    let is_random = chances.iter().any(|chance| chance.moves > REPEATABLE);
-    let apart = both.apart();
+    let is_random = chances
+        .iter()
+        .any(|chance| chance.seed_difference > REPEATABLE);
+    let largest = both.largest_difference();
     let seeds = |_: usize| vec![SEED];
-    let course = Course {
+    let setup = SearchSetup {
         panel,
         seeds: &seeds,
         floor: [REPEATABLE; 7],
         // No change to the observations makes different noise equal, so only single changes are
         // tried.
-        together: !is_random,
+        allows_several: !is_random,
     };
-    let unchanged = fit(&both.a, &both.b, &course.floor);
+    let unchanged = fit(&both.a, &both.b, &setup.floor);
     if is_random
         && !unchanged.explains
         && let Some(found) = other_seed(panel, both).await?
@@ -161,27 +163,27 @@ async fn paired(
         let note = compared(panel, &both.a, "with one seed each");
         return Ok((vec![found], note));
     }
-    match course.search(&both.a, &both.b).await? {
+    match setup.search(&both.a, &both.b).await? {
         Found::Explained(explanation) => {
             let note = format!(
                 "{}; the largest difference, with unchanged observations, is {}",
                 compared(panel, &both.a, "with the same seed"),
-                size(apart.before)
+                size(largest.value)
             );
-            Ok((difference::explained(&explanation, apart), note))
+            Ok((difference::explained(&explanation, largest), note))
         }
         Found::Nothing(_) if both.differ_by_rounding() => {
             let note = format!(
                 "{}; they differ by up to {}, less than {ROUNDING} of their own variation, as \
                  after rounding (bfloat16), through JPEG or on another processor",
                 compared(panel, &both.a, "with the same seed"),
-                size(apart.before)
+                size(largest.value)
             );
             Ok((vec![], note))
         }
         Found::Nothing(_) if is_random => averaged(panel, chances).await,
         Found::Nothing(closest) => {
-            let found = not_explained(both, apart, &closest);
+            let found = not_explained(both, largest, &closest);
             let note = compared(panel, &both.a, "with the same seed");
             Ok((found, note))
         }
@@ -215,7 +217,7 @@ async fn other_seed(panel: &Panel, both: &Both) -> Result<Option<Difference>, Ex
             let text = format!(
                 "{other} answers with seed {SEED} as {letter} does with {other_seed}. With the \
                  same seed they differ by up to {}; with these seeds, by {}.",
-                size(both.apart().before),
+                size(both.largest_difference().value),
                 size(left)
             );
             return Ok(Some(Difference::new(Kind::Seed, text)));
@@ -235,14 +237,14 @@ async fn averaged(
         (first..first + AVERAGED as u64).collect()
     };
     let both = Both::query(panel, &seeds).await?;
-    let course = Course {
+    let setup = SearchSetup {
         panel,
         seeds: &seeds,
         floor: floor(&both, chances),
-        together: true,
+        allows_several: true,
     };
-    let apart = both.apart();
-    let noise = chances.map(|chance| chance.moves.max(chance.repeats));
+    let largest = both.largest_difference();
+    let noise = chances.map(|chance| chance.seed_difference.max(chance.repeat_difference));
     let note = format!(
         "{}; the means differ by up to {}, and single answers to the same observation by {}",
         compared(
@@ -250,19 +252,19 @@ async fn averaged(
             &both.a,
             &format!("{AVERAGED} answers to each averaged")
         ),
-        size(apart.before),
+        size(largest.value),
         size(noise[0].max(noise[1])),
     );
-    let mut differences = match course.search(&both.a, &both.b).await? {
-        Found::Explained(explanation) => difference::explained(&explanation, apart),
+    let mut differences = match setup.search(&both.a, &both.b).await? {
+        Found::Explained(explanation) => difference::explained(&explanation, largest),
         Found::Nothing(_) if both.differ_by_rounding() => vec![],
-        Found::Nothing(closest) => not_explained(&both, apart, &closest),
+        Found::Nothing(closest) => not_explained(&both, largest, &closest),
     };
     if differences.is_empty() && chances.iter().all(Chance::follows_seed) {
         let text = format!(
             "both follow the seed, but the same seed gives them different noise: by up to {}. The \
              means of {AVERAGED} seeds are alike.",
-            size(chances[0].moves.max(chances[1].moves)),
+            size(chances[0].seed_difference.max(chances[1].seed_difference)),
         );
         differences.push(Difference::new(Kind::Seed, text));
     }
@@ -271,24 +273,29 @@ async fn averaged(
 
 /// Returns the distance between means that randomness explains, by component.
 fn floor(both: &Both, chances: [Chance; 2]) -> Limit {
-    let [a, b] = chances.map(|chance| chance.moves > REPEATABLE || !chance.is_repeatable());
+    let [a, b] =
+        chances.map(|chance| chance.seed_difference > REPEATABLE || !chance.is_repeatable());
     std::array::from_fn(|at| {
         let (of_a, of_b) = (both.a.spread[at].powi(2), both.b.spread[at].powi(2));
         // Noise that is the same for every seed does not average out: it shifts all means alike.
-        let frozen = match (a, b) {
+        let shared_noise = match (a, b) {
             (true, false) => 2.0 * of_a,
             (false, true) => 2.0 * of_b,
             _ => 0.0,
         };
-        let error = ((of_a + of_b) / AVERAGED as f64 + frozen).sqrt();
-        (ERRORS * error).max(REPEATABLE)
+        let error = ((of_a + of_b) / AVERAGED as f64 + shared_noise).sqrt();
+        (STANDARD_ERRORS * error).max(REPEATABLE)
     })
 }
 
 /// Returns the differences to report if no explanation makes the answers alike. An explanation by
 /// frame size is accepted with a larger remainder, because no two libraries resize frames to the
 /// same bits.
-fn not_explained(both: &Both, apart: Apart, closest: &Explanation) -> Vec<Difference> {
+fn not_explained(
+    both: &Both,
+    largest: LargestDifference,
+    closest: &Explanation,
+) -> Vec<Difference> {
     let norm = |limit: &Limit| {
         limit
             .iter()
@@ -299,20 +306,20 @@ fn not_explained(both: &Both, apart: Apart, closest: &Explanation) -> Vec<Differ
     let unchanged = fit(&both.a, &both.b, &[f64::INFINITY; 7]).left;
     let mut changes = closest.changes.iter();
     let is_scaled = changes.any(|(_, variant)| variant.topic() == Topic::Size);
-    match is_scaled && norm(&closest.fit.left) < LEFT_OF_SIZE * norm(&unchanged) {
-        true => difference::explained_by_observations(closest, apart),
-        false => vec![unexplained(both, apart, closest)],
+    match is_scaled && norm(&closest.fit.left) < MAX_UNEXPLAINED_BY_SIZE * norm(&unchanged) {
+        true => difference::explained_by_observations(closest, largest),
+        false => vec![unexplained(both, largest, closest)],
     }
 }
 
-fn unexplained(both: &Both, apart: Apart, closest: &Explanation) -> Difference {
+fn unexplained(both: &Both, largest: LargestDifference, closest: &Explanation) -> Difference {
     let left = closest.fit.left.iter().copied().fold(0.0, f64::max);
     let attempt = difference::attempt(closest);
     let mut text = format!(
         "their answers differ by up to {} ({}), and none of the differences that are tried \
          explains it.",
-        size(apart.before),
-        NUMBERS[apart.at],
+        size(largest.value),
+        NUMBERS[largest.component],
     );
     for (letter, answers) in [("A", &both.a), ("B", &both.b)] {
         if varied(answers).iter().all(|number| *number <= REPEATABLE) {
@@ -323,7 +330,7 @@ fn unexplained(both: &Both, apart: Apart, closest: &Explanation) -> Difference {
     }
     if !attempt.is_empty() {
         text.push_str(&format!(
-            " It is smallest if {attempt}: then {} remains.",
+            " The difference is smallest if {attempt}: then {} remains.",
             size(left)
         ));
     }

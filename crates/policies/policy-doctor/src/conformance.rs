@@ -73,20 +73,22 @@ impl fmt::Display for Point {
     /// Writes the requirement as a sentence that is true of a conforming server.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            Self::Description => "the description can be true",
+            Self::Description => "the description is valid",
             Self::Version => "another protocol version is refused",
-            Self::Health => "the health service says that it serves",
+            Self::Health => "the health service reports SERVING",
             Self::Shape => "answers are finite actions, n × 7, within the horizon",
             Self::Range => "actions lie within -1..1",
             Self::Retry => "a retry gets the same actions",
             Self::SameSeed => "the same seed gives the same actions",
-            Self::OtherSeed => "another seed gives other actions just if declared stochastic",
-            Self::Order => "the order of queries changes nothing",
-            Self::Isolation => "sessions do not touch one another",
+            Self::OtherSeed => {
+                "another seed gives other actions if and only if declared stochastic"
+            }
+            Self::Order => "the order of queries does not change the actions",
+            Self::Isolation => "sessions do not affect each other",
             Self::Restart => "a Reset starts an open session anew",
-            Self::Batch => "a batch's neighbours change nothing",
+            Self::Batch => "the other queries of a batch do not change the actions",
             Self::Unopened => "a session that was never opened is refused",
-            Self::Speed => "it answers at speed",
+            Self::Speed => "the latency is measured",
         })
     }
 }
@@ -196,8 +198,8 @@ async fn examine(
         Point::Batch => verdict::batch(answers, &probe.batched(SEED).await?),
         Point::Unopened => probe.unopened().await,
         Point::Speed => {
-            let (wall, together) = probe.side_by_side(CONCURRENCY).await?;
-            verdict::speed(&reference.latencies, CONCURRENCY, wall, &together)
+            let (wall, concurrent) = probe.concurrent_episodes(CONCURRENCY).await?;
+            verdict::speed(&reference.latencies, CONCURRENCY, wall, &concurrent)
         }
     })
 }

@@ -77,7 +77,7 @@ impl fmt::Display for Point {
             Self::Frames => "other frames get other actions",
             Self::Instructions => "other instructions get other actions",
             Self::Gripper => "the gripper opens",
-            Self::Latency => "it answers in time",
+            Self::Latency => "answers arrive in time",
             Self::Memory => "an ended episode leaves no state behind",
         })
     }

@@ -130,27 +130,27 @@ impl Difference {
 
 /// Largest difference between two servers' answers before any explanation.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Apart {
-    /// Largest difference.
-    pub(crate) before: f64,
+pub(crate) struct LargestDifference {
+    /// Absolute difference.
+    pub(crate) value: f64,
     /// Index of the component in an action.
-    pub(crate) at: usize,
+    pub(crate) component: usize,
 }
 
 /// Returns the differences of an explanation, in the order of a policy's
 /// pipeline.
-pub(crate) fn explained(explanation: &Explanation, apart: Apart) -> Vec<Difference> {
+pub(crate) fn explained(explanation: &Explanation, largest: LargestDifference) -> Vec<Difference> {
     let mut differences = of_observations(explanation);
     differences.extend(of_actions(&explanation.fit));
-    with_sizes(differences, explanation, apart)
+    with_sizes(differences, explanation, largest)
 }
 
 /// Returns only those differences of an explanation that concern observations.
 pub(crate) fn explained_by_observations(
     explanation: &Explanation,
-    apart: Apart,
+    largest: LargestDifference,
 ) -> Vec<Difference> {
-    with_sizes(of_observations(explanation), explanation, apart)
+    with_sizes(of_observations(explanation), explanation, largest)
 }
 
 fn of_observations(explanation: &Explanation) -> Vec<Difference> {
@@ -163,15 +163,15 @@ fn of_observations(explanation: &Explanation) -> Vec<Difference> {
 fn with_sizes(
     mut differences: Vec<Difference>,
     explanation: &Explanation,
-    apart: Apart,
+    largest: LargestDifference,
 ) -> Vec<Difference> {
     let left = explanation.fit.left.iter().copied().fold(0.0, f64::max);
     for difference in &mut differences {
         difference.text = format!(
             "{} Unchanged, their answers differ by up to {} ({}); with this change, by {}.",
             difference.text,
-            size(apart.before),
-            NUMBERS[apart.at],
+            size(largest.value),
+            NUMBERS[largest.component],
             size(left),
         );
     }

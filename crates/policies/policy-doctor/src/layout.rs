@@ -61,7 +61,7 @@ const FINGER_TRAVEL: f64 = 0.04;
 
 /// Returns the layouts of the same width as `fields` that may have been confused with it, without
 /// `fields` itself. The other server's layout comes first.
-pub(crate) fn others(fields: &[StateField], of_other: &[StateField]) -> Vec<Vec<Part>> {
+pub(crate) fn confusable(fields: &[StateField], of_other: &[StateField]) -> Vec<Vec<Part>> {
     let own: Vec<Part> = fields.iter().map(|&field| Field(field)).collect();
     let width = width(&own);
     if width == 0 {
@@ -255,7 +255,7 @@ mod tests {
         for fields in declared {
             let own: Vec<Part> = fields.iter().map(|&field| Field(field)).collect();
             let own = numbers(&own, &situation()).expect("the situation has every reading");
-            let others = others(&fields, &[]);
+            let others = confusable(&fields, &[]);
             assert!(others.len() > 1, "{fields:?}");
             for other in others {
                 let numbers =
@@ -266,7 +266,7 @@ mod tests {
                 assert!(difference > 0.005, "{}", Parts(&other));
             }
         }
-        assert!(others(&[], &[EefPos]).is_empty());
+        assert!(confusable(&[], &[EefPos]).is_empty());
     }
 
     #[test]

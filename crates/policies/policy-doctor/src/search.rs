@@ -17,10 +17,10 @@ const PROGRESS: f64 = 0.75;
 
 /// Largest share of a difference that an explanation may leave unexplained; a larger remainder is a
 /// separate difference.
-const LEFT: f64 = 0.1;
+const MAX_UNEXPLAINED: f64 = 0.1;
 
 /// Setup of a search: the servers, the situations and the seeds.
-pub(crate) struct Course<'a> {
+pub(crate) struct SearchSetup<'a> {
     /// The servers and the situations.
     pub panel: &'a Panel,
     /// Seeds of a situation; answers to several are averaged.
@@ -28,7 +28,7 @@ pub(crate) struct Course<'a> {
     /// Largest difference that counts as none.
     pub floor: Limit,
     /// True if several simultaneous differences are searched for.
-    pub together: bool,
+    pub allows_several: bool,
 }
 
 /// Changes to the observations, and a map of the actions.
@@ -55,7 +55,7 @@ pub(crate) enum Found {
     Nothing(Explanation),
 }
 
-impl Course<'_> {
+impl SearchSetup<'_> {
     /// Searches for an explanation of the difference between the answers `a` and `b` to the
     /// unchanged situations. A change that explains nine tenths of a difference is accepted; the
     /// remaining tenth is then searched separately.
@@ -68,21 +68,21 @@ impl Course<'_> {
             changes: vec![],
             fit: fit(a, b, &limit),
         };
-        let mut explained = match self.beyond(&plain, &limit, a, b).await? {
+        let mut explained = match self.extend(&plain, &limit, a, b).await? {
             Found::Explained(explained) => explained,
             nothing => return Ok(nothing),
         };
-        while explained.changes.len() < MOST_TOGETHER && self.together {
-            let further = self.limit(explained.fit.left);
-            if further == limit || explained.fit.is_within(&self.floor) {
+        while explained.changes.len() < MOST_TOGETHER && self.allows_several {
+            let next_limit = self.limit(explained.fit.left);
+            if next_limit == limit || explained.fit.is_within(&self.floor) {
                 break;
             }
-            limit = further;
+            limit = next_limit;
             let (one, other) = self.answers(&explained.changes, a, b).await?;
             let fit = fit(&one, &other, &limit);
             let changes = explained.changes.clone();
             match self
-                .beyond(&Explanation { changes, fit }, &limit, a, b)
+                .extend(&Explanation { changes, fit }, &limit, a, b)
                 .await?
             {
                 Found::Explained(more) => explained = more,
@@ -93,38 +93,38 @@ impl Course<'_> {
     }
 
     /// Returns the largest remainder that counts as explained for a difference of this size.
-    fn limit(&self, apart: Limit) -> Limit {
-        std::array::from_fn(|at| self.floor[at].max(LEFT * apart[at]))
+    fn limit(&self, difference: Limit) -> Limit {
+        std::array::from_fn(|at| self.floor[at].max(MAX_UNEXPLAINED * difference[at]))
     }
 
-    /// Finds the simplest explanation that extends `known`.
-    async fn beyond(
+    /// Finds the simplest explanation that extends `start`.
+    async fn extend(
         &self,
-        known: &Explanation,
+        start: &Explanation,
         limit: &Limit,
         a: &Answers,
         b: &Answers,
     ) -> Result<Found, ExaminationError> {
         // No change to the observations could be simpler.
-        if known.fit.explains && known.fit.cost() <= 1 {
-            return Ok(Found::Explained(known.clone()));
+        if start.fit.explains && start.fit.cost() <= 1 {
+            return Ok(Found::Explained(start.clone()));
         }
         let remainder = |explanation: &Explanation| explanation.fit.remainder(limit);
-        let mut closest = known.clone();
-        let mut explanations: Vec<Explanation> = known
+        let mut closest = start.clone();
+        let mut explanations: Vec<Explanation> = start
             .fit
             .explains
-            .then_some(known)
+            .then_some(start)
             .cloned()
             .into_iter()
             .collect();
-        let depth = match self.together {
-            true => MOST_TOGETHER - known.changes.len(),
+        let depth = match self.allows_several {
+            true => MOST_TOGETHER - start.changes.len(),
             false => 1,
         };
         for _ in 0..depth {
             let mut candidates = vec![];
-            for changes in self.further(&closest.changes) {
+            for changes in self.extensions(&closest.changes) {
                 let (one, other) = self.answers(&changes, a, b).await?;
                 let fit = fit(&one, &other, limit);
                 candidates.push(Explanation { changes, fit });
@@ -156,20 +156,20 @@ impl Course<'_> {
     }
 
     /// Returns all extensions of `changes` by one change, on a topic that `changes` does not have.
-    fn further(&self, changes: &[(Side, Variant)]) -> Vec<Vec<(Side, Variant)>> {
+    fn extensions(&self, changes: &[(Side, Variant)]) -> Vec<Vec<(Side, Variant)>> {
         let used: Vec<Topic> = changes.iter().map(|(_, variant)| variant.topic()).collect();
-        let mut further = vec![];
+        let mut extensions = vec![];
         for side in [Side::A, Side::B] {
             for variant in self.panel.variants(side) {
                 let is_tried_on_a = side == Side::B
                     && variant.is_its_own_inverse()
                     && self.panel.variants(Side::A).contains(&variant);
                 if !is_tried_on_a && !used.contains(&variant.topic()) {
-                    further.push([changes, &[(side, variant)]].concat());
+                    extensions.push([changes, &[(side, variant)]].concat());
                 }
             }
         }
-        further
+        extensions
     }
 
     /// Returns both servers' answers under these changes.

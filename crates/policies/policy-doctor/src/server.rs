@@ -89,7 +89,7 @@ impl Server {
         seed: u64,
     ) -> Result<Episode<'_>, ExaminationError> {
         let number = self.sessions.fetch_add(1, Ordering::Relaxed);
-        let session = format!("referee {}: {number}", self.run);
+        let session = format!("examination {}: {number}", self.run);
         let request = ResetRequest {
             policy: String::new(),
             session: session.clone(),
@@ -188,13 +188,13 @@ pub enum ExaminationError {
     #[error(transparent)]
     Recording(#[from] RecordingError),
     /// The server does not answer in time.
-    #[error("get an answer of {url} within {} s", PATIENCE.as_secs())]
+    #[error("get an answer from {url} within {} s", PATIENCE.as_secs())]
     Silent {
         /// URL as given.
         url: String,
     },
     /// The server cannot be reached, or answers with an error.
-    #[error("get an answer of {url}: {problem}")]
+    #[error("get an answer from {url}: {problem}")]
     Answer {
         /// URL as given.
         url: String,

@@ -106,7 +106,7 @@ impl Variant {
         }
         let fields: Vec<StateField> = described.state().collect();
         let fields_of_other: Vec<StateField> = other.state().collect();
-        let layouts = layout::others(&fields, &fields_of_other);
+        let layouts = layout::confusable(&fields, &fields_of_other);
         variants.extend(layouts.into_iter().map(Self::State));
         variants.extend(sizes(described, other));
         variants

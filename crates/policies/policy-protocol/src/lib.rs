@@ -103,7 +103,7 @@ pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault>
     } = *described;
     if protocol_version != PROTOCOL_VERSION {
         return Err(DescriptionFault::Version {
-            theirs: protocol_version,
+            version: protocol_version,
         });
     }
     if described.name.is_empty() {
@@ -191,9 +191,9 @@ pub enum ActionFault {
     #[error("it answered no action")]
     Empty,
     /// The count of numbers is not a multiple of [`ACTION_WIDTH`].
-    #[error("it answered {numbers} numbers, which are no whole actions of {ACTION_WIDTH}")]
+    #[error("it answered {numbers} numbers, which is not a multiple of {ACTION_WIDTH}")]
     Ragged { numbers: usize },
-    #[error("it answered {count} actions, but its Describe says at most {horizon}")]
+    #[error("it answered {count} actions, but its description declares at most {horizon}")]
     TooMany { count: usize, horizon: u32 },
     #[error("component {component} of action {action} is {value}")]
     NotFinite {
@@ -218,10 +218,10 @@ pub enum ActionFault {
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum DescriptionFault {
     #[error(
-        "it uses policy protocol version {theirs}, and this program uses version \
+        "it uses policy protocol version {version}, and this program uses version \
          {PROTOCOL_VERSION}; upgrade the older side"
     )]
-    Version { theirs: u32 },
+    Version { version: u32 },
     /// The name is empty, so that results could not be attributed.
     #[error("it has no name")]
     Nameless,
@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn whole_finite_actions_within_the_horizon_are_returned_number_by_number() {
+    fn valid_actions_are_returned_unchanged() {
         let numbers: Vec<f32> = (0..14_u8).map(|n| f32::from(n) / 16.0).collect();
         let response = answer(&numbers, 7);
         let read = actions(&response, 2).expect("valid actions");
@@ -339,7 +339,7 @@ mod tests {
             width,
             height,
         };
-        let good = DescribeResponse {
+        let valid = DescribeResponse {
             protocol_version: PROTOCOL_VERSION,
             name: "p".to_owned(),
             horizon: 8,
@@ -349,16 +349,16 @@ mod tests {
                 .to_vec(),
             ..DescribeResponse::default()
         };
-        assert_eq!(description(&good), Ok(()));
+        assert_eq!(description(&valid), Ok(()));
 
         let check = |change: &dyn Fn(&mut DescribeResponse), fault| {
-            let mut described = good.clone();
+            let mut described = valid.clone();
             change(&mut described);
             assert_eq!(description(&described), Err(fault));
         };
         check(
             &|description| description.protocol_version = 9,
-            DescriptionFault::Version { theirs: 9 },
+            DescriptionFault::Version { version: 9 },
         );
         check(
             &|description| description.name.clear(),

@@ -89,7 +89,7 @@ def shapes(answers: Sequence[pb.InferResponse], horizon: int) -> Verdict:
             )
         if numbers % ACTION_WIDTH:
             return failed(
-                f"at query {at}, it answered {numbers} numbers, which are no whole actions of"
+                f"at query {at}, it answered {numbers} numbers, which is not a multiple of"
                 f" {ACTION_WIDTH}"
             )
         try:

@@ -167,7 +167,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_bytes_make_it_panic(at in 0..ANSWER.len() / 2, byte: u8, length in 0..ANSWER.len()) {
+        fn decoding_never_panics(at in 0..ANSWER.len() / 2, byte: u8, length in 0..ANSWER.len()) {
             let mut changed = bytes(ANSWER);
             changed[at] = byte;
             changed.truncate(length);

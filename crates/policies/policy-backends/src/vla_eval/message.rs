@@ -173,10 +173,10 @@ fn number_list(items: &[ValueRef<'_>]) -> Option<Array> {
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum AnswerError {
     /// The answer is not a message of vla-eval's protocol.
-    #[error("its answer is no message of vla-eval's")]
+    #[error("its answer is not a message of vla-eval's protocol")]
     NoMessage,
     /// The answer has an unexpected type.
-    #[error("it answered an observation with {kind:?}")]
+    #[error("it answered an observation with a message of type {kind:?}")]
     Kind {
         /// Type of the message.
         kind: String,
@@ -342,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn an_error_holds_the_servers_text_and_its_time_in_the_episode() {
+    fn errors_at_the_start_of_an_episode_differ_from_errors_of_a_query() {
         let text = || "observation_failed: ValueError: no".to_owned();
         assert_eq!(answered(ERROR, 1), Err(AnswerError::Policy(text())));
         let earlier = answer(&bytes(ERROR), 4, 1);
@@ -351,7 +351,7 @@ mod tests {
 
     proptest! {
         #[test]
-        fn no_bytes_make_it_panic(at in 0..CHUNK.len() / 2, byte: u8, length in 0..CHUNK.len()) {
+        fn decoding_never_panics(at in 0..CHUNK.len() / 2, byte: u8, length in 0..CHUNK.len()) {
             let mut changed = bytes(CHUNK);
             changed[at] = byte;
             changed.truncate(length);

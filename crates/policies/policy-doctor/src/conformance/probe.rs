@@ -292,7 +292,7 @@ impl Probe {
     ///
     /// # Errors
     /// If the server answers with an error instead of actions.
-    pub(super) async fn side_by_side(
+    pub(super) async fn concurrent_episodes(
         &self,
         concurrency: u32,
     ) -> Result<(Duration, Vec<Duration>), Status> {
@@ -301,7 +301,7 @@ impl Probe {
         for at in 0..concurrency {
             let probe = self.clone();
             playing.spawn(async move {
-                let name = format!("side by side {at}");
+                let name = format!("concurrent {at}");
                 probe
                     .episode(&name, u64::from(at), QueryOrder::Forward)
                     .await
