@@ -39,7 +39,7 @@ const BROKEN: [(&str, &str, &str); 20] = [
     (
         "tallies_are_true",
         "UPDATE tally SET queued = queued + 1",
-        "campaign sound is said to have",
+        "the tally of campaign sound counts",
     ),
     (
         "committed_has_one_result",

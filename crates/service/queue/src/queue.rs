@@ -11,7 +11,6 @@ use tokio::sync::{mpsc, oneshot};
 use tokio::time::Instant;
 
 use crate::clock::{Clock, UnixMillis};
-use crate::elsewhere::Elsewhere;
 use crate::ids::WorkerId;
 use crate::operations::claim::{ClaimRequest, Claimed, MAX_CLAIM_WAIT};
 use crate::operations::commit::{CommitReply, CommitReport, CommitVerdict};
@@ -21,9 +20,10 @@ use crate::operations::heartbeat::Heartbeat;
 use crate::operations::release::{Release, ReleaseReply, ReleaseVerdict};
 use crate::operations::shared::Shared;
 use crate::operations::writer::{self, MAX_WAITING, Operation, Pending};
-use crate::operations::{derive, passages, stop};
+use crate::operations::{batches, derive, stop};
 use crate::operations::{removals, start};
 use crate::read::{Changes, View};
+use crate::remote_storage::Elsewhere;
 use crate::rules::lease::FailureReason;
 use crate::store::{Store, StoreError};
 use crate::tasks::Tasks;
@@ -96,9 +96,9 @@ impl Queue {
             }
         }
         let (operations, received) = mpsc::channel(MAX_WAITING);
-        let interrupted = passages::interrupted(&shared).await?;
+        let interrupted = batches::interrupted(&shared).await?;
         let mut tasks = Tasks::default();
-        let removal = passages::run(shared.clone(), interrupted);
+        let removal = batches::run(shared.clone(), interrupted);
         tasks.spawn("the deletion of incomplete campaigns", removal);
         tasks.spawn(
             "the database's writer",

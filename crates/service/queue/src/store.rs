@@ -7,19 +7,19 @@
 //! power cut.
 
 pub(crate) mod artifacts;
+pub(crate) mod attached;
 pub(crate) mod backup;
-pub(crate) mod beside;
 pub(crate) mod campaigns;
 pub(crate) mod claims;
 pub(crate) mod derivations;
 pub(crate) mod failpoint;
 pub(crate) mod films;
 pub(crate) mod halves;
+pub(crate) mod hidden;
 pub(crate) mod imported;
 pub(crate) mod instants;
 pub(crate) mod jobs;
 pub(crate) mod outcomes;
-pub(crate) mod passages;
 pub(crate) mod policies;
 pub(crate) mod portable;
 pub(crate) mod provenance;
@@ -199,9 +199,9 @@ const INSERTED_ROWS: [usize; 4] = [64, 16, 4, 1];
 pub(crate) fn insert_batches<T>(mut rows: &[T]) -> impl Iterator<Item = &[T]> {
     std::iter::from_fn(move || {
         let size = INSERTED_ROWS.into_iter().find(|size| *size <= rows.len())?;
-        let (piece, others) = rows.split_at(size);
+        let (batch, others) = rows.split_at(size);
         rows = others;
-        Some(piece)
+        Some(batch)
     })
 }
 
@@ -371,8 +371,8 @@ const UNDIVIDED_THIRD: [u8; 48] = *b"\
 
 /// Marks both migrations as applied in a database to which the undivided migration was applied.
 async fn divide_third_migration(writer: &SqlitePool) -> Result<(), sqlx::Error> {
-    let known = "SELECT count(*) FROM sqlite_schema WHERE name = '_sqlx_migrations'";
-    if sqlx::query_scalar::<_, i64>(known)
+    let has_migrations = "SELECT count(*) FROM sqlite_schema WHERE name = '_sqlx_migrations'";
+    if sqlx::query_scalar::<_, i64>(has_migrations)
         .fetch_one(writer)
         .await?
         == 0

@@ -167,8 +167,8 @@ impl Context<'_> {
         if let Some(difference) = difference {
             let name = &campaign.name;
             let detail = format!(
-                "another policy answers than the one that campaign `{name}` has measured in \
-                 {suite}: its {difference}; serve that one again, or create another campaign"
+                "the policy is not the one that campaign `{name}` has measured in {suite}: its \
+                 {difference}; serve that policy again, or create another campaign"
             );
             let reason = FailureReason::PolicyUnavailable;
             return self.refuse(attempt, reason, detail).await;
@@ -268,7 +268,7 @@ fn key(result: &RolloutResult) -> OutcomeKey {
 }
 
 fn divergent(attempt: &NamedAttempt, outcome: OutcomeKey) -> CommitReply {
-    let say = |outcome: OutcomeKey| {
+    let describe = |outcome: OutcomeKey| {
         let word = if outcome.success {
             "success"
         } else {
@@ -281,8 +281,8 @@ fn divergent(attempt: &NamedAttempt, outcome: OutcomeKey) -> CommitReply {
         detail: format!(
             "job {} is committed with {} and was reported again with {}: both are kept",
             attempt.job.id,
-            attempt.stored.map_or_else(String::new, say),
-            say(outcome)
+            attempt.stored.map_or_else(String::new, describe),
+            describe(outcome)
         ),
     }
 }

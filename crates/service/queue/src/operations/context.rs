@@ -144,10 +144,10 @@ impl<'a> Context<'a> {
             reason,
             FailureReason::PolicyUnavailable | FailureReason::PolicyLost
         );
-        let why = without_policy_name(&campaign.policy, error);
+        let cause = without_policy_name(&campaign.policy, error);
         let after = self.shared.decide(|rng| match reason {
-            _ if is_outage => before.after_outage(id, lease.granted, &why, now, rng),
-            FailureReason::PolicyMisbehaved => before.after_misbehaviour(id, &why, now, rng),
+            _ if is_outage => before.after_outage(id, lease.granted, &cause, now, rng),
+            FailureReason::PolicyMisbehaved => before.after_misbehaviour(id, &cause, now, rng),
             _ => before.after_other_failure(id, now),
         });
         let mut then = self
@@ -194,7 +194,7 @@ impl<'a> Context<'a> {
         let stop = strike.stop.then(|| {
             format!(
                 "its machine has failed {} times in a row (the limit is \
-                 {MAX_WORKER_FAILURES_IN_A_ROW}), the last time with: {last_error}; look at the \
+                 {MAX_WORKER_FAILURES_IN_A_ROW}), the last time with: {last_error}; repair the \
                  machine, then start the worker again",
                 strike.in_a_row
             )

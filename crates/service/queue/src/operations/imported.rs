@@ -12,8 +12,8 @@ use libero_family::TaskKey;
 use rollout_types::Realised;
 use sqlx::SqliteConnection;
 
+use super::batches::JOBS_PER_BATCH;
 use super::derive::on_blocking_thread;
-use super::passages::JOBS_PER_BATCH;
 use crate::ids::{CampaignId, JobId, NameError, WorkerId, shortened};
 use crate::store::imported::{self, StoredRow};
 use crate::store::portable;

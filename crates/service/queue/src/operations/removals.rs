@@ -71,21 +71,21 @@ mod tests {
 
     use super::*;
     use crate::clock::SystemClock;
-    use crate::elsewhere::Elsewhere;
     use crate::expand::NewCampaign;
     use crate::ids::CampaignName;
     use crate::operations::alter::Alteration;
     use crate::queue::Queue;
+    use crate::remote_storage::Elsewhere;
     use crate::store::Store;
     use crate::timing::Timing;
 
     /// Remote storage that answers only when a permit is given.
-    struct Slow {
-        asked: Semaphore,
+    struct SlowStorage {
+        requests: Semaphore,
         answers: Semaphore,
     }
 
-    impl Elsewhere for Slow {
+    impl Elsewhere for SlowStorage {
         fn remove<'a>(
             &'a self,
             folder: &'a str,
@@ -95,7 +95,7 @@ mod tests {
                     folder, "artifacts/one",
                     "only the deleted campaign's folder is removed"
                 );
-                self.asked.add_permits(1);
+                self.requests.add_permits(1);
                 let answer = self.answers.acquire().await;
                 answer
                     .map(|answer| answer.forget())
@@ -111,8 +111,8 @@ mod tests {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let store = Store::open(folder.path()).await.expect("a store");
         let (clock, rng) = (Arc::new(SystemClock::start()), ChaCha8Rng::seed_from_u64(1));
-        let slow = Arc::new(Slow {
-            asked: Semaphore::new(0),
+        let slow = Arc::new(SlowStorage {
+            requests: Semaphore::new(0),
             answers: Semaphore::new(0),
         });
         let elsewhere = Some(slow.clone() as Arc<dyn Elsewhere>);
@@ -141,7 +141,7 @@ mod tests {
                 let queue = queue.clone();
                 async move { queue.finish_removals().await.expect("removed") }
             });
-            slow.asked.acquire().await.expect("a removal").forget();
+            slow.requests.acquire().await.expect("a removal").forget();
             // A new campaign of the same name, whose videos must not be removed with the deleted
             // one's.
             create("one").await;

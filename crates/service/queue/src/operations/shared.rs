@@ -11,7 +11,7 @@ use super::cache::Cache;
 use super::in_flight::Films;
 use super::settled::Settled;
 use crate::clock::{Clock, UnixMillis};
-use crate::elsewhere::Elsewhere;
+use crate::remote_storage::Elsewhere;
 use crate::store::Store;
 use crate::timing::Timing;
 

@@ -91,10 +91,10 @@ fn explain(reason: FailureReason, lease: &Lease, control_steps: u32) -> String {
             lease.ceiling.since(lease.granted).as_secs()
         ),
         FailureReason::WorkerSilent => {
-            format!("worker `{owner}` fell silent after control step {control_steps}")
+            format!("worker `{owner}` sent no heartbeat after control step {control_steps}")
         }
         _ => format!(
-            "worker `{owner}` sends heartbeats and has left this attempt out since control step \
+            "worker `{owner}` sends heartbeats that have omitted this attempt since control step \
              {control_steps}"
         ),
     }

@@ -213,7 +213,7 @@ mod tests {
         // One wait for the lock by the first operation, and one by those that arrived in the
         // meantime.
         assert!(began.elapsed() < BUSY * OPERATIONS / 4);
-        lock.rollback().await.expect("lets go");
+        lock.rollback().await.expect("a released lock");
         // Requests are answered again; no worker with this name is registered.
         let answer = queue.heartbeat(&worker, &[]).await;
         assert!(

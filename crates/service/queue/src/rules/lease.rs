@@ -386,7 +386,8 @@ impl FailureReason {
             ),
             FailureReason::TakesWorkerDown => format!(
                 "this rollout takes its workers down: {silences} attempts ended because their \
-                 worker fell silent and did not reconnect; the last error was: {error}"
+                 worker stopped sending heartbeats and did not reconnect; the last error was: \
+                 {error}"
             ),
             _ => error.to_owned(),
         }

@@ -123,7 +123,7 @@ pub(crate) async fn attempts_by_id(
     .bind(json(attempts))
     .fetch_all(tx)
     .await
-    .doing("look up attempts")?;
+    .doing("find attempts")?;
     let by_id = |attempt: NamedAttempt| (attempt.id.0, attempt);
     Ok(found.into_iter().map(by_id).collect())
 }
@@ -391,7 +391,7 @@ pub(crate) async fn lease(
     .bind(job)
     .fetch_optional(tx)
     .await
-    .doing("look up a lease")
+    .doing("find a lease")
 }
 
 pub(crate) async fn quarantined(
@@ -420,7 +420,7 @@ pub(crate) async fn by_rollout(
     .bind(replicate)
     .fetch_optional(tx)
     .await
-    .doing("look up a job")
+    .doing("find a job")
 }
 
 /// Takes a job out of quarantine: it may be leased at once, and its past failures no longer count.
@@ -479,7 +479,7 @@ pub(crate) async fn last_without_policy(
     .bind(job)
     .fetch_one(tx)
     .await
-    .doing("look up a job's last failure to reach its policy")
+    .doing("find a job's last failure to reach its policy")
 }
 
 /// Returns true if another job of the policy waits that has lost the policy fewer than `losses`
