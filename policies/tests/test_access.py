@@ -126,7 +126,7 @@ def test_the_check_command_works_with_tls_and_tokens(files, guarded, capsys):
 @pytest.mark.parametrize(
     ("encrypted", "tokens", "expected"),
     [
-        (False, False, "every client would be let in, in the clear"),
+        (False, False, "every client would be admitted, in the clear"),
         (False, True, "tokens would be sent in the clear"),
         (True, False, "without a token"),
         (True, True, None),
@@ -167,7 +167,7 @@ def test_insecure_permits_serving_other_machines():
         ("", "find a token"),
         ("# only this", "find a token"),
         ("worker s3cret", "line 1 of the test: the token is too short"),
-        ("\nboss s3cret-s3cret-s3cret", "line 2 of the test: its first word is no role"),
+        ("\nboss s3cret-s3cret-s3cret", "line 2 of the test: its first word is not a role"),
         ("s3cret-s3cret-s3cret", "not two words"),
         ("worker s3cret-s3cret s3cret-s3cret", "not two words"),
         ("worker s3crét-s3cret-s3cret", "visible ASCII"),

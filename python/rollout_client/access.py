@@ -125,7 +125,7 @@ def _require_private(path: Path, found: os.stat_result) -> None:
     if stat.S_ISREG(found.st_mode) and found.st_mode & others:
         raise SettingsError(
             f"failed to read token file {path}: its permissions, {found.st_mode & 0o777:04o}, let"
-            f" other users at its tokens; take them away with `chmod 600 {path}`"
+            f" other users access its tokens; restrict them with `chmod 600 {path}`"
         )
 
 

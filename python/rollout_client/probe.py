@@ -57,17 +57,17 @@ OLDER = Found(
     is_final=True,
 )
 ENCRYPTED = Found(
-    "the server there speaks TLS",
+    "the server there uses TLS",
     "write https:// in place of http://, and name its certificate authority with `ca`",
     is_final=True,
 )
 CLEAR = Found(
-    "the server there does not speak TLS",
+    "the server there does not use TLS",
     "write http:// in place of https://, or start the coordinator with --tls-cert and --tls-key",
     is_final=True,
 )
 MUTE = Found(
-    "what listens there hangs up or says nothing",
+    "the server there closes the connection or sends nothing",
     "check that the URL names the port of the coordinator",
     is_final=False,
 )
@@ -107,7 +107,8 @@ def _no_connection(access: Access, error: OSError) -> Found:
         return Found("nothing listens there", remedy, is_final=False)
     return Found(
         f"the machine does not answer ({error.strerror or 'timed out'})",
-        f"check that it is up and that no firewall is between, or {NAME_ANOTHER}",
+        "check that the machine is running and that no firewall blocks the connection, or"
+        f" {NAME_ANOTHER}",
         is_final=False,
     )
 
@@ -138,7 +139,7 @@ def _certificate(access: Access, error: ssl.SSLCertVerificationError) -> Found:
         remedy = "start the coordinator with a new certificate in --tls-cert"
     elif error.verify_code == NOT_YET_VALID:
         words = "its certificate is not valid yet"
-        remedy = "set the clocks of both machines right"
+        remedy = "correct the clocks of both machines"
     else:
         words = f"its certificate cannot be used ({error.verify_message})"
         remedy = "start the coordinator with its own certificate, as docs/OPERATING.md describes"
@@ -195,7 +196,7 @@ def _kind(reply: bytes) -> Found | None:
         return _web(quoted)
     if reply[:1] == b"\0" and reply[FRAME_TYPE : FRAME_TYPE + 1] == bytes([SETTINGS_FRAME]):
         return None
-    return _other(f"a server of another kind is there, which says {quoted!r}")
+    return _other(f"a server of another kind is there, whose answer begins with {quoted!r}")
 
 
 def _other(words: str) -> Found:

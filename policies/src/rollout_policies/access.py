@@ -121,7 +121,7 @@ def _require_private(what: str, path: str | Path, found: os.stat_result) -> None
     if stat.S_ISREG(found.st_mode) and found.st_mode & others:
         raise AccessError(
             f"failed to read {what} {path}: its permissions, {found.st_mode & 0o777:04o}, let other"
-            f" users at it; take them away with `chmod 600 {path}`"
+            f" users access it; restrict them with `chmod 600 {path}`"
         )
 
 
@@ -130,11 +130,11 @@ def _problem(words: list[str]) -> str | None:
         return "it is not two words"
     role, token = words
     if role not in ROLES:
-        return "its first word is no role"
+        return "its first word is not a role"
     if len(token) < MIN_TOKEN_BYTES:
         return "the token is too short to be a secret: take 32 random hex digits"
     if len(token) > MAX_TOKEN_BYTES:
-        return "the token is longer than any token"
+        return "the token is too long"
     if not all("!" <= character <= "~" for character in token):
         return "the token holds something other than visible ASCII characters"
     return None
@@ -191,9 +191,9 @@ def require_guarded(listen: str, encrypted: bool, tokens: Tokens | None) -> None
         return
     if is_loopback(listen.rpartition(":")[0]):
         return
-    missing = "every client would be let in, in the clear"
+    missing = "every client would be admitted, in the clear"
     if encrypted:
-        missing = "every client would be let in without a token"
+        missing = "every client would be admitted without a token"
     elif tokens:
         missing = "tokens would be sent in the clear"
     raise UnguardedAddress(
@@ -225,7 +225,7 @@ class TokenGate(grpc.ServerInterceptor):
         if role is None:
             return self._refusal(
                 grpc.StatusCode.UNAUTHENTICATED,
-                "let the caller in: the token is none that this server knows",
+                "let the caller in: this server does not know the token",
             )
         if role not in ASKING_ROLES:
             return self._refusal(

@@ -155,7 +155,7 @@ def test_servers_of_other_kinds_are_named(connect, gateway, listening):
     mail = listening(b"220 mail ESMTP\r\n")
     assert "220 mail ESMTP" in unreachable(connect(f"http://127.0.0.1:{mail}")).found
     mute = listening(b"")
-    assert "hangs up or says nothing" in unreachable(connect(f"http://127.0.0.1:{mute}")).found
+    assert "closes the connection or sends nothing" in unreachable(connect(f"http://127.0.0.1:{mute}")).found
     proxy = listening(b"HTTP/1.1 502 Bad Gateway\r\n\r\n")
     assert "a proxy there" in unreachable(connect(f"http://127.0.0.1:{proxy}")).found
 
@@ -172,9 +172,9 @@ def test_a_web_server_is_named(connect):
 def test_a_url_with_the_wrong_scheme_is_diagnosed(guarded, certificates, connect, serve):
     plain = serve()
     error = unreachable(connect(f"https://{plain.address}", ca=certificates / "ca.pem"))
-    assert error.found == "the server there does not speak TLS"
+    assert error.found == "the server there does not use TLS"
     error = unreachable(connect(guarded.replace("https", "http")))
-    assert error.found == "the server there speaks TLS"
+    assert error.found == "the server there uses TLS"
     assert "https://" in error.remedy
 
 

@@ -200,7 +200,7 @@ impl Server {
     async fn connection_error(&self) -> BackendError {
         BackendError::Unreachable {
             address: self.host_port.authority.clone(),
-            trouble: self.peer.look_around().await.into(),
+            trouble: self.peer.probe().await.into(),
         }
     }
 

@@ -40,7 +40,7 @@ impl ServerKind {
         }
     }
 
-    fn start(self) -> &'static str {
+    fn start_instruction(self) -> &'static str {
         match self {
             ServerKind::Coordinator => "start it with `coordinator serve`",
             ServerKind::Policy | ServerKind::Openpi | ServerKind::VlaEval => "start it",
@@ -250,8 +250,8 @@ impl fmt::Display for Finding<'_> {
             }
             Found::AnotherUser => write!(f, "{}", Untrusted::AnotherUser),
             Found::UnknownUser => write!(f, "{}", Untrusted::UnknownUser),
-            Found::Encrypted => f.write_str("the server there speaks TLS"),
-            Found::Clear => f.write_str("the server there does not speak TLS"),
+            Found::Encrypted => f.write_str("the server there uses TLS"),
+            Found::Clear => f.write_str("the server there does not use TLS"),
             Found::Certificate(CertificateFault::Untrusted) if *has_authority => write!(
                 f,
                 "its certificate was not signed by the authority that {} names",
@@ -298,9 +298,12 @@ impl fmt::Display for Finding<'_> {
             }
             Found::Ssh => f.write_str("an SSH server is there"),
             Found::Other { said } => {
-                write!(f, "a server of another kind is there, which says {said:?}")
+                write!(
+                    f,
+                    "a server of another kind is there, whose answer begins with {said:?}"
+                )
             }
-            Found::Mute => f.write_str("what listens there hangs up or says nothing"),
+            Found::Mute => f.write_str("the server there closes the connection or sends nothing"),
             Found::OtherKind(kind) => {
                 write!(f, "{} is there, not {}", kind.article(), expected.article())
             }
@@ -329,22 +332,26 @@ impl fmt::Display for Remedy<'_> {
         } = trouble.settings;
         match &trouble.found {
             Found::UnknownHost => write!(f, "correct the host's name in {address}"),
-            Found::Nothing => write!(f, "{}, or name another in {address}", expected.start()),
+            Found::Nothing => write!(
+                f,
+                "{}, or name another in {address}",
+                expected.start_instruction()
+            ),
             Found::NoAnswer => write!(
                 f,
-                "check that it is up and that no firewall is between, or name another in \
-                 {address}"
+                "check that the machine is running and that no firewall blocks the connection, or \
+                 name another in {address}"
             ),
             Found::System(_) => write!(f, "correct {address}"),
             Found::AnotherUser => write!(
                 f,
-                "stop that program, or let {} speak TLS and write {encrypted} in place of {clear} \
+                "stop that program, or let {} use TLS and write {encrypted} in place of {clear} \
                  in {address}",
                 expected.definite()
             ),
             Found::UnknownUser => write!(
                 f,
-                "try again, or let {} speak TLS and write {encrypted} in place of {clear} in \
+                "try again, or let {} use TLS and write {encrypted} in place of {clear} in \
                  {address}",
                 expected.definite()
             ),
@@ -368,7 +375,7 @@ impl fmt::Display for Remedy<'_> {
                 f.write_str("start the server with a new one in --tls-cert")
             }
             Found::Certificate(CertificateFault::NotYetValid) => {
-                f.write_str("set the clocks of both machines right")
+                f.write_str("correct the clocks of both machines")
             }
             Found::Certificate(CertificateFault::OtherName { .. }) => write!(
                 f,
@@ -380,11 +387,11 @@ impl fmt::Display for Remedy<'_> {
                 "start the server with its own certificate, signed by the authority: see \
                  docs/OPERATING.md",
             ),
-            Found::OtherTls(_) => f.write_str("let the server speak TLS 1.2 or 1.3, and HTTP/2"),
+            Found::OtherTls(_) => f.write_str("let the server use TLS 1.2 or 1.3, and HTTP/2"),
             Found::Web {
                 is_proxy_waiting: true,
                 ..
-            } => f.write_str(expected.start()),
+            } => f.write_str(expected.start_instruction()),
             Found::Web { .. }
             | Found::Ssh
             | Found::Other { .. }

@@ -355,8 +355,8 @@ impl Incoming {
                     of_one_address,
                 } = self.open.limits;
                 tracing::warn!(
-                    "a connection of {address} was refused: there are {total} at most, and \
-                     {of_one_address} of one address; if they are all needed, allow this process \
+                    "a connection of {address} was refused: at most {total} are accepted, and \
+                     {of_one_address} from one address; if all are needed, allow this process \
                      more open files (`ulimit -n`, LimitNOFILE=)"
                 );
             }

@@ -66,7 +66,7 @@ impl Peer {
     }
 
     /// Probes the server's address, for clients that do not use gRPC.
-    pub async fn look_around(&self) -> Trouble {
+    pub async fn probe(&self) -> Trouble {
         self.found(self.probe_address().await)
     }
 
