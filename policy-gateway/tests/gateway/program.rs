@@ -215,7 +215,7 @@ async fn a_gateway_with_tokens_answers_workers_and_all_health_checks() {
         .expect("the program runs");
     let printed = String::from_utf8_lossy(&checked.stdout);
     assert!(
-        printed.contains("pass  the description is valid"),
+        printed.contains("pass  the description is consistent"),
         "{printed}"
     );
     child.kill().expect("the program runs");

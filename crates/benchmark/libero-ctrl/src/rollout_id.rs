@@ -112,7 +112,7 @@ impl RolloutId {
         self.variant
     }
 
-    /// Returns the name of the suite that a policy is told: LIBERO's, or that of a suite file.
+    /// Returns the name of the suite that is sent to a policy: LIBERO's, or that of a suite file.
     pub fn suite_name(&self) -> &str {
         match &self.variant {
             Some(name) if name.benchmark().is_none() => name.change(),

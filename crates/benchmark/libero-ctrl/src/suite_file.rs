@@ -395,7 +395,7 @@ impl FileTask {
             text.len() == 64
                 && text
                     .bytes()
-                    .all(|it| matches!(it, b'0'..=b'9' | b'a'..=b'f'))
+                    .all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
         };
         if let Some(text) = sha256
             && !is_hex(text)

@@ -54,7 +54,7 @@ impl std::error::Error for JsonError {}
 pub fn plain_words(message: &str) -> String {
     let after = |prefix: &str| message.strip_prefix(prefix);
     if let Some(field) = after("missing field ") {
-        return format!("the field {field} is not there");
+        return format!("the field {field} is missing");
     }
     if let Some(field) = after("duplicate field ") {
         return format!("the field {field} occurs twice");
@@ -181,7 +181,7 @@ mod tests {
             let error = serde_json::from_str::<Request>(text).expect_err(text);
             assert_eq!(JsonError::from(error).to_string(), expected, "{text}");
         };
-        check("{}", "the field `count` is not there (line 1, column 2)");
+        check("{}", "the field `count` is missing (line 1, column 2)");
         check(
             r#"{"counts": 1}"#,
             "there is no field `counts`; the fields are `count`, `kind`, `flag`, `pair` (line 1, \

@@ -73,22 +73,20 @@ impl fmt::Display for Point {
     /// Writes the requirement as a sentence that is true of a conforming server.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         f.write_str(match self {
-            Self::Description => "the description is valid",
+            Self::Description => "the description is consistent",
             Self::Version => "another protocol version is refused",
             Self::Health => "the health service reports SERVING",
             Self::Shape => "answers are finite actions, n × 7, within the horizon",
             Self::Range => "actions lie within -1..1",
             Self::Retry => "a retry gets the same actions",
             Self::SameSeed => "the same seed gives the same actions",
-            Self::OtherSeed => {
-                "another seed gives other actions if and only if declared stochastic"
-            }
+            Self::OtherSeed => "another seed gives other actions exactly if declared stochastic",
             Self::Order => "the order of queries does not change the actions",
-            Self::Isolation => "sessions do not affect each other",
+            Self::Isolation => "sessions do not affect one another",
             Self::Restart => "a Reset starts an open session anew",
-            Self::Batch => "the other queries of a batch do not change the actions",
+            Self::Batch => "other queries of a batch do not change the actions",
             Self::Unopened => "a session that was never opened is refused",
-            Self::Speed => "the latency is measured",
+            Self::Speed => "answer times are measured",
         })
     }
 }

@@ -217,7 +217,7 @@ impl Conditions {
     /// Corrupts a frame with its camera's sensor perturbation; frames of cameras that policies do
     /// not receive stay unchanged. For a given camera and size, the pixels depend only on the
     /// control step.
-    pub fn see(&mut self, frame: &mut Frame) {
+    pub fn corrupt(&mut self, frame: &mut Frame) {
         if let (Some(stage), Ok(source)) = (&mut self.sensor, frame_source(&frame.camera)) {
             stage.apply(&mut perturb::Frame {
                 source,
@@ -330,7 +330,7 @@ impl<'a> Episode<'a> {
             let drawer = self.drawer.open()?;
             let (width, height) = (camera.width, camera.height);
             let mut frame = self.environment.draw(drawer, &camera.name, width, height)?;
-            self.conditions.see(&mut frame);
+            self.conditions.corrupt(&mut frame);
             if let Some(noise) = &mut self.conditions.noise {
                 noise.corrupt(&mut frame, self.environment.control_steps())?;
             }

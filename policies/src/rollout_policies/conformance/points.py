@@ -22,21 +22,21 @@ class Point(enum.Enum):
     """A point of the protocol, as a sentence that is true of a conforming server. The members
     are in the order of the checks."""
 
-    DESCRIPTION = "the description is valid"
+    DESCRIPTION = "the description is consistent"
     VERSION = "another protocol version is refused"
     HEALTH = "the health service reports SERVING"
     SHAPE = "answers are finite actions, n × 7, within the horizon"
     RANGE = "actions lie within -1..1"
     RETRY = "a retry gets the same actions"
     SAME_SEED = "the same seed gives the same actions"
-    OTHER_SEED = "another seed gives other actions if and only if declared stochastic"
+    OTHER_SEED = "another seed gives other actions exactly if declared stochastic"
     ORDER = "the order of queries does not change the actions"
-    ISOLATION = "sessions do not affect each other"
+    ISOLATION = "sessions do not affect one another"
     RESTART = "a Reset starts an open session anew"
-    BATCH = "the other queries of a batch do not change the actions"
+    BATCH = "other queries of a batch do not change the actions"
     UNOPENED = "a session that was never opened is refused"
     END = "the end of an episode is noted"
-    SPEED = "the latency is measured"
+    SPEED = "answer times are measured"
 
 
 #: Points that compare episodes of the same seed.

@@ -366,7 +366,7 @@ fn errors_for_invalid_names_and_numbers_list_the_valid_ones() {
         json(r#""mine""#),
         "`mine` is not valid; write",
     );
-    check("levels", json("null"), "the field `levels` is not there");
+    check("levels", json("null"), "the field `levels` is missing");
     check(
         "configs",
         json("[1000]"),
