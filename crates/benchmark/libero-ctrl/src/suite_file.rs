@@ -261,8 +261,8 @@ impl SuiteFile {
 
     /// Returns the folder of the task files in the folder of the sources.
     pub fn folder(&self) -> String {
-        let own = || format!("suites/{}", self.name);
-        self.folder.clone().unwrap_or_else(own)
+        let default_folder = || format!("suites/{}", self.name);
+        self.folder.clone().unwrap_or_else(default_folder)
     }
 
     /// Returns the SHA-256 of the file's content, hex. The formatting of the file and the number of

@@ -292,8 +292,8 @@ impl Motion {
 
     /// Returns true if the hand has made no progress in the last steps, apart from jitter.
     pub(crate) fn is_stuck(&self) -> bool {
-        let here = self.trail[TRAIL_STEPS - 1];
-        let away = |place: &Vec3| (*place - here).norm();
+        let latest = self.trail[TRAIL_STEPS - 1];
+        let away = |place: &Vec3| (*place - latest).norm();
         self.trail.iter().all(|place| away(place) < STUCK_M)
     }
 

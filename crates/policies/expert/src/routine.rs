@@ -199,9 +199,9 @@ impl RoutineTask {
             }
             Self::PushDrawer { .. } | Self::PushDoor { .. } => u32::from(is_on_the_way),
             Self::Drag { object, .. } => {
-                let thing = world.entity(object)?;
-                let widest = thing.half.x.max(thing.half.y);
-                let aside = (world.grip - thing.centre).horizontal_norm();
+                let entity = world.entity(object)?;
+                let widest = entity.half.x.max(entity.half.y);
+                let aside = (world.grip - entity.centre).horizontal_norm();
                 let is_pressing = world.grip.z < to.pos.z + PRESSING_M && aside < widest;
                 match is_pressing {
                     true => 2,
@@ -277,7 +277,7 @@ fn pull_drawer(
         pos: drawer.handle + drawer.out * away,
         quat,
     };
-    let here = HandPose {
+    let current = HandPose {
         pos: world.grip,
         quat,
     };
@@ -290,7 +290,7 @@ fn pull_drawer(
             let lost = (world.grip - drawer.handle).norm() > STANDOFF_M / 2.0;
             stage(at(LEAD_M), Fingers::Close, Until::Reached(open || lost))
         }
-        4 => stage(here, Fingers::Open, Until::Steps(FINGER_STEPS)),
+        4 => stage(current, Fingers::Open, Until::Steps(FINGER_STEPS)),
         5 => stage(at(STANDOFF_M), Fingers::Open, Until::Arrived),
         _ => return Ok(None),
     }))
@@ -389,32 +389,32 @@ fn drag(
     object: &str,
     region: &str,
 ) -> Result<Option<Stage>, ExpertError> {
-    let (thing, goal) = (world.entity(object)?, world.entity(region)?);
-    let to_goal = (goal.pos - thing.pos).at_height(0.0);
+    let (entity, goal) = (world.entity(object)?, world.entity(region)?);
+    let to_goal = (goal.pos - entity.pos).at_height(0.0);
     let distance = to_goal.norm();
     let ahead = to_goal * (1.0 / distance.max(DRAG_DONE_M));
     let quat = pointing_down(ahead.y.atan2(ahead.x) + FRAC_PI_2);
     let at = |along: f64, height: f64| HandPose {
-        pos: (thing.centre + ahead * along).at_height(height),
+        pos: (entity.centre + ahead * along).at_height(height),
         quat,
     };
-    let pressing = thing.bottom() + FINGERTIP_M;
-    let widest = thing.half.x.max(thing.half.y);
+    let pressing = entity.bottom() + FINGERTIP_M;
+    let widest = entity.half.x.max(entity.half.y);
     Ok(Some(match number {
         0 => stage(
-            at(DRAG_FROM_M, thing.top() + STANDOFF_M / 2.0),
+            at(DRAG_FROM_M, entity.top() + STANDOFF_M / 2.0),
             Fingers::Close,
             Until::Travelled,
         ),
         1 => stage(at(DRAG_FROM_M, pressing), Fingers::Close, Until::Arrived),
         2 => {
-            let slipped = (world.grip - thing.centre).horizontal_norm() > widest;
+            let slipped = (world.grip - entity.centre).horizontal_norm() > widest;
             let is_done = distance < DRAG_DONE_M || slipped;
             let pulled = at(DRAG_FROM_M + DRAG_LEAD_M, pressing);
             stage(pulled, Fingers::Close, Until::Reached(is_done))
         }
         3 => stage(
-            at(DRAG_FROM_M, thing.top() + STANDOFF_M / 2.0),
+            at(DRAG_FROM_M, entity.top() + STANDOFF_M / 2.0),
             Fingers::Close,
             Until::Arrived,
         ),

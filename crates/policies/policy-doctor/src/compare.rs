@@ -64,9 +64,9 @@ impl Both {
 
     /// Returns true if the difference is small relative to the variation of the answers.
     fn differ_by_rounding(&self) -> bool {
-        let left = fit(&self.a, &self.b, &[f64::INFINITY; 7]).left;
+        let remaining = fit(&self.a, &self.b, &[f64::INFINITY; 7]).remaining;
         let varied = varied(&self.b);
-        (0..7).all(|at| left[at] <= (ROUNDING * varied[at]).max(REPEATABLE))
+        (0..7).all(|at| remaining[at] <= (ROUNDING * varied[at]).max(REPEATABLE))
     }
 }
 
@@ -206,8 +206,8 @@ async fn other_seed(panel: &Panel, both: &Both) -> Result<Option<Difference>, Ex
                 continue;
             }
             let changed = panel.query(side, &[], all, |_| vec![seed]).await?;
-            let left = unchanged.largest_difference(&changed).0;
-            if left > REPEATABLE {
+            let remaining = unchanged.largest_difference(&changed).0;
+            if remaining > REPEATABLE {
                 continue;
             }
             let other_seed = match relation {
@@ -218,7 +218,7 @@ async fn other_seed(panel: &Panel, both: &Both) -> Result<Option<Difference>, Ex
                 "{other} answers with seed {SEED} as {letter} does with {other_seed}. With the \
                  same seed they differ by up to {}; with these seeds, by {}.",
                 size(both.largest_difference().value),
-                size(left)
+                size(remaining)
             );
             return Ok(Some(Difference::new(Kind::Seed, text)));
         }
@@ -303,17 +303,17 @@ fn not_explained(
             .sum::<f64>()
             .sqrt()
     };
-    let unchanged = fit(&both.a, &both.b, &[f64::INFINITY; 7]).left;
+    let unchanged = fit(&both.a, &both.b, &[f64::INFINITY; 7]).remaining;
     let mut changes = closest.changes.iter();
     let is_scaled = changes.any(|(_, variant)| variant.topic() == Topic::Size);
-    match is_scaled && norm(&closest.fit.left) < MAX_UNEXPLAINED_BY_SIZE * norm(&unchanged) {
+    match is_scaled && norm(&closest.fit.remaining) < MAX_UNEXPLAINED_BY_SIZE * norm(&unchanged) {
         true => difference::explained_by_observations(closest, largest),
         false => vec![unexplained(both, largest, closest)],
     }
 }
 
 fn unexplained(both: &Both, largest: LargestDifference, closest: &Explanation) -> Difference {
-    let left = closest.fit.left.iter().copied().fold(0.0, f64::max);
+    let remaining = closest.fit.remaining.iter().copied().fold(0.0, f64::max);
     let attempt = difference::attempt(closest);
     let mut text = format!(
         "their answers differ by up to {} ({}), and none of the differences that are tried \
@@ -331,7 +331,7 @@ fn unexplained(both: &Both, largest: LargestDifference, closest: &Explanation) -
     if !attempt.is_empty() {
         text.push_str(&format!(
             " The difference is smallest if {attempt}: then {} remains.",
-            size(left)
+            size(remaining)
         ));
     }
     Difference::new(Kind::Unexplained, text)

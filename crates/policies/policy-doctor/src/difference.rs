@@ -165,14 +165,19 @@ fn with_sizes(
     explanation: &Explanation,
     largest: LargestDifference,
 ) -> Vec<Difference> {
-    let left = explanation.fit.left.iter().copied().fold(0.0, f64::max);
+    let remaining = explanation
+        .fit
+        .remaining
+        .iter()
+        .copied()
+        .fold(0.0, f64::max);
     for difference in &mut differences {
         difference.text = format!(
             "{} Unchanged, their answers differ by up to {} ({}); with this change, by {}.",
             difference.text,
             size(largest.value),
             NUMBERS[largest.component],
-            size(left),
+            size(remaining),
         );
     }
     differences

@@ -50,16 +50,16 @@ fn of_session(file: &Path, count: usize) -> Result<Vec<Situation>, RecordingErro
 }
 
 fn situation(reader: &Reader, pair: Pair) -> Situation {
-    let shown = pair.query.observation.unwrap_or_default();
-    let readings = shown.state.iter();
+    let observation = pair.query.observation.unwrap_or_default();
+    let readings = observation.state.iter();
     Situation {
         suite: reader.reset.suite.clone(),
         instruction: reader.reset.instruction.clone(),
         readings: readings
             .map(|reading| (reading.field(), reading.values.clone()))
             .collect(),
-        frames: shown.images,
-        privileged: shown.privileged,
+        frames: observation.images,
+        privileged: observation.privileged,
     }
 }
 

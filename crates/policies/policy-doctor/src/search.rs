@@ -63,7 +63,7 @@ impl SearchSetup<'_> {
     /// # Errors
     /// If a server does not answer with actions.
     pub(crate) async fn search(&self, a: &Answers, b: &Answers) -> Result<Found, ExaminationError> {
-        let mut limit = self.limit(fit(a, b, &[f64::INFINITY; 7]).left);
+        let mut limit = self.limit(fit(a, b, &[f64::INFINITY; 7]).remaining);
         let plain = Explanation {
             changes: vec![],
             fit: fit(a, b, &limit),
@@ -73,7 +73,7 @@ impl SearchSetup<'_> {
             nothing => return Ok(nothing),
         };
         while explained.changes.len() < MOST_TOGETHER && self.allows_several {
-            let next_limit = self.limit(explained.fit.left);
+            let next_limit = self.limit(explained.fit.remaining);
             if next_limit == limit || explained.fit.is_within(&self.floor) {
                 break;
             }

@@ -199,8 +199,8 @@ impl Watched {
     /// Returns the error once the connection must be closed.
     fn poll_closed(&mut self, context: &mut Context<'_>) -> Poll<io::Error> {
         let timed_out = || {
-            let why = "the connection was silent for too long";
-            Poll::Ready(io::Error::new(io::ErrorKind::TimedOut, why))
+            let message = "the connection was silent for too long";
+            Poll::Ready(io::Error::new(io::ErrorKind::TimedOut, message))
         };
         if !self.is_active() && self.evicted.as_mut().poll(context).is_ready() {
             return timed_out();

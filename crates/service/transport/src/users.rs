@@ -90,9 +90,9 @@ fn check_rows(
     rows: &[Row],
     peer: SocketAddr,
     local: SocketAddr,
-    own: u32,
+    own_user: u32,
 ) -> Result<(), Untrusted> {
-    let check = |user: u32| match user == own || is_system_user(user) {
+    let check = |user: u32| match user == own_user || is_system_user(user) {
         true => Ok(()),
         false => Err(Untrusted::AnotherUser),
     };

@@ -83,8 +83,8 @@ impl<'a> Patient<'a> {
             let response = self.query(at, observation, Some(instruction)).await?;
             let actions = answered.record(self.server, &response);
             for earlier in &first {
-                let apart = largest_difference(earlier, &actions);
-                answered.between_situations = answered.between_situations.max(apart);
+                let difference = largest_difference(earlier, &actions);
+                answered.between_situations = answered.between_situations.max(difference);
             }
             first.push(actions);
         }
@@ -92,8 +92,8 @@ impl<'a> Patient<'a> {
             let observation = self.observations[at].clone();
             let response = self.query(at, observation, Some(instruction)).await?;
             let again = answered.record(self.server, &response);
-            let apart = largest_difference(earlier, &again);
-            answered.noise = answered.noise.max(apart);
+            let difference = largest_difference(earlier, &again);
+            answered.noise = answered.noise.max(difference);
         }
         let mut episode = self.server.episode(suite, instruction, SEED).await?;
         for observation in &self.observations {

@@ -236,12 +236,12 @@ pub(super) fn latency(latencies: &[Duration], answer_within: Duration) -> Verdic
     );
     let limit = answer_within.as_secs_f64();
     if slowest > answer_within {
-        let why = match *first == slowest && late <= answer_within {
+        let advice = match *first == slowest && late <= answer_within {
             true => "Compile and warm up before the server listens",
             false => "Serve it from a faster device",
         };
         fail(format!(
-            "{figures}. A gateway treats a server that needs more than {limit} s as out. {why}, \
+            "{figures}. A gateway treats a server that needs more than {limit} s as out. {advice}, \
              or raise answer_within_secs."
         ))
     } else if late > answer_within / 2 {
@@ -263,8 +263,8 @@ pub(super) fn memory(process: &str, resident: &[u64]) -> Verdict {
     let [begin, middle, end] = [count - 1 - 2 * third, count - 1 - third, count - 1];
     let grown = |from: usize, to: usize| resident[to].saturating_sub(resident[from]);
     let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
-    let kept = KEPT_BYTES * third as u64;
-    if grown(begin, middle) > kept && grown(middle, end) > kept {
+    let allowed = KEPT_BYTES * third as u64;
+    if grown(begin, middle) > allowed && grown(middle, end) > allowed {
         return fail(format!(
             "{process} grew from {:.0} to {:.0} MiB over the last {} of {count} episodes, {:.2} \
              MiB each, though every episode was ended (End). Usually observations or caches are \

@@ -108,7 +108,12 @@ impl<'a> Context<'a> {
         let Some(lease) = cut_off.and_then(|cut_off| attempt.job.resumes(cut_off, self.now)) else {
             return Ok(None);
         };
-        if self.campaign(attempt.of.campaign).await?.state.is_over() {
+        if self
+            .campaign(attempt.initial_state.campaign)
+            .await?
+            .state
+            .is_over()
+        {
             return Ok(None);
         }
         let expires = self.now.plus(self.shared.timing.lease);

@@ -146,12 +146,14 @@ async fn derived_jobs(
     source: Arc<Vec<Record>>,
 ) -> Result<Vec<NewJob>, StoreError> {
     let spec = specification(&campaign.spec)?;
-    let own = Arc::new(records(tx, campaign.campaign).await?);
+    let own_records = Arc::new(records(tx, campaign.campaign).await?);
     let rollouts = match spec.rollouts {
         Rollouts::Explanation(explanation) => {
-            subsets(tx, campaign, [source, own], explanation).await?
+            subsets(tx, campaign, [source, own_records], explanation).await?
         }
-        Rollouts::Thresholds(thresholds) => radii(tx, campaign, [source, own], thresholds).await?,
+        Rollouts::Thresholds(thresholds) => {
+            radii(tx, campaign, [source, own_records], thresholds).await?
+        }
         Rollouts::Design(_)
         | Rollouts::Manifest(_)
         | Rollouts::Variants(_)
@@ -175,11 +177,12 @@ pub(super) fn specification(text: &str) -> Result<CampaignSpec, StoreError> {
 async fn subsets(
     tx: &mut SqliteConnection,
     campaign: &Derived,
-    [source, own]: [Arc<Vec<Record>>; 2],
+    [source, own_records]: [Arc<Vec<Record>>; 2],
     explanation: Explanation,
 ) -> Result<Vec<Rollout>, StoreError> {
     let additions =
-        on_blocking_thread(move || explanation::additions(&source, &own, &explanation)).await;
+        on_blocking_thread(move || explanation::additions(&source, &own_records, &explanation))
+            .await;
     let ids: BTreeSet<String> = additions
         .iter()
         .map(|rollouts| rollouts.simultaneous.to_string())
@@ -219,7 +222,7 @@ async fn subsets(
 async fn radii(
     tx: &mut SqliteConnection,
     campaign: &Derived,
-    [source, own]: [Arc<Vec<Record>>; 2],
+    [source, own_records]: [Arc<Vec<Record>>; 2],
     thresholds: Thresholds,
 ) -> Result<Vec<Rollout>, StoreError> {
     let spec = campaigns::spec(tx, campaign.source).await?;
@@ -227,7 +230,7 @@ async fn radii(
         return Ok(Vec::new());
     };
     let rollouts = on_blocking_thread(move || {
-        let plan = Measurement::of(&source, &own, &thresholds).plan();
+        let plan = Measurement::of(&source, &own_records, &thresholds).plan();
         let rollout = |(ray, level): (Ray, Level)| {
             let row = design.row_at(ray.task, ray.condition, level, ray.config);
             row.map(|row| (row, 0))

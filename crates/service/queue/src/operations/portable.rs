@@ -450,8 +450,8 @@ impl Context<'_> {
                 source_campaign: name,
             });
         };
-        let here = outcomes_digest(&mut self.tx, &source).await?;
-        if expected.is_none_or(|expected| expected.outcomes != here) {
+        let local_outcomes = outcomes_digest(&mut self.tx, &source).await?;
+        if expected.is_none_or(|expected| expected.outcomes != local_outcomes) {
             return Err(AdoptError::OtherSource {
                 campaign,
                 source_campaign: name,

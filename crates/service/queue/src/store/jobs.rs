@@ -38,7 +38,7 @@ pub(crate) struct NamedAttempt {
     pub(crate) job: Job,
     /// Initial state that the job shares with its siblings.
     #[sqlx(flatten)]
-    pub(crate) of: InitialState,
+    pub(crate) initial_state: InitialState,
     #[sqlx(json, rename = "manifest_row")]
     pub(crate) row: ManifestRow,
     /// The job's committed outcome, if it has one.
@@ -226,7 +226,7 @@ pub(crate) async fn skip(
     tx: &mut SqliteConnection,
     job: JobId,
     attempt: AttemptId,
-    why: &str,
+    explanation: &str,
     now: UnixMillis,
 ) -> Result<(), StoreError> {
     sqlx::query(
@@ -234,7 +234,7 @@ pub(crate) async fn skip(
              last_error = ?
          WHERE id = ? AND state = 'queued'",
     )
-    .bind(why)
+    .bind(explanation)
     .bind(job)
     .execute(&mut *tx)
     .await
@@ -247,7 +247,7 @@ pub(crate) async fn skip(
     .bind(attempt.to_string())
     .bind(now)
     .bind(FailureReason::Skipped.as_str())
-    .bind(why)
+    .bind(explanation)
     .bind(job)
     .execute(tx)
     .await
