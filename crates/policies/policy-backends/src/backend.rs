@@ -130,7 +130,7 @@ pub enum BackendError {
     },
     /// The answer is not a valid chunk of actions.
     #[error("{fault}")]
-    Nonsense {
+    InvalidActions {
         /// Fault of the answer.
         fault: ActionFault,
     },
@@ -224,7 +224,7 @@ impl BackendError {
             } => Code::FailedPrecondition,
             Self::Policy { .. }
             | Self::Description { .. }
-            | Self::Nonsense { .. }
+            | Self::InvalidActions { .. }
             | Self::BatchSize { .. } => Code::Internal,
         }
     }

@@ -53,12 +53,12 @@ const MAX_IDLE: usize = 8;
 pub struct VlaEvalBackend {
     address: VlaEvalAddress,
     server: Server,
-    episodes: Mutex<SessionTable<Open>>,
+    episodes: Mutex<SessionTable<OpenEpisode>>,
     /// Connections after their HELLO, without an episode so far.
     idle: Mutex<Vec<Link>>,
 }
 
-struct Open {
+struct OpenEpisode {
     last_use: Instant,
     episode: Arc<Episode>,
 }
@@ -117,7 +117,7 @@ impl VlaEvalBackend {
 
     fn terms(&self, received: &Received) -> Result<Terms, BackendError> {
         let hello = match received {
-            Received::Binary(bytes) => message::greeting(bytes),
+            Received::Binary(bytes) => message::hello_payload(bytes),
             Received::Text(_) => None,
         };
         let terms = match hello {
@@ -155,7 +155,7 @@ impl VlaEvalBackend {
         self.idle.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn episodes(&self) -> MutexGuard<'_, SessionTable<Open>> {
+    fn episodes(&self) -> MutexGuard<'_, SessionTable<OpenEpisode>> {
         self.episodes.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -218,7 +218,7 @@ impl Backend for VlaEvalBackend {
             instruction,
             link: Some(link).into(),
         };
-        let open = Open {
+        let open = OpenEpisode {
             last_use: Instant::now(),
             episode: episode.into(),
         };
@@ -271,7 +271,11 @@ impl Backend for VlaEvalBackend {
             }
         };
         link.next_query += u32::from(answer.is_ok());
-        if answer.as_ref().err().is_none_or(AnswerError::is_in_step) {
+        if answer
+            .as_ref()
+            .err()
+            .is_none_or(AnswerError::is_synchronised)
+        {
             *slot = Some(link);
         }
         answer.map_err(|error| failed(error.to_string()))

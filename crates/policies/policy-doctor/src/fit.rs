@@ -32,13 +32,13 @@ pub(crate) enum Convention {
     /// The sign is inverted.
     Inverted,
     /// From −1..1 to 0..1.
-    Share,
+    ZeroToOne,
     /// From −1..1 to 1..0.
-    InvertedShare,
+    OneToZero,
     /// From 0..1 to −1..1.
-    FromShare,
+    FromZeroToOne,
     /// From 0..1 to 1..−1.
-    FromInvertedShare,
+    FromOneToZero,
     /// Rounded to −1 or 1.
     Sign,
 }
@@ -46,20 +46,20 @@ pub(crate) enum Convention {
 impl Convention {
     const ALL: [Self; 6] = [
         Self::Inverted,
-        Self::Share,
-        Self::InvertedShare,
-        Self::FromShare,
-        Self::FromInvertedShare,
+        Self::ZeroToOne,
+        Self::OneToZero,
+        Self::FromZeroToOne,
+        Self::FromOneToZero,
         Self::Sign,
     ];
 
     fn apply(self, number: f64) -> f64 {
         match self {
             Self::Inverted => -number,
-            Self::Share => (number + 1.0) / 2.0,
-            Self::InvertedShare => (1.0 - number) / 2.0,
-            Self::FromShare => 2.0 * number - 1.0,
-            Self::FromInvertedShare => 1.0 - 2.0 * number,
+            Self::ZeroToOne => (number + 1.0) / 2.0,
+            Self::OneToZero => (1.0 - number) / 2.0,
+            Self::FromZeroToOne => 2.0 * number - 1.0,
+            Self::FromOneToZero => 1.0 - 2.0 * number,
             Self::Sign => number.signum(),
         }
     }

@@ -20,7 +20,7 @@ use transport::{Access, chain};
 use crate::situation::MissingInput;
 
 /// Longest wait for an answer: models that compile at their first query take minutes.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(600);
+pub(crate) const ANSWER_TIMEOUT: Duration = Duration::from_secs(600);
 
 /// One action: translation (3), rotation (3), gripper.
 pub type Action = [f64; 7];
@@ -119,7 +119,7 @@ impl Episode<'_> {
     /// Sends the next query.
     ///
     /// # Errors
-    /// If the server refuses the query, or does not answer within [`PATIENCE`].
+    /// If the server refuses the query, or does not answer within [`ANSWER_TIMEOUT`].
     pub(crate) async fn query(
         &mut self,
         observation: Observation,
@@ -150,7 +150,7 @@ impl Episode<'_> {
     ) -> Result<Vec<Action>, ExaminationError> {
         let answer = self.query(observation).await?;
         let actions = self.server.actions(&answer.response);
-        actions.map_err(|fault| ExaminationError::Nonsense {
+        actions.map_err(|fault| ExaminationError::InvalidActions {
             url: self.server.url.clone(),
             fault,
         })
@@ -168,7 +168,7 @@ async fn in_time<T>(
     url: &str,
     answer: impl Future<Output = Result<T, BackendError>>,
 ) -> Result<T, ExaminationError> {
-    let answer = tokio::time::timeout(PATIENCE, answer).await;
+    let answer = tokio::time::timeout(ANSWER_TIMEOUT, answer).await;
     let answer = answer.map_err(|_| ExaminationError::Silent {
         url: url.to_owned(),
     })?;
@@ -188,7 +188,7 @@ pub enum ExaminationError {
     #[error(transparent)]
     Recording(#[from] RecordingError),
     /// The server does not answer in time.
-    #[error("get an answer from {url} within {} s", PATIENCE.as_secs())]
+    #[error("get an answer from {url} within {} s", ANSWER_TIMEOUT.as_secs())]
     Silent {
         /// URL as given.
         url: String,
@@ -211,7 +211,7 @@ pub enum ExaminationError {
     },
     /// The server's answer is not a valid chunk of actions.
     #[error("compare the answers of {url}: {fault}; `policy-gateway doctor {url}` shows more")]
-    Nonsense {
+    InvalidActions {
         /// URL as given.
         url: String,
         /// Fault of the answer.
@@ -222,7 +222,7 @@ pub enum ExaminationError {
         "query {url} with recorded observations: it needs {missing}, which the recordings lack; \
          record a policy that needs them, too, or leave --recorded out"
     )]
-    Lacking {
+    MissingInput {
         /// URL as given.
         url: String,
         /// Missing input.

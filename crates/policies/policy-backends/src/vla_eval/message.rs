@@ -80,7 +80,7 @@ fn reply<'a, 'b>(message: &'b ValueRef<'a>) -> Option<Reply<'a, 'b>> {
 }
 
 /// Returns the payload of a server's HELLO; `None` for any other message.
-pub(super) fn greeting(bytes: &[u8]) -> Option<Value> {
+pub(super) fn hello_payload(bytes: &[u8]) -> Option<Value> {
     let message = numpy::read(bytes)?;
     let reply = reply(&message).filter(|reply| reply.kind == "hello")?;
     Some(reply.payload.to_owned())
@@ -104,7 +104,7 @@ pub fn answer(bytes: &[u8], asked: u64, execute: u32) -> Result<InferResponse, A
     } = reply.ok_or(AnswerError::NoMessage)?;
     match kind {
         "action" if number == asked => actions(payload, execute),
-        "action" => Err(AnswerError::OutOfStep { number, asked }),
+        "action" => Err(AnswerError::OtherMessage { number, asked }),
         "error" if number == asked => Err(AnswerError::Policy(error_text(payload))),
         "error" => Err(AnswerError::Start(error_text(payload))),
         other => Err(AnswerError::Kind {
@@ -186,7 +186,7 @@ pub enum AnswerError {
         "it answered message {number} instead of message {asked}: serve it without \
          continuous_inference"
     )]
-    OutOfStep {
+    OtherMessage {
         /// Sequence number of the answer.
         number: u64,
         /// Sequence number of the observation's message.
@@ -250,10 +250,10 @@ pub enum AnswerError {
 
 impl AnswerError {
     /// Returns true if the server's next message will be the answer to the next query.
-    pub(super) fn is_in_step(&self) -> bool {
+    pub(super) fn is_synchronised(&self) -> bool {
         !matches!(
             self,
-            Self::NoMessage | Self::Kind { .. } | Self::OutOfStep { .. } | Self::Start(_)
+            Self::NoMessage | Self::Kind { .. } | Self::OtherMessage { .. } | Self::Start(_)
         )
     }
 }
@@ -355,7 +355,7 @@ mod tests {
             let mut changed = bytes(CHUNK);
             changed[at] = byte;
             changed.truncate(length);
-            drop((answer(&changed, 3, 2), greeting(&changed)));
+            drop((answer(&changed, 3, 2), hello_payload(&changed)));
         }
     }
 }

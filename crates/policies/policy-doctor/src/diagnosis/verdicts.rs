@@ -7,9 +7,9 @@ use policy_protocol::ActionFault;
 use proto::policy::{DescribeResponse, Language};
 
 use crate::{
-    chance::REPEATABLE,
     conformance::verdict::{LARGEST_PLAUSIBLE, Verdict, fail, pass, skip},
     fit::GRIPPER,
+    randomness::REPEATABLE,
     server::Action,
 };
 
@@ -26,7 +26,7 @@ const SLOWER_IN_ALL: Duration = Duration::from_millis(50);
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Change {
     /// Largest difference that the change causes.
-    pub most: f64,
+    pub largest: f64,
     /// Largest difference between answers to a repeated query.
     pub noise: f64,
 }
@@ -34,7 +34,7 @@ pub(super) struct Change {
 impl Change {
     /// Returns true if the change affects answers; `None` if noise hides the effect.
     fn has_effect(self) -> Option<bool> {
-        let has_effect = self.most > SAME.max(3.0 * self.noise);
+        let has_effect = self.largest > SAME.max(3.0 * self.noise);
         (has_effect || self.noise <= REPEATABLE).then_some(has_effect)
     }
 
@@ -135,7 +135,7 @@ pub(super) fn observations(
             "{situations} observations get the same answer, within {:.1e}. Usually the answer to \
              the first query is cached, or the inputs do not reach the network: log the network's \
              inputs.",
-            change.most
+            change.largest
         )),
     }
 }
@@ -327,7 +327,7 @@ mod tests {
 
     #[test]
     fn a_change_hidden_by_noise_is_neither_confirmed_nor_denied() {
-        let change = |most, noise| Change { most, noise }.has_effect();
+        let change = |largest, noise| Change { largest, noise }.has_effect();
         assert_eq!(change(0.1, 0.0), Some(true));
         assert_eq!(change(0.0, 0.0), Some(false));
         assert_eq!(change(2e-5, 1e-5), Some(false));

@@ -4,8 +4,8 @@
 use crate::conformance::verdict::BATCH_TOLERANCE;
 use crate::{
     answers::Answers,
-    panel::{Panel, SEED, Side},
     server::ExaminationError,
+    server_pair::{SEED, ServerPair, Side},
 };
 
 /// Largest difference of answers that count as equal: batches and kernels change low-order bits.
@@ -15,26 +15,26 @@ const SITUATIONS: usize = 3;
 
 /// Variation of a server's answers to one observation.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Chance {
+pub(crate) struct Randomness {
     /// Largest difference between answers to a repeated query.
     pub repeat_difference: f64,
     /// Largest difference between answers with two seeds.
     pub seed_difference: f64,
 }
 
-impl Chance {
+impl Randomness {
     /// Repeats a server's queries with the same seed and with another one; `answers` are the
     /// answers to the first queries, with [`SEED`].
     ///
     /// # Errors
     /// If the server does not answer with actions.
     pub(crate) async fn measure(
-        panel: &Panel,
+        servers: &ServerPair,
         side: Side,
         answers: &Answers,
     ) -> Result<Self, ExaminationError> {
-        let again = panel.query(side, &[], SITUATIONS, |_| vec![SEED]).await?;
-        let other = panel
+        let again = servers.query(side, &[], SITUATIONS, |_| vec![SEED]).await?;
+        let other = servers
             .query(side, &[], SITUATIONS, |_| vec![SEED + 1])
             .await?;
         Ok(Self {

@@ -7,19 +7,19 @@ use policy_protocol::ActionFault;
 use proto::policy::{InferResponse, Observation};
 
 use crate::{
-    panel::SEED,
     server::{Action, ExaminationError, Server},
+    server_pair::SEED,
     situation::Situation,
     variant::{Turn, Variant},
 };
 
 /// Number of situations in which a change is tried.
-const TRIED: usize = 4;
+const MAX_TRIED_SITUATIONS: usize = 4;
 /// Queries per episode in the memory check.
 const EPISODE_QUERIES: usize = 2;
 
 /// The diagnosed server, the situations it is queried in, and its latencies.
-pub(super) struct Patient<'a> {
+pub(super) struct DiagnosedServer<'a> {
     server: &'a Server,
     situations: &'a [Situation],
     observations: Vec<Observation>,
@@ -42,7 +42,7 @@ pub(super) struct Answered {
     pub(super) noise: f64,
 }
 
-impl<'a> Patient<'a> {
+impl<'a> DiagnosedServer<'a> {
     pub(super) fn new(
         server: &'a Server,
         situations: &'a [Situation],
@@ -54,7 +54,7 @@ impl<'a> Patient<'a> {
         Ok(Self {
             server,
             situations,
-            observations: observations.map_err(|missing| ExaminationError::Lacking {
+            observations: observations.map_err(|missing| ExaminationError::MissingInput {
                 url: server.url.clone(),
                 missing,
             })?,
@@ -111,7 +111,7 @@ impl<'a> Patient<'a> {
         camera: &str,
     ) -> Result<f64, ExaminationError> {
         let flipped = Variant::Turned(Turn::UpsideDown, Some(camera.to_owned()));
-        let mut most = 0.0_f64;
+        let mut largest = 0.0_f64;
         for at in 0..self.tried_situations() {
             let unchanged = self
                 .actions(at, self.observations[at].clone(), None)
@@ -128,10 +128,10 @@ impl<'a> Patient<'a> {
             }
             let to_black = self.actions(at, changed, None).await?;
             for answer in [to_flipped, to_black] {
-                most = most.max(largest_difference(&unchanged, &answer));
+                largest = largest.max(largest_difference(&unchanged, &answer));
             }
         }
-        Ok(most)
+        Ok(largest)
     }
 
     /// Returns the largest change of an answer when the instruction is replaced by another task's,
@@ -139,7 +139,7 @@ impl<'a> Patient<'a> {
     pub(super) async fn with_other_instructions(
         &mut self,
     ) -> Result<(f64, usize), ExaminationError> {
-        let mut most = 0.0_f64;
+        let mut largest = 0.0_f64;
         let mut count = 0;
         for at in 0..self.tried_situations() {
             let situation = &self.situations[at];
@@ -153,11 +153,11 @@ impl<'a> Patient<'a> {
             for instruction in other {
                 let observation = self.observations[at].clone();
                 let answer = self.actions(at, observation, Some(&instruction)).await?;
-                most = most.max(largest_difference(&unchanged, &answer));
+                largest = largest.max(largest_difference(&unchanged, &answer));
                 count += 1;
             }
         }
-        Ok((most, count))
+        Ok((largest, count))
     }
 
     /// Plays a short episode; returns the total latency of its queries.
@@ -179,7 +179,7 @@ impl<'a> Patient<'a> {
 
     /// Returns the number of situations that a check with changed inputs uses.
     fn tried_situations(&self) -> usize {
-        TRIED.min(self.situations.len())
+        MAX_TRIED_SITUATIONS.min(self.situations.len())
     }
 
     async fn actions(
@@ -190,7 +190,7 @@ impl<'a> Patient<'a> {
     ) -> Result<Vec<Action>, ExaminationError> {
         let response = self.query(at, observation, instruction).await?;
         let actions = self.server.actions(&response);
-        actions.map_err(|fault| ExaminationError::Nonsense {
+        actions.map_err(|fault| ExaminationError::InvalidActions {
             url: self.server.url.clone(),
             fault,
         })

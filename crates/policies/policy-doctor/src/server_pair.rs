@@ -26,7 +26,7 @@ pub(crate) enum Side {
 }
 
 /// Both servers and their situations.
-pub(crate) struct Panel {
+pub(crate) struct ServerPair {
     a: Server,
     b: Server,
     situations: Vec<Situation>,
@@ -36,7 +36,7 @@ pub(crate) struct Panel {
     queries: u32,
 }
 
-impl Panel {
+impl ServerPair {
     /// Prepares the observations of both servers.
     ///
     /// # Errors
@@ -50,12 +50,12 @@ impl Panel {
             let observations = situations
                 .iter()
                 .map(|situation| situation.observation(&server.described));
-            observations
-                .collect::<Result<_, _>>()
-                .map_err(|missing| ExaminationError::Lacking {
+            observations.collect::<Result<_, _>>().map_err(|missing| {
+                ExaminationError::MissingInput {
                     url: server.url.clone(),
                     missing,
-                })
+                }
+            })
         };
         let (observations_a, observations_b) = (observations(&a)?, observations(&b)?);
         let described = [&a.described, &b.described];
