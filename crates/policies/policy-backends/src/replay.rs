@@ -246,6 +246,6 @@ fn first_difference(recorded: &Observation, sent: &Observation) -> String {
             is.field().as_str_name(),
             is.values
         ),
-        None => "the simulator's own state, or the number of readings".to_owned(),
+        None => "the simulator's states or the numbers of readings differ".to_owned(),
     }
 }

@@ -1,5 +1,5 @@
-//! Back-end of unmodified vla-eval model servers, whose protocol is msgpack over WebSocket. Acts like
-//! vla-eval's LIBERO benchmark in the order of messages, the observations sent, and the use of
+//! Back-end of unmodified vla-eval model servers, whose protocol is msgpack over WebSocket. Acts
+//! like vla-eval's LIBERO benchmark in the order of messages, the observations sent, and the use of
 //! the actions. Also manages the connections. `hello` negotiates the observations, `state` and
 //! `image` compute them, `message` encodes and decodes.
 //!
@@ -30,8 +30,8 @@ use self::{
 use crate::{
     backend::{Backend, BackendError},
     numpy::{Keys, array, map},
+    observations::{self, FRAME_SIDE},
     sessions::SessionTable,
-    shown::{self, FRAME_SIDE},
     websocket::{Connection, Received, Server},
 };
 
@@ -297,7 +297,7 @@ fn observation(
 ) -> Result<Value, String> {
     let images = CAMERAS.iter().take(if terms.sends_wrist { 2 } else { 1 });
     let images = images.map(|(camera, slot)| {
-        let frame = shown::frame(observation, camera)?;
+        let frame = observations::frame(observation, camera)?;
         let frame = image::encode(format, FRAME_SIDE, &frame);
         Ok((
             Value::from(*slot),
@@ -311,10 +311,10 @@ fn observation(
         entry("task_description", instruction.into()),
     ];
     if terms.sends_state {
-        let position = shown::reading(observation, StateField::EefPos)?;
-        let quaternion = shown::reading(observation, StateField::EefQuatXyzw)?;
-        let hand = shown::reading(observation, StateField::EefRotation)?;
-        let fingers = shown::reading(observation, StateField::GripperPos)?;
+        let position = observations::reading(observation, StateField::EefPos)?;
+        let quaternion = observations::reading(observation, StateField::EefQuatXyzw)?;
+        let hand = observations::reading(observation, StateField::EefRotation)?;
+        let fingers = observations::reading(observation, StateField::GripperPos)?;
         let states = state::states(position, quaternion, fingers, terms.flips_quaternion);
         let states = states
             .iter()

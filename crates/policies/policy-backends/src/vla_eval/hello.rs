@@ -9,7 +9,7 @@ use sha2::{Digest, Sha256};
 use super::{address::VlaEvalAddress, message::VERSION};
 use crate::{
     numpy::{as_text, encode, lookup},
-    shown::camera,
+    observations::camera,
 };
 
 /// Names of the cameras in the simulator and in vla-eval's observations.
