@@ -51,7 +51,7 @@ fn without_policy_name<'e>(policy: &str, error: &'e str) -> Cow<'e, str> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Ended {
     /// Next step of the attempt's job.
-    pub(super) then: AfterFailure,
+    pub(super) next_step: AfterFailure,
     /// Time until the policy may be tried again.
     pub(super) policy_wait: Duration,
 }
@@ -155,20 +155,22 @@ impl<'a> Context<'a> {
             FailureReason::PolicyMisbehaved => before.after_misbehaviour(id, &cause, now, rng),
             _ => before.after_other_failure(id, now),
         });
-        let mut then = self
+        let mut next_step = self
             .shared
             .decide(|rng| job.after_failure(reason, suspicion, now, rng));
-        if let (true, PolicyState::Paused { resume, .. }, AfterFailure::Requeue { not_before }) =
-            (is_outage && before.is_probe(id), &after.state, &mut then)
-        {
+        if let (true, PolicyState::Paused { resume, .. }, AfterFailure::Requeue { not_before }) = (
+            is_outage && before.is_probe(id),
+            &after.state,
+            &mut next_step,
+        ) {
             // Lets another waiting job be the policy's next probe.
             let wait = resume.since(now).clamp(Waits::USUAL.first, MAX_YIELD);
             *not_before = (*not_before).max(resume.plus(wait));
         }
-        let reason = reason.before(then);
+        let reason = reason.before(next_step);
         let error = &reason.explained(error, job.losses + 1, suspicion.silences);
-        jobs::fail(&mut self.tx, job, lease, reason, error, then, now).await?;
-        if then == AfterFailure::Quarantine {
+        jobs::fail(&mut self.tx, job, lease, reason, error, next_step, now).await?;
+        if next_step == AfterFailure::Quarantine {
             self.settles = true;
             tracing::error!(job = %job.id, "quarantined after its last attempt: {error}");
         } else if !reason.is_charged() {
@@ -180,7 +182,10 @@ impl<'a> Context<'a> {
             PolicyState::Paused { resume, .. } if is_outage => resume.since(now),
             _ => Duration::ZERO,
         };
-        Ok(Ended { then, policy_wait })
+        Ok(Ended {
+            next_step,
+            policy_wait,
+        })
     }
 
     /// Counts one more failure of a worker's machine. Returns the reason why the worker must stop

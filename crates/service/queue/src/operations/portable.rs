@@ -106,8 +106,8 @@ impl Portable {
         }
         let portable = Portable::from_store(store).await?;
         let mut view = portable.store.read().await?;
-        let of = portable.campaign.id;
-        match imported::contradiction(&mut view, of, &portable.spec).await? {
+        let id = portable.campaign.id;
+        match imported::contradiction(&mut view, id, &portable.spec).await? {
             Some(error) => Err(error.into()),
             None => Ok(portable),
         }

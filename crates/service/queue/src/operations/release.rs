@@ -82,7 +82,7 @@ impl Context<'_> {
             Some(Party::Machine) => self.strike(&lease.owner, &release.error).await?,
             _ => None,
         };
-        let (verdict, backoff) = match ended.then {
+        let (verdict, backoff) = match ended.next_step {
             AfterFailure::Requeue { not_before } => {
                 let backoff = not_before.since(self.now).max(ended.policy_wait);
                 (ReleaseVerdict::Requeued, backoff)

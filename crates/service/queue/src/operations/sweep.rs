@@ -10,7 +10,7 @@ use super::start::restart_leases;
 use crate::clock::UnixMillis;
 use crate::ids::WorkerId;
 use crate::queue::Queue;
-use crate::rules::lease::{FailureReason, JobState, Lease, was_asleep};
+use crate::rules::lease::{FailureReason, JobState, Lease, was_suspended};
 use crate::store::StoreError;
 use crate::store::failpoint::Step;
 use crate::store::jobs::{self, ExpiredRow};
@@ -29,19 +29,19 @@ impl Queue {
         let last = UnixMillis(self.last_sweep.load(Ordering::Relaxed));
         let mut context = Context::begin(shared, vec![Step::Sweep]).await?;
         let now = context.now;
-        let mut is_news = false;
-        if was_asleep(now.since(last), shared.timing.lease) {
+        let mut has_new_work = false;
+        if was_suspended(now.since(last), shared.timing.lease) {
             tracing::warn!(
                 "the coordinator was suspended: every lease is restarted with its full duration"
             );
             restart_leases(&mut context).await?;
         } else {
-            is_news = context.end_expired().await?;
+            has_new_work = context.end_expired().await?;
         }
-        is_news |= jobs::has_ended_wait(&mut context.tx, last, now).await?;
+        has_new_work |= jobs::has_ended_wait(&mut context.tx, last, now).await?;
         context.commit().await?;
         self.last_sweep.store(now.0, Ordering::Relaxed);
-        if is_news {
+        if has_new_work {
             shared.work.notify_waiters();
         }
         Ok(())
