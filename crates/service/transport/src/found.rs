@@ -125,15 +125,15 @@ pub enum Found {
     ),
     /// A web server that does not implement the expected protocol.
     Web {
-        /// The first line of its answer, or its HTTP status.
-        said: String,
+        /// First line of the answer, or its HTTP status.
+        answer: String,
         /// True if it is a proxy whose backend is unavailable.
         is_proxy_waiting: bool,
     },
     /// An SSH server.
     Ssh,
     /// A server of an unknown protocol.
-    Other { said: String },
+    Other { answer: String },
     /// A server that accepts the connection, then sends nothing or closes the connection.
     Mute,
     /// A server of another kind of this project.
@@ -162,20 +162,20 @@ impl Found {
     /// Classifies a web server that answered with this HTTP status.
     pub fn web(status: u16) -> Found {
         Found::Web {
-            said: format!("HTTP status {status}"),
+            answer: format!("HTTP status {status}"),
             is_proxy_waiting: PROXY_WAITING.contains(&status),
         }
     }
 
     /// Classifies a web server whose answer begins with this line.
-    pub(crate) fn web_line(said: String) -> Found {
-        let status = said
+    pub(crate) fn web_line(answer: String) -> Found {
+        let status = answer
             .split_whitespace()
             .nth(1)
             .and_then(|word| word.parse().ok());
         Found::Web {
             is_proxy_waiting: status.is_some_and(|code| PROXY_WAITING.contains(&code)),
-            said,
+            answer,
         }
     }
 
@@ -245,8 +245,8 @@ impl fmt::Display for Finding<'_> {
             Found::UnknownHost => write!(f, "no address is known for the name `{host}`"),
             Found::Nothing => f.write_str("nothing listens there"),
             Found::NoAnswer => f.write_str("the machine does not answer"),
-            Found::System(words) => {
-                write!(f, "the operating system cannot connect to it ({words})")
+            Found::System(message) => {
+                write!(f, "the operating system cannot connect to it ({message})")
             }
             Found::AnotherUser => write!(f, "{}", Untrusted::AnotherUser),
             Found::UnknownUser => write!(f, "{}", Untrusted::UnknownUser),
@@ -282,25 +282,25 @@ impl fmt::Display for Finding<'_> {
             Found::Certificate(CertificateFault::Authority) => f.write_str(
                 "its certificate is that of a certificate authority, which a server must not use",
             ),
-            Found::Certificate(CertificateFault::Unusable(words)) => {
-                write!(f, "its certificate cannot be used ({words})")
+            Found::Certificate(CertificateFault::Unusable(message)) => {
+                write!(f, "its certificate cannot be used ({message})")
             }
-            Found::OtherTls(words) => write!(f, "TLS with it fails ({words})"),
+            Found::OtherTls(message) => write!(f, "TLS with it fails ({message})"),
             Found::Web {
-                said,
+                answer,
                 is_proxy_waiting: true,
             } => write!(
                 f,
-                "a proxy there cannot reach the server behind it ({said})"
+                "a proxy there cannot reach the server behind it ({answer})"
             ),
-            Found::Web { said, .. } => {
-                write!(f, "a web server of another kind is there ({said})")
+            Found::Web { answer, .. } => {
+                write!(f, "a web server of another kind is there ({answer})")
             }
             Found::Ssh => f.write_str("an SSH server is there"),
-            Found::Other { said } => {
+            Found::Other { answer } => {
                 write!(
                     f,
-                    "a server of another kind is there, whose answer begins with {said:?}"
+                    "a server of another kind is there, whose answer begins with {answer:?}"
                 )
             }
             Found::Mute => f.write_str("the server there closes the connection or sends nothing"),
