@@ -178,10 +178,10 @@ impl Conditions {
     /// released code distorts the unclipped action and clips afterwards. Without an actuation axis
     /// both give the same step, because the controller clips. The function is idempotent, so
     /// recorded commands can be simulated again.
-    pub fn command(&self, sent: &[f64; 7]) -> [f64; 7] {
+    pub fn command(&self, policy_action: &[f64; 7]) -> [f64; 7] {
         match self.realisation {
-            Realisation::Matched => clip(sent),
-            Realisation::Reference => *sent,
+            Realisation::Matched => clip(policy_action),
+            Realisation::Reference => *policy_action,
         }
     }
 
@@ -194,16 +194,16 @@ impl Conditions {
     pub fn step(
         &mut self,
         environment: &mut Environment,
-        sent: &[f64; 7],
+        policy_action: &[f64; 7],
         frame: ActionFrame,
     ) -> Result<bool, SimError> {
         let action = match frame {
             ActionFrame::Absolute if self.actuation.is_some() => {
                 return Err(SimError::DistortedPose);
             }
-            ActionFrame::Absolute => *sent,
+            ActionFrame::Absolute => *policy_action,
             ActionFrame::Relative => {
-                let command = self.command(sent);
+                let command = self.command(policy_action);
                 match &mut self.actuation {
                     Some(stage) => stage.apply(&command),
                     None => command,
@@ -278,8 +278,8 @@ impl<'a> Episode<'a> {
     }
 
     /// Returns the robot's command for a policy's action: see [`Conditions::command`].
-    pub fn command(&self, sent: &[f64; 7]) -> [f64; 7] {
-        self.conditions.command(sent)
+    pub fn command(&self, policy_action: &[f64; 7]) -> [f64; 7] {
+        self.conditions.command(policy_action)
     }
 
     /// Simulates one control step with a policy's action, or with the command derived from it.
@@ -287,9 +287,9 @@ impl<'a> Episode<'a> {
     ///
     /// # Errors
     /// As [`Environment::step`].
-    pub fn step(&mut self, sent: &[f64; 7]) -> Result<bool, SimError> {
+    pub fn step(&mut self, policy_action: &[f64; 7]) -> Result<bool, SimError> {
         let conditions = &mut self.conditions;
-        conditions.step(self.environment, sent, ActionFrame::Relative)
+        conditions.step(self.environment, policy_action, ActionFrame::Relative)
     }
 
     /// Removes the perturbations: from now on the policy sees the nominal scene, and its actions
