@@ -60,7 +60,7 @@ fn plain_products_give_the_same_bits() {
 }
 
 #[test]
-fn a_batch_changes_no_bit() {
+fn answers_in_a_batch_equal_single_answers_bit_for_bit() {
     let (network, owned_queries) = (network(), owned_queries());
     let queries: Vec<_> = owned_queries.iter().map(OwnedQuery::query).collect();
     let together = network.outputs(&queries).expect("answers");

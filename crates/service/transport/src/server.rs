@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn tokens_alone_do_not_open_an_address() {
+    fn tokens_without_tls_do_not_allow_a_public_address() {
         let file = tempfile::NamedTempFile::new().expect("a file");
         std::fs::write(file.path(), "worker 0123456789abcdef").expect("written");
         let arguments = ServerArguments {

@@ -114,7 +114,7 @@ mod tests {
     }
 
     #[test]
-    fn a_turned_frame_has_its_first_pixel_last() {
+    fn a_rotated_frame_has_its_first_pixel_last() {
         let mut frame = vec![0; 3 * SIDE * SIDE];
         frame[0] = 9;
         assert_eq!(rotated(&frame)[3 * SIDE * SIDE - 3..], [9, 0, 0]);
