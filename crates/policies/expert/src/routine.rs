@@ -102,13 +102,13 @@ struct Stage {
 
 enum Until {
     /// The hand has reached the pose by a detour over obstacles.
-    Travelled,
+    AtPoseAfterDetour,
     /// The hand has reached the pose or was stopped.
-    Arrived,
+    AtPoseOrStopped,
     /// The given number of steps has passed.
     Steps(u32),
     /// The mechanism has reached its target position.
-    Reached(bool),
+    ConditionHolds(bool),
 }
 
 impl Routine {
@@ -146,7 +146,7 @@ impl Routine {
         while let Some(stage) = self.task.stage(self.stage, world)? {
             if !self.is_complete(&stage, world, motion) {
                 self.ticks += 1;
-                let travelling = matches!(stage.until, Until::Travelled);
+                let travelling = matches!(stage.until, Until::AtPoseAfterDetour);
                 let mut hand = stage.hand;
                 if travelling {
                     hand.pos = detour(world, hand.pos, HandLoad::Empty(STANDOFF_M));
@@ -165,13 +165,13 @@ impl Routine {
     }
 
     fn is_complete(&self, stage: &Stage, world: &World, motion: &Motion) -> bool {
-        let near = stage.hand.is_near(world, NEAR_M, NEAR_RAD);
-        let stopped = self.ticks > 5 && motion.still_steps() >= 3;
+        let is_near = stage.hand.is_near(world, NEAR_M, NEAR_RAD);
+        let has_stopped = self.ticks > 5 && motion.still_steps() >= 3;
         let is_complete = match stage.until {
-            Until::Travelled => near,
-            Until::Arrived => near || stopped,
+            Until::AtPoseAfterDetour => is_near,
+            Until::AtPoseOrStopped => is_near || has_stopped,
             Until::Steps(steps) => self.ticks >= steps,
-            Until::Reached(reached) => reached,
+            Until::ConditionHolds(holds) => holds,
         };
         is_complete || self.ticks >= PATIENCE_STEPS
     }
@@ -282,16 +282,20 @@ fn pull_drawer(
         quat,
     };
     Ok(Some(match number {
-        0 => stage(at(STANDOFF_M), Fingers::Open, Until::Travelled),
-        1 => stage(at(0.0), Fingers::Open, Until::Arrived),
+        0 => stage(at(STANDOFF_M), Fingers::Open, Until::AtPoseAfterDetour),
+        1 => stage(at(0.0), Fingers::Open, Until::AtPoseOrStopped),
         2 => stage(at(0.0), Fingers::Close, Until::Steps(FINGER_STEPS)),
         3 => {
             let open = drawer.position < to;
             let lost = (world.grip - drawer.handle).norm() > STANDOFF_M / 2.0;
-            stage(at(LEAD_M), Fingers::Close, Until::Reached(open || lost))
+            stage(
+                at(LEAD_M),
+                Fingers::Close,
+                Until::ConditionHolds(open || lost),
+            )
         }
         4 => stage(current, Fingers::Open, Until::Steps(FINGER_STEPS)),
-        5 => stage(at(STANDOFF_M), Fingers::Open, Until::Arrived),
+        5 => stage(at(STANDOFF_M), Fingers::Open, Until::AtPoseOrStopped),
         _ => return Ok(None),
     }))
 }
@@ -306,12 +310,12 @@ fn push_drawer(number: u32, world: &World, region: &str) -> Result<Option<Stage>
         quat,
     };
     Ok(Some(match number {
-        0 => stage(at(STANDOFF_M), Fingers::Close, Until::Travelled),
+        0 => stage(at(STANDOFF_M), Fingers::Close, Until::AtPoseAfterDetour),
         1 => {
             let closed = drawer.position > DRAWER_CLOSED_M;
-            stage(at(-LEAD_M), Fingers::Close, Until::Reached(closed))
+            stage(at(-LEAD_M), Fingers::Close, Until::ConditionHolds(closed))
         }
-        2 => stage(at(STANDOFF_M), Fingers::Close, Until::Arrived),
+        2 => stage(at(STANDOFF_M), Fingers::Close, Until::AtPoseOrStopped),
         _ => return Ok(None),
     }))
 }
@@ -326,8 +330,16 @@ fn turn_knob(number: u32, world: &World, stove: &str) -> Result<Option<Stage>, E
         quat: pointing_down(ridge + ahead + FRAC_PI_2),
     };
     Ok(Some(match number {
-        0 => stage(at(0.0, STANDOFF_M / 2.0), Fingers::Open, Until::Travelled),
-        1 => stage(at(0.0, -KNOB_DEPTH_M), Fingers::Open, Until::Arrived),
+        0 => stage(
+            at(0.0, STANDOFF_M / 2.0),
+            Fingers::Open,
+            Until::AtPoseAfterDetour,
+        ),
+        1 => stage(
+            at(0.0, -KNOB_DEPTH_M),
+            Fingers::Open,
+            Until::AtPoseOrStopped,
+        ),
         2 => stage(
             at(0.0, -KNOB_DEPTH_M),
             Fingers::Close,
@@ -338,7 +350,7 @@ fn turn_knob(number: u32, world: &World, stove: &str) -> Result<Option<Stage>, E
             stage(
                 at(LEAD_RAD, -KNOB_DEPTH_M),
                 Fingers::Close,
-                Until::Reached(on),
+                Until::ConditionHolds(on),
             )
         }
         4 => stage(
@@ -346,7 +358,11 @@ fn turn_knob(number: u32, world: &World, stove: &str) -> Result<Option<Stage>, E
             Fingers::Open,
             Until::Steps(FINGER_STEPS),
         ),
-        5 => stage(at(0.0, STANDOFF_M / 2.0), Fingers::Open, Until::Arrived),
+        5 => stage(
+            at(0.0, STANDOFF_M / 2.0),
+            Fingers::Open,
+            Until::AtPoseOrStopped,
+        ),
         _ => return Ok(None),
     }))
 }
@@ -371,13 +387,17 @@ fn push_door(number: u32, world: &World, microwave: &str) -> Result<Option<Stage
         0 => stage(
             at(angle, DOOR_FRONT_M + STANDOFF_M),
             Fingers::Close,
-            Until::Travelled,
+            Until::AtPoseAfterDetour,
         ),
-        1 => stage(pushed, Fingers::Close, Until::Reached(angle > DOOR_CLOSED)),
+        1 => stage(
+            pushed,
+            Fingers::Close,
+            Until::ConditionHolds(angle > DOOR_CLOSED),
+        ),
         2 => stage(
             at(angle, DOOR_FRONT_M + STANDOFF_M),
             Fingers::Close,
-            Until::Arrived,
+            Until::AtPoseOrStopped,
         ),
         _ => return Ok(None),
     }))
@@ -404,19 +424,23 @@ fn drag(
         0 => stage(
             at(DRAG_FROM_M, entity.top() + STANDOFF_M / 2.0),
             Fingers::Close,
-            Until::Travelled,
+            Until::AtPoseAfterDetour,
         ),
-        1 => stage(at(DRAG_FROM_M, pressing), Fingers::Close, Until::Arrived),
+        1 => stage(
+            at(DRAG_FROM_M, pressing),
+            Fingers::Close,
+            Until::AtPoseOrStopped,
+        ),
         2 => {
             let slipped = (world.grip - entity.centre).horizontal_norm() > widest;
             let is_done = distance < DRAG_DONE_M || slipped;
             let pulled = at(DRAG_FROM_M + DRAG_LEAD_M, pressing);
-            stage(pulled, Fingers::Close, Until::Reached(is_done))
+            stage(pulled, Fingers::Close, Until::ConditionHolds(is_done))
         }
         3 => stage(
             at(DRAG_FROM_M, entity.top() + STANDOFF_M / 2.0),
             Fingers::Close,
-            Until::Arrived,
+            Until::AtPoseOrStopped,
         ),
         _ => return Ok(None),
     }))
