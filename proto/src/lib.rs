@@ -35,8 +35,8 @@ impl policy::DescribeResponse {
                 ));
             }
             let earlier = &self.settings[..index];
-            let twice = earlier.iter().any(|other| other.name == *name);
-            twice.then(|| format!("names setting `{name}` twice"))
+            let is_repeated = earlier.iter().any(|other| other.name == *name);
+            is_repeated.then(|| format!("names setting `{name}` twice"))
         })
     }
 }

@@ -264,8 +264,8 @@ fn collisions(world: &World, grip: Vec3, closing: f64, among: impl Fn(&Solid) ->
     let (along, across) = (Vec3::heading(closing), Vec3::heading(closing + FRAC_PI_2));
     let hits = |part: &Part, solid: &Solid| {
         let reach = [along * part.half.0, across * part.half.1];
-        let above = grip.z + part.bottom > solid.top();
-        !above && solid.overlaps_from_above(grip + along * part.at, reach)
+        let is_above = grip.z + part.bottom > solid.top();
+        !is_above && solid.overlaps_from_above(grip + along * part.at, reach)
     };
     let solids = world.solids().iter().filter(|solid| among(solid));
     solids

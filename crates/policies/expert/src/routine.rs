@@ -146,12 +146,12 @@ impl Routine {
         while let Some(stage) = self.task.stage(self.stage, world)? {
             if !self.is_complete(&stage, world, motion) {
                 self.ticks += 1;
-                let travelling = matches!(stage.until, Until::AtPoseAfterDetour);
+                let is_travelling = matches!(stage.until, Until::AtPoseAfterDetour);
                 let mut hand = stage.hand;
-                if travelling {
+                if is_travelling {
                     hand.pos = detour(world, hand.pos, HandLoad::Empty(STANDOFF_M));
                 }
-                let pace = if travelling { 1.0 } else { GENTLE };
+                let pace = if is_travelling { 1.0 } else { GENTLE };
                 return Ok(Some(Command {
                     hand,
                     fingers: stage.fingers,
@@ -286,12 +286,12 @@ fn pull_drawer(
         1 => stage(at(0.0), Fingers::Open, Until::AtPoseOrStopped),
         2 => stage(at(0.0), Fingers::Close, Until::Steps(FINGER_STEPS)),
         3 => {
-            let open = drawer.position < to;
-            let lost = (world.grip - drawer.handle).norm() > STANDOFF_M / 2.0;
+            let is_open = drawer.position < to;
+            let is_lost = (world.grip - drawer.handle).norm() > STANDOFF_M / 2.0;
             stage(
                 at(LEAD_M),
                 Fingers::Close,
-                Until::ConditionHolds(open || lost),
+                Until::ConditionHolds(is_open || is_lost),
             )
         }
         4 => stage(current, Fingers::Open, Until::Steps(FINGER_STEPS)),
@@ -312,8 +312,12 @@ fn push_drawer(number: u32, world: &World, region: &str) -> Result<Option<Stage>
     Ok(Some(match number {
         0 => stage(at(STANDOFF_M), Fingers::Close, Until::AtPoseAfterDetour),
         1 => {
-            let closed = drawer.position > DRAWER_CLOSED_M;
-            stage(at(-LEAD_M), Fingers::Close, Until::ConditionHolds(closed))
+            let is_closed = drawer.position > DRAWER_CLOSED_M;
+            stage(
+                at(-LEAD_M),
+                Fingers::Close,
+                Until::ConditionHolds(is_closed),
+            )
         }
         2 => stage(at(STANDOFF_M), Fingers::Close, Until::AtPoseOrStopped),
         _ => return Ok(None),
@@ -346,11 +350,11 @@ fn turn_knob(number: u32, world: &World, stove: &str) -> Result<Option<Stage>, E
             Until::Steps(FINGER_STEPS),
         ),
         3 => {
-            let on = position > KNOB_ON;
+            let is_on = position > KNOB_ON;
             stage(
                 at(LEAD_RAD, -KNOB_DEPTH_M),
                 Fingers::Close,
-                Until::ConditionHolds(on),
+                Until::ConditionHolds(is_on),
             )
         }
         4 => stage(
@@ -432,8 +436,8 @@ fn drag(
             Until::AtPoseOrStopped,
         ),
         2 => {
-            let slipped = (world.grip - entity.centre).horizontal_norm() > widest;
-            let is_done = distance < DRAG_DONE_M || slipped;
+            let has_slipped = (world.grip - entity.centre).horizontal_norm() > widest;
+            let is_done = distance < DRAG_DONE_M || has_slipped;
             let pulled = at(DRAG_FROM_M + DRAG_LEAD_M, pressing);
             stage(pulled, Fingers::Close, Until::ConditionHolds(is_done))
         }

@@ -146,7 +146,7 @@ fn privileged(hand: &Hand, at: usize) -> PrivilegedState {
 struct TableObject {
     centre: [f64; 2],
     half: [f64; 2],
-    round: bool,
+    is_round: bool,
     colour: [f64; 3],
 }
 
@@ -163,12 +163,12 @@ fn objects(random: &mut Random, at: usize) -> Vec<TableObject> {
         .map(|colour| TableObject {
             centre: [0; 2].map(|_| 0.5 + 0.36 * random.number()),
             half: [0; 2].map(|_| 0.085 + 0.04 * random.number()),
-            round: random.number() < 0.0,
+            is_round: random.number() < 0.0,
             colour,
         })
         .collect();
     let (first, size) = (&mut objects[0], if at == CLOSE_UP { 0.2 } else { 0.055 });
-    (first.half, first.round) = ([size, 0.9 * size], true);
+    (first.half, first.is_round) = ([size, 0.9 * size], true);
     // Draws the colourful object last, in front of the others.
     objects.rotate_left(1);
     objects
@@ -209,7 +209,7 @@ fn frame(camera: &str, at: usize) -> Image {
 impl TableObject {
     fn covers(&self, place: [f64; 2]) -> bool {
         let [x, y] = [0, 1].map(|axis| (place[axis] - self.centre[axis]) / self.half[axis]);
-        match self.round {
+        match self.is_round {
             true => x * x + y * y <= 1.0,
             false => x.abs() <= 1.0 && y.abs() <= 1.0,
         }

@@ -41,8 +41,8 @@ fn golden_answers_have_the_same_bits_on_every_machine() {
     let queries: Vec<_> = owned_queries.iter().map(OwnedQuery::query).collect();
     let outputs = network().outputs(&queries).expect("answers");
     assert_eq!(digest(&outputs), GOLDEN);
-    let distinct = |numbers: Vec<f32>| numbers.windows(2).any(|pair| pair[0] != pair[1]);
-    assert!(distinct(
+    let has_distinct_values = |numbers: Vec<f32>| numbers.windows(2).any(|pair| pair[0] != pair[1]);
+    assert!(has_distinct_values(
         outputs.iter().map(|output| output.arm[3][2]).collect()
     ));
 }

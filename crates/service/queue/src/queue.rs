@@ -270,16 +270,16 @@ impl Queue {
     /// Suspends leasing while `reason` is given, and resumes it when `reason` is `None`; logs each
     /// change once. Attempts in progress continue.
     pub fn hold_leasing(&self, reason: Option<String>) {
-        let changed = self.shared.hold.send_if_modified(|held| {
+        let has_changed = self.shared.hold.send_if_modified(|held| {
             // The text of the reason may change whenever the free space of a filling disk is
             // measured.
-            let changed = held.is_some() != reason.is_some();
+            let is_changed = held.is_some() != reason.is_some();
             held.clone_from(&reason);
-            changed
+            is_changed
         });
         match reason {
-            Some(reason) if changed => tracing::error!("leasing is suspended: {reason}"),
-            None if changed => {
+            Some(reason) if has_changed => tracing::error!("leasing is suspended: {reason}"),
+            None if has_changed => {
                 tracing::info!("leasing is resumed");
                 self.shared.work.notify_waiters();
             }

@@ -244,8 +244,8 @@ impl Store {
             // SQLite rolls back by itself when the disk is full, but the connection would still
             // count its transaction as open.
             .before_acquire(|connection, _| {
-                let usable = !connection.is_in_transaction();
-                Box::pin(async move { Ok(usable) })
+                let is_usable = !connection.is_in_transaction();
+                Box::pin(async move { Ok(is_usable) })
             })
             .connect_with(
                 options

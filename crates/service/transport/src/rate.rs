@@ -48,12 +48,16 @@ impl Rates {
             updated: now,
         });
         let remaining = bucket.filled(now);
-        let admitted = remaining >= 1.0;
+        let is_admitted = remaining >= 1.0;
         *bucket = Bucket {
-            remaining: if admitted { remaining - 1.0 } else { remaining },
+            remaining: if is_admitted {
+                remaining - 1.0
+            } else {
+                remaining
+            },
             updated: now,
         };
-        admitted
+        is_admitted
     }
 }
 

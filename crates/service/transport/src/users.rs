@@ -100,8 +100,8 @@ fn check_rows(
         return check(owner);
     }
     let port = format!(":{:04X}", peer.port());
-    let listening = |row: &&Row| row.state == LISTENS && row.local.ends_with(&port);
-    let mut listeners = rows.iter().filter(listening).map(|row| row.user);
+    let is_listener = |row: &&Row| row.state == LISTENS && row.local.ends_with(&port);
+    let mut listeners = rows.iter().filter(is_listener).map(|row| row.user);
     listeners.try_for_each(check)
 }
 

@@ -96,11 +96,11 @@ pub(super) fn is_constant(actions: &[Action]) -> bool {
 
 /// Checks that the actions move the arm.
 pub(super) fn motion(actions: &[Action]) -> Verdict {
-    let still = |action: &Action| action[..GRIPPER].iter().all(|number| number.abs() <= SAME);
+    let is_still = |action: &Action| action[..GRIPPER].iter().all(|number| number.abs() <= SAME);
     let count = actions.len();
     let advice = "Usually weights are missing or random, or the variance in the statistics is 0: \
                   check the files that the server loads.";
-    if actions.iter().all(still) {
+    if actions.iter().all(is_still) {
         fail(format!(
             "translation and rotation of all {count} actions are 0. {advice}"
         ))
@@ -142,14 +142,14 @@ pub(super) fn observations(
 
 /// Checks that each camera's frames affect the answers.
 pub(super) fn frames(changes: &[(String, Change)]) -> Verdict {
-    let unseen: Vec<&str> = changes
+    let unused: Vec<&str> = changes
         .iter()
         .filter(|(_, change)| change.has_effect() == Some(false))
         .map(|(camera, _)| camera.as_str())
         .collect();
-    if !unseen.is_empty() {
-        let all = unseen.len() == changes.len();
-        let rest = match all {
+    if !unused.is_empty() {
+        let are_all_unused = unused.len() == changes.len();
+        let rest = match are_all_unused {
             true => "",
             false => "; frames of the other cameras do",
         };
@@ -157,7 +157,7 @@ pub(super) fn frames(changes: &[(String, Change)]) -> Verdict {
             "frames of {} that are flipped vertically, or black, change no action{rest}. Usually \
              an image slot of the network stays empty: compare the names of cameras and slots, or \
              do not request these frames.",
-            unseen.join(" and ")
+            unused.join(" and ")
         ));
     }
     match changes
@@ -283,21 +283,22 @@ pub(super) fn memory(process: &str, resident: &[u64]) -> Verdict {
 
 /// Checks that episodes do not become slower, for servers on other machines, whose memory cannot
 /// be read.
-pub(super) fn slowing(took: &[Duration]) -> Verdict {
-    let third = took.len() / 3;
+pub(super) fn slowing(durations: &[Duration]) -> Verdict {
+    let third = durations.len() / 3;
     if third == 0 {
         return skip("too few episodes were played");
     }
     let median = |at: usize| {
-        let mut sorted = took[at * third..(at + 1) * third].to_vec();
+        let mut sorted = durations[at * third..(at + 1) * third].to_vec();
         sorted.sort_unstable();
         sorted[third / 2]
     };
     let [first, second, last] = [0, 1, 2].map(median);
-    let slower = |one: Duration, other: Duration| other.as_secs_f64() > SLOWER * one.as_secs_f64();
-    let count = took.len();
+    let is_slower =
+        |one: Duration, other: Duration| other.as_secs_f64() > SLOWER * one.as_secs_f64();
+    let count = durations.len();
     let ms = |duration: Duration| duration.as_secs_f64() * 1e3;
-    if slower(first, second) && slower(second, last) && last - first > SLOWER_IN_ALL {
+    if is_slower(first, second) && is_slower(second, last) && last - first > SLOWER_IN_ALL {
         return fail(format!(
             "episodes take longer and longer: medians of {:.0}, {:.0} and {:.0} ms by thirds of \
              {count}, though every episode was ended (End). Usually the server searches state that \
@@ -352,14 +353,14 @@ mod tests {
 
     #[test]
     fn steadily_slower_episodes_fail_and_one_slow_episode_does_not() {
-        let took = |millis: fn(u64) -> u64| {
+        let durations = |millis: fn(u64) -> u64| {
             (0..30)
                 .map(|at| Duration::from_millis(millis(at)))
                 .collect()
         };
-        let growing: Vec<Duration> = took(|at| 20 + 10 * at);
+        let growing: Vec<Duration> = durations(|at| 20 + 10 * at);
         assert!(fails(&slowing(&growing), "longer and longer"));
-        let jumping: Vec<Duration> = took(|at| if at == 20 { 900 } else { 20 });
+        let jumping: Vec<Duration> = durations(|at| if at == 20 { 900 } else { 20 });
         assert!(passes(&slowing(&jumping)));
     }
 

@@ -144,10 +144,10 @@ fn difference_in_first_frame(siblings: &[Sibling], result: &Sibling) -> Option<S
         return None;
     }
     let has_same_view = |sibling: &&Sibling| {
-        let same_values = |axis: &Axis| sibling.realised.of(*axis) == result.realised.of(*axis);
+        let has_same_values = |axis: &Axis| sibling.realised.of(*axis) == result.realised.of(*axis);
         !sibling.digests.first_frame.is_empty()
             && has_same_frames(&sibling.origin, &result.origin)
-            && IN_FIRST_FRAME.iter().all(same_values)
+            && IN_FIRST_FRAME.iter().all(has_same_values)
     };
     let sibling = siblings.iter().find(has_same_view)?;
     let (value, other_value) = (&result.digests.first_frame, &sibling.digests.first_frame);
