@@ -36,7 +36,7 @@ pub enum CheckError {
     #[error("check {}: is it a database of the coordinator?", path.display())]
     Read { path: PathBuf, source: sqlx::Error },
     #[error(
-        "check {}: its schema is version {found} and this program knows version {known}; use the program that wrote it",
+        "check {}: its schema is version {found} and this program supports version {known}; use the program that wrote it",
         path.display()
     )]
     OtherSchema {

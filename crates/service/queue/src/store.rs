@@ -84,7 +84,7 @@ pub enum OpenError {
     #[error("open data folder {}: another coordinator is using it; stop that one, or choose another folder with --data", folder.display())]
     InUse { folder: PathBuf },
     #[error(
-        "open database {}: its schema is version {found} and this program ({program}) knows versions up to {known}; run the newer program that wrote it, or choose another folder with --data",
+        "open database {}: its schema is version {found} and this program ({program}) supports versions up to {known}; run the newer program that wrote it, or choose another folder with --data",
         path.display()
     )]
     NewerSchema {
@@ -405,7 +405,7 @@ async fn divide_third_migration(writer: &SqlitePool) -> Result<(), sqlx::Error> 
     Ok(())
 }
 
-/// Returns the newest schema version that this program knows.
+/// Returns the newest schema version that this program supports.
 pub fn newest_known_schema() -> i64 {
     MIGRATIONS
         .iter()
@@ -540,14 +540,14 @@ pub(crate) async fn load_schema(connection: &mut SqliteConnection) -> Result<(),
         .run_direct(None, &mut fresh, false)
         .await
         .map_err(|error| sqlx::Error::Migrate(Box::new(error)))?;
-    let known: Vec<(String, String, Option<String>)> =
+    let objects: Vec<(String, String, Option<String>)> =
         sqlx::query_as("SELECT type, name, sql FROM sqlite_schema")
             .fetch_all(&mut fresh)
             .await?;
     sqlx::query("CREATE TEMP TABLE known_schema (type TEXT, name TEXT, sql TEXT)")
         .execute(&mut *connection)
         .await?;
-    for (kind, name, sql) in known {
+    for (kind, name, sql) in objects {
         sqlx::query("INSERT INTO temp.known_schema VALUES (?, ?, ?)")
             .bind(kind)
             .bind(name)

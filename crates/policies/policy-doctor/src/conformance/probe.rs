@@ -177,9 +177,9 @@ impl Probe {
                 QueryOrder::Forward => at,
                 QueryOrder::Backward => QUERIES - 1 - at,
             };
-            let asked = Instant::now();
+            let sent = Instant::now();
             episode.answers.push(self.infer(name, query_index).await?);
-            episode.latencies.push(asked.elapsed());
+            episode.latencies.push(sent.elapsed());
         }
         if order == QueryOrder::Backward {
             episode.answers.reverse();

@@ -340,19 +340,25 @@ mod tests {
                     "levels": ["L1"], "configs": [0], "nominal": "eval"}),
         );
         queue.create_campaign(&source).await.expect("created");
-        let why = spec("why", &json!({"explains": {"campaign": "source"}}));
-        queue.create_campaign(&why).await.expect("created");
+        let explaining = spec("explaining", &json!({"explains": {"campaign": "source"}}));
+        queue.create_campaign(&explaining).await.expect("created");
         let derived = async || {
             let mut view = queue.store().read().await.expect("a view");
             let mut all = derivations::all(&mut view).await.expect("campaigns");
-            all.pop().expect("one follows")
+            all.pop().expect("a derived campaign")
         };
         let before = derived().await;
-        let name = CampaignName::parse("why").expect("a name");
+        let name = CampaignName::parse("explaining").expect("a name");
         queue.delete_campaign(&name).await.expect("deleted");
-        queue.create_campaign(&why).await.expect("created again");
+        queue
+            .create_campaign(&explaining)
+            .await
+            .expect("created again");
         let after = derived().await;
-        assert!(after.campaign > before.campaign, "no number is given twice");
+        assert!(
+            after.campaign > before.campaign,
+            "no campaign number is used twice"
+        );
 
         let added = add(&queue.shared, &before, &source.jobs).await;
         added.expect("no job is added");

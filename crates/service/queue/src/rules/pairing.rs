@@ -64,13 +64,14 @@ pub(crate) fn difference(
     siblings: &[Sibling],
     result: &Sibling,
 ) -> Option<String> {
-    let own = difference_in_campaign(demand, &result.origin)
+    let difference = difference_in_campaign(demand, &result.origin)
         .or_else(|| difference_in_row(demand.row, &result.realised));
     // Variants of a task have scenes, initial states and pictures of their own.
     if demand.row.id.variant().is_some() {
-        return own;
+        return difference;
     }
-    own.or_else(|| difference_in_scene(siblings, &result.digests))
+    difference
+        .or_else(|| difference_in_scene(siblings, &result.digests))
         .or_else(|| difference_in_perturbation(demand, siblings, &result.realised))
         .or_else(|| difference_in_first_frame(siblings, result))
 }
