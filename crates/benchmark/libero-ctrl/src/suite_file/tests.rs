@@ -33,7 +33,7 @@ fn rows_have_the_rules_and_the_conditions_of_their_tasks() {
     assert_eq!(task.folder, "suites/drawers");
     assert_eq!(task.bddl, "bddl/open_it.bddl");
     assert_eq!(task.states, "states/open_it.pruned_init");
-    assert_eq!((task.start, own.seed), (Beginning::InitialState, 7));
+    assert_eq!((task.start, task.seed), (Beginning::InitialState, 7));
     assert_eq!(task.changes.noise, Some(30));
     assert_eq!(task.changes.view, Some([0, 15, 100, 0, 350]));
     let facts = rows
