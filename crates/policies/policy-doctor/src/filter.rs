@@ -70,7 +70,7 @@ impl Filter {
         for row in 0..large[1] {
             for column in 0..large[0] {
                 let at = 3 * (cell(row, 1) * small[0] + cell(column, 0));
-                back.extend_from_slice(&cells[at..at + 3]);
+                restored.extend_from_slice(&cells[at..at + 3]);
             }
         }
         image.rgb = restored.into();
