@@ -130,7 +130,7 @@ pub enum BackendError {
     },
     /// The answer is not a valid chunk of actions.
     #[error("{fault}")]
-    InvalidActions {
+    Nonsense {
         /// Fault of the answer.
         fault: ActionFault,
     },
@@ -224,7 +224,7 @@ impl BackendError {
             } => Code::FailedPrecondition,
             Self::Policy { .. }
             | Self::Description { .. }
-            | Self::InvalidActions { .. }
+            | Self::Nonsense { .. }
             | Self::BatchSize { .. } => Code::Internal,
         }
     }

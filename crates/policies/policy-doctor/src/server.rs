@@ -150,7 +150,7 @@ impl Episode<'_> {
     ) -> Result<Vec<Action>, ExaminationError> {
         let answer = self.query(observation).await?;
         let actions = self.server.actions(&answer.response);
-        actions.map_err(|fault| ExaminationError::InvalidActions {
+        actions.map_err(|fault| ExaminationError::Nonsense {
             url: self.server.url.clone(),
             fault,
         })
@@ -211,7 +211,7 @@ pub enum ExaminationError {
     },
     /// The server's answer is not a valid chunk of actions.
     #[error("compare the answers of {url}: {fault}; `policy-gateway doctor {url}` shows more")]
-    InvalidActions {
+    Nonsense {
         /// URL as given.
         url: String,
         /// Fault of the answer.
@@ -222,7 +222,7 @@ pub enum ExaminationError {
         "query {url} with recorded observations: it needs {missing}, which the recordings lack; \
          record a policy that needs them, too, or leave --recorded out"
     )]
-    MissingInput {
+    Lacking {
         /// URL as given.
         url: String,
         /// Missing input.

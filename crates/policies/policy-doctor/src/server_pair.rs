@@ -50,12 +50,12 @@ impl ServerPair {
             let observations = situations
                 .iter()
                 .map(|situation| situation.observation(&server.described));
-            observations.collect::<Result<_, _>>().map_err(|missing| {
-                ExaminationError::MissingInput {
+            observations
+                .collect::<Result<_, _>>()
+                .map_err(|missing| ExaminationError::Lacking {
                     url: server.url.clone(),
                     missing,
-                }
-            })
+                })
         };
         let (observations_a, observations_b) = (observations(&a)?, observations(&b)?);
         let described = [&a.described, &b.described];

@@ -103,7 +103,7 @@ pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault>
     } = *described;
     if protocol_version != PROTOCOL_VERSION {
         return Err(DescriptionFault::Version {
-            version: protocol_version,
+            theirs: protocol_version,
         });
     }
     if described.name.is_empty() {
@@ -218,10 +218,10 @@ pub enum ActionFault {
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum DescriptionFault {
     #[error(
-        "it uses policy protocol version {version}, and this program uses version \
+        "it uses policy protocol version {theirs}, and this program uses version \
          {PROTOCOL_VERSION}; upgrade the older side"
     )]
-    Version { version: u32 },
+    Version { theirs: u32 },
     /// The name is empty, so that results could not be attributed.
     #[error("it has no name")]
     Nameless,
@@ -358,7 +358,7 @@ mod tests {
         };
         check(
             &|description| description.protocol_version = 9,
-            DescriptionFault::Version { version: 9 },
+            DescriptionFault::Version { theirs: 9 },
         );
         check(
             &|description| description.name.clear(),

@@ -126,14 +126,14 @@ pub enum Found {
     /// A web server that does not implement the expected protocol.
     Web {
         /// First line of the answer, or its HTTP status.
-        answer: String,
+        said: String,
         /// True if it is a proxy whose backend is unavailable.
         is_proxy_waiting: bool,
     },
     /// An SSH server.
     Ssh,
     /// A server of an unknown protocol.
-    Other { answer: String },
+    Other { said: String },
     /// A server that accepts the connection, then sends nothing or closes the connection.
     Mute,
     /// A server of another kind of this project.
@@ -162,7 +162,7 @@ impl Found {
     /// Classifies a web server that answered with this HTTP status.
     pub fn web(status: u16) -> Found {
         Found::Web {
-            answer: format!("HTTP status {status}"),
+            said: format!("HTTP status {status}"),
             is_proxy_waiting: PROXY_WAITING.contains(&status),
         }
     }
@@ -175,7 +175,7 @@ impl Found {
             .and_then(|word| word.parse().ok());
         Found::Web {
             is_proxy_waiting: status.is_some_and(|code| PROXY_WAITING.contains(&code)),
-            answer,
+            said: answer,
         }
     }
 
@@ -287,17 +287,17 @@ impl fmt::Display for Finding<'_> {
             }
             Found::OtherTls(message) => write!(f, "TLS with it fails ({message})"),
             Found::Web {
-                answer,
+                said: answer,
                 is_proxy_waiting: true,
             } => write!(
                 f,
                 "a proxy there cannot reach the server behind it ({answer})"
             ),
-            Found::Web { answer, .. } => {
+            Found::Web { said: answer, .. } => {
                 write!(f, "a web server of another kind is there ({answer})")
             }
             Found::Ssh => f.write_str("an SSH server is there"),
-            Found::Other { answer } => {
+            Found::Other { said: answer } => {
                 write!(
                     f,
                     "a server of another kind is there, whose answer begins with {answer:?}"

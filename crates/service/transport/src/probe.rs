@@ -251,7 +251,7 @@ fn http_version(reply: Reply) -> Result<HttpVersion, Found> {
         Reply::Http1(line) => Ok(HttpVersion::Http1(line)),
         Reply::Tls => Err(Found::Encrypted),
         Reply::Ssh => Err(Found::Ssh),
-        Reply::Other(answer) => Err(Found::Other { answer }),
+        Reply::Other(answer) => Err(Found::Other { said: answer }),
         Reply::Silence => Err(Found::Mute),
     }
 }

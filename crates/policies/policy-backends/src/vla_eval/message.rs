@@ -104,7 +104,7 @@ pub fn answer(bytes: &[u8], asked: u64, execute: u32) -> Result<InferResponse, A
     } = reply.ok_or(AnswerError::NoMessage)?;
     match kind {
         "action" if number == asked => actions(payload, execute),
-        "action" => Err(AnswerError::OtherMessage { number, asked }),
+        "action" => Err(AnswerError::OutOfStep { number, asked }),
         "error" if number == asked => Err(AnswerError::Policy(error_text(payload))),
         "error" => Err(AnswerError::Start(error_text(payload))),
         other => Err(AnswerError::Kind {
@@ -186,7 +186,7 @@ pub enum AnswerError {
         "it answered message {number} instead of message {asked}: serve it without \
          continuous_inference"
     )]
-    OtherMessage {
+    OutOfStep {
         /// Sequence number of the answer.
         number: u64,
         /// Sequence number of the observation's message.
@@ -253,7 +253,7 @@ impl AnswerError {
     pub(super) fn is_synchronised(&self) -> bool {
         !matches!(
             self,
-            Self::NoMessage | Self::Kind { .. } | Self::OtherMessage { .. } | Self::Start(_)
+            Self::NoMessage | Self::Kind { .. } | Self::OutOfStep { .. } | Self::Start(_)
         )
     }
 }

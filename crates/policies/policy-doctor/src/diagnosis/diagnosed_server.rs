@@ -54,7 +54,7 @@ impl<'a> DiagnosedServer<'a> {
         Ok(Self {
             server,
             situations,
-            observations: observations.map_err(|missing| ExaminationError::MissingInput {
+            observations: observations.map_err(|missing| ExaminationError::Lacking {
                 url: server.url.clone(),
                 missing,
             })?,
@@ -190,7 +190,7 @@ impl<'a> DiagnosedServer<'a> {
     ) -> Result<Vec<Action>, ExaminationError> {
         let response = self.query(at, observation, instruction).await?;
         let actions = self.server.actions(&response);
-        actions.map_err(|fault| ExaminationError::InvalidActions {
+        actions.map_err(|fault| ExaminationError::Nonsense {
             url: self.server.url.clone(),
             fault,
         })

@@ -436,7 +436,7 @@ pub fn strike(in_a_row: u32) -> Strike {
 
 /// Returns true if so much time has passed since the last sweep that the coordinator must have been
 /// suspended. Every lease is then restarted, and no worker is charged.
-pub fn was_suspended(since_last_sweep: Duration, lease: Duration) -> bool {
+pub fn was_asleep(since_last_sweep: Duration, lease: Duration) -> bool {
     since_last_sweep >= lease / 2
 }
 
@@ -588,7 +588,7 @@ mod tests {
     #[test]
     fn a_gap_of_half_a_lease_between_sweeps_means_suspension() {
         let lease = Duration::from_secs(30);
-        assert!(!was_suspended(Duration::from_secs(14), lease));
-        assert!(was_suspended(Duration::from_secs(15), lease));
+        assert!(!was_asleep(Duration::from_secs(14), lease));
+        assert!(was_asleep(Duration::from_secs(15), lease));
     }
 }
