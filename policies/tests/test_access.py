@@ -79,7 +79,7 @@ def test_worker_and_operator_tokens_are_accepted_over_tls(files, guarded, role):
     ("token", "code", "expected"),
     [
         (None, grpc.StatusCode.UNAUTHENTICATED, "name a --token-file"),
-        ("worker-0123456789abcdeF", grpc.StatusCode.UNAUTHENTICATED, "none that this server"),
+        ("worker-0123456789abcdeF", grpc.StatusCode.UNAUTHENTICATED, "does not know the token"),
         (TOKENS["viewer"], grpc.StatusCode.PERMISSION_DENIED, "token of a viewer"),
     ],
 )

@@ -114,7 +114,7 @@ const BROKEN: [(&str, &str, &str); 20] = [
         "divergences_differ",
         "INSERT INTO divergence SELECT NULL, job_id, attempt, worker_id, 0, success, steps, 0,
              provenance_id FROM result LIMIT 1",
-        "no other outcome",
+        "no committed outcome",
     ),
     (
         "removals_are_of_no_campaign",
