@@ -177,15 +177,15 @@ async fn memory(
 ) -> Result<Verdict, ExaminationError> {
     let process = Process::listening_at(&diagnosed.server().url);
     let mut resident = vec![];
-    let mut took = vec![];
+    let mut durations = vec![];
     for _ in 0..episodes {
-        took.push(diagnosed.episode().await?);
+        durations.push(diagnosed.episode().await?);
         resident.extend(process.as_ref().and_then(Process::resident_bytes));
     }
     Ok(match process {
-        Some(process) if resident.len() == took.len() => {
+        Some(process) if resident.len() == durations.len() => {
             verdicts::memory(&process.to_string(), &resident)
         }
-        _ => verdicts::slowing(&took),
+        _ => verdicts::slowing(&durations),
     })
 }

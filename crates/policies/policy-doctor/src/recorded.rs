@@ -36,12 +36,12 @@ fn of_session(file: &Path, count: usize) -> Result<Vec<Situation>, RecordingErro
         queries += 1;
     }
     let count = count.min(queries);
-    let wanted: Vec<usize> = (0..count).map(|at| at * queries / count).collect();
+    let selected: Vec<usize> = (0..count).map(|at| at * queries / count).collect();
     let mut reader = Reader::open(file)?;
     let mut situations = vec![];
     let mut at = 0;
     while let Some(pair) = reader.pair()? {
-        if wanted.contains(&at) {
+        if selected.contains(&at) {
             situations.push(situation(&reader, pair));
         }
         at += 1;

@@ -49,8 +49,8 @@ pub(crate) struct Episode<'a> {
 pub(crate) struct Timed {
     /// Answer of the server, unchecked.
     pub(crate) response: InferResponse,
-    /// Time from query to answer.
-    pub(crate) took: Duration,
+    /// Time from the query to the answer.
+    pub(crate) latency: Duration,
 }
 
 impl Server {
@@ -136,7 +136,7 @@ impl Episode<'_> {
         let response = in_time(&self.server.url, self.server.backend.infer(request)).await?;
         Ok(Timed {
             response,
-            took: sent.elapsed(),
+            latency: sent.elapsed(),
         })
     }
 

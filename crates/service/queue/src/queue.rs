@@ -85,12 +85,12 @@ impl Queue {
         clock: Arc<dyn Clock>,
         rng: ChaCha8Rng,
         timing: Timing,
-        elsewhere: Option<Arc<dyn Elsewhere>>,
+        remote_storage: Option<Arc<dyn Elsewhere>>,
     ) -> Result<Arc<Queue>, StoreError> {
-        let shared = Arc::new(Shared::new(store, clock, rng, timing, elsewhere));
+        let shared = Arc::new(Shared::new(store, clock, rng, timing, remote_storage));
         start::start(&shared).await?;
         // Remote storage may be unavailable; removals are then retried in the background.
-        if shared.elsewhere.is_none() {
+        if shared.remote_storage.is_none() {
             for folder in removals::pending(&shared).await? {
                 removals::remove(&shared, &folder).await?;
             }

@@ -98,7 +98,7 @@ impl<'a> DiagnosedServer<'a> {
         let mut episode = self.server.episode(suite, instruction, SEED).await?;
         for observation in &self.observations {
             let answer = episode.query(observation.clone()).await?;
-            self.latencies.push(answer.took);
+            self.latencies.push(answer.latency);
             answered.record(self.server, &answer.response);
         }
         episode.end().await;
@@ -166,15 +166,15 @@ impl<'a> DiagnosedServer<'a> {
         let situation = &self.situations[at % self.situations.len()];
         let (suite, instruction) = (&situation.suite, &situation.instruction);
         let mut episode = self.server.episode(suite, instruction, at as u64).await?;
-        let mut took = Duration::ZERO;
+        let mut total_latency = Duration::ZERO;
         for query in 0..EPISODE_QUERIES {
             let observation = &self.observations[(at + query) % self.observations.len()];
             let answer = episode.query(observation.clone()).await?;
-            self.latencies.push(answer.took);
-            took += answer.took;
+            self.latencies.push(answer.latency);
+            total_latency += answer.latency;
         }
         episode.end().await;
-        Ok(took)
+        Ok(total_latency)
     }
 
     /// Returns the number of situations that a check with changed inputs uses.
@@ -211,7 +211,7 @@ impl<'a> DiagnosedServer<'a> {
             .await?;
         let answer = episode.query(observation).await?;
         episode.end().await;
-        self.latencies.push(answer.took);
+        self.latencies.push(answer.latency);
         Ok(answer.response)
     }
 }

@@ -43,7 +43,7 @@ impl Queue {
             films.scanned(outdated, unfilmed, began, began.elapsed());
         }
         drop(scanning);
-        let Some((job, unfilmed)) = films.take(&campaigns, self.now()) else {
+        let Some((job, unfilmed)) = films.assign(&campaigns, self.now()) else {
             return Ok(None);
         };
         let film = films::film(&mut view, job).await?;

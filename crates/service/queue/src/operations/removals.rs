@@ -16,7 +16,7 @@ pub(crate) async fn pending(shared: &Shared) -> Result<Vec<String>, StoreError> 
 
 /// Removes a folder or file below the data folder. It stays marked for removal from remote storage.
 pub(crate) async fn remove_locally(shared: &Shared, below: &str) -> Result<(), StoreError> {
-    match try_remove_locally(shared, below).await && shared.elsewhere.is_none() {
+    match try_remove_locally(shared, below).await && shared.remote_storage.is_none() {
         true => note_done(shared, below).await,
         false => Ok(()),
     }
@@ -27,8 +27,8 @@ pub(crate) async fn remove(shared: &Shared, below: &str) -> Result<(), StoreErro
     if !try_remove_locally(shared, below).await {
         return Ok(());
     }
-    if let Some(elsewhere) = &shared.elsewhere
-        && let Err(problem) = elsewhere.remove(below).await
+    if let Some(remote_storage) = &shared.remote_storage
+        && let Err(problem) = remote_storage.remove(below).await
     {
         tracing::warn!("failed to {problem}; the removal is tried again");
         return Ok(());
@@ -115,8 +115,8 @@ mod tests {
             requests: Semaphore::new(0),
             answers: Semaphore::new(0),
         });
-        let elsewhere = Some(slow.clone() as Arc<dyn Elsewhere>);
-        let queue = Queue::start_with(store, clock, rng, Timing::default(), elsewhere).await;
+        let remote_storage = Some(slow.clone() as Arc<dyn Elsewhere>);
+        let queue = Queue::start_with(store, clock, rng, Timing::default(), remote_storage).await;
         let queue = queue.expect("a queue");
         let name = |name: &str| CampaignName::parse(name).expect("a name");
         let create = async |name: &str| {
