@@ -262,10 +262,10 @@ pub(crate) async fn fail(
     lease: &Lease,
     reason: FailureReason,
     error: &str,
-    then: AfterFailure,
+    next_step: AfterFailure,
     now: UnixMillis,
 ) -> Result<(), StoreError> {
-    let (state, not_before) = match then {
+    let (state, not_before) = match next_step {
         AfterFailure::Requeue { not_before } => ("queued", Some(not_before)),
         AfterFailure::Quarantine => ("quarantined", None),
     };
@@ -283,7 +283,7 @@ pub(crate) async fn fail(
     .bind(reason.is_charged())
     .bind(error)
     .bind(reason.is_loss())
-    .bind(reason.is_loss() || then == AfterFailure::Quarantine)
+    .bind(reason.is_loss() || next_step == AfterFailure::Quarantine)
     .execute(&mut *tx)
     .await
     .doing("end an attempt")?;
