@@ -5,7 +5,7 @@
 A worker is an actor with a `sim` resource and a CPU for each slot, so it runs on nodes
 started with `ray start --resources '{"sim": N}'`, N at a time. The number of requested
 actors follows the coordinator's queue; Ray's autoscaler adds nodes for actors that find
-no room. Workers without work for a while end by themselves. A lost node takes its
+no room. Workers without work for `--idle-secs` end by themselves. A lost node takes its
 workers with it, and replacements are requested.
 """
 
@@ -109,16 +109,16 @@ class Fleet:
             log.warning("a worker was lost with its node: %s", str(error).splitlines()[0])
             return
         except RayTaskError as error:
-            code, why = 1, f"could not be started: {error}"
+            code, ending = 1, f"could not be started: {error}"
         else:
-            why = f"ended with code {code}; its log is above"
+            ending = f"ended with code {code}; its log is above"
         ray.kill(requested.actor)
         if code == 0:
             log.info("a worker ended")
             self.failures = 0
             return
         self.failures += 1
-        log.error("a worker %s", why)
+        log.error("a worker %s", ending)
         if self.failures >= MAX_FAILURES_IN_A_ROW:
             raise TooManyFailures(f"{self.failures} workers failed in a row")
 

@@ -35,8 +35,8 @@ impl policy::DescribeResponse {
                 ));
             }
             let earlier = &self.settings[..index];
-            let twice = earlier.iter().any(|other| other.name == *name);
-            twice.then(|| format!("names setting `{name}` twice"))
+            let is_repeated = earlier.iter().any(|other| other.name == *name);
+            is_repeated.then(|| format!("names setting `{name}` twice"))
         })
     }
 }
@@ -48,11 +48,10 @@ pub mod coordinator {
 
 /// Version of [`policy`], exchanged on `Describe`.
 pub const PROTOCOL_VERSION: u32 = 1;
-/// Version of [`coordinator`], exchanged on `Register`. Since 2, a worker
-/// registers with its renderer, and a result carries a fingerprint. Since 3,
-/// every attempt has an id, claims are idempotent, and realised values take the
-/// place of their digests. Since 4, a manifest row may be a variant of LIBERO-Plus or LIBERO-PRO. Since 5, it may
-/// hold a task of a suite file.
+/// Version of [`coordinator`], exchanged on `Register`. Since 2, a worker registers with its
+/// renderer, and a result carries a fingerprint. Since 3, every attempt has an id, claims are
+/// idempotent, and realised values take the place of their digests. Since 4, a manifest row may be
+/// a variant of LIBERO-Plus or LIBERO-PRO. Since 5, it may hold a task of a suite file.
 pub const COORDINATOR_PROTOCOL_VERSION: u32 = 5;
 /// Largest number of control steps for which a motion is sent: ten times LIBERO's longest rollout.
 /// The outcome of a longer rollout is sent without its motion.

@@ -30,11 +30,11 @@ fn current_protocol() -> DescriptorPool {
 
 /// Returns the properties of a protocol that must not change, one per line: numbers, names and
 /// types on the wire, and calls.
-fn promises(pool: &DescriptorPool) -> Vec<String> {
-    let mut promises = Vec::new();
+fn properties(pool: &DescriptorPool) -> Vec<String> {
+    let mut properties = Vec::new();
     for message in pool.all_messages() {
-        promises.push(format!("message {}", message.full_name()));
-        promises.extend(message.fields().map(|field| {
+        properties.push(format!("message {}", message.full_name()));
+        properties.extend(message.fields().map(|field| {
             let (kind, name, number) = (field.kind(), field.full_name(), field.number());
             let oneof = field
                 .containing_oneof()
@@ -45,35 +45,35 @@ fn promises(pool: &DescriptorPool) -> Vec<String> {
         }));
     }
     for values in pool.all_enums() {
-        promises.extend(values.values().map(|value| {
+        properties.extend(values.values().map(|value| {
             let (name, number) = (value.full_name(), value.number());
             format!("{name} = {number} of {}", values.full_name())
         }));
     }
     for service in pool.services() {
-        promises.extend(service.methods().map(|call| {
+        properties.extend(service.methods().map(|call| {
             let (request, response) = (call.input(), call.output());
             let streams = (call.is_client_streaming(), call.is_server_streaming());
             let (request, response) = (request.full_name(), response.full_name());
             format!("{}({request}) -> {response} {streams:?}", call.full_name())
         }));
     }
-    promises
+    properties
 }
 
-/// Returns the released promises that are not kept.
-fn broken_promises(released: &DescriptorPool, now: &DescriptorPool) -> Vec<String> {
-    let current = promises(now);
-    let promised = promises(released).into_iter();
-    promised
-        .filter(|promise| !current.contains(promise))
+/// Returns the released properties that the current protocol lacks.
+fn incompatible_changes(released: &DescriptorPool, now: &DescriptorPool) -> Vec<String> {
+    let current = properties(now);
+    let released_properties = properties(released).into_iter();
+    released_properties
+        .filter(|property| !current.contains(property))
         .collect()
 }
 
 #[test]
-fn every_released_promise_is_kept() {
+fn the_protocol_is_compatible_with_the_released_file() {
     assert_eq!(
-        broken_promises(&released(), &current_protocol()),
+        incompatible_changes(&released(), &current_protocol()),
         Vec::<String>::new()
     );
 }
@@ -91,7 +91,7 @@ fn incompatible_changes_of_a_released_file_are_detected() {
         let changed = compiled(&folder, "changed.proto");
         std::fs::remove_dir_all(folder).expect("its own folder");
         assert_eq!(
-            !broken_promises(&released(), &changed).is_empty(),
+            !incompatible_changes(&released(), &changed).is_empty(),
             breaks,
             "{to}"
         );

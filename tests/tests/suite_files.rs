@@ -264,7 +264,7 @@ fn missing_and_foreign_files_are_named_before_anything_starts() {
     let unknown = suite.sources().join("suites/kitchen/stove.bddl");
     let text = fs::read_to_string(&unknown).expect("a file");
     fs::write(&unknown, text.replace("- flat_stove", "- steep_stove")).expect("writes");
-    check(&file, &["a scene that can be shown", "`steep_stove`"]);
+    check(&file, &["a scene that can be composed", "`steep_stove`"]);
     fs::write(&unknown, "(define").expect("writes");
     check(&file, &["stove.bddl"]);
 

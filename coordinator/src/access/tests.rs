@@ -8,7 +8,7 @@ use crate::page;
 #[path = "../../../crates/service/transport/tests/walk/mod.rs"]
 mod walk;
 
-use walk::{OPERATOR, Sender, Shown, Table, calls_of, guarded, is_call, open, walk};
+use walk::{Credentials, OPERATOR, Sender, Table, calls_of, guarded, is_call, open, walk};
 
 const TABLE: Table = (resource, Some(LOG_IN));
 
@@ -47,9 +47,9 @@ async fn access_follows_the_table_for_every_combination_of_headers() {
     let mut requests = 0;
     for (security, cookie) in [(&open, None), (&guarded, Some(cookie.as_str()))] {
         for (path, roles) in calls() {
-            let table = |request: &Request<()>, sender, content: Option<&str>, shown| {
-                let is_allowed = match shown {
-                    Shown::Token(role) => roles.contains(&role),
+            let table = |request: &Request<()>, sender, content: Option<&str>, credentials| {
+                let is_allowed = match credentials {
+                    Credentials::Token(role) => roles.contains(&role),
                     _ => false,
                 };
                 is_call(request, sender, content) && (cookie.is_none() || is_allowed)
@@ -59,14 +59,14 @@ async fn access_follows_the_table_for_every_combination_of_headers() {
         for (path, _) in page::routes() {
             let is_open = ["/login", "/logout", "/style.css", "/page.js", "/icon.svg"];
             let is_open = is_open.contains(&path);
-            let table = |request: &Request<()>, sender, _: Option<&str>, shown| {
+            let table = |request: &Request<()>, sender, _: Option<&str>, credentials| {
                 let is_trusted_sender =
                     matches!(sender, Sender::Program | Sender::OwnPage | Sender::Person)
                         || (sender == Sender::Link
                             && matches!(*request.method(), Method::GET | Method::HEAD));
                 let may_read = matches!(
-                    shown,
-                    Shown::Token(Role::Operator | Role::Viewer) | Shown::Session
+                    credentials,
+                    Credentials::Token(Role::Operator | Role::Viewer) | Credentials::Session
                 );
                 is_trusted_sender && (cookie.is_none() || is_open || may_read)
             };

@@ -220,7 +220,7 @@ const OTHER_CLOCKS: [(&str, &str); 8] = [
         "read once at the start; the jumps above are those of this clock",
     ),
     (
-        "crates/service/queue/src/operations/films_here.rs",
+        "crates/service/queue/src/operations/local_videos.rs",
         "compared for equality: a file that was written again is another one",
     ),
     (

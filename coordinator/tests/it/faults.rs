@@ -61,7 +61,7 @@ async fn a_disconnected_worker_is_not_charged_and_continues_when_it_returns() {
     let status = bench.status("cut").await;
     assert_eq!((status.leased, status.queued), (0, 4));
     let query = "SELECT count(*) FROM failure WHERE reason = 'worker_silent' AND charged = 0
-                AND error LIKE '%fell silent after control step 12%'";
+                AND error LIKE '%sent no heartbeat after control step 12%'";
     assert_eq!(bench.count(query).await, 4);
     // One lease has a result to report; the others continue.
     assert_eq!(worker.commit(&leases[0], true).await, Verdict::Accepted);
@@ -240,7 +240,7 @@ async fn an_attempt_missing_from_heartbeats_expires_and_is_charged() {
     assert_eq!((status.leased, status.queued), (0, 1));
     assert_eq!(bench.count("SELECT charged_attempts FROM job").await, 1);
     let query = "SELECT count(*) FROM failure WHERE reason = 'lease_lost' AND charged = 1
-                AND error LIKE '%has left this attempt out since control step 12%'";
+                AND error LIKE '%have omitted this attempt since control step 12%'";
     assert_eq!(bench.count(query).await, 1);
     let lost_leases = worker.heartbeat(&[&lease], 30).await;
     assert_eq!(lost_leases, std::slice::from_ref(&lease.attempt_id));

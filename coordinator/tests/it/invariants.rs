@@ -39,7 +39,7 @@ const BREACHES: [(&str, &str, &str); 20] = [
     (
         "tallies_are_true",
         "UPDATE tally SET queued = queued + 1",
-        "campaign sound is said to have",
+        "the tally of campaign sound counts",
     ),
     (
         "committed_has_one_result",
@@ -114,7 +114,7 @@ const BREACHES: [(&str, &str, &str); 20] = [
         "divergences_differ",
         "INSERT INTO divergence SELECT NULL, job_id, attempt, worker_id, 0, success, steps, 0,
              provenance_id FROM result LIMIT 1",
-        "no other outcome",
+        "no committed outcome",
     ),
     (
         "removals_are_of_no_campaign",

@@ -78,10 +78,10 @@ def cluster() -> Iterator[Cluster]:
     cluster.shutdown()
 
 
-def until(what: str, condition: Callable[[], bool]) -> None:
+def until(event: str, condition: Callable[[], bool]) -> None:
     start = time.monotonic()
     while not condition():
-        assert time.monotonic() - start < PATIENCE, f"{what}: not yet"
+        assert time.monotonic() - start < PATIENCE, f"{event}: not yet"
         time.sleep(0.25)
 
 

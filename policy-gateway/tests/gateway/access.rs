@@ -223,7 +223,7 @@ async fn no_token_is_sent_in_the_clear_to_a_server_of_another_user() {
         let refused = send_query_over(scheme, &server, &ca, &token).await;
         let refused = refused.expect_err("another user's server");
         assert_eq!(refused.code(), Code::Unavailable, "{refused}");
-        for part in ["another user of this machine listens there", "speak TLS"] {
+        for part in ["another user of this machine listens there", "use TLS"] {
             assert!(refused.message().contains(part), "{part} in {refused}");
         }
         let mut received = String::new();

@@ -116,7 +116,7 @@ async fn unreachable_servers_exit_with_1_and_usage_errors_with_2() {
     let unreachable = run_to_end(&compare).await;
     assert_eq!(unreachable.status, Some(1));
     assert!(unreachable.stdout.is_empty());
-    let words = format!("failed to get an answer of {unused}");
+    let words = format!("failed to get an answer from {unused}");
     assert!(
         unreachable.stderr.contains(&words),
         "{}",

@@ -192,15 +192,15 @@ async fn an_invalid_answer_is_named_and_ends_the_episode_if_necessary() {
     let cases: [(AnswerFunction, &str, Code); 8] = [
         (
             |_| Answer::Message(vec![0xdf, 1, 2]),
-            "no message of vla-eval's",
+            "not a message of vla-eval's protocol",
             Code::Unavailable,
         ),
         (
             |_| Answer::Text("Traceback"),
-            "no message of vla-eval's",
+            "not a message of vla-eval's protocol",
             Code::Unavailable,
         ),
-        (greeting, "with \"hello\"", Code::Unavailable),
+        (greeting, "of type \"hello\"", Code::Unavailable),
         (
             |number| action(vec![0.0.into(); 7], number - 1),
             "without continuous_inference",

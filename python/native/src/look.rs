@@ -13,7 +13,7 @@ use crate::state::{State, pairs, picture_size, shaped, with_drawer};
 /// Camera views at the time of an observation, rendered on demand.
 #[pyclass(frozen, module = "rollout_libero._native")]
 pub(crate) struct Look {
-    pub(crate) look: sim::Look,
+    pub(crate) look: sim::CapturedView,
     pub(crate) compiled: Arc<CompiledScene>,
     pub(crate) renderer: Renderer,
     /// State of the observed environment, which renders the views unless it is busy or closed.
@@ -82,7 +82,7 @@ impl Look {
         draw: impl Fn(&mut Environment, &sim::Drawer) -> Result<T, SimError> + Sync,
     ) -> PyResult<T> {
         let render = |environment: &mut Environment| {
-            environment.seeing(&self.look, |environment| {
+            environment.with_captured(&self.look, |environment| {
                 with_drawer(self.renderer, |drawer| draw(environment, drawer))
             })
         };

@@ -271,7 +271,7 @@ impl Simulation {
     fn look(&self, py: Python<'_>) -> PyResult<Look> {
         self.state.with(py, |state| {
             Ok(Look {
-                look: state.environment.look(),
+                look: state.environment.capture(),
                 compiled: Arc::clone(state.environment.compiled()),
                 renderer: self.renderer,
                 state: self.state.clone(),

@@ -41,7 +41,7 @@ impl State {
             environment.draw(drawer, camera, size[0], size[1])
         })?;
         if let Some(conditions) = &mut self.conditions {
-            conditions.see(&mut frame);
+            conditions.corrupt(&mut frame);
         }
         Ok(frame)
     }

@@ -164,7 +164,7 @@ fn protocol(messages: &mut Messages) {
         StopError::Missing { .. } => StopError::Missing { rollout: id() },
     );
     variants!(messages, LineProblem,
-        LineProblem::Row(_) => LineProblem::Row("the field `suite` is not there".to_owned()),
+        LineProblem::Row(_) => LineProblem::Row("the field `suite` is missing".to_owned()),
         LineProblem::Duplicate { .. } => LineProblem::Duplicate { id: id(), first: 1 },
         LineProblem::Unpaired { .. } => LineProblem::Unpaired {
             id: id(), column: "init_id".to_owned(), first: 2,
@@ -191,7 +191,7 @@ fn protocol(messages: &mut Messages) {
             condition: Condition::of(pair()), given: AxisSet::ALL,
         },
         PerturbError::Parameters { .. } => PerturbError::Parameters {
-            condition: Condition::Combination, problem: "the field `x` is not there".to_owned(),
+            condition: Condition::Combination, problem: "the field `x` is missing".to_owned(),
         },
     );
     variants!(messages, RowError,

@@ -68,9 +68,9 @@ fn cases_for_any_client() -> Vec<Case> {
             serve_text("", ""),
             "http",
             false,
-            &["hangs up or says nothing"],
+            &["closes the connection or sends nothing"],
         ),
-        case(web, "https", true, &["does not speak TLS"]),
+        case(web, "https", true, &["does not use TLS"]),
     ]
 }
 
@@ -96,7 +96,7 @@ fn over_tls(
         format!("localhost:{port}")
     };
     let cases = vec![
-        case(at(0), "http", true, &["speaks TLS", "https://"]),
+        case(at(0), "http", true, &["uses TLS", "https://"]),
         case(at(1), "https", true, &["not signed by the authority", "ca"]),
         case(at(2), "https", true, &["expired", "days ago", "--tls-cert"]),
         case(
@@ -184,7 +184,7 @@ async fn clients_of_a_coordinator_explain_unexpected_servers() {
             authority(&clear),
             "https",
             true,
-            &["does not speak TLS", "http://"],
+            &["does not use TLS", "http://"],
         ),
         case(
             grpc::serve_path("/none", &mut servers).await,
@@ -238,7 +238,7 @@ async fn clients_of_a_policy_explain_unexpected_servers() {
             true,
             &["a coordinator is there"],
         ),
-        case(authority(&clear), "https", true, &["does not speak TLS"]),
+        case(authority(&clear), "https", true, &["does not use TLS"]),
         case(
             grpc::serve_path("/none", &mut servers).await,
             "http",

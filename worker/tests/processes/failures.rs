@@ -53,7 +53,7 @@ async fn answers_that_no_robot_can_execute_are_the_policys_fault() {
             ("empty", "it answered no action"),
             (
                 "generous",
-                "it answered 9 actions, but its Describe says at most 8",
+                "it answered 9 actions, but its description declares at most 8",
             ),
             (
                 "broken",

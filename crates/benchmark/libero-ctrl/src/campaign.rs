@@ -305,7 +305,7 @@ struct SpecText {
 #[derive(Debug, thiserror::Error)]
 enum TextError {
     #[error(
-        "the field `{0}` is not there: a specification has `tasks`, `axes` and \
+        "the field `{0}` is missing: a specification has `tasks`, `axes` and \
          `levels`, or one of `manifest`, `explains`, `thresholds`, `variants` and `suite_file` \
          instead"
     )]

@@ -109,7 +109,7 @@ impl Execution {
     /// executed.
     ///
     /// # Errors
-    /// If every response would arrive after its last action.
+    /// If every response would take effect after the step of its last action.
     pub fn check(&self, horizon: usize) -> Result<(), TooLate> {
         match self {
             Self::Overlap { delays, .. } if usize::from(delays.shortest()) >= horizon => {

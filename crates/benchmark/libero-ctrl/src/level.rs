@@ -112,8 +112,8 @@ const MAX_MICROS: u32 = 100 * MICROS;
 /// Parses a decimal number into micros; `None` if the text is not a valid number.
 fn micros(text: &str) -> Option<u32> {
     let (whole, decimals) = text.split_once('.').unwrap_or((text, "0"));
-    let digits = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
-    if !digits(whole) || !digits(decimals) || decimals.len() > DECIMALS {
+    let has_only_digits = |text: &str| !text.is_empty() && text.bytes().all(|b| b.is_ascii_digit());
+    if !has_only_digits(whole) || !has_only_digits(decimals) || decimals.len() > DECIMALS {
         return None;
     }
     let whole = whole.parse::<u32>().ok()?.checked_mul(MICROS)?;

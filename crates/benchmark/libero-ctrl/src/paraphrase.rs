@@ -194,8 +194,8 @@ mod tests {
             assert!(used.contains(list.as_str()), "{list} is never used");
         }
         for name in rules.constructions.keys() {
-            let used = rules.tasks.values().any(|task| task.construction == *name);
-            assert!(used, "no task uses construction {name}");
+            let is_used = rules.tasks.values().any(|task| task.construction == *name);
+            assert!(is_used, "no task uses construction {name}");
         }
     }
 }

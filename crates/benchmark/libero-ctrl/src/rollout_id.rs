@@ -112,7 +112,7 @@ impl RolloutId {
         self.variant
     }
 
-    /// Returns the name of the suite that a policy is told: LIBERO's, or that of a suite file.
+    /// Returns the name of the suite that is sent to a policy: LIBERO's, or that of a suite file.
     pub fn suite_name(&self) -> &str {
         match &self.variant {
             Some(name) if name.benchmark().is_none() => name.change(),
@@ -150,7 +150,7 @@ impl FromStr for RolloutId {
     fn from_str(text: &str) -> Result<Self, UnknownName> {
         let parts: Vec<&str> = text.split('/').collect();
         if let ["own", task, name, state] = parts.as_slice() {
-            return own(task, name, state).ok_or_else(|| unknown(text));
+            return parse_own(task, name, state).ok_or_else(|| unknown(text));
         }
         let (suite, task, rest) = match parts.as_slice() {
             [suite, task, rest @ ..] => (suite.parse::<Suite>()?, number(task, "t"), rest),
@@ -188,7 +188,7 @@ impl FromStr for RolloutId {
 serde_as_text!(RolloutId);
 
 /// Returns the id of a rollout of a suite file: `own/tN/own:SUITE/iNN`.
-fn own(task: &str, name: &str, state: &str) -> Option<RolloutId> {
+fn parse_own(task: &str, name: &str, state: &str) -> Option<RolloutId> {
     let task = TaskRef::own(u8::try_from(number(task, "t")?).ok()?);
     let name: VariantName = name.parse().ok()?;
     let is_own = name.benchmark().is_none();

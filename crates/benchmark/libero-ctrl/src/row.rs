@@ -184,7 +184,7 @@ pub enum RowError {
     #[error(
         "read row {id}: `protocol` is {}; write one in rows of LIBERO-Plus, LIBERO-PRO and \
          suite files only",
-        given.as_deref().unwrap_or("not there")
+        given.as_deref().unwrap_or("missing")
     )]
     Protocol {
         /// The row's id.
@@ -195,7 +195,7 @@ pub enum RowError {
     /// A row of a suite file lacks its task, or another row has one.
     #[error(
         "read row {id}: `own` is {}; write a task in rows of suite files only",
-        if *is_given { "there" } else { "not there" }
+        if *is_given { "given" } else { "missing" }
     )]
     Own {
         /// The row's id.
@@ -373,7 +373,7 @@ impl TryFrom<FlatRow> for ManifestRow {
 
 /// Formats the placebo radius for a message.
 fn radius_text(radius: Option<f64>) -> String {
-    radius.map_or_else(|| "not there".to_owned(), |radius| radius.to_string())
+    radius.map_or_else(|| "missing".to_owned(), |radius| radius.to_string())
 }
 
 /// Checks that a column has the value that follows from the id.
@@ -473,14 +473,14 @@ mod tests {
         check("init_id", json!(50), "`init_id` is 50, valid are 0 to 49");
         check("policy_seed", json!(7), "write 0");
         check("colour", json!("red"), "unknown field `colour`");
-        check("perturb", json!({"blur_sigma": 1.0}), "is not there");
+        check("perturb", json!({"blur_sigma": 1.0}), "is missing");
         check("placebo_radius", json!(0.02), "leave it out of others");
         let mut placebo = valid.clone();
         placebo["level"] = json!("L0");
         placebo["rollout_id"] = json!("goal/t0/sensor/L0/c09");
         let error = serde_json::from_value::<ManifestRow>(placebo).expect_err("no radius");
         assert!(
-            error.to_string().contains("`placebo_radius` is not there"),
+            error.to_string().contains("`placebo_radius` is missing"),
             "{error}"
         );
     }

@@ -5,9 +5,9 @@
 //! `wait` and `hold`, its first action is executed then, and the next query is due after
 //! `execute` actions, or after all. Under `overlap`, action i belongs to step t + i, so that the
 //! first N are dropped; with L actions in the response, the next query is due at
-//! t + max(N, min(execute, L − N)): after `execute` steps, or earlier so that its response arrives
-//! before this one ends, but never while a response is pending. Without a remaining action the
-//! arm holds still.
+//! t + max(N, min(execute, L − N)): after `execute` steps, or earlier, so that the next response
+//! takes effect before the current one ends, but never while a response is pending. Without a
+//! remaining action the arm holds still.
 
 use crate::execution::Execution;
 use crate::suite::TaskRef;
@@ -50,9 +50,9 @@ struct Answer {
     /// Number of the query.
     query: u32,
     /// Step of the first action, which may be dropped.
-    first: u32,
+    first_step: u32,
     /// Step at which the response takes effect.
-    from: u32,
+    effective_from: u32,
     actions: Vec<Action>,
 }
 
@@ -104,7 +104,7 @@ impl Schedule {
         (self.step >= self.next_query).then(|| {
             let delay = self.delay();
             let remaining = self.current().map_or(&[][..], |answer| {
-                let done = (self.step - answer.first) as usize;
+                let done = (self.step - answer.first_step) as usize;
                 answer.actions.get(done..).unwrap_or_default()
             });
             let mut under_way = remaining.to_vec();
@@ -125,7 +125,7 @@ impl Schedule {
         let (step, delay) = (self.step, self.delay());
         // The size of a message limits the number of actions.
         let mut count = actions.len() as u32;
-        let (first, next) = match self.execution {
+        let (first_step, next) = match self.execution {
             Execution::Wait | Execution::Hold(_) => {
                 actions.truncate(self.execute as usize);
                 count = count.min(self.execute);
@@ -136,13 +136,13 @@ impl Schedule {
                 (step, delay.max(self.execute.min(usable)))
             }
         };
-        if let Some(arrived) = self.pending.take() {
-            self.current = Some(arrived);
+        if let Some(response) = self.pending.take() {
+            self.current = Some(response);
         }
         self.pending = Some(Answer {
             query: self.queries,
-            first,
-            from: step + delay,
+            first_step,
+            effective_from: step + delay,
             actions,
         });
         self.queries += 1;
@@ -152,11 +152,11 @@ impl Schedule {
     /// Returns the command of the next step and advances the schedule.
     pub fn advance(&mut self) -> Command {
         let step = self.step;
-        if let Some(arrived) = self.pending.take_if(|answer| answer.from <= step) {
-            self.current = Some(arrived);
+        if let Some(response) = self.pending.take_if(|answer| answer.effective_from <= step) {
+            self.current = Some(response);
         }
         let scheduled = self.current().and_then(|answer| {
-            let index = (step - answer.first) as usize;
+            let index = (step - answer.first_step) as usize;
             Some((*answer.actions.get(index)?, (answer.query, index)))
         });
         self.step += 1;
@@ -177,11 +177,11 @@ impl Schedule {
 
     /// Returns the response in effect at the next step.
     fn current(&self) -> Option<&Answer> {
-        let arrived = self
+        let effective = self
             .pending
             .as_ref()
-            .filter(|answer| answer.from <= self.step);
-        arrived.or(self.current.as_ref())
+            .filter(|answer| answer.effective_from <= self.step);
+        effective.or(self.current.as_ref())
     }
 
     /// Returns the delay of the response to the next query.

@@ -143,8 +143,8 @@ impl Stop {
 }
 
 /// Checks that every configuration has the simultaneous rollout and one per single axis at
-/// every level. The rule would never
-/// count an incomplete configuration, nor any configuration drawn after it.
+/// every level. The rule would never count an incomplete configuration, nor any configuration
+/// drawn after it.
 pub(crate) fn check_rows(rows: &[ManifestRow]) -> Result<(), StopError> {
     let mut axes: BTreeSet<Axis> = BTreeSet::new();
     let mut levels: BTreeSet<Level> = BTreeSet::new();

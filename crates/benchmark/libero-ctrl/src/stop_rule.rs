@@ -288,7 +288,7 @@ mod tests {
         }
 
         #[test]
-        fn no_text_makes_the_parser_panic(text: String) {
+        fn parsing_never_panics(text: String) {
             let _ = text.parse::<StopRule>();
         }
     }

@@ -261,8 +261,8 @@ impl SuiteFile {
 
     /// Returns the folder of the task files in the folder of the sources.
     pub fn folder(&self) -> String {
-        let own = || format!("suites/{}", self.name);
-        self.folder.clone().unwrap_or_else(own)
+        let default_folder = || format!("suites/{}", self.name);
+        self.folder.clone().unwrap_or_else(default_folder)
     }
 
     /// Returns the SHA-256 of the file's content, hex. The formatting of the file and the number of
@@ -395,7 +395,7 @@ impl FileTask {
             text.len() == 64
                 && text
                     .bytes()
-                    .all(|it| matches!(it, b'0'..=b'9' | b'a'..=b'f'))
+                    .all(|byte| matches!(byte, b'0'..=b'9' | b'a'..=b'f'))
         };
         if let Some(text) = sha256
             && !is_hex(text)

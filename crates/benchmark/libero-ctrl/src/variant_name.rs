@@ -33,7 +33,7 @@ impl VariantName {
     /// If the change is empty, longer than 31 bytes, or has other characters than lower-case
     /// letters, digits and `_`.
     pub fn new(benchmark: Benchmark, change: &str) -> Result<Self, UnknownName> {
-        Self::of(Some(benchmark), change)
+        Self::checked(Some(benchmark), change)
     }
 
     /// Creates the name of a suite of a suite file.
@@ -44,11 +44,11 @@ impl VariantName {
     pub fn own(suite: &str) -> Result<Self, UnknownName> {
         match suite {
             Self::UNPERTURBED => Err(unknown(suite)),
-            suite => Self::of(None, suite),
+            suite => Self::checked(None, suite),
         }
     }
 
-    fn of(benchmark: Option<Benchmark>, change: &str) -> Result<Self, UnknownName> {
+    fn checked(benchmark: Option<Benchmark>, change: &str) -> Result<Self, UnknownName> {
         let is_valid = |byte: u8| matches!(byte, b'a'..=b'z' | b'0'..=b'9' | b'_');
         let has_valid_length = (1..=MAX_CHANGE_BYTES).contains(&change.len());
         if !has_valid_length || !change.bytes().all(is_valid) {

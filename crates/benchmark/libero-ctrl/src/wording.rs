@@ -54,27 +54,28 @@ impl std::error::Error for JsonError {}
 pub fn plain_words(message: &str) -> String {
     let after = |prefix: &str| message.strip_prefix(prefix);
     if let Some(field) = after("missing field ") {
-        return format!("the field {field} is not there");
+        return format!("the field {field} is missing");
     }
     if let Some(field) = after("duplicate field ") {
         return format!("the field {field} occurs twice");
     }
     if let Some(rest) = after("unknown field ") {
         return match rest.split_once(", expected ") {
-            Some((field, known)) => {
-                format!("there is no field {field}; {}", choice("the field", known))
+            Some((field, valid)) => {
+                format!("there is no field {field}; {}", choice("the field", valid))
             }
             None => format!("there is no field {}", before_comma(rest)),
         };
     }
     if let Some(rest) = after("unknown variant ") {
         return match rest.split_once(", expected ") {
-            Some((given, known)) => format!("{given} is not valid; {}", choice("write", known)),
+            Some((given, valid)) => format!("{given} is not valid; {}", choice("write", valid)),
             None => format!("{} is not valid", before_comma(rest)),
         };
     }
     for prefix in ["invalid type: ", "invalid value: ", "invalid length "] {
-        if let Some((given, wanted)) = after(prefix).and_then(|rest| rest.split_once(", expected "))
+        if let Some((given, expected)) =
+            after(prefix).and_then(|rest| rest.split_once(", expected "))
         {
             let count = if prefix == "invalid length " {
                 "length "
@@ -84,7 +85,7 @@ pub fn plain_words(message: &str) -> String {
             return format!(
                 "{count}{} is given where {} is expected",
                 value(given),
-                kind(wanted)
+                kind(expected)
             );
         }
     }
@@ -102,15 +103,15 @@ fn before_comma(text: &str) -> &str {
 }
 
 /// Formats the valid choices, "one of `a`, `b`", "`a` or `b`" or "`a`", after `word`.
-fn choice(word: &str, known: &str) -> String {
-    match (word, known.strip_prefix("one of ")) {
+fn choice(word: &str, valid: &str) -> String {
+    match (word, valid.strip_prefix("one of ")) {
         ("write", Some(several)) => format!("write one of {several}"),
         (_, Some(several)) => format!("{word}s are {several}"),
-        ("write", None) => format!("write {known}"),
-        (_, None) if known.contains(" or ") => {
-            format!("{word}s are {}", known.replace(" or ", " and "))
+        ("write", None) => format!("write {valid}"),
+        (_, None) if valid.contains(" or ") => {
+            format!("{word}s are {}", valid.replace(" or ", " and "))
         }
-        (_, None) => format!("{word} is {known}"),
+        (_, None) => format!("{word} is {valid}"),
     }
 }
 
@@ -128,9 +129,9 @@ fn value(given: &str) -> String {
     }
 }
 
-/// Names the kind of value expected; `wanted` is often a Rust type's name.
-fn kind(wanted: &str) -> String {
-    match wanted {
+/// Names the kind of value expected; `expected` is often a Rust type's name.
+fn kind(expected: &str) -> String {
+    match expected {
         "u8" => "a whole number, 0 to 255,".to_owned(),
         "u16" => "a whole number, 0 to 65535,".to_owned(),
         "u32" | "u64" | "usize" => "a whole number, 0 or more,".to_owned(),
@@ -181,7 +182,7 @@ mod tests {
             let error = serde_json::from_str::<Request>(text).expect_err(text);
             assert_eq!(JsonError::from(error).to_string(), expected, "{text}");
         };
-        check("{}", "the field `count` is not there (line 1, column 2)");
+        check("{}", "the field `count` is missing (line 1, column 2)");
         check(
             r#"{"counts": 1}"#,
             "there is no field `counts`; the fields are `count`, `kind`, `flag`, `pair` (line 1, \

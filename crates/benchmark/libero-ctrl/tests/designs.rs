@@ -152,8 +152,8 @@ proptest! {
         other in any_design(),
     ) {
         prop_assert!(one.version().as_str().starts_with("custom-"));
-        let same_rows = one.expand() == other.expand();
-        prop_assert_eq!(one.version() == other.version(), same_rows);
+        let have_same_rows = one.expand() == other.expand();
+        prop_assert_eq!(one.version() == other.version(), have_same_rows);
         let text = serde_json::to_string(&campaign(Rollouts::Design(one.clone())));
         let read = CampaignSpec::from_json(&text.expect("JSON")).expect("reads back");
         prop_assert_eq!(read.version(), one.version());

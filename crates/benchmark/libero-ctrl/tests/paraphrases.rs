@@ -213,9 +213,9 @@ fn every_sentence_names_the_objects_and_relations_of_its_task() {
         // Padding lets short words at the start or end match as whole words.
         let padded = format!(" {text} ");
         for alternatives in required(&task.to_string()) {
-            let named = alternatives.iter().any(|words| padded.contains(words));
+            let is_named = alternatives.iter().any(|words| padded.contains(words));
             assert!(
-                named,
+                is_named,
                 "{task} {variant_id} `{text}`: none of {alternatives:?}"
             );
         }
@@ -233,15 +233,15 @@ fn the_orthography_is_that_of_the_canonical_instructions() {
     {
         let name = format!("{task} {variant_id} `{text}`");
         assert!(text.len() <= MAX_CHARS, "{name}: {} characters", text.len());
-        let letters = |c: char| c.is_ascii_lowercase() || " ,-".contains(c);
-        assert!(text.chars().all(letters), "{name}");
-        let ends = |c: Option<char>| c.is_some_and(|c| c.is_ascii_lowercase());
+        let is_allowed = |c: char| c.is_ascii_lowercase() || " ,-".contains(c);
+        assert!(text.chars().all(is_allowed), "{name}");
+        let is_letter = |c: Option<char>| c.is_some_and(|c| c.is_ascii_lowercase());
         assert!(
-            ends(text.chars().next()) && ends(text.chars().last()),
+            is_letter(text.chars().next()) && is_letter(text.chars().last()),
             "{name}"
         );
-        for slip in ["  ", " ,", ",,", "the the ", "{", "}"] {
-            assert!(!text.contains(slip), "{name}");
+        for mistake in ["  ", " ,", ",,", "the the ", "{", "}"] {
+            assert!(!text.contains(mistake), "{name}");
         }
     }
 }

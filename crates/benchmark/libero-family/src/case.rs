@@ -221,7 +221,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn ids_of_no_variant_are_refused() {
+    fn ids_that_name_no_variant_are_refused() {
         for text in [
             "goal/t8/plus:noise_51/i00",
             "goal/t8/plus:swap/i00",

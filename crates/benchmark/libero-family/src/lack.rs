@@ -65,13 +65,13 @@ impl fmt::Display for Lack {
             } => write!(
                 f,
                 "the suite file's version of {bddl} and its states: their SHA-256 is {found}, and \
-                 that in the suite file {expected}; get the files that it is of"
+                 the suite file has {expected}; get the files with that SHA-256"
             ),
             Self::States { path, count } => write!(
                 f,
                 "initial states: {path} has {count}; lower `trials` in the suite file"
             ),
-            Self::Scene(reason) => write!(f, "a scene that can be shown: failed to {reason}"),
+            Self::Scene(reason) => write!(f, "a scene that can be composed: failed to {reason}"),
             Self::Further(Further::Models) => write!(
                 f,
                 "models of LIBERO-PRO; give `worker variants` the folder of the unpacked wheels \

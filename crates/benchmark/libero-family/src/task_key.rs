@@ -18,8 +18,8 @@ pub struct TaskKey {
 }
 
 impl TaskKey {
-    /// Returns the key of a rollout that is not of a suite file. A variant that no benchmark has is left to its worker, which
-    /// reports it.
+    /// Returns the key of a rollout that is not of a suite file. The key of a variant that no
+    /// benchmark has names no files, so that a worker gets the rollout and reports the error.
     fn of_rollout(id: RolloutId) -> Self {
         let files = match id.variant() {
             None => None,

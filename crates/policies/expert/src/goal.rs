@@ -148,7 +148,7 @@ pub(crate) fn plan(world: &World) -> Result<Vec<Skill>, ExpertError> {
         match (predicate.name.as_str(), arguments.as_slice()) {
             ("open", [region]) => before.extend(open(world, region, routine::DRAWER_OPEN_M)?),
             ("turnon", [stove]) => before.extend(turn_on(world, stove)?),
-            ("close", [what]) => after.extend(close(world, what)?),
+            ("close", [target]) => after.extend(close(world, target)?),
             ("on", [object, on]) => between.extend(put_on(world, predicate, object, on)?),
             ("in", [object, region]) => {
                 let place = Place {

@@ -241,17 +241,18 @@ fn cost(world: &World, object: &Entity, purpose: Purpose<'_>, grasp: &Grasp) -> 
         GraspRequirement::Across(way) => ASKEW_WEIGHT * Vec3::heading(grasp.closing).dot(way).abs(),
         GraspRequirement::Any | GraspRequirement::Handle => 0.0,
     };
-    // The grip point at the object, and at the destination.
-    let here = object.centre + grasp.offset;
-    let there = (purpose.destination + here - object.pos)
-        .at_height(purpose.destination.z + here.z - object.bottom());
+    // Grip points.
+    let at_object = object.centre + grasp.offset;
+    let at_destination = (purpose.destination + at_object - object.pos)
+        .at_height(purpose.destination.z + at_object.z - object.bottom());
     let is_neighbour = |solid: &Solid| solid.owner != object.name && solid.gap(object.centre) > 0.0;
     let is_in_the_way = |solid: &Solid| solid.owner != object.name && solid.owner != purpose.owner;
     let collisions = COLLISION_WEIGHT
-        * (collisions(world, here, grasp.closing, is_neighbour)
-            + collisions(world, there, grasp.closing, is_in_the_way)) as f64;
+        * (collisions(world, at_object, grasp.closing, is_neighbour)
+            + collisions(world, at_destination, grasp.closing, is_in_the_way)) as f64;
     let into_wall = WALL_WEIGHT * into_wall(world, object, grasp);
-    let stretch = STRETCH_WEIGHT * (world.overstretch(here) + world.overstretch(there));
+    let stretch =
+        STRETCH_WEIGHT * (world.overstretch(at_object) + world.overstretch(at_destination));
     let downhill = TILT_WEIGHT * lean(object.quat).dot(grasp.offset);
     turning + askew + grasp.strain + collisions + into_wall + stretch + downhill
 }
@@ -263,8 +264,8 @@ fn collisions(world: &World, grip: Vec3, closing: f64, among: impl Fn(&Solid) ->
     let (along, across) = (Vec3::heading(closing), Vec3::heading(closing + FRAC_PI_2));
     let hits = |part: &Part, solid: &Solid| {
         let reach = [along * part.half.0, across * part.half.1];
-        let above = grip.z + part.bottom > solid.top();
-        !above && solid.overlaps_from_above(grip + along * part.at, reach)
+        let is_above = grip.z + part.bottom > solid.top();
+        !is_above && solid.overlaps_from_above(grip + along * part.at, reach)
     };
     let solids = world.solids().iter().filter(|solid| among(solid));
     solids

@@ -161,11 +161,12 @@ impl KinematicScene {
             return;
         }
         let opening = (self.state.gripper_opening - FINGER_STEP_M).max(0.0);
-        let shut = opening <= FINGER_STEP_M && self.state.gripper_opening > FINGER_STEP_M;
+        let has_just_closed =
+            opening <= FINGER_STEP_M && self.state.gripper_opening > FINGER_STEP_M;
         self.state.gripper_opening = opening;
-        if shut && self.failing_grasps > 0 {
+        if has_just_closed && self.failing_grasps > 0 {
             self.failing_grasps -= 1;
-        } else if shut {
+        } else if has_just_closed {
             self.held = self.between_fingers();
             if self.held.is_some() {
                 self.state.gripper_opening = HOLDING_M;

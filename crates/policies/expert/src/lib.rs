@@ -132,12 +132,12 @@ impl Expert {
             }
         }
         self.plan = (!plan.is_empty()).then_some(plan);
-        let here = HandPose {
+        let current = HandPose {
             pos: world.grip,
             quat: world.grip_quat,
         };
         Ok(next.unwrap_or(Command {
-            hand: here,
+            hand: current,
             fingers: Fingers::Open,
             pace: 1.0,
         }))

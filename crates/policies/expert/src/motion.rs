@@ -240,8 +240,8 @@ fn way_from_under(world: &World, load: HandLoad) -> Option<Vec3> {
         Vec3::new(0.0, object.half.y + room, 0.0),
     ];
     let overhead = |solid: &&Solid| {
-        let above = solid.bottom() > object.centre.z && !load.is_load(solid);
-        above && solid.overlaps_from_above(object.centre, reach)
+        let is_above = solid.bottom() > object.centre.z && !load.is_load(solid);
+        is_above && solid.overlaps_from_above(object.centre, reach)
     };
     let solid = world.solids().iter().find(overhead)?;
     let away = (object.centre - solid.centre).at_height(0.0);
@@ -265,11 +265,11 @@ impl Motion {
     pub(crate) fn observe(&mut self, world: &World) {
         if let Some((grip, opening)) = self.last {
             self.per_step = world.grip - grip;
-            let still = self.per_step.norm() < STILL_M;
-            self.still_steps = if still { self.still_steps + 1 } else { 0 };
+            let is_still = self.per_step.norm() < STILL_M;
+            self.still_steps = if is_still { self.still_steps + 1 } else { 0 };
             self.opening_change = world.opening - opening;
-            let fingers_still = self.opening_change.abs() < STILL_M;
-            self.finger_still_steps = if fingers_still {
+            let are_fingers_still = self.opening_change.abs() < STILL_M;
+            self.finger_still_steps = if are_fingers_still {
                 self.finger_still_steps + 1
             } else {
                 0
@@ -292,8 +292,8 @@ impl Motion {
 
     /// Returns true if the hand has made no progress in the last steps, apart from jitter.
     pub(crate) fn is_stuck(&self) -> bool {
-        let here = self.trail[TRAIL_STEPS - 1];
-        let away = |place: &Vec3| (*place - here).norm();
+        let latest = self.trail[TRAIL_STEPS - 1];
+        let away = |place: &Vec3| (*place - latest).norm();
         self.trail.iter().all(|place| away(place) < STUCK_M)
     }
 
@@ -307,8 +307,9 @@ impl Motion {
     /// Returns true if fingers at a grasp should close: they are open, or have only just
     /// stopped closing.
     pub(crate) fn may_close(&self, world: &World) -> bool {
-        let stops = self.opening_change < STILL_M && self.finger_still_steps < AT_REST_STEPS;
-        world.opening > OPEN_M || stops
+        let has_just_stopped =
+            self.opening_change < STILL_M && self.finger_still_steps < AT_REST_STEPS;
+        world.opening > OPEN_M || has_just_stopped
     }
 
     /// Number of steps for which the opening of the fingers has not changed.

@@ -22,7 +22,7 @@ const COVERED_RUN_M: f64 = 0.13;
 /// Gap between two objects that share a target, m.
 const NEIGHBOUR_GAP_M: f64 = 0.004;
 /// Tolerance of the object's position at its place, m.
-const THERE_M: f64 = 0.005;
+const AT_PLACE_M: f64 = 0.005;
 /// LIBERO's own tolerance for one object on another, m.
 const ON_OBJECT_M: f64 = 0.03;
 /// Height above a region up to which an object counts as on it, m (LIBERO's tolerance).
@@ -50,7 +50,7 @@ pub(crate) enum Relation {
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Spot {
     /// Start of the approach.
-    pub(crate) gate: Vec3,
+    pub(crate) approach_start: Vec3,
     /// End of the approach.
     pub(crate) rest: Vec3,
     entry: Entry,
@@ -88,7 +88,7 @@ impl Place {
                 None => Entry::Into,
             },
         };
-        let (gate, rest) = match entry {
+        let (approach_start, rest) = match entry {
             Entry::Onto => (centre.at_height(brim + CARRY_M), centre.at_height(floor)),
             Entry::Into => {
                 if let Some(out) = world.front_of_drawer(target) {
@@ -110,7 +110,7 @@ impl Place {
             }
         };
         Ok(Spot {
-            gate,
+            approach_start,
             rest,
             entry,
             floor,
@@ -180,24 +180,24 @@ impl Spot {
         (world.grip + point - object.pos).at_height(world.grip.z + up)
     }
 
-    /// Returns true if the approach can begin, given the remaining displacement to the gate.
-    pub(crate) fn at_gate(&self, remaining: Vec3) -> bool {
+    /// Returns true if the approach can begin, given the remaining displacement to its start.
+    pub(crate) fn can_approach(&self, remaining: Vec3) -> bool {
         let is_level = match self.entry {
             Entry::Onto | Entry::Into => true,
-            Entry::Through(_) => remaining.z.abs() < 2.0 * THERE_M,
+            Entry::Through(_) => remaining.z.abs() < 2.0 * AT_PLACE_M,
         };
-        is_level && remaining.horizontal_norm() < 2.0 * THERE_M
+        is_level && remaining.horizontal_norm() < 2.0 * AT_PLACE_M
     }
 
     /// Returns true if the held object can be released.
-    pub(crate) fn reached(&self, world: &World, object: &Entity) -> bool {
+    pub(crate) fn can_release(&self, world: &World, object: &Entity) -> bool {
         match self.entry {
-            Entry::Onto => object.bottom() < self.floor + THERE_M,
+            Entry::Onto => object.bottom() < self.floor + AT_PLACE_M,
             Entry::Into => {
-                let fingers_at_brim = world.grip.z - FINGERTIP_M < self.brim + THERE_M;
-                object.bottom() < self.rest.z + THERE_M || fingers_at_brim
+                let are_fingers_at_brim = world.grip.z - FINGERTIP_M < self.brim + AT_PLACE_M;
+                object.bottom() < self.rest.z + AT_PLACE_M || are_fingers_at_brim
             }
-            Entry::Through(out) => (object.pos - self.rest).dot(out) < THERE_M,
+            Entry::Through(out) => (object.pos - self.rest).dot(out) < AT_PLACE_M,
         }
     }
 
@@ -252,8 +252,11 @@ mod tests {
     #[test]
     fn an_object_descends_straight_onto_the_middle_of_its_plate() {
         let spot = spot(&place(Relation::On, "plate_1", 0.0));
-        assert_eq!((spot.gate.x, spot.gate.y), (0.3, 0.0));
-        assert!(spot.gate.z > 0.02 && spot.rest.z <= 0.0, "{spot:?}");
+        assert_eq!((spot.approach_start.x, spot.approach_start.y), (0.3, 0.0));
+        assert!(
+            spot.approach_start.z > 0.02 && spot.rest.z <= 0.0,
+            "{spot:?}"
+        );
         assert_eq!(spot.way_out(), Vec3::UP);
     }
 
@@ -267,8 +270,11 @@ mod tests {
     fn a_covered_region_is_reached_through_its_open_front() {
         let inside = place(Relation::In, "oven_1_inside", 0.0);
         let spot = spot(&inside);
-        assert!(spot.gate.y < 0.3 && spot.rest.y > 0.32, "{spot:?}");
-        assert_eq!(spot.gate.z, spot.rest.z);
+        assert!(
+            spot.approach_start.y < 0.3 && spot.rest.y > 0.32,
+            "{spot:?}"
+        );
+        assert_eq!(spot.approach_start.z, spot.rest.z);
         assert_eq!(spot.way_out(), Vec3::new(0.0, -1.0, 0.0));
         assert_eq!(
             inside.grasp_requirement(&scene().world()),

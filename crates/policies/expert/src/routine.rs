@@ -102,13 +102,13 @@ struct Stage {
 
 enum Until {
     /// The hand has reached the pose by a detour over obstacles.
-    Travelled,
+    AtPoseAfterDetour,
     /// The hand has reached the pose or was stopped.
-    Arrived,
+    AtPoseOrStopped,
     /// The given number of steps has passed.
     Steps(u32),
     /// The mechanism has reached its target position.
-    Reached(bool),
+    ConditionHolds(bool),
 }
 
 impl Routine {
@@ -146,12 +146,12 @@ impl Routine {
         while let Some(stage) = self.task.stage(self.stage, world)? {
             if !self.is_complete(&stage, world, motion) {
                 self.ticks += 1;
-                let travelling = matches!(stage.until, Until::Travelled);
+                let is_travelling = matches!(stage.until, Until::AtPoseAfterDetour);
                 let mut hand = stage.hand;
-                if travelling {
+                if is_travelling {
                     hand.pos = detour(world, hand.pos, HandLoad::Empty(STANDOFF_M));
                 }
-                let pace = if travelling { 1.0 } else { GENTLE };
+                let pace = if is_travelling { 1.0 } else { GENTLE };
                 return Ok(Some(Command {
                     hand,
                     fingers: stage.fingers,
@@ -165,13 +165,13 @@ impl Routine {
     }
 
     fn is_complete(&self, stage: &Stage, world: &World, motion: &Motion) -> bool {
-        let near = stage.hand.is_near(world, NEAR_M, NEAR_RAD);
-        let stopped = self.ticks > 5 && motion.still_steps() >= 3;
+        let is_near = stage.hand.is_near(world, NEAR_M, NEAR_RAD);
+        let has_stopped = self.ticks > 5 && motion.still_steps() >= 3;
         let is_complete = match stage.until {
-            Until::Travelled => near,
-            Until::Arrived => near || stopped,
+            Until::AtPoseAfterDetour => is_near,
+            Until::AtPoseOrStopped => is_near || has_stopped,
             Until::Steps(steps) => self.ticks >= steps,
-            Until::Reached(reached) => reached,
+            Until::ConditionHolds(holds) => holds,
         };
         is_complete || self.ticks >= PATIENCE_STEPS
     }
@@ -199,9 +199,9 @@ impl RoutineTask {
             }
             Self::PushDrawer { .. } | Self::PushDoor { .. } => u32::from(is_on_the_way),
             Self::Drag { object, .. } => {
-                let thing = world.entity(object)?;
-                let widest = thing.half.x.max(thing.half.y);
-                let aside = (world.grip - thing.centre).horizontal_norm();
+                let entity = world.entity(object)?;
+                let widest = entity.half.x.max(entity.half.y);
+                let aside = (world.grip - entity.centre).horizontal_norm();
                 let is_pressing = world.grip.z < to.pos.z + PRESSING_M && aside < widest;
                 match is_pressing {
                     true => 2,
@@ -277,21 +277,25 @@ fn pull_drawer(
         pos: drawer.handle + drawer.out * away,
         quat,
     };
-    let here = HandPose {
+    let current = HandPose {
         pos: world.grip,
         quat,
     };
     Ok(Some(match number {
-        0 => stage(at(STANDOFF_M), Fingers::Open, Until::Travelled),
-        1 => stage(at(0.0), Fingers::Open, Until::Arrived),
+        0 => stage(at(STANDOFF_M), Fingers::Open, Until::AtPoseAfterDetour),
+        1 => stage(at(0.0), Fingers::Open, Until::AtPoseOrStopped),
         2 => stage(at(0.0), Fingers::Close, Until::Steps(FINGER_STEPS)),
         3 => {
-            let open = drawer.position < to;
-            let lost = (world.grip - drawer.handle).norm() > STANDOFF_M / 2.0;
-            stage(at(LEAD_M), Fingers::Close, Until::Reached(open || lost))
+            let is_open = drawer.position < to;
+            let is_lost = (world.grip - drawer.handle).norm() > STANDOFF_M / 2.0;
+            stage(
+                at(LEAD_M),
+                Fingers::Close,
+                Until::ConditionHolds(is_open || is_lost),
+            )
         }
-        4 => stage(here, Fingers::Open, Until::Steps(FINGER_STEPS)),
-        5 => stage(at(STANDOFF_M), Fingers::Open, Until::Arrived),
+        4 => stage(current, Fingers::Open, Until::Steps(FINGER_STEPS)),
+        5 => stage(at(STANDOFF_M), Fingers::Open, Until::AtPoseOrStopped),
         _ => return Ok(None),
     }))
 }
@@ -306,12 +310,16 @@ fn push_drawer(number: u32, world: &World, region: &str) -> Result<Option<Stage>
         quat,
     };
     Ok(Some(match number {
-        0 => stage(at(STANDOFF_M), Fingers::Close, Until::Travelled),
+        0 => stage(at(STANDOFF_M), Fingers::Close, Until::AtPoseAfterDetour),
         1 => {
-            let closed = drawer.position > DRAWER_CLOSED_M;
-            stage(at(-LEAD_M), Fingers::Close, Until::Reached(closed))
+            let is_closed = drawer.position > DRAWER_CLOSED_M;
+            stage(
+                at(-LEAD_M),
+                Fingers::Close,
+                Until::ConditionHolds(is_closed),
+            )
         }
-        2 => stage(at(STANDOFF_M), Fingers::Close, Until::Arrived),
+        2 => stage(at(STANDOFF_M), Fingers::Close, Until::AtPoseOrStopped),
         _ => return Ok(None),
     }))
 }
@@ -326,19 +334,27 @@ fn turn_knob(number: u32, world: &World, stove: &str) -> Result<Option<Stage>, E
         quat: pointing_down(ridge + ahead + FRAC_PI_2),
     };
     Ok(Some(match number {
-        0 => stage(at(0.0, STANDOFF_M / 2.0), Fingers::Open, Until::Travelled),
-        1 => stage(at(0.0, -KNOB_DEPTH_M), Fingers::Open, Until::Arrived),
+        0 => stage(
+            at(0.0, STANDOFF_M / 2.0),
+            Fingers::Open,
+            Until::AtPoseAfterDetour,
+        ),
+        1 => stage(
+            at(0.0, -KNOB_DEPTH_M),
+            Fingers::Open,
+            Until::AtPoseOrStopped,
+        ),
         2 => stage(
             at(0.0, -KNOB_DEPTH_M),
             Fingers::Close,
             Until::Steps(FINGER_STEPS),
         ),
         3 => {
-            let on = position > KNOB_ON;
+            let is_on = position > KNOB_ON;
             stage(
                 at(LEAD_RAD, -KNOB_DEPTH_M),
                 Fingers::Close,
-                Until::Reached(on),
+                Until::ConditionHolds(is_on),
             )
         }
         4 => stage(
@@ -346,7 +362,11 @@ fn turn_knob(number: u32, world: &World, stove: &str) -> Result<Option<Stage>, E
             Fingers::Open,
             Until::Steps(FINGER_STEPS),
         ),
-        5 => stage(at(0.0, STANDOFF_M / 2.0), Fingers::Open, Until::Arrived),
+        5 => stage(
+            at(0.0, STANDOFF_M / 2.0),
+            Fingers::Open,
+            Until::AtPoseOrStopped,
+        ),
         _ => return Ok(None),
     }))
 }
@@ -371,13 +391,17 @@ fn push_door(number: u32, world: &World, microwave: &str) -> Result<Option<Stage
         0 => stage(
             at(angle, DOOR_FRONT_M + STANDOFF_M),
             Fingers::Close,
-            Until::Travelled,
+            Until::AtPoseAfterDetour,
         ),
-        1 => stage(pushed, Fingers::Close, Until::Reached(angle > DOOR_CLOSED)),
+        1 => stage(
+            pushed,
+            Fingers::Close,
+            Until::ConditionHolds(angle > DOOR_CLOSED),
+        ),
         2 => stage(
             at(angle, DOOR_FRONT_M + STANDOFF_M),
             Fingers::Close,
-            Until::Arrived,
+            Until::AtPoseOrStopped,
         ),
         _ => return Ok(None),
     }))
@@ -389,34 +413,38 @@ fn drag(
     object: &str,
     region: &str,
 ) -> Result<Option<Stage>, ExpertError> {
-    let (thing, goal) = (world.entity(object)?, world.entity(region)?);
-    let to_goal = (goal.pos - thing.pos).at_height(0.0);
+    let (entity, goal) = (world.entity(object)?, world.entity(region)?);
+    let to_goal = (goal.pos - entity.pos).at_height(0.0);
     let distance = to_goal.norm();
     let ahead = to_goal * (1.0 / distance.max(DRAG_DONE_M));
     let quat = pointing_down(ahead.y.atan2(ahead.x) + FRAC_PI_2);
     let at = |along: f64, height: f64| HandPose {
-        pos: (thing.centre + ahead * along).at_height(height),
+        pos: (entity.centre + ahead * along).at_height(height),
         quat,
     };
-    let pressing = thing.bottom() + FINGERTIP_M;
-    let widest = thing.half.x.max(thing.half.y);
+    let pressing = entity.bottom() + FINGERTIP_M;
+    let widest = entity.half.x.max(entity.half.y);
     Ok(Some(match number {
         0 => stage(
-            at(DRAG_FROM_M, thing.top() + STANDOFF_M / 2.0),
+            at(DRAG_FROM_M, entity.top() + STANDOFF_M / 2.0),
             Fingers::Close,
-            Until::Travelled,
+            Until::AtPoseAfterDetour,
         ),
-        1 => stage(at(DRAG_FROM_M, pressing), Fingers::Close, Until::Arrived),
+        1 => stage(
+            at(DRAG_FROM_M, pressing),
+            Fingers::Close,
+            Until::AtPoseOrStopped,
+        ),
         2 => {
-            let slipped = (world.grip - thing.centre).horizontal_norm() > widest;
-            let is_done = distance < DRAG_DONE_M || slipped;
+            let has_slipped = (world.grip - entity.centre).horizontal_norm() > widest;
+            let is_done = distance < DRAG_DONE_M || has_slipped;
             let pulled = at(DRAG_FROM_M + DRAG_LEAD_M, pressing);
-            stage(pulled, Fingers::Close, Until::Reached(is_done))
+            stage(pulled, Fingers::Close, Until::ConditionHolds(is_done))
         }
         3 => stage(
-            at(DRAG_FROM_M, thing.top() + STANDOFF_M / 2.0),
+            at(DRAG_FROM_M, entity.top() + STANDOFF_M / 2.0),
             Fingers::Close,
-            Until::Arrived,
+            Until::AtPoseOrStopped,
         ),
         _ => return Ok(None),
     }))

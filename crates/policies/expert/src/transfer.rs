@@ -52,7 +52,7 @@ pub(crate) struct Transfer {
     /// Steps spent in this phase.
     ticks: u32,
     /// Number of failed attempts, which selects the grasp to try next.
-    missed: usize,
+    failed_attempts: usize,
     /// The last grasp tried.
     grasp: Option<Grasp>,
 }
@@ -103,7 +103,7 @@ impl Transfer {
             place,
             phase: Phase::Choose,
             ticks: 0,
-            missed: 0,
+            failed_attempts: 0,
             grasp: None,
         }
     }
@@ -133,13 +133,13 @@ impl Transfer {
         motion: &Motion,
     ) -> Result<(), ExpertError> {
         if let Some(earlier) = earlier {
-            (self.missed, self.grasp) = (earlier.missed, earlier.grasp);
+            (self.failed_attempts, self.grasp) = (earlier.failed_attempts, earlier.grasp);
         }
         let object = world.entity(&self.object)?;
         let spot = self.place.spot(world, object)?;
         let to_rest = Spot::hand_for(world, object, spot.rest) - world.grip;
         let is_over_rest = to_rest.horizontal_norm() < OVER_REST_M;
-        let is_at_rest = is_over_rest && spot.reached(world, object);
+        let is_at_rest = is_over_rest && spot.can_release(world, object);
         let phase = if world.gap_to(object) < BESIDE_M && is_at_rest && world.opening < OPEN_M {
             let closing = world.grip_quat.rotate(Vec3::new(1.0, 0.0, 0.0));
             Phase::Release {
@@ -151,9 +151,10 @@ impl Transfer {
             }
         } else if self.holds(world, motion)? {
             let hold = self.hold(earlier, world, object);
-            let to_gate = Spot::hand_for(world, object, spot.gate) - world.grip;
-            let is_entering = is_over_rest && to_gate.z > 0.0 && spot.way_out() == Vec3::UP;
-            match spot.at_gate(to_gate) || is_entering {
+            let to_approach_start = Spot::hand_for(world, object, spot.approach_start) - world.grip;
+            let is_entering =
+                is_over_rest && to_approach_start.z > 0.0 && spot.way_out() == Vec3::UP;
+            match spot.can_approach(to_approach_start) || is_entering {
                 true => Phase::Lower(hold),
                 false => Phase::Carry(hold),
             }
@@ -213,7 +214,7 @@ impl Transfer {
                 }
                 Next::Go(phase) => self.enter(phase),
                 Next::Missed => {
-                    self.missed += 1;
+                    self.failed_attempts += 1;
                     self.enter(Phase::Choose);
                 }
                 Next::Done => return Ok(None),
@@ -252,7 +253,7 @@ impl Transfer {
 
     fn choose(&self, world: &World, object: &Entity) -> Result<Next, ExpertError> {
         let choices = grasp::choices(world, object, self.purpose(world, object)?);
-        let grasp = choices[self.missed % choices.len()];
+        let grasp = choices[self.failed_attempts % choices.len()];
         let quat = pointing_down(grasp.closing);
         Ok(Next::Go(Phase::Approach(Grip { grasp, quat })))
     }
@@ -277,8 +278,8 @@ impl Transfer {
 
     fn descend(&self, world: &World, object: &Entity, grip: Grip, motion: &Motion) -> Next {
         let hand = grip.hand(object);
-        let stopped = self.ticks > 5 && motion.still_steps() >= 3;
-        if (hand.pos - world.grip).norm() < DEEP_M || stopped || self.is_overdue() {
+        let has_stopped = self.ticks > 5 && motion.still_steps() >= 3;
+        if (hand.pos - world.grip).norm() < DEEP_M || has_stopped || self.is_overdue() {
             return Next::Go(Phase::Close(HandPose {
                 pos: world.grip,
                 ..hand
@@ -322,8 +323,8 @@ impl Transfer {
             return Ok(Next::Missed);
         }
         let spot = self.place.spot(world, object)?;
-        let goal = Spot::hand_for(world, object, spot.gate);
-        if spot.at_gate(goal - world.grip) {
+        let goal = Spot::hand_for(world, object, spot.approach_start);
+        if spot.can_approach(goal - world.grip) {
             return Ok(Next::Go(Phase::Lower(hold)));
         }
         let pos = detour(world, goal, HandLoad::With(object));
@@ -338,8 +339,8 @@ impl Transfer {
         motion: &Motion,
     ) -> Result<Next, ExpertError> {
         let spot = self.place.spot(world, object)?;
-        let stopped = self.ticks > 3 && motion.still_steps() >= 2;
-        if spot.reached(world, object) || stopped || self.is_overdue() {
+        let has_stopped = self.ticks > 3 && motion.still_steps() >= 2;
+        if spot.can_release(world, object) || has_stopped || self.is_overdue() {
             let hand = HandPose {
                 pos: world.grip,
                 quat: hold.quat,
@@ -529,8 +530,8 @@ mod tests {
         let can = world.entity("can_1").unwrap();
         let mut transfer = can_into_basket();
         let mut chosen = Vec::new();
-        for missed in 0..2 {
-            transfer.missed = missed;
+        for failed_attempts in 0..2 {
+            transfer.failed_attempts = failed_attempts;
             match transfer.choose(&world, can) {
                 Ok(Next::Go(Phase::Approach(grip))) => chosen.push(grip.grasp),
                 _ => panic!("no grasp chosen"),

@@ -1,10 +1,10 @@
-//! Reasons why a policy server is out.
+//! Reasons problem a policy server is out.
 
 use std::fmt;
 
 use crate::told::told;
 
-/// Reason why a server is out.
+/// Reason problem a server is out.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Cause {
     /// The connection failed.
@@ -27,8 +27,8 @@ impl Cause {
     /// Returns the cause with its text shortened by [`told`], which bounds memory and log entries.
     pub fn told(self) -> Self {
         match self {
-            Self::Unreachable(why) => Self::Unreachable(told(&why)),
-            Self::Misplaced(why) => Self::Misplaced(told(&why)),
+            Self::Unreachable(problem) => Self::Unreachable(told(&problem)),
+            Self::Misplaced(problem) => Self::Misplaced(told(&problem)),
             Self::Distrust(error) => Self::Distrust(told(&error)),
             Self::Disagrees(difference) => Self::Disagrees(told(&difference)),
             Self::Silent => Self::Silent,
@@ -47,7 +47,9 @@ impl fmt::Display for Cause {
     /// Writes the reason; reads after the server's name.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Unreachable(why) | Self::Misplaced(why) => write!(f, "cannot be reached: {why}"),
+            Self::Unreachable(problem) | Self::Misplaced(problem) => {
+                write!(f, "cannot be reached: {problem}")
+            }
             Self::Distrust(error) => write!(f, "cannot be queried: {error}"),
             Self::Disagrees(difference) => f.write_str(difference),
             Self::Silent => f.write_str("did not answer in time"),

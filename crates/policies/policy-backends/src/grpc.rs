@@ -1,4 +1,4 @@
-//! Back-end of remote policy servers that speak `rollout.policy.v1`, including other gateways.
+//! Back-end of remote policy servers that implement `rollout.policy.v1`, including other gateways.
 //! Opens the connection at the first query and reopens a broken one. Deadlines, back-off and
 //! checks of the answers belong to the replica.
 
@@ -58,14 +58,14 @@ impl FromStr for GrpcAddress {
     type Err = AddressError;
 
     fn from_str(text: &str) -> Result<Self, AddressError> {
-        let wrong = || AddressError {
+        let invalid = || AddressError {
             text: text.to_owned(),
         };
-        let (scheme, rest) = text.split_once("://").ok_or_else(wrong)?;
+        let (scheme, rest) = text.split_once("://").ok_or_else(invalid)?;
         let encrypted = match scheme {
             "grpc" => false,
             "https" => true,
-            _ => return Err(wrong()),
+            _ => return Err(invalid()),
         };
         let (authority, policy) = rest.split_once('/').unwrap_or((rest, ""));
         let address = Self {
@@ -80,7 +80,7 @@ impl FromStr for GrpcAddress {
         if is_complete && address.endpoint().is_ok() {
             Ok(address)
         } else {
-            Err(wrong())
+            Err(invalid())
         }
     }
 }

@@ -1,4 +1,4 @@
-//! Back-end of unmodified openpi policy servers: a π0.5 server that speaks msgpack over WebSocket.
+//! Back-end of unmodified openpi policy servers: π0.5 servers with msgpack over WebSocket.
 //! Acts like openpi's LIBERO client: sends the same part of an observation, and executes the same
 //! number of actions of a chunk. Also manages the connections. [`frame`] resizes frames, [`codec`]
 //! encodes and decodes messages.
@@ -22,8 +22,8 @@ use transport::{Access, ServerKind};
 pub use self::address::{DEFAULT_EXECUTE, MAX_EXECUTE, OpenpiAddress, OpenpiAddressError};
 use crate::{
     backend::{Backend, BackendError},
+    observations::{self, FRAME_SIDE},
     sessions::{MAX_SESSIONS, SessionTable},
-    shown::{self, FRAME_SIDE},
     websocket::{Connection, Received, Server},
 };
 
@@ -204,7 +204,7 @@ fn describe(address: &OpenpiAddress, metadata: &[u8]) -> DescribeResponse {
         protocol_version: proto::PROTOCOL_VERSION,
         name: "openpi".to_owned(),
         checkpoint: format!("not named by its server, whose metadata are sha256 {digest}…"),
-        cameras: CAMERAS.map(shown::camera).into(),
+        cameras: CAMERAS.map(observations::camera).into(),
         state: STATE.map(i32::from).into(),
         horizon: address.execute,
         execute: address.execute,
@@ -224,14 +224,14 @@ fn describe(address: &OpenpiAddress, metadata: &[u8]) -> DescribeResponse {
 fn encode_query(request: &InferRequest, prompt: &str) -> Result<Vec<u8>, String> {
     let observation = request.observation.as_ref();
     let frame = |camera: &str| {
-        let frame = shown::frame(observation, camera)?;
+        let frame = observations::frame(observation, camera)?;
         Ok::<_, String>(frame::prepare(&frame, FRAME_SIDE as usize))
     };
     let [position, rotation, fingers] = STATE;
     let mut state = vec![];
-    state.extend(shown::reading::<3>(observation, position)?);
-    state.extend(shown::reading::<3>(observation, rotation)?);
-    state.extend(shown::reading::<2>(observation, fingers)?);
+    state.extend(observations::reading::<3>(observation, position)?);
+    state.extend(observations::reading::<3>(observation, rotation)?);
+    state.extend(observations::reading::<2>(observation, fingers)?);
     let [scene, wrist] = CAMERAS;
     Ok(codec::observation(&codec::ClientObservation {
         side: frame::SIDE,
@@ -269,7 +269,7 @@ mod tests {
             let address: OpenpiAddress = text.parse().expect(text);
             assert_eq!(address.to_string(), text);
         }
-        let wrong = [
+        let invalid = [
             "ws://gpu7",
             "ws://:8000",
             "http://gpu7:8000",
@@ -277,7 +277,7 @@ mod tests {
             "ws://gpu7:8000?execute=0",
             "ws://gpu7:8000?run=5",
         ];
-        for text in wrong {
+        for text in invalid {
             let error = text.parse::<OpenpiAddress>().expect_err(text);
             assert!(error.to_string().contains("ws://HOST:PORT"), "{error}");
         }

@@ -34,10 +34,10 @@ pub struct RecordInto {
 pub struct Recorder {
     inner: Arc<dyn Backend>,
     /// Open recordings, shared with the blocking threads that write them.
-    shared: Arc<Mutex<Open>>,
+    shared: Arc<Mutex<OpenRecordings>>,
 }
 
-struct Open {
+struct OpenRecordings {
     folder: PathBuf,
     bytes_left: u64,
     described: DescribeResponse,
@@ -50,7 +50,7 @@ impl Recorder {
         let RecordInto { folder, max_bytes } = into;
         Self {
             inner,
-            shared: Arc::new(Mutex::new(Open {
+            shared: Arc::new(Mutex::new(OpenRecordings {
                 folder,
                 bytes_left: max_bytes,
                 described: DescribeResponse::default(),
@@ -60,7 +60,7 @@ impl Recorder {
     }
 
     /// Runs `writing` on a blocking thread, so that writing does not delay other sessions.
-    async fn write(&self, writing: impl FnOnce(&mut Open) + Send + 'static) {
+    async fn write(&self, writing: impl FnOnce(&mut OpenRecordings) + Send + 'static) {
         let shared = Arc::clone(&self.shared);
         let written = tokio::task::spawn_blocking(move || {
             let mut open = shared.lock().unwrap_or_else(PoisonError::into_inner);
@@ -72,7 +72,7 @@ impl Recorder {
     }
 }
 
-impl Open {
+impl OpenRecordings {
     fn begin(&mut self, reset: &ResetRequest) {
         self.end_idle();
         if let Some((_, earlier)) = self.sessions.remove(&reset.session) {
@@ -128,7 +128,7 @@ impl Open {
     }
 }
 
-impl Drop for Open {
+impl Drop for OpenRecordings {
     fn drop(&mut self) {
         for (session, (_, writer)) in self.sessions.drain() {
             end(&session, writer);

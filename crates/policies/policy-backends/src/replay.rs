@@ -181,13 +181,13 @@ fn policy(error: &dyn fmt::Display) -> BackendError {
 }
 
 /// Describes the first difference between an observation and the recorded one.
-fn difference(path: &Path, query_index: u32, now: &Observation) -> Result<String, RecordingError> {
+fn difference(path: &Path, query_index: u32, sent: &Observation) -> Result<String, RecordingError> {
     let mut reader = Reader::open(path)?;
     let mut pairs = 0;
     while let Some(pair) = reader.pair()? {
         if pair.query.query_index == query_index {
             let recorded = pair.query.observation.unwrap_or_default();
-            let difference = first_difference(&recorded, now);
+            let difference = first_difference(&recorded, sent);
             return Ok(format!(
                 "the observation is not the recorded one ({}): {difference}",
                 path.display()
@@ -201,17 +201,20 @@ fn difference(path: &Path, query_index: u32, now: &Observation) -> Result<String
     ))
 }
 
-fn first_difference(recorded: &Observation, now: &Observation) -> String {
-    if recorded.images.len() != now.images.len() {
-        let counts = (recorded.images.len(), now.images.len());
-        return format!("{} frames were recorded, and {} came", counts.0, counts.1);
+fn first_difference(recorded: &Observation, sent: &Observation) -> String {
+    if recorded.images.len() != sent.images.len() {
+        let counts = (recorded.images.len(), sent.images.len());
+        return format!(
+            "{} frames were recorded, and {} were sent",
+            counts.0, counts.1
+        );
     }
-    for (was, is) in recorded.images.iter().zip(&now.images) {
+    for (was, is) in recorded.images.iter().zip(&sent.images) {
         let shape =
             |image: &proto::policy::Image| (image.camera.clone(), image.width, image.height);
         if shape(was) != shape(is) {
             return format!(
-                "frame {:?} was recorded, and {:?} came",
+                "frame {:?} was recorded, and {:?} was sent",
                 shape(was),
                 shape(is)
             );
@@ -225,7 +228,7 @@ fn first_difference(recorded: &Observation, now: &Observation) -> String {
             );
             return format!(
                 "{differing} of {} numbers of {:?} differ, first at column {column} of row {row} \
-                 ({} was recorded, {} came)",
+                 ({} was recorded, {} was sent)",
                 is.rgb.len(),
                 is.camera,
                 was.rgb[at],
@@ -233,16 +236,16 @@ fn first_difference(recorded: &Observation, now: &Observation) -> String {
             );
         }
     }
-    let pairs = recorded.state.clone().into_iter().zip(now.state.clone());
+    let pairs = recorded.state.clone().into_iter().zip(sent.state.clone());
     let differs = |(was, is): &(StateReading, StateReading)| was != is;
     match pairs.into_iter().find(differs) {
         Some((was, is)) => format!(
-            "{} was {:?}, and {} {:?} came",
+            "{} was recorded as {:?}, and {} was sent as {:?}",
             was.field().as_str_name(),
             was.values,
             is.field().as_str_name(),
             is.values
         ),
-        None => "the simulator's own state, or the number of readings".to_owned(),
+        None => "the simulator's states or the numbers of readings differ".to_owned(),
     }
 }

@@ -11,8 +11,8 @@ use crate::{
     vla_eval::{VlaEvalAddress, VlaEvalAddressError},
 };
 
-/// Back-end that answers for a policy: `builtin:NAME`, `grpc://HOST:PORT[/POLICY]` (`https://` over TLS),
-/// `ws://HOST:PORT` (`wss://` over TLS), `vla-eval://HOST:PORT` (`vla-evals://` over TLS),
+/// Back-end that answers for a policy: `builtin:NAME`, `grpc://HOST:PORT[/POLICY]` (`https://` over
+/// TLS), `ws://HOST:PORT` (`wss://` over TLS), `vla-eval://HOST:PORT` (`vla-evals://` over TLS),
 /// `student:FILE`, or `replay:FOLDER`.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum BackendSpec {

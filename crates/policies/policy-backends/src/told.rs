@@ -8,25 +8,25 @@ const CUT: &str = " …";
 /// Returns a text in one line of at most [`MAX_TOLD_BYTES`]. A line feed in a server's text could
 /// forge a line of the log.
 pub fn told(text: &str) -> String {
-    let mut told = String::new();
+    let mut joined = String::new();
     let lines = text
         .lines()
         .flat_map(|line| line.split('\r'))
         .map(str::trim);
     for line in lines.filter(|line| !line.is_empty()) {
-        if !told.is_empty() {
-            told.push_str(" | ");
+        if !joined.is_empty() {
+            joined.push_str(" | ");
         }
-        told.push_str(line);
-        if told.len() > MAX_TOLD_BYTES {
+        joined.push_str(line);
+        if joined.len() > MAX_TOLD_BYTES {
             let mut ends = (0..=MAX_TOLD_BYTES - CUT.len()).rev();
-            let end = ends.find(|end| told.is_char_boundary(*end));
-            told.truncate(end.unwrap_or_default());
-            told.push_str(CUT);
+            let end = ends.find(|end| joined.is_char_boundary(*end));
+            joined.truncate(end.unwrap_or_default());
+            joined.push_str(CUT);
             break;
         }
     }
-    told
+    joined
 }
 
 #[cfg(test)]

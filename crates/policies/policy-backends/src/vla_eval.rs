@@ -1,5 +1,5 @@
-//! Back-end of unmodified vla-eval model servers, which speak msgpack over WebSocket. Acts like
-//! vla-eval's LIBERO benchmark in the order of messages, the observations sent, and the use of
+//! Back-end of unmodified vla-eval model servers, whose protocol is msgpack over WebSocket. Acts
+//! like vla-eval's LIBERO benchmark in the order of messages, the observations sent, and the use of
 //! the actions. Also manages the connections. `hello` negotiates the observations, `state` and
 //! `image` compute them, `message` encodes and decodes.
 //!
@@ -30,8 +30,8 @@ use self::{
 use crate::{
     backend::{Backend, BackendError},
     numpy::{Keys, array, map},
+    observations::{self, FRAME_SIDE},
     sessions::SessionTable,
-    shown::{self, FRAME_SIDE},
     websocket::{Connection, Received, Server},
 };
 
@@ -53,12 +53,12 @@ const MAX_IDLE: usize = 8;
 pub struct VlaEvalBackend {
     address: VlaEvalAddress,
     server: Server,
-    episodes: Mutex<SessionTable<Open>>,
+    episodes: Mutex<SessionTable<OpenEpisode>>,
     /// Connections after their HELLO, without an episode so far.
     idle: Mutex<Vec<Link>>,
 }
 
-struct Open {
+struct OpenEpisode {
     last_use: Instant,
     episode: Arc<Episode>,
 }
@@ -117,7 +117,7 @@ impl VlaEvalBackend {
 
     fn terms(&self, received: &Received) -> Result<Terms, BackendError> {
         let hello = match received {
-            Received::Binary(bytes) => message::greeting(bytes),
+            Received::Binary(bytes) => message::hello_payload(bytes),
             Received::Text(_) => None,
         };
         let terms = match hello {
@@ -155,7 +155,7 @@ impl VlaEvalBackend {
         self.idle.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
-    fn episodes(&self) -> MutexGuard<'_, SessionTable<Open>> {
+    fn episodes(&self) -> MutexGuard<'_, SessionTable<OpenEpisode>> {
         self.episodes.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
@@ -218,7 +218,7 @@ impl Backend for VlaEvalBackend {
             instruction,
             link: Some(link).into(),
         };
-        let open = Open {
+        let open = OpenEpisode {
             last_use: Instant::now(),
             episode: episode.into(),
         };
@@ -271,7 +271,11 @@ impl Backend for VlaEvalBackend {
             }
         };
         link.next_query += u32::from(answer.is_ok());
-        if answer.as_ref().err().is_none_or(AnswerError::is_in_step) {
+        if answer
+            .as_ref()
+            .err()
+            .is_none_or(AnswerError::is_synchronised)
+        {
             *slot = Some(link);
         }
         answer.map_err(|error| failed(error.to_string()))
@@ -291,9 +295,9 @@ fn observation(
     format: ImageFormat,
     instruction: &str,
 ) -> Result<Value, String> {
-    let images = CAMERAS.iter().take(if terms.wrist { 2 } else { 1 });
+    let images = CAMERAS.iter().take(if terms.sends_wrist { 2 } else { 1 });
     let images = images.map(|(camera, slot)| {
-        let frame = shown::frame(observation, camera)?;
+        let frame = observations::frame(observation, camera)?;
         let frame = image::encode(format, FRAME_SIDE, &frame);
         Ok((
             Value::from(*slot),
@@ -306,12 +310,12 @@ fn observation(
         entry("images", images),
         entry("task_description", instruction.into()),
     ];
-    if terms.state {
-        let position = shown::reading(observation, StateField::EefPos)?;
-        let quaternion = shown::reading(observation, StateField::EefQuatXyzw)?;
-        let hand = shown::reading(observation, StateField::EefRotation)?;
-        let fingers = shown::reading(observation, StateField::GripperPos)?;
-        let states = state::states(position, quaternion, fingers, terms.flips);
+    if terms.sends_state {
+        let position = observations::reading(observation, StateField::EefPos)?;
+        let quaternion = observations::reading(observation, StateField::EefQuatXyzw)?;
+        let hand = observations::reading(observation, StateField::EefRotation)?;
+        let fingers = observations::reading(observation, StateField::GripperPos)?;
+        let states = state::states(position, quaternion, fingers, terms.flips_quaternion);
         let states = states
             .iter()
             .flat_map(|number| number.to_le_bytes())

@@ -27,7 +27,7 @@ use crate::{
 /// HELLO less; a decoded message takes up to forty times as much memory.
 const MAX_MESSAGE_BYTES: usize = 1 << 20;
 /// Longest wait for handshake and first message: a server may not answer while it computes.
-const GREETING_WITHIN: Duration = Duration::from_secs(30);
+const GREETING_TIMEOUT: Duration = Duration::from_secs(30);
 
 /// URL schemes of a kind of server.
 #[derive(Clone, Copy, Debug)]
@@ -150,7 +150,7 @@ impl Server {
             let received = connection.receive().await?;
             Ok((connection, received))
         };
-        tokio::time::timeout(GREETING_WITHIN, greeting)
+        tokio::time::timeout(GREETING_TIMEOUT, greeting)
             .await
             .map_err(|_| self.unreachable(Found::Mute))?
     }
@@ -200,7 +200,7 @@ impl Server {
     async fn connection_error(&self) -> BackendError {
         BackendError::Unreachable {
             address: self.host_port.authority.clone(),
-            trouble: self.peer.look_around().await.into(),
+            trouble: self.peer.probe().await.into(),
         }
     }
 

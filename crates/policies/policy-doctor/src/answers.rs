@@ -68,11 +68,11 @@ mod tests {
 
     #[test]
     fn answers_of_several_seeds_have_means_and_a_spread() {
-        let asked = vec![
+        let given = vec![
             vec![vec![[1.0; 7], [5.0; 7]], vec![[3.0; 7]]],
             vec![vec![[0.0; 7]], vec![[2.0; 7]]],
         ];
-        let answers = Answers::averaged(asked);
+        let answers = Answers::averaged(given);
         assert_eq!(answers.chunks, [[[2.0; 7]], [[1.0; 7]]]);
         assert_eq!(answers.spread, [2.0_f64.sqrt(); 7]);
         assert_eq!(answers.numbers(), 14);

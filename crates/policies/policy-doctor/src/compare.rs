@@ -6,27 +6,27 @@ use serde::Serialize;
 
 use crate::{
     answers::Answers,
-    chance::{Chance, REPEATABLE},
     descriptions::{self, DescriptionDifference},
-    difference::{self, Apart, Difference, Kind, NUMBERS, size},
+    difference::{self, Difference, Kind, LargestDifference, NUMBERS, size},
     fit::{Limit, fit},
-    panel::{Panel, SEED, Side},
-    search::{Course, Explanation, Found},
+    randomness::{REPEATABLE, Randomness},
+    search::{Explanation, SearchResult, SearchSetup},
     server::{ExaminationError, Server},
+    server_pair::{SEED, ServerPair, Side},
     situation::Situation,
     variant::Topic,
 };
 
 /// Number of answers per situation that are averaged, if equal seeds do not give equal noise.
-const AVERAGED: usize = 8;
+const SEEDS_PER_MEAN: usize = 8;
 /// Number of standard errors within which two means count as equal.
-const ERRORS: f64 = 2.5;
+const STANDARD_ERRORS: f64 = 2.5;
 /// Largest share of a difference that an explanation by frame size may leave unexplained.
-const LEFT_OF_SIZE: f64 = 0.4;
+const MAX_UNEXPLAINED_BY_SIZE: f64 = 0.4;
 /// Share of the answers' variation below which differences count as rounding.
 const ROUNDING: f64 = 0.02;
 /// Common default seeds.
-const USUAL_SEEDS: [u64; 5] = [0, 1, 7, 42, 1000];
+const COMMON_SEEDS: [u64; 5] = [0, 1, 7, 42, 1000];
 
 /// Result of a comparison.
 #[derive(Clone, Debug, Serialize)]
@@ -47,26 +47,26 @@ struct Both {
 
 impl Both {
     async fn query(
-        panel: &Panel,
+        servers: &ServerPair,
         seeds: &(dyn Fn(usize) -> Vec<u64> + Sync),
     ) -> Result<Self, ExaminationError> {
-        let all = panel.situations();
+        let all = servers.situations();
         Ok(Self {
-            a: panel.query(Side::A, &[], all, seeds).await?,
-            b: panel.query(Side::B, &[], all, seeds).await?,
+            a: servers.query(Side::A, &[], all, seeds).await?,
+            b: servers.query(Side::B, &[], all, seeds).await?,
         })
     }
 
-    fn apart(&self) -> Apart {
-        let (before, at) = self.a.largest_difference(&self.b);
-        Apart { before, at }
+    fn largest_difference(&self) -> LargestDifference {
+        let (value, component) = self.a.largest_difference(&self.b);
+        LargestDifference { value, component }
     }
 
     /// Returns true if the difference is small relative to the variation of the answers.
     fn differ_by_rounding(&self) -> bool {
-        let left = fit(&self.a, &self.b, &[f64::INFINITY; 7]).left;
-        let varied = varied(&self.b);
-        (0..7).all(|at| left[at] <= (ROUNDING * varied[at]).max(REPEATABLE))
+        let remaining = fit(&self.a, &self.b, &[f64::INFINITY; 7]).remaining;
+        let deviations = standard_deviations(&self.b);
+        (0..7).all(|at| remaining[at] <= (ROUNDING * deviations[at]).max(REPEATABLE))
     }
 }
 
@@ -80,24 +80,24 @@ pub async fn compare(
     situations: Vec<Situation>,
 ) -> Result<Comparison, ExaminationError> {
     let descriptions = descriptions::differences(&a.described, &b.described);
-    let panel = Panel::new(a, b, situations)?;
-    let both = Both::query(&panel, &|_| vec![SEED]).await?;
-    let chances = [
-        Chance::measure(&panel, Side::A, &both.a).await?,
-        Chance::measure(&panel, Side::B, &both.b).await?,
+    let servers = ServerPair::new(a, b, situations)?;
+    let both = Both::query(&servers, &|_| vec![SEED]).await?;
+    let randomness = [
+        Randomness::measure(&servers, Side::A, &both.a).await?,
+        Randomness::measure(&servers, Side::B, &both.b).await?,
     ];
-    let mut differences = seed_differences(&panel, chances);
-    let (further, note) = match chances.iter().all(Chance::is_repeatable) {
-        true => paired(&panel, &both, chances).await?,
-        false => averaged(&panel, chances).await?,
+    let mut differences = seed_differences(&servers, randomness);
+    let (answer_differences, note) = match randomness.iter().all(Randomness::is_repeatable) {
+        true => compare_paired(&servers, &both, randomness).await?,
+        false => compare_means(&servers, randomness).await?,
     };
-    for further in further {
+    for difference in answer_differences {
         match differences
             .iter_mut()
-            .find(|difference| difference.kind == further.kind)
+            .find(|earlier| earlier.kind == difference.kind)
         {
-            Some(earlier) => earlier.text = format!("{} {}", earlier.text, further.text),
-            None => differences.push(further),
+            Some(earlier) => earlier.text = format!("{} {}", earlier.text, difference.text),
+            None => differences.push(difference),
         }
     }
     Ok(Comparison {
@@ -108,22 +108,22 @@ pub async fn compare(
 }
 
 /// Finds differences between the servers' use of the seed, regardless of the observations.
-fn seed_differences(panel: &Panel, chances: [Chance; 2]) -> Vec<Difference> {
-    let sides = [(Side::A, "A"), (Side::B, "B")].into_iter().zip(chances);
-    for ((side, letter), chance) in sides {
-        if !chance.is_repeatable() && !panel.described(side).unseeded {
+fn seed_differences(servers: &ServerPair, randomness: [Randomness; 2]) -> Vec<Difference> {
+    let sides = [(Side::A, "A"), (Side::B, "B")].into_iter().zip(randomness);
+    for ((side, letter), randomness) in sides {
+        if !randomness.is_repeatable() && !servers.described(side).unseeded {
             let text = format!(
                 "{letter} answers the same observation and seed differently every time, by up to \
                  {}, and does not declare it: its noise does not come from the seed.",
-                size(chance.repeats)
+                size(randomness.repeat_difference)
             );
             return vec![Difference::new(Kind::Seed, text)];
         }
     }
-    let [a, b] = chances;
+    let [a, b] = randomness;
     let ignored = match (a.follows_seed(), b.follows_seed()) {
-        (true, false) if b.is_repeatable() => ("A", "B", a.moves),
-        (false, true) if a.is_repeatable() => ("B", "A", b.moves),
+        (true, false) if b.is_repeatable() => ("A", "B", a.seed_difference),
+        (false, true) if a.is_repeatable() => ("B", "A", b.seed_difference),
         _ => return vec![],
     };
     let (follows, ignores, by) = ignored;
@@ -137,65 +137,70 @@ fn seed_differences(panel: &Panel, chances: [Chance; 2]) -> Vec<Difference> {
 }
 
 /// Compares answers with the same seed.
-async fn paired(
-    panel: &Panel,
+async fn compare_paired(
+    servers: &ServerPair,
     both: &Both,
-    chances: [Chance; 2],
+    randomness: [Randomness; 2],
 ) -> Result<(Vec<Difference>, String), ExaminationError> {
-    let is_random = chances.iter().any(|chance| chance.moves > REPEATABLE);
-    let apart = both.apart();
+    let is_random = randomness
+        .iter()
+        .any(|randomness| randomness.seed_difference > REPEATABLE);
+    let largest = both.largest_difference();
     let seeds = |_: usize| vec![SEED];
-    let course = Course {
-        panel,
+    let setup = SearchSetup {
+        servers,
         seeds: &seeds,
         floor: [REPEATABLE; 7],
         // No change to the observations makes different noise equal, so only single changes are
         // tried.
-        together: !is_random,
+        allows_several: !is_random,
     };
-    let unchanged = fit(&both.a, &both.b, &course.floor);
+    let unchanged = fit(&both.a, &both.b, &setup.floor);
     if is_random
         && !unchanged.explains
-        && let Some(found) = other_seed(panel, both).await?
+        && let Some(found) = other_seed(servers, both).await?
     {
-        let note = compared(panel, &both.a, "with one seed each");
+        let note = comparison_note(servers, &both.a, "with one seed each");
         return Ok((vec![found], note));
     }
-    match course.search(&both.a, &both.b).await? {
-        Found::Explained(explanation) => {
+    match setup.search(&both.a, &both.b).await? {
+        SearchResult::Explained(explanation) => {
             let note = format!(
                 "{}; the largest difference, with unchanged observations, is {}",
-                compared(panel, &both.a, "with the same seed"),
-                size(apart.before)
+                comparison_note(servers, &both.a, "with the same seed"),
+                size(largest.value)
             );
-            Ok((difference::explained(&explanation, apart), note))
+            Ok((difference::explained(&explanation, largest), note))
         }
-        Found::Nothing(_) if both.differ_by_rounding() => {
+        SearchResult::Unexplained(_) if both.differ_by_rounding() => {
             let note = format!(
                 "{}; they differ by up to {}, less than {ROUNDING} of their own variation, as \
                  after rounding (bfloat16), through JPEG or on another processor",
-                compared(panel, &both.a, "with the same seed"),
-                size(apart.before)
+                comparison_note(servers, &both.a, "with the same seed"),
+                size(largest.value)
             );
             Ok((vec![], note))
         }
-        Found::Nothing(_) if is_random => averaged(panel, chances).await,
-        Found::Nothing(closest) => {
-            let found = not_explained(both, apart, &closest);
-            let note = compared(panel, &both.a, "with the same seed");
+        SearchResult::Unexplained(_) if is_random => compare_means(servers, randomness).await,
+        SearchResult::Unexplained(closest) => {
+            let found = not_explained(both, largest, &closest);
+            let note = comparison_note(servers, &both.a, "with the same seed");
             Ok((found, note))
         }
     }
 }
 
 /// Checks whether one server's answers with a seed equal the other's with another seed.
-async fn other_seed(panel: &Panel, both: &Both) -> Result<Option<Difference>, ExaminationError> {
-    let all = panel.situations();
+async fn other_seed(
+    servers: &ServerPair,
+    both: &Both,
+) -> Result<Option<Difference>, ExaminationError> {
+    let all = servers.situations();
     let near = [("one more than", SEED + 1), ("one less than", SEED - 1)];
-    let usual = USUAL_SEEDS.map(|seed| ("", seed));
+    let usual = COMMON_SEEDS.map(|seed| ("", seed));
     for (relation, seed) in near.into_iter().chain(usual) {
         for (side, letter, other) in [(Side::A, "A", "B"), (Side::B, "B", "A")] {
-            let changed = panel.query(side, &[], 1, |_| vec![seed]).await?;
+            let changed = servers.query(side, &[], 1, |_| vec![seed]).await?;
             let (unchanged, first) = match side {
                 Side::A => (&both.b, &changed),
                 Side::B => (&both.a, &changed),
@@ -203,9 +208,9 @@ async fn other_seed(panel: &Panel, both: &Both) -> Result<Option<Difference>, Ex
             if unchanged.largest_difference(first).0 > REPEATABLE {
                 continue;
             }
-            let changed = panel.query(side, &[], all, |_| vec![seed]).await?;
-            let left = unchanged.largest_difference(&changed).0;
-            if left > REPEATABLE {
+            let changed = servers.query(side, &[], all, |_| vec![seed]).await?;
+            let remaining = unchanged.largest_difference(&changed).0;
+            if remaining > REPEATABLE {
                 continue;
             }
             let other_seed = match relation {
@@ -215,8 +220,8 @@ async fn other_seed(panel: &Panel, both: &Both) -> Result<Option<Difference>, Ex
             let text = format!(
                 "{other} answers with seed {SEED} as {letter} does with {other_seed}. With the \
                  same seed they differ by up to {}; with these seeds, by {}.",
-                size(both.apart().before),
-                size(left)
+                size(both.largest_difference().value),
+                size(remaining)
             );
             return Ok(Some(Difference::new(Kind::Seed, text)));
         }
@@ -225,44 +230,49 @@ async fn other_seed(panel: &Panel, both: &Both) -> Result<Option<Difference>, Ex
 }
 
 /// Compares means over several seeds.
-async fn averaged(
-    panel: &Panel,
-    chances: [Chance; 2],
+async fn compare_means(
+    servers: &ServerPair,
+    randomness: [Randomness; 2],
 ) -> Result<(Vec<Difference>, String), ExaminationError> {
     // Different seeds for every situation keep the errors of the means independent.
     let seeds = |situation: usize| -> Vec<u64> {
-        let first = SEED + 100 + (situation * AVERAGED) as u64;
-        (first..first + AVERAGED as u64).collect()
+        let first = SEED + 100 + (situation * SEEDS_PER_MEAN) as u64;
+        (first..first + SEEDS_PER_MEAN as u64).collect()
     };
-    let both = Both::query(panel, &seeds).await?;
-    let course = Course {
-        panel,
+    let both = Both::query(servers, &seeds).await?;
+    let setup = SearchSetup {
+        servers,
         seeds: &seeds,
-        floor: floor(&both, chances),
-        together: true,
+        floor: floor(&both, randomness),
+        allows_several: true,
     };
-    let apart = both.apart();
-    let noise = chances.map(|chance| chance.moves.max(chance.repeats));
+    let largest = both.largest_difference();
+    let noise =
+        randomness.map(|randomness| randomness.seed_difference.max(randomness.repeat_difference));
     let note = format!(
         "{}; the means differ by up to {}, and single answers to the same observation by {}",
-        compared(
-            panel,
+        comparison_note(
+            servers,
             &both.a,
-            &format!("{AVERAGED} answers to each averaged")
+            &format!("{SEEDS_PER_MEAN} answers to each averaged")
         ),
-        size(apart.before),
+        size(largest.value),
         size(noise[0].max(noise[1])),
     );
-    let mut differences = match course.search(&both.a, &both.b).await? {
-        Found::Explained(explanation) => difference::explained(&explanation, apart),
-        Found::Nothing(_) if both.differ_by_rounding() => vec![],
-        Found::Nothing(closest) => not_explained(&both, apart, &closest),
+    let mut differences = match setup.search(&both.a, &both.b).await? {
+        SearchResult::Explained(explanation) => difference::explained(&explanation, largest),
+        SearchResult::Unexplained(_) if both.differ_by_rounding() => vec![],
+        SearchResult::Unexplained(closest) => not_explained(&both, largest, &closest),
     };
-    if differences.is_empty() && chances.iter().all(Chance::follows_seed) {
+    if differences.is_empty() && randomness.iter().all(Randomness::follows_seed) {
         let text = format!(
             "both follow the seed, but the same seed gives them different noise: by up to {}. The \
-             means of {AVERAGED} seeds are alike.",
-            size(chances[0].moves.max(chances[1].moves)),
+             means of {SEEDS_PER_MEAN} seeds are alike.",
+            size(
+                randomness[0]
+                    .seed_difference
+                    .max(randomness[1].seed_difference)
+            ),
         );
         differences.push(Difference::new(Kind::Seed, text));
     }
@@ -270,25 +280,30 @@ async fn averaged(
 }
 
 /// Returns the distance between means that randomness explains, by component.
-fn floor(both: &Both, chances: [Chance; 2]) -> Limit {
-    let [a, b] = chances.map(|chance| chance.moves > REPEATABLE || !chance.is_repeatable());
+fn floor(both: &Both, randomness: [Randomness; 2]) -> Limit {
+    let [a, b] = randomness
+        .map(|randomness| randomness.seed_difference > REPEATABLE || !randomness.is_repeatable());
     std::array::from_fn(|at| {
         let (of_a, of_b) = (both.a.spread[at].powi(2), both.b.spread[at].powi(2));
         // Noise that is the same for every seed does not average out: it shifts all means alike.
-        let frozen = match (a, b) {
+        let shared_noise = match (a, b) {
             (true, false) => 2.0 * of_a,
             (false, true) => 2.0 * of_b,
             _ => 0.0,
         };
-        let error = ((of_a + of_b) / AVERAGED as f64 + frozen).sqrt();
-        (ERRORS * error).max(REPEATABLE)
+        let error = ((of_a + of_b) / SEEDS_PER_MEAN as f64 + shared_noise).sqrt();
+        (STANDARD_ERRORS * error).max(REPEATABLE)
     })
 }
 
 /// Returns the differences to report if no explanation makes the answers alike. An explanation by
 /// frame size is accepted with a larger remainder, because no two libraries resize frames to the
 /// same bits.
-fn not_explained(both: &Both, apart: Apart, closest: &Explanation) -> Vec<Difference> {
+fn not_explained(
+    both: &Both,
+    largest: LargestDifference,
+    closest: &Explanation,
+) -> Vec<Difference> {
     let norm = |limit: &Limit| {
         limit
             .iter()
@@ -296,26 +311,29 @@ fn not_explained(both: &Both, apart: Apart, closest: &Explanation) -> Vec<Differ
             .sum::<f64>()
             .sqrt()
     };
-    let unchanged = fit(&both.a, &both.b, &[f64::INFINITY; 7]).left;
+    let unchanged = fit(&both.a, &both.b, &[f64::INFINITY; 7]).remaining;
     let mut changes = closest.changes.iter();
     let is_scaled = changes.any(|(_, variant)| variant.topic() == Topic::Size);
-    match is_scaled && norm(&closest.fit.left) < LEFT_OF_SIZE * norm(&unchanged) {
-        true => difference::explained_by_observations(closest, apart),
-        false => vec![unexplained(both, apart, closest)],
+    match is_scaled && norm(&closest.fit.remaining) < MAX_UNEXPLAINED_BY_SIZE * norm(&unchanged) {
+        true => difference::explained_by_observations(closest, largest),
+        false => vec![unexplained(both, largest, closest)],
     }
 }
 
-fn unexplained(both: &Both, apart: Apart, closest: &Explanation) -> Difference {
-    let left = closest.fit.left.iter().copied().fold(0.0, f64::max);
+fn unexplained(both: &Both, largest: LargestDifference, closest: &Explanation) -> Difference {
+    let remaining = closest.fit.remaining.iter().copied().fold(0.0, f64::max);
     let attempt = difference::attempt(closest);
     let mut text = format!(
         "their answers differ by up to {} ({}), and none of the differences that are tried \
          explains it.",
-        size(apart.before),
-        NUMBERS[apart.at],
+        size(largest.value),
+        NUMBERS[largest.component],
     );
     for (letter, answers) in [("A", &both.a), ("B", &both.b)] {
-        if varied(answers).iter().all(|number| *number <= REPEATABLE) {
+        if standard_deviations(answers)
+            .iter()
+            .all(|number| *number <= REPEATABLE)
+        {
             text.push_str(&format!(
                 " {letter} answers all observations alike: run `policy-gateway doctor` on it."
             ));
@@ -323,15 +341,15 @@ fn unexplained(both: &Both, apart: Apart, closest: &Explanation) -> Difference {
     }
     if !attempt.is_empty() {
         text.push_str(&format!(
-            " It is smallest if {attempt}: then {} remains.",
-            size(left)
+            " The difference is smallest if {attempt}: then {} remains.",
+            size(remaining)
         ));
     }
     Difference::new(Kind::Unexplained, text)
 }
 
 /// Returns the standard deviation of each component over all actions.
-fn varied(answers: &Answers) -> Limit {
+fn standard_deviations(answers: &Answers) -> Limit {
     let rows: Vec<_> = answers.chunks.iter().flatten().collect();
     let count = rows.len().max(1) as f64;
     std::array::from_fn(|at| {
@@ -341,10 +359,10 @@ fn varied(answers: &Answers) -> Limit {
     })
 }
 
-fn compared(panel: &Panel, answers: &Answers, how: &str) -> String {
+fn comparison_note(servers: &ServerPair, answers: &Answers, how: &str) -> String {
     format!(
         "compared {} numbers of the answers to {} observations, {how}",
         answers.numbers(),
-        panel.situations(),
+        servers.situations(),
     )
 }

@@ -198,8 +198,8 @@ async fn examine(
         Point::Batch => verdict::batch(answers, &probe.batched(SEED).await?),
         Point::Unopened => probe.unopened().await,
         Point::Speed => {
-            let (wall, together) = probe.side_by_side(CONCURRENCY).await?;
-            verdict::speed(&reference.latencies, CONCURRENCY, wall, &together)
+            let (wall, concurrent) = probe.concurrent_episodes(CONCURRENCY).await?;
+            verdict::speed(&reference.latencies, CONCURRENCY, wall, &concurrent)
         }
     })
 }

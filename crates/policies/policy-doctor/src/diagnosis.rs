@@ -1,6 +1,6 @@
 //! `policy-gateway doctor URL`: checks a server for common mistakes. This module orders the
-//! checks: `patient` queries the server, `verdicts` judges the answers, `memory` watches the
-//! server's process.
+//! checks: `diagnosed_server` queries the server, `verdicts` judges the answers, `memory`
+//! watches the server's process.
 
 use std::{fmt, time::Duration};
 
@@ -9,12 +9,12 @@ use crate::{
     server::{ExaminationError, Server},
     situation::Situation,
 };
+use diagnosed_server::{Answered, DiagnosedServer};
 use memory::Process;
-use patient::{Answered, Patient};
 use verdicts::Change;
 
+mod diagnosed_server;
 mod memory;
-mod patient;
 mod verdicts;
 
 /// Check of the diagnosis.
@@ -113,11 +113,11 @@ pub async fn examine(
     measures: Measures,
     report: &mut dyn FnMut(&Finding),
 ) -> Result<bool, ExaminationError> {
-    let mut patient = Patient::new(server, situations)?;
-    let answered = patient.answer_all().await?;
+    let mut diagnosed = DiagnosedServer::new(server, situations)?;
+    let answered = diagnosed.answer_all().await?;
     let mut is_sound = true;
     for point in Point::ALL {
-        let verdict = verdict_on(point, &mut patient, &answered, measures).await;
+        let verdict = verdict_on(point, &mut diagnosed, &answered, measures).await;
         let verdict = verdict.unwrap_or_else(|error| fail(format!("failed to {error}")));
         is_sound &= !matches!(verdict, Verdict::Fail { .. });
         report(&Finding { point, verdict });
@@ -131,58 +131,61 @@ pub async fn examine(
 /// If the server does not answer, or the situations lack an input.
 async fn verdict_on(
     point: Point,
-    patient: &mut Patient<'_>,
+    diagnosed: &mut DiagnosedServer<'_>,
     answered: &Answered,
     measures: Measures,
 ) -> Result<Verdict, ExaminationError> {
     let actions = &answered.actions;
-    let described = &patient.server().described;
+    let described = &diagnosed.server().described;
     let noise = answered.noise;
     Ok(match point {
         Point::Actions => verdicts::actions(&answered.faults, answered.count),
-        Point::Memory => memory(patient, measures.episodes).await?,
-        Point::Latency => verdicts::latency(&patient.latencies, measures.answer_within),
+        Point::Memory => memory(diagnosed, measures.episodes).await?,
+        Point::Latency => verdicts::latency(&diagnosed.latencies, measures.answer_within),
         _ if !answered.faults.is_empty() => skip("not all of its answers are actions"),
         Point::Range => verdicts::range(actions),
         Point::Motion => verdicts::motion(actions),
         Point::Gripper => verdicts::gripper(actions),
         _ if verdicts::is_constant(actions) => skip("all of its actions are the same"),
         Point::Observations => {
-            let most = answered.between_situations;
-            verdicts::observations(Change { most, noise }, patient.situations(), described)
+            let largest = answered.between_situations;
+            verdicts::observations(Change { largest, noise }, diagnosed.situations(), described)
         }
         Point::Frames if described.cameras.is_empty() => skip("it requests no frames"),
         Point::Frames => {
             let mut changes = vec![];
             for camera in &described.cameras {
-                let most = patient.with_other_frames(&camera.name).await?;
-                changes.push((camera.name.clone(), Change { most, noise }));
+                let largest = diagnosed.with_other_frames(&camera.name).await?;
+                changes.push((camera.name.clone(), Change { largest, noise }));
             }
             verdicts::frames(&changes)
         }
         Point::Instructions => match verdicts::reads_language(described) {
             Err(reason) => skip(reason),
             Ok(()) => {
-                let (most, count) = patient.with_other_instructions().await?;
-                verdicts::instructions(Change { most, noise }, count)
+                let (largest, count) = diagnosed.with_other_instructions().await?;
+                verdicts::instructions(Change { largest, noise }, count)
             }
         },
     })
 }
 
 /// Plays episodes, and checks that the server's memory or latency does not grow with them.
-async fn memory(patient: &mut Patient<'_>, episodes: u32) -> Result<Verdict, ExaminationError> {
-    let process = Process::listening_at(&patient.server().url);
+async fn memory(
+    diagnosed: &mut DiagnosedServer<'_>,
+    episodes: u32,
+) -> Result<Verdict, ExaminationError> {
+    let process = Process::listening_at(&diagnosed.server().url);
     let mut resident = vec![];
-    let mut took = vec![];
+    let mut durations = vec![];
     for _ in 0..episodes {
-        took.push(patient.episode().await?);
+        durations.push(diagnosed.episode().await?);
         resident.extend(process.as_ref().and_then(Process::resident_bytes));
     }
     Ok(match process {
-        Some(process) if resident.len() == took.len() => {
+        Some(process) if resident.len() == durations.len() => {
             verdicts::memory(&process.to_string(), &resident)
         }
-        _ => verdicts::slowing(&took),
+        _ => verdicts::slowing(&durations),
     })
 }

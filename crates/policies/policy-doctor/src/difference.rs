@@ -4,8 +4,8 @@ use serde::Serialize;
 
 use crate::{
     fit::{Convention, Fit, GRIPPER, Map},
-    panel::Side,
     search::Explanation,
+    server_pair::Side,
     variant::{Topic, Variant},
 };
 
@@ -80,8 +80,8 @@ impl Kind {
                  that its network was trained on, number by number."
             }
             Self::QuaternionSign => {
-                "A quaternion and its negative are one orientation, but another axis-angle. LIBERO \
-                 keeps the simulator's sign. Compare how both convert it."
+                "A quaternion and its negative are the same orientation, but give different \
+                 axis-angles. LIBERO keeps the simulator's sign. Compare how both convert it."
             }
             Self::Seed => {
                 "A seed reproduces a rollout only if all noise is computed from seed and query. \
@@ -130,27 +130,27 @@ impl Difference {
 
 /// Largest difference between two servers' answers before any explanation.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Apart {
-    /// Largest difference.
-    pub(crate) before: f64,
+pub(crate) struct LargestDifference {
+    /// Absolute difference.
+    pub(crate) value: f64,
     /// Index of the component in an action.
-    pub(crate) at: usize,
+    pub(crate) component: usize,
 }
 
 /// Returns the differences of an explanation, in the order of a policy's
 /// pipeline.
-pub(crate) fn explained(explanation: &Explanation, apart: Apart) -> Vec<Difference> {
+pub(crate) fn explained(explanation: &Explanation, largest: LargestDifference) -> Vec<Difference> {
     let mut differences = of_observations(explanation);
     differences.extend(of_actions(&explanation.fit));
-    with_sizes(differences, explanation, apart)
+    with_sizes(differences, explanation, largest)
 }
 
 /// Returns only those differences of an explanation that concern observations.
 pub(crate) fn explained_by_observations(
     explanation: &Explanation,
-    apart: Apart,
+    largest: LargestDifference,
 ) -> Vec<Difference> {
-    with_sizes(of_observations(explanation), explanation, apart)
+    with_sizes(of_observations(explanation), explanation, largest)
 }
 
 fn of_observations(explanation: &Explanation) -> Vec<Difference> {
@@ -163,16 +163,21 @@ fn of_observations(explanation: &Explanation) -> Vec<Difference> {
 fn with_sizes(
     mut differences: Vec<Difference>,
     explanation: &Explanation,
-    apart: Apart,
+    largest: LargestDifference,
 ) -> Vec<Difference> {
-    let left = explanation.fit.left.iter().copied().fold(0.0, f64::max);
+    let remaining = explanation
+        .fit
+        .remaining
+        .iter()
+        .copied()
+        .fold(0.0, f64::max);
     for difference in &mut differences {
         difference.text = format!(
             "{} Unchanged, their answers differ by up to {} ({}); with this change, by {}.",
             difference.text,
-            size(apart.before),
-            NUMBERS[apart.at],
-            size(left),
+            size(largest.value),
+            NUMBERS[largest.component],
+            size(remaining),
         );
     }
     differences
@@ -275,23 +280,27 @@ pub(crate) fn of_actions(fit: &Fit) -> Vec<Difference> {
     differences
 }
 
-fn scaled(what: &str, scale: f64, offset: f64) -> String {
+fn scaled(name: &str, scale: f64, offset: f64) -> String {
     let sign = if offset < 0.0 { '-' } else { '+' };
     match offset.abs() < 5e-4 {
-        true => format!("{what} × {scale:.3}"),
-        false => format!("{what} × {scale:.3} {sign} {:.3}", offset.abs()),
+        true => format!("{name} × {scale:.3}"),
+        false => format!("{name} × {scale:.3} {sign} {:.3}", offset.abs()),
     }
 }
 
 fn convention_words(convention: Convention) -> &'static str {
     match convention {
         Convention::Inverted => "B's gripper is A's × -1: one opens where the other closes.",
-        Convention::Share => "B's gripper lies in 0..1 where A's lies in -1..1: B = (A + 1) / 2.",
-        Convention::InvertedShare => {
+        Convention::ZeroToOne => {
+            "B's gripper lies in 0..1 where A's lies in -1..1: B = (A + 1) / 2."
+        }
+        Convention::OneToZero => {
             "B's gripper lies in 1..0 where A's lies in -1..1: B = (1 - A) / 2."
         }
-        Convention::FromShare => "A's gripper lies in 0..1 where B's lies in -1..1: B = 2 A - 1.",
-        Convention::FromInvertedShare => {
+        Convention::FromZeroToOne => {
+            "A's gripper lies in 0..1 where B's lies in -1..1: B = 2 A - 1."
+        }
+        Convention::FromOneToZero => {
             "A's gripper lies in 1..0 where B's lies in -1..1: B = 1 - 2 A."
         }
         Convention::Sign => "B's gripper is the sign of A's: B rounds it to -1 or 1.",

@@ -66,14 +66,14 @@ impl Filter {
                 cells.extend((0..3).map(|channel| mean(column, row, channel)));
             }
         }
-        let mut back = Vec::with_capacity(image.rgb.len());
+        let mut restored = Vec::with_capacity(image.rgb.len());
         for row in 0..large[1] {
             for column in 0..large[0] {
                 let at = 3 * (cell(row, 1) * small[0] + cell(column, 0));
-                back.extend_from_slice(&cells[at..at + 3]);
+                restored.extend_from_slice(&cells[at..at + 3]);
             }
         }
-        image.rgb = back.into();
+        image.rgb = restored.into();
     }
 }
 

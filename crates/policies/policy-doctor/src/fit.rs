@@ -32,13 +32,13 @@ pub(crate) enum Convention {
     /// The sign is inverted.
     Inverted,
     /// From −1..1 to 0..1.
-    Share,
+    ZeroToOne,
     /// From −1..1 to 1..0.
-    InvertedShare,
+    OneToZero,
     /// From 0..1 to −1..1.
-    FromShare,
+    FromZeroToOne,
     /// From 0..1 to 1..−1.
-    FromInvertedShare,
+    FromOneToZero,
     /// Rounded to −1 or 1.
     Sign,
 }
@@ -46,20 +46,20 @@ pub(crate) enum Convention {
 impl Convention {
     const ALL: [Self; 6] = [
         Self::Inverted,
-        Self::Share,
-        Self::InvertedShare,
-        Self::FromShare,
-        Self::FromInvertedShare,
+        Self::ZeroToOne,
+        Self::OneToZero,
+        Self::FromZeroToOne,
+        Self::FromOneToZero,
         Self::Sign,
     ];
 
     fn apply(self, number: f64) -> f64 {
         match self {
             Self::Inverted => -number,
-            Self::Share => (number + 1.0) / 2.0,
-            Self::InvertedShare => (1.0 - number) / 2.0,
-            Self::FromShare => 2.0 * number - 1.0,
-            Self::FromInvertedShare => 1.0 - 2.0 * number,
+            Self::ZeroToOne => (number + 1.0) / 2.0,
+            Self::OneToZero => (1.0 - number) / 2.0,
+            Self::FromZeroToOne => 2.0 * number - 1.0,
+            Self::FromOneToZero => 1.0 - 2.0 * number,
             Self::Sign => number.signum(),
         }
     }
@@ -97,7 +97,7 @@ pub(crate) struct Fit {
     /// Map of each component.
     pub maps: [Map; 7],
     /// Remaining root-mean-square difference of each component.
-    pub left: Action,
+    pub remaining: Action,
     /// True if the remaining difference is within the limit.
     pub explains: bool,
 }
@@ -116,17 +116,17 @@ impl Fit {
 
     /// Returns true if the remaining difference is within another limit.
     pub(crate) fn is_within(&self, limit: &Limit) -> bool {
-        self.left
+        self.remaining
             .iter()
             .zip(limit)
-            .all(|(left, limit)| left <= limit)
+            .all(|(remaining, limit)| remaining <= limit)
     }
 
     /// Returns the norm of the remaining difference, in units of the limit.
     pub(crate) fn remainder(&self, limit: &Limit) -> f64 {
-        let shares = self.left.iter().zip(limit);
+        let shares = self.remaining.iter().zip(limit);
         shares
-            .map(|(left, limit)| (left / limit).powi(2))
+            .map(|(remaining, limit)| (remaining / limit).powi(2))
             .sum::<f64>()
             .sqrt()
     }
@@ -165,31 +165,31 @@ fn at_shift(one: &Answers, other: &Answers, shift: i32, limit: &Limit) -> Fit {
     let mut fit = Fit {
         shift,
         maps: [Map::Same; 7],
-        left: [0.0; 7],
+        remaining: [0.0; 7],
         explains: true,
     };
     for at in 0..7 {
         let numbers: Vec<(f64, f64)> = rows.iter().map(|(a, b)| (a[at], b[at])).collect();
-        let mut simplest = (Map::Same, left(&numbers, Map::Same));
+        let mut simplest = (Map::Same, remaining_difference(&numbers, Map::Same));
         if simplest.1 > limit[at] {
             let conventions = Convention::ALL.map(Map::Gripper);
             let conventions = conventions.into_iter().filter(|_| at == GRIPPER);
             for map in conventions.chain(affine(&numbers)) {
-                let left = left(&numbers, map);
+                let remaining = remaining_difference(&numbers, map);
                 // Maps are ordered by cost, so the first within the limit is the simplest.
-                if simplest.1 > limit[at] && left < simplest.1 {
-                    simplest = (map, left);
+                if simplest.1 > limit[at] && remaining < simplest.1 {
+                    simplest = (map, remaining);
                 }
             }
         }
         fit.explains &= simplest.1 <= limit[at];
-        (fit.maps[at], fit.left[at]) = simplest;
+        (fit.maps[at], fit.remaining[at]) = simplest;
     }
     fit
 }
 
 /// Returns the remaining root-mean-square difference after a map.
-fn left(numbers: &[(f64, f64)], map: Map) -> f64 {
+fn remaining_difference(numbers: &[(f64, f64)], map: Map) -> f64 {
     let squares = numbers.iter().map(|(a, b)| (map.apply(*a) - b).powi(2));
     (squares.sum::<f64>() / numbers.len().max(1) as f64).sqrt()
 }

@@ -61,16 +61,16 @@ const FINGER_TRAVEL: f64 = 0.04;
 
 /// Returns the layouts of the same width as `fields` that may have been confused with it, without
 /// `fields` itself. The other server's layout comes first.
-pub(crate) fn others(fields: &[StateField], of_other: &[StateField]) -> Vec<Vec<Part>> {
-    let own: Vec<Part> = fields.iter().map(|&field| Field(field)).collect();
-    let width = width(&own);
+pub(crate) fn confusable(fields: &[StateField], of_other: &[StateField]) -> Vec<Vec<Part>> {
+    let parts: Vec<Part> = fields.iter().map(|&field| Field(field)).collect();
+    let width = width(&parts);
     if width == 0 {
         return vec![];
     }
     let mut layouts = vec![of_other.iter().map(|&field| Field(field)).collect()];
-    for (at, part) in own.iter().enumerate() {
+    for (at, part) in parts.iter().enumerate() {
         for &alternative in alternatives(*part) {
-            let mut layout = own.clone();
+            let mut layout = parts.clone();
             layout[at] = alternative;
             layouts.push(layout);
         }
@@ -79,7 +79,7 @@ pub(crate) fn others(fields: &[StateField], of_other: &[StateField]) -> Vec<Vec<
     layouts.push(vec![Part::Zeros(width)]);
     let mut different: Vec<Vec<Part>> = vec![];
     for layout in layouts {
-        if self::width(&layout) == width && layout != own && !different.contains(&layout) {
+        if self::width(&layout) == width && layout != parts && !different.contains(&layout) {
             different.push(layout);
         }
     }
@@ -253,20 +253,20 @@ mod tests {
             vec![JointPos, GripperPos],
         ];
         for fields in declared {
-            let own: Vec<Part> = fields.iter().map(|&field| Field(field)).collect();
-            let own = numbers(&own, &situation()).expect("the situation has every reading");
-            let others = others(&fields, &[]);
+            let parts: Vec<Part> = fields.iter().map(|&field| Field(field)).collect();
+            let declared = numbers(&parts, &situation()).expect("the situation has every reading");
+            let others = confusable(&fields, &[]);
             assert!(others.len() > 1, "{fields:?}");
             for other in others {
                 let numbers =
                     numbers(&other, &situation()).expect("the situation has every reading");
-                assert_eq!(numbers.len(), own.len(), "{}", Parts(&other));
-                let pairs = numbers.iter().zip(&own);
+                assert_eq!(numbers.len(), declared.len(), "{}", Parts(&other));
+                let pairs = numbers.iter().zip(&declared);
                 let difference = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
                 assert!(difference > 0.005, "{}", Parts(&other));
             }
         }
-        assert!(others(&[], &[EefPos]).is_empty());
+        assert!(confusable(&[], &[EefPos]).is_empty());
     }
 
     #[test]

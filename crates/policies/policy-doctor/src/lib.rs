@@ -5,13 +5,12 @@
 //! servers in synthetic or recorded situations, and judge only the answers.
 //!
 //! `situation` is the input of a query, from [`synthetic`] or `recorded`; `variant`, `filter` and
-//! `layout` modify it; [`server`] and `panel` send queries; `fit` and `search` explain differences;
-//! [`difference`] and `report` write the results as text and JSON.
+//! `layout` modify it; [`server`] and `server_pair` send queries; `fit` and `search` explain
+//! differences; [`difference`] and `report` write the results as text and JSON.
 
 #![forbid(unsafe_code)]
 
 mod answers;
-mod chance;
 pub mod command;
 pub mod compare;
 pub mod conformance;
@@ -21,12 +20,13 @@ pub mod difference;
 mod filter;
 mod fit;
 mod layout;
-mod panel;
 pub mod pose;
+mod randomness;
 mod recorded;
 mod report;
 mod search;
 pub mod server;
+mod server_pair;
 pub mod situation;
 pub mod synthetic;
 mod variant;

@@ -36,12 +36,12 @@ fn of_session(file: &Path, count: usize) -> Result<Vec<Situation>, RecordingErro
         queries += 1;
     }
     let count = count.min(queries);
-    let wanted: Vec<usize> = (0..count).map(|at| at * queries / count).collect();
+    let selected: Vec<usize> = (0..count).map(|at| at * queries / count).collect();
     let mut reader = Reader::open(file)?;
     let mut situations = vec![];
     let mut at = 0;
     while let Some(pair) = reader.pair()? {
-        if wanted.contains(&at) {
+        if selected.contains(&at) {
             situations.push(situation(&reader, pair));
         }
         at += 1;
@@ -50,16 +50,16 @@ fn of_session(file: &Path, count: usize) -> Result<Vec<Situation>, RecordingErro
 }
 
 fn situation(reader: &Reader, pair: Pair) -> Situation {
-    let shown = pair.query.observation.unwrap_or_default();
-    let readings = shown.state.iter();
+    let observation = pair.query.observation.unwrap_or_default();
+    let readings = observation.state.iter();
     Situation {
         suite: reader.reset.suite.clone(),
         instruction: reader.reset.instruction.clone(),
         readings: readings
             .map(|reading| (reading.field(), reading.values.clone()))
             .collect(),
-        frames: shown.images,
-        privileged: shown.privileged,
+        frames: observation.images,
+        privileged: observation.privileged,
     }
 }
 

@@ -4,31 +4,31 @@
 use crate::{
     answers::Answers,
     fit::{Fit, Limit, fit},
-    panel::{Panel, Side},
     server::ExaminationError,
+    server_pair::{ServerPair, Side},
     variant::{Topic, Variant},
 };
 
 /// Most changes to observations in one explanation.
-const MOST_TOGETHER: usize = 3;
+const MAX_CHANGES: usize = 3;
 /// Largest share of the remaining difference that another change may leave in order to be
 /// accepted.
-const PROGRESS: f64 = 0.75;
+const MAX_REMAINDER_PER_CHANGE: f64 = 0.75;
 
 /// Largest share of a difference that an explanation may leave unexplained; a larger remainder is a
 /// separate difference.
-const LEFT: f64 = 0.1;
+const MAX_UNEXPLAINED: f64 = 0.1;
 
 /// Setup of a search: the servers, the situations and the seeds.
-pub(crate) struct Course<'a> {
+pub(crate) struct SearchSetup<'a> {
     /// The servers and the situations.
-    pub panel: &'a Panel,
+    pub servers: &'a ServerPair,
     /// Seeds of a situation; answers to several are averaged.
     pub seeds: &'a (dyn Fn(usize) -> Vec<u64> + Sync),
     /// Largest difference that counts as none.
     pub floor: Limit,
     /// True if several simultaneous differences are searched for.
-    pub together: bool,
+    pub allows_several: bool,
 }
 
 /// Changes to the observations, and a map of the actions.
@@ -48,83 +48,87 @@ impl Explanation {
 
 /// Result of a search.
 #[derive(Clone, Debug)]
-pub(crate) enum Found {
+pub(crate) enum SearchResult {
     /// This explanation makes the answers alike.
     Explained(Explanation),
     /// No explanation makes the answers alike; this one leaves the smallest difference.
-    Nothing(Explanation),
+    Unexplained(Explanation),
 }
 
-impl Course<'_> {
+impl SearchSetup<'_> {
     /// Searches for an explanation of the difference between the answers `a` and `b` to the
     /// unchanged situations. A change that explains nine tenths of a difference is accepted; the
     /// remaining tenth is then searched separately.
     ///
     /// # Errors
     /// If a server does not answer with actions.
-    pub(crate) async fn search(&self, a: &Answers, b: &Answers) -> Result<Found, ExaminationError> {
-        let mut limit = self.limit(fit(a, b, &[f64::INFINITY; 7]).left);
+    pub(crate) async fn search(
+        &self,
+        a: &Answers,
+        b: &Answers,
+    ) -> Result<SearchResult, ExaminationError> {
+        let mut limit = self.limit(fit(a, b, &[f64::INFINITY; 7]).remaining);
         let plain = Explanation {
             changes: vec![],
             fit: fit(a, b, &limit),
         };
-        let mut explained = match self.beyond(&plain, &limit, a, b).await? {
-            Found::Explained(explained) => explained,
-            nothing => return Ok(nothing),
+        let mut explained = match self.extend(&plain, &limit, a, b).await? {
+            SearchResult::Explained(explained) => explained,
+            unexplained => return Ok(unexplained),
         };
-        while explained.changes.len() < MOST_TOGETHER && self.together {
-            let further = self.limit(explained.fit.left);
-            if further == limit || explained.fit.is_within(&self.floor) {
+        while explained.changes.len() < MAX_CHANGES && self.allows_several {
+            let next_limit = self.limit(explained.fit.remaining);
+            if next_limit == limit || explained.fit.is_within(&self.floor) {
                 break;
             }
-            limit = further;
+            limit = next_limit;
             let (one, other) = self.answers(&explained.changes, a, b).await?;
             let fit = fit(&one, &other, &limit);
             let changes = explained.changes.clone();
             match self
-                .beyond(&Explanation { changes, fit }, &limit, a, b)
+                .extend(&Explanation { changes, fit }, &limit, a, b)
                 .await?
             {
-                Found::Explained(more) => explained = more,
-                Found::Nothing(_) => break,
+                SearchResult::Explained(more) => explained = more,
+                SearchResult::Unexplained(_) => break,
             }
         }
-        Ok(Found::Explained(explained))
+        Ok(SearchResult::Explained(explained))
     }
 
     /// Returns the largest remainder that counts as explained for a difference of this size.
-    fn limit(&self, apart: Limit) -> Limit {
-        std::array::from_fn(|at| self.floor[at].max(LEFT * apart[at]))
+    fn limit(&self, difference: Limit) -> Limit {
+        std::array::from_fn(|at| self.floor[at].max(MAX_UNEXPLAINED * difference[at]))
     }
 
-    /// Finds the simplest explanation that extends `known`.
-    async fn beyond(
+    /// Finds the simplest explanation that extends `start`.
+    async fn extend(
         &self,
-        known: &Explanation,
+        start: &Explanation,
         limit: &Limit,
         a: &Answers,
         b: &Answers,
-    ) -> Result<Found, ExaminationError> {
+    ) -> Result<SearchResult, ExaminationError> {
         // No change to the observations could be simpler.
-        if known.fit.explains && known.fit.cost() <= 1 {
-            return Ok(Found::Explained(known.clone()));
+        if start.fit.explains && start.fit.cost() <= 1 {
+            return Ok(SearchResult::Explained(start.clone()));
         }
         let remainder = |explanation: &Explanation| explanation.fit.remainder(limit);
-        let mut closest = known.clone();
-        let mut explanations: Vec<Explanation> = known
+        let mut closest = start.clone();
+        let mut explanations: Vec<Explanation> = start
             .fit
             .explains
-            .then_some(known)
+            .then_some(start)
             .cloned()
             .into_iter()
             .collect();
-        let depth = match self.together {
-            true => MOST_TOGETHER - known.changes.len(),
+        let depth = match self.allows_several {
+            true => MAX_CHANGES - start.changes.len(),
             false => 1,
         };
         for _ in 0..depth {
             let mut candidates = vec![];
-            for changes in self.further(&closest.changes) {
+            for changes in self.extensions(&closest.changes) {
                 let (one, other) = self.answers(&changes, a, b).await?;
                 let fit = fit(&one, &other, limit);
                 candidates.push(Explanation { changes, fit });
@@ -140,36 +144,38 @@ impl Course<'_> {
                 one.cost().cmp(&other.cost()).then_with(by_remainder)
             });
             if let Some(simplest) = simplest {
-                return Ok(Found::Explained(simplest.clone()));
+                return Ok(SearchResult::Explained(simplest.clone()));
             }
             let nearest = candidates
                 .into_iter()
                 .min_by(|one, other| remainder(one).total_cmp(&remainder(other)));
             match nearest {
-                Some(nearest) if remainder(&nearest) < PROGRESS * remainder(&closest) => {
+                Some(nearest)
+                    if remainder(&nearest) < MAX_REMAINDER_PER_CHANGE * remainder(&closest) =>
+                {
                     closest = nearest
                 }
                 _ => break,
             }
         }
-        Ok(Found::Nothing(closest))
+        Ok(SearchResult::Unexplained(closest))
     }
 
     /// Returns all extensions of `changes` by one change, on a topic that `changes` does not have.
-    fn further(&self, changes: &[(Side, Variant)]) -> Vec<Vec<(Side, Variant)>> {
+    fn extensions(&self, changes: &[(Side, Variant)]) -> Vec<Vec<(Side, Variant)>> {
         let used: Vec<Topic> = changes.iter().map(|(_, variant)| variant.topic()).collect();
-        let mut further = vec![];
+        let mut extensions = vec![];
         for side in [Side::A, Side::B] {
-            for variant in self.panel.variants(side) {
+            for variant in self.servers.variants(side) {
                 let is_tried_on_a = side == Side::B
                     && variant.is_its_own_inverse()
-                    && self.panel.variants(Side::A).contains(&variant);
+                    && self.servers.variants(Side::A).contains(&variant);
                 if !is_tried_on_a && !used.contains(&variant.topic()) {
-                    further.push([changes, &[(side, variant)]].concat());
+                    extensions.push([changes, &[(side, variant)]].concat());
                 }
             }
         }
-        further
+        extensions
     }
 
     /// Returns both servers' answers under these changes.
@@ -198,8 +204,8 @@ impl Course<'_> {
         if variants.is_empty() {
             return Ok(None);
         }
-        let all = self.panel.situations();
-        let answers = self.panel.query(side, &variants, all, self.seeds).await?;
+        let all = self.servers.situations();
+        let answers = self.servers.query(side, &variants, all, self.seeds).await?;
         Ok(Some(answers))
     }
 }

@@ -20,7 +20,7 @@ use transport::{Access, chain};
 use crate::situation::MissingInput;
 
 /// Longest wait for an answer: models that compile at their first query take minutes.
-pub(crate) const PATIENCE: Duration = Duration::from_secs(600);
+pub(crate) const ANSWER_TIMEOUT: Duration = Duration::from_secs(600);
 
 /// One action: translation (3), rotation (3), gripper.
 pub type Action = [f64; 7];
@@ -49,8 +49,8 @@ pub(crate) struct Episode<'a> {
 pub(crate) struct Timed {
     /// Answer of the server, unchecked.
     pub(crate) response: InferResponse,
-    /// Time from query to answer.
-    pub(crate) took: Duration,
+    /// Time from the query to the answer.
+    pub(crate) latency: Duration,
 }
 
 impl Server {
@@ -89,7 +89,7 @@ impl Server {
         seed: u64,
     ) -> Result<Episode<'_>, ExaminationError> {
         let number = self.sessions.fetch_add(1, Ordering::Relaxed);
-        let session = format!("referee {}: {number}", self.run);
+        let session = format!("examination {}: {number}", self.run);
         let request = ResetRequest {
             policy: String::new(),
             session: session.clone(),
@@ -119,7 +119,7 @@ impl Episode<'_> {
     /// Sends the next query.
     ///
     /// # Errors
-    /// If the server refuses the query, or does not answer within [`PATIENCE`].
+    /// If the server refuses the query, or does not answer within [`ANSWER_TIMEOUT`].
     pub(crate) async fn query(
         &mut self,
         observation: Observation,
@@ -136,7 +136,7 @@ impl Episode<'_> {
         let response = in_time(&self.server.url, self.server.backend.infer(request)).await?;
         Ok(Timed {
             response,
-            took: sent.elapsed(),
+            latency: sent.elapsed(),
         })
     }
 
@@ -168,7 +168,7 @@ async fn in_time<T>(
     url: &str,
     answer: impl Future<Output = Result<T, BackendError>>,
 ) -> Result<T, ExaminationError> {
-    let answer = tokio::time::timeout(PATIENCE, answer).await;
+    let answer = tokio::time::timeout(ANSWER_TIMEOUT, answer).await;
     let answer = answer.map_err(|_| ExaminationError::Silent {
         url: url.to_owned(),
     })?;
@@ -188,13 +188,13 @@ pub enum ExaminationError {
     #[error(transparent)]
     Recording(#[from] RecordingError),
     /// The server does not answer in time.
-    #[error("get an answer of {url} within {} s", PATIENCE.as_secs())]
+    #[error("get an answer from {url} within {} s", ANSWER_TIMEOUT.as_secs())]
     Silent {
         /// URL as given.
         url: String,
     },
     /// The server cannot be reached, or answers with an error.
-    #[error("get an answer of {url}: {problem}")]
+    #[error("get an answer from {url}: {problem}")]
     Answer {
         /// URL as given.
         url: String,

@@ -129,8 +129,8 @@ fn privileged(hand: &Hand, at: usize) -> PrivilegedState {
         .unwrap_or_default();
     let mut random = Random(1000 + at as u64);
     let moved = [0.06 * random.number(), 0.06 * random.number(), 0.0];
-    if let Some(thing) = state.entities.first_mut() {
-        for place in [&mut thing.pos, &mut thing.centre] {
+    if let Some(object) = state.entities.first_mut() {
+        for place in [&mut object.pos, &mut object.centre] {
             place
                 .iter_mut()
                 .zip(moved)
@@ -143,14 +143,14 @@ fn privileged(hand: &Hand, at: usize) -> PrivilegedState {
 }
 
 /// Object on the table. Lengths are shares of the frame's width, from the lower left.
-struct Thing {
+struct TableObject {
     centre: [f64; 2],
     half: [f64; 2],
-    round: bool,
+    is_round: bool,
     colour: [f64; 3],
 }
 
-fn things(random: &mut Random, at: usize) -> Vec<Thing> {
+fn objects(random: &mut Random, at: usize) -> Vec<TableObject> {
     // Only the first object is colourful, so that a policy that searches for colour finds one.
     let colours = [
         [225.0, 35.0, 45.0],
@@ -158,20 +158,20 @@ fn things(random: &mut Random, at: usize) -> Vec<Thing> {
         [90.0, 120.0, 165.0],
         [205.0, 205.0, 190.0],
     ];
-    let mut things: Vec<Thing> = colours
+    let mut objects: Vec<TableObject> = colours
         .into_iter()
-        .map(|colour| Thing {
+        .map(|colour| TableObject {
             centre: [0; 2].map(|_| 0.5 + 0.36 * random.number()),
             half: [0; 2].map(|_| 0.085 + 0.04 * random.number()),
-            round: random.number() < 0.0,
+            is_round: random.number() < 0.0,
             colour,
         })
         .collect();
-    let (first, size) = (&mut things[0], if at == CLOSE_UP { 0.2 } else { 0.055 });
-    (first.half, first.round) = ([size, 0.9 * size], true);
+    let (first, size) = (&mut objects[0], if at == CLOSE_UP { 0.2 } else { 0.055 });
+    (first.half, first.is_round) = ([size, 0.9 * size], true);
     // Draws the colourful object last, in front of the others.
-    things.rotate_left(1);
-    things
+    objects.rotate_left(1);
+    objects
 }
 
 /// Renders a camera's frame: a lit table with grain and spots, and objects on it.
@@ -180,7 +180,7 @@ fn frame(camera: &str, at: usize) -> Image {
         .bytes()
         .fold(17, |sum, byte| mix(sum ^ u64::from(byte)));
     let mut random = Random(name ^ at as u64);
-    let things = things(&mut random, at);
+    let objects = objects(&mut random, at);
     let light = [random.number(), random.number()].map(|number| 25.0 * number);
     let spots = spots(name ^ at as u64);
     let mut rgb = Vec::with_capacity(3 * SIDE * SIDE);
@@ -193,8 +193,8 @@ fn frame(camera: &str, at: usize) -> Image {
                 + light[1] * place[0] * place[1]
                 + spots(column, row)
                 + 24.0 * (unit(grain) - 0.5);
-            let inside = things.iter().rev().find(|thing| thing.covers(place));
-            let colour = inside.map_or([132.0, 122.0, 108.0], |thing| thing.colour);
+            let inside = objects.iter().rev().find(|object| object.covers(place));
+            let colour = inside.map_or([132.0, 122.0, 108.0], |object| object.colour);
             rgb.extend(colour.map(|level| (level + lit).clamp(0.0, 255.0) as u8));
         }
     }
@@ -206,10 +206,10 @@ fn frame(camera: &str, at: usize) -> Image {
     }
 }
 
-impl Thing {
+impl TableObject {
     fn covers(&self, place: [f64; 2]) -> bool {
         let [x, y] = [0, 1].map(|axis| (place[axis] - self.centre[axis]) / self.half[axis]);
-        match self.round {
+        match self.is_round {
             true => x * x + y * y <= 1.0,
             false => x.abs() <= 1.0 && y.abs() <= 1.0,
         }

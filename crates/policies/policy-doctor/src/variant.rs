@@ -106,7 +106,7 @@ impl Variant {
         }
         let fields: Vec<StateField> = described.state().collect();
         let fields_of_other: Vec<StateField> = other.state().collect();
-        let layouts = layout::others(&fields, &fields_of_other);
+        let layouts = layout::confusable(&fields, &fields_of_other);
         variants.extend(layouts.into_iter().map(Self::State));
         variants.extend(sizes(described, other));
         variants
@@ -327,9 +327,9 @@ mod tests {
         let mut values = quaternion.to_vec();
         SignRule::PositiveW.apply(StateField::EefQuatXyzw, &mut values);
         assert_eq!(values, quaternion.map(|number: f64| -number));
-        let kept = values.clone();
+        let unchanged = values.clone();
         SignRule::PositiveW.apply(StateField::EefQuatXyzw, &mut values);
-        assert_eq!(values, kept);
+        assert_eq!(values, unchanged);
 
         let mut rotation = vec![3.0, 0.0, 0.0];
         SignRule::Other.apply(StateField::EefAxisAngle, &mut rotation);

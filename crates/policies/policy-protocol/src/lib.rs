@@ -193,7 +193,7 @@ pub enum ActionFault {
     /// The count of numbers is not a multiple of [`ACTION_WIDTH`].
     #[error("it answered {numbers} numbers, which is not a multiple of {ACTION_WIDTH}")]
     Ragged { numbers: usize },
-    #[error("it answered {count} actions, but its Describe says at most {horizon}")]
+    #[error("it answered {count} actions, but its description declares at most {horizon}")]
     TooMany { count: usize, horizon: u32 },
     #[error("component {component} of action {action} is {value}")]
     NotFinite {
@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn whole_finite_actions_within_the_horizon_are_returned_number_by_number() {
+    fn valid_actions_are_returned_unchanged() {
         let numbers: Vec<f32> = (0..14_u8).map(|n| f32::from(n) / 16.0).collect();
         let response = answer(&numbers, 7);
         let read = actions(&response, 2).expect("valid actions");
@@ -339,7 +339,7 @@ mod tests {
             width,
             height,
         };
-        let good = DescribeResponse {
+        let valid = DescribeResponse {
             protocol_version: PROTOCOL_VERSION,
             name: "p".to_owned(),
             horizon: 8,
@@ -349,10 +349,10 @@ mod tests {
                 .to_vec(),
             ..DescribeResponse::default()
         };
-        assert_eq!(description(&good), Ok(()));
+        assert_eq!(description(&valid), Ok(()));
 
         let check = |change: &dyn Fn(&mut DescribeResponse), fault| {
-            let mut described = good.clone();
+            let mut described = valid.clone();
             change(&mut described);
             assert_eq!(description(&described), Err(fault));
         };

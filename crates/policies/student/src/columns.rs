@@ -216,9 +216,9 @@ mod tests {
                 for place in 0..out * out {
                     let y = (place / out * stride + offset / 3) as isize - 1;
                     let x = (place % out * stride + offset % 3) as isize - 1;
-                    let inside = (0..side).contains(&y) && (0..side).contains(&x);
+                    let is_inside = (0..side).contains(&y) && (0..side).contains(&x);
                     let at = channel as isize * side * side + y * side + x;
-                    columns.push(if inside {
+                    columns.push(if is_inside {
                         planes.values[at as usize]
                     } else {
                         0.0

@@ -332,7 +332,7 @@ mod tests {
         #![proptest_config(ProptestConfig::with_cases(64))]
 
         #[test]
-        fn size_changes_no_bit(
+        fn products_of_any_size_equal_the_reference_bit_for_bit(
             rows in 1..40_usize,
             depth in 1..600_usize,
             columns in 1..40_usize,

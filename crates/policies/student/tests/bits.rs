@@ -41,8 +41,8 @@ fn golden_answers_have_the_same_bits_on_every_machine() {
     let queries: Vec<_> = owned_queries.iter().map(OwnedQuery::query).collect();
     let outputs = network().outputs(&queries).expect("answers");
     assert_eq!(digest(&outputs), GOLDEN);
-    let distinct = |numbers: Vec<f32>| numbers.windows(2).any(|pair| pair[0] != pair[1]);
-    assert!(distinct(
+    let has_distinct_values = |numbers: Vec<f32>| numbers.windows(2).any(|pair| pair[0] != pair[1]);
+    assert!(has_distinct_values(
         outputs.iter().map(|output| output.arm[3][2]).collect()
     ));
 }
@@ -60,19 +60,19 @@ fn plain_products_give_the_same_bits() {
 }
 
 #[test]
-fn a_batch_changes_no_bit() {
+fn answers_in_a_batch_equal_single_answers_bit_for_bit() {
     let (network, owned_queries) = (network(), owned_queries());
     let queries: Vec<_> = owned_queries.iter().map(OwnedQuery::query).collect();
-    let together = network.outputs(&queries).expect("answers");
+    let batched = network.outputs(&queries).expect("answers");
     let mut separate = Vec::new();
     for query in &queries {
         separate.extend(network.outputs(&[*query]).expect("an answer"));
     }
-    assert_eq!(digest(&together), digest(&separate));
+    assert_eq!(digest(&batched), digest(&separate));
     // More queries than the kernels' tiles have rows (16), in another order.
     let many: Vec<_> = (0..37).map(|index| queries[index * 3 % 5]).collect();
     for (index, output) in network.outputs(&many).expect("answers").iter().enumerate() {
-        let alone = &together[index * 3 % 5];
+        let alone = &batched[index * 3 % 5];
         assert_eq!(digest(&[*output]), digest(&[*alone]), "query {index}");
     }
 }

@@ -167,8 +167,8 @@ mod tests {
 
     #[test]
     fn a_campaign_name_cannot_leave_its_folder() {
-        for bad in ["", ".", "..", "../up", "a/b", "a\\b", "a b", "é", ".hidden"] {
-            assert!(CampaignName::parse(bad).is_err(), "{bad:?}");
+        for invalid in ["", ".", "..", "../up", "a/b", "a\\b", "a b", "é", ".hidden"] {
+            assert!(CampaignName::parse(invalid).is_err(), "{invalid:?}");
         }
         assert!(CampaignName::parse(&"x".repeat(MAX_CAMPAIGN_NAME_BYTES + 1)).is_err());
         assert!(CampaignName::parse("pi05_L1.v2-final").is_ok());

@@ -36,7 +36,7 @@ pub enum CheckError {
     #[error("check {}: is it a database of the coordinator?", path.display())]
     Read { path: PathBuf, source: sqlx::Error },
     #[error(
-        "check {}: its schema is version {found} and this program knows version {known}; use the program that wrote it",
+        "check {}: its schema is version {found} and this program supports version {known}; use the program that wrote it",
         path.display()
     )]
     OtherSchema {
@@ -89,9 +89,9 @@ pub const INVARIANTS: [Invariant; 20] = [
     // The counts that triggers maintain equal the counts of the rows.
     Invariant {
         name: "tallies_are_true",
-        query: "SELECT format('campaign %s is said to have %d queued, %d leased, %d committed, '
-             || '%d quarantined and %d succeeded rollouts, and has others', c.name, t.queued,
-             t.leased, t.committed, t.quarantined, t.succeeded)
+        query: "SELECT format('the tally of campaign %s counts %d queued, %d leased, %d '
+             || 'committed, %d quarantined and %d succeeded rollouts, and its jobs differ', c.name,
+             t.queued, t.leased, t.committed, t.quarantined, t.succeeded)
          FROM campaign c LEFT JOIN tally t ON t.campaign_id = c.id LEFT JOIN
              (SELECT campaign_id, sum(state = 'queued') AS queued, sum(state = 'leased') AS leased,
                   sum(state = 'committed') AS committed, sum(state = 'quarantined') AS quarantined
@@ -103,7 +103,7 @@ pub const INVARIANTS: [Invariant; 20] = [
              OR t.quarantined IS NOT coalesce(j.quarantined, 0)
              OR t.succeeded IS NOT coalesce(r.succeeded, 0)
          UNION ALL
-         SELECT format('campaign %d is said to have %d results of origin %d and has %d',
+         SELECT format('the tally of campaign %d counts %d results of origin %d, and it has %d',
              coalesce(o.campaign_id, r.campaign_id), coalesce(o.results, 0),
              coalesce(o.provenance_id, r.provenance_id), coalesce(r.results, 0))
          FROM origin_tally o FULL JOIN
@@ -112,7 +112,7 @@ pub const INVARIANTS: [Invariant; 20] = [
              ON r.campaign_id = o.campaign_id AND r.provenance_id = o.provenance_id
          WHERE coalesce(o.results, 0) <> coalesce(r.results, 0)
          UNION ALL
-         SELECT format('%d attempts are said to have ended as %s, and %d did',
+         SELECT format('the tally counts %d attempts that ended as %s, and there are %d',
              coalesce(e.attempts, 0), coalesce(e.reason, f.reason), coalesce(f.attempts, 0))
          FROM ending_tally e FULL JOIN
              (SELECT reason, count(*) AS attempts FROM failure GROUP BY reason) f
@@ -151,16 +151,16 @@ pub const INVARIANTS: [Invariant; 20] = [
     // quarantine.
     Invariant {
         name: "charges_are_accounted_for",
-        query: "SELECT format('job %d has %d charged attempts, forgiven up to attempt %d, and %s',
-             j.id, j.charged_attempts, j.forgiven_attempt, 'other failures')
+        query: "SELECT format('job %d counts %d charged attempts after attempt %d, and has %s',
+             j.id, j.charged_attempts, j.forgiven_attempt, 'another number of charged failures')
          FROM job j WHERE j.charged_attempts <> (SELECT count(*) FROM failure f
              WHERE f.job_id = j.id AND f.charged = 1 AND f.attempt > j.forgiven_attempt)",
     },
     // A job's losses are the attempts that lost their policy since the job last left quarantine.
     Invariant {
         name: "losses_are_accounted_for",
-        query: "SELECT format('job %d has %d losses, forgiven up to attempt %d, and %s', j.id,
-             j.losses, j.forgiven_attempt, 'other attempts that lost their policy')
+        query: "SELECT format('job %d counts %d losses after attempt %d, and has %s', j.id,
+             j.losses, j.forgiven_attempt, 'another number of attempts that lost their policy')
          FROM job j WHERE j.losses <> (SELECT count(*) FROM failure f
              WHERE f.job_id = j.id AND f.reason IN ('policy_lost', 'takes_policy_down')
                  AND f.attempt > j.forgiven_attempt)",
@@ -202,7 +202,7 @@ pub const INVARIANTS: [Invariant; 20] = [
     // A policy's probe holds a lease of that policy.
     Invariant {
         name: "probe_is_out",
-        query: "SELECT format('policy %s is tried by attempt %s, which holds no lease', p.name,
+        query: "SELECT format('policy %s is probed by attempt %s, which holds no lease', p.name,
              p.probe_attempt_id)
          FROM policy p WHERE p.state = 'probing' AND NOT EXISTS
              (SELECT 1 FROM job j JOIN campaign c ON c.id = j.campaign_id
@@ -261,7 +261,7 @@ pub const INVARIANTS: [Invariant; 20] = [
     // A divergent outcome differs from the committed one.
     Invariant {
         name: "divergences_differ",
-        query: "SELECT format('divergence %d of job %d has no other outcome to differ from', d.id,
+        query: "SELECT format('divergence %d of job %d differs from no committed outcome', d.id,
              d.job_id)
          FROM divergence d LEFT JOIN result r ON r.job_id = d.job_id
          WHERE r.job_id IS NULL OR (r.success = d.success AND r.steps = d.steps)",

@@ -13,19 +13,18 @@
 #![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 pub mod clock;
-mod elsewhere;
 pub mod expand;
 pub mod ids;
 pub mod invariants;
 mod operations;
 mod queue;
 pub mod read;
+mod remote_storage;
 pub mod rules;
 mod store;
 mod tasks;
 mod timing;
 
-pub use elsewhere::Elsewhere;
 pub use operations::alter::Alteration;
 pub use operations::artifacts::{
     ARTIFACTS_FOLDER, ArtifactError, MAX_ARTIFACT_BYTES, MOVING_PREFIX, Upload,
@@ -37,8 +36,8 @@ pub use operations::claim::{Assigned, ClaimRequest, Claimed, MAX_CLAIM_WAIT};
 pub use operations::commit::{CommitReply, CommitReport, CommitVerdict};
 pub use operations::error::QueueError;
 pub use operations::films::Film;
-pub use operations::films_here::{FilmHere, Forgotten};
 pub use operations::imported::{RowProblem, RowsError, WorkerProblem};
+pub use operations::local_videos::{FilmHere, Forgotten};
 pub use operations::merge::{MergeError, Merged, merge};
 pub use operations::portable::{
     AdoptError, CopyError, FilmFile, Portable, PortableError, SourceOutcomes,
@@ -47,6 +46,7 @@ pub use operations::release::{ReleaseReply, ReleaseVerdict};
 pub use operations::retry::{MAX_JOBS_RETRIED, Retry};
 pub use queue::Queue;
 pub use read::View;
+pub use remote_storage::Elsewhere;
 pub use store::failpoint::{FAILPOINT_VARIABLE, PANIC_VARIABLE, Side, Step};
 pub use store::workers::{MAX_SLOTS, WorkerInfo};
 pub use store::{DATABASE_FILE, OpenError, Store, StoreError, newest_known_schema};

@@ -11,7 +11,6 @@ use tokio::sync::{mpsc, oneshot};
 use tokio::time::Instant;
 
 use crate::clock::{Clock, UnixMillis};
-use crate::elsewhere::Elsewhere;
 use crate::ids::WorkerId;
 use crate::operations::claim::{ClaimRequest, Claimed, MAX_CLAIM_WAIT};
 use crate::operations::commit::{CommitReply, CommitReport, CommitVerdict};
@@ -21,9 +20,10 @@ use crate::operations::heartbeat::Heartbeat;
 use crate::operations::release::{Release, ReleaseReply, ReleaseVerdict};
 use crate::operations::shared::Shared;
 use crate::operations::writer::{self, MAX_WAITING, Operation, Pending};
-use crate::operations::{derive, passages, stop};
+use crate::operations::{batches, derive, stop};
 use crate::operations::{removals, start};
 use crate::read::{Changes, View};
+use crate::remote_storage::Elsewhere;
 use crate::rules::lease::FailureReason;
 use crate::store::{Store, StoreError};
 use crate::tasks::Tasks;
@@ -85,20 +85,20 @@ impl Queue {
         clock: Arc<dyn Clock>,
         rng: ChaCha8Rng,
         timing: Timing,
-        elsewhere: Option<Arc<dyn Elsewhere>>,
+        remote_storage: Option<Arc<dyn Elsewhere>>,
     ) -> Result<Arc<Queue>, StoreError> {
-        let shared = Arc::new(Shared::new(store, clock, rng, timing, elsewhere));
+        let shared = Arc::new(Shared::new(store, clock, rng, timing, remote_storage));
         start::start(&shared).await?;
         // Remote storage may be unavailable; removals are then retried in the background.
-        if shared.elsewhere.is_none() {
+        if shared.remote_storage.is_none() {
             for folder in removals::pending(&shared).await? {
                 removals::remove(&shared, &folder).await?;
             }
         }
         let (operations, received) = mpsc::channel(MAX_WAITING);
-        let interrupted = passages::interrupted(&shared).await?;
+        let interrupted = batches::interrupted(&shared).await?;
         let mut tasks = Tasks::default();
-        let removal = passages::run(shared.clone(), interrupted);
+        let removal = batches::run(shared.clone(), interrupted);
         tasks.spawn("the deletion of incomplete campaigns", removal);
         tasks.spawn(
             "the database's writer",
@@ -270,16 +270,16 @@ impl Queue {
     /// Suspends leasing while `reason` is given, and resumes it when `reason` is `None`; logs each
     /// change once. Attempts in progress continue.
     pub fn hold_leasing(&self, reason: Option<String>) {
-        let changed = self.shared.hold.send_if_modified(|held| {
+        let has_changed = self.shared.hold.send_if_modified(|held| {
             // The text of the reason may change whenever the free space of a filling disk is
             // measured.
-            let changed = held.is_some() != reason.is_some();
+            let is_changed = held.is_some() != reason.is_some();
             held.clone_from(&reason);
-            changed
+            is_changed
         });
         match reason {
-            Some(reason) if changed => tracing::error!("leasing is suspended: {reason}"),
-            None if changed => {
+            Some(reason) if has_changed => tracing::error!("leasing is suspended: {reason}"),
+            None if has_changed => {
                 tracing::info!("leasing is resumed");
                 self.shared.work.notify_waiters();
             }

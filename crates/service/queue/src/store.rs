@@ -7,19 +7,19 @@
 //! power cut.
 
 pub(crate) mod artifacts;
+pub(crate) mod attached;
 pub(crate) mod backup;
-pub(crate) mod beside;
 pub(crate) mod campaigns;
 pub(crate) mod claims;
 pub(crate) mod derivations;
 pub(crate) mod failpoint;
 pub(crate) mod films;
 pub(crate) mod halves;
+pub(crate) mod hidden;
 pub(crate) mod imported;
 pub(crate) mod instants;
 pub(crate) mod jobs;
 pub(crate) mod outcomes;
-pub(crate) mod passages;
 pub(crate) mod policies;
 pub(crate) mod portable;
 pub(crate) mod provenance;
@@ -84,7 +84,7 @@ pub enum OpenError {
     #[error("open data folder {}: another coordinator is using it; stop that one, or choose another folder with --data", folder.display())]
     InUse { folder: PathBuf },
     #[error(
-        "open database {}: its schema is version {found} and this program ({program}) knows versions up to {known}; run the newer program that wrote it, or choose another folder with --data",
+        "open database {}: its schema is version {found} and this program ({program}) supports versions up to {known}; run the newer program that wrote it, or choose another folder with --data",
         path.display()
     )]
     NewerSchema {
@@ -199,9 +199,9 @@ const INSERTED_ROWS: [usize; 4] = [64, 16, 4, 1];
 pub(crate) fn insert_batches<T>(mut rows: &[T]) -> impl Iterator<Item = &[T]> {
     std::iter::from_fn(move || {
         let size = INSERTED_ROWS.into_iter().find(|size| *size <= rows.len())?;
-        let (piece, others) = rows.split_at(size);
+        let (batch, others) = rows.split_at(size);
         rows = others;
-        Some(piece)
+        Some(batch)
     })
 }
 
@@ -244,8 +244,8 @@ impl Store {
             // SQLite rolls back by itself when the disk is full, but the connection would still
             // count its transaction as open.
             .before_acquire(|connection, _| {
-                let usable = !connection.is_in_transaction();
-                Box::pin(async move { Ok(usable) })
+                let is_usable = !connection.is_in_transaction();
+                Box::pin(async move { Ok(is_usable) })
             })
             .connect_with(
                 options
@@ -371,8 +371,8 @@ const UNDIVIDED_THIRD: [u8; 48] = *b"\
 
 /// Marks both migrations as applied in a database to which the undivided migration was applied.
 async fn divide_third_migration(writer: &SqlitePool) -> Result<(), sqlx::Error> {
-    let known = "SELECT count(*) FROM sqlite_schema WHERE name = '_sqlx_migrations'";
-    if sqlx::query_scalar::<_, i64>(known)
+    let has_migrations = "SELECT count(*) FROM sqlite_schema WHERE name = '_sqlx_migrations'";
+    if sqlx::query_scalar::<_, i64>(has_migrations)
         .fetch_one(writer)
         .await?
         == 0
@@ -405,7 +405,7 @@ async fn divide_third_migration(writer: &SqlitePool) -> Result<(), sqlx::Error> 
     Ok(())
 }
 
-/// Returns the newest schema version that this program knows.
+/// Returns the newest schema version that this program supports.
 pub fn newest_known_schema() -> i64 {
     MIGRATIONS
         .iter()
@@ -540,14 +540,14 @@ pub(crate) async fn load_schema(connection: &mut SqliteConnection) -> Result<(),
         .run_direct(None, &mut fresh, false)
         .await
         .map_err(|error| sqlx::Error::Migrate(Box::new(error)))?;
-    let known: Vec<(String, String, Option<String>)> =
+    let objects: Vec<(String, String, Option<String>)> =
         sqlx::query_as("SELECT type, name, sql FROM sqlite_schema")
             .fetch_all(&mut fresh)
             .await?;
     sqlx::query("CREATE TEMP TABLE known_schema (type TEXT, name TEXT, sql TEXT)")
         .execute(&mut *connection)
         .await?;
-    for (kind, name, sql) in known {
+    for (kind, name, sql) in objects {
         sqlx::query("INSERT INTO temp.known_schema VALUES (?, ?, ?)")
             .bind(kind)
             .bind(name)

@@ -203,15 +203,15 @@ mod tests {
 
     #[test]
     fn training_on_other_assets_is_detected_if_declared() {
-        let elsewhere = |pack, taught_on| {
+        let training_pack = |pack, taught_on| {
             let provenance = measured_on(pack, taught_on);
             provenance.taught_elsewhere().map(str::to_owned)
         };
-        assert_eq!(elsewhere("libero", None), None);
-        assert_eq!(elsewhere("libero", Some("libero")), None);
-        assert_eq!(elsewhere("libero", Some("d1")), None);
+        assert_eq!(training_pack("libero", None), None);
+        assert_eq!(training_pack("libero", Some("libero")), None);
+        assert_eq!(training_pack("libero", Some("d1")), None);
         let primitives = Some("primitives");
-        assert_eq!(elsewhere("libero", primitives).as_deref(), primitives);
+        assert_eq!(training_pack("libero", primitives).as_deref(), primitives);
     }
 
     #[test]

@@ -77,16 +77,19 @@ impl RealisedAxis {
     }
 }
 
-fn differing(value: &str, here: &[f64], there: &[f64]) -> Option<String> {
-    if here.len() != there.len() {
-        let (here, there) = (here.len(), there.len());
-        return Some(format!("it has {here} {value}s here and {there}"));
+fn differing(name: &str, values: &[f64], other_values: &[f64]) -> Option<String> {
+    if values.len() != other_values.len() {
+        let (count, other_count) = (values.len(), other_values.len());
+        return Some(format!("it has {count} {name}s here and {other_count}"));
     }
     // NaN differs from every value.
     let agree = |(a, b): (&f64, &f64)| (a - b).abs() <= TOLERANCE || a == b;
-    let place = here.iter().zip(there).position(|pair| !agree(pair))?;
-    let (here, there) = (here[place], there[place]);
-    Some(format!("{value} {place} is {here} here and {there}"))
+    let place = values
+        .iter()
+        .zip(other_values)
+        .position(|pair| !agree(pair))?;
+    let (value, other_value) = (values[place], other_values[place]);
+    Some(format!("{name} {place} is {value} here and {other_value}"))
 }
 
 #[cfg(test)]

@@ -31,9 +31,11 @@ pub fn parse_endpoint(url: &str) -> Result<Endpoint, EndpointError> {
     };
     let authority = authority.trim_end_matches('/');
     let endpoint = Endpoint::from_shared(format!("{scheme}://{authority}")).map_err(|_| error())?;
-    let named = endpoint.uri().host().is_some_and(|host| !host.is_empty());
-    let bare = matches!(endpoint.uri().path(), "" | "/") && endpoint.uri().query().is_none();
-    (named && bare).then_some(endpoint).ok_or_else(error)
+    let has_host = endpoint.uri().host().is_some_and(|host| !host.is_empty());
+    let has_no_path = matches!(endpoint.uri().path(), "" | "/") && endpoint.uri().query().is_none();
+    (has_host && has_no_path)
+        .then_some(endpoint)
+        .ok_or_else(error)
 }
 
 #[cfg(test)]

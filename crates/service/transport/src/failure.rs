@@ -7,12 +7,12 @@ use tonic::{Code, Status};
 /// Formats an error and its causes in one line, without text that a cause repeats from the error
 /// before it.
 pub fn chain(error: &(dyn Error + 'static)) -> String {
-    let mut text = words(error);
+    let mut text = error_text(error);
     let mut cause = error.source();
     while let Some(source) = cause {
-        let more = words(source);
-        if !text.contains(&more) {
-            text = format!("{text}: {more}");
+        let next = error_text(source);
+        if !text.contains(&next) {
+            text = format!("{text}: {next}");
         }
         cause = source.source();
     }
@@ -25,12 +25,12 @@ pub fn innermost(error: &(dyn Error + 'static)) -> String {
     while let Some(source) = innermost.source() {
         innermost = source;
     }
-    words(innermost)
+    error_text(innermost)
 }
 
 /// Formats one error. A gRPC status is reduced to its message, since its `Display` adds the code
 /// and the raw details.
-fn words(error: &(dyn Error + 'static)) -> String {
+fn error_text(error: &(dyn Error + 'static)) -> String {
     match error.downcast_ref::<Status>() {
         Some(status) => answer(status),
         None => error.to_string(),

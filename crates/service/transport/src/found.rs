@@ -40,7 +40,7 @@ impl ServerKind {
         }
     }
 
-    fn start(self) -> &'static str {
+    fn start_instruction(self) -> &'static str {
         match self {
             ServerKind::Coordinator => "start it with `coordinator serve`",
             ServerKind::Policy | ServerKind::Openpi | ServerKind::VlaEval => "start it",
@@ -125,7 +125,7 @@ pub enum Found {
     ),
     /// A web server that does not implement the expected protocol.
     Web {
-        /// The first line of its answer, or its HTTP status.
+        /// First line of the answer, or its HTTP status.
         said: String,
         /// True if it is a proxy whose backend is unavailable.
         is_proxy_waiting: bool,
@@ -168,14 +168,14 @@ impl Found {
     }
 
     /// Classifies a web server whose answer begins with this line.
-    pub(crate) fn web_line(said: String) -> Found {
-        let status = said
+    pub(crate) fn web_line(answer: String) -> Found {
+        let status = answer
             .split_whitespace()
             .nth(1)
             .and_then(|word| word.parse().ok());
         Found::Web {
             is_proxy_waiting: status.is_some_and(|code| PROXY_WAITING.contains(&code)),
-            said,
+            said: answer,
         }
     }
 
@@ -245,13 +245,13 @@ impl fmt::Display for Finding<'_> {
             Found::UnknownHost => write!(f, "no address is known for the name `{host}`"),
             Found::Nothing => f.write_str("nothing listens there"),
             Found::NoAnswer => f.write_str("the machine does not answer"),
-            Found::System(words) => {
-                write!(f, "the operating system cannot connect to it ({words})")
+            Found::System(message) => {
+                write!(f, "the operating system cannot connect to it ({message})")
             }
             Found::AnotherUser => write!(f, "{}", Untrusted::AnotherUser),
             Found::UnknownUser => write!(f, "{}", Untrusted::UnknownUser),
-            Found::Encrypted => f.write_str("the server there speaks TLS"),
-            Found::Clear => f.write_str("the server there does not speak TLS"),
+            Found::Encrypted => f.write_str("the server there uses TLS"),
+            Found::Clear => f.write_str("the server there does not use TLS"),
             Found::Certificate(CertificateFault::Untrusted) if *has_authority => write!(
                 f,
                 "its certificate was not signed by the authority that {} names",
@@ -282,25 +282,28 @@ impl fmt::Display for Finding<'_> {
             Found::Certificate(CertificateFault::Authority) => f.write_str(
                 "its certificate is that of a certificate authority, which a server must not use",
             ),
-            Found::Certificate(CertificateFault::Unusable(words)) => {
-                write!(f, "its certificate cannot be used ({words})")
+            Found::Certificate(CertificateFault::Unusable(message)) => {
+                write!(f, "its certificate cannot be used ({message})")
             }
-            Found::OtherTls(words) => write!(f, "TLS with it fails ({words})"),
+            Found::OtherTls(message) => write!(f, "TLS with it fails ({message})"),
             Found::Web {
-                said,
+                said: answer,
                 is_proxy_waiting: true,
             } => write!(
                 f,
-                "a proxy there cannot reach the server behind it ({said})"
+                "a proxy there cannot reach the server behind it ({answer})"
             ),
-            Found::Web { said, .. } => {
-                write!(f, "a web server of another kind is there ({said})")
+            Found::Web { said: answer, .. } => {
+                write!(f, "a web server of another kind is there ({answer})")
             }
             Found::Ssh => f.write_str("an SSH server is there"),
-            Found::Other { said } => {
-                write!(f, "a server of another kind is there, which says {said:?}")
+            Found::Other { said: answer } => {
+                write!(
+                    f,
+                    "a server of another kind is there, whose answer begins with {answer:?}"
+                )
             }
-            Found::Mute => f.write_str("what listens there hangs up or says nothing"),
+            Found::Mute => f.write_str("the server there closes the connection or sends nothing"),
             Found::OtherKind(kind) => {
                 write!(f, "{} is there, not {}", kind.article(), expected.article())
             }
@@ -329,22 +332,26 @@ impl fmt::Display for Remedy<'_> {
         } = trouble.settings;
         match &trouble.found {
             Found::UnknownHost => write!(f, "correct the host's name in {address}"),
-            Found::Nothing => write!(f, "{}, or name another in {address}", expected.start()),
+            Found::Nothing => write!(
+                f,
+                "{}, or name another in {address}",
+                expected.start_instruction()
+            ),
             Found::NoAnswer => write!(
                 f,
-                "check that it is up and that no firewall is between, or name another in \
-                 {address}"
+                "check that the machine is running and that no firewall blocks the connection, or \
+                 name another in {address}"
             ),
             Found::System(_) => write!(f, "correct {address}"),
             Found::AnotherUser => write!(
                 f,
-                "stop that program, or let {} speak TLS and write {encrypted} in place of {clear} \
+                "stop that program, or let {} use TLS and write {encrypted} in place of {clear} \
                  in {address}",
                 expected.definite()
             ),
             Found::UnknownUser => write!(
                 f,
-                "try again, or let {} speak TLS and write {encrypted} in place of {clear} in \
+                "try again, or let {} use TLS and write {encrypted} in place of {clear} in \
                  {address}",
                 expected.definite()
             ),
@@ -368,7 +375,7 @@ impl fmt::Display for Remedy<'_> {
                 f.write_str("start the server with a new one in --tls-cert")
             }
             Found::Certificate(CertificateFault::NotYetValid) => {
-                f.write_str("set the clocks of both machines right")
+                f.write_str("correct the clocks of both machines")
             }
             Found::Certificate(CertificateFault::OtherName { .. }) => write!(
                 f,
@@ -380,11 +387,11 @@ impl fmt::Display for Remedy<'_> {
                 "start the server with its own certificate, signed by the authority: see \
                  docs/OPERATING.md",
             ),
-            Found::OtherTls(_) => f.write_str("let the server speak TLS 1.2 or 1.3, and HTTP/2"),
+            Found::OtherTls(_) => f.write_str("let the server use TLS 1.2 or 1.3, and HTTP/2"),
             Found::Web {
                 is_proxy_waiting: true,
                 ..
-            } => f.write_str(expected.start()),
+            } => f.write_str(expected.start_instruction()),
             Found::Web { .. }
             | Found::Ssh
             | Found::Other { .. }

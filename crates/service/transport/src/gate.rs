@@ -16,21 +16,20 @@ use tonic::{Code, Status};
 use tower_layer::Layer;
 
 use crate::browser;
+use crate::browser_sessions::BrowserSessions;
 use crate::rate::{MAX_REQUESTS_PER_SEC, Rates};
-use crate::readers::BrowserSessions;
 use crate::refusals::Refusals;
 use crate::token::{Role, Tokens};
 use crate::users::{Caller, Users};
 
 // Refusals of the gate. Each says what the server did not do: clients and the log put "failed to"
 // before it, and answers to browsers "The server refused to".
-pub(crate) const OTHER_USER: &str = "let the caller in: this server listens for the user that \
-     started it alone, and the call is another user's of this machine; start the server with \
+pub(crate) const OTHER_USER: &str = "let the caller in: this server accepts only the user that \
+     started it, and another user of this machine has sent the call; start the server with \
      --token-file, or with --insecure-loopback if all users of the machine may do everything";
 pub(crate) const NO_TOKEN: &str = "let the caller in without a token: name a --token-file (it is \
      sent over https:// and to this machine only)";
-pub(crate) const UNKNOWN_TOKEN: &str =
-    "let the caller in: the token is none that this server knows";
+pub(crate) const UNKNOWN_TOKEN: &str = "let the caller in: this server does not know the token";
 
 /// Kind of the resource at a path, and the callers that are admitted.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -141,8 +140,8 @@ where
         Box::pin(async move {
             let answer = answer.await?;
             if answer.status() == StatusCode::UNAUTHORIZED {
-                let why = "log in: the token is none that this server knows";
-                shared.log_refusal(caller, &path, Code::Unauthenticated, why);
+                let reason = "log in: this server does not know the token";
+                shared.log_refusal(caller, &path, Code::Unauthenticated, reason);
             }
             let Some(status) = Status::from_header_map(answer.headers()) else {
                 return Ok(answer);
@@ -188,8 +187,8 @@ impl Shared {
         if is_page && roles.contains(&Role::Viewer) && self.sessions.has_session(headers) {
             return Ok(());
         }
-        let shown = bearer(headers).ok_or_else(|| Status::unauthenticated(NO_TOKEN))?;
-        match tokens.role_of(shown) {
+        let token = bearer(headers).ok_or_else(|| Status::unauthenticated(NO_TOKEN))?;
+        match tokens.role_of(token) {
             None => Err(Status::unauthenticated(UNKNOWN_TOKEN)),
             Some(role) if roles.contains(&role) => Ok(()),
             Some(role) => Err(Status::permission_denied(format!(
@@ -203,18 +202,18 @@ impl Shared {
         }
     }
 
-    fn log_refusal(&self, caller: SocketAddr, path: &str, code: Code, why: &str) {
+    fn log_refusal(&self, caller: SocketAddr, path: &str, code: Code, reason: &str) {
         if lock(&self.refusals).must_log(caller.ip(), code, Instant::now()) {
             let path = path.escape_debug().take(MAX_LOGGED_CHARS);
-            let why = why.escape_debug().take(MAX_LOGGED_CHARS);
-            let (path, why) = (path.collect::<String>(), why.collect::<String>());
-            let why = match why.is_empty() {
+            let reason = reason.escape_debug().take(MAX_LOGGED_CHARS);
+            let (path, reason) = (path.collect::<String>(), reason.collect::<String>());
+            let reason = match reason.is_empty() {
                 // The router's own status, which has no message.
                 true => "find this call".to_owned(),
-                false => why,
+                false => reason,
             };
             tracing::warn!(
-                "a request from {} for `{path}` was refused: failed to {why} (further refusals of \
+                "a request from {} for `{path}` was refused: failed to {reason} (further refusals of \
                  this kind to this address are not logged for ten minutes)",
                 caller.ip()
             );

@@ -85,7 +85,7 @@ impl Limits {
 }
 
 #[derive(Debug)]
-struct Open {
+struct OpenConnections {
     limits: Limits,
     connections: Mutex<HashMap<u64, Entry>>,
 }
@@ -94,17 +94,17 @@ struct Open {
 struct Entry {
     address: IpAddr,
     /// Notified to evict the connection; `None` once the connection is active.
-    silent: Option<Arc<Notify>>,
+    evict: Option<Arc<Notify>>,
 }
 
 /// A slot among the open connections, released on drop.
 #[derive(Debug)]
 struct Slot {
-    open: Arc<Open>,
+    open: Arc<OpenConnections>,
     number: u64,
 }
 
-impl Open {
+impl OpenConnections {
     fn lock(&self) -> MutexGuard<'_, HashMap<u64, Entry>> {
         // No thread panics while it holds this lock.
         self.connections
@@ -115,7 +115,11 @@ impl Open {
     /// Takes a slot for connection `number`; numbers follow the order of arrival. At a limit, the
     /// oldest silent connection is evicted: of the same address if that one is over its share,
     /// otherwise of any address. Returns `None` if no slot is free.
-    fn take_slot(self: &Arc<Open>, number: u64, address: IpAddr) -> Option<(Slot, Arc<Notify>)> {
+    fn take_slot(
+        self: &Arc<OpenConnections>,
+        number: u64,
+        address: IpAddr,
+    ) -> Option<(Slot, Arc<Notify>)> {
         let mut connections = self.lock();
         let is_same_address = |entry: &Entry| entry.address == address;
         let count = connections
@@ -124,23 +128,25 @@ impl Open {
             .count();
         let is_full = count >= self.limits.of_one_address;
         if is_full || connections.len() >= self.limits.total {
-            let silent = connections.iter().filter(|(_, entry)| {
-                entry.silent.is_some() && (!is_full || is_same_address(entry))
-            });
+            let silent = connections
+                .iter()
+                .filter(|(_, entry)| entry.evict.is_some() && (!is_full || is_same_address(entry)));
             let oldest = silent.map(|(number, _)| *number).min()?;
             if let Some(Entry {
-                silent: Some(close),
-                ..
+                evict: Some(evict), ..
             }) = connections.remove(&oldest)
             {
-                close.notify_one();
+                evict.notify_one();
             }
         }
-        let close = Arc::new(Notify::new());
-        let silent = Some(close.clone());
-        connections.insert(number, Entry { address, silent });
+        let evict = Arc::new(Notify::new());
+        let entry = Entry {
+            address,
+            evict: Some(evict.clone()),
+        };
+        connections.insert(number, entry);
         let open = self.clone();
-        Some((Slot { open, number }, close))
+        Some((Slot { open, number }, evict))
     }
 }
 
@@ -167,11 +173,11 @@ pub struct Watched {
 }
 
 impl Watched {
-    fn new(stream: TcpStream, slot: Slot, close: Arc<Notify>, idle: Duration) -> Watched {
+    fn new(stream: TcpStream, slot: Slot, evict: Arc<Notify>, idle: Duration) -> Watched {
         Watched {
             stream,
             slot,
-            evicted: Box::pin(close.notified_owned()),
+            evicted: Box::pin(evict.notified_owned()),
             deadline: Box::pin(sleep(GREETING_TIMEOUT)),
             greeting_bytes: 0,
             last_traffic: Instant::now(),
@@ -192,15 +198,15 @@ impl Watched {
         if self.is_active()
             && let Some(entry) = self.slot.open.lock().get_mut(&self.slot.number)
         {
-            entry.silent = None;
+            entry.evict = None;
         }
     }
 
     /// Returns the error once the connection must be closed.
     fn poll_closed(&mut self, context: &mut Context<'_>) -> Poll<io::Error> {
         let timed_out = || {
-            let why = "the connection was silent for too long";
-            Poll::Ready(io::Error::new(io::ErrorKind::TimedOut, why))
+            let message = "the connection was silent for too long";
+            Poll::Ready(io::Error::new(io::ErrorKind::TimedOut, message))
         };
         if !self.is_active() && self.evicted.as_mut().poll(context).is_ready() {
             return timed_out();
@@ -282,7 +288,7 @@ impl Connected for Watched {
 #[derive(Debug)]
 pub struct Incoming {
     listener: TcpListener,
-    open: Arc<Open>,
+    open: Arc<OpenConnections>,
     /// Longest time of a connection without traffic.
     idle: Duration,
     accepted: u64,
@@ -301,7 +307,7 @@ impl Incoming {
         let connections = Mutex::default();
         Incoming {
             listener,
-            open: Arc::new(Open {
+            open: Arc::new(OpenConnections {
                 limits,
                 connections,
             }),
@@ -344,19 +350,19 @@ impl Incoming {
                 continue;
             }
             let address = address.ip().to_canonical();
-            if let Some((slot, close)) = self.open.take_slot(self.accepted, address) {
-                return Poll::Ready(Watched::new(stream, slot, close, self.idle));
+            if let Some((slot, evict)) = self.open.take_slot(self.accepted, address) {
+                return Poll::Ready(Watched::new(stream, slot, evict, self.idle));
             }
-            let is_known = |at: Instant| at.elapsed() < LOG_AGAIN_AFTER;
-            if !self.logged.is_some_and(is_known) {
+            let is_recent = |at: Instant| at.elapsed() < LOG_AGAIN_AFTER;
+            if !self.logged.is_some_and(is_recent) {
                 self.logged = Some(Instant::now());
                 let Limits {
                     total,
                     of_one_address,
                 } = self.open.limits;
                 tracing::warn!(
-                    "a connection of {address} was refused: there are {total} at most, and \
-                     {of_one_address} of one address; if they are all needed, allow this process \
+                    "a connection of {address} was refused: at most {total} are accepted, and \
+                     {of_one_address} from one address; if all are needed, allow this process \
                      more open files (`ulimit -n`, LimitNOFILE=)"
                 );
             }
@@ -392,8 +398,8 @@ mod tests {
         Ipv4Addr::new(10, 0, 0, last).into()
     }
 
-    fn open(total: usize, of_one_address: usize) -> Arc<Open> {
-        Arc::new(Open {
+    fn open(total: usize, of_one_address: usize) -> Arc<OpenConnections> {
+        Arc::new(OpenConnections {
             limits: Limits {
                 total,
                 of_one_address,
@@ -403,9 +409,9 @@ mod tests {
     }
 
     /// Takes a slot for an active connection.
-    fn active(open: &Arc<Open>, number: u64, of: IpAddr) -> Option<Slot> {
+    fn active(open: &Arc<OpenConnections>, number: u64, of: IpAddr) -> Option<Slot> {
         let (slot, _) = open.take_slot(number, of)?;
-        open.lock().get_mut(&number).expect("an entry").silent = None;
+        open.lock().get_mut(&number).expect("an entry").evict = None;
         Some(slot)
     }
 

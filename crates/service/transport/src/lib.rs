@@ -14,6 +14,7 @@
 #![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
 mod browser;
+mod browser_sessions;
 mod client;
 mod endpoint;
 mod failure;
@@ -24,12 +25,12 @@ mod peer;
 mod private;
 mod probe;
 mod rate;
-mod readers;
 mod refusals;
 mod server;
 mod token;
 mod users;
 
+pub use browser_sessions::{MAX_SESSIONS, SESSION_LIFETIME};
 pub use client::{Access, AccessError, Bearer, ClientArguments, Connection};
 pub use endpoint::{EndpointError, parse_endpoint};
 pub use failure::{answer, chain, innermost, is_outage, is_outage_code, may_succeed_later};
@@ -38,7 +39,6 @@ pub use gate::{Allowed, Gate, Gated, Resource};
 pub use incoming::{GREETING_TIMEOUT, IDLE_TIMEOUT, Incoming, Watched, raise_file_limit};
 pub use peer::Peer;
 pub use rate::{BURST_REQUESTS, MAX_REQUESTS_PER_SEC};
-pub use readers::{MAX_SESSIONS, SESSION_LIFETIME};
 pub use refusals::{LOG_AGAIN_AFTER, MAX_REMEMBERED_REFUSALS};
 pub use server::{
     GatedServer, HANDSHAKE_TIMEOUT, MAX_HEADER_BYTES, MAX_STREAMS_PER_CONNECTION, Security,

@@ -20,7 +20,7 @@ use crate::users::Untrusted;
 /// Start of tonic's message for an answer that is not from a gRPC server.
 const NO_GRPC_STATUS: &str = "grpc-status header missing";
 /// Timeout of the probing connection, and of its answer.
-const PATIENCE: Duration = Duration::from_secs(3);
+const PROBE_TIMEOUT: Duration = Duration::from_secs(3);
 /// An empty gRPC message: uncompressed, length 0.
 const EMPTY_MESSAGE: &str = "\0\0\0\0\0";
 
@@ -66,7 +66,7 @@ impl Peer {
     }
 
     /// Probes the server's address, for clients that do not use gRPC.
-    pub async fn look_around(&self) -> Trouble {
+    pub async fn probe(&self) -> Trouble {
         self.found(self.probe_address().await)
     }
 
@@ -170,8 +170,8 @@ impl Peer {
         let authority = uri.authority().map_or("", |authority| authority.as_str());
         Endpoint::from_shared(format!("{scheme}://{authority}"))
             .unwrap_or_else(|_| self.endpoint.clone())
-            .connect_timeout(PATIENCE)
-            .timeout(PATIENCE)
+            .connect_timeout(PROBE_TIMEOUT)
+            .timeout(PROBE_TIMEOUT)
     }
 }
 

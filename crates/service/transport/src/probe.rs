@@ -14,7 +14,7 @@ use tokio_rustls::rustls::{CertificateError, Error as TlsError};
 use crate::found::{CertificateFault, Found};
 
 /// Timeout of each answer.
-const PATIENCE: Duration = Duration::from_secs(3);
+const ANSWER_TIMEOUT: Duration = Duration::from_secs(3);
 /// First bytes of an HTTP/2 client: the preface and an empty SETTINGS frame.
 const PREFACE: &[u8] = b"PRI * HTTP/2.0\r\n\r\nSM\r\n\r\n\0\0\0\x04\0\0\0\0\0";
 /// ALPN protocol name of HTTP/2.
@@ -95,14 +95,14 @@ pub(crate) async fn identify(
 
 async fn connect(target: ProbeTarget<'_>) -> Result<TcpStream, Found> {
     let resolving = tokio::net::lookup_host((target.host, target.port));
-    let addresses = match timeout(PATIENCE, resolving).await {
+    let addresses = match timeout(ANSWER_TIMEOUT, resolving).await {
         Ok(Ok(addresses)) => addresses.collect::<Vec<_>>(),
         Ok(Err(_)) | Err(_) => return Err(Found::UnknownHost),
     };
     if addresses.is_empty() {
         return Err(Found::UnknownHost);
     }
-    match timeout(PATIENCE, TcpStream::connect(&*addresses)).await {
+    match timeout(ANSWER_TIMEOUT, TcpStream::connect(&*addresses)).await {
         Ok(Ok(stream)) => Ok(stream),
         Ok(Err(error)) => Err(no_connection(&error).unwrap_or_else(|| system(&error))),
         Err(_) => Err(Found::NoAnswer),
@@ -142,7 +142,7 @@ async fn encrypt(
 ) -> Result<(impl Stream, bool), Handshake> {
     let name = ServerName::try_from(target.host.to_owned());
     let name = name.map_err(|_| Handshake::Failed(Found::UnknownHost))?;
-    match timeout(PATIENCE, tls.connect(name, stream)).await {
+    match timeout(ANSWER_TIMEOUT, tls.connect(name, stream)).await {
         Ok(Ok(stream)) => {
             let is_http2 = stream.get_ref().1.alpn_protocol() == Some(HTTP2);
             Ok((stream, is_http2))
@@ -195,7 +195,7 @@ fn unwrapped_name(name: &str) -> String {
 async fn send_preface(mut stream: impl Stream) -> Reply {
     let mut bytes = [0; 128];
     let mut count = 0;
-    let listening = async {
+    let reading = async {
         // Errors are ignored: a server may send first, and close because of the preface.
         let _ = stream.write_all(PREFACE).await;
         while count < FRAME_HEAD {
@@ -205,20 +205,20 @@ async fn send_preface(mut stream: impl Stream) -> Reply {
             }
         }
     };
-    let _ = timeout(PATIENCE, listening).await;
+    let _ = timeout(ANSWER_TIMEOUT, reading).await;
     classify(&bytes[..count])
 }
 
 /// Sends an HTTP/1 request and classifies the answer.
 async fn request_http1(mut stream: TcpStream) -> Result<HttpVersion, Found> {
     let mut bytes = [0; 128];
-    let asking = async {
-        let asked =
+    let exchange = async {
+        let request =
             stream.write_all(b"GET / HTTP/1.1\r\nHost: localhost\r\nConnection: close\r\n\r\n");
-        asked.await?;
+        request.await?;
         stream.read(&mut bytes).await
     };
-    let count = match timeout(PATIENCE, asking).await {
+    let count = match timeout(ANSWER_TIMEOUT, exchange).await {
         Ok(Ok(count)) => count,
         Ok(Err(_)) | Err(_) => 0,
     };
@@ -251,7 +251,7 @@ fn http_version(reply: Reply) -> Result<HttpVersion, Found> {
         Reply::Http1(line) => Ok(HttpVersion::Http1(line)),
         Reply::Tls => Err(Found::Encrypted),
         Reply::Ssh => Err(Found::Ssh),
-        Reply::Other(said) => Err(Found::Other { said }),
+        Reply::Other(answer) => Err(Found::Other { said: answer }),
         Reply::Silence => Err(Found::Mute),
     }
 }

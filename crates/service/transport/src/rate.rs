@@ -23,12 +23,12 @@ pub(crate) struct Rates {
 #[derive(Clone, Copy, Debug)]
 struct Bucket {
     remaining: f64,
-    at: Instant,
+    updated: Instant,
 }
 
 impl Bucket {
     fn filled(self, now: Instant) -> f64 {
-        let secs = now.saturating_duration_since(self.at).as_secs_f64();
+        let secs = now.saturating_duration_since(self.updated).as_secs_f64();
         (self.remaining + secs * MAX_REQUESTS_PER_SEC).min(BURST_REQUESTS)
     }
 }
@@ -45,15 +45,19 @@ impl Rates {
         }
         let bucket = self.buckets.entry(caller).or_insert(Bucket {
             remaining: BURST_REQUESTS,
-            at: now,
+            updated: now,
         });
         let remaining = bucket.filled(now);
-        let admitted = remaining >= 1.0;
+        let is_admitted = remaining >= 1.0;
         *bucket = Bucket {
-            remaining: if admitted { remaining - 1.0 } else { remaining },
-            at: now,
+            remaining: if is_admitted {
+                remaining - 1.0
+            } else {
+                remaining
+            },
+            updated: now,
         };
-        admitted
+        is_admitted
     }
 }
 

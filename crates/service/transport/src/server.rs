@@ -10,9 +10,9 @@ use clap::Args;
 use tonic::codegen::http::HeaderMap;
 use tonic::transport::{Identity, Server, ServerTlsConfig};
 
+use crate::browser_sessions::BrowserSessions;
 use crate::gate::{Gate, Resource};
 use crate::private::exposed;
-use crate::readers::BrowserSessions;
 use crate::token::{Role, TokenError, Tokens};
 use crate::users::Users;
 
@@ -59,7 +59,7 @@ pub struct Security {
     identity: Option<Identity>,
     tokens: Option<Tokens>,
     users: Users,
-    readers: BrowserSessions,
+    browser_sessions: BrowserSessions,
 }
 
 /// A server behind a [`Gate`].
@@ -83,8 +83,8 @@ pub enum SecurityError {
     #[error("read {}: give a PEM file that this user may read", path.display())]
     Pem { path: PathBuf, source: io::Error },
     #[error(
-        "read private key {}: its permissions, {mode:04o}, let other users at it; take them away \
-         with `chmod 600 {}`",
+        "read private key {}: its permissions, {mode:04o}, let other users access it; restrict \
+         them with `chmod 600 {}`",
         path.display(),
         path.display()
     )]
@@ -108,9 +108,9 @@ impl ServerArguments {
         };
         let tokens = tokens(self.token_file.as_deref())?;
         let missing = match (&identity, &tokens) {
-            (None, None) => Some("every client would be let in, in the clear"),
+            (None, None) => Some("every client would be admitted, in the clear"),
             (None, Some(_)) => Some("tokens would be sent in the clear"),
-            (Some(_), None) => Some("every client would be let in without a token"),
+            (Some(_), None) => Some("every client would be admitted without a token"),
             (Some(_), Some(_)) => None,
         };
         match missing {
@@ -138,7 +138,7 @@ impl Security {
     fn new(identity: Option<Identity>, tokens: Option<Tokens>, users: Users) -> Security {
         Security {
             users,
-            readers: BrowserSessions::new(identity.is_some()),
+            browser_sessions: BrowserSessions::new(identity.is_some()),
             identity,
             tokens,
         }
@@ -158,18 +158,20 @@ impl Security {
     /// value, or `None` if no such token is known.
     pub fn log_in(&self, token: &str, roles: &[Role]) -> Option<String> {
         let role = self.tokens.as_ref()?.role_of(token)?;
-        roles.contains(&role).then(|| self.readers.log_in())?
+        roles
+            .contains(&role)
+            .then(|| self.browser_sessions.log_in())?
     }
 
     /// Logs out the browser that sent a request. Returns the value of `Set-Cookie`.
     pub fn log_out(&self, headers: &HeaderMap) -> String {
-        self.readers.log_out(headers)
+        self.browser_sessions.log_out(headers)
     }
 
     /// Returns the gate for a server with this table of resources.
     pub fn gate(&self, resource: fn(&str) -> Resource, log_in: Option<&'static str>) -> Gate {
-        let (tokens, readers) = (self.tokens.clone(), self.readers.clone());
-        Gate::new(tokens, self.users, resource, log_in, readers)
+        let (tokens, browser_sessions) = (self.tokens.clone(), self.browser_sessions.clone());
+        Gate::new(tokens, self.users, resource, log_in, browser_sessions)
     }
 
     /// Builds a gRPC server behind the gate.
@@ -279,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn tokens_alone_do_not_open_an_address() {
+    fn tokens_without_tls_do_not_allow_a_public_address() {
         let file = tempfile::NamedTempFile::new().expect("a file");
         std::fs::write(file.path(), "worker 0123456789abcdef").expect("written");
         let arguments = ServerArguments {

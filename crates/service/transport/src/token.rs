@@ -78,7 +78,7 @@ impl Token {
             return Err("the token is too short to be a secret: take 32 random hex digits");
         }
         if text.len() > MAX_TOKEN_BYTES {
-            return Err("the token is longer than any token");
+            return Err("the token is too long");
         }
         if !text.bytes().all(|byte| byte.is_ascii_graphic()) {
             return Err("the token holds something other than visible ASCII characters");
@@ -113,8 +113,8 @@ pub enum TokenError {
     #[error("read token file {}", path.display())]
     Read { path: PathBuf, source: io::Error },
     #[error(
-        "read token file {}: its permissions, {mode:04o}, let other users at its tokens; take them \
-         away with `chmod 600 {}`",
+        "read token file {}: its permissions, {mode:04o}, let other users access its tokens; \
+         restrict them with `chmod 600 {}`",
         path.display(),
         path.display()
     )]
@@ -238,7 +238,7 @@ fn parse_line(line: &str) -> Result<(Role, Token), &'static str> {
     let (Some(role), Some(token), None) = (words.next(), words.next(), words.next()) else {
         return Err("it is not two words");
     };
-    let role = role.parse().map_err(|()| "its first word is no role")?;
+    let role = role.parse().map_err(|()| "its first word is not a role")?;
     Ok((role, Token::parse(token)?))
 }
 
@@ -289,7 +289,7 @@ mod tests {
         check("", &["the test", "ROLE TOKEN"]);
         check("# only this", &["find a token"]);
         check("worker s3cret", &["line 1", "too short"]);
-        check("\nboss s3cret-s3cret-s3cret", &["line 2", "no role"]);
+        check("\nboss s3cret-s3cret-s3cret", &["line 2", "not a role"]);
         check("s3cret-s3cret-s3cret", &["two words"]);
         check("worker s3cret-s3cret s3cret-s3cret", &["two words"]);
         check("worker s3crét-s3cret-s3cret", &["visible ASCII"]);

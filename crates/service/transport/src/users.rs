@@ -47,8 +47,8 @@ impl Caller {
     /// Returns true if the caller is a process of this server's user, or of root.
     pub(crate) fn is_own(&self) -> bool {
         let user = self.user.get_or_init(|| {
-            let (there, here) = (self.address()?, self.connection.local_addr()?);
-            user_of(there, here).ok()?
+            let (peer, local) = (self.address()?, self.connection.local_addr()?);
+            user_of(peer, local).ok()?
         });
         user.is_some_and(|user| user == ROOT || user == geteuid().as_raw())
     }
@@ -72,12 +72,12 @@ pub enum Untrusted {
 /// If the server belongs to another user, or the kernel does not report its user.
 pub(crate) async fn check_server(connection: &TcpStream) -> Result<(), Untrusted> {
     let ends = || Ok::<_, io::Error>((connection.peer_addr()?, connection.local_addr()?));
-    let (there, here) = ends().map_err(|_| Untrusted::UnknownUser)?;
+    let (peer, local) = ends().map_err(|_| Untrusted::UnknownUser)?;
     // The tables of a busy machine have thousands of rows.
     let rows = tokio::task::spawn_blocking(rows).await;
     let rows = rows.map_err(io::Error::other).flatten();
     let rows = rows.map_err(|_| Untrusted::UnknownUser)?;
-    check_rows(&rows, there, here, geteuid().as_raw())
+    check_rows(&rows, peer, local, geteuid().as_raw())
 }
 
 /// Applies [`check_server`] to the kernel's tables, which list listening sockets first.
@@ -88,20 +88,20 @@ pub(crate) async fn check_server(connection: &TcpStream) -> Result<(), Untrusted
 /// connection is about to break; in neither case can another user receive the token.
 fn check_rows(
     rows: &[Row],
-    there: SocketAddr,
-    here: SocketAddr,
-    own: u32,
+    peer: SocketAddr,
+    local: SocketAddr,
+    own_user: u32,
 ) -> Result<(), Untrusted> {
-    let check = |user: u32| match user == own || is_system_user(user) {
+    let check = |user: u32| match user == own_user || is_system_user(user) {
         true => Ok(()),
         false => Err(Untrusted::AnotherUser),
     };
-    if let Some(owner) = owner(rows, there, here) {
+    if let Some(owner) = owner(rows, peer, local) {
         return check(owner);
     }
-    let port = format!(":{:04X}", there.port());
-    let listening = |row: &&Row| row.state == LISTENS && row.local.ends_with(&port);
-    let mut listeners = rows.iter().filter(listening).map(|row| row.user);
+    let port = format!(":{:04X}", peer.port());
+    let is_listener = |row: &&Row| row.state == LISTENS && row.local.ends_with(&port);
+    let mut listeners = rows.iter().filter(is_listener).map(|row| row.user);
     listeners.try_for_each(check)
 }
 
@@ -111,13 +111,13 @@ fn is_system_user(user: u32) -> bool {
     user < 1_000 || (61_184..=65_519).contains(&user)
 }
 
-/// Returns the owner of the local socket at `there` that is connected to `here`.
-fn user_of(there: SocketAddr, here: SocketAddr) -> io::Result<Option<u32>> {
-    Ok(owner(&rows()?, there, here))
+/// Returns the owner of the socket at `peer` that is connected to `local`, on this machine.
+fn user_of(peer: SocketAddr, local: SocketAddr) -> io::Result<Option<u32>> {
+    Ok(owner(&rows()?, peer, local))
 }
 
-fn owner(rows: &[Row], there: SocketAddr, here: SocketAddr) -> Option<u32> {
-    let is_connection = |row: &&Row| is_address(&row.local, there) && is_address(&row.remote, here);
+fn owner(rows: &[Row], peer: SocketAddr, local: SocketAddr) -> Option<u32> {
+    let is_connection = |row: &&Row| is_address(&row.local, peer) && is_address(&row.remote, local);
     rows.iter().find(is_connection).map(|row| row.user)
 }
 
@@ -197,16 +197,16 @@ mod tests {
             let port = listener.local_addr().expect("an address").port();
             let client =
                 std::net::TcpStream::connect(format!("{connect}:{port}")).expect("connects");
-            let (server, there) = listener.accept().expect("a connection");
-            let here = server.local_addr().expect("an address");
-            let user = user_of(there, here).expect("a table");
+            let (server, peer) = listener.accept().expect("a connection");
+            let local = server.local_addr().expect("an address");
+            let user = user_of(peer, local).expect("a table");
             assert_eq!(user, Some(geteuid().as_raw()), "{listen}");
-            let other = SocketAddr::new(there.ip(), there.port() ^ 1);
-            assert_eq!(user_of(other, here).expect("a table"), None);
-            let trusted = check_rows(&rows().expect("a table"), there, here, geteuid().as_raw());
+            let other = SocketAddr::new(peer.ip(), peer.port() ^ 1);
+            assert_eq!(user_of(other, local).expect("a table"), None);
+            let trusted = check_rows(&rows().expect("a table"), peer, local, geteuid().as_raw());
             assert_eq!(trusted, Ok(()), "{listen}");
             drop(client);
-            assert_eq!(user_of(there, here).expect("a table"), None, "{listen}");
+            assert_eq!(user_of(peer, local).expect("a table"), None, "{listen}");
         }
     }
 
@@ -214,7 +214,7 @@ mod tests {
     fn a_connection_belongs_to_its_acceptor_or_else_to_all_listeners() {
         const OWN: u32 = 1_000;
         const OTHER: u32 = 1_001;
-        let (here, there) = ("127.0.0.1:40000", "127.0.0.1:7411");
+        let (local, peer) = ("127.0.0.1:40000", "127.0.0.1:7411");
         let line = |local: &str, remote: &str, state: &str, user: u32, inode: u32| {
             let fields = format!("0: {local} {remote} {state} 0:0 00:0 0 {user} 0 {inode} 1");
             row(&fields)
@@ -224,8 +224,8 @@ mod tests {
         let waits = line("0100007F:1CF3", "0100007F:9C40", "01", ROOT, 0);
         let check = |rows: [Option<Row>; 3]| {
             let rows: Vec<Row> = rows.into_iter().flatten().collect();
-            let [there, here] = [there, here].map(|address| address.parse().expect("an address"));
-            check_rows(&rows, there, here, OWN)
+            let [peer, local] = [peer, local].map(|address| address.parse().expect("an address"));
+            check_rows(&rows, peer, local, OWN)
         };
         assert_eq!(check([listens(OWN), accepted(OWN), None]), Ok(()));
         assert_eq!(check([listens(OWN), waits, None]), Ok(()));

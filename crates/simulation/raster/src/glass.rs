@@ -174,8 +174,8 @@ fn paint(
         );
     }
     let painted = (layers.len() <= max_layers).then(|| {
-        let shown = (instances.as_slice(), &*visible, before.1);
-        colour(shown, pass, &mut layers, &mut work.lists)
+        let surfaces = (instances.as_slice(), &*visible, before.1);
+        colour(surfaces, pass, &mut layers, &mut work.lists)
     });
     instances.truncate(before.0);
     visible.records.truncate(before.1);

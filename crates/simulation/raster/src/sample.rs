@@ -24,14 +24,14 @@ pub(crate) struct Place {
 #[inline(always)]
 pub(crate) fn flat(
     texels: Texels<'_>,
-    srgb: bool,
+    is_srgb: bool,
     place: Place,
     [corner, right, above]: [Place; 3],
 ) -> Colour {
     let changes = [right, above].map(|to| [0, 1].map(|axis| to.at[axis] - corner.at[axis]));
     let levels = Levels::choose(texels, footprint(texels, changes));
     let [s, t, _] = place.at;
-    match srgb {
+    match is_srgb {
         false => flat_in_bytes(texels, &levels, s, t),
         true => flat_in_floats(texels, &levels, s, t),
     }
@@ -312,12 +312,12 @@ fn mix(from: F, to: F, share: F) -> F {
 }
 
 #[inline(always)]
-fn mix_four(texels: [I; 4], [u, v]: [F; 2], srgb: bool) -> Colour {
+fn mix_four(texels: [I; 4], [u, v]: [F; 2], is_srgb: bool) -> Colour {
     [0, 1, 2, 3].map(|channel: u32| {
         let [a, b, c, d] = texels.map(|texel| {
             let part = (texel >> (8 * channel as i32)) & I::splat(255);
             let part: F = part.float();
-            match srgb && channel < 3 {
+            match is_srgb && channel < 3 {
                 true => linear(part),
                 false => part * F::splat(OVER_255),
             }

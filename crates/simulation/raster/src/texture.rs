@@ -269,8 +269,8 @@ impl Texels<'_> {
     fn downsampled(&self, level: &Level, image: usize, s: f32, t: f32) -> u32 {
         let first = level.start + image * level.image;
         let texel = |x: usize, y: usize| self.at(first + y * level.width + x).to_le_bytes();
-        let srgb = self.texture.kind == (TextureKind::Flat { srgb: true });
-        if !srgb {
+        let is_srgb = self.texture.kind == (TextureKind::Flat { srgb: true });
+        if !is_srgb {
             let ((x0, x1, u), (y0, y1, v)) = (fixed(s, level.width), fixed(t, level.height));
             let (a, b, c, d) = (texel(x0, y0), texel(x1, y0), texel(x0, y1), texel(x1, y1));
             return u32::from_le_bytes(std::array::from_fn(|channel| {

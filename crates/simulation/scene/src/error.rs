@@ -14,7 +14,7 @@ pub enum SceneError {
         #[source]
         source: std::io::Error,
     },
-    #[error("understand {what} {}: {problem}", path.display())]
+    #[error("parse {what} {}: {problem}", path.display())]
     Malformed {
         what: String,
         path: PathBuf,

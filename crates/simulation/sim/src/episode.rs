@@ -178,10 +178,10 @@ impl Conditions {
     /// released code distorts the unclipped action and clips afterwards. Without an actuation axis
     /// both give the same step, because the controller clips. The function is idempotent, so
     /// recorded commands can be simulated again.
-    pub fn command(&self, sent: &[f64; 7]) -> [f64; 7] {
+    pub fn command(&self, policy_action: &[f64; 7]) -> [f64; 7] {
         match self.realisation {
-            Realisation::Matched => clip(sent),
-            Realisation::Reference => *sent,
+            Realisation::Matched => clip(policy_action),
+            Realisation::Reference => *policy_action,
         }
     }
 
@@ -194,16 +194,16 @@ impl Conditions {
     pub fn step(
         &mut self,
         environment: &mut Environment,
-        sent: &[f64; 7],
+        policy_action: &[f64; 7],
         frame: ActionFrame,
     ) -> Result<bool, SimError> {
         let action = match frame {
             ActionFrame::Absolute if self.actuation.is_some() => {
                 return Err(SimError::DistortedPose);
             }
-            ActionFrame::Absolute => *sent,
+            ActionFrame::Absolute => *policy_action,
             ActionFrame::Relative => {
-                let command = self.command(sent);
+                let command = self.command(policy_action);
                 match &mut self.actuation {
                     Some(stage) => stage.apply(&command),
                     None => command,
@@ -217,7 +217,7 @@ impl Conditions {
     /// Corrupts a frame with its camera's sensor perturbation; frames of cameras that policies do
     /// not receive stay unchanged. For a given camera and size, the pixels depend only on the
     /// control step.
-    pub fn see(&mut self, frame: &mut Frame) {
+    pub fn corrupt(&mut self, frame: &mut Frame) {
         if let (Some(stage), Ok(source)) = (&mut self.sensor, frame_source(&frame.camera)) {
             stage.apply(&mut perturb::Frame {
                 source,
@@ -278,8 +278,8 @@ impl<'a> Episode<'a> {
     }
 
     /// Returns the robot's command for a policy's action: see [`Conditions::command`].
-    pub fn command(&self, sent: &[f64; 7]) -> [f64; 7] {
-        self.conditions.command(sent)
+    pub fn command(&self, policy_action: &[f64; 7]) -> [f64; 7] {
+        self.conditions.command(policy_action)
     }
 
     /// Simulates one control step with a policy's action, or with the command derived from it.
@@ -287,9 +287,9 @@ impl<'a> Episode<'a> {
     ///
     /// # Errors
     /// As [`Environment::step`].
-    pub fn step(&mut self, sent: &[f64; 7]) -> Result<bool, SimError> {
+    pub fn step(&mut self, policy_action: &[f64; 7]) -> Result<bool, SimError> {
         let conditions = &mut self.conditions;
-        conditions.step(self.environment, sent, ActionFrame::Relative)
+        conditions.step(self.environment, policy_action, ActionFrame::Relative)
     }
 
     /// Removes the perturbations: from now on the policy sees the nominal scene, and its actions
@@ -330,7 +330,7 @@ impl<'a> Episode<'a> {
             let drawer = self.drawer.open()?;
             let (width, height) = (camera.width, camera.height);
             let mut frame = self.environment.draw(drawer, &camera.name, width, height)?;
-            self.conditions.see(&mut frame);
+            self.conditions.corrupt(&mut frame);
             if let Some(noise) = &mut self.conditions.noise {
                 noise.corrupt(&mut frame, self.environment.control_steps())?;
             }

@@ -9,13 +9,13 @@
 
 #![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
+mod captured_view;
 mod compiled_scene;
 pub mod controller;
 pub mod environment;
 pub mod episode;
 pub mod error;
 mod fingerprint;
-mod look;
 #[allow(unsafe_code, reason = "the façade over MuJoCo's C API")]
 pub mod mujoco;
 pub mod observation;
@@ -30,13 +30,13 @@ pub mod simulator;
 mod state;
 mod variant;
 
+pub use captured_view::CapturedView;
 pub use compiled_scene::CompiledScene;
 pub use controller::ActionFrame;
 pub use environment::Environment;
 pub use episode::{Conditions, Digests, Episode};
 pub use error::SimError;
 pub use fingerprint::fingerprint;
-pub use look::Look;
 pub use mujoco::{ObjectKind, Segment};
 pub use observation::{CameraRequest, Frame, Observation, ObservationRequest, RobotState};
 pub use perturb::IkSolution;

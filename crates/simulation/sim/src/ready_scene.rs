@@ -44,7 +44,7 @@ impl ReadyScene {
         pack: &AssetPack,
         sources: &Sources,
     ) -> Result<Self, SimError> {
-        // Before the files are read: a change during the reading is noticed later.
+        // Taken before the files are read, so that a change during the reading is noticed later.
         let stamps = files.stamps();
         let problem = files.problem()?;
         let states = InitialStates::read(&files.init)?;

@@ -17,7 +17,7 @@ use crate::reset::Reset;
 const ROUNDS: u32 = 2;
 /// Side of the pictures in the benchmark's environments, pixels. It determines how many numbers
 /// glass blur draws from the generator.
-const DRAWN_SIDE: usize = 256;
+const BENCHMARK_SIDE: usize = 256;
 
 /// State in which a rollout starts to settle, with the protocol's number of waits (no-op actions).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -110,7 +110,8 @@ impl Noise {
             return Ok(());
         }
         while self.picture < control_steps {
-            self.corruption.skip(DRAWN_SIDE, DRAWN_SIDE, &mut self.rng);
+            self.corruption
+                .skip(BENCHMARK_SIDE, BENCHMARK_SIDE, &mut self.rng);
             self.picture += 1;
         }
         let mut picture = Picture {

@@ -77,10 +77,10 @@ pub fn reader_is_gone(error: &(dyn Error + 'static)) -> bool {
 }
 
 /// Formats a count with its noun: `1 rollout`, `2 rollouts`.
-pub fn counted(count: u64, thing: &str) -> String {
+pub fn counted(count: u64, noun: &str) -> String {
     match count {
-        1 => format!("1 {thing}"),
-        count => format!("{count} {thing}s"),
+        1 => format!("1 {noun}"),
+        count => format!("{count} {noun}s"),
     }
 }
 

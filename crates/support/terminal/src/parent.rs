@@ -9,10 +9,10 @@ pub const PARENT_VARIABLE: &str = "ROLLOUT_PARENT";
 /// parent. Killing is safe, since every program may be killed at any time without losing confirmed
 /// data; a parent that exits normally stops its children first.
 pub fn end_with_parent() {
-    let named = std::env::var(PARENT_VARIABLE).ok();
-    let named = named.and_then(|pid| Pid::from_raw(pid.parse().ok()?));
+    let parent = std::env::var(PARENT_VARIABLE).ok();
+    let parent = parent.and_then(|pid| Pid::from_raw(pid.parse().ok()?));
     // Descendants further down inherit the variable but have other parents.
-    if named.is_some() && named == getppid() {
+    if parent.is_some() && parent == getppid() {
         // A failure only means that this process survives a killed parent.
         let _ = set_parent_process_death_signal(Some(Signal::KILL));
     }

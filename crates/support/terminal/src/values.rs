@@ -90,8 +90,8 @@ mod tests {
         let read = number(1..=3600_u32, "seconds");
         assert_eq!(read("3600"), Ok(3600));
         let words = "write a whole number of seconds, 1 to 3600";
-        for wrong in ["0", "3601", "-1", "1.5", "", "many", "99999999999"] {
-            assert_eq!(read(wrong), Err(words.to_owned()), "{wrong}");
+        for invalid in ["0", "3601", "-1", "1.5", "", "many", "99999999999"] {
+            assert_eq!(read(invalid), Err(words.to_owned()), "{invalid}");
         }
         let read = number_from(1_u32, "rollouts");
         assert_eq!(read("7"), Ok(7));
@@ -106,17 +106,17 @@ mod tests {
     fn seconds_may_have_a_decimal_point_and_must_be_finite() {
         let read = seconds(0.1..=3600.0);
         assert_eq!(read("0.5"), Ok(0.5));
-        for wrong in ["0", "inf", "NaN", "soon"] {
+        for invalid in ["0", "inf", "NaN", "soon"] {
             let words = "write a number of seconds, 0.1 to 3600";
-            assert_eq!(read(wrong), Err(words.to_owned()), "{wrong}");
+            assert_eq!(read(invalid), Err(words.to_owned()), "{invalid}");
         }
     }
 
     #[test]
     fn an_address_without_a_port_is_refused_with_an_example() {
         assert!(address("[::1]:0").is_ok());
-        for wrong in ["", "7411", "127.0.0.1", "localhost:7411", "nowhere"] {
-            assert!(address(wrong).is_err_and(|words| words.contains("127.0.0.1:7411")));
+        for invalid in ["", "7411", "127.0.0.1", "localhost:7411", "nowhere"] {
+            assert!(address(invalid).is_err_and(|words| words.contains("127.0.0.1:7411")));
         }
     }
 }

@@ -40,7 +40,7 @@ pub(crate) fn messages(input: &[u8]) -> bool {
         std::fs::write(folder.path().join(DATABASE_FILE), database).expect("a file");
         let mut coordinator = TestCoordinator::in_folder(folder.path()).await;
         let mut detector = ChangeDetector::open(folder.path()).await;
-        let mut all_accepted = true;
+        let mut are_all_accepted = true;
         for call in script::read(input) {
             let before = detector.snapshot().await;
             let method = METHODS[usize::from(call.method) % METHODS.len()];
@@ -51,7 +51,7 @@ pub(crate) fn messages(input: &[u8]) -> bool {
                 assert!(!is_internal_fault, "{method} {call:?}: {refusal}");
                 let after = detector.snapshot().await;
                 assert_eq!(before, after, "{method} {call:?}: {refusal}");
-                all_accepted = false;
+                are_all_accepted = false;
             }
         }
         detector.0.close().await.expect("closes");
@@ -60,7 +60,7 @@ pub(crate) fn messages(input: &[u8]) -> bool {
         let next = coordinator.call(method, &[&message]).await;
         next.expect("an answer").expect("a sound message");
         coordinator.close().await;
-        all_accepted
+        are_all_accepted
     })
 }
 

@@ -112,7 +112,7 @@ impl Drawing {
                 let at = usize::from(bytes.byte());
                 let geom = bytes.geom();
                 match self.scene.geoms.get_mut(at) {
-                    Some(old) => *old = geom,
+                    Some(existing) => *existing = geom,
                     None => self.scene.geoms.push(geom),
                 }
             }
@@ -150,8 +150,8 @@ impl Drawing {
         match (drawn, redrawn) {
             (Ok(drawn), Ok(redrawn)) => {
                 assert_eq!(drawn.len(), width * height * 3);
-                let differs = drawn.iter().zip(&redrawn).position(|(a, b)| a != b);
-                let at = differs.map(|byte| (byte / 3 % width, byte / 3 / width));
+                let first_difference = drawn.iter().zip(&redrawn).position(|(a, b)| a != b);
+                let at = first_difference.map(|byte| (byte / 3 % width, byte / 3 / width));
                 assert_eq!(at, None, "a pixel depends on an earlier frame");
                 let [depths, redrawn_depths] = [&mut self.canvas, &mut fresh].map(|canvas| {
                     let depths = canvas.depths(&self.model, &largest, &self.scene, size);
@@ -419,9 +419,9 @@ impl Bytes<'_> {
 }
 
 pub(crate) fn seeds() -> Vec<Vec<u8>> {
-    let draw = |width: u16, height: u16, again: u8| {
+    let draw = |width: u16, height: u16, repeats: u8| {
         let size = [width.to_le_bytes(), height.to_le_bytes()].concat();
-        script::write(DRAW, &[size, vec![again]].concat())
+        script::write(DRAW, &[size, vec![repeats]].concat())
     };
     let quality = script::write(QUALITY, &[12, 8, 2]);
     let model = [

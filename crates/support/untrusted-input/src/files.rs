@@ -212,11 +212,11 @@ fn imports(rows: &[u8], about: &[u8]) -> bool {
     true
 }
 
-fn with_file(ending: &str, bytes: &[u8], then: impl FnOnce(&Path) -> bool) -> bool {
+fn with_file(ending: &str, bytes: &[u8], check: impl FnOnce(&Path) -> bool) -> bool {
     let file = tempfile::Builder::new().suffix(ending).tempfile();
     let mut file = file.expect("a temporary file");
     file.write_all(bytes).expect("written");
-    then(file.path())
+    check(file.path())
 }
 
 fn text(input: &[u8]) -> Option<&str> {

@@ -32,7 +32,7 @@ pub(crate) fn messages(input: &[u8]) -> bool {
         let config = Config::new(routes.into()).expect("two routes");
         let gateway = Gateway::new(&config).expect("no addresses");
         let mut services = Routes::new(PolicyServer::new(gateway));
-        let mut all_accepted = true;
+        let mut are_all_accepted = true;
         for called in script::read(input) {
             let method = METHODS[usize::from(called.method) % METHODS.len()];
             let path = format!("/rollout.policy.v1.Policy/{method}");
@@ -40,10 +40,10 @@ pub(crate) fn messages(input: &[u8]) -> bool {
                 let is_internal_fault =
                     is_internal_fault(&refusal) && !refusal.message().contains(POLICY);
                 assert!(!is_internal_fault, "{method} {called:?}: {refusal}");
-                all_accepted = false;
+                are_all_accepted = false;
             }
         }
-        all_accepted
+        are_all_accepted
     })
 }
 

@@ -112,9 +112,9 @@ fn latency_rows_exclude_execution_models_other_than_wait() {
     let row = |id: &str| crate::row_of(id.parse().expect("an id")).expect("a row");
     let [late, nominal] = ["goal/t0/latency/L2/c00", "goal/t0/clean/i06"].map(row);
     let holding = nominal.clone().under(&"hold:2".parse().expect("a model"));
-    let beside = [late.clone(), nominal];
-    imported(&beside, None).expect("a specification");
-    for (rows, model) in [(&beside, Some("overlap:8")), (&[late, holding], None)] {
+    let waiting = [late.clone(), nominal];
+    imported(&waiting, None).expect("a specification");
+    for (rows, model) in [(&waiting, Some("overlap:8")), (&[late, holding], None)] {
         let error = imported(rows, model).expect_err("two models");
         assert!(matches!(error, SpecError::Latency { .. }), "{error}");
     }
@@ -366,7 +366,7 @@ fn errors_for_invalid_names_and_numbers_list_the_valid_ones() {
         json(r#""mine""#),
         "`mine` is not valid; write",
     );
-    check("levels", json("null"), "the field `levels` is not there");
+    check("levels", json("null"), "the field `levels` is missing");
     check(
         "configs",
         json("[1000]"),

@@ -9,10 +9,10 @@ pub(crate) fn standard_normal(mut next_word: impl FnMut() -> u64) -> f64 {
     loop {
         let bits = next_word();
         let layer = (bits & 0xff) as usize;
-        let negative = (bits >> 8) & 1 == 1;
+        let is_negative = (bits >> 8) & 1 == 1;
         let magnitude = (bits >> 9) & 0x000f_ffff_ffff_ffff;
         let distance = magnitude as f64 * WIDTH[layer];
-        let x = if negative { -distance } else { distance };
+        let x = if is_negative { -distance } else { distance };
         if magnitude < ACCEPT_BELOW[layer] {
             return x;
         }
@@ -20,8 +20,8 @@ pub(crate) fn standard_normal(mut next_word: impl FnMut() -> u64) -> f64 {
             // Like NumPy, takes the sign of the tail from a bit of the magnitude, not from
             // the sign bit.
             let distance = tail(&mut next_word);
-            let negative = (magnitude >> 8) & 1 == 1;
-            return if negative { -distance } else { distance };
+            let is_negative = (magnitude >> 8) & 1 == 1;
+            return if is_negative { -distance } else { distance };
         }
         let position = unit_from_bits(next_word());
         let height = (DENSITY[layer - 1] - DENSITY[layer]) * position + DENSITY[layer];

@@ -29,13 +29,13 @@ fn rows_have_the_rules_and_the_conditions_of_their_tasks() {
             "own/t2/own:far/i01",
         ]
     );
-    let own = rows[3].own.as_deref().expect("a task of a suite file");
-    assert_eq!(own.folder, "suites/drawers");
-    assert_eq!(own.bddl, "bddl/open_it.bddl");
-    assert_eq!(own.states, "states/open_it.pruned_init");
-    assert_eq!((own.start, own.seed), (Beginning::InitialState, 7));
-    assert_eq!(own.changes.noise, Some(30));
-    assert_eq!(own.changes.view, Some([0, 15, 100, 0, 350]));
+    let task = rows[3].own.as_deref().expect("a task of a suite file");
+    assert_eq!(task.folder, "suites/drawers");
+    assert_eq!(task.bddl, "bddl/open_it.bddl");
+    assert_eq!(task.states, "states/open_it.pruned_init");
+    assert_eq!((task.start, task.seed), (Beginning::InitialState, 7));
+    assert_eq!(task.changes.noise, Some(30));
+    assert_eq!(task.changes.view, Some([0, 15, 100, 0, 350]));
     let facts = rows
         .iter()
         .step_by(2)

@@ -33,10 +33,10 @@ struct Instance {
 impl Instance {
     fn answer(
         &mut self,
-        stateful: bool,
+        is_stateful: bool,
         request: InferRequest,
     ) -> Result<InferResponse, BackendError> {
-        if stateful && request.query_index != self.next_query {
+        if is_stateful && request.query_index != self.next_query {
             return Err(BackendError::OutOfOrder {
                 expected: self.next_query,
             });

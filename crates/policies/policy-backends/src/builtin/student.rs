@@ -251,12 +251,12 @@ mod tests {
     fn the_student_answers_requested_observations_and_depends_on_the_instruction() {
         let (described, mut plate) = session("put the bowl on the plate");
         let (_, mut stove) = session("turn on the stove");
-        let seen = observation(&described);
-        let actions = plate.infer(0, &seen).expect("actions");
+        let input = observation(&described);
+        let actions = plate.infer(0, &input).expect("actions");
         assert_eq!(actions.len(), described.horizon as usize);
         assert!(actions.iter().flatten().all(|v| (-1.0..=1.0).contains(v)));
-        assert_eq!(actions, plate.infer(5, &seen).expect("actions"));
-        assert_ne!(actions, stove.infer(0, &seen).expect("actions"));
+        assert_eq!(actions, plate.infer(5, &input).expect("actions"));
+        assert_ne!(actions, stove.infer(0, &input).expect("actions"));
         assert_eq!(described.checkpoint_digest.len(), 64);
         assert!(described.parameters < 2_000_000 && !described.privileged);
     }
@@ -265,22 +265,24 @@ mod tests {
     fn an_observation_of_another_form_is_refused_with_the_fault() {
         let (described, mut student) = session("put the bowl on the plate");
         let refused = |student: &mut Box<dyn BuiltinPolicy>, change: &dyn Fn(&mut Observation)| {
-            let mut seen = observation(&described);
-            change(&mut seen);
-            student.infer(0, &seen).expect_err("an invalid observation")
+            let mut input = observation(&described);
+            change(&mut input);
+            student
+                .infer(0, &input)
+                .expect_err("an invalid observation")
         };
-        let swapped = refused(&mut student, &|seen| seen.images.swap(0, 1));
+        let swapped = refused(&mut student, &|input| input.images.swap(0, 1));
         assert!(
             swapped.contains("the requested camera `agentview`"),
             "{swapped}"
         );
-        let lost = refused(&mut student, &|seen| drop(seen.state.pop()));
+        let missing = refused(&mut student, &|input| drop(input.state.pop()));
         assert!(
-            lost.contains("STATE_FIELD_GRIPPER_POS with 2 numbers"),
-            "{lost}"
+            missing.contains("STATE_FIELD_GRIPPER_POS with 2 numbers"),
+            "{missing}"
         );
-        let small = refused(&mut student, &|seen| {
-            seen.images[1].rgb = vec![0; 3].into();
+        let small = refused(&mut student, &|input| {
+            input.images[1].rgb = vec![0; 3].into();
         });
         assert!(small.contains("picture of wrist has 3 bytes"), "{small}");
     }
@@ -302,7 +304,7 @@ mod tests {
     }
 
     #[test]
-    fn all_weights_are_networks_with_names_of_their_own() {
+    fn every_built_in_network_has_its_own_name_and_digest() {
         let all = [Weights::Libero, Weights::LiberoRandomised, Weights::Boxes];
         for weights in all {
             let described = shipped_policy(weights, "builtin".to_owned()).described;

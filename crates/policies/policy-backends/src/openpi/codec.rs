@@ -98,7 +98,7 @@ mod tests {
     use rmpv::Value;
 
     use super::*;
-    use crate::shown::turned;
+    use crate::observations::rotated;
 
     /// Output of `packb` of openpi-client 0.1.2 for the observation in the test below.
     const OBSERVATION: &str = "84b16f62736572766174696f6e2f696d61676584c40b5f5f6e6461727261795f5fc3c40464617461c40c000102030405060708090a0bc4056474797065a37c7531c405736861706593020203b76f62736572766174696f6e2f77726973745f696d61676584c40b5f5f6e6461727261795f5fc3c40464617461c40c090a0b060708030405000102c4056474797065a37c7531c405736861706593020203b16f62736572766174696f6e2f737461746584c40b5f5f6e6461727261795f5fc3c40464617461c440000000000000e03f000000000000f0bf00000000000000000000000000000000000000000000000000000000000000007b14ae47e17aa43f7b14ae47e17aa4bfc4056474797065a33c6638c40573686170659108a670726f6d7074a77069636b207570";
@@ -118,7 +118,7 @@ mod tests {
         let encoded = observation(&ClientObservation {
             side: 2,
             image: &image,
-            wrist_image: &turned(&image),
+            wrist_image: &rotated(&image),
             state: &[0.5, -1.0, 0.0, 0.0, 0.0, 0.0, 0.04, -0.04],
             prompt: "pick up",
         });

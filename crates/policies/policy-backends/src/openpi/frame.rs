@@ -76,7 +76,7 @@ mod tests {
     use sha2::{Digest, Sha256};
 
     use super::*;
-    use crate::shown::turned;
+    use crate::observations::rotated;
 
     // The expected values are from Pillow 13.0.0, through `resize_with_pad` of openpi-client
     // 0.1.2.
@@ -92,7 +92,7 @@ mod tests {
 
     #[test]
     fn a_prepared_frame_equals_that_of_openpis_client_bit_for_bit() {
-        let prepared = prepare(&turned(&pattern(256)), 256);
+        let prepared = prepare(&rotated(&pattern(256)), 256);
         let at = |x: usize, y: usize| &prepared[3 * (y * SIDE + x)..][..3];
         assert_eq!(at(0, 0), [45, 88, 138]);
         assert_eq!(at(100, 100), [105, 55, 105]);
@@ -114,10 +114,10 @@ mod tests {
     }
 
     #[test]
-    fn a_turned_frame_has_its_first_pixel_last() {
+    fn a_rotated_frame_has_its_first_pixel_last() {
         let mut frame = vec![0; 3 * SIDE * SIDE];
         frame[0] = 9;
-        assert_eq!(turned(&frame)[3 * SIDE * SIDE - 3..], [9, 0, 0]);
+        assert_eq!(rotated(&frame)[3 * SIDE * SIDE - 3..], [9, 0, 0]);
     }
 
     #[test]

@@ -134,17 +134,17 @@ mod tests {
 
     #[test]
     fn an_address_is_parsed_and_displayed_unchanged() {
-        let right = [
+        let valid = [
             "vla-eval://gpu7:8000",
             "vla-evals://[::1]:8000?execute=10",
             "vla-eval://gpu7:8000?image_format=jpeg&send_wrist_image=true&send_state=false",
             "vla-eval://gpu7:8000?quat_no_antipodal=true",
         ];
-        for text in right {
+        for text in valid {
             let address: VlaEvalAddress = text.parse().expect(text);
             assert_eq!(address.to_string(), text);
         }
-        let wrong = [
+        let invalid = [
             "vla-eval://gpu7",
             "vla-eval://:8000",
             "ws://gpu7:8000",
@@ -155,7 +155,7 @@ mod tests {
             "vla-eval://gpu7:8000?seed=7",
             "vla-eval://gpu7:8000?execute",
         ];
-        for text in wrong {
+        for text in invalid {
             let error = text.parse::<VlaEvalAddress>().expect_err(text);
             assert!(
                 error.to_string().contains("vla-eval://HOST:PORT"),

@@ -9,7 +9,7 @@ use sha2::{Digest, Sha256};
 use super::{address::VlaEvalAddress, message::VERSION};
 use crate::{
     numpy::{as_text, encode, lookup},
-    shown::camera,
+    observations::camera,
 };
 
 /// Names of the cameras in the simulator and in vla-eval's observations.
@@ -34,11 +34,11 @@ pub(super) struct Terms {
     /// Suite of the server, if it names exactly one.
     pub(super) suite: Option<String>,
     /// True if the server receives the wrist camera's frames, too.
-    pub(super) wrist: bool,
+    pub(super) sends_wrist: bool,
     /// True if the server receives the robot's state.
-    pub(super) state: bool,
+    pub(super) sends_state: bool,
     /// True if a quaternion with negative w is replaced by its antipode.
-    pub(super) flips: bool,
+    pub(super) flips_quaternion: bool,
     pub(super) described: DescribeResponse,
 }
 
@@ -86,7 +86,7 @@ pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Te
         false => "none",
         true => "of the instant of observation, not of the end of the control step",
     };
-    let shown_state = match (state, flips) {
+    let state_format = match (state, flips) {
         (false, _) => "none",
         (true, true) => "eef_pos3_axisangle3_gripper2, nearer antipode",
         (true, false) => "eef_pos3_axisangle3_gripper2, quaternion as it is",
@@ -111,7 +111,7 @@ pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Te
         ("action spec", recorded("action_spec")),
         ("image slots", slots.join(", ")),
         ("image format", address.image_format.to_string()),
-        ("state", shown_state.to_owned()),
+        ("state", state_format.to_owned()),
         ("controller states", controller_states.to_owned()),
         ("gripper", "open below 0, else closed".to_owned()),
     ];
@@ -147,9 +147,9 @@ pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Te
     };
     Ok(Terms {
         suite,
-        wrist,
-        state,
-        flips,
+        sends_wrist: wrist,
+        sends_state: state,
+        flips_quaternion: flips,
         described,
     })
 }
@@ -262,7 +262,7 @@ mod tests {
     fn null_parameters_count_as_absent() {
         for absent in [Value::Nil, Value::Map(vec![]), "".into()] {
             let terms = terms_for(absent).expect("valid terms");
-            assert!(!terms.wrist && !terms.state && terms.flips);
+            assert!(!terms.sends_wrist && !terms.sends_state && terms.flips_quaternion);
         }
     }
 }

@@ -80,7 +80,7 @@ fn reply<'a, 'b>(message: &'b ValueRef<'a>) -> Option<Reply<'a, 'b>> {
 }
 
 /// Returns the payload of a server's HELLO; `None` for any other message.
-pub(super) fn greeting(bytes: &[u8]) -> Option<Value> {
+pub(super) fn hello_payload(bytes: &[u8]) -> Option<Value> {
     let message = numpy::read(bytes)?;
     let reply = reply(&message).filter(|reply| reply.kind == "hello")?;
     Some(reply.payload.to_owned())
@@ -173,10 +173,10 @@ fn number_list(items: &[ValueRef<'_>]) -> Option<Array> {
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum AnswerError {
     /// The answer is not a message of vla-eval's protocol.
-    #[error("its answer is no message of vla-eval's")]
+    #[error("its answer is not a message of vla-eval's protocol")]
     NoMessage,
     /// The answer has an unexpected type.
-    #[error("it answered an observation with {kind:?}")]
+    #[error("it answered an observation with a message of type {kind:?}")]
     Kind {
         /// Type of the message.
         kind: String,
@@ -250,7 +250,7 @@ pub enum AnswerError {
 
 impl AnswerError {
     /// Returns true if the server's next message will be the answer to the next query.
-    pub(super) fn is_in_step(&self) -> bool {
+    pub(super) fn is_synchronised(&self) -> bool {
         !matches!(
             self,
             Self::NoMessage | Self::Kind { .. } | Self::OutOfStep { .. } | Self::Start(_)
@@ -342,7 +342,7 @@ mod tests {
     }
 
     #[test]
-    fn an_error_holds_the_servers_text_and_its_time_in_the_episode() {
+    fn errors_at_the_start_of_an_episode_differ_from_errors_of_a_query() {
         let text = || "observation_failed: ValueError: no".to_owned();
         assert_eq!(answered(ERROR, 1), Err(AnswerError::Policy(text())));
         let earlier = answer(&bytes(ERROR), 4, 1);
@@ -355,7 +355,7 @@ mod tests {
             let mut changed = bytes(CHUNK);
             changed[at] = byte;
             changed.truncate(length);
-            drop((answer(&changed, 3, 2), greeting(&changed)));
+            drop((answer(&changed, 3, 2), hello_payload(&changed)));
         }
     }
 }

@@ -7,15 +7,15 @@ const NO_ROTATION: f64 = 1e-8;
 /// Returns `states`: position (m), the hand's axis-angle (rad, rounded to single precision as in
 /// vla-eval) and finger joints (m).
 ///
-/// If `flips`, a quaternion with negative w is replaced by its antipode, so that the angle is at
-/// most π; otherwise it is up to 2π, as in robosuite.
+/// If `flips_quaternion`, a quaternion with negative w is replaced by its antipode, so that the
+/// angle is at most π; otherwise it is up to 2π, as in robosuite.
 pub(super) fn states(
     position: [f64; 3],
     quaternion_xyzw: [f64; 4],
     fingers: [f64; 2],
-    flips: bool,
+    flips_quaternion: bool,
 ) -> [f64; 8] {
-    let axis_angle = match flips {
+    let axis_angle = match flips_quaternion {
         true => axis_angle(quaternion_xyzw),
         false => unflipped_axis_angle(quaternion_xyzw),
     };
@@ -151,8 +151,9 @@ mod tests {
         ];
         let (position, fingers) = ([0.1, 0.2, 0.3], [0.04, -0.04]);
         for (quaternion, flipped, unflipped, of_controller) in cases {
-            for (flips, expected) in [(true, flipped), (false, unflipped)] {
-                let [x, y, z, a, b, c, left, right] = states(position, quaternion, fingers, flips);
+            for (flips_quaternion, expected) in [(true, flipped), (false, unflipped)] {
+                let [x, y, z, a, b, c, left, right] =
+                    states(position, quaternion, fingers, flips_quaternion);
                 assert_eq!(([x, y, z], [left, right]), (position, fingers));
                 assert_near([a, b, c], expected);
             }

@@ -51,7 +51,7 @@ pub async fn measure(target: &Target) -> Result<Latency, ConformanceError> {
     let probe = Probe::connect(target).await?;
     let mut latencies = Vec::new();
     for _ in 0..ROUNDS {
-        let round = probe.side_by_side(CONCURRENCY).await;
+        let round = probe.concurrent_episodes(CONCURRENCY).await;
         let (_, round) = round.map_err(|status| ConformanceError::Episode {
             url: target.url.clone(),
             status: status.into(),

@@ -175,9 +175,9 @@ impl Probe {
                 QueryOrder::Forward => at,
                 QueryOrder::Backward => QUERIES - 1 - at,
             };
-            let asked = Instant::now();
+            let sent = Instant::now();
             episode.answers.push(self.infer(name, query_index).await?);
-            episode.latencies.push(asked.elapsed());
+            episode.latencies.push(sent.elapsed());
         }
         if order == QueryOrder::Backward {
             episode.answers.reverse();
@@ -290,7 +290,7 @@ impl Probe {
     ///
     /// # Errors
     /// If the server answers with an error instead of actions.
-    pub(super) async fn side_by_side(
+    pub(super) async fn concurrent_episodes(
         &self,
         concurrency: u32,
     ) -> Result<(Duration, Vec<Duration>), Status> {
@@ -299,7 +299,7 @@ impl Probe {
         for at in 0..concurrency {
             let probe = self.clone();
             playing.spawn(async move {
-                let name = format!("side by side {at}");
+                let name = format!("concurrent {at}");
                 probe
                     .episode(&name, u64::from(at), QueryOrder::Forward)
                     .await

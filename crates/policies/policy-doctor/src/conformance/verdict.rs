@@ -150,13 +150,13 @@ pub(crate) fn speed(
     alone: &[Duration],
     concurrency: u32,
     wall: Duration,
-    together: &[Duration],
+    concurrent: &[Duration],
 ) -> Verdict {
     pass(format!(
         "one by one {}; {concurrency} episodes at once {}, {:.0} queries/s",
         percentiles(alone),
-        percentiles(together),
-        together.len() as f64 / wall.as_secs_f64(),
+        percentiles(concurrent),
+        concurrent.len() as f64 / wall.as_secs_f64(),
     ))
 }
 

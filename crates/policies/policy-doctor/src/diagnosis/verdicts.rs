@@ -7,9 +7,9 @@ use policy_protocol::ActionFault;
 use proto::policy::{DescribeResponse, Language};
 
 use crate::{
-    chance::REPEATABLE,
     conformance::verdict::{LARGEST_PLAUSIBLE, Verdict, fail, pass, skip},
     fit::GRIPPER,
+    randomness::REPEATABLE,
     server::Action,
 };
 
@@ -26,7 +26,7 @@ const SLOWER_IN_ALL: Duration = Duration::from_millis(50);
 #[derive(Clone, Copy, Debug)]
 pub(super) struct Change {
     /// Largest difference that the change causes.
-    pub most: f64,
+    pub largest: f64,
     /// Largest difference between answers to a repeated query.
     pub noise: f64,
 }
@@ -34,7 +34,7 @@ pub(super) struct Change {
 impl Change {
     /// Returns true if the change affects answers; `None` if noise hides the effect.
     fn has_effect(self) -> Option<bool> {
-        let has_effect = self.most > SAME.max(3.0 * self.noise);
+        let has_effect = self.largest > SAME.max(3.0 * self.noise);
         (has_effect || self.noise <= REPEATABLE).then_some(has_effect)
     }
 
@@ -96,11 +96,11 @@ pub(super) fn is_constant(actions: &[Action]) -> bool {
 
 /// Checks that the actions move the arm.
 pub(super) fn motion(actions: &[Action]) -> Verdict {
-    let still = |action: &Action| action[..GRIPPER].iter().all(|number| number.abs() <= SAME);
+    let is_still = |action: &Action| action[..GRIPPER].iter().all(|number| number.abs() <= SAME);
     let count = actions.len();
     let advice = "Usually weights are missing or random, or the variance in the statistics is 0: \
                   check the files that the server loads.";
-    if actions.iter().all(still) {
+    if actions.iter().all(is_still) {
         fail(format!(
             "translation and rotation of all {count} actions are 0. {advice}"
         ))
@@ -135,21 +135,21 @@ pub(super) fn observations(
             "{situations} observations get the same answer, within {:.1e}. Usually the answer to \
              the first query is cached, or the inputs do not reach the network: log the network's \
              inputs.",
-            change.most
+            change.largest
         )),
     }
 }
 
 /// Checks that each camera's frames affect the answers.
 pub(super) fn frames(changes: &[(String, Change)]) -> Verdict {
-    let unseen: Vec<&str> = changes
+    let unused: Vec<&str> = changes
         .iter()
         .filter(|(_, change)| change.has_effect() == Some(false))
         .map(|(camera, _)| camera.as_str())
         .collect();
-    if !unseen.is_empty() {
-        let all = unseen.len() == changes.len();
-        let rest = match all {
+    if !unused.is_empty() {
+        let are_all_unused = unused.len() == changes.len();
+        let rest = match are_all_unused {
             true => "",
             false => "; frames of the other cameras do",
         };
@@ -157,7 +157,7 @@ pub(super) fn frames(changes: &[(String, Change)]) -> Verdict {
             "frames of {} that are flipped vertically, or black, change no action{rest}. Usually \
              an image slot of the network stays empty: compare the names of cameras and slots, or \
              do not request these frames.",
-            unseen.join(" and ")
+            unused.join(" and ")
         ));
     }
     match changes
@@ -236,12 +236,12 @@ pub(super) fn latency(latencies: &[Duration], answer_within: Duration) -> Verdic
     );
     let limit = answer_within.as_secs_f64();
     if slowest > answer_within {
-        let why = match *first == slowest && late <= answer_within {
+        let advice = match *first == slowest && late <= answer_within {
             true => "Compile and warm up before the server listens",
             false => "Serve it from a faster device",
         };
         fail(format!(
-            "{figures}. A gateway treats a server that needs more than {limit} s as out. {why}, \
+            "{figures}. A gateway treats a server that needs more than {limit} s as out. {advice}, \
              or raise answer_within_secs."
         ))
     } else if late > answer_within / 2 {
@@ -263,8 +263,8 @@ pub(super) fn memory(process: &str, resident: &[u64]) -> Verdict {
     let [begin, middle, end] = [count - 1 - 2 * third, count - 1 - third, count - 1];
     let grown = |from: usize, to: usize| resident[to].saturating_sub(resident[from]);
     let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
-    let kept = KEPT_BYTES * third as u64;
-    if grown(begin, middle) > kept && grown(middle, end) > kept {
+    let allowed = KEPT_BYTES * third as u64;
+    if grown(begin, middle) > allowed && grown(middle, end) > allowed {
         return fail(format!(
             "{process} grew from {:.0} to {:.0} MiB over the last {} of {count} episodes, {:.2} \
              MiB each, though every episode was ended (End). Usually observations or caches are \
@@ -283,21 +283,22 @@ pub(super) fn memory(process: &str, resident: &[u64]) -> Verdict {
 
 /// Checks that episodes do not become slower, for servers on other machines, whose memory cannot
 /// be read.
-pub(super) fn slowing(took: &[Duration]) -> Verdict {
-    let third = took.len() / 3;
+pub(super) fn slowing(durations: &[Duration]) -> Verdict {
+    let third = durations.len() / 3;
     if third == 0 {
         return skip("too few episodes were played");
     }
     let median = |at: usize| {
-        let mut sorted = took[at * third..(at + 1) * third].to_vec();
+        let mut sorted = durations[at * third..(at + 1) * third].to_vec();
         sorted.sort_unstable();
         sorted[third / 2]
     };
     let [first, second, last] = [0, 1, 2].map(median);
-    let slower = |one: Duration, other: Duration| other.as_secs_f64() > SLOWER * one.as_secs_f64();
-    let count = took.len();
+    let is_slower =
+        |one: Duration, other: Duration| other.as_secs_f64() > SLOWER * one.as_secs_f64();
+    let count = durations.len();
     let ms = |duration: Duration| duration.as_secs_f64() * 1e3;
-    if slower(first, second) && slower(second, last) && last - first > SLOWER_IN_ALL {
+    if is_slower(first, second) && is_slower(second, last) && last - first > SLOWER_IN_ALL {
         return fail(format!(
             "episodes take longer and longer: medians of {:.0}, {:.0} and {:.0} ms by thirds of \
              {count}, though every episode was ended (End). Usually the server searches state that \
@@ -327,7 +328,7 @@ mod tests {
 
     #[test]
     fn a_change_hidden_by_noise_is_neither_confirmed_nor_denied() {
-        let change = |most, noise| Change { most, noise }.has_effect();
+        let change = |largest, noise| Change { largest, noise }.has_effect();
         assert_eq!(change(0.1, 0.0), Some(true));
         assert_eq!(change(0.0, 0.0), Some(false));
         assert_eq!(change(2e-5, 1e-5), Some(false));
@@ -352,14 +353,14 @@ mod tests {
 
     #[test]
     fn steadily_slower_episodes_fail_and_one_slow_episode_does_not() {
-        let took = |millis: fn(u64) -> u64| {
+        let durations = |millis: fn(u64) -> u64| {
             (0..30)
                 .map(|at| Duration::from_millis(millis(at)))
                 .collect()
         };
-        let growing: Vec<Duration> = took(|at| 20 + 10 * at);
+        let growing: Vec<Duration> = durations(|at| 20 + 10 * at);
         assert!(fails(&slowing(&growing), "longer and longer"));
-        let jumping: Vec<Duration> = took(|at| if at == 20 { 900 } else { 20 });
+        let jumping: Vec<Duration> = durations(|at| if at == 20 { 900 } else { 20 });
         assert!(passes(&slowing(&jumping)));
     }
 

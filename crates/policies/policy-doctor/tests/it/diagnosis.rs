@@ -58,11 +58,16 @@ async fn finds(policy: Planted, expected: &[Point], words: &str) {
 
 #[tokio::test]
 async fn unused_frames_are_found_by_camera() {
-    let blind = Planted::sound().preparing(|input| input.frames.clear());
+    let without_frames = Planted::sound().preparing(|input| input.frames.clear());
     let words = "frames of agentview and robot0_eye_in_hand";
-    finds(blind, &[Point::Frames], words).await;
-    let half_blind = Planted::sound().preparing(|input| input.frames.truncate(1));
-    finds(half_blind, &[Point::Frames], "frames of robot0_eye_in_hand").await;
+    finds(without_frames, &[Point::Frames], words).await;
+    let without_second_camera = Planted::sound().preparing(|input| input.frames.truncate(1));
+    finds(
+        without_second_camera,
+        &[Point::Frames],
+        "frames of robot0_eye_in_hand",
+    )
+    .await;
 }
 
 #[tokio::test]
@@ -98,9 +103,14 @@ async fn an_arm_that_does_not_move_is_found() {
 
 #[tokio::test]
 async fn ignored_instructions_are_found_unless_declared() {
-    let deaf = || Planted::sound().preparing(|input| input.instruction.clear());
-    finds(deaf(), &[Point::Instructions], "8 other instructions").await;
-    let mut declared = deaf();
+    let ignoring_instructions = || Planted::sound().preparing(|input| input.instruction.clear());
+    finds(
+        ignoring_instructions(),
+        &[Point::Instructions],
+        "8 other instructions",
+    )
+    .await;
+    let mut declared = ignoring_instructions();
     declared.described.language = Language::Ignored.into();
     assert_eq!(failures(declared, MEASURES).await, []);
 }

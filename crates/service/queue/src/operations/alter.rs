@@ -83,8 +83,8 @@ impl Context<'_> {
         }
         // Revoked before the policy changes: the end of these attempts, one of which may be the
         // probe, counts as evidence about the old policy only.
-        let why = "the campaign's policy or endpoint was changed";
-        let revoked = self.revoke_leases(campaign.id, why).await?;
+        let explanation = "the campaign's policy or endpoint was changed";
+        let revoked = self.revoke_leases(campaign.id, explanation).await?;
         let (spec, digest) = self
             .altered_spec(campaign, |spec| {
                 endpoint.clone_into(&mut spec.policy.endpoint);

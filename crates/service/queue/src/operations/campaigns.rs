@@ -2,9 +2,9 @@
 
 use libero_ctrl::{CampaignSpec, Realisation, Rollouts};
 
+use super::batches::{self, JOBS_PER_BATCH, remove as remove_hidden};
 use super::context::Context;
 use super::error::{QueueError, unknown_campaign};
-use super::passages::{self as batches, JOBS_PER_BATCH, remove as remove_hidden};
 use super::shared::Shared;
 use super::{artifacts, removals};
 use crate::expand::{NewCampaign, differing_fields};
@@ -17,7 +17,7 @@ use crate::store::campaigns::Campaign;
 use crate::store::failpoint::Step;
 use crate::store::removals as pending;
 use crate::store::{
-    Doing, StoreError, campaigns, derivations, jobs, passages, policies, stops, undecodable,
+    Doing, StoreError, campaigns, derivations, hidden, jobs, policies, stops, undecodable,
 };
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -100,8 +100,8 @@ impl Queue {
         policies::set_health(&mut context.tx, campaign.policy_id, &health).await?;
         campaigns::set_state(&mut context.tx, campaign.id, after).await?;
         if let CampaignState::Cancelled { .. } = after {
-            let why = "the campaign was cancelled";
-            context.revoke_leases(campaign.id, why).await?;
+            let explanation = "the campaign was cancelled";
+            context.revoke_leases(campaign.id, explanation).await?;
         }
         context.commit().await?;
         tracing::info!(campaign = %name, "the campaign is {}", after.name());
@@ -137,7 +137,7 @@ impl Queue {
         let folder = artifacts::campaign_folder(&campaign.folder);
         let is_large = counts.total() > JOBS_PER_BATCH as u64;
         if is_large {
-            passages::hide_deleted(&mut context.tx, campaign.id).await?;
+            hidden::hide_deleted(&mut context.tx, campaign.id).await?;
         } else {
             campaigns::delete(&mut context.tx, campaign.id).await?;
             policies::remove_unused(&mut context.tx, campaign.policy_id).await?;
@@ -209,12 +209,12 @@ impl Context<'_> {
             });
         }
         if source.execution != new.execution {
-            let (name, theirs) = (&source.name, &source.execution);
+            let (name, execution) = (&source.name, &source.execution);
             return Err(QueueError::Unspecified {
                 campaign: new.name.clone(),
                 problem: format!(
-                    "`execution` is {}, but its source campaign `{name}` ran under {theirs}: write \
-                     {theirs}",
+                    "`execution` is {}, but its source campaign `{name}` ran under {execution}: \
+                     write {execution}",
                     new.execution
                 ),
             });
@@ -263,12 +263,12 @@ impl Context<'_> {
     pub(super) async fn revoke_leases(
         &mut self,
         campaign: CampaignId,
-        why: &str,
+        explanation: &str,
     ) -> Result<u64, StoreError> {
         let leased = jobs::leased(&mut self.tx, campaign).await?;
         for row in &leased {
             if let JobState::Leased(lease) = &row.job.state {
-                let failure = (FailureReason::Cancelled, why);
+                let failure = (FailureReason::Cancelled, explanation);
                 self.end_attempt((&row.job, lease), campaign, failure)
                     .await?;
             }

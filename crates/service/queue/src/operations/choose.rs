@@ -170,11 +170,15 @@ impl Context<'_> {
             let Some(chosen) = waiting.iter().find(suits) else {
                 continue;
             };
-            let why = format!(
+            let reason = format!(
                 "rollout `{}` runs alone, because {} of its attempts lost the policy",
                 chosen.rollout_id, chosen.losses
             );
-            let granted = (claim.place, self.grant(chosen.job.id, claim.request), why);
+            let granted = (
+                claim.place,
+                self.grant(chosen.job.id, claim.request),
+                reason,
+            );
             pending.remove(at);
             return Ok(Some(granted));
         }

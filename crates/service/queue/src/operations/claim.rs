@@ -255,10 +255,10 @@ impl Context<'_> {
                 continue;
             }
             let chosen = self.choose_lone(campaign, pending).await?;
-            if let Some((place, grant, why)) = chosen {
+            if let Some((place, grant, reason)) = chosen {
                 tried.insert(campaign.policy_id);
-                tracing::info!("policy `{}`: {why}", campaign.policy);
-                let probing = campaign.health.with_lone_probe(grant.attempt, why);
+                tracing::info!("policy `{}`: {reason}", campaign.policy);
+                let probing = campaign.health.with_lone_probe(grant.attempt, reason);
                 policies::set_health(&mut self.tx, campaign.policy_id, &probing).await?;
                 self.cache.clear_campaigns();
                 assigned.extend(self.lease_jobs(campaign, vec![(place, grant)]).await?);
@@ -361,7 +361,7 @@ impl Context<'_> {
 }
 
 /// Describes the files that all waiting tasks of a campaign need and a worker lacks; `None` if
-/// nothing waits, or the worker has the files of a task.
+/// no task waits, or the worker has the files of one.
 fn missing_files(
     campaign: &CampaignName,
     waiting: &[WaitingTask],

@@ -130,7 +130,7 @@ impl Context<'_> {
         report: &'r CommitReport,
         accepted: &mut Vec<NewResult<'r>>,
     ) -> Result<CommitReply, StoreError> {
-        let campaign = self.campaign(attempt.of.campaign).await?;
+        let campaign = self.campaign(attempt.initial_state.campaign).await?;
         let from = &report.provenance.pin;
         if !campaign.takes(from) {
             let (name, demand) = (&campaign.name, campaign.demand());
@@ -167,8 +167,8 @@ impl Context<'_> {
         if let Some(difference) = difference {
             let name = &campaign.name;
             let detail = format!(
-                "another policy answers than the one that campaign `{name}` has measured in \
-                 {suite}: its {difference}; serve that one again, or create another campaign"
+                "the policy is not the one that campaign `{name}` has measured in {suite}: its \
+                 {difference}; serve that policy again, or create another campaign"
             );
             let reason = FailureReason::PolicyUnavailable;
             return self.refuse(attempt, reason, detail).await;
@@ -191,7 +191,11 @@ impl Context<'_> {
         // A variant is compared with no other rollout, and a task may have hundreds of them.
         let has_siblings = attempt.row.id.variant().is_none();
         let siblings = match has_siblings {
-            true => self.cache.siblings(&mut self.tx, &attempt.of).await,
+            true => {
+                self.cache
+                    .siblings(&mut self.tx, &attempt.initial_state)
+                    .await
+            }
             false => Ok(&[][..]),
         };
         let siblings = match siblings {
@@ -216,7 +220,7 @@ impl Context<'_> {
         // Later results are compared with this one.
         self.cache.add_measured(campaign.id, suite, &result.origin);
         if has_siblings {
-            self.cache.add_sibling(&attempt.of, result);
+            self.cache.add_sibling(&attempt.initial_state, result);
         }
         let after = campaign.health.after_commit(attempt.id.0, self.now);
         self.set_health(&campaign, &after).await?;
@@ -225,7 +229,7 @@ impl Context<'_> {
             job: attempt.job.id,
             number: attempt.number,
             worker: attempt.worker.clone(),
-            campaign: attempt.of.campaign,
+            campaign: attempt.initial_state.campaign,
             result: &report.result,
             origin: number,
             digests: &report.digests,
@@ -247,8 +251,12 @@ impl Context<'_> {
     ) -> Result<CommitReply, StoreError> {
         if let Some(lease) = attempt.job.lease_of(attempt.id.0) {
             let failure = (reason, detail.as_str());
-            self.end_attempt((&attempt.job, lease), attempt.of.campaign, failure)
-                .await?;
+            self.end_attempt(
+                (&attempt.job, lease),
+                attempt.initial_state.campaign,
+                failure,
+            )
+            .await?;
             if reason.blames() == Some(Party::Machine) {
                 self.strike(&lease.owner, &detail).await?;
             }
@@ -268,7 +276,7 @@ fn key(result: &RolloutResult) -> OutcomeKey {
 }
 
 fn divergent(attempt: &NamedAttempt, outcome: OutcomeKey) -> CommitReply {
-    let say = |outcome: OutcomeKey| {
+    let describe = |outcome: OutcomeKey| {
         let word = if outcome.success {
             "success"
         } else {
@@ -281,8 +289,8 @@ fn divergent(attempt: &NamedAttempt, outcome: OutcomeKey) -> CommitReply {
         detail: format!(
             "job {} is committed with {} and was reported again with {}: both are kept",
             attempt.job.id,
-            attempt.stored.map_or_else(String::new, say),
-            say(outcome)
+            attempt.stored.map_or_else(String::new, describe),
+            describe(outcome)
         ),
     }
 }

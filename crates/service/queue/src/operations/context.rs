@@ -51,7 +51,7 @@ fn without_policy_name<'e>(policy: &str, error: &'e str) -> Cow<'e, str> {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Ended {
     /// Next step of the attempt's job.
-    pub(super) then: AfterFailure,
+    pub(super) next_step: AfterFailure,
     /// Time until the policy may be tried again.
     pub(super) policy_wait: Duration,
 }
@@ -108,7 +108,12 @@ impl<'a> Context<'a> {
         let Some(lease) = cut_off.and_then(|cut_off| attempt.job.resumes(cut_off, self.now)) else {
             return Ok(None);
         };
-        if self.campaign(attempt.of.campaign).await?.state.is_over() {
+        if self
+            .campaign(attempt.initial_state.campaign)
+            .await?
+            .state
+            .is_over()
+        {
             return Ok(None);
         }
         let expires = self.now.plus(self.shared.timing.lease);
@@ -144,26 +149,28 @@ impl<'a> Context<'a> {
             reason,
             FailureReason::PolicyUnavailable | FailureReason::PolicyLost
         );
-        let why = without_policy_name(&campaign.policy, error);
+        let cause = without_policy_name(&campaign.policy, error);
         let after = self.shared.decide(|rng| match reason {
-            _ if is_outage => before.after_outage(id, lease.granted, &why, now, rng),
-            FailureReason::PolicyMisbehaved => before.after_misbehaviour(id, &why, now, rng),
+            _ if is_outage => before.after_outage(id, lease.granted, &cause, now, rng),
+            FailureReason::PolicyMisbehaved => before.after_misbehaviour(id, &cause, now, rng),
             _ => before.after_other_failure(id, now),
         });
-        let mut then = self
+        let mut next_step = self
             .shared
             .decide(|rng| job.after_failure(reason, suspicion, now, rng));
-        if let (true, PolicyState::Paused { resume, .. }, AfterFailure::Requeue { not_before }) =
-            (is_outage && before.is_probe(id), &after.state, &mut then)
-        {
+        if let (true, PolicyState::Paused { resume, .. }, AfterFailure::Requeue { not_before }) = (
+            is_outage && before.is_probe(id),
+            &after.state,
+            &mut next_step,
+        ) {
             // Lets another waiting job be the policy's next probe.
             let wait = resume.since(now).clamp(Waits::USUAL.first, MAX_YIELD);
             *not_before = (*not_before).max(resume.plus(wait));
         }
-        let reason = reason.before(then);
+        let reason = reason.before(next_step);
         let error = &reason.explained(error, job.losses + 1, suspicion.silences);
-        jobs::fail(&mut self.tx, job, lease, reason, error, then, now).await?;
-        if then == AfterFailure::Quarantine {
+        jobs::fail(&mut self.tx, job, lease, reason, error, next_step, now).await?;
+        if next_step == AfterFailure::Quarantine {
             self.settles = true;
             tracing::error!(job = %job.id, "quarantined after its last attempt: {error}");
         } else if !reason.is_charged() {
@@ -175,7 +182,10 @@ impl<'a> Context<'a> {
             PolicyState::Paused { resume, .. } if is_outage => resume.since(now),
             _ => Duration::ZERO,
         };
-        Ok(Ended { then, policy_wait })
+        Ok(Ended {
+            next_step,
+            policy_wait,
+        })
     }
 
     /// Counts one more failure of a worker's machine. Returns the reason why the worker must stop
@@ -194,7 +204,7 @@ impl<'a> Context<'a> {
         let stop = strike.stop.then(|| {
             format!(
                 "its machine has failed {} times in a row (the limit is \
-                 {MAX_WORKER_FAILURES_IN_A_ROW}), the last time with: {last_error}; look at the \
+                 {MAX_WORKER_FAILURES_IN_A_ROW}), the last time with: {last_error}; repair the \
                  machine, then start the worker again",
                 strike.in_a_row
             )

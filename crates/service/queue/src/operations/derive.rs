@@ -146,12 +146,14 @@ async fn derived_jobs(
     source: Arc<Vec<Record>>,
 ) -> Result<Vec<NewJob>, StoreError> {
     let spec = specification(&campaign.spec)?;
-    let own = Arc::new(records(tx, campaign.campaign).await?);
+    let own_records = Arc::new(records(tx, campaign.campaign).await?);
     let rollouts = match spec.rollouts {
         Rollouts::Explanation(explanation) => {
-            subsets(tx, campaign, [source, own], explanation).await?
+            subsets(tx, campaign, [source, own_records], explanation).await?
         }
-        Rollouts::Thresholds(thresholds) => radii(tx, campaign, [source, own], thresholds).await?,
+        Rollouts::Thresholds(thresholds) => {
+            radii(tx, campaign, [source, own_records], thresholds).await?
+        }
         Rollouts::Design(_)
         | Rollouts::Manifest(_)
         | Rollouts::Variants(_)
@@ -175,11 +177,12 @@ pub(super) fn specification(text: &str) -> Result<CampaignSpec, StoreError> {
 async fn subsets(
     tx: &mut SqliteConnection,
     campaign: &Derived,
-    [source, own]: [Arc<Vec<Record>>; 2],
+    [source, own_records]: [Arc<Vec<Record>>; 2],
     explanation: Explanation,
 ) -> Result<Vec<Rollout>, StoreError> {
     let additions =
-        on_blocking_thread(move || explanation::additions(&source, &own, &explanation)).await;
+        on_blocking_thread(move || explanation::additions(&source, &own_records, &explanation))
+            .await;
     let ids: BTreeSet<String> = additions
         .iter()
         .map(|rollouts| rollouts.simultaneous.to_string())
@@ -219,7 +222,7 @@ async fn subsets(
 async fn radii(
     tx: &mut SqliteConnection,
     campaign: &Derived,
-    [source, own]: [Arc<Vec<Record>>; 2],
+    [source, own_records]: [Arc<Vec<Record>>; 2],
     thresholds: Thresholds,
 ) -> Result<Vec<Rollout>, StoreError> {
     let spec = campaigns::spec(tx, campaign.source).await?;
@@ -227,7 +230,7 @@ async fn radii(
         return Ok(Vec::new());
     };
     let rollouts = on_blocking_thread(move || {
-        let plan = Measurement::of(&source, &own, &thresholds).plan();
+        let plan = Measurement::of(&source, &own_records, &thresholds).plan();
         let rollout = |(ray, level): (Ray, Level)| {
             let row = design.row_at(ray.task, ray.condition, level, ray.config);
             row.map(|row| (row, 0))
@@ -337,19 +340,25 @@ mod tests {
                     "levels": ["L1"], "configs": [0], "nominal": "eval"}),
         );
         queue.create_campaign(&source).await.expect("created");
-        let why = spec("why", &json!({"explains": {"campaign": "source"}}));
-        queue.create_campaign(&why).await.expect("created");
+        let explaining = spec("explaining", &json!({"explains": {"campaign": "source"}}));
+        queue.create_campaign(&explaining).await.expect("created");
         let derived = async || {
             let mut view = queue.store().read().await.expect("a view");
             let mut all = derivations::all(&mut view).await.expect("campaigns");
-            all.pop().expect("one follows")
+            all.pop().expect("a derived campaign")
         };
         let before = derived().await;
-        let name = CampaignName::parse("why").expect("a name");
+        let name = CampaignName::parse("explaining").expect("a name");
         queue.delete_campaign(&name).await.expect("deleted");
-        queue.create_campaign(&why).await.expect("created again");
+        queue
+            .create_campaign(&explaining)
+            .await
+            .expect("created again");
         let after = derived().await;
-        assert!(after.campaign > before.campaign, "no number is given twice");
+        assert!(
+            after.campaign > before.campaign,
+            "no campaign number is used twice"
+        );
 
         let added = add(&queue.shared, &before, &source.jobs).await;
         added.expect("no job is added");

@@ -43,7 +43,7 @@ impl Queue {
             films.scanned(outdated, unfilmed, began, began.elapsed());
         }
         drop(scanning);
-        let Some((job, unfilmed)) = films.take(&campaigns, self.now()) else {
+        let Some((job, unfilmed)) = films.assign(&campaigns, self.now()) else {
             return Ok(None);
         };
         let film = films::film(&mut view, job).await?;
@@ -55,17 +55,17 @@ impl Queue {
 /// campaign that measures thresholds.
 async fn unfilmed_illustrations(
     view: &mut SqliteConnection,
-    [source, own]: [CampaignId; 2],
+    [source, campaign]: [CampaignId; 2],
     rows: Vec<FilmableRow>,
 ) -> Result<Vec<JobId>, StoreError> {
-    let spec = campaigns::spec(view, own).await?;
+    let spec = campaigns::spec(view, campaign).await?;
     let Rollouts::Explanation(explanation) = specification(&spec)?.rollouts else {
         return Ok(Vec::new());
     };
     let source = records(view, source).await?;
-    let own = records(view, own).await?;
+    let own_records = records(view, campaign).await?;
     let unfilmed = on_blocking_thread(move || {
-        let illustrative = explanation::illustrative(&source, &own, &explanation);
+        let illustrative = explanation::illustrative(&source, &own_records, &explanation);
         let illustrative: BTreeSet<(String, u32)> = illustrative
             .into_iter()
             .map(|(id, replicate)| (id.to_string(), replicate))

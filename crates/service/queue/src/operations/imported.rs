@@ -12,8 +12,8 @@ use libero_family::TaskKey;
 use rollout_types::Realised;
 use sqlx::SqliteConnection;
 
+use super::batches::JOBS_PER_BATCH;
 use super::derive::on_blocking_thread;
-use super::passages::JOBS_PER_BATCH;
 use crate::ids::{CampaignId, JobId, NameError, WorkerId, shortened};
 use crate::store::imported::{self, StoredRow};
 use crate::store::portable;
@@ -200,9 +200,9 @@ fn shortened_problem(error: serde_json::Error) -> String {
 /// Returns true if every step budget of a derived campaign also occurs in its source.
 pub(super) async fn has_budgets_of(
     (derived, campaign): (&Store, CampaignId),
-    (here, source): (&Store, CampaignId),
+    (local, source): (&Store, CampaignId),
 ) -> Result<bool, StoreError> {
-    let known = imported::budgets(&mut *here.read().await?, source).await?;
+    let source_budgets = imported::budgets(&mut *local.read().await?, source).await?;
     let budgets = imported::budgets(&mut *derived.read().await?, campaign).await?;
-    Ok(budgets.is_subset(&known))
+    Ok(budgets.is_subset(&source_budgets))
 }

@@ -97,7 +97,7 @@ impl Films {
 
     /// Returns the first rollout of these campaigns that is not being filmed, and the number of
     /// rollouts without a video.
-    pub(super) fn take(&self, campaigns: &[Filmed], now: UnixMillis) -> Option<(JobId, u64)> {
+    pub(super) fn assign(&self, campaigns: &[Filmed], now: UnixMillis) -> Option<(JobId, u64)> {
         let state = &mut *self.lock();
         state.in_flight.retain(|_, until| *until > now);
         let unfilmed = |campaign: &Filmed| state.unfilmed.get(&campaign.campaign);
@@ -152,9 +152,9 @@ mod tests {
         films.filmed(CampaignId(1), JobId(1));
         let jobs = vec![JobId(1), JobId(2), JobId(3)];
         films.scanned(campaign(2), jobs, began, second);
-        let taken = films.take(&[campaign(2)], now);
+        let assigned = films.assign(&[campaign(2)], now);
         assert_eq!(
-            taken,
+            assigned,
             Some((JobId(2), 2)),
             "the first was filmed during the scan"
         );
@@ -163,8 +163,8 @@ mod tests {
             "a scan of a second is repeated after 20 s"
         );
         assert!(outdated(3, 20));
-        assert_eq!(films.take(&[campaign(2)], now), Some((JobId(3), 2)));
-        assert_eq!(films.take(&[campaign(2)], now), None);
+        assert_eq!(films.assign(&[campaign(2)], now), Some((JobId(3), 2)));
+        assert_eq!(films.assign(&[campaign(2)], now), None);
         assert!(films.outdated(&[], began).is_empty());
         assert!(
             outdated(2, 0),

@@ -10,7 +10,7 @@ use super::portable::{Portable, PortableError, copy_into, source_of};
 use crate::expand::differing_fields;
 use crate::ids::{CampaignName, JobName};
 use crate::rules::lease::OutcomeKey;
-use crate::rules::merge::{self, Contradiction, Kept, Standing};
+use crate::rules::merge::{self, Contradiction, KeptHalf, Standing};
 use crate::rules::pairing::{self, Demand, Sibling};
 use crate::store::halves::{self, Rollout, Schema, Stored};
 use crate::store::{DATABASE_FILE, Doing, StoreError, portable, undecodable};
@@ -58,7 +58,7 @@ pub enum MergeError {
     #[error("merge the halves: in {suite} they measured different policies, whose {difference}")]
     Policy { suite: Suite, difference: String },
     #[error(
-        "merge the halves: {count} of their rollouts contradict each other\n{examples}\ncompare the origins of these outcomes, and merge only halves that were run alike"
+        "merge the halves: {count} of their rollouts contradict each other\n{examples}\ncompare the origins of these outcomes, and merge only halves that were run in the same way"
     )]
     Contradictions {
         count: usize,
@@ -117,7 +117,7 @@ pub async fn merge(
         Err(found) => return Err(contradictions(&found, &first_results, &second_results)),
     };
     check_consistency(whole.campaign.mode()?, &first_results, &second_results)?;
-    let of_second = kept.iter().filter(|(_, kept)| **kept == Kept::Second);
+    let of_second = kept.iter().filter(|(_, kept)| **kept == KeptHalf::Second);
     let of_second: Vec<Rollout> = of_second.map(|(rollout, _)| rollout.clone()).collect();
     portable::replace(&mut tx, both, &of_second).await?;
     halves::copy_pin(&mut tx, both).await?;

@@ -10,10 +10,10 @@ use paired::Outcome;
 use sha2::{Digest, Sha256};
 
 use super::artifacts::campaign_folder;
+use super::batches::{self, JOBS_PER_BATCH};
 use super::context::Context;
 use super::error::QueueError;
 use super::imported::{self, RowsError};
-use super::passages::{self as batches, JOBS_PER_BATCH};
 use super::removals;
 use super::settled::Settled;
 use crate::expand::altered;
@@ -25,8 +25,8 @@ use crate::store::campaigns::{self, Campaign};
 use crate::store::failpoint::Step;
 use crate::store::portable::{self, CopyTarget};
 use crate::store::{
-    DATABASE_FILE, Doing, OpenError, Store, StoreError, derivations, foreign_schema, instants,
-    passages, removals as pending, undecodable,
+    DATABASE_FILE, Doing, OpenError, Store, StoreError, derivations, foreign_schema, hidden,
+    instants, removals as pending, undecodable,
 };
 use crate::timing::Timing;
 
@@ -106,8 +106,8 @@ impl Portable {
         }
         let portable = Portable::from_store(store).await?;
         let mut view = portable.store.read().await?;
-        let of = portable.campaign.id;
-        match imported::contradiction(&mut view, of, &portable.spec).await? {
+        let id = portable.campaign.id;
+        match imported::contradiction(&mut view, id, &portable.spec).await? {
             Some(error) => Err(error.into()),
             None => Ok(portable),
         }
@@ -297,7 +297,7 @@ impl Queue {
         let mut context = Context::within(shared, tx).await;
         let now = context.now;
         let id = portable::copy_without_jobs(&mut context.tx, old, target, now).await?;
-        passages::hide_new(&mut context.tx, id).await?;
+        hidden::hide_new(&mut context.tx, id).await?;
         let policy = context.campaign(id).await?.policy_id;
         context.cache.clear_campaigns();
         context.commit().await?;
@@ -339,7 +339,7 @@ impl Queue {
         let mut context = Context::within(shared, tx).await;
         let now = context.now;
         campaigns::take_name(&mut context.tx, &target.name).await?;
-        passages::publish(&mut context.tx, id, (&target.name, &target.folder), now).await?;
+        hidden::publish(&mut context.tx, id, (&target.name, &target.folder), now).await?;
         portable::copy_rest(&mut context.tx, both).await?;
         // The exporting coordinator's clock may be ahead of this one.
         let latest = now.plus(rollout_types::Waits::USUAL.longest);
@@ -450,8 +450,8 @@ impl Context<'_> {
                 source_campaign: name,
             });
         };
-        let here = outcomes_digest(&mut self.tx, &source).await?;
-        if expected.is_none_or(|expected| expected.outcomes != here) {
+        let local_outcomes = outcomes_digest(&mut self.tx, &source).await?;
+        if expected.is_none_or(|expected| expected.outcomes != local_outcomes) {
             return Err(AdoptError::OtherSource {
                 campaign,
                 source_campaign: name,

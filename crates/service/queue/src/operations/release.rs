@@ -72,13 +72,17 @@ impl Context<'_> {
         };
         let failure = (reason, release.error.as_str());
         let ended = self
-            .end_attempt((&attempt.job, lease), attempt.of.campaign, failure)
+            .end_attempt(
+                (&attempt.job, lease),
+                attempt.initial_state.campaign,
+                failure,
+            )
             .await?;
         let stop_leasing = match release.reason.blames() {
             Some(Party::Machine) => self.strike(&lease.owner, &release.error).await?,
             _ => None,
         };
-        let (verdict, backoff) = match ended.then {
+        let (verdict, backoff) = match ended.next_step {
             AfterFailure::Requeue { not_before } => {
                 let backoff = not_before.since(self.now).max(ended.policy_wait);
                 (ReleaseVerdict::Requeued, backoff)
@@ -105,7 +109,7 @@ impl Context<'_> {
         };
         // The remaining evidence is queried only in this case.
         if release.answered == Some(0) {
-            let campaign = self.campaign(attempt.of.campaign).await?;
+            let campaign = self.campaign(attempt.initial_state.campaign).await?;
             let job = attempt.job.id;
             let last = jobs::last_without_policy(&mut self.tx, job).await?;
             contact.is_back = last.is_some_and(|last| campaign.health.available_since > last);

@@ -16,7 +16,7 @@ pub(crate) async fn pending(shared: &Shared) -> Result<Vec<String>, StoreError> 
 
 /// Removes a folder or file below the data folder. It stays marked for removal from remote storage.
 pub(crate) async fn remove_locally(shared: &Shared, below: &str) -> Result<(), StoreError> {
-    match try_remove_locally(shared, below).await && shared.elsewhere.is_none() {
+    match try_remove_locally(shared, below).await && shared.remote_storage.is_none() {
         true => note_done(shared, below).await,
         false => Ok(()),
     }
@@ -27,8 +27,8 @@ pub(crate) async fn remove(shared: &Shared, below: &str) -> Result<(), StoreErro
     if !try_remove_locally(shared, below).await {
         return Ok(());
     }
-    if let Some(elsewhere) = &shared.elsewhere
-        && let Err(problem) = elsewhere.remove(below).await
+    if let Some(remote_storage) = &shared.remote_storage
+        && let Err(problem) = remote_storage.remove(below).await
     {
         tracing::warn!("failed to {problem}; the removal is tried again");
         return Ok(());
@@ -71,21 +71,21 @@ mod tests {
 
     use super::*;
     use crate::clock::SystemClock;
-    use crate::elsewhere::Elsewhere;
     use crate::expand::NewCampaign;
     use crate::ids::CampaignName;
     use crate::operations::alter::Alteration;
     use crate::queue::Queue;
+    use crate::remote_storage::Elsewhere;
     use crate::store::Store;
     use crate::timing::Timing;
 
     /// Remote storage that answers only when a permit is given.
-    struct Slow {
-        asked: Semaphore,
+    struct SlowStorage {
+        requests: Semaphore,
         answers: Semaphore,
     }
 
-    impl Elsewhere for Slow {
+    impl Elsewhere for SlowStorage {
         fn remove<'a>(
             &'a self,
             folder: &'a str,
@@ -95,7 +95,7 @@ mod tests {
                     folder, "artifacts/one",
                     "only the deleted campaign's folder is removed"
                 );
-                self.asked.add_permits(1);
+                self.requests.add_permits(1);
                 let answer = self.answers.acquire().await;
                 answer
                     .map(|answer| answer.forget())
@@ -111,12 +111,12 @@ mod tests {
         let folder = tempfile::tempdir().expect("a temporary folder");
         let store = Store::open(folder.path()).await.expect("a store");
         let (clock, rng) = (Arc::new(SystemClock::start()), ChaCha8Rng::seed_from_u64(1));
-        let slow = Arc::new(Slow {
-            asked: Semaphore::new(0),
+        let slow = Arc::new(SlowStorage {
+            requests: Semaphore::new(0),
             answers: Semaphore::new(0),
         });
-        let elsewhere = Some(slow.clone() as Arc<dyn Elsewhere>);
-        let queue = Queue::start_with(store, clock, rng, Timing::default(), elsewhere).await;
+        let remote_storage = Some(slow.clone() as Arc<dyn Elsewhere>);
+        let queue = Queue::start_with(store, clock, rng, Timing::default(), remote_storage).await;
         let queue = queue.expect("a queue");
         let name = |name: &str| CampaignName::parse(name).expect("a name");
         let create = async |name: &str| {
@@ -141,7 +141,7 @@ mod tests {
                 let queue = queue.clone();
                 async move { queue.finish_removals().await.expect("removed") }
             });
-            slow.asked.acquire().await.expect("a removal").forget();
+            slow.requests.acquire().await.expect("a removal").forget();
             // A new campaign of the same name, whose videos must not be removed with the deleted
             // one's.
             create("one").await;

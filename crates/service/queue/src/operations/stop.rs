@@ -109,8 +109,8 @@ async fn stop(
     }
     let name = context.campaign(campaign).await?.name.clone();
     stops::stop(&mut context.tx, campaign, look.used.len(), context.now).await?;
-    let why = "the campaign has stopped early: its rule is met";
-    context.revoke_leases(campaign, why).await?;
+    let explanation = "the campaign has stopped early: its rule is met";
+    context.revoke_leases(campaign, explanation).await?;
     context.cache.clear_campaigns();
     // A campaign that derives from this one may now grow.
     context.settles = true;
@@ -139,7 +139,7 @@ async fn when_met(
 mod tests {
     use serde_json::json;
 
-    use super::super::passages::tests::start;
+    use super::super::batches::tests::start;
     use super::*;
     use crate::expand::NewCampaign;
 

@@ -29,19 +29,19 @@ impl Queue {
         let last = UnixMillis(self.last_sweep.load(Ordering::Relaxed));
         let mut context = Context::begin(shared, vec![Step::Sweep]).await?;
         let now = context.now;
-        let mut is_news = false;
+        let mut has_new_work = false;
         if was_asleep(now.since(last), shared.timing.lease) {
             tracing::warn!(
                 "the coordinator was suspended: every lease is restarted with its full duration"
             );
             restart_leases(&mut context).await?;
         } else {
-            is_news = context.end_expired().await?;
+            has_new_work = context.end_expired().await?;
         }
-        is_news |= jobs::has_ended_wait(&mut context.tx, last, now).await?;
+        has_new_work |= jobs::has_ended_wait(&mut context.tx, last, now).await?;
         context.commit().await?;
         self.last_sweep.store(now.0, Ordering::Relaxed);
-        if is_news {
+        if has_new_work {
             shared.work.notify_waiters();
         }
         Ok(())
@@ -91,10 +91,10 @@ fn explain(reason: FailureReason, lease: &Lease, control_steps: u32) -> String {
             lease.ceiling.since(lease.granted).as_secs()
         ),
         FailureReason::WorkerSilent => {
-            format!("worker `{owner}` fell silent after control step {control_steps}")
+            format!("worker `{owner}` sent no heartbeat after control step {control_steps}")
         }
         _ => format!(
-            "worker `{owner}` sends heartbeats and has left this attempt out since control step \
+            "worker `{owner}` sends heartbeats that have omitted this attempt since control step \
              {control_steps}"
         ),
     }

@@ -202,6 +202,6 @@ impl View {
         .bind(replicate)
         .fetch_optional(self.tx())
         .await
-        .doing("look up a video")
+        .doing("find a video")
     }
 }

@@ -64,7 +64,7 @@ pub(super) struct Measured {
     /// Mean duration of a rollout, seconds.
     pub(super) secs: f64,
     /// Results that report where their time went.
-    pub(super) known: i64,
+    pub(super) timed_results: i64,
     pub(super) physics_secs: f64,
     pub(super) drawing_secs: f64,
     pub(super) policy_secs: f64,
@@ -85,47 +85,53 @@ pub(super) fn forecast(workers: &[Live], measured: &[Measured], planned: &Planne
     let mut kinds: Vec<(&Pin, Vec<&Live>)> = Vec::new();
     for worker in workers {
         match kinds.iter_mut().find(|(pin, _)| **pin == worker.pin) {
-            Some((_, alike)) => alike.push(worker),
+            Some((_, workers)) => workers.push(worker),
             None => kinds.push((&worker.pin, vec![worker])),
         }
     }
-    let by_kind = kinds.iter().map(|(pin, alike)| {
-        let drawn = measured
+    let by_kind = kinds.iter().map(|(pin, workers)| {
+        let of_renderer = measured
             .iter()
             .filter(|results| results.renderer == pin.renderer);
-        forecast_for_kind(alike, &drawn.collect::<Vec<_>>(), planned)
+        forecast_for_kind(workers, &of_renderer.collect::<Vec<_>>(), planned)
     });
-    let least = |a: &Forecast, b: &Forecast| {
+    let by_duration = |a: &Forecast, b: &Forecast| {
         let secs = |forecast: &Forecast| forecast.secs.unwrap_or(f64::INFINITY);
         secs(a).total_cmp(&secs(b)).then(b.slots.cmp(&a.slots))
     };
-    by_kind.min_by(least).unwrap_or_default()
+    by_kind.min_by(by_duration).unwrap_or_default()
 }
 
 /// Returns the forecast for workers of one kind, from results of the same renderer.
-fn forecast_for_kind(alike: &[&Live], drawn: &[&Measured], planned: &Planned<'_>) -> Forecast {
-    let slots = saturating_sum(alike.iter().map(|worker| worker.slots));
+fn forecast_for_kind(
+    workers: &[&Live],
+    of_renderer: &[&Measured],
+    planned: &Planned<'_>,
+) -> Forecast {
+    let slots = saturating_sum(workers.iter().map(|worker| worker.slots));
     let machine = |worker: &&Live| {
         worker.cores.map(|cores| Machine {
             slots: worker.slots,
             cores,
         })
     };
-    let machines: Option<Vec<Machine>> = alike.iter().map(machine).collect();
-    let is_of_policy = drawn.iter().any(|results| results.policy == planned.policy);
-    let used = drawn.iter().copied();
+    let machines: Option<Vec<Machine>> = workers.iter().map(machine).collect();
+    let is_of_policy = of_renderer
+        .iter()
+        .any(|results| results.policy == planned.policy);
+    let used = of_renderer.iter().copied();
     let used = used.filter(|results| !is_of_policy || results.policy == planned.policy);
     let used: Vec<&Measured> = used.collect();
     let forecast = Forecast {
-        workers: u32::try_from(alike.len()).unwrap_or(u32::MAX),
+        workers: u32::try_from(workers.len()).unwrap_or(u32::MAX),
         slots,
         cores: machines
             .as_ref()
             .map(|all| saturating_sum(all.iter().map(|worker| worker.cores))),
         ..Forecast::default()
     };
-    let duration: Figure = (|row| row.secs, |row| row.results);
-    let Some(any) = mean(&used, duration) else {
+    let duration: MeanAccessors = (|row| row.secs, |row| row.results);
+    let Some(overall_mean) = mean(&used, duration) else {
         return forecast;
     };
     let mut unmeasured_suites = Vec::new();
@@ -133,7 +139,7 @@ fn forecast_for_kind(alike: &[&Live], drawn: &[&Measured], planned: &Planned<'_>
     for (suite, count) in &planned.rollouts {
         let secs = mean(&of_suite(&used, suite), duration).unwrap_or_else(|| {
             unmeasured_suites.push(suite.clone());
-            any
+            overall_mean
         });
         work += *count as f64 * secs;
         longest = longest.max(secs);
@@ -176,7 +182,7 @@ fn total(rollouts: &BTreeMap<String, u64>) -> u64 {
 }
 
 /// Accessors of a mean value and of the number of results that it covers.
-type Figure = (fn(&Measured) -> f64, fn(&Measured) -> i64);
+type MeanAccessors = (fn(&Measured) -> f64, fn(&Measured) -> i64);
 
 fn of_suite<'a>(measured: &[&'a Measured], suite: &str) -> Vec<&'a Measured> {
     let in_suite = measured.iter().filter(|row| row.suite == suite);
@@ -186,17 +192,17 @@ fn of_suite<'a>(measured: &[&'a Measured], suite: &str) -> Vec<&'a Measured> {
 /// Returns the mean time of a planned rollout, and the number of results that it is based on. A
 /// suite without results is assumed to be like the others. `None` if no result reports its times.
 fn spent(used: &[&Measured], rollouts: &BTreeMap<String, u64>) -> Option<(u64, Spent)> {
-    let results: i64 = used.iter().map(|row| row.known).sum();
+    let results: i64 = used.iter().map(|row| row.timed_results).sum();
     let total = total(rollouts);
     // If no rollouts remain, all suites weigh the same.
     let weight = |suite: &str| match total {
         0 => 0.0,
         _ => rollouts.get(suite).copied().unwrap_or_default() as f64 / total as f64,
     };
-    let figure = |rows: &[&Measured], value: fn(&Measured) -> f64| {
-        let all = mean(rows, (value, |row| row.known))?;
+    let weighted_mean = |rows: &[&Measured], value: fn(&Measured) -> f64| {
+        let all = mean(rows, (value, |row| row.timed_results))?;
         let suites = rollouts.keys().map(|suite| {
-            let secs = mean(&of_suite(rows, suite), (value, |row| row.known));
+            let secs = mean(&of_suite(rows, suite), (value, |row| row.timed_results));
             weight(suite) * secs.unwrap_or(all)
         });
         Some(match total {
@@ -207,20 +213,20 @@ fn spent(used: &[&Measured], rollouts: &BTreeMap<String, u64>) -> Option<(u64, S
     let roomy = used.iter().copied().filter(|row| row.is_roomy);
     let roomy: Vec<&Measured> = roomy.collect();
     let spent = Spent {
-        physics_secs: figure(used, |row| row.physics_secs)?,
-        drawing_secs: figure(used, |row| row.drawing_secs)?,
-        policy_secs: figure(used, |row| row.policy_secs)?,
-        waiting_secs: figure(used, |row| row.waiting_secs)?,
+        physics_secs: weighted_mean(used, |row| row.physics_secs)?,
+        drawing_secs: weighted_mean(used, |row| row.drawing_secs)?,
+        policy_secs: weighted_mean(used, |row| row.policy_secs)?,
+        waiting_secs: weighted_mean(used, |row| row.waiting_secs)?,
         // Measured only where every slot had its own core: on shared cores, slots also wait for one
         // another.
-        taken_secs: figure(&roomy, |row| row.waiting_secs).unwrap_or(0.0),
-        queries: figure(used, |row| row.queries)?,
+        taken_secs: weighted_mean(&roomy, |row| row.waiting_secs).unwrap_or(0.0),
+        queries: weighted_mean(used, |row| row.queries)?,
     };
     Some((results.unsigned_abs(), spent))
 }
 
 /// Returns the mean of a value over some results; `None` without results.
-fn mean(measured: &[&Measured], (value, count): Figure) -> Option<f64> {
+fn mean(measured: &[&Measured], (value, count): MeanAccessors) -> Option<f64> {
     let (mut sum, mut results) = (0.0, 0.0);
     for row in measured {
         sum += value(row) * count(row) as f64;
@@ -286,7 +292,7 @@ mod tests {
     /// A rollout of ten seconds: four on a core, five for the policy, one waiting.
     fn with_times(suite: &str, is_roomy: bool) -> Measured {
         Measured {
-            known: 10,
+            timed_results: 10,
             is_roomy,
             physics_secs: 3.0,
             drawing_secs: 1.0,

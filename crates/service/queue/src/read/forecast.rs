@@ -66,7 +66,7 @@ impl View {
                  substr(j.task, 1, instr(j.task, '/') - 1) AS suite,
                  coalesce(w.slots <= w.cores, 0) AS is_roomy,
                  count(*) AS results, avg(r.wall_secs) AS secs,
-                 count(r.physics_secs) AS known,
+                 count(r.physics_secs) AS timed_results,
                  coalesce(avg(r.physics_secs), 0.0) AS physics_secs,
                  coalesce(avg(r.drawing_secs), 0.0) AS drawing_secs,
                  coalesce(avg(r.policy_secs), 0.0) AS policy_secs,

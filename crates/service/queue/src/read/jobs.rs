@@ -151,7 +151,7 @@ impl View {
         .bind(job.replicate)
         .fetch_optional(self.tx())
         .await
-        .doing("look up a job")?;
+        .doing("find a job")?;
         line.ok_or_else(|| QueueError::UnknownRollout {
             campaign: campaign.name.clone(),
             job: job.clone(),

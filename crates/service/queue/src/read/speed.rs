@@ -194,7 +194,7 @@ mod tests {
             machines in machines(), spent in spent(), policy in policy(),
         ) {
             let found = rate(&machines, &spent, policy).expect("a rate");
-            let close = |a: f64, b: f64| (a - b).abs() <= 1e-9 * b.max(1e-9);
+            let is_close = |a: f64, b: f64| (a - b).abs() <= 1e-9 * b.max(1e-9);
             let slots: u32 = machines.iter().map(|machine| machine.slots).sum();
             let cores: u32 = machines.iter().map(|machine| machine.cores).sum();
             let by_slots = f64::from(slots) / spent.alone();
@@ -205,8 +205,10 @@ mod tests {
             prop_assert!(policy.is_none_or(|rate| queries_per_sec <= rate * (1.0 + 1e-9)));
             prop_assert!(found.per_sec <= found.most_per_sec * (1.0 + 1e-9));
             match found.bottleneck {
-                Bottleneck::Policy => prop_assert!(close(queries_per_sec, policy.expect("a rate"))),
-                Bottleneck::Cores => prop_assert!(close(found.per_sec, by_cores)),
+                Bottleneck::Policy => {
+                    prop_assert!(is_close(queries_per_sec, policy.expect("a rate")));
+                }
+                Bottleneck::Cores => prop_assert!(is_close(found.per_sec, by_cores)),
                 Bottleneck::Slots => prop_assert!(found.per_sec < found.most_per_sec),
             }
         }

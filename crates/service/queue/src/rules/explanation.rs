@@ -19,15 +19,15 @@ pub(crate) struct Addition {
     pub(crate) replicates: Range<u32>,
 }
 
-/// Returns the rollouts to add, given the records of the explained campaign and `own`, those of the
-/// explaining campaign; empty if everything is explained or already requested.
+/// Returns the rollouts to add, given the records of the explained and of the explaining
+/// campaign; empty if everything is explained or already requested.
 pub(crate) fn additions(
     explained: &[Record],
-    own: &[Record],
+    explaining: &[Record],
     explanation: &Explanation,
 ) -> Vec<Addition> {
     // A single axis leaves nothing to explain.
-    let Ok(lattices) = configurations(explained, own, explanation.repeats) else {
+    let Ok(lattices) = configurations(explained, explaining, explanation.repeats) else {
         return Vec::new();
     };
     let mut all = Vec::new();
@@ -45,16 +45,16 @@ pub(crate) fn additions(
     all
 }
 
-/// Returns the rollouts of `own` that illustrate an explanation and are worth filming: those under
-/// the minimal subsets of axes, and those under the largest subsets of each minimal subset that do
-/// not flip the outcome. For each of these subsets, returns the first replicate with the majority's
-/// outcome.
+/// Returns the rollouts of the explaining campaign that illustrate an explanation and are worth
+/// filming: those under the minimal subsets of axes, and those under the largest subsets of each
+/// minimal subset that do not flip the outcome. For each of these subsets, returns the first
+/// replicate with the majority's outcome.
 pub(crate) fn illustrative(
     explained: &[Record],
-    own: &[Record],
+    explaining: &[Record],
     explanation: &Explanation,
 ) -> BTreeSet<(RolloutId, u32)> {
-    let Ok(lattices) = configurations(explained, own, explanation.repeats) else {
+    let Ok(lattices) = configurations(explained, explaining, explanation.repeats) else {
         return BTreeSet::new();
     };
     let mut verdicts = BTreeMap::new();
@@ -80,7 +80,7 @@ pub(crate) fn illustrative(
         replicate,
         outcome,
         ..
-    } in own
+    } in explaining
     {
         if outcome.success().is_some() && outcome.success() == verdicts.get(&id).copied() {
             let least = illustrative.entry(id).or_insert(replicate);

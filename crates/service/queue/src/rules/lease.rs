@@ -362,10 +362,10 @@ impl FailureReason {
         )
     }
 
-    /// Returns the reason to store with an attempt whose job continues with `then`.
+    /// Returns the reason to store with an attempt whose job continues with `next_step`.
     #[must_use]
-    pub fn before(self, then: AfterFailure) -> FailureReason {
-        match (self, then) {
+    pub fn before(self, next_step: AfterFailure) -> FailureReason {
+        match (self, next_step) {
             (FailureReason::PolicyLost, AfterFailure::Quarantine) => FailureReason::TakesPolicyDown,
             (FailureReason::WorkerSilent, AfterFailure::Quarantine) => {
                 FailureReason::TakesWorkerDown
@@ -386,7 +386,8 @@ impl FailureReason {
             ),
             FailureReason::TakesWorkerDown => format!(
                 "this rollout takes its workers down: {silences} attempts ended because their \
-                 worker fell silent and did not reconnect; the last error was: {error}"
+                 worker stopped sending heartbeats and did not reconnect; the last error was: \
+                 {error}"
             ),
             _ => error.to_owned(),
         }

@@ -7,7 +7,7 @@ use super::lease::OutcomeKey;
 
 /// Record of a rollout in one half.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Known {
+pub struct RolloutRecord {
     /// Progress of the rollout.
     pub standing: Standing,
     /// Reports of an outcome that differs from the committed one.
@@ -30,7 +30,7 @@ pub enum Standing {
 
 /// The half whose record of a rollout is kept.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kept {
+pub enum KeptHalf {
     First,
     Second,
 }
@@ -43,13 +43,13 @@ pub struct Contradiction<N> {
     pub second: OutcomeKey,
 }
 
-impl Known {
+impl RolloutRecord {
     /// Chooses which record of a rollout to keep: an outcome is preferred to a quarantine, and a
     /// quarantine to an open rollout; of two equal ones, the record with more information.
     ///
     /// # Errors
     /// If both halves have an outcome and the outcomes differ. The error holds both.
-    pub fn choose(&self, other: &Known) -> Result<Kept, (OutcomeKey, OutcomeKey)> {
+    pub fn choose(&self, other: &RolloutRecord) -> Result<KeptHalf, (OutcomeKey, OutcomeKey)> {
         if let (Standing::Committed(first), Standing::Committed(second)) =
             (self.standing, other.standing)
             && first != second
@@ -57,8 +57,8 @@ impl Known {
             return Err((first, second));
         }
         Ok(match other.weight() > self.weight() {
-            true => Kept::Second,
-            false => Kept::First,
+            true => KeptHalf::Second,
+            false => KeptHalf::First,
         })
     }
 
@@ -84,15 +84,15 @@ impl Known {
 /// # Errors
 /// All contradictions, in order, if there are any.
 pub fn merge<N: Clone + Ord>(
-    first: &BTreeMap<N, Known>,
-    second: &BTreeMap<N, Known>,
-) -> Result<BTreeMap<N, Kept>, Vec<Contradiction<N>>> {
+    first: &BTreeMap<N, RolloutRecord>,
+    second: &BTreeMap<N, RolloutRecord>,
+) -> Result<BTreeMap<N, KeptHalf>, Vec<Contradiction<N>>> {
     let mut kept = BTreeMap::new();
     let mut contradictions = Vec::new();
-    for (rollout, known) in first {
+    for (rollout, record) in first {
         match second
             .get(rollout)
-            .map_or(Ok(Kept::First), |second| known.choose(second))
+            .map_or(Ok(KeptHalf::First), |second| record.choose(second))
         {
             Ok(half) => {
                 kept.insert(rollout.clone(), half);
@@ -105,7 +105,7 @@ pub fn merge<N: Clone + Ord>(
         }
     }
     for rollout in second.keys().filter(|id| !first.contains_key(*id)) {
-        kept.insert(rollout.clone(), Kept::Second);
+        kept.insert(rollout.clone(), KeptHalf::Second);
     }
     match contradictions.is_empty() {
         true => Ok(kept),
@@ -119,9 +119,9 @@ mod tests {
 
     use super::*;
 
-    type Half = BTreeMap<u8, Known>;
+    type Half = BTreeMap<u8, RolloutRecord>;
 
-    fn any_record() -> impl Strategy<Value = Known> {
+    fn any_record() -> impl Strategy<Value = RolloutRecord> {
         let standing = prop_oneof![
             Just(Standing::Open),
             Just(Standing::Quarantined),
@@ -130,7 +130,7 @@ mod tests {
             }),
         ];
         (standing, 0..2_u32, any::<bool>(), 0..3_u32, 0..4_u32).prop_map(
-            |(standing, divergences, is_filmed, charged_attempts, attempts)| Known {
+            |(standing, divergences, is_filmed, charged_attempts, attempts)| RolloutRecord {
                 standing,
                 divergences,
                 is_filmed,
@@ -146,15 +146,15 @@ mod tests {
 
     fn merged(first: &Half, second: &Half) -> Option<Half> {
         let kept = merge(first, second).ok()?;
-        let record = |(rollout, kept): (u8, Kept)| match kept {
-            Kept::First => (rollout, first[&rollout]),
-            Kept::Second => (rollout, second[&rollout]),
+        let record = |(rollout, kept): (u8, KeptHalf)| match kept {
+            KeptHalf::First => (rollout, first[&rollout]),
+            KeptHalf::Second => (rollout, second[&rollout]),
         };
         Some(kept.into_iter().map(record).collect())
     }
 
-    fn outcome(known: Option<&Known>) -> Option<OutcomeKey> {
-        match known?.standing {
+    fn outcome(record: Option<&RolloutRecord>) -> Option<OutcomeKey> {
+        match record?.standing {
             Standing::Committed(outcome) => Some(outcome),
             _ => None,
         }
@@ -177,7 +177,7 @@ mod tests {
         fn a_rollout_is_open_exactly_if_it_is_open_in_both_halves(a in half(), b in half()) {
             if let Some(whole) = merged(&a, &b) {
                 let is_open = |half: &Half, id| {
-                    half.get(id).is_none_or(|known| known.standing == Standing::Open)
+                    half.get(id).is_none_or(|record| record.standing == Standing::Open)
                 };
                 for id in whole.keys() {
                     prop_assert_eq!(is_open(&whole, id), is_open(&a, id) && is_open(&b, id));

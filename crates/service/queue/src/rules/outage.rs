@@ -143,12 +143,12 @@ impl PolicyHealth {
         now: UnixMillis,
         rng: &mut impl Rng,
     ) -> PolicyHealth {
-        let is_news = match &self.state {
+        let is_new_outage = match &self.state {
             PolicyState::Available => granted >= self.available_since,
             PolicyState::Paused { .. } => false,
             PolicyState::Probing { .. } => self.is_probe(attempt),
         };
-        match is_news {
+        match is_new_outage {
             true => self.paused(error, now, rng),
             false => self.clone(),
         }

@@ -64,20 +64,21 @@ pub(crate) fn difference(
     siblings: &[Sibling],
     result: &Sibling,
 ) -> Option<String> {
-    let own = difference_in_campaign(demand, &result.origin)
+    let difference = difference_in_campaign(demand, &result.origin)
         .or_else(|| difference_in_row(demand.row, &result.realised));
     // Variants of a task have scenes, initial states and pictures of their own.
     if demand.row.id.variant().is_some() {
-        return own;
+        return difference;
     }
-    own.or_else(|| difference_in_scene(siblings, &result.digests))
+    difference
+        .or_else(|| difference_in_scene(siblings, &result.digests))
         .or_else(|| difference_in_perturbation(demand, siblings, &result.realised))
         .or_else(|| difference_in_first_frame(siblings, result))
 }
 
 fn difference_in_campaign(demand: &Demand<'_>, provenance: &Provenance) -> Option<String> {
-    let (here, there) = (&provenance.realisation, demand.realisation.name());
-    differs("realisation mode", here, there, "in the campaign")
+    let (value, other_value) = (&provenance.realisation, demand.realisation.name());
+    differs("realisation mode", value, other_value, "in the campaign")
 }
 
 /// Checks that exactly the manifest row's axes were realised. A comparison with siblings does not
@@ -90,19 +91,19 @@ fn difference_in_row(row: &ManifestRow, realised: &Realised) -> Option<String> {
             names => names.join(", "),
         }
     };
-    let here = names(&mut realised.axes().map(|(axis, _)| axis));
-    let there = names(&mut row.perturbation.axes().into_iter());
-    let value = "set of perturbed axes";
-    differs(value, &here, &there, "in its manifest row")
+    let value = names(&mut realised.axes().map(|(axis, _)| axis));
+    let other_value = names(&mut row.perturbation.axes().into_iter());
+    let place = "in its manifest row";
+    differs("set of perturbed axes", &value, &other_value, place)
 }
 
 /// Compares with one sibling only: the others were compared before they were stored.
 fn difference_in_scene(siblings: &[Sibling], digests: &Digests) -> Option<String> {
     let sibling = siblings.first()?;
-    let (there, place) = (&sibling.digests, sibling_place(sibling));
-    differs("scene digest", &digests.scene, &there.scene, &place).or_else(|| {
-        let (here, there) = (&digests.init_state, &there.init_state);
-        differs("initial-state digest", here, there, &place)
+    let (other, place) = (&sibling.digests, sibling_place(sibling));
+    differs("scene digest", &digests.scene, &other.scene, &place).or_else(|| {
+        let (value, other_value) = (&digests.init_state, &other.init_state);
+        differs("initial-state digest", value, other_value, &place)
     })
 }
 
@@ -112,11 +113,11 @@ fn difference_in_perturbation(
     realised: &Realised,
 ) -> Option<String> {
     siblings.iter().find_map(|sibling| {
-        realised.axes().find_map(|(axis, here)| {
+        realised.axes().find_map(|(axis, value)| {
             if !must_share(axis, demand.realisation, &demand.row.id, &sibling.rollout) {
                 return None;
             }
-            let difference = here.difference(sibling.realised.of(axis)?)?;
+            let difference = value.difference(sibling.realised.of(axis)?)?;
             let place = sibling_place(sibling);
             Some(format!("realisation of axis {axis}: {difference} {place}"))
         })
@@ -144,14 +145,19 @@ fn difference_in_first_frame(siblings: &[Sibling], result: &Sibling) -> Option<S
         return None;
     }
     let has_same_view = |sibling: &&Sibling| {
-        let same_values = |axis: &Axis| sibling.realised.of(*axis) == result.realised.of(*axis);
+        let has_same_values = |axis: &Axis| sibling.realised.of(*axis) == result.realised.of(*axis);
         !sibling.digests.first_frame.is_empty()
             && has_same_frames(&sibling.origin, &result.origin)
-            && IN_FIRST_FRAME.iter().all(same_values)
+            && IN_FIRST_FRAME.iter().all(has_same_values)
     };
     let sibling = siblings.iter().find(has_same_view)?;
-    let (here, there) = (&result.digests.first_frame, &sibling.digests.first_frame);
-    differs("first-frame digest", here, there, &sibling_place(sibling))
+    let (value, other_value) = (&result.digests.first_frame, &sibling.digests.first_frame);
+    differs(
+        "first-frame digest",
+        value,
+        other_value,
+        &sibling_place(sibling),
+    )
 }
 
 /// Returns true if the same scene must give the same frames to the same policy.
@@ -170,8 +176,8 @@ fn sibling_place(sibling: &Sibling) -> String {
     )
 }
 
-fn differs(value: &str, here: &str, there: &str, place: &str) -> Option<String> {
-    (here != there).then(|| format!("{value} is `{here}` here and `{there}` {place}"))
+fn differs(name: &str, value: &str, other_value: &str, place: &str) -> Option<String> {
+    (value != other_value).then(|| format!("{name} is `{value}` here and `{other_value}` {place}"))
 }
 
 #[cfg(test)]
@@ -337,45 +343,66 @@ mod tests {
         let matched = |id| (id, Realisation::Matched);
         let (clean, language) = ("goal/t0/clean/i06", "goal/t0/language/L3/c01");
         let (actuation, actuated) = ("goal/t0/actuation/L2/c01", &FIVE[4..]);
-        let (seen, other) = (hex('f'), hex('0'));
-        let saw =
-            |id, values: &[_], beside: &Sibling| inconsistency(matched(id), values, &seen, beside);
-        for (id, values, beside) in [
-            (actuation, actuated, sibling(clean, &[], &other)),
-            (language, &[][..], sibling(clean, &[], &other)),
-            (language, &[][..], sibling(actuation, actuated, &other)),
-            (COMBINATION, &FIVE[..], sibling(COMBINATION, &FIVE, &other)),
+        let (frame, other_frame) = (hex('f'), hex('0'));
+        let compare = |id, values: &[_], committed: &Sibling| {
+            inconsistency(matched(id), values, &frame, committed)
+        };
+        for (id, values, committed) in [
+            (actuation, actuated, sibling(clean, &[], &other_frame)),
+            (language, &[][..], sibling(clean, &[], &other_frame)),
+            (
+                language,
+                &[][..],
+                sibling(actuation, actuated, &other_frame),
+            ),
+            (
+                COMBINATION,
+                &FIVE[..],
+                sibling(COMBINATION, &FIVE, &other_frame),
+            ),
         ] {
-            check(saw(id, values, &beside), &["first-frame digest", "sibling"]);
+            check(
+                compare(id, values, &committed),
+                &["first-frame digest", "sibling"],
+            );
         }
-        assert_eq!(saw(language, &[], &sibling(clean, &[], &seen)), None);
-        // The combination's frame shows its camera perturbation, and blind rollouts have no frame.
-        assert_eq!(saw(COMBINATION, &FIVE, &sibling(clean, &[], &other)), None);
-        assert_eq!(saw(language, &[], &sibling(clean, &[], "")), None);
-        let blind = inconsistency(matched(language), &[], "", &sibling(clean, &[], &other));
-        assert_eq!(blind, None);
+        assert_eq!(compare(language, &[], &sibling(clean, &[], &frame)), None);
+        // The combination's frame shows its camera perturbation, and rollouts without cameras have
+        // no frame.
+        assert_eq!(
+            compare(COMBINATION, &FIVE, &sibling(clean, &[], &other_frame)),
+            None
+        );
+        assert_eq!(compare(language, &[], &sibling(clean, &[], "")), None);
+        let without_frame = inconsistency(
+            matched(language),
+            &[],
+            "",
+            &sibling(clean, &[], &other_frame),
+        );
+        assert_eq!(without_frame, None);
     }
 
     #[test]
     fn another_renderer_policy_or_processor_may_show_other_frames() {
         let language = ("goal/t0/language/L3/c01", Realisation::Matched);
-        let foreign = |change: fn(&mut Provenance)| {
+        let with_other_origin = |change: fn(&mut Provenance)| {
             let mut other = sibling("goal/t0/clean/i06", &[], &hex('0'));
             change(Arc::make_mut(&mut other.origin));
             inconsistency(language, &[], &hex('f'), &other)
         };
         assert_eq!(
-            foreign(|provenance| provenance.pin.renderer = "NVIDIA".to_owned()),
+            with_other_origin(|provenance| provenance.pin.renderer = "NVIDIA".to_owned()),
             None
         );
         assert_eq!(
-            foreign(|provenance| provenance.policy_checkpoint_digest = hex('9')),
+            with_other_origin(|provenance| provenance.policy_checkpoint_digest = hex('9')),
             None
         );
         assert_eq!(
-            foreign(|provenance| provenance.fingerprint = hex('e')),
+            with_other_origin(|provenance| provenance.fingerprint = hex('e')),
             None
         );
-        assert!(foreign(|_| ()).is_some());
+        assert!(with_other_origin(|_| ()).is_some());
     }
 }

@@ -34,7 +34,7 @@ pub(crate) async fn owner(
     .bind(attempt.to_string())
     .fetch_optional(tx)
     .await
-    .doing("look up the rollout of a video")
+    .doing("find the rollout of a video")
 }
 
 /// Returns the subset of these files that are recorded as artifacts.

@@ -116,7 +116,7 @@ pub(crate) async fn by_name(
         .bind(name)
         .fetch_optional(tx)
         .await
-        .doing("look up a campaign")
+        .doing("find a campaign")
 }
 
 /// Finds a campaign by its row number.
@@ -128,7 +128,7 @@ pub(crate) async fn by_id(
         .bind(id)
         .fetch_one(tx)
         .await
-        .doing("look up a campaign")
+        .doing("find a campaign")
 }
 
 /// Returns all campaigns, oldest first.
@@ -396,7 +396,7 @@ pub(crate) async fn renamed(
     .bind(name)
     .fetch_optional(tx)
     .await
-    .doing("look up a former campaign name")
+    .doing("find a former campaign name")
 }
 
 /// Releases a name for use by a campaign: the name is no longer another campaign's former name.

@@ -107,7 +107,7 @@ pub(crate) async fn source(
         .bind(campaign)
         .fetch_optional(tx)
         .await
-        .doing("look up the source of a campaign")
+        .doing("find the source of a campaign")
 }
 
 /// The campaign that a derived one waits for, and the number of its rollouts without an outcome.

@@ -14,7 +14,7 @@ use super::results::digests;
 use super::{Doing, StoreError};
 use crate::ids::{CampaignId, WorkerId};
 use crate::rules::lease::OutcomeKey;
-use crate::rules::merge::{Known, Standing};
+use crate::rules::merge::{RolloutRecord, Standing};
 
 /// Schema of the main database, or of the attached one.
 #[derive(Clone, Copy, Debug)]
@@ -66,7 +66,7 @@ pub(crate) async fn records(
     tx: &mut SqliteConnection,
     schema: Schema,
     campaign: CampaignId,
-) -> Result<BTreeMap<Rollout, Known>, StoreError> {
+) -> Result<BTreeMap<Rollout, RolloutRecord>, StoreError> {
     type Row = (
         String,
         u32,
@@ -97,7 +97,7 @@ pub(crate) async fn records(
             None if state == "quarantined" => Standing::Quarantined,
             None => Standing::Open,
         };
-        let record = Known {
+        let record = RolloutRecord {
             standing,
             divergences: row.7,
             is_filmed: row.8,

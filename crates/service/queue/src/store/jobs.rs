@@ -38,7 +38,7 @@ pub(crate) struct NamedAttempt {
     pub(crate) job: Job,
     /// Initial state that the job shares with its siblings.
     #[sqlx(flatten)]
-    pub(crate) of: InitialState,
+    pub(crate) initial_state: InitialState,
     #[sqlx(json, rename = "manifest_row")]
     pub(crate) row: ManifestRow,
     /// The job's committed outcome, if it has one.
@@ -123,7 +123,7 @@ pub(crate) async fn attempts_by_id(
     .bind(json(attempts))
     .fetch_all(tx)
     .await
-    .doing("look up attempts")?;
+    .doing("find attempts")?;
     let by_id = |attempt: NamedAttempt| (attempt.id.0, attempt);
     Ok(found.into_iter().map(by_id).collect())
 }
@@ -226,7 +226,7 @@ pub(crate) async fn skip(
     tx: &mut SqliteConnection,
     job: JobId,
     attempt: AttemptId,
-    why: &str,
+    explanation: &str,
     now: UnixMillis,
 ) -> Result<(), StoreError> {
     sqlx::query(
@@ -234,7 +234,7 @@ pub(crate) async fn skip(
              last_error = ?
          WHERE id = ? AND state = 'queued'",
     )
-    .bind(why)
+    .bind(explanation)
     .bind(job)
     .execute(&mut *tx)
     .await
@@ -247,7 +247,7 @@ pub(crate) async fn skip(
     .bind(attempt.to_string())
     .bind(now)
     .bind(FailureReason::Skipped.as_str())
-    .bind(why)
+    .bind(explanation)
     .bind(job)
     .execute(tx)
     .await
@@ -262,10 +262,10 @@ pub(crate) async fn fail(
     lease: &Lease,
     reason: FailureReason,
     error: &str,
-    then: AfterFailure,
+    next_step: AfterFailure,
     now: UnixMillis,
 ) -> Result<(), StoreError> {
-    let (state, not_before) = match then {
+    let (state, not_before) = match next_step {
         AfterFailure::Requeue { not_before } => ("queued", Some(not_before)),
         AfterFailure::Quarantine => ("quarantined", None),
     };
@@ -283,7 +283,7 @@ pub(crate) async fn fail(
     .bind(reason.is_charged())
     .bind(error)
     .bind(reason.is_loss())
-    .bind(reason.is_loss() || then == AfterFailure::Quarantine)
+    .bind(reason.is_loss() || next_step == AfterFailure::Quarantine)
     .execute(&mut *tx)
     .await
     .doing("end an attempt")?;
@@ -391,7 +391,7 @@ pub(crate) async fn lease(
     .bind(job)
     .fetch_optional(tx)
     .await
-    .doing("look up a lease")
+    .doing("find a lease")
 }
 
 pub(crate) async fn quarantined(
@@ -420,7 +420,7 @@ pub(crate) async fn by_rollout(
     .bind(replicate)
     .fetch_optional(tx)
     .await
-    .doing("look up a job")
+    .doing("find a job")
 }
 
 /// Takes a job out of quarantine: it may be leased at once, and its past failures no longer count.
@@ -479,7 +479,7 @@ pub(crate) async fn last_without_policy(
     .bind(job)
     .fetch_one(tx)
     .await
-    .doing("look up a job's last failure to reach its policy")
+    .doing("find a job's last failure to reach its policy")
 }
 
 /// Returns true if another job of the policy waits that has lost the policy fewer than `losses`

@@ -85,7 +85,7 @@ pub(crate) async fn last_on_machine(
     .bind(but)
     .fetch_optional(tx)
     .await
-    .doing("look up the last worker of a machine")?;
+    .doing("find the last worker of a machine")?;
     Ok(last.unwrap_or(0))
 }
 
@@ -138,7 +138,7 @@ pub(crate) async fn standings(
     .bind(distinct_ids(ids))
     .fetch_all(tx)
     .await
-    .doing("look up workers")?;
+    .doing("find workers")?;
     let by_id = |standing: Standing| (standing.id.clone(), standing);
     Ok(standings.into_iter().map(by_id).collect())
 }

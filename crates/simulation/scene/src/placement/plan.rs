@@ -229,7 +229,7 @@ impl<'a> Plan<'a> {
         &mut self,
         predicate: &Predicate,
         region: &Region,
-        over_top: bool,
+        is_relative_to_top: bool,
     ) -> Result<(Base, [f64; 3]), SceneError> {
         let carrier = self.placed_index(predicate, &region.target)?;
         let region_site = self.regions.iter().find(|site| site.name == region.name);
@@ -249,7 +249,7 @@ impl<'a> Plan<'a> {
         Ok((
             Base::Site {
                 carrier,
-                over_top,
+                is_relative_to_top,
                 site,
             },
             region_site.half_size,

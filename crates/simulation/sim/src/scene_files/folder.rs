@@ -118,7 +118,7 @@ impl SceneFolder {
             .recursive(true)
             .mode(0o700)
             .create(&self.dir);
-        created.map_err(|source| failure("make", &self.dir, source))?;
+        created.map_err(|source| failure("create", &self.dir, source))?;
         self.exists_and_is_trusted().map(drop)
     }
 

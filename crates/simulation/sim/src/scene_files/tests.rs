@@ -325,11 +325,11 @@ fn temporary_files_of_a_crashed_writer_are_ignored_and_removed() {
     for length in [0, 40, whole.len() / 2, whole.len()] {
         fs::remove_dir_all(&fixture.folder.dir).expect("removed");
         fixture.folder.check().expect("a folder");
-        let left = fixture
+        let temporary = fixture
             .folder
             .dir
             .join(format!("{}left", folder::TEMPORARY_PREFIX));
-        fs::write(left, &whole[..length]).expect("written");
+        fs::write(temporary, &whole[..length]).expect("written");
         assert_eq!(fixture.obtain(), (true, true), "{length} bytes");
         assert_eq!(fixture.temporary_files(), 0, "{length} bytes");
     }
@@ -389,7 +389,10 @@ fn scenes_stay_in_memory_if_the_folder_cannot_be_created() {
     fixture.folder.dir = "/proc/rollout-scenes".into();
     assert_eq!(fixture.obtain(), (true, false));
     let error = fixture.folder.check().expect_err("no folder").to_string();
-    assert!(error.starts_with("make /proc/rollout-scenes: "), "{error}");
+    assert!(
+        error.starts_with("create /proc/rollout-scenes: "),
+        "{error}"
+    );
 }
 
 #[test]

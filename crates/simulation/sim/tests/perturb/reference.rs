@@ -100,10 +100,10 @@ pub(crate) fn group<const N: usize>(values: &[f64], index: usize) -> [f64; N] {
 }
 
 /// Panics if a value differs from the expected one by more than `tolerance`.
-pub(crate) fn check_close(values: &[f64], expected: &[f64], tolerance: f64, what: &str) {
-    assert_eq!(values.len(), expected.len(), "{what}");
+pub(crate) fn check_close(values: &[f64], expected: &[f64], tolerance: f64, case: &str) {
+    assert_eq!(values.len(), expected.len(), "{case}");
     for (value, expected) in values.iter().zip(expected) {
         let difference = (value - expected).abs();
-        assert!(difference <= tolerance, "{what}: {value} is not {expected}");
+        assert!(difference <= tolerance, "{case}: {value} is not {expected}");
     }
 }

@@ -115,16 +115,16 @@ fn arm_postures_equal_the_reference() {
             let shift = perturbation.robot.expect("set");
             let solution = solve_shifted_pose(|q| arm.at(q), &nominal, &arm.ranges, &shift);
 
-            let what = format!("{name} {level} c{config}");
+            let case = format!("{name} {level} c{config}");
             let index = usize::from(config);
             let joints: [f64; JOINTS] = group(&expected[&format!("{level}_ik_q")], index);
-            check_close(solution.joints.as_slice(), &joints, 1e-6, &what);
+            check_close(solution.joints.as_slice(), &joints, 1e-6, &case);
             let residual = expected[&format!("{level}_ik_res_mm")][index];
-            check_close(&[solution.residual_mm], &[residual], 1e-3, &what);
+            check_close(&[solution.residual_mm], &[residual], 1e-3, &case);
             let residual = expected[&format!("{level}_ik_res_deg")][index];
-            check_close(&[solution.residual_deg], &[residual], 1e-3, &what);
+            check_close(&[solution.residual_deg], &[residual], 1e-3, &case);
             let clamped = integers(&path, &format!("{level}_ik_clamped"))[index];
-            assert_eq!(i64::from(solution.clamped_joints), clamped, "{what}");
+            assert_eq!(i64::from(solution.clamped_joints), clamped, "{case}");
             compared += 1;
         }
     }

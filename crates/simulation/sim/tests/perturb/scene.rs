@@ -23,11 +23,11 @@ fn cameras_of_all_presets_equal_the_reference() {
         for (level, config, perturbation) in presets(Axis::Camera) {
             let shift = perturbation.camera.expect("set");
             let pose = shift_camera(&nominal, look_at, &shift);
-            let what = format!("{name} {level} c{config}");
+            let case = format!("{name} {level} c{config}");
             let position: [f64; 3] = group(&model[&format!("{level}_cam_pos")], config.into());
-            check_close(&pose.position, &position, TOLERANCE, &what);
+            check_close(&pose.position, &position, TOLERANCE, &case);
             let quat: [f64; 4] = group(&model[&format!("{level}_cam_quat")], config.into());
-            check_close(&pose.quat_wxyz, &quat, TOLERANCE, &what);
+            check_close(&pose.quat_wxyz, &quat, TOLERANCE, &case);
         }
     }
 }
@@ -47,18 +47,18 @@ fn lights_of_all_presets_equal_the_reference() {
             let shifted = shift_lighting(&nominal, look_at, &shift);
             let column = |array: &str| format!("{level}_{array}");
             let expected = lighting(&model, column, config.into());
-            let what = format!("{name} {level} c{config}");
+            let case = format!("{name} {level} c{config}");
             check_close(
                 &shifted.headlight_ambient,
                 &expected.headlight_ambient,
                 TOLERANCE,
-                &what,
+                &case,
             );
             for (light, expected) in shifted.lights.iter().zip(&expected.lights) {
-                check_close(&light.position, &expected.position, TOLERANCE, &what);
-                check_close(&light.direction, &expected.direction, TOLERANCE, &what);
-                check_close(&light.diffuse, &expected.diffuse, TOLERANCE, &what);
-                check_close(&light.specular, &expected.specular, TOLERANCE, &what);
+                check_close(&light.position, &expected.position, TOLERANCE, &case);
+                check_close(&light.direction, &expected.direction, TOLERANCE, &case);
+                check_close(&light.diffuse, &expected.diffuse, TOLERANCE, &case);
+                check_close(&light.specular, &expected.specular, TOLERANCE, &case);
             }
         }
     }

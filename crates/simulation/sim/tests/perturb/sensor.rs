@@ -49,10 +49,10 @@ fn corrupted(
     rgb
 }
 
-fn check_equal(picture: &[u8], expected: &[u8], what: &str) {
+fn check_equal(picture: &[u8], expected: &[u8], case: &str) {
     let differing = picture.iter().zip(expected).filter(|(a, b)| a != b);
-    assert_eq!(picture.len(), expected.len(), "{what}");
-    assert_eq!(differing.count(), 0, "{what} differs from the reference");
+    assert_eq!(picture.len(), expected.len(), "{case}");
+    assert_eq!(differing.count(), 0, "{case} differs from the reference");
 }
 
 #[test]

@@ -20,7 +20,7 @@ use super::methods::CLAIM;
 use crate::call::{block_on, call};
 
 /// Time that a claim may wait before its caller disconnects.
-const PATIENCE: Duration = Duration::from_millis(20);
+const ANSWER_TIMEOUT: Duration = Duration::from_millis(20);
 /// Constant time of the stopped clock.
 const NOW: UnixMillis = UnixMillis(1_700_000_000_000);
 
@@ -61,7 +61,7 @@ impl TestCoordinator {
         if method != CLAIM {
             return Some(answering.await);
         }
-        let answer = timeout(PATIENCE, answering).await.ok();
+        let answer = timeout(ANSWER_TIMEOUT, answering).await.ok();
         if answer.is_none() {
             // The abandoned call may still be committed. A further call waits for that, so that the
             // effect is not attributed to the next call.

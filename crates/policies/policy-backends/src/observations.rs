@@ -30,11 +30,11 @@ pub(super) fn frame(observation: Option<&Observation>, camera: &str) -> Result<V
         .filter(|frame| (frame.width, frame.height) == (FRAME_SIDE, FRAME_SIDE))
         .filter(|frame| frame.rgb.len() == 3 * (FRAME_SIDE * FRAME_SIDE) as usize);
     let frame = frame.ok_or_else(|| format!("the observation has no frame of {camera}"))?;
-    Ok(turned(&frame.rgb))
+    Ok(rotated(&frame.rgb))
 }
 
 /// Rotates a frame by 180°.
-pub(super) fn turned(rgb: &[u8]) -> Vec<u8> {
+pub(super) fn rotated(rgb: &[u8]) -> Vec<u8> {
     rgb.rchunks_exact(3).flatten().copied().collect()
 }
 

@@ -26,17 +26,17 @@ pub(crate) enum Side {
 }
 
 /// Both servers and their situations.
-pub(crate) struct Panel {
+pub(crate) struct ServerPair {
     a: Server,
     b: Server,
     situations: Vec<Situation>,
     /// Unchanged observations of all situations, by server.
-    shown_to_a: Vec<Observation>,
-    shown_to_b: Vec<Observation>,
+    observations_a: Vec<Observation>,
+    observations_b: Vec<Observation>,
     queries: u32,
 }
 
-impl Panel {
+impl ServerPair {
     /// Prepares the observations of both servers.
     ///
     /// # Errors
@@ -57,13 +57,13 @@ impl Panel {
                     missing,
                 })
         };
-        let (shown_to_a, shown_to_b) = (observations(&a)?, observations(&b)?);
+        let (observations_a, observations_b) = (observations(&a)?, observations(&b)?);
         let described = [&a.described, &b.described];
         let is_single = described.iter().all(|description| description.horizon == 1);
         let is_held = is_single && described.iter().any(|description| description.stateful);
         Ok(Self {
-            shown_to_a,
-            shown_to_b,
+            observations_a,
+            observations_b,
             situations,
             queries: if is_held { HELD_QUERIES } else { 1 },
             a,
@@ -117,8 +117,8 @@ impl Panel {
         seeds: impl Fn(usize) -> Vec<u64>,
     ) -> Result<Answers, ExaminationError> {
         let observations = match side {
-            Side::A => &self.shown_to_a,
-            Side::B => &self.shown_to_b,
+            Side::A => &self.observations_a,
+            Side::B => &self.observations_b,
         };
         let mut all = vec![];
         for (at, situation) in self.situations.iter().take(count).enumerate() {

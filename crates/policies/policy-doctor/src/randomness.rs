@@ -4,8 +4,8 @@
 use crate::conformance::verdict::BATCH_TOLERANCE;
 use crate::{
     answers::Answers,
-    panel::{Panel, SEED, Side},
     server::ExaminationError,
+    server_pair::{SEED, ServerPair, Side},
 };
 
 /// Largest difference of answers that count as equal: batches and kernels change low-order bits.
@@ -15,41 +15,41 @@ const SITUATIONS: usize = 3;
 
 /// Variation of a server's answers to one observation.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Chance {
+pub(crate) struct Randomness {
     /// Largest difference between answers to a repeated query.
-    pub repeats: f64,
+    pub repeat_difference: f64,
     /// Largest difference between answers with two seeds.
-    pub moves: f64,
+    pub seed_difference: f64,
 }
 
-impl Chance {
+impl Randomness {
     /// Repeats a server's queries with the same seed and with another one; `answers` are the
     /// answers to the first queries, with [`SEED`].
     ///
     /// # Errors
     /// If the server does not answer with actions.
     pub(crate) async fn measure(
-        panel: &Panel,
+        servers: &ServerPair,
         side: Side,
         answers: &Answers,
     ) -> Result<Self, ExaminationError> {
-        let again = panel.query(side, &[], SITUATIONS, |_| vec![SEED]).await?;
-        let other = panel
+        let again = servers.query(side, &[], SITUATIONS, |_| vec![SEED]).await?;
+        let other = servers
             .query(side, &[], SITUATIONS, |_| vec![SEED + 1])
             .await?;
         Ok(Self {
-            repeats: again.largest_difference(answers).0,
-            moves: other.largest_difference(answers).0,
+            repeat_difference: again.largest_difference(answers).0,
+            seed_difference: other.largest_difference(answers).0,
         })
     }
 
     /// Returns true if a repeated query gets the same answer.
     pub(crate) fn is_repeatable(&self) -> bool {
-        self.repeats <= REPEATABLE
+        self.repeat_difference <= REPEATABLE
     }
 
     /// Returns true if answers depend on the seed, and are equal for equal seeds.
     pub(crate) fn follows_seed(&self) -> bool {
-        self.is_repeatable() && self.moves > REPEATABLE
+        self.is_repeatable() && self.seed_difference > REPEATABLE
     }
 }

@@ -10,7 +10,7 @@ use super::shared::Shared;
 use crate::expand::NewCampaign;
 use crate::ids::{CampaignId, PolicyId};
 use crate::store::failpoint::Step;
-use crate::store::{StoreError, campaigns, passages, policies, stops};
+use crate::store::{StoreError, campaigns, hidden, policies, stops};
 
 /// Jobs that one transaction adds or removes, which takes some tens of milliseconds.
 pub(super) const JOBS_PER_BATCH: usize = 500;
@@ -24,7 +24,7 @@ pub(super) async fn insert(
     let mut context = Context::begin(shared, vec![Step::CreateCampaign]).await?;
     let now = context.now;
     let id = campaigns::insert_without_jobs(&mut context.tx, new, folder, now).await?;
-    passages::hide_new(&mut context.tx, id).await?;
+    hidden::hide_new(&mut context.tx, id).await?;
     context.commit().await?;
     let inserted = insert_jobs(shared, new, id, folder).await;
     if inserted.is_err() {
@@ -54,7 +54,7 @@ async fn insert_jobs(
     let mut context = Context::begin(shared, vec![Step::CreateCampaign]).await?;
     let now = context.now;
     campaigns::take_name(&mut context.tx, &new.name).await?;
-    passages::publish(&mut context.tx, id, (&new.name, folder), now).await?;
+    hidden::publish(&mut context.tx, id, (&new.name, folder), now).await?;
     if let Some(configurations) = new.stops_among {
         stops::insert(&mut context.tx, id, configurations).await?;
     }
@@ -75,7 +75,7 @@ pub(super) async fn remove(
 ) -> Result<(), StoreError> {
     loop {
         let mut context = Context::begin(shared, vec![Step::DeleteCampaign]).await?;
-        let deleted = passages::delete_jobs(&mut context.tx, id, JOBS_PER_BATCH).await?;
+        let deleted = hidden::delete_jobs(&mut context.tx, id, JOBS_PER_BATCH).await?;
         if deleted == JOBS_PER_BATCH as u64 {
             context.commit().await?;
             continue;
@@ -93,7 +93,7 @@ pub(crate) async fn interrupted(
     shared: &Shared,
 ) -> Result<Vec<(CampaignId, PolicyId)>, StoreError> {
     let mut view = shared.store.read().await?;
-    passages::all(&mut view).await
+    hidden::all(&mut view).await
 }
 
 /// Deletes incomplete campaigns of the previous run, then never returns.
@@ -196,11 +196,11 @@ pub(super) mod tests {
                 queue.create_campaign(&new).await.expect("created");
                 let mut context = Context::begin(shared, vec![]).await.expect("begun");
                 let campaign = context.campaign_named(&name).await.expect("the campaign");
-                passages::hide_deleted(&mut context.tx, campaign.id)
+                hidden::hide_deleted(&mut context.tx, campaign.id)
                     .await
                     .expect("hidden");
                 let deleted =
-                    passages::delete_jobs(&mut context.tx, campaign.id, JOBS_PER_BATCH).await;
+                    hidden::delete_jobs(&mut context.tx, campaign.id, JOBS_PER_BATCH).await;
                 assert_eq!(deleted.expect("deleted"), JOBS_PER_BATCH as u64);
                 context.commit().await.expect("stored");
             } else {
@@ -208,7 +208,7 @@ pub(super) mod tests {
                 let (now, tx) = (context.now, &mut context.tx);
                 let id = campaigns::insert_without_jobs(tx, &new, "large", now).await;
                 let id = id.expect("stored");
-                passages::hide_new(tx, id).await.expect("hidden");
+                hidden::hide_new(tx, id).await.expect("hidden");
                 let batch = &new.jobs[..JOBS_PER_BATCH];
                 campaigns::insert_jobs(tx, id, batch).await.expect("stored");
                 context.commit().await.expect("stored");

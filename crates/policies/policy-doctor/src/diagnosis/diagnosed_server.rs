@@ -7,19 +7,19 @@ use policy_protocol::ActionFault;
 use proto::policy::{InferResponse, Observation};
 
 use crate::{
-    panel::SEED,
     server::{Action, ExaminationError, Server},
+    server_pair::SEED,
     situation::Situation,
     variant::{Turn, Variant},
 };
 
 /// Number of situations in which a change is tried.
-const TRIED: usize = 4;
+const MAX_TRIED_SITUATIONS: usize = 4;
 /// Queries per episode in the memory check.
 const EPISODE_QUERIES: usize = 2;
 
 /// The diagnosed server, the situations it is queried in, and its latencies.
-pub(super) struct Patient<'a> {
+pub(super) struct DiagnosedServer<'a> {
     server: &'a Server,
     situations: &'a [Situation],
     observations: Vec<Observation>,
@@ -42,7 +42,7 @@ pub(super) struct Answered {
     pub(super) noise: f64,
 }
 
-impl<'a> Patient<'a> {
+impl<'a> DiagnosedServer<'a> {
     pub(super) fn new(
         server: &'a Server,
         situations: &'a [Situation],
@@ -83,8 +83,8 @@ impl<'a> Patient<'a> {
             let response = self.query(at, observation, Some(instruction)).await?;
             let actions = answered.record(self.server, &response);
             for earlier in &first {
-                let apart = largest_difference(earlier, &actions);
-                answered.between_situations = answered.between_situations.max(apart);
+                let difference = largest_difference(earlier, &actions);
+                answered.between_situations = answered.between_situations.max(difference);
             }
             first.push(actions);
         }
@@ -92,13 +92,13 @@ impl<'a> Patient<'a> {
             let observation = self.observations[at].clone();
             let response = self.query(at, observation, Some(instruction)).await?;
             let again = answered.record(self.server, &response);
-            let apart = largest_difference(earlier, &again);
-            answered.noise = answered.noise.max(apart);
+            let difference = largest_difference(earlier, &again);
+            answered.noise = answered.noise.max(difference);
         }
         let mut episode = self.server.episode(suite, instruction, SEED).await?;
         for observation in &self.observations {
             let answer = episode.query(observation.clone()).await?;
-            self.latencies.push(answer.took);
+            self.latencies.push(answer.latency);
             answered.record(self.server, &answer.response);
         }
         episode.end().await;
@@ -111,7 +111,7 @@ impl<'a> Patient<'a> {
         camera: &str,
     ) -> Result<f64, ExaminationError> {
         let flipped = Variant::Turned(Turn::UpsideDown, Some(camera.to_owned()));
-        let mut most = 0.0_f64;
+        let mut largest = 0.0_f64;
         for at in 0..self.tried_situations() {
             let unchanged = self
                 .actions(at, self.observations[at].clone(), None)
@@ -128,10 +128,10 @@ impl<'a> Patient<'a> {
             }
             let to_black = self.actions(at, changed, None).await?;
             for answer in [to_flipped, to_black] {
-                most = most.max(largest_difference(&unchanged, &answer));
+                largest = largest.max(largest_difference(&unchanged, &answer));
             }
         }
-        Ok(most)
+        Ok(largest)
     }
 
     /// Returns the largest change of an answer when the instruction is replaced by another task's,
@@ -139,7 +139,7 @@ impl<'a> Patient<'a> {
     pub(super) async fn with_other_instructions(
         &mut self,
     ) -> Result<(f64, usize), ExaminationError> {
-        let mut most = 0.0_f64;
+        let mut largest = 0.0_f64;
         let mut count = 0;
         for at in 0..self.tried_situations() {
             let situation = &self.situations[at];
@@ -153,11 +153,11 @@ impl<'a> Patient<'a> {
             for instruction in other {
                 let observation = self.observations[at].clone();
                 let answer = self.actions(at, observation, Some(&instruction)).await?;
-                most = most.max(largest_difference(&unchanged, &answer));
+                largest = largest.max(largest_difference(&unchanged, &answer));
                 count += 1;
             }
         }
-        Ok((most, count))
+        Ok((largest, count))
     }
 
     /// Plays a short episode; returns the total latency of its queries.
@@ -166,20 +166,20 @@ impl<'a> Patient<'a> {
         let situation = &self.situations[at % self.situations.len()];
         let (suite, instruction) = (&situation.suite, &situation.instruction);
         let mut episode = self.server.episode(suite, instruction, at as u64).await?;
-        let mut took = Duration::ZERO;
+        let mut total_latency = Duration::ZERO;
         for query in 0..EPISODE_QUERIES {
             let observation = &self.observations[(at + query) % self.observations.len()];
             let answer = episode.query(observation.clone()).await?;
-            self.latencies.push(answer.took);
-            took += answer.took;
+            self.latencies.push(answer.latency);
+            total_latency += answer.latency;
         }
         episode.end().await;
-        Ok(took)
+        Ok(total_latency)
     }
 
     /// Returns the number of situations that a check with changed inputs uses.
     fn tried_situations(&self) -> usize {
-        TRIED.min(self.situations.len())
+        MAX_TRIED_SITUATIONS.min(self.situations.len())
     }
 
     async fn actions(
@@ -211,7 +211,7 @@ impl<'a> Patient<'a> {
             .await?;
         let answer = episode.query(observation).await?;
         episode.end().await;
-        self.latencies.push(answer.took);
+        self.latencies.push(answer.latency);
         Ok(answer.response)
     }
 }

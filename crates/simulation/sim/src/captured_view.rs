@@ -5,7 +5,7 @@ use crate::mujoco::Model;
 
 /// State that cameras show at an observed instant: a few kilobytes, from which every environment of
 /// the compiled scene renders the same bits later.
-pub struct Look {
+pub struct CapturedView {
     model: Model,
     positions: Box<[f64]>,
     burner_opacities: Box<[f32]>,
@@ -13,9 +13,9 @@ pub struct Look {
 
 impl Environment {
     /// Captures the observed instant of the last step.
-    pub fn look(&self) -> Look {
+    pub fn capture(&self) -> CapturedView {
         let opacities = self.burners.iter().map(|burner| burner.observed_opacity);
-        Look {
+        CapturedView {
             model: self.model.share(),
             positions: self.observed.qpos(&self.model).into(),
             burner_opacities: opacities.collect(),
@@ -27,19 +27,23 @@ impl Environment {
     ///
     /// # Panics
     /// If the capture is from another compiled scene.
-    pub fn seeing<T>(&mut self, look: &Look, render: impl FnOnce(&mut Self) -> T) -> T {
-        let present = self.look();
-        self.show(look);
+    pub fn with_captured<T>(
+        &mut self,
+        captured: &CapturedView,
+        render: impl FnOnce(&mut Self) -> T,
+    ) -> T {
+        let current = self.capture();
+        self.show(captured);
         let result = render(self);
-        self.show(&present);
+        self.show(&current);
         result
     }
 
-    fn show(&mut self, look: &Look) {
-        self.model.copy_own(&look.model);
+    fn show(&mut self, captured: &CapturedView) {
+        self.model.copy_own(&captured.model);
         let positions = self.observed.qpos_mut(&self.model);
-        positions.copy_from_slice(&look.positions);
-        for (burner, opacity) in self.burners.iter_mut().zip(&look.burner_opacities) {
+        positions.copy_from_slice(&captured.positions);
+        for (burner, opacity) in self.burners.iter_mut().zip(&captured.burner_opacities) {
             burner.observed_opacity = *opacity;
         }
         self.has_observed_poses = false;
