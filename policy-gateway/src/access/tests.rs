@@ -7,7 +7,7 @@ use super::*;
 #[path = "../../../crates/service/transport/tests/walk/mod.rs"]
 mod walk;
 
-use walk::{OPERATOR, Shown, Table, calls_of, guarded, is_call, open, walk};
+use walk::{Credentials, OPERATOR, Table, calls_of, guarded, is_call, open, walk};
 
 const TABLE: Table = (resource, None);
 
@@ -45,8 +45,11 @@ async fn no_combination_of_headers_calls_a_policy_without_a_token_of_a_worker_or
     let mut combinations = 0;
     for (security, cookie) in [(&open(), None), (&guarded, Some(cookie.as_str()))] {
         for (path, is_public) in paths() {
-            let table = |request: &Request<()>, sender, content: Option<&str>, shown| {
-                let is_allowed = matches!(shown, Shown::Token(Role::Worker | Role::Operator));
+            let table = |request: &Request<()>, sender, content: Option<&str>, credentials| {
+                let is_allowed = matches!(
+                    credentials,
+                    Credentials::Token(Role::Worker | Role::Operator)
+                );
                 is_call(request, sender, content) && (cookie.is_none() || is_public || is_allowed)
             };
             combinations += walk(&path, TABLE, security, cookie, table).await;

@@ -38,6 +38,7 @@ pub struct Explained {
 pub struct SubsetOutcome {
     /// The axes that are perturbed.
     pub set: AxisSet,
+    /// Verdict of the rollouts that are evidence.
     pub verdict: Verdict,
     /// Counts of the rollouts under the subset that are evidence.
     pub tally: Tally,
