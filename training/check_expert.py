@@ -4,7 +4,9 @@
 
 In each rollout the expert drives, with interruptions: ``pushes`` adds a push to its
 actions; a ``stranger`` stands still, wanders, or repeats the expert's actions of a
-second ago, with a gripper command of its own. The expert begins at the benchmark's
+second ago, with a gripper command of its own. A ``copy`` drives alone, and executes at every
+step what the interrupted expert would do: a student that has learnt its labels without error.
+The expert begins at the benchmark's
 released states and has twice the benchmark's steps. No frames are rendered.
 """
 
@@ -19,6 +21,7 @@ from functools import partial
 
 import numpy as np
 from gymnasium.vector import AutoresetMode
+from numpy.typing import NDArray
 
 import rollout_libero
 from training.wordings import TASK_NAMES
@@ -64,7 +67,9 @@ def rollout(name: str, state: int, arguments: argparse.Namespace) -> tuple[bool,
             wander = rng.uniform(-1.0, 1.0, 6) * WANDERING
         left -= 1
         action, expert = np.zeros(7), True
-        if interrupted and arguments.driver == "pushes":
+        if arguments.driver == "copy":
+            action, expert = expert_action(env), False
+        elif interrupted and arguments.driver == "pushes":
             action[:6] = 3.0 * wander
         elif interrupted:
             own = {LATE: late[0][:6], STILL: np.zeros(6), WANDERS: wander}[motion]
@@ -77,6 +82,15 @@ def rollout(name: str, state: int, arguments: argparse.Namespace) -> tuple[bool,
         if terminated[0] or truncated[0]:
             env.close()
             return bool(terminated[0]), steps
+
+
+def expert_action(env: rollout_libero.VectorEnvironment) -> NDArray[np.float64]:
+    """Returns the expert's next action, and leaves the environment in its state."""
+    before = env.snapshot()
+    *_, info = env.step_chunk(np.zeros((1, 1, 7)), "none", expert=np.zeros((1, 1), bool))
+    env.restore(before)
+    action: NDArray[np.float64] = info["expert_action"][0, 0]
+    return action
 
 
 def check(arguments: argparse.Namespace) -> None:
@@ -105,7 +119,9 @@ def check(arguments: argparse.Namespace) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
-    parser.add_argument("--driver", choices=["none", "pushes", "stranger"], default="stranger")
+    parser.add_argument(
+        "--driver", choices=["none", "pushes", "stranger", "copy"], default="stranger"
+    )
     parser.add_argument("--tasks", nargs="+", default=["libero"], help="prefixes of task names")
     parser.add_argument("--states", type=int, default=5, help="states per task")
     parser.add_argument("--first", type=int, default=0, help="number of the first state")

@@ -175,10 +175,14 @@ mod tests {
         assert!(actions.iter().flatten().all(|v| (-1.0..=1.0).contains(v)));
     }
 
-    /// Returns true if the bowl reaches its plate within `steps` steps. `override_action` may
-    /// replace the expert's action at each step.
-    fn succeeds(steps: u32, override_action: impl Fn(u32, Action) -> Option<Action>) -> bool {
-        let (mut scene, mut expert) = (scene(), Expert::default());
+    /// Returns true if the goal is reached within `steps` steps. `override_action` may replace the
+    /// expert's action at each step.
+    fn succeeds_in(
+        mut scene: KinematicScene,
+        steps: u32,
+        override_action: impl Fn(u32, Action) -> Option<Action>,
+    ) -> bool {
+        let mut expert = Expert::default();
         (0..steps).any(|step| {
             let action = expert.act(&scene.state).expect("an action");
             let other = override_action(step, action);
@@ -191,10 +195,38 @@ mod tests {
         })
     }
 
+    /// As [`succeeds_in`], for the bowl that goes onto its plate.
+    fn succeeds(steps: u32, override_action: impl Fn(u32, Action) -> Option<Action>) -> bool {
+        succeeds_in(scene(), steps, override_action)
+    }
+
     #[test]
     fn an_expert_interrupted_at_every_step_succeeds() {
         // An interrupted expert derives the phase of its skill from the state alone.
         assert!(succeeds(250, |_, action| Some(action)));
+    }
+
+    #[test]
+    fn an_expert_interrupted_at_every_step_puts_a_mug_into_a_covered_region() {
+        let oven = || {
+            KinematicScene::new("in", &["mug_1", "oven_1_inside"])
+                .object("mug_1", [0.0, 0.0, 0.05], [0.03, 0.03, 0.05])
+                .fixture("oven_1", [0.0, 0.4, 0.1], [0.2, 0.1, 0.1])
+                .region(
+                    "oven_1_inside",
+                    "oven_1",
+                    [0.0, 0.4, 0.1],
+                    [0.12, 0.08, 0.08],
+                )
+                .region(
+                    "oven_1_top_side",
+                    "oven_1",
+                    [0.0, 0.4, 0.2],
+                    [0.15, 0.1, 0.001],
+                )
+        };
+        assert!(succeeds_in(oven(), 400, |_, _| None), "uninterrupted");
+        assert!(succeeds_in(oven(), 400, |_, action| Some(action)));
     }
 
     #[test]

@@ -21,6 +21,8 @@ const COVERED_FLOOR_GAP_M: f64 = 0.02;
 const COVERED_RUN_M: f64 = 0.13;
 /// Gap between two objects that share a target, m.
 const NEIGHBOUR_GAP_M: f64 = 0.004;
+/// Distance from the straight path to its place within which a held object continues on it, m.
+const ON_PATH_M: f64 = 0.02;
 /// Tolerance of the object's position at its place, m.
 const AT_PLACE_M: f64 = 0.005;
 /// LIBERO's own tolerance for one object on another, m.
@@ -187,6 +189,16 @@ impl Spot {
             Entry::Through(_) => remaining.z.abs() < 2.0 * AT_PLACE_M,
         };
         is_level && remaining.horizontal_norm() < 2.0 * AT_PLACE_M
+    }
+
+    /// Returns true if the held object is on the straight path from the start of the approach to
+    /// the place, given the remaining displacement to the place.
+    pub(crate) fn is_entering(&self, to_rest: Vec3) -> bool {
+        let run = self.approach_start - self.rest;
+        let (length, out) = (run.norm(), run * run.norm().recip());
+        let remaining = -to_rest.dot(out);
+        let aside = (to_rest + out * remaining).norm();
+        remaining < length && aside < ON_PATH_M
     }
 
     /// Returns true if the held object can be released.

@@ -152,9 +152,7 @@ impl Transfer {
         } else if self.holds(world, motion)? {
             let hold = self.hold(earlier, world, object);
             let to_approach_start = Spot::hand_for(world, object, spot.approach_start) - world.grip;
-            let is_entering =
-                is_over_rest && to_approach_start.z > 0.0 && spot.way_out() == Vec3::UP;
-            match spot.can_approach(to_approach_start) || is_entering {
+            match spot.can_approach(to_approach_start) || spot.is_entering(to_rest) {
                 true => Phase::Lower(hold),
                 false => Phase::Carry(hold),
             }
