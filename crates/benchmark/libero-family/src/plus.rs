@@ -9,7 +9,7 @@ mod start;
 mod variant;
 
 pub use camera::{CameraPose, View};
-pub use inventory::{Entry, entry, inventory};
+pub use inventory::{Entry, entry, inventory, problem_class};
 pub use problem::{Assets, ProblemClass, ProblemError, Style};
 pub use prompt::Prompt;
 pub use published::{PUBLISHED, Published, SOURCE as PUBLISHED_SOURCE};
