@@ -44,6 +44,22 @@ impl Entry {
         styles.flatten().all(|style| style.is_liberos)
     }
 
+    /// Returns true if a variant's scene can be composed of LIBERO's assets and the given files,
+    /// named relative to the assets' folder. Added objects and lights are not supported.
+    pub fn is_composable(&self, is_present: impl Fn(&str) -> bool) -> bool {
+        match (self.assets(), &self.class) {
+            (Assets::Libero, _) => true,
+            (Assets::FloorTextures, Some(class)) => {
+                let mut styles = [&class.floor, &class.wall].into_iter().flatten();
+                styles.all(|style| {
+                    style.is_liberos || is_present(&format!("textures/{}", style.file))
+                })
+            }
+            (Assets::Scenes, Some(class)) => class.scene.as_deref().is_some_and(is_present),
+            (Assets::Lights | Assets::NewObjects, _) | (_, None) => false,
+        }
+    }
+
     /// Returns the dimension of robustness.
     pub fn dimension(&self) -> Dimension {
         self.variant.dimension()
