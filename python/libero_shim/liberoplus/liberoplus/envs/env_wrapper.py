@@ -4,7 +4,6 @@ the view of `agentview`, the arm's posture at resets, and the corruption of `age
 from __future__ import annotations
 
 import os
-from pathlib import Path
 from typing import Any
 
 from numpy.typing import NDArray
@@ -15,8 +14,8 @@ from libero.libero.envs._lazy import Observation
 from libero.libero.envs._simulation import draw
 from libero.libero.envs.bddl_base_domain import BDDLBaseDomain
 from libero.libero.paths import get_assets_path
-from rollout_libero import files
-from rollout_libero._native import PlusPath, PlusVariant, plus_problem_parent
+from rollout_libero._native import PlusPath, plus_problem_parent
+from rollout_libero.plus import check_assets
 
 __all__ = [
     "TASK_MAPPING",
@@ -44,7 +43,7 @@ class _Changed(_libero.ControlEnv):
     def _construct(self, bddl_file_name: str | os.PathLike[str], **arguments: Any) -> None:
         self._change = PlusPath(os.fspath(bddl_file_name))
         self.noise = self._change.noise
-        _check_assets(Path(bddl_file_name).stem)
+        check_assets(bddl_file_name, get_assets_path())
         super()._construct(self._change.file, change=self._change, **arguments)
 
     @staticmethod
@@ -116,19 +115,3 @@ class SegmentationRenderEnv(_Changed, _libero.SegmentationRenderEnv):
 
 class DemoRenderEnv(ControlEnv, _libero.DemoRenderEnv):
     """A variant with frames of its cameras, for replaying demonstrations."""
-
-
-def _check_assets(name: str) -> None:
-    """Checks that LIBERO's files, or those of the asset folder, suffice for a variant.
-
-    Raises FileNotFoundError.
-    """
-    variant = PlusVariant.find(name)
-    if variant is None:
-        return
-    lack = variant.lack(get_assets_path(), files.sources())
-    if lack is not None:
-        raise FileNotFoundError(
-            f"the variant {name} lacks {lack}: choose a variant of LIBERO's own files, or, for a "
-            "background, set ROLLOUT_ASSETS to the unpacked archive (docs/FAMILY.md)"
-        )
