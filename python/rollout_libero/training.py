@@ -183,6 +183,21 @@ class TrainingEnvironment:
         stepped = Stepped(self._observation(result), result["successes"])
         return _finished(stepped, rows, result["errors"])
 
+    def observe(
+        self, rows: Sequence[int] | None = None, render: Literal["last", "none"] = "last"
+    ) -> Observation:
+        """Returns the last observations of some rows, or of all; without frames if
+        ``render="none"``.
+
+        Raises:
+            ValueError: if a row has no rollout.
+        """
+        rows = self._rows(rows)
+        held = [self._simulation(row) for row in rows]
+        no_actions = np.empty((len(held), 0, ACTION_WIDTH))
+        shown = self._advance(held, no_actions, [None] * len(held), render)
+        return _finished(self._observation(shown), rows, shown["errors"])
+
     def frame(self, row: int, camera: str, width: int, height: int) -> NDArray[np.uint8]:
         """Returns an upright picture, in any size, of a row at its last observation."""
         return self._simulation(row).frame(camera, width, height)[::-1]

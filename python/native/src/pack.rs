@@ -5,9 +5,11 @@ use std::collections::HashMap;
 use std::path::PathBuf;
 use std::sync::{Mutex, PoisonError};
 
-use scene::{AssetPack, SceneError, Sources};
+use scene::pack::LIBERO;
+use scene::{AssetPack, SceneError, Sources, TaskFiles};
 
-type Packs = HashMap<(String, PathBuf), AssetPack>;
+/// Packs by name or path, folder of the sources, and whether further files than LIBERO's are used.
+type Packs = HashMap<(String, PathBuf, bool), AssetPack>;
 
 static PACKS: Mutex<Option<Packs>> = Mutex::new(None);
 
@@ -15,11 +17,34 @@ static PACKS: Mutex<Option<Packs>> = Mutex::new(None);
 pub(crate) fn opened(assets: &str, sources: &Sources) -> Result<AssetPack, SceneError> {
     let mut packs = PACKS.lock().unwrap_or_else(PoisonError::into_inner);
     let packs = packs.get_or_insert_default();
-    let key = (assets.to_owned(), sources.dir().to_owned());
+    let key = (assets.to_owned(), sources.dir().to_owned(), false);
     if let Some(pack) = packs.get(&key) {
         return Ok(pack.clone());
     }
     let pack = AssetPack::open(assets, sources)?;
     packs.insert(key, pack.clone());
     Ok(pack)
+}
+
+/// As [`opened`], for the scene of a task. If it needs models or textures that LIBERO does not have,
+/// the further files of a folder with LIBERO's are used as well.
+pub(crate) fn opened_for(
+    task: &TaskFiles,
+    assets: &str,
+    sources: &Sources,
+) -> Result<AssetPack, SceneError> {
+    let pack = opened(assets, sources)?;
+    let is_folder = !pack.is_managed() && pack.name() == LIBERO;
+    if !is_folder || AssetPack::files_of_tasks(std::slice::from_ref(task)).is_ok() {
+        return Ok(pack);
+    }
+    let mut packs = PACKS.lock().unwrap_or_else(PoisonError::into_inner);
+    let packs = packs.get_or_insert_default();
+    let key = (assets.to_owned(), sources.dir().to_owned(), true);
+    if let Some(pack) = packs.get(&key) {
+        return Ok(pack.clone());
+    }
+    let whole = AssetPack::open_whole(pack.dir())?;
+    packs.insert(key, whole.clone());
+    Ok(whole)
 }

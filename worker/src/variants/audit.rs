@@ -5,7 +5,7 @@ use std::fmt::Write;
 
 use assets::Table;
 use libero_ctrl::{ManifestRow, OwnTask};
-use libero_family::plus::{Assets, Entry};
+use libero_family::plus::Entry;
 use libero_family::protocol::Benchmark;
 use libero_family::{Case, Further, Lack, Lacking, SelectionError, Subject};
 use scene::catalog::category;
@@ -248,16 +248,6 @@ fn lack_in_benchmark(
 
 /// Returns the files that a LIBERO-Plus variant lacks, apart from its task files.
 fn assets_lack(entry: &Entry, pack: &AssetPack) -> Option<Lack> {
-    let assets = entry.assets();
-    let is_in_pack = |file: &str| pack.dir().join(file).is_file();
-    let is_present = match (assets, &entry.class) {
-        (Assets::Libero, _) => true,
-        (Assets::FloorTextures, Some(class)) => {
-            let mut styles = [&class.floor, &class.wall].into_iter().flatten();
-            styles.all(|style| style.is_liberos || is_in_pack(&format!("textures/{}", style.file)))
-        }
-        (Assets::Scenes, Some(class)) => class.scene.as_deref().is_some_and(is_in_pack),
-        (Assets::Lights | Assets::NewObjects, _) | (_, None) => false,
-    };
-    (!is_present).then_some(Lack::Further(Further::Assets(assets)))
+    let is_composable = entry.is_composable(|file| pack.dir().join(file).is_file());
+    (!is_composable).then(|| Lack::Further(Further::Assets(entry.assets())))
 }

@@ -61,6 +61,11 @@ pub struct RunOptions {
     /// Prints a line for each variant: the files that it needs, and whether they are present
     #[arg(long, conflicts_with = "endpoint")]
     pub list: bool,
+    /// Prints how the start of a rollout differs between the protocols of the benchmark: the hand's
+    /// pose, the picture, the prompt; for the variants of --variant, or one of each dimension or
+    /// suite
+    #[arg(long, conflicts_with_all = ["endpoint", "list", "protocol", "suite_file"])]
+    pub protocols: bool,
 }
 
 impl Choice {
@@ -172,6 +177,7 @@ mod tests {
             runnable: false,
             video: false,
             list: false,
+            protocols: false,
         };
         let protocol = |options: &RunOptions, benchmark| options.protocol_of(benchmark);
         assert_eq!(

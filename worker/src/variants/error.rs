@@ -3,9 +3,10 @@
 use std::io;
 use std::path::PathBuf;
 
-use libero_ctrl::SuiteFileError;
+use libero_ctrl::{RolloutId, SuiteFileError};
 use libero_family::SelectionError;
 use scene::SceneError;
+use sim::SimError;
 
 use crate::single::SingleError;
 
@@ -21,6 +22,15 @@ pub enum VariantsError {
     /// A rollout has no result.
     #[error(transparent)]
     Single(#[from] SingleError),
+    /// A rollout cannot be brought to its start.
+    #[error("start {id}")]
+    Start {
+        /// The rollout.
+        id: RolloutId,
+        /// Error of the simulator.
+        #[source]
+        source: SimError,
+    },
     /// The suite file is invalid.
     #[error("use {}", path.display())]
     SuiteFile {

@@ -77,6 +77,11 @@ impl Corruption {
         Some(Self { kind, severity })
     }
 
+    /// Returns the number, 1 to 50.
+    pub const fn number(self) -> u8 {
+        self.kind as u8 * SEVERITIES + self.severity as u8 + 1
+    }
+
     /// Returns the kind.
     pub const fn kind(self) -> Kind {
         self.kind
@@ -97,6 +102,28 @@ impl Corruption {
         }
     }
 
+    /// Checks that the corruption supports pictures of a size, in rows, columns and bytes.
+    ///
+    /// # Errors
+    /// If the released code cannot corrupt a picture of this size either.
+    pub fn check(self, height: usize, width: usize, bytes: usize) -> Result<(), UnsuitedPicture> {
+        let is_complete = bytes == height * width * CHANNELS && bytes > 0;
+        let is_supported = match self.kind {
+            Kind::Motion | Kind::Gaussian | Kind::Glass => true,
+            Kind::Zoom => height == width && height > 1,
+            Kind::Fog => height.max(width) <= fog::SIDE,
+        };
+        match is_complete && is_supported {
+            true => Ok(()),
+            false => Err(UnsuitedPicture {
+                kind: self.kind,
+                height,
+                width,
+                bytes,
+            }),
+        }
+    }
+
     /// Corrupts a picture, drawing random numbers from the generator.
     ///
     /// # Errors
@@ -107,21 +134,7 @@ impl Corruption {
         picture: &mut Picture<'_>,
         rng: &mut LegacyRng,
     ) -> Result<(), UnsuitedPicture> {
-        let (height, width) = (picture.height, picture.width);
-        let is_complete = picture.rgb.len() == height * width * CHANNELS && !picture.rgb.is_empty();
-        let is_supported = match self.kind {
-            Kind::Motion | Kind::Gaussian | Kind::Glass => true,
-            Kind::Zoom => height == width && height > 1,
-            Kind::Fog => height.max(width) <= fog::SIDE,
-        };
-        if !is_complete || !is_supported {
-            return Err(UnsuitedPicture {
-                kind: self.kind,
-                height,
-                width,
-                bytes: picture.rgb.len(),
-            });
-        }
+        self.check(picture.height, picture.width, picture.rgb.len())?;
         match self.kind {
             Kind::Motion => motion::blur(picture, self.severity, rng),
             Kind::Gaussian => gaussian::blur_picture(picture, self.severity),

@@ -3,7 +3,7 @@
 
 use std::borrow::Cow;
 
-use libero_family::plus::{CameraPose, ProblemClass};
+use libero_family::plus::{CameraPose, problem_class};
 
 /// Workspace of one problem class.
 #[derive(Debug, Clone, PartialEq)]
@@ -85,7 +85,7 @@ pub fn arena(problem: &str) -> Option<Arena> {
             .cloned()
     };
     libero_arena(problem).or_else(|| {
-        let class = ProblemClass::parse(problem).ok()?;
+        let class = problem_class(problem).ok()?;
         let arena = libero_arena(class.parent)?;
         Some(Arena {
             file: class.scene.map_or(arena.file, Cow::Owned),

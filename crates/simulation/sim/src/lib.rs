@@ -40,7 +40,7 @@ pub use fingerprint::fingerprint;
 pub use mujoco::{ObjectKind, Segment};
 pub use observation::{CameraRequest, Frame, Observation, ObservationRequest, RobotState};
 pub use perturb::IkSolution;
-pub use ready_scene::ReadyScene;
+pub use ready_scene::{ReadyScene, written_camera};
 pub use render::{Drawer, GlDevice, Renderer};
 pub use reset::Reset;
 pub use scene_files::{SceneFileError, SceneFolder};

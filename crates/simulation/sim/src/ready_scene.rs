@@ -70,7 +70,7 @@ impl ReadyScene {
             digest,
             camera,
             look_at,
-            written_camera: arena(&problem.name).and_then(|arena| arena.camera(PERTURBED_CAMERA)),
+            written_camera: written_camera(&problem.name),
             files,
             stamps,
         })
@@ -95,6 +95,12 @@ impl ReadyScene {
                 count: self.states.count(),
             })
     }
+}
+
+/// Returns the pose of `agentview` as written in the arena of a problem class, before `MuJoCo`
+/// normalises it; `None` if the class is unknown or its arena does not write it.
+pub fn written_camera(problem: &str) -> Option<WrittenPose> {
+    arena(problem)?.camera(PERTURBED_CAMERA)
 }
 
 fn nominal_camera(environment: &Environment) -> Result<CameraPose, SimError> {

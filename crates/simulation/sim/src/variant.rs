@@ -3,7 +3,7 @@
 
 use libero_ctrl::numpy::LegacyRng;
 use libero_family::corruption::{Corruption, Picture};
-use libero_family::plus::View;
+use libero_family::plus::{CameraPose, View};
 
 use crate::controller::{ARM_JOINTS, RESET_JOINTS};
 use crate::environment::Environment;
@@ -76,13 +76,7 @@ impl VariantStart {
                 kind: ObjectKind::Camera,
                 name: PERTURBED_CAMERA.to_owned(),
             })?;
-            let pose = view.apply(nominal);
-            let length = pose.quat.iter().map(|part| part * part).sum::<f64>().sqrt();
-            let model = environment.model_mut();
-            let camera = model.id(ObjectKind::Camera, PERTURBED_CAMERA)?;
-            model.cam_pos_mut()[camera * 3..][..3].copy_from_slice(&pose.pos);
-            let quat = pose.quat.map(|part| part / length);
-            model.cam_quat_mut()[camera * 4..][..4].copy_from_slice(&quat);
+            environment.place_camera(view.apply(nominal))?;
         }
         if self.start == Start::InitialState {
             environment.set_state(state);
@@ -95,6 +89,24 @@ impl VariantStart {
             rng,
             picture: 0,
         }))
+    }
+}
+
+impl Environment {
+    /// Moves `agentview` until the next hard reset. The orientation is normalised, as when `MuJoCo`
+    /// compiles a model.
+    ///
+    /// # Errors
+    /// If the scene has no such camera.
+    pub fn place_camera(&mut self, pose: CameraPose) -> Result<(), SimError> {
+        let length = pose.quat.iter().map(|part| part * part).sum::<f64>().sqrt();
+        let model = self.model_mut();
+        let camera = model.id(ObjectKind::Camera, PERTURBED_CAMERA)?;
+        model.cam_pos_mut()[camera * 3..][..3].copy_from_slice(&pose.pos);
+        let quat = pose.quat.map(|part| part / length);
+        model.cam_quat_mut()[camera * 4..][..4].copy_from_slice(&quat);
+        self.has_observed_poses = false;
+        Ok(())
     }
 }
 

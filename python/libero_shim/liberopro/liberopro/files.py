@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from libero.libero._family import liberos_suites, link_suite
 from rollout_libero import files
 from rollout_libero.tasks import SUITES as LIBEROS
 
@@ -27,6 +28,7 @@ _WHEEL = files.Wheel(
         for kind in ("bddl_files", "init_files")
         for suite in SUITES
     ),
+    kept="libero-pro",
 )
 
 
@@ -51,6 +53,5 @@ def _complete(unpacked: Path) -> None:
             archive.writestr("archive/data.pkl", content)
             archive.writestr("archive/version", b"3\n")
         packed.unlink()
-    for kind in ("bddl_files", "init_files"):
-        for suite in (files.sources_folder() / "libero" / kind).iterdir():
-            (unpacked / kind / suite.name).symlink_to(Path("../../libero") / kind / suite.name)
+    for suite in liberos_suites():
+        link_suite(unpacked, suite)

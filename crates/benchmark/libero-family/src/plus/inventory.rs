@@ -7,7 +7,7 @@ use std::sync::OnceLock;
 use libero_ctrl::{Suite, TaskRef};
 
 use super::camera::View;
-use super::problem::{Assets, ProblemClass};
+use super::problem::{Assets, ProblemClass, ProblemError, Style};
 use super::variant::{Change, Dimension, Variant};
 
 const FIGURES: &str = include_str!("../../data/plus.txt");
@@ -42,6 +42,22 @@ impl Entry {
             .iter()
             .flat_map(|class| [&class.floor, &class.wall]);
         styles.flatten().all(|style| style.is_liberos)
+    }
+
+    /// Returns true if a variant's scene can be composed of LIBERO's assets and the given files,
+    /// named relative to the assets' folder. Added objects and lights are not supported.
+    pub fn is_composable(&self, is_present: impl Fn(&str) -> bool) -> bool {
+        match (self.assets(), &self.class) {
+            (Assets::Libero, _) => true,
+            (Assets::FloorTextures, Some(class)) => {
+                let mut styles = [&class.floor, &class.wall].into_iter().flatten();
+                styles.all(|style| {
+                    style.is_liberos || is_present(&format!("textures/{}", style.file))
+                })
+            }
+            (Assets::Scenes, Some(class)) => class.scene.as_deref().is_some_and(is_present),
+            (Assets::Lights | Assets::NewObjects, _) | (_, None) => false,
+        }
     }
 
     /// Returns the dimension of robustness.
@@ -81,6 +97,31 @@ pub fn entry(variant: &Variant) -> Option<&'static Entry> {
         variants.zip(0..).collect()
     });
     indices.get(variant).map(|index| &inventory()[*index])
+}
+
+/// Returns the problem class of a BDDL file. Parsers of BDDL turn its name to lower case, which
+/// loses the spelling of the files that the name encodes; it is that of the benchmark's variants.
+///
+/// # Errors
+/// If neither LIBERO nor LIBERO-Plus has the class.
+pub fn problem_class(name: &str) -> Result<ProblemClass, ProblemError> {
+    static CLASSES: OnceLock<HashMap<FileNames, &'static ProblemClass>> = OnceLock::new();
+    let classes = CLASSES.get_or_init(|| {
+        let classes = inventory().iter().filter_map(|entry| entry.class.as_ref());
+        classes.map(|class| (file_names(class), class)).collect()
+    });
+    let class = ProblemClass::parse(name)?;
+    let spelled = classes.get(&file_names(&class));
+    Ok(spelled.map_or(class, |spelled| (*spelled).clone()))
+}
+
+/// LIBERO's class, and the names of scene, floor and wall, in lower case.
+type FileNames = (&'static str, [Option<String>; 3]);
+
+fn file_names(class: &ProblemClass) -> FileNames {
+    let file = |style: &Option<Style>| Some(style.as_ref()?.file.to_lowercase());
+    let scene = class.scene.as_ref().map(|scene| scene.to_lowercase());
+    (class.parent, [scene, file(&class.floor), file(&class.wall)])
 }
 
 fn suite(entry: &Entry) -> Suite {
@@ -144,4 +185,32 @@ fn class_of(task: TaskRef, kind: &str, alias: &str) -> Option<ProblemClass> {
         _ => format!("{parent}_{alias}"),
     };
     ProblemClass::parse(&name).ok()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_in_lower_case_have_the_files_of_the_benchmark() {
+        let floor = "libero_floor_manipulation_floorcarbonfiber001_col_6k";
+        let class = problem_class(floor).expect("a class");
+        let file = class.floor.map(|style| style.file);
+        assert_eq!(file.as_deref(), Some("CarbonFiber001_COL_6K.png"));
+        let mut scenes = 0;
+        for entry in inventory() {
+            let Some(class) = &entry.class else { continue };
+            if let Some(scene) = class.scene.as_deref().filter(|_| class.wall.is_none()) {
+                let stem = scene
+                    .rsplit('/')
+                    .next()
+                    .and_then(|file| file.strip_suffix(".xml"));
+                let name = format!("{}_{}", class.parent, stem.expect("a scene"));
+                let found = problem_class(&name.to_lowercase()).expect("a class");
+                assert_eq!(found.scene.as_deref(), Some(scene));
+                scenes += 1;
+            }
+        }
+        assert!(scenes > 1000, "{scenes}");
+    }
 }

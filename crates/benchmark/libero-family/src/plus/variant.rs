@@ -223,7 +223,7 @@ impl Change {
 }
 
 /// Parses a number in a name: digits without a leading zero.
-fn number(text: &str) -> Option<u16> {
+pub(super) fn number(text: &str) -> Option<u16> {
     let is_number = text.bytes().all(|byte| byte.is_ascii_digit());
     let is_canonical = is_number && (text == "0" || !text.starts_with('0'));
     is_canonical.then(|| text.parse().ok()).flatten()

@@ -54,6 +54,11 @@ class Observation(OrderedDict[str, Any]):
         for key in self:
             self[key]
 
+    def change(self, key: str, changed: Callable[[NDArray[Any]], NDArray[Any]]) -> None:
+        """Replaces a picture by `changed(picture)`, computed when it is first read."""
+        before = super().__getitem__(key)
+        self[key] = Undrawn(lambda: changed(before.array() if type(before) is Undrawn else before))
+
     def __getitem__(self, key: str) -> Any:
         value = super().__getitem__(key)
         if type(value) is Undrawn:

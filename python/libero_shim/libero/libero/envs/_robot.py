@@ -41,8 +41,9 @@ class Controller:
 
     use_delta: bool
 
-    def __init__(self, held: Held, use_delta: bool) -> None:
+    def __init__(self, held: Held, use_delta: bool, posture: F64) -> None:
         vars(self)["_held"] = held
+        vars(self)["_posture"] = posture
         self.use_delta = use_delta
 
     @property
@@ -88,7 +89,7 @@ class Controller:
     @property
     def initial_joint(self) -> F64:
         """The posture [7], rad, towards which the controller moves the redundant joint."""
-        return np.array(_HOME)
+        return self._posture.copy()
 
     @property
     def control_limits(self) -> tuple[F64, F64]:
@@ -114,10 +115,14 @@ class Robot:
     action_dim = _DIMENSIONS + 1
     has_gripper = True
 
-    def __init__(self, name: str, held: Held, sim: MjSim, use_delta: bool) -> None:
+    def __init__(
+        self, name: str, held: Held, sim: MjSim, use_delta: bool, posture: F64 | None = None
+    ) -> None:
+        """`posture` has the arm's joint positions [7] at resets, rad, if they are not LIBERO's."""
         self.name = name
         self.sim = sim
-        self.controller = Controller(held, use_delta)
+        self._posture = np.array(_HOME) if posture is None else posture
+        self.controller = Controller(held, use_delta, self._posture)
         joints = [f"robot0_joint{i}" for i in range(1, 8)]
         fingers = [f"gripper0_finger_joint{i}" for i in (1, 2)]
         self.robot_joints = joints
@@ -131,8 +136,8 @@ class Robot:
 
     @property
     def init_qpos(self) -> F64:
-        """The arm's joint positions [7] at home, rad."""
-        return np.array(_HOME)
+        """The arm's joint positions [7] at resets, rad."""
+        return self._posture.copy()
 
     @property
     def base_pos(self) -> F64:

@@ -4,18 +4,44 @@ from __future__ import annotations
 
 import os
 import threading
+from collections.abc import Callable
+from typing import TYPE_CHECKING, TypeVar
 
 import numpy as np
 
 from libero.libero.paths import get_assets_path
 from rollout_libero import ClosedError
-from rollout_libero._native import Scene, Simulation
+from rollout_libero._native import PlusPath, Scene, Simulation
 from rollout_libero.scenes import scene
 
-__all__ = ["ClosedError", "Held"]
+if TYPE_CHECKING:
+    from rollout_libero._native import LegacyState
 
-#: Lock on NumPy's global generator during a reset.
+__all__ = ["ClosedError", "Held", "draw"]
+
+#: Lock on NumPy's global generator while its numbers are drawn.
 _drawing = threading.Lock()
+
+_Result = TypeVar("_Result")
+
+
+def draw(numbers: Callable[[LegacyState], tuple[LegacyState, _Result]]) -> _Result:
+    """Draws from NumPy's global generator: calls `numbers` with its state, and sets the state that
+    it returns.
+
+    Raises RuntimeError if it is not LIBERO's generator.
+    """
+    with _drawing:
+        state = np.random.get_state()
+        if isinstance(state, dict):  # the state of a generator other than MT19937
+            raise RuntimeError(  # noqa: TRY004
+                f"NumPy's global generator is {state['bit_generator']}: LIBERO draws from "
+                "MT19937; set it back with "
+                "numpy.random.set_bit_generator(numpy.random.MT19937())"
+            )
+        state, result = numbers(state)
+        np.random.set_state(state)
+    return result
 
 
 class Held:
@@ -25,9 +51,9 @@ class Held:
     Raises FileNotFoundError if assets are missing; the message has the remedy.
     """
 
-    def __init__(self, bddl_file: str) -> None:
+    def __init__(self, bddl_file: str, change: PlusPath | None = None) -> None:
         self._simulation: Simulation | None = Simulation(
-            scene(os.path.realpath(bddl_file), get_assets_path())
+            scene(os.path.realpath(bddl_file), get_assets_path()), change=change
         )
 
     @property
@@ -57,14 +83,4 @@ class Held:
         Returns the number afterwards, which is higher if placements were repeated for lack of room.
         """
         simulation = self.get()
-        with _drawing:
-            state = np.random.get_state()
-            if isinstance(state, dict):  # the state of a generator other than MT19937
-                raise RuntimeError(  # noqa: TRY004
-                    f"NumPy's global generator is {state['bit_generator']}: LIBERO draws from "
-                    "MT19937; set it back with "
-                    "numpy.random.set_bit_generator(numpy.random.MT19937())"
-                )
-            state, model_loads = simulation.reset(state, model_loads, hard=hard)
-            np.random.set_state(state)
-        return model_loads
+        return draw(lambda state: simulation.reset(state, model_loads, hard=hard))

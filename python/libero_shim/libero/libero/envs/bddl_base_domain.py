@@ -17,6 +17,7 @@ from libero.libero.envs._settings import Settings, existing_file
 from libero.libero.envs._sim import MjSim
 from libero.libero.envs._simulation import Held
 from libero.libero.envs._unused import unused_cameras
+from rollout_libero._native import PlusPath
 
 F64 = NDArray[np.float64]
 
@@ -41,9 +42,11 @@ class BDDLBaseDomain:
         self,
         bddl_file_name: str | os.PathLike[str],
         robots: Any = ("Panda",),
+        change: PlusPath | None = None,
         **arguments: Any,
     ) -> None:
-        """Takes robosuite's arguments. Some permit a single value; see `Settings.check`.
+        """Takes robosuite's arguments. Some permit a single value; see `Settings.check`. `change`
+        has the posture and the view of a variant of LIBERO-Plus.
 
         Draws placements from NumPy's global generator, as the original does.
         The first observation is that of `reset`.
@@ -71,7 +74,8 @@ class BDDLBaseDomain:
         self.camera_heights = [camera.height for camera in settings.cameras]
         self.camera_widths = [camera.width for camera in settings.cameras]
 
-        self._held = Held(self.bddl_file_name)
+        self._change = change
+        self._held = Held(self.bddl_file_name, change)
         self.sim = MjSim(self._held)
         for name in self.camera_names:
             self.sim.model.camera_name2id(name)
@@ -89,8 +93,9 @@ class BDDLBaseDomain:
             for each in self.model.mujoco_objects
         }
         self.obj_of_interest: list[str] = self.parsed_problem["obj_of_interest"]
-        unused = unused_cameras(self.sim.model.camera_names)
-        self._observer = Observer(self._held, settings.cameras, self.model, unused)
+        #: Cameras whose frames are black.
+        self.unused_cameras = unused_cameras(self.sim.model.camera_names)
+        self._observer = Observer(self._held, settings.cameras, self.model, self.unused_cameras)
         #: Control steps since the reset; `done` is True once they reach the horizon.
         self.timestep = 0
         self.done = False
@@ -252,7 +257,8 @@ class BDDLBaseDomain:
     def _start_over(self, *, hard: bool) -> None:
         self._model_loads = self._held.start_over(self._model_loads, hard=hard)
         self._observer.expire()
-        self.robots = [Robot(self._arm, self._held, self.sim, self._settings.use_delta)]
+        posture = None if self._change is None else self._change.posture
+        self.robots = [Robot(self._arm, self._held, self.sim, self._settings.use_delta, posture)]
         self.timestep = 0
         self.cur_time = 0.0
         self.done = False

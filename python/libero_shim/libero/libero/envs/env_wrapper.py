@@ -99,14 +99,20 @@ class ControlEnv:
         self.problem_name = info["problem_name"]
         self.domain_name = info["domain_name"]
         self.language_instruction = info["language_instruction"]
-        if self.problem_name not in TASK_MAPPING:
+        problem = self._problem_class(self.problem_name)
+        if problem is None:
             raise ValueError(
                 f"{file} is of the problem `{self.problem_name}`: known are "
                 f"{', '.join(TASK_MAPPING)}"
             )
-        self._env: BDDLBaseDomain | None = TASK_MAPPING[self.problem_name](
+        self._env: BDDLBaseDomain | None = problem(
             file, controller_configs=controller_config(controller), **arguments
         )
+
+    @staticmethod
+    def _problem_class(name: str) -> type[BDDLBaseDomain] | None:
+        """Returns the class that simulates a problem; None if there is none."""
+        return TASK_MAPPING.get(name)
 
     @property
     def env(self) -> BDDLBaseDomain:

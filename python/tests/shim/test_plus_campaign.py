@@ -1,0 +1,116 @@
+"""LIBERO-Plus' package against the program `worker`: the states, frames and prompts of its rollouts
+of the student, one variant of each dimension that LIBERO's assets suffice for."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from PIL import Image
+
+pytest.importorskip("liberoplus", reason="rollout-libero-shim is not installed")
+
+from liberoplus.liberoplus import benchmark
+from liberoplus.liberoplus.envs import OffScreenRenderEnv
+
+BOWL = "put_the_bowl_on_the_plate"
+VARIANTS = {
+    f"{BOWL}_view_0_0_181_0_0_initstate_0": "libero_goal",
+    f"{BOWL}_view_0_0_100_0_0_initstate_409": "libero_goal",
+    f"{BOWL}_view_0_0_100_0_0_initstate_0_noise_39": "libero_goal",
+    f"{BOWL}_view_0_0_100_0_0_initstate_0_noise_9": "libero_goal",
+    f"{BOWL}_language_1_view_0_0_100_0_0_initstate_0": "libero_goal",
+    f"{BOWL}_moved_level1_sample1": "libero_goal",
+    "pick_up_the_alphabet_soup_and_place_it_in_the_basket_tb_18": "libero_object",
+}
+#: The protocol `plus-official`.
+SEED, WAITS = 0, 10
+#: Control steps between two queries of the student.
+EXECUTED = 8
+NOTHING = [0.0] * 6 + [-1.0]
+
+
+@pytest.fixture(scope="module")
+def programs() -> Path:
+    folder = os.environ.get("ROLLOUT_PROGRAMS")
+    if not folder:
+        pytest.skip("ROLLOUT_PROGRAMS names no folder with worker and policy-gateway")
+    return Path(folder)
+
+
+@pytest.fixture(scope="module")
+def endpoint(programs: Path) -> Iterator[str]:
+    """Address of a server of `builtin:student`."""
+    command = [programs / "policy-gateway", "--listen", "127.0.0.1:0"]
+    with subprocess.Popen(
+        [*command, "--route", "student=builtin:student"], stdout=subprocess.PIPE, text=True
+    ) as gateway:
+        assert gateway.stdout is not None
+        yield f"http://{gateway.stdout.readline().split()[-1]}"
+        gateway.terminate()
+
+
+@pytest.fixture(scope="module")
+def rollouts(
+    programs: Path,
+    endpoint: str,
+    real_assets: Path,
+    tmp_path_factory: pytest.TempPathFactory,
+) -> Path:
+    """Folder with the worker's rollouts."""
+
+    def worker(*arguments: Any) -> subprocess.CompletedProcess[str]:
+        command = list(map(str, (programs / "worker", *arguments)))
+        return subprocess.run(command, capture_output=True, text=True, check=False)
+
+    fetched = worker("assets", "fetch", "--suite", "libero-plus")
+    if fetched.returncode:
+        pytest.skip(f"LIBERO-Plus' task files cannot be fetched: {fetched.stderr}")
+    output = tmp_path_factory.mktemp("plus")
+    ran = worker(
+        "variants", "--variant", ",".join(VARIANTS), "--endpoint", endpoint, "--output", output
+    )
+    assert ran.returncode == 0, ran.stderr
+    return output
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_a_rollout_equals_the_workers(name: str, rollouts: Path) -> None:
+    lines = (rollouts / "results.jsonl").read_text().splitlines()
+    result = next(line for line in map(json.loads, lines) if line["variant"] == name)
+    trace = np.load(rollouts / name / "trace.npz")
+    files = (rollouts / name).glob("frames/query-*-agentview.png")
+    drawn = {EXECUTED * int(file.name.split("-")[1]): file for file in files}
+    assert len(drawn) == 2 and 0 in drawn, "the first and the last query have frames"
+    suite = benchmark.get_benchmark(VARIANTS[name])()
+    i = suite.get_task_names().index(name)
+    assert suite.get_task(i).language == result["prompt"]
+    height, width, _ = np.asarray(Image.open(drawn[0])).shape
+    env = OffScreenRenderEnv(
+        bddl_file_name=suite.get_task_bddl_file_path(i), camera_heights=height, camera_widths=width
+    )
+    env.seed(SEED)
+    env.reset()
+    env.set_init_state(suite.get_task_init_states(i)[0])
+    for _ in range(WAITS):
+        seen, *_ = env.step(NOTHING)
+    for step, action in enumerate([*trace["actions"], None]):
+        np.testing.assert_array_equal(env.sim.data.qpos, trace["qpos"][step], err_msg=f"{step}")
+        if step in drawn:
+            file = drawn.pop(step)
+            for camera in ("agentview", "robot0_eye_in_hand"):
+                picture = Image.open(file.with_name(file.name.replace("agentview", camera)))
+                np.testing.assert_array_equal(
+                    seen[f"{camera}_image"][::-1], np.asarray(picture), err_msg=f"{camera} {step}"
+                )
+        if action is not None:
+            seen, _, success, _ = env.step(action)
+            assert success == trace["success"][step + 1]
+    assert not drawn and success == result["success"]
+    env.close()
