@@ -126,20 +126,24 @@ impl Drop for Process {
 /// A coordinator and a gateway, with an operator's commands.
 pub struct Campaigns {
     pub coordinator: Process,
-    /// The gateway, with routes `expert`, `noop` and `student`, which was trained on the
-    /// built-in boxes.
+    /// The gateway, with routes `expert`, `noop` and `student`: of boxes, unless another was given.
     pub gateway: Process,
 }
 
 impl Campaigns {
     /// Starts both programs, with the coordinator's data in a folder.
     pub fn start(data: &Path) -> Self {
+        Self::with_student(data, "builtin:student-boxes")
+    }
+
+    /// As [`Self::start`], with another policy as `student`.
+    pub fn with_student(data: &Path, backend: &str) -> Self {
         let mut gateway = Command::new(program("policy-gateway"));
         gateway.args(["--listen", "127.0.0.1:0"]);
-        let boxes = "student=builtin:student-boxes";
-        for route in ["expert=builtin:expert", "noop=builtin:noop", boxes] {
+        for route in ["expert=builtin:expert", "noop=builtin:noop"] {
             gateway.args(["--route", route]);
         }
+        gateway.args(["--route", &format!("student={backend}")]);
         Self {
             coordinator: serve(data, "127.0.0.1:0"),
             gateway: Process::serve(&mut gateway),

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use anyhow::anyhow;
 use clap::{Arg, ArgAction, ArgMatches, Args, Command, FromArgMatches, value_parser};
 use libero_ctrl::{Measure, StopRule};
-use report::{Comparison, Document, Subject};
+use report::{Comparison, Document, FamilyComparison, Subject};
 
 use super::command::{CommandError, Connection, print_line, usage};
 
@@ -104,6 +104,21 @@ pub(super) async fn compare(arguments: CompareArguments) -> Result<(), CommandEr
             Source::Campaign(name) => arguments.connection.client()?.report(name).await?,
             Source::Folder(path) => report::import(path).map_err(usage)?,
         });
+    }
+    if let [a, b] = subjects.as_slice()
+        && let Some(comparison) = FamilyComparison::of(a, b).map_err(anyhow::Error::from)?
+    {
+        if arguments.sequential || arguments.stop.is_some() {
+            return Err(usage(anyhow!(
+                "follow the difference: campaigns of LIBERO's family run in no drawn order; omit \
+                 --sequential and --stop"
+            )));
+        }
+        let text = match arguments.json {
+            true => comparison.json().map_err(anyhow::Error::from)?,
+            false => comparison.text(),
+        };
+        return Ok(print_line(text.trim_end())?);
     }
     let document = Document::new(subjects).map_err(anyhow::Error::from)?;
     let [a, b] = document.analyses.as_slice() else {

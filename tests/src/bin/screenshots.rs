@@ -43,15 +43,15 @@ struct Picture {
 fn main() -> Result<()> {
     let arguments = Arguments::parse();
     let folder = tempfile::tempdir().context("make a temporary folder")?;
-    let campaigns = Campaigns::start(&folder.path().join("data"));
+    let campaigns = Campaigns::with_student(&folder.path().join("data"), "builtin:student");
     let endpoint = campaigns.gateway.url.clone();
     #[rustfmt::skip]
     campaigns.succeed(&[
-        "campaign", "create", "--name", FILMED, "--policy", "expert", "--endpoint", &endpoint,
-        "--tasks", "libero_object/0", "--axes", "metric", "--levels", "L3", "--configs", "0-1",
+        "campaign", "create", "--name", FILMED, "--policy", "student", "--endpoint", &endpoint,
+        "--tasks", "libero_object/4", "--axes", "all", "--levels", "L2", "--configs", "1",
         "--nominal", "eval", "--record", "all",
     ]);
-    let worker = Process::worker(&campaigns.coordinator.url, 2, "primitives");
+    let worker = Process::worker(&campaigns.coordinator.url, 2, "libero");
     campaigns.wait_for_commits(FILMED, None);
     drop(worker);
     #[rustfmt::skip]
@@ -88,7 +88,7 @@ fn pictures() -> Vec<Picture> {
         is_dark: false,
     };
     let campaign = format!("/campaigns/{REPEATED}");
-    let configuration = format!("/campaigns/{FILMED}/configurations/object/t0/combination/L3/c00");
+    let configuration = format!("/campaigns/{FILMED}/configurations/object/t4/combination/L2/c01");
     let picture = |name, path: &str, from, screen| Picture {
         name,
         path: path.to_owned(),

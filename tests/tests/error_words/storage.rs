@@ -20,8 +20,8 @@ use queue::{
     RowProblem, RowsError, StoreError, WorkerProblem,
 };
 use report::{
-    BadLine, BudgetTooSmall, DocumentError, FamilyError, ImportError, NoCommonOrder,
-    NoInteractions, TableError, Unpairable,
+    BadLine, BudgetTooSmall, DocumentError, FamilyComparisonError, FamilyError, ImportError,
+    NoCommonOrder, NoInteractions, TableError, Unpairable,
 };
 use transport::{AccessError, EndpointError, Found, SecurityError, ServerKind, Settings, Trouble};
 
@@ -331,6 +331,15 @@ fn reports(messages: &mut Messages) {
             campaign: text(),
             source: "plus".parse::<Protocol>().expect_err("no protocol"),
         },
+    );
+    variants!(messages, FamilyComparisonError,
+        FamilyComparisonError::Family(_) => FamilyComparisonError::Family(FamilyError::Rollout {
+            campaign: text(),
+            source: SelectionError::Nothing,
+        }),
+        FamilyComparisonError::Unpairable(_) => FamilyComparisonError::Unpairable(Unpairable {
+            a: text(), b: text(), reasons: vec![text()],
+        }),
     );
     variants!(messages, DocumentError,
         DocumentError::Duplicate { .. } => DocumentError::Duplicate {

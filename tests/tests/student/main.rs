@@ -1,5 +1,5 @@
-//! The student under all six axes, through real processes: every outcome, step count and first
-//! frame equals `golden.jsonl` on every machine.
+//! The student under all six axes on LIBERO's own assets, through real processes: every outcome,
+//! step count and first frame equals `golden.jsonl` on every machine.
 
 use std::fmt::Write;
 use std::path::Path;
@@ -18,14 +18,14 @@ const TASKS: &str = "libero_spatial/2,libero_goal/8";
 #[test]
 fn a_campaign_of_all_axes_has_the_golden_results() {
     let data = tempfile::tempdir().unwrap();
-    let campaigns = Campaigns::start(data.path());
+    let campaigns = Campaigns::with_student(data.path(), "builtin:student");
     let endpoint = &campaigns.gateway.url;
     #[rustfmt::skip]
     campaigns.succeed(&[
         "campaign", "create", "--name", NAME, "--policy", "student", "--endpoint", endpoint,
         "--tasks", TASKS, "--axes", "all", "--levels", "L2", "--configs", "0", "--nominal", "eval",
     ]);
-    let _worker = Process::worker(&campaigns.coordinator.url, 2, "primitives");
+    let _worker = Process::worker(&campaigns.coordinator.url, 2, "libero");
     campaigns.wait_for_commits(NAME, None);
 
     let found = results(data.path());

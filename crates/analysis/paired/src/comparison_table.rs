@@ -44,17 +44,21 @@ fn heads() -> (String, Vec<String>) {
 fn rows(comparison: &Comparison) -> Vec<(String, Vec<String>)> {
     let has_replicates = comparison.cells.iter().any(|cell| cell.replicate > 0);
     let mut rows = vec![heads()];
-    let mut above: Option<&ComparedCell> = None;
+    let mut replicate = None;
+    let mut heading = None;
     for cell in &comparison.cells {
-        let is_new = above.is_none_or(|above| above.replicate != cell.replicate);
-        if is_new && has_replicates {
-            rows.push((format!("replicate {}", cell.replicate), Vec::new()));
+        if replicate.replace(cell.replicate) != Some(cell.replicate) {
+            // Nominal rollouts have a level, too, but no heading.
+            heading = None;
+            if has_replicates {
+                rows.push((format!("replicate {}", cell.replicate), Vec::new()));
+            }
         }
         let label = cell.condition.label();
         let label = match cell.condition {
             Condition::Clean => label.to_owned(),
             _ => {
-                if is_new || above.is_some_and(|above| above.level != cell.level) {
+                if heading.replace(cell.level) != Some(cell.level) {
                     rows.push((cell.level.to_string(), Vec::new()));
                 }
                 format!(" {label}")
@@ -62,7 +66,6 @@ fn rows(comparison: &Comparison) -> Vec<(String, Vec<String>)> {
         };
         let values = cell.difference.as_ref().map_or_else(empty_values, values);
         rows.push((label, values));
-        above = Some(cell);
     }
     rows
 }

@@ -56,7 +56,7 @@ pub struct Unpairable {
 }
 
 /// Properties of the measurement that both policies must share.
-const SHARED: [(&str, Property); 3] = [
+pub(crate) const SHARED: [(&str, Property); 3] = [
     ("asset pack", pack),
     ("MuJoCo version", mujoco),
     ("renderer", renderer),
@@ -76,8 +76,8 @@ impl Comparison {
         for (subject, side) in subjects.into_iter().zip(&sides) {
             if let Some(protocol) = &subject.protocol {
                 reasons.push(format!(
-                    "`{}` is a campaign of LIBERO's family, under {protocol}: read its losses \
-                     against the unperturbed rollouts in the report of the campaign",
+                    "`{}` is a campaign of LIBERO's family, under {protocol}: compare it with \
+                     another campaign of the same benchmark by `coordinator compare`",
                     side.label
                 ));
             }
@@ -253,7 +253,7 @@ fn unknown(subject: &Subject, side: &Side) -> Option<String> {
 }
 
 /// Describes a property in which the subjects are known to differ.
-fn different(
+pub(crate) fn different(
     (name, property): &(&str, Property),
     subjects: [&Subject; 2],
     sides: &[Side; 2],

@@ -137,11 +137,11 @@ pub enum FamilyError {
 }
 
 /// A rollout with an outcome.
-struct Counted {
-    case: Case,
-    success: bool,
+pub(crate) struct Counted {
+    pub(crate) case: Case,
+    pub(crate) success: bool,
     /// Success of the unperturbed rollout from the same state, if it has an outcome.
-    unperturbed_success: Option<bool>,
+    pub(crate) unperturbed_success: Option<bool>,
 }
 
 /// Sums over the rollouts of a task.
@@ -189,7 +189,7 @@ impl Sums {
 }
 
 impl Line {
-    fn new<'a>(name: &str, counted: impl Iterator<Item = &'a Counted>) -> Self {
+    pub(crate) fn new<'a>(name: &str, counted: impl Iterator<Item = &'a Counted>) -> Self {
         let mut by_task: BTreeMap<TaskRef, Sums> = BTreeMap::new();
         for rollout in counted {
             by_task.entry(rollout.case.task).or_default().add(rollout);
@@ -487,7 +487,7 @@ fn published(protocol: &Protocol) -> Vec<PublishedRow> {
 }
 
 /// Returns the group of a variant, and its place in the benchmark's order.
-fn group(case: &Case) -> (usize, String) {
+pub(crate) fn group(case: &Case) -> (usize, String) {
     let place = match case.subject {
         CaseSubject::Unperturbed | CaseSubject::Own(_) => None,
         CaseSubject::Plus(entry) => Dimension::ALL
@@ -505,11 +505,11 @@ fn difficulty_name(difficulty: u8) -> String {
     }
 }
 
-fn number(value: Option<f64>) -> String {
+pub(crate) fn number(value: Option<f64>) -> String {
     value.map_or_else(|| "-".to_owned(), |value| format!("{value:.1}"))
 }
 
-fn interval(interval: Option<Interval>, why: Option<NoInterval>) -> String {
+pub(crate) fn interval(interval: Option<Interval>, why: Option<NoInterval>) -> String {
     match (interval, why) {
         (Some([low, high]), _) => format!("{low:.1} to {high:.1}"),
         (None, Some(why)) => why.to_string(),

@@ -396,3 +396,14 @@ fn differing_directions_or_placebos_give_a_warning() {
     assert!(text.contains("placebo levels have different radii (`first`: 0.02, `second`: 0.05)"));
     assert_eq!(mixed.statistics.directions, Directions::Shared);
 }
+
+#[test]
+fn the_placebo_level_has_a_heading_below_the_nominal_row() {
+    let example = |name: &str| {
+        let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../../examples");
+        import(&examples.join(name)).expect("the example data")
+    };
+    let compared = compare(example("student_randomised"), example("student"));
+    let text = compared.expect("comparable").text();
+    assert!(text.contains("\nL0\n camera "), "{text}");
+}

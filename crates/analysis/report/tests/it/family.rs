@@ -5,7 +5,7 @@ use libero_family::plus::Dimension;
 use libero_family::protocol::Protocol;
 use libero_family::{Case, PlusFilters, Selection};
 use paired::{NoInterval, Outcome, Record};
-use report::{Document, DocumentError, Family, Origin, Subject, page};
+use report::{Document, DocumentError, Family, FamilyComparison, Origin, Subject, page};
 
 use crate::subjects::{document, example};
 
@@ -168,4 +168,69 @@ fn the_family_is_never_pooled_with_other_rollouts() {
     };
     let error = Document::new(vec![unknown]).expect_err("no such protocol");
     assert!(matches!(error, DocumentError::Family(_)), "{error}");
+}
+
+/// A variant is paired with itself under another protocol.
+#[test]
+fn two_protocols_are_compared_variant_by_variant() {
+    let official = subject(vec![Suite::Goal], by_dimension);
+    // Under the other protocol, robot variants of tasks of odd number fail.
+    let other = Subject {
+        protocol: Some("plus-rlinf".to_owned()),
+        ..subject(vec![Suite::Goal], |case| match by_dimension(case) {
+            Outcome::Success if case.group().is_some() => {
+                Outcome::from(case.task.index().is_multiple_of(2))
+            }
+            same => same,
+        })
+    };
+    let compared = FamilyComparison::of(&official, &other).expect("comparable");
+    let compared = compared.expect("of LIBERO's family");
+    let [robot, noise] = compared.groups.as_slice() else {
+        panic!("{:?}", compared.groups);
+    };
+    assert_eq!(
+        (robot.name.as_str(), noise.name.as_str()),
+        ("robot", "noise")
+    );
+    assert_eq!((robot.pairs, robot.a_successes), (409, 409));
+    assert_eq!(robot.only_a, robot.pairs - robot.b_successes);
+    assert!(robot.only_a > 0 && robot.only_b == 0, "{robot:?}");
+    let difference = 100.0 * robot.only_a as f64 / 409.0;
+    assert!((robot.difference.expect("pairs") - difference).abs() < 1e-9);
+    let [low, high] = robot.interval.expect("ten tasks");
+    assert!(low < difference && difference < high, "{low} to {high}");
+    assert_eq!((noise.pairs, noise.only_a, noise.only_b), (379, 0, 0));
+    assert_eq!(compared.unperturbed.pairs, 10);
+    assert_eq!(compared.unpaired, [0, 0]);
+    let text = compared.text();
+    assert!(
+        text.contains("under plus-official") && text.contains("under plus-rlinf"),
+        "{text}"
+    );
+    assert!(text.lines().all(|line| line.len() <= 80), "{text}");
+}
+
+#[test]
+fn campaigns_without_a_common_rollout_or_benchmark_are_not_compared() {
+    let goal = subject(vec![Suite::Goal], by_dimension);
+    let spatial = subject(vec![Suite::Spatial], by_dimension);
+    let error = FamilyComparison::of(&goal, &spatial).expect_err("other tasks");
+    assert!(
+        error.to_string().contains("no rollout in common"),
+        "{error}"
+    );
+    let pro = Subject {
+        protocol: Some("pro-official".to_owned()),
+        ..subject(vec![Suite::Goal], by_dimension)
+    };
+    let error = FamilyComparison::of(&goal, &pro).expect_err("other benchmark");
+    assert!(
+        error.to_string().contains("run both with the same"),
+        "{error}"
+    );
+    assert_eq!(
+        FamilyComparison::of(&goal, &example()).expect("no comparison"),
+        None
+    );
 }

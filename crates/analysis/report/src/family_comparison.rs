@@ -1,0 +1,238 @@
+//! Paired comparison of two campaigns of one benchmark of LIBERO's family: two policies, or one
+//! policy under two protocols. Protocols are never pooled, but a variant can be paired with itself
+//! under another protocol.
+
+use std::collections::BTreeMap;
+use std::fmt::Write;
+
+use libero_ctrl::RolloutId;
+use libero_family::{Case, Subject as CaseSubject};
+use paired::{Interval, NoInterval, push_wrapped};
+use serde::Serialize;
+
+use crate::comparison::{SHARED, Side, Unpairable, different};
+use crate::family::{Counted, Family, FamilyError, Line, group, interval, number};
+use crate::subject::Subject;
+
+/// Comparison of two campaigns over the rollouts that have an outcome in both.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct FamilyComparison {
+    /// Campaign A; its label has the policy and the protocol.
+    pub a: Side,
+    /// Campaign B.
+    pub b: Side,
+    /// Rollouts with an outcome in A, in B, but not in the other.
+    pub unpaired: [u64; 2],
+    /// The unperturbed rollouts.
+    pub unperturbed: PairedLine,
+    /// Dimensions or suites, in the benchmark's order.
+    pub groups: Vec<PairedLine>,
+    /// All variants together.
+    pub all: PairedLine,
+}
+
+/// A row of the table.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct PairedLine {
+    /// Dimension, suite, `unperturbed` or `all`.
+    pub name: String,
+    /// Tasks of the pairs.
+    pub tasks: u64,
+    /// Rollouts with an outcome in both campaigns.
+    pub pairs: u64,
+    /// Successes of A.
+    pub a_successes: u64,
+    /// Successes of B.
+    pub b_successes: u64,
+    /// Pairs in which A succeeds and B fails.
+    pub only_a: u64,
+    /// Pairs in which B succeeds and A fails.
+    pub only_b: u64,
+    /// Success of A less that of B, percentage points.
+    pub difference: Option<f64>,
+    /// 95 % interval of `difference`, by a bootstrap over tasks.
+    pub interval: Option<Interval>,
+    /// Reason why `interval` is withheld.
+    pub no_interval: Option<NoInterval>,
+}
+
+/// Failure to compare two campaigns of LIBERO's family.
+#[derive(Debug, thiserror::Error)]
+pub enum FamilyComparisonError {
+    /// This program does not know a campaign's protocol or one of its variants.
+    #[error(transparent)]
+    Family(#[from] FamilyError),
+    /// No rollouts can be paired.
+    #[error(transparent)]
+    Unpairable(#[from] Unpairable),
+}
+
+impl FamilyComparison {
+    /// Compares two campaigns; `None` if one of them is neither of LIBERO's family nor of a suite
+    /// file.
+    ///
+    /// # Errors
+    /// If they are of different benchmarks, asset packs, MuJoCo versions or renderers, hold an
+    /// unknown variant, or have no rollout in common.
+    pub fn of(a: &Subject, b: &Subject) -> Result<Option<Self>, FamilyComparisonError> {
+        let (Some(family_a), Some(family_b)) = (Family::of(a)?, Family::of(b)?) else {
+            return Ok(None);
+        };
+        let sides = [(a, &family_a), (b, &family_b)].map(|(subject, family)| Side {
+            label: format!("{} under {}", family.policy, family.protocol),
+            policy: family.policy.clone(),
+            origin: subject.origin.clone(),
+        });
+        let shared = SHARED.iter();
+        let mut reasons: Vec<String> = shared
+            .filter_map(|property| different(property, [a, b], &sides))
+            .collect();
+        if family_a.benchmark != family_b.benchmark {
+            reasons.push(format!(
+                "their benchmarks are {} and {}: run both with the same",
+                family_a.benchmark, family_b.benchmark
+            ));
+        }
+        let (outcomes_a, outcomes_b) = (outcomes(a), outcomes(b));
+        let counted: Vec<Counted> = outcomes_a
+            .iter()
+            .filter_map(|(id, a_success)| {
+                Some(Counted {
+                    case: Case::of_id(*id).ok()?,
+                    success: *outcomes_b.get(id)?,
+                    unperturbed_success: Some(*a_success),
+                })
+            })
+            .collect();
+        if counted.is_empty() && reasons.is_empty() {
+            reasons.push(
+                "they have no rollout in common: give both the same variants, suites or trials"
+                    .to_owned(),
+            );
+        }
+        let [a, b] = sides;
+        if !reasons.is_empty() {
+            let (a, b) = (a.label, b.label);
+            return Err(Unpairable { a, b, reasons }.into());
+        }
+        let paired = counted.len();
+        let unpaired = [&outcomes_a, &outcomes_b].map(|all| (all.len() - paired) as u64);
+        let (unperturbed, variants): (Vec<Counted>, Vec<Counted>) = counted
+            .into_iter()
+            .partition(|pair| pair.case.subject == CaseSubject::Unperturbed);
+        let mut groups: BTreeMap<_, Vec<&Counted>> = BTreeMap::new();
+        for variant in &variants {
+            groups
+                .entry(group(&variant.case))
+                .or_default()
+                .push(variant);
+        }
+        Ok(Some(Self {
+            a,
+            b,
+            unpaired,
+            unperturbed: PairedLine::new(Line::new("unperturbed", unperturbed.iter())),
+            groups: groups
+                .into_iter()
+                .map(|((_, name), pairs)| PairedLine::new(Line::new(&name, pairs.into_iter())))
+                .collect(),
+            all: PairedLine::new(Line::new("all", variants.iter())),
+        }))
+    }
+
+    /// Writes the comparison as JSON, as docs/JSON.md describes it.
+    ///
+    /// # Errors
+    /// If serde cannot write it, which is a defect.
+    pub fn json(&self) -> Result<String, serde_json::Error> {
+        serde_json::to_string_pretty(self)
+    }
+
+    /// Writes the comparison for a terminal.
+    pub fn text(&self) -> String {
+        let mut text = format!("A: {}\nB: {}\n", self.a.label, self.b.label);
+        for (name, unpaired) in ["A", "B"].into_iter().zip(self.unpaired) {
+            if unpaired > 0 {
+                let _ = writeln!(
+                    text,
+                    "{unpaired} rollouts of {name} have no outcome in the other."
+                );
+            }
+        }
+        text.push('\n');
+        let heads = [
+            "Pairs",
+            "pairs",
+            "A %",
+            "B %",
+            "only A",
+            "only B",
+            "A - B",
+            "95 % interval",
+        ];
+        let unperturbed = [&self.unperturbed]
+            .into_iter()
+            .filter(|line| line.pairs > 0);
+        let lines = unperturbed.chain(&self.groups).chain([&self.all]);
+        let rows = lines.map(PairedLine::cells);
+        for [name, pairs, a, b, only_a, only_b, difference, interval] in
+            [heads.map(str::to_owned)].into_iter().chain(rows)
+        {
+            let _ = writeln!(
+                text,
+                "{name:<22}{pairs:>6}{a:>7}{b:>7}{only_a:>8}{only_b:>8}{difference:>7}  {interval}"
+            );
+        }
+        text.push('\n');
+        for sentence in [
+            "A rollout of A is paired with that of B of the same variant and initial state. A only: \
+             pairs in which A succeeds and B fails. A - B: percentage points.",
+            "Intervals resample whole tasks.",
+        ] {
+            push_wrapped(&mut text, "", sentence);
+        }
+        text
+    }
+}
+
+impl PairedLine {
+    /// Converts a line whose `broken` are the pairs in which only A succeeds.
+    fn new(line: Line) -> Self {
+        Self {
+            a_successes: line.successes + line.broken - line.gained,
+            b_successes: line.successes,
+            name: line.name,
+            tasks: line.tasks,
+            pairs: line.pairs,
+            only_a: line.broken,
+            only_b: line.gained,
+            difference: line.loss,
+            interval: line.loss_interval,
+            no_interval: line.no_loss_interval,
+        }
+    }
+
+    fn cells(&self) -> [String; 8] {
+        let percent = |successes: u64| {
+            number((self.pairs > 0).then(|| 100.0 * successes as f64 / self.pairs as f64))
+        };
+        [
+            self.name.clone(),
+            self.pairs.to_string(),
+            percent(self.a_successes),
+            percent(self.b_successes),
+            self.only_a.to_string(),
+            self.only_b.to_string(),
+            number(self.difference),
+            interval(self.interval, self.no_interval),
+        ]
+    }
+}
+
+/// Returns the outcomes of a campaign's rollouts.
+fn outcomes(subject: &Subject) -> BTreeMap<RolloutId, bool> {
+    let records = subject.records.iter();
+    records
+        .filter_map(|record| Some((record.id, record.outcome.success()?)))
+        .collect()
+}
