@@ -5,6 +5,7 @@
 
 mod fleet;
 mod schedule;
+mod system;
 mod wire;
 
 pub use fleet::{Fleet, LEASE, Plan, SlotKind};

@@ -7,11 +7,11 @@ use std::process::Command;
 
 use serde_json::Value;
 
-/// Output of `cargo metadata` for the workspace.
-fn metadata(arguments: &[&str]) -> Value {
+/// Output of a cargo command on the workspace.
+fn cargo(arguments: &[&str]) -> Vec<u8> {
     let output = Command::new(std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into()))
-        .args(["metadata", "--format-version", "1", "--offline"])
         .args(arguments)
+        .arg("--offline")
         .current_dir(concat!(env!("CARGO_MANIFEST_DIR"), "/.."))
         .output()
         .unwrap();
@@ -20,7 +20,49 @@ fn metadata(arguments: &[&str]) -> Value {
         "{}",
         String::from_utf8_lossy(&output.stderr)
     );
-    serde_json::from_slice(&output.stdout).unwrap()
+    output.stdout
+}
+
+/// Output of `cargo metadata` for the workspace.
+fn metadata(arguments: &[&str]) -> Value {
+    let metadata = [&["metadata", "--format-version", "1"], arguments].concat();
+    serde_json::from_slice(&cargo(&metadata)).unwrap()
+}
+
+/// Dependencies with their features, as the packages that `packages` selects need them.
+fn features(packages: &[&str], edges: &str) -> BTreeSet<String> {
+    let tree = [
+        "tree",
+        "--prefix",
+        "none",
+        "--no-dedupe",
+        "--format",
+        "{p} {f}",
+        "--edges",
+        edges,
+    ];
+    let text = String::from_utf8(cargo(&[&tree, packages].concat())).unwrap();
+    text.lines().map(str::to_owned).collect()
+}
+
+/// Where features differ, a clean checkout compiles the dependency twice, with all that depends on
+/// it: for xtask, for the programs, for the Python extension, or for the tests.
+#[test]
+fn one_build_of_each_dependency_serves_programs_and_tests() {
+    let tests = features(&["--workspace"], "normal,build,dev");
+    for packages in [
+        &["--workspace", "--exclude", "xtask"][..],
+        &["--package", "xtask"],
+        &["--package", "python"],
+    ] {
+        let others = features(packages, "normal,build");
+        let twice: Vec<_> = others.difference(&tests).collect();
+        assert!(
+            twice.is_empty(),
+            "{packages:?} have other features than the tests: {twice:?}; add those of the tests to \
+             the package `workspace-hack`"
+        );
+    }
 }
 
 /// Tools around the programs. They may use every crate, and no crate may use them.

@@ -278,7 +278,12 @@ fn on_every_screen_nothing_is_cut_off_or_too_small_and_figures_use_the_width() {
                 is_dark,
             };
             browser.set_screen(screen);
-            browser.go(&format!("{}{path}", campaigns.coordinator.url));
+            // Style sheets alone adapt the page to its width, except for pictures that a script
+            // scrolls to their middle once.
+            if width == WIDTHS[0] || name == "explained-configuration" {
+                browser.go(&format!("{}{path}", campaigns.coordinator.url));
+            }
+            browser.wait_for(&format!("innerWidth === {width}"));
             let place = format!("{name} at {width} px");
             let scroll_width = browser.value("document.documentElement.scrollWidth");
             if scroll_width.as_u64() > Some(u64::from(width)) {

@@ -11,7 +11,20 @@ pub(crate) fn cargo(root: &Path) -> Command {
     let program = std::env::var_os("CARGO").unwrap_or_else(|| "cargo".into());
     let mut cargo = Command::new(program);
     cargo.current_dir(root);
+    remove_own_package(&mut cargo);
     cargo
+}
+
+/// Removes the variables with which `cargo run` describes this program's package. ring's build
+/// script reads them: it would run again, and everything that uses ring would be compiled again,
+/// whenever a build follows one that was started otherwise.
+pub(crate) fn remove_own_package(command: &mut Command) {
+    for (name, _) in std::env::vars_os() {
+        let text = name.to_string_lossy();
+        if text.starts_with("CARGO_PKG_") || text.starts_with("CARGO_MANIFEST_") {
+            command.env_remove(&name);
+        }
+    }
 }
 
 pub(crate) fn build_programs(root: &Path) -> Result<PathBuf> {

@@ -54,7 +54,7 @@ enum Command {
     Demo(demo::Options),
     /// Check format, lints, documentation and unit tests: minutes, for every save.
     Check,
-    /// Run all tests, or a suite of them by name.
+    /// Run all tests and lints, or a suite of them by name.
     Test {
         /// Suites to run, separated by commas. [default: all; with filters,
         /// `rust`]

@@ -1,14 +1,15 @@
 //! `cargo xtask test`: all tests of the workspace, of the Python packages and of the policy server
-//! in TypeScript.
+//! in TypeScript, and the lints.
 
-use std::path::Path;
-use std::process::Command;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Stdio};
 use std::time::Instant;
 
-use anyhow::Result;
+use anyhow::{Context, Result};
 use clap::ValueEnum;
 
-use crate::cargo::{build_program, build_programs, cargo};
+use crate::cargo::{build_program, build_programs, cargo, remove_own_package};
 use crate::demo;
 use crate::deploy;
 use crate::dist;
@@ -28,6 +29,8 @@ use crate::wheel;
 pub(crate) enum Suite {
     /// The tests of all crates, with cargo-nextest where it is installed.
     Rust,
+    /// The lints of all crates; with `rust`, they run beside its tests.
+    Lints,
     /// The examples of the Rust documentation.
     Examples,
     /// The software renderer with overflow checks.
@@ -44,6 +47,19 @@ pub(crate) enum Suite {
     Demo,
 }
 
+/// Tests `raster` with the checks that the profile `dev` omits. The second package selects the
+/// features of shared dependencies with which they are already compiled.
+#[rustfmt::skip]
+const OVERFLOW_CHECKS: [&str; 8] = [
+    "--config", "profile.dev.package.raster.overflow-checks=true",
+    "--config", "profile.dev.package.raster.debug-assertions=true",
+    "--package", "raster", "--package", "workspace-hack",
+];
+
+/// Suites that run beside the others, which use one core most of the time. Archive and wheels use
+/// the same build tools, which the first of them installs; Ray's processes wait.
+const LANES: [&[Suite]; 2] = [&[Suite::Archive, Suite::Wheels], &[Suite::Ray]];
+
 /// Runs the named suites, or all of them if none is named. Filters select tests of the crates;
 /// with filters and no name, only the suite `rust` runs.
 pub(crate) fn run(root: &Path, suites: &[Suite], filters: &[String]) -> Result<()> {
@@ -59,10 +75,76 @@ pub(crate) fn run(root: &Path, suites: &[Suite], filters: &[String]) -> Result<(
     if let Err(error) = setup::assets(&programs, "all") {
         println!("  none: {error:#}");
     }
-    for suite in suites {
+    let tests = Tests {
+        root,
+        cache: &cache,
+        programs: &programs,
+        filters,
+        with_lints: suites.contains(&Suite::Lints),
+    };
+    let mut later = suites.to_vec();
+    if suites.contains(&Suite::Rust) {
+        tests.run_one(Suite::Rust)?;
+        later.retain(|suite| !matches!(suite, Suite::Rust | Suite::Lints));
+    }
+    let lanes = LANES.map(|lane| take(&mut later, lane));
+    std::thread::scope(|threads| {
+        let lanes = lanes.map(|lane| threads.spawn(move || tests.run_all(&lane)));
+        let outcome = tests.run_all(&later);
+        let beside = lanes.map(|lane| lane.join().expect("the thread does not panic"));
+        beside.into_iter().fold(outcome, Result::and)
+    })
+}
+
+/// Removes those suites that are in a lane, and returns them.
+fn take(suites: &mut Vec<Suite>, lane: &[Suite]) -> Vec<Suite> {
+    suites
+        .extract_if(.., |suite| lane.contains(suite))
+        .collect()
+}
+
+/// The built programs, and all that suites need besides.
+#[derive(Clone, Copy)]
+struct Tests<'a> {
+    root: &'a Path,
+    cache: &'a Path,
+    programs: &'a Path,
+    /// Passed on to the test runner of the crates.
+    filters: &'a [String],
+    /// Runs the lints beside the tests of the crates.
+    with_lints: bool,
+}
+
+impl Tests<'_> {
+    fn run_all(&self, suites: &[Suite]) -> Result<()> {
+        suites.iter().try_for_each(|suite| self.run_one(*suite))
+    }
+
+    /// Runs a suite, and prints its outcome. Errors are printed here, because several suites may
+    /// fail beside each other.
+    fn run_one(&self, suite: Suite) -> Result<()> {
         let start = Instant::now();
+        let outcome = self.suite(suite);
+        let name = suite.to_possible_value();
+        let name = name.as_ref().map_or("", |name| name.get_name());
+        let seconds = start.elapsed().as_secs();
+        match &outcome {
+            Ok(()) => println!("Suite {name}: passed in {seconds} s"),
+            Err(error) => println!("Suite {name}: failed after {seconds} s: {error:#}"),
+        }
+        outcome
+    }
+
+    fn suite(&self, suite: Suite) -> Result<()> {
+        let Self {
+            root,
+            cache,
+            programs,
+            ..
+        } = *self;
         match suite {
-            Suite::Rust => rust(root, &cache, &programs, filters)?,
+            Suite::Rust => self.crates()?,
+            Suite::Lints => run_command(&mut lints(root))?,
             // With `--package`, cargo would choose other features for shared dependencies and
             // compile them again.
             Suite::Examples => {
@@ -71,93 +153,155 @@ pub(crate) fn run(root: &Path, suites: &[Suite], filters: &[String]) -> Result<(
             }
             Suite::Overflow => {
                 println!("Testing the software renderer with overflow checks");
-                let arguments = ["--quiet", "--profile", "checked", "--package", "raster"];
-                run_command(cargo(root).arg("test").args(arguments))?;
+                run_command(cargo(root).args(["test", "--quiet"]).args(OVERFLOW_CHECKS))?;
             }
-            Suite::Policies => policies(root, &cache, &programs)?,
+            Suite::Policies => policies(root, cache, programs)?,
             Suite::Archive => {
                 println!("Testing the release archive, with the programs just built");
-                dist::test(root, &cache, &programs, deploy::schemas(&cache).as_deref())?;
+                dist::test(root, cache, programs, deploy::schemas(cache).as_deref())?;
             }
             Suite::Wheels => {
                 println!("Testing the Python packages as wheels");
-                wheel::test(root, &cache, &programs)?;
+                wheel::test(root, cache, programs)?;
             }
             Suite::Ray => {
                 println!("Testing the launcher on Ray");
-                ray::test(root, &cache, &programs)?;
+                ray::test(root, cache, programs)?;
             }
             Suite::Demo => {
                 println!("Testing the demo, with fewer rollouts");
-                demo::check(root, &programs)?;
+                demo::check(root, programs)?;
             }
         }
-        let name = suite.to_possible_value();
-        let name = name.as_ref().map_or("", |name| name.get_name());
-        println!("Suite {name}: passed in {} s", start.elapsed().as_secs());
+        Ok(())
     }
-    Ok(())
+
+    /// Runs the tests of all crates, after installing their optional requirements. Lints run beside
+    /// them, because many tests wait for single processes.
+    fn crates(&self) -> Result<()> {
+        let Self {
+            root,
+            cache,
+            programs,
+            filters,
+            with_lints,
+        } = *self;
+        let python = step("Python environment for policies/", || {
+            python::environment(root, cache)
+        })?;
+        let packages = python::packages(root, cache)?;
+        let typescript = typescript::build(root)?;
+        step("browser for the live page's tests", || {
+            // If there is no browser, these tests are skipped with a message.
+            let outcome = setup::browser().map(str::to_owned);
+            Ok(outcome.unwrap_or_else(|error| format!("none: {error:#}")))
+        })?;
+        step("Slurm for the tests of deploy/", || {
+            // If there is no Slurm, these tests are skipped with a message.
+            let outcome = setup::slurm().map(str::to_owned);
+            Ok(outcome.unwrap_or_else(|error| format!("none: {error:#}")))
+        })?;
+        step("built-in pack as generated", || {
+            let mut generator = Command::new("python3");
+            capture(
+                generator
+                    .arg(root.join("assets/primitives_source"))
+                    .arg("--check"),
+            )
+            .map(|_| "yes")
+        })?;
+        step("dependencies against deny.toml", || deny(root))?;
+        let schemas = deploy::schemas(cache);
+        let bucket = s3::server(cache);
+        println!("Testing");
+        let nextest = capture(cargo(root).args(["nextest", "--version"])).is_ok();
+        let mut tests = cargo(root);
+        match (nextest, with_lints) {
+            (true, true) => tests.args(["nextest", "run"]).args(built(root)?),
+            (true, false) => tests.args(["nextest", "run"]).args(ALL_TESTS),
+            (false, _) => tests.arg("test").args(ALL_TESTS),
+        };
+        tests
+            .args(filters)
+            .env("NEXTEST_TEST_THREADS", threads()?.to_string())
+            .env("ROLLOUT_PROGRAMS", programs)
+            .env("ROLLOUT_PYTHON", &python)
+            .env("ROLLOUT_PYTHON_PACKAGES", &packages);
+        if let Some(server) = typescript {
+            tests.env("ROLLOUT_TYPESCRIPT_POLICY", server);
+        }
+        if let Some(python) = &schemas {
+            tests.env("ROLLOUT_DEPLOY_PYTHON", python);
+        }
+        if let Some(server) = &bucket {
+            tests.env("ROLLOUT_S3_SERVER", server);
+        }
+        std::thread::scope(|threads| {
+            let lints = with_lints.then(|| threads.spawn(|| run_command(&mut lints(root))));
+            run_command(&mut tests)?;
+            match lints {
+                Some(lints) => lints
+                    .join()
+                    .expect("the thread of the lints does not panic"),
+                None => Ok(()),
+            }
+        })?;
+        if nextest {
+            // nextest writes its report to this path, regardless of the build folder.
+            let report = root.join("target/nextest/default/junit.xml");
+            skipped::check(&report, &root.join("../shared"))?;
+        }
+        Ok(())
+    }
 }
 
-/// Runs the tests of all crates, after installing their optional requirements.
-fn rust(root: &Path, cache: &Path, programs: &Path, filters: &[String]) -> Result<()> {
-    let python = step("Python environment for policies/", || {
-        python::environment(root, cache)
-    })?;
-    let packages = python::packages(root, cache)?;
-    let typescript = typescript::build(root)?;
-    step("browser for the live page's tests", || {
-        // If there is no browser, these tests are skipped with a message.
-        let outcome = setup::browser().map(str::to_owned);
-        Ok(outcome.unwrap_or_else(|error| format!("none: {error:#}")))
-    })?;
-    step("Slurm for the tests of deploy/", || {
-        // If there is no Slurm, these tests are skipped with a message.
-        let outcome = setup::slurm().map(str::to_owned);
-        Ok(outcome.unwrap_or_else(|error| format!("none: {error:#}")))
-    })?;
-    step("built-in pack matches its source", || {
-        let mut generator = Command::new("python3");
-        capture(
-            generator
-                .arg(root.join("assets/primitives_source"))
-                .arg("--check"),
-        )
-        .map(|_| "yes")
-    })?;
-    step("dependencies against deny.toml", || deny(root))?;
-    let schemas = deploy::schemas(cache);
-    let bucket = s3::server(cache);
-    println!("Testing");
-    let nextest = capture(cargo(root).args(["nextest", "--version"])).is_ok();
-    let mut tests = cargo(root);
-    match nextest {
-        true => tests.args(["nextest", "run"]),
-        false => tests.arg("test"),
-    };
-    // Leaves out the examples: the lints compile them, and linking them takes a minute.
-    tests
-        .args(["--workspace", "--lib", "--bins", "--tests"])
-        .args(filters)
-        .env("ROLLOUT_PROGRAMS", programs)
-        .env("ROLLOUT_PYTHON", &python)
-        .env("ROLLOUT_PYTHON_PACKAGES", &packages);
-    if let Some(server) = typescript {
-        tests.env("ROLLOUT_TYPESCRIPT_POLICY", server);
+/// Returns the number of tests at a time: one for each core, and one of the group `waiting` of
+/// .config/nextest.toml.
+fn threads() -> Result<usize> {
+    let cores = std::thread::available_parallelism().context("count the cores")?;
+    Ok(cores.get() + 1)
+}
+
+/// Selects all tests. Examples are left out: the lints compile them, and linking them takes a
+/// minute.
+const ALL_TESTS: [&str; 2] = ["--workspace", "--tests"];
+
+/// Builds the tests, and returns the arguments with which nextest runs them without cargo, whose
+/// lock the lints hold meanwhile.
+fn built(root: &Path) -> Result<Vec<PathBuf>> {
+    let folder = root.join("target/nextest");
+    fs::create_dir_all(&folder).with_context(|| format!("make {}", folder.display()))?;
+    let list = ["--list-type", "binaries-only", "--message-format", "json"];
+    let mut binaries = cargo(root);
+    binaries
+        .args(["nextest", "list"])
+        .args(ALL_TESTS)
+        .args(list);
+    let mut metadata = cargo(root);
+    metadata.args(["metadata", "--format-version", "1"]);
+    let mut arguments = Vec::new();
+    for (option, command) in [
+        ("--binaries-metadata", &mut binaries),
+        ("--cargo-metadata", &mut metadata),
+    ] {
+        let file = folder.join(format!("{}.json", option.trim_start_matches('-')));
+        let text = capture(command.stderr(Stdio::inherit()))?;
+        fs::write(&file, text).with_context(|| format!("write {}", file.display()))?;
+        arguments.extend([PathBuf::from(option), file]);
     }
-    if let Some(python) = &schemas {
-        tests.env("ROLLOUT_DEPLOY_PYTHON", python);
-    }
-    if let Some(server) = &bucket {
-        tests.env("ROLLOUT_S3_SERVER", server);
-    }
-    run_command(&mut tests)?;
-    if nextest {
-        // nextest writes its report to this path, regardless of the build folder.
-        let report = root.join("target/nextest/default/junit.xml");
-        skipped::check(&report, &root.join("../shared"))?;
-    }
-    Ok(())
+    Ok(arguments)
+}
+
+/// Returns the command of the lints, which leaves the processor to the tests.
+fn lints(root: &Path) -> Command {
+    let mut lints = Command::new("nice");
+    lints.args(["-n", "19"]).arg(cargo(root).get_program());
+    remove_own_package(&mut lints);
+    lints
+        .current_dir(root)
+        .args(["clippy", "--workspace", "--all-targets", "--quiet"]);
+    lints.args(["--", "--deny", "warnings"]);
+    lints
 }
 
 /// Lints all Python sources, and tests the policies package from its sources.

@@ -5,6 +5,7 @@ use std::process::Command;
 
 use anyhow::{Context, Result, ensure};
 
+use crate::cargo::remove_own_package;
 use crate::clients;
 use crate::process::{capture, run as run_command};
 use crate::step::step;
@@ -79,6 +80,7 @@ fn build(root: &Path, cache: &Path, profile: Profile) -> Result<Vec<PathBuf>> {
         .arg(&into)
         .env("PATH", &path)
         .env("LD_LIBRARY_PATH", cache.join("mujoco-3.3.7"));
+    remove_own_package(&mut maturin);
     // maturin patches the search path of the extension in cargo's own output file, which the next
     // build would mistake for unpatched.
     let library = root

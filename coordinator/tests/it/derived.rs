@@ -11,10 +11,10 @@ use proto::coordinator::CreateCampaignRequest;
 use proto::coordinator::commit_response::Verdict;
 use proto::coordinator::operator_service_client::OperatorServiceClient;
 use queue::{FAILPOINT_VARIABLE, Side, Step, invariants};
-use serde_json::Value;
+use serde_json::{Value, json};
 
 use crate::harness::{Worker, rollout_id};
-use crate::process::Serve;
+use crate::process::{Serve, succeed_in_json};
 
 /// Longest time that a planted campaign may take.
 pub(crate) const PATIENCE: Duration = Duration::from_secs(60);
@@ -37,10 +37,65 @@ pub(crate) async fn run_all(worker: &mut Worker, planted: Planted) {
     }
 }
 
+/// Returns the findings of the campaign that `command` derives from the campaign `first`.
+pub(crate) fn findings(serve: &Serve, command: &str, arguments: &[&str]) -> Value {
+    let derive = [command, "first", "--create", "--json"];
+    succeed_in_json(serve.command(&[&derive, arguments].concat()))
+}
+
+/// Runs all derived rollouts and returns the complete findings.
+pub(crate) async fn complete_findings(
+    serve: &Serve,
+    command: &str,
+    arguments: &[&str],
+    planted: Planted,
+) -> Value {
+    let mut worker = serve.worker("w").await;
+    let began = Instant::now();
+    loop {
+        run_all(&mut worker, planted).await;
+        let found = findings(serve, command, arguments);
+        if found["complete"] == json!(true) {
+            return found;
+        }
+        let left = &found["waiting"];
+        assert!(began.elapsed() < PATIENCE, "{left} rollouts still wait");
+        tokio::time::sleep(Duration::from_millis(50)).await;
+    }
+}
+
+/// Asserts that kills around every transaction leave the findings of an undisturbed campaign.
+/// `create` makes the campaign `first`, and `key` names it in the specification of the derived one.
+pub(crate) async fn assert_kills_change_nothing(
+    create: fn(&Serve),
+    [command, name, key]: [&str; 3],
+    planted: Planted,
+) {
+    let undisturbed = tempfile::tempdir().expect("a temporary folder");
+    let serve = Serve::start(undisturbed.path());
+    create(&serve);
+    let expected = complete_findings(&serve, command, &[], planted).await;
+    drop(serve);
+
+    let (folder, serve) = Serve::anew();
+    create(&serve);
+    let mut worker = serve.worker("first").await;
+    run_all(&mut worker, planted).await;
+    drop(serve);
+    let spec = json!({
+        "name": name, key: {"campaign": "first"},
+        "policy": {"name": "p", "endpoint": "http://127.0.0.1:50051"},
+    });
+    kill_around_every_transaction(folder.path(), &spec, planted).await;
+    let serve = Serve::start_with(folder.path(), &["--lease-secs", "3"], Stdio::null());
+    let found = complete_findings(&serve, command, &[], planted).await;
+    assert_eq!(found, expected);
+}
+
 /// Kills the coordinator of a folder around every transaction that a campaign of the specification
 /// needs, in consecutive runs, each of which continues where the previous one was killed. Every
 /// invariant holds after each.
-pub(crate) async fn kill_around_every_transaction(folder: &Path, spec: &Value, planted: Planted) {
+async fn kill_around_every_transaction(folder: &Path, spec: &Value, planted: Planted) {
     for (side, step, times) in [
         (Side::Before, Step::CreateCampaign, 1),
         (Side::Before, Step::Derive, 1),

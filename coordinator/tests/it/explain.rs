@@ -2,7 +2,6 @@
 //! is killed at any point.
 
 use std::collections::BTreeSet;
-use std::process::Stdio;
 use std::time::{Duration, Instant};
 
 use libero_ctrl::{AxisSet, RolloutId};
@@ -12,9 +11,9 @@ use proto::coordinator::{CreateCampaignRequest, GetCampaignRequest};
 use queue::invariants;
 use serde_json::{Value, json};
 
-use crate::derived::{PATIENCE, kill_around_every_transaction, run_all};
+use crate::derived::{PATIENCE, assert_kills_change_nothing, complete_findings, findings, run_all};
 use crate::json::{documented, keys};
-use crate::process::{Serve, fits_a_terminal, succeed, succeed_in_json, text};
+use crate::process::{Serve, fits_a_terminal, succeed, text};
 
 fn set(text: &str) -> AxisSet {
     text.parse().expect("a set of axes")
@@ -62,26 +61,9 @@ pub(crate) fn create_with(serve: &Serve, further: &[&str]) {
     succeed(serve.command(&[&arguments[..], further].concat()));
 }
 
-fn findings(serve: &Serve, arguments: &[&str]) -> Value {
-    succeed_in_json(
-        serve.command(&[&["explain", "first", "--create", "--json"], arguments].concat()),
-    )
-}
-
 /// Runs all derived rollouts and returns the complete findings.
 pub(crate) async fn explained(serve: &Serve, arguments: &[&str]) -> Value {
-    let mut worker = serve.worker("w").await;
-    let began = Instant::now();
-    loop {
-        run_all(&mut worker, outcome).await;
-        let found = findings(serve, arguments);
-        if found["complete"] == json!(true) {
-            return found;
-        }
-        let left = &found["waiting"];
-        assert!(began.elapsed() < PATIENCE, "{left} rollouts still wait");
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    complete_findings(serve, "explain", arguments, outcome).await
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -95,7 +77,7 @@ async fn planted_rules_are_found_again() {
         output.contains("80 rollouts without an outcome"),
         "{output}"
     );
-    assert_eq!(findings(&serve, &[])["complete"], json!(false));
+    assert_eq!(findings(&serve, "explain", &[])["complete"], json!(false));
 
     let found = explained(&serve, &[]).await;
     assert_eq!(found["transitions"], 6);
@@ -129,7 +111,7 @@ async fn planted_rules_are_found_again() {
     assert_eq!(masked, &json!([pair]));
 
     // Creating the same campaign again adds no rollout; the text has the same findings.
-    assert_eq!(findings(&serve, &[]), found);
+    assert_eq!(findings(&serve, "explain", &[]), found);
     let output = serve.command(&["explain", "first"]);
     let words = text(&output.stdout);
     for line in [
@@ -257,25 +239,8 @@ async fn an_explanation_stays_within_its_budget_and_completes_started_transition
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_kill_around_any_transaction_leaves_the_same_explanation() {
-    let undisturbed = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(undisturbed.path());
-    create(&serve);
-    let expected = explained(&serve, &[]).await;
-    drop(serve);
-
-    let (folder, serve) = Serve::anew();
-    create(&serve);
-    let mut worker = serve.worker("first").await;
-    run_all(&mut worker, outcome).await;
-    drop(serve);
-    let spec = json!({
-        "name": "first-explained", "explains": {"campaign": "first"},
-        "policy": {"name": "p", "endpoint": "http://127.0.0.1:50051"},
-    });
-    kill_around_every_transaction(folder.path(), &spec, outcome).await;
-    let serve = Serve::start_with(folder.path(), &["--lease-secs", "3"], Stdio::null());
-    let found = explained(&serve, &[]).await;
-    assert_eq!(found, expected);
+    let derived = ["explain", "first-explained", "explains"];
+    assert_kills_change_nothing(create, derived, outcome).await;
 }
 
 /// Regression: a campaign whose client disconnected during COMMIT got no rollouts.

@@ -1,18 +1,16 @@
 //! Thresholds: planted ones are found again, even if the process is killed at any point.
 
 use std::collections::BTreeSet;
-use std::process::Stdio;
-use std::time::{Duration, Instant};
 
 use libero_ctrl::{Condition, RolloutId};
 use paired::Outcome;
 use queue::invariants;
 use serde_json::{Value, json};
 
-use crate::derived::{PATIENCE, kill_around_every_transaction, run_all};
+use crate::derived::{assert_kills_change_nothing, complete_findings, findings};
 use crate::json::{documented, keys};
 use crate::page::http;
-use crate::process::{Serve, fits_a_terminal, succeed, succeed_in_json, text};
+use crate::process::{Serve, fits_a_terminal, succeed, text};
 
 /// Returns the smallest radius at which a rollout of this suite fails.
 fn failure_radius(id: &RolloutId) -> f64 {
@@ -49,26 +47,9 @@ fn create(serve: &Serve) {
     succeed(serve.command(&[&CREATE[..], &["--axes", "camera,robot"]].concat()));
 }
 
-fn found(serve: &Serve, arguments: &[&str]) -> Value {
-    succeed_in_json(
-        serve.command(&[&["thresholds", "first", "--create", "--json"], arguments].concat()),
-    )
-}
-
 /// Runs all derived rollouts and returns the complete findings.
 async fn measured(serve: &Serve, arguments: &[&str]) -> Value {
-    let mut worker = serve.worker("w").await;
-    let began = Instant::now();
-    loop {
-        run_all(&mut worker, outcome).await;
-        let found = found(serve, arguments);
-        if found["complete"] == json!(true) {
-            return found;
-        }
-        let left = &found["waiting"];
-        assert!(began.elapsed() < PATIENCE, "{left} rollouts still wait");
-        tokio::time::sleep(Duration::from_millis(50)).await;
-    }
+    complete_findings(serve, "thresholds", arguments, outcome).await
 }
 
 fn list<'a>(value: &'a Value, key: &str) -> &'a [Value] {
@@ -83,7 +64,10 @@ async fn planted_thresholds_are_found_again() {
     let output = serve.command(&["thresholds", "first", "--create"]);
     let message = text(&output.stderr);
     assert!(message.contains("rollouts without an outcome"), "{message}");
-    assert_eq!(found(&serve, &[])["complete"], json!(false));
+    assert_eq!(
+        findings(&serve, "thresholds", &[])["complete"],
+        json!(false)
+    );
 
     let found = measured(&serve, &[]).await;
     let mut printed = BTreeSet::new();
@@ -147,7 +131,7 @@ async fn planted_thresholds_are_found_again() {
     assert!(ids.contains("object/t0/camera/L1/c00"), "{ids:?}");
 
     // Creating the same campaign again adds no rollout; text and figures show the same findings.
-    assert_eq!(self::found(&serve, &[]), found);
+    assert_eq!(findings(&serve, "thresholds", &[]), found);
     let figures = folder.path().join("figures");
     let figures = figures.to_string_lossy();
     let output = serve.command(&["thresholds", "first", "--figures", &figures]);
@@ -295,23 +279,6 @@ async fn thresholds_stay_within_their_budget() {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_kill_around_any_transaction_leaves_the_same_thresholds() {
-    let undisturbed = tempfile::tempdir().expect("a temporary folder");
-    let serve = Serve::start(undisturbed.path());
-    create(&serve);
-    let expected = measured(&serve, &[]).await;
-    drop(serve);
-
-    let (folder, serve) = Serve::anew();
-    create(&serve);
-    let mut worker = serve.worker("first").await;
-    run_all(&mut worker, outcome).await;
-    drop(serve);
-    let spec = json!({
-        "name": "first-thresholds", "thresholds": {"campaign": "first"},
-        "policy": {"name": "p", "endpoint": "http://127.0.0.1:50051"},
-    });
-    kill_around_every_transaction(folder.path(), &spec, outcome).await;
-    let serve = Serve::start_with(folder.path(), &["--lease-secs", "3"], Stdio::null());
-    let found = measured(&serve, &[]).await;
-    assert_eq!(found, expected);
+    let derived = ["thresholds", "first-thresholds", "thresholds"];
+    assert_kills_change_nothing(create, derived, outcome).await;
 }

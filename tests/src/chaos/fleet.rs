@@ -10,6 +10,9 @@ use std::thread::sleep;
 use std::time::{Duration, Instant};
 
 use super::schedule::{Fault, Link, Schedule};
+use super::system::{
+    NOBODY, children, faketime, kill_all, limit_files, pause, set_modes, without_write_access,
+};
 use super::wire::Wire;
 use crate::programs::{Process, program};
 
@@ -24,8 +27,6 @@ const CAMPAIGN: &str = "chaos";
 /// Endpoint of the policy in the campaign, constant because reports contain it. Workers are
 /// given the address of the wire to the gateway instead.
 const ENDPOINT: &str = "http://gateway.invalid:7412";
-/// Id of a user without write access to the test's files.
-const NOBODY: &str = "65534";
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum SlotKind {
@@ -524,87 +525,6 @@ impl Fleet {
             .expect("a log");
         file.into()
     }
-}
-
-/// Finds Debian's libfaketime in any architecture's library folder.
-fn faketime() -> Option<PathBuf> {
-    let folders = std::fs::read_dir("/usr/lib").ok()?.flatten();
-    let mut libraries = folders.map(|folder| folder.path().join("faketime/libfaketimeMT.so.1"));
-    libraries.find(|library| library.is_file())
-}
-
-/// Returns a command prefix that runs a program without write access to a folder.
-fn without_write_access(folder: &Path) -> Option<Command> {
-    let id = Command::new("id").arg("-u").output().expect("id runs");
-    if id.stdout.trim_ascii() != b"0" {
-        set_modes(folder, 0o555, 0o444);
-        return Some(Command::new("env"));
-    }
-    // File modes do not restrict root, so the coordinator runs as another user.
-    set_modes(folder, 0o755, 0o644);
-    let mut command = Command::new("setpriv");
-    command.args(["--reuid", NOBODY, "--regid", NOBODY, "--clear-groups"]);
-    let status = command.arg("true").status();
-    if status.is_ok_and(|status| status.success()) {
-        let mut command = Command::new("setpriv");
-        command.args(["--reuid", NOBODY, "--regid", NOBODY, "--clear-groups"]);
-        return Some(command);
-    }
-    eprintln!("SKIPPED the read-only database: setpriv cannot run it as another user than root");
-    None
-}
-
-fn set_modes(folder: &Path, folder_mode: u32, file_mode: u32) {
-    let set = |path: &Path, mode| {
-        let mode = std::fs::Permissions::from_mode(mode);
-        std::fs::set_permissions(path, mode).expect("a writable file");
-    };
-    for entry in std::fs::read_dir(folder).expect("a folder").flatten() {
-        if entry.path().is_file() {
-            set(&entry.path(), file_mode);
-        }
-    }
-    set(folder, folder_mode);
-}
-
-fn pause(process: &Process, time: Duration) {
-    process.signal("-STOP");
-    sleep(time);
-    process.signal("-CONT");
-}
-
-/// Sets a process's file size limit, `soft:hard`.
-fn limit_files(process: &Process, limit: &str) {
-    let status = Command::new("prlimit")
-        .args(["--pid", &process.id().to_string()])
-        .arg(format!("--fsize={limit}"))
-        .status();
-    assert!(status.expect("prlimit runs").success());
-}
-
-/// Kills processes. Some may have exited since they were listed, so errors are ignored.
-fn kill_all(processes: &[u32]) {
-    for process in processes {
-        let _ = Command::new("kill")
-            .args(["-KILL", &process.to_string()])
-            .status();
-    }
-}
-
-fn children(pid: u32) -> Vec<u32> {
-    let Ok(threads) = std::fs::read_dir(format!("/proc/{pid}/task")) else {
-        return Vec::new();
-    };
-    let lists = threads.flatten().map(|thread| {
-        let list = std::fs::read_to_string(thread.path().join("children"));
-        list.unwrap_or_default()
-    });
-    lists
-        .flat_map(|list| {
-            let children = list.split_whitespace().map(str::parse);
-            children.flatten().collect::<Vec<u32>>()
-        })
-        .collect()
 }
 
 fn without_wall_time(line: &str) -> String {

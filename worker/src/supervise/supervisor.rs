@@ -2,6 +2,7 @@
 
 mod claiming;
 mod ending;
+mod leases;
 
 use std::collections::BTreeMap;
 use std::io;
@@ -9,17 +10,13 @@ use std::path::PathBuf;
 use std::time::Duration;
 
 use libero_ctrl::ManifestRow;
-use proto::coordinator::{
-    HeartbeatRequest, HeartbeatResponse, Progress, RegisterRequest, RegisterResponse,
-    SignOffRequest,
-};
+use proto::coordinator::{RegisterRequest, SignOffRequest};
 use rollout_types::{AttemptId, Backoff, Waits};
 use scene::FileStamps;
 use terminal::counted;
 use tokio::sync::{mpsc, watch};
 use tokio::task::{self, JoinError, JoinSet};
 use tokio::time::{Instant, Interval, MissedTickBehavior, interval};
-use tonic::Status;
 use transport::chain;
 
 use super::config::{Config, TIMING_UNTIL_REGISTERED, Timing, registration};
@@ -29,8 +26,7 @@ use super::event::{Event, ProcessEnd, ProcessKey};
 use super::link::Link;
 use super::process::SlotProcess;
 use super::slot_state::{
-    ABANDON_DEADLINE, Decision, Kill, Mode, ProcessState, START_DEADLINE, SlotState, VideoDecision,
-    Work,
+    Decision, Kill, Mode, ProcessState, START_DEADLINE, SlotState, VideoDecision, Work,
 };
 use super::upload::{Upload, Uploader, remove};
 use crate::message::{Assignment, Failure, FailureKind, RolloutEvent, SlotCommand, SlotEvent};
@@ -416,31 +412,6 @@ impl Supervisor {
         }
     }
 
-    fn register(&mut self, registration: RegisterRequest) {
-        self.registration = Some(registration.clone());
-        let (link, events) = (self.link.clone(), self.events.clone());
-        self.calls.spawn(async move {
-            let answer = link.register(registration).await;
-            let _ = events.send(Event::Registered(answer)).await;
-        });
-    }
-
-    fn registered(&mut self, answer: Result<RegisterResponse, Status>) {
-        let url = &self.config.coordinator;
-        match answer {
-            Ok(answer) => {
-                tracing::info!("registered with the coordinator at {url}");
-                self.timing = Timing::from(&answer);
-                self.is_registered = true;
-                self.log_idle_reason(answer.idle_reason);
-            }
-            Err(status) => {
-                let (url, answer) = (url.clone(), chain(&status));
-                self.stop(SuperviseError::Refused { url, answer });
-            }
-        }
-    }
-
     /// Returns campaign and session of the slot's assignment, for messages.
     fn label(&self, slot: usize) -> String {
         let Slot {
@@ -545,76 +516,6 @@ impl Supervisor {
         }
     }
 
-    /// Returns the number of videos that are being made, wait for their results, or are being
-    /// sent.
-    fn unfinished_videos(&self) -> u32 {
-        let made = self.slots.iter().filter(|slot| slot.state.has_video());
-        u32::try_from(made.count() + self.uploads.len()).unwrap_or(u32::MAX)
-    }
-
-    fn send_heartbeat(&mut self) {
-        if self.is_heartbeat_in_flight || !self.is_registered {
-            return;
-        }
-        self.is_heartbeat_in_flight = true;
-        self.has_unacknowledged_lease = false;
-        let under_way = self.slots.iter().filter_map(|slot| slot.state.progress());
-        let progress = under_way.map(|(attempt, control_steps)| Progress {
-            attempt_id: attempt.to_string(),
-            control_steps,
-        });
-        let request = HeartbeatRequest {
-            worker_id: self.config.identity.worker.to_string(),
-            progress: progress.collect(),
-            filming: self.unfinished_videos(),
-        };
-        let (link, events) = (self.link.clone(), self.events.clone());
-        let deadline = self.timing.heartbeat.max(Duration::from_secs(1));
-        self.calls.spawn(async move {
-            let answer = link.heartbeat(request, deadline).await;
-            let _ = events.send(Event::Renewed(answer)).await;
-        });
-    }
-
-    fn renewed(&mut self, answer: Result<HeartbeatResponse, Status>, now: Instant) {
-        self.is_heartbeat_in_flight = false;
-        // The link logs the failure, and the next heartbeat follows soon.
-        let Ok(answer) = answer else { return };
-        for lost in &answer.lost_attempts {
-            match lost.parse() {
-                Ok(attempt) => self.abandon(attempt, now),
-                Err(error) => tracing::warn!("invalid id of a lost attempt: {error}"),
-            }
-        }
-    }
-
-    /// Abandons an attempt whose lease is lost, if it is still being simulated.
-    fn abandon(&mut self, lost: AttemptId, now: Instant) {
-        let is_preparing = |slot: &Slot| slot.state.work == Work::Preparing { attempt: lost };
-        if let Some(slot) = self.slots.iter_mut().find(|slot| is_preparing(slot)) {
-            tracing::warn!("a lease was lost while assets were fetched for it");
-            slot.state.work = Work::Nothing;
-            slot.preparing = None;
-            return;
-        }
-        let runs = |slot: &Slot| matches!(slot.state.work, Work::Running { attempt, .. } if attempt == lost);
-        let Some(slot) = self.slots.iter().position(runs) else {
-            return;
-        };
-        tracing::warn!(
-            "the lease of {} was lost; the rollout is abandoned",
-            self.label(slot)
-        );
-        let slot = &mut self.slots[slot];
-        if let Some(process) = &slot.process {
-            process.send(SlotCommand::Abandon(lost));
-        }
-        slot.state.work = Work::Abandoning {
-            attempt: lost,
-            deadline: now + ABANDON_DEADLINE,
-        };
-    }
-
     /// Handles a task's panic. If the task attended a slot's process, the process has been killed
     /// with it. For any other task the worker gives up: a rollout waiting for that task would have
     /// its lease renewed for ever.
@@ -651,122 +552,4 @@ fn panicked(ended: Result<(), JoinError>) -> Option<Event> {
 }
 
 #[cfg(test)]
-mod tests {
-    use transport::Access;
-
-    use super::super::config::Identity;
-    use super::*;
-    use crate::child::SlotProgram;
-    use crate::ids::WorkerId;
-
-    /// Returns a supervisor with one slot, whose process waits for its parent to end, and an
-    /// unreachable coordinator.
-    fn supervisor(events: mpsc::Sender<Event>) -> Supervisor {
-        supervisor_with(1, events)
-    }
-
-    fn supervisor_with(slots: usize, events: mpsc::Sender<Event>) -> Supervisor {
-        let config = Config {
-            coordinator: "http://127.0.0.1:9".to_owned(),
-            access: Access::none(),
-            identity: Identity {
-                worker: WorkerId::new("test", 1),
-                host: "test".to_owned(),
-                machine: String::new(),
-                asset_pack: String::new(),
-                asset_pack_digest: String::new(),
-                mujoco_version: String::new(),
-            },
-            slots,
-            slot_program: SlotProgram {
-                program: "cat".into(),
-                arguments: Vec::new(),
-            },
-            provider: None,
-            lacking_tasks: Vec::new(),
-            policy_endpoint: None,
-            drain: None,
-            idle: None,
-            scratch: std::env::temp_dir(),
-            seed: 1,
-        };
-        let (drain, draining) = watch::channel(false);
-        let link = Link::new(&config.coordinator, &config.access, 1, draining);
-        let link = link.expect("a URL");
-        Supervisor::new(config, link, drain, events, Instant::now())
-    }
-
-    #[tokio::test]
-    async fn a_panic_of_a_call_ends_the_worker_with_an_error() {
-        let (events, inbox) = mpsc::channel(8);
-        let mut supervisor = supervisor(events);
-        // Without the panic's detection, the delivery would never happen and its lease would be
-        // renewed for ever.
-        supervisor.calls.spawn(async { panic!("a defect") });
-        let (_requests, shutdown) = mpsc::channel(1);
-        let serving = supervisor.serve(inbox, shutdown);
-        let ended = tokio::time::timeout(Duration::from_secs(20), serving).await;
-        let error = ended.expect("an end in time").expect_err("a fault");
-        assert!(error.to_string().contains("a defect"), "{error}");
-    }
-
-    #[tokio::test]
-    async fn a_shutdown_request_is_handled_while_slots_start() {
-        let (events, _inbox) = mpsc::channel(8);
-        let mut supervisor = supervisor_with(3 * STARTS_AT_ONCE, events);
-        let now = Instant::now();
-        assert!(
-            supervisor.carry_out_decisions(now),
-            "further processes are to be started"
-        );
-        let is_started = |slot: &&Slot| slot.process.is_some();
-        let started = |parent: &Supervisor| parent.slots.iter().filter(is_started).count();
-        assert_eq!(started(&supervisor), STARTS_AT_ONCE);
-        supervisor.handle(Event::Shutdown, now);
-        assert!(!supervisor.carry_out_decisions(now));
-        assert_eq!(started(&supervisor), STARTS_AT_ONCE, "no further process");
-    }
-
-    #[tokio::test]
-    async fn exhausted_resources_end_the_worker_at_once() {
-        let (events, _inbox) = mpsc::channel(8);
-        let mut supervisor = supervisor_with(1_000, events);
-        let now = Instant::now();
-        supervisor.slots[7].starts = 1;
-        let too_many_files = rustix::io::Errno::MFILE;
-        supervisor.start_failed(7, too_many_files.into(), now);
-        assert!(
-            !supervisor.carry_out_decisions(now),
-            "no further process may start"
-        );
-        assert_eq!(supervisor.mode, Mode::Draining);
-        let fault = supervisor.fault.expect("a fault").to_string();
-        assert!(fault.contains("slot 7"), "{fault}");
-    }
-
-    #[tokio::test]
-    async fn a_panic_of_a_slots_task_ends_its_process() {
-        let (events, mut inbox) = mpsc::channel(8);
-        let mut supervisor = supervisor(events);
-        let now = Instant::now();
-        supervisor.start_process(0, now);
-        let attempt = AttemptId::from_random([1; 16]);
-        supervisor.slots[0].state.process = ProcessState::Up;
-        supervisor.slots[0].state.work = Work::Running {
-            attempt,
-            control_steps: 0,
-            progressed_at: now,
-        };
-        let task = supervisor.processes.spawn(async { panic!("a defect") });
-        let process = supervisor.slots[0].process.as_mut().expect("started");
-        process.task = task.id();
-        let ended = supervisor.processes.join_next().await.expect("a task");
-        let event = panicked(ended).expect("an event");
-        supervisor.handle(event, now);
-        let state = &supervisor.slots[0].state;
-        assert!(matches!(state.work, Work::Delivering { attempt: id, .. } if id == attempt));
-        assert!(matches!(state.process, ProcessState::Down { .. }));
-        assert_eq!(supervisor.mode, Mode::Serving, "the worker keeps serving");
-        assert!(inbox.try_recv().is_err());
-    }
-}
+mod tests;

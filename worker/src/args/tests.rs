@@ -1,0 +1,150 @@
+#[path = "../../../crates/support/terminal/tests/helps/mod.rs"]
+mod helps;
+
+use sim::GlDevice;
+
+use super::*;
+
+fn parse(line: &str) -> Result<Arguments, clap::Error> {
+    Arguments::read("0", line.split_whitespace())
+}
+
+#[test]
+fn the_command_line_is_consistent() {
+    Arguments::command().debug_assert();
+}
+
+#[test]
+fn short_help_fits_a_screen_and_scene_options_have_their_own_section() {
+    let helps = helps::check(Arguments::parser("0"));
+    for words in ["worker", "worker rollout", "worker variants"] {
+        let help = helps.iter().find(|help| help.words == words);
+        let helps::Help { short, long, .. } = help.expect(words);
+        assert!(!short.contains("--scenes"), "{short}");
+        let section = |title: &str| long.split_once(title).expect(title).1;
+        let scenes = section("\nScenes:\n");
+        for option in ["--assets", "--sources", "--scenes", "--renderer"] {
+            assert!(scenes.contains(option), "{words}: {long}");
+        }
+        assert!(
+            section("\nConnection:\n").contains("--token-file"),
+            "{long}"
+        );
+        assert!(!scenes.contains("--token-file"), "{long}");
+    }
+}
+
+#[test]
+fn a_worker_needs_a_coordinator_and_simulates_libero() {
+    let arguments = parse("worker --connect http://h:1 --assets primitives --slots 3");
+    let arguments = arguments.expect("a valid command line");
+    let slots = |arguments: Arguments| arguments.serve.expect("serve arguments").slots;
+    let simulator = arguments.simulator.clone();
+    let three = NonZeroUsize::new(3).expect("not zero");
+    assert_eq!(slots(arguments), SlotCount::Given(three));
+    let auto = "worker --connect http://h:1 --assets primitives --slots auto";
+    assert_eq!(
+        slots(parse(auto).expect("a valid command line")),
+        SlotCount::Auto
+    );
+    assert_eq!(simulator.renderer, Renderer::default());
+    let line = "worker --assets primitives";
+    assert_eq!(parse(line).expect_err(line).exit_code(), 2);
+    let arguments = parse("worker --connect http://h:1").expect("a valid command line");
+    assert_eq!(arguments.simulator.assets, "libero");
+}
+
+#[test]
+fn one_rollout_needs_no_coordinator() {
+    let line = "worker rollout --id spatial/t0/nominal/i07 --endpoint grpc://h:1 \
+                --assets primitives --output out --renderer gl:1";
+    let arguments = parse(line).expect("a valid command line");
+    let Some(Command::Rollout(rollout)) = arguments.command else {
+        panic!("{arguments:?}")
+    };
+    assert_eq!(rollout.simulator.renderer, Renderer::Gl(GlDevice::Index(1)));
+    let error = parse(&line.replace("nominal", "clear")).expect_err("an unknown condition");
+    assert!(error.to_string().contains("camera"), "{error}");
+}
+
+#[test]
+fn a_users_task_needs_initial_states_and_an_actor() {
+    let end = "--assets primitives --output out";
+    let own = "worker rollout --bddl a.bddl --init a.pruned_init --max-steps 30";
+    let arguments = parse(&format!("{own} --actions a.npz {end}")).expect("a valid command line");
+    let Some(Command::Rollout(rollout)) = arguments.command else {
+        panic!("{arguments:?}")
+    };
+    assert_eq!((rollout.id, rollout.own_task.max_steps), (None, Some(30)));
+    for line in [
+        format!("{own} {end}"),
+        format!("{own} --actions a.npz --endpoint grpc://h:1 {end}"),
+        format!("worker rollout --bddl a.bddl --actions a.npz {end}"),
+        format!("worker rollout --actions a.npz {end}"),
+        format!("worker rollout --id goal/t0/clean/i00 --init-id 3 --actions a.npz {end}"),
+    ] {
+        assert_eq!(parse(&line).expect_err(&line).exit_code(), 2, "{line}");
+    }
+}
+
+#[test]
+fn bench_needs_no_coordinator_and_no_policy() {
+    let arguments = parse("worker bench --assets primitives").expect("a valid command line");
+    let Some(Command::Bench(bench)) = arguments.command else {
+        panic!("{arguments:?}")
+    };
+    assert_eq!((bench.slots.len(), bench.load.execute), (0, 1));
+    assert_eq!(bench.load.policy_secs, 0.0);
+    let line = "worker bench --assets primitives --slots 4,1 --secs 0.5 --renderer gl:0";
+    let arguments = parse(line).expect("a valid command line");
+    let Some(Command::Bench(bench)) = arguments.command else {
+        panic!("{arguments:?}")
+    };
+    assert_eq!((bench.slots.len(), bench.secs), (2, 0.5));
+}
+
+fn fetch(line: &str) -> Result<FetchArguments, clap::Error> {
+    match parse(line)?.command {
+        Some(Command::Assets(AssetsArguments {
+            command: AssetsCommand::Fetch(fetch),
+            ..
+        })) => Ok(*fetch),
+        other => panic!("{other:?}"),
+    }
+}
+
+#[test]
+fn assets_are_fetched_for_all_tasks_or_some_from_one_place() {
+    let arguments = fetch("worker assets fetch").expect("a valid command line");
+    assert_eq!(arguments.tasks, [TaskChoice::All]);
+    let arguments = fetch("worker assets fetch --tasks libero_goal/3,libero_10/0 --hub");
+    let arguments = arguments.expect("a valid command line");
+    assert_eq!(arguments.hub.as_deref(), Some(HUB));
+    assert_eq!(arguments.tasks.len(), 2);
+    for wrong in [
+        "--tasks libero_goal/10",
+        "--everything --tasks all",
+        "--hub --wheels DIR",
+    ] {
+        let line = format!("worker assets fetch {wrong}");
+        assert_eq!(fetch(&line).expect_err(wrong).exit_code(), 2);
+    }
+}
+
+#[test]
+fn invalid_command_lines_are_usage_errors() {
+    for line in [
+        "worker --connect http://h:1 --assets primitives --slots 0",
+        "worker --connect http://h:1 --assets primitives --slots many",
+        "worker bench --assets primitives --slots 1,0",
+        "worker bench --assets primitives --secs 0",
+        "worker bench --assets primitives --secs inf",
+        "worker bench --assets primitives --policy-secs -1",
+        "worker bench --assets primitives --task libero_object/10",
+        "worker --connect http://h:1 --assets primitives --renderer gl:gpu",
+        "worker --connect http://h:1 --assets primitives --renderer vulkan",
+        "worker --connect localhost:7411 --assets primitives",
+    ] {
+        assert_eq!(parse(line).expect_err(line).exit_code(), 2);
+    }
+}
