@@ -4,14 +4,17 @@
 use std::collections::BTreeMap;
 use std::os::unix::fs::symlink;
 use std::path::Path;
+use std::process::Command;
 
-use libero_ctrl::TaskRef;
 use libero_ctrl::presets::ENV_SEED;
+use libero_ctrl::{Benchmark, TaskRef};
+use libero_family::plus::{Dimension, Entry, inventory};
 use scene::{AssetPack, InitialStates, Sources, TaskFiles, compose};
 use serde::Deserialize;
 use sim::{Drawer, Environment, Renderer};
 use tests::fidelity::CLOSE_LEVELS;
 use tests::files::{libero, sources};
+use tests::programs::{Campaigns, program};
 
 /// A scene with other lights.
 #[derive(Deserialize)]
@@ -163,4 +166,80 @@ fn held_out_pictures_with_shadows_equal_the_originals() {
         held_out,
         "held_out_pictures_with_shadows_equal_the_originals",
     );
+}
+
+/// Runs `worker variants` and returns its output.
+fn variants(name: &str, assets: &Path, more: &[&str]) -> String {
+    let mut command = Command::new(program("worker"));
+    command.args(["variants", "--variant", name, "--assets"]);
+    let run = command.arg(assets).args(more).output().unwrap();
+    let complaint = String::from_utf8_lossy(&run.stderr);
+    assert!(run.status.success(), "{complaint}");
+    String::from_utf8(run.stdout).unwrap()
+}
+
+#[test]
+fn light_variants_run_from_a_folder_with_their_scene_files() {
+    let test = "light_variants_run_from_a_folder_with_their_scene_files";
+    let sources = sources();
+    let Some(pack) = libero(&sources, test) else {
+        return;
+    };
+    if !scene::has_task_files(Benchmark::Plus, &sources) {
+        println!("skipped {test}: no task files of LIBERO-Plus");
+        return;
+    }
+    let case = &cases()[0];
+    let is_of_task =
+        |entry: &&Entry| entry.variant.task == case.task && entry.dimension() == Dimension::Light;
+    let entry = inventory().iter().find(is_of_task).unwrap();
+    let name = entry.variant.to_string();
+    let folder = folder_with_links(pack.dir());
+    let listed = variants(&name, folder.path(), &["--list"]);
+    let lacks = "lacks scenes of LIBERO-Plus' archive (scenes/lights/), which no package index has";
+    assert!(listed.contains(lacks), "{listed}");
+
+    let scenes = folder.path().join("scenes");
+    let base = std::fs::read_to_string(scenes.join(base_scene(&case.scene))).unwrap();
+    let file = entry.class.as_ref().unwrap().scene.as_ref().unwrap();
+    assert!(file.starts_with("scenes/lights/tabletop_"), "{file}");
+    let outputs = tempfile::tempdir().unwrap();
+    let campaigns = Campaigns::start(&outputs.path().join("data"));
+    let url = campaigns.gateway.url.as_str();
+    let same_lights = Case {
+        lights: BTreeMap::new(),
+        ..cases().remove(0)
+    };
+    let [as_liberos, casting] = [&same_lights, case].map(|case| {
+        std::fs::write(folder.path().join(file), changed(&base, case)).unwrap();
+        let listed = variants(&name, folder.path(), &["--list"]);
+        assert!(listed.trim_end().ends_with("\truns"), "{listed}");
+        let output = outputs.path().join(case.lights.len().to_string());
+        let output_text = output.to_str().unwrap();
+        #[rustfmt::skip]
+        let run = ["--policy", "student", "--endpoint", url, "--output", output_text];
+        let table = variants(&name, folder.path(), &run);
+        assert!(table.contains("light"), "{table}");
+        rows(&output)
+    });
+    let (unperturbed, variant) = (0, 1);
+    assert_eq!(as_liberos.len(), 2);
+    let name_of = |row: &serde_json::Value| row["variant"].as_str().unwrap().to_owned();
+    assert!(name_of(&casting[variant]).contains(&name), "{casting:?}");
+    assert_eq!(
+        as_liberos[unperturbed]["first_frame_digest"],
+        casting[unperturbed]["first_frame_digest"]
+    );
+    // The lights move nothing, but the policy sees them.
+    for (field, is_equal) in [("init_state_digest", true), ("first_frame_digest", false)] {
+        let is_same = as_liberos[variant][field] == casting[variant][field];
+        assert_eq!(is_same, is_equal, "{field}");
+    }
+}
+
+/// Reads the results in a folder.
+fn rows(output: &Path) -> Vec<serde_json::Value> {
+    let results = std::fs::read_to_string(output.join("results.jsonl")).unwrap();
+    let rows = results.lines().map(serde_json::from_str);
+    rows.collect::<Result<_, _>>().unwrap()
 }

@@ -256,8 +256,10 @@ fn assets_lack(entry: &Entry, pack: &AssetPack) -> Option<Lack> {
             let mut styles = [&class.floor, &class.wall].into_iter().flatten();
             styles.all(|style| style.is_liberos || is_in_pack(&format!("textures/{}", style.file)))
         }
-        (Assets::Scenes, Some(class)) => class.scene.as_deref().is_some_and(is_in_pack),
-        (Assets::Lights | Assets::NewObjects, _) | (_, None) => false,
+        (Assets::Scenes | Assets::Lights, Some(class)) => {
+            class.scene.as_deref().is_some_and(is_in_pack)
+        }
+        (Assets::NewObjects, _) | (_, None) => false,
     };
     (!is_present).then_some(Lack::Further(Further::Assets(assets)))
 }
