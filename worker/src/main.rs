@@ -313,7 +313,7 @@ fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
     let (rules, cases) = choice.rollouts(options)?;
     let mut simulator = open(&arguments.simulator)?;
     let is_folder = !simulator.pack.is_managed() && simulator.pack.name() == LIBERO;
-    if choice.may_need_further_models() && is_folder {
+    if is_folder && choice.may_need_further_assets(&cases) {
         // Besides LIBERO's own files, the rollouts also use further files in the folder.
         simulator.pack = AssetPack::open_whole(simulator.pack.dir())?;
     }

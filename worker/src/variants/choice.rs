@@ -92,9 +92,10 @@ impl Choice {
         Ok(Rules::of_file(file)?)
     }
 
-    /// Returns true if rollouts may need models that LIBERO's assets do not have.
-    pub fn may_need_further_models(&self) -> bool {
-        self.suite_file.is_some() || !self.pro.is_empty()
+    /// Returns true if any of the chosen rollouts may need files that LIBERO's assets do not have.
+    pub fn may_need_further_assets(&self, cases: &[Case]) -> bool {
+        let needs = |case: &Case| case.further_assets().is_some();
+        self.suite_file.is_some() || !self.pro.is_empty() || cases.iter().any(needs)
     }
 
     /// Returns the selection of the options of LIBERO-Plus and LIBERO-PRO.

@@ -77,9 +77,6 @@ impl fmt::Display for Lack {
                 "models of LIBERO-PRO; give `worker variants` the folder of the unpacked wheels \
                  with --assets (docs/FAMILY.md)"
             ),
-            Self::Further(Further::Assets(assets @ Assets::Lights)) => {
-                write!(f, "{assets}, whose shadows are not drawn yet")
-            }
             Self::Further(Further::Assets(assets @ Assets::NewObjects)) => {
                 write!(f, "{assets}, which the catalogue does not have yet")
             }

@@ -312,7 +312,7 @@ mod tests {
     fn variants_that_no_worker_can_run_are_refused_or_left_out_with_runnable() {
         let lights = r#"{"benchmark":"libero-plus","protocol":"plus-official",
                         "dimensions":["light","camera"]}"#;
-        check_refused(lights, "whose shadows are not drawn yet: ");
+        check_refused(lights, "(scenes/lights/), which no package index has: ");
         check_refused(lights, "--runnable");
         let runnable = r#"{"benchmark":"libero-plus","protocol":"plus-official","runnable":true}"#;
         let Rollouts::Variants(variants) = spec(runnable).rollouts else {

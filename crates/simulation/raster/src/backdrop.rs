@@ -50,6 +50,11 @@ pub(crate) struct Backdrop {
 impl Backdrop {
     /// Compares a scene with the previous one.
     pub(crate) fn compare(&mut self, scene: &Scene, size: [usize; 2]) -> Start {
+        // A moving geom's shadow may fall on every geom at rest.
+        if scene.casting_lights().contains(&true) {
+            *self = Self::default();
+            return Start::Redraw;
+        }
         let count = scene.geoms.len();
         let is_same_view = self.last.as_ref().is_some_and(|(last, last_size)| {
             *last_size == size

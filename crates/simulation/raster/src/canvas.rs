@@ -1,5 +1,5 @@
-//! Drawing of a frame in the order of MuJoCo's renderer: opaque geoms and the sky, reflections, and
-//! translucent geoms.
+//! Drawing of a frame in the order of MuJoCo's renderer: opaque geoms and the sky, the light of lights
+//! that cast shadows, reflections, and translucent geoms.
 
 use std::cell::RefCell;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -8,14 +8,14 @@ use crate::backdrop::{Backdrop, Start};
 use crate::error::DrawError;
 use crate::instance::{self, View};
 use crate::lanes::{f32x4, i32x4};
-use crate::light::EyeLight;
+use crate::light::{EyeLight, Lighting};
 use crate::model::Model;
 use crate::picture::{Pass, Picture, Workspace};
-use crate::scene::{Geom, Scene, Shape};
+use crate::scene::{Geom, Scene, Shadows, Shape};
 use crate::shade::MAX_SIDE;
 use crate::visible::SAMPLES;
 use crate::window::Window;
-use crate::{glass, mirror};
+use crate::{glass, mirror, shadow};
 
 /// Drawing surface of one camera. It caches the static part of its picture between frames; all other
 /// buffers belong to the thread that draws, so that many cameras need little memory. The result
@@ -49,6 +49,8 @@ struct Scratch {
     work: Workspace,
 }
 
+/// Longest side of a shadow map, texels; the longest of OpenGL's textures.
+const MAX_SHADOW_SIDE: usize = 1 << 14;
 /// Frames that a thread keeps: those of the two cameras of an environment.
 const KEPT_FRAMES: usize = 2;
 
@@ -141,8 +143,18 @@ impl Canvas {
             model,
             largest,
             view: &view,
-            lights: &lights,
+            light: Lighting::all(&lights),
             window: Window::whole(width, height),
+        };
+        let casting = scene.casting_lights();
+        let others = lights.iter().zip(&casting).filter(|(_, casts)| !**casts);
+        let others: Vec<EyeLight> = others.map(|(light, _)| *light).collect();
+        let opaque = Pass {
+            light: Lighting {
+                lights: &others,
+                ..pass.light
+            },
+            ..pass
         };
         SCRATCH.with_borrow_mut(|scratch| {
             let mut frame = scratch.take(self.last);
@@ -157,7 +169,8 @@ impl Canvas {
                 Start::Reuse => self.backdrop.restore_all(&mut frame.picture),
                 Start::Redraw | Start::Cache => frame.picture.clear([width, height], pass.window),
             }
-            frame.draw_opaque(pass, scene, start, &mut self.backdrop, work);
+            frame.draw_opaque(opaque, scene, start, &mut self.backdrop, work);
+            shadow::add_all(&mut frame.picture, pass, scene, &casting, work);
             frame.draw_reflections_and_glass(pass, scene, reflection, work);
             let resolved = match start {
                 Start::Reuse if is_last => Window::union(before, frame.dirty),
@@ -346,6 +359,11 @@ pub(crate) fn check(
         if let Some(used) = geom.texture {
             exists("texture", used.texture, model.textures.len())?;
         }
+    }
+    if let Some(Shadows { size, .. }) = scene.shadows
+        && !(3..=MAX_SHADOW_SIDE).contains(&size)
+    {
+        return Err(DrawError::Shadows { size });
     }
     match scene.sky {
         Some(index) if index >= model.textures.len() => Err(DrawError::Missing {

@@ -33,8 +33,27 @@ pub(crate) struct Clipping {
     pub(crate) beyond: i32,
     /// The mirror plane, the last of these planes.
     pub(crate) plane: Option<[f32; 4]>,
-    /// Half the size of the picture, pixels.
-    pub(crate) half: [f32; 2],
+    pub(crate) viewport: Viewport,
+}
+
+/// Transformation from normalised coordinates, -1 to 1, to a picture.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Viewport {
+    /// Pixels per unit along x and y.
+    pub(crate) scale: [f32; 2],
+    /// Middle of the viewport, pixels.
+    pub(crate) middle: [f32; 2],
+}
+
+impl Viewport {
+    /// Returns the viewport of a whole picture.
+    pub(crate) fn whole(size: [usize; 2]) -> Self {
+        let half = size.map(|side| side as f32 * 0.5);
+        Self {
+            scale: half,
+            middle: half,
+        }
+    }
 }
 
 /// Number of values that vary over a triangle.
@@ -130,7 +149,7 @@ pub(crate) fn clip<V: Values>(
     }
     let mut finished = [ClippedCorner::default(); MAX_CORNERS];
     for (to, corner) in finished.iter_mut().zip(&polygon[..count]) {
-        *to = to_window(corner, clipping.half);
+        *to = to_window(corner, &clipping.viewport);
     }
     Polygon {
         corners: finished,
@@ -200,13 +219,14 @@ fn toward<V: Values>(from: &Corner<V>, to: &Corner<V>, share: f32) -> Corner<V> 
 
 /// Divides by w and applies the viewport transform. Mesa fuses the last operation only for corners
 /// of original triangles.
-fn to_window<V: Values>(corner: &Corner<V>, half: [f32; 2]) -> ClippedCorner<V> {
+fn to_window<V: Values>(corner: &Corner<V>, viewport: &Viewport) -> ClippedCorner<V> {
+    let Viewport { scale, middle } = viewport;
     let over_w = 1.0 / corner.pos[3];
     let place = |axis: usize| {
         let share = corner.pos[axis] * over_w;
         match corner.is_original {
-            true => share.mul_add(half[axis], half[axis]),
-            false => share * half[axis] + half[axis],
+            true => share.mul_add(scale[axis], middle[axis]),
+            false => share * scale[axis] + middle[axis],
         }
     };
     ClippedCorner {

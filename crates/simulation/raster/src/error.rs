@@ -68,6 +68,12 @@ pub enum DrawError {
         /// Number of such items in the model.
         count: usize,
     },
+    /// Shadow maps of invalid size.
+    #[error("shadow maps of {size} × {size} texels cannot be drawn: give 3 to 16384 a side")]
+    Shadows {
+        /// Side of the maps, texels.
+        size: usize,
+    },
     /// The source bytes of a texture have another length.
     #[error(
         "texture {texture} was made from {needed} bytes, and {given} are given: give the bytes \

@@ -7,7 +7,7 @@ use crate::matrix::{dot, minus};
 use crate::picture::{Pass, Picture, Workspace};
 use crate::raster;
 use crate::scene::{Geom, Scene, Shape};
-use crate::shade::{self, Fragment, Lists};
+use crate::shade::{self, Content, Fragment, Lists};
 use crate::visible::{Layer, Layers, SAMPLES, Visible};
 use crate::window::{BoundingWindow, Window};
 
@@ -208,7 +208,8 @@ fn colour(
             }
         }
     }
-    shade::compute_surfaces(pass.model, visible, instances, pass.lights, lists);
+    let content = Content::Colours(pass.light);
+    shade::compute_surfaces(pass.model, visible, instances, content, lists);
     order.sort_unstable();
     let mut painted = vec![(Fragment::default(), 0); order.len()];
     let mut positions = order.into_iter();

@@ -1,5 +1,5 @@
 //! Software renderer that reproduces the pictures of MuJoCo's renderer: triangles, lights,
-//! textures, mirrors and translucency, as MuJoCo draws them through Mesa's software OpenGL, with
+//! shadows, textures, mirrors and translucency, as MuJoCo draws them through Mesa's software OpenGL, with
 //! the same bits on every machine. Depends on neither OpenGL nor MuJoCo. A [`Model`] is prepared
 //! once; a [`Scene`] is drawn on a [`Canvas`].
 //!
@@ -12,6 +12,7 @@
 mod backdrop;
 mod candidates;
 mod canvas;
+mod cast;
 mod clip;
 mod drawing;
 mod error;
@@ -29,11 +30,13 @@ mod picture;
 mod place;
 mod positions;
 mod raster;
+mod receiver;
 mod sample;
 mod scene;
 mod segments;
 mod setup;
 mod shade;
+mod shadow;
 mod shapes;
 mod surface;
 mod texture;
@@ -45,7 +48,7 @@ pub use canvas::Canvas;
 pub use error::{DrawError, ModelError};
 pub use mesh::{Corner, Mesh, MeshBuilder};
 pub use model::Model;
-pub use scene::{Camera, Geom, Light, LightKind, Scene, Shape, TextureUse};
+pub use scene::{Camera, Geom, Light, LightKind, Scene, Shadows, Shape, TextureUse};
 pub use segments::segments;
 pub use shapes::{Quality, mesh_triangle, plane, plane_grid};
 pub use texture::{Texture, TextureKind};

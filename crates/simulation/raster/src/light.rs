@@ -4,10 +4,8 @@
 use crate::instance::{Instance, View};
 use crate::lanes::{F, Floats as _, I, Ints as _};
 use crate::matrix::{Vec3, dot};
-use crate::scene::{Light, LightKind, Scene};
+use crate::scene::{Light, LightKind, MAX_LIGHTS, Scene};
 
-/// Largest number of lights in OpenGL.
-const MAX_LIGHTS: usize = 8;
 /// Ambient light in a scene without lights.
 const AMBIENT_WITHOUT_LIGHTS: f32 = 0.3;
 /// Largest exponent of a highlight.
@@ -32,6 +30,39 @@ struct Cone {
     axis: Vec3,
     cosine: f32,
     exponent: f32,
+}
+
+/// Light of a drawing pass.
+#[derive(Debug, Clone, Copy)]
+pub(crate) struct Lighting<'a> {
+    pub(crate) lights: &'a [EyeLight],
+    /// Ambient light without a source.
+    pub(crate) everywhere: f32,
+    /// True if surfaces emit light of their own.
+    pub(crate) has_emission: bool,
+}
+
+impl<'a> Lighting<'a> {
+    /// Returns the light of a scene with these lights.
+    pub(crate) fn all(lights: &'a [EyeLight]) -> Self {
+        Self {
+            lights,
+            everywhere: match lights.is_empty() {
+                true => AMBIENT_WITHOUT_LIGHTS,
+                false => 0.0,
+            },
+            has_emission: true,
+        }
+    }
+
+    /// Returns the light that one light adds to a picture.
+    pub(crate) fn added_by(light: &'a EyeLight) -> Self {
+        Self {
+            lights: std::slice::from_ref(light),
+            everywhere: 0.0,
+            has_emission: false,
+        }
+    }
 }
 
 /// Normalises a vector with Mesa's operations; leaves the zero vector unchanged.
@@ -102,13 +133,15 @@ pub(crate) struct Shading<'a> {
 }
 
 impl<'a> Shading<'a> {
-    pub(crate) fn new(instance: &Instance, lights: &'a [EyeLight]) -> Self {
+    pub(crate) fn new(instance: &Instance, lighting: Lighting<'a>) -> Self {
+        let Lighting {
+            lights, everywhere, ..
+        } = lighting;
         let [r, g, b, _] = instance.rgba;
         let colour = [r, g, b];
-        let everywhere = if lights.is_empty() {
-            AMBIENT_WITHOUT_LIGHTS
-        } else {
-            0.0
+        let emission = match lighting.has_emission {
+            true => instance.emission,
+            false => 0.0,
         };
         let times = |light: Vec3, material: Vec3| -> Vec3 {
             std::array::from_fn(|channel| light[channel] * material[channel])
@@ -132,7 +165,7 @@ impl<'a> Shading<'a> {
         };
         Self {
             lights,
-            base: colour.map(|part| everywhere * part + instance.emission * part),
+            base: colour.map(|part| everywhere * part + emission * part),
             adds_only_ambient: std::array::from_fn(|at| {
                 lights
                     .get(at)

@@ -177,6 +177,21 @@ impl Matrix {
         std::array::from_fn(|row| m[row] * x + m[row + 4] * y + m[row + 8] * z)
     }
 
+    /// Returns the inverse of a matrix whose last row is (0, 0, 0, 1); the identity if it is
+    /// singular, as in Mesa.
+    pub(crate) fn inverse_of_affine(&self) -> Self {
+        let Some(rows) = self.inverse_of_linear_part() else {
+            return Self::IDENTITY;
+        };
+        let mut inverse = Self::rotation(&rows);
+        let [x, y, z] = [self.0[12], self.0[13], self.0[14]];
+        for row in 0..3 {
+            let [a, b, c] = [rows[3 * row], rows[3 * row + 1], rows[3 * row + 2]];
+            inverse.0[12 + row] = -(x * a + y * b + z * c);
+        }
+        inverse
+    }
+
     /// Returns the inverse of the upper left 3 × 3 part, row by row; `None` if it is singular. A
     /// matrix that Mesa considers a rotation is transposed instead.
     pub(crate) fn inverse_of_linear_part(&self) -> Option<[f32; 9]> {

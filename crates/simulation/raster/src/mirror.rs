@@ -4,7 +4,7 @@
 
 use crate::glass;
 use crate::instance::{self, View, is_behind, is_plane};
-use crate::light::EyeLight;
+use crate::light::{EyeLight, Lighting};
 use crate::model::Model;
 use crate::picture::{Pass, Picture, Workspace};
 use crate::scene::{Geom, Scene, Shape};
@@ -61,7 +61,7 @@ pub(crate) fn add(
     };
     let mirrored = Pass {
         view: &view,
-        lights: &lights,
+        light: Lighting::all(&lights),
         window: face.window,
         ..pass
     };
@@ -137,7 +137,7 @@ impl Face {
     }
 }
 
-fn saturating_sum(a: u32, b: u32) -> u32 {
+pub(crate) fn saturating_sum(a: u32, b: u32) -> u32 {
     let (a, b) = (a.to_le_bytes(), b.to_le_bytes());
     u32::from_le_bytes(std::array::from_fn(|at| a[at].saturating_add(b[at])))
 }

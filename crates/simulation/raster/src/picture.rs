@@ -2,11 +2,11 @@
 
 use crate::drawing::Drawing;
 use crate::instance::{Instance, View};
-use crate::light::EyeLight;
+use crate::light::Lighting;
 use crate::model::Model;
 use crate::positions::Positions;
 use crate::raster;
-use crate::shade::{self, Lists};
+use crate::shade::{self, Content, Lists};
 use crate::visible::{SAMPLES, Visible};
 use crate::window::{BoundingWindow, Window};
 
@@ -26,7 +26,7 @@ pub(crate) struct Pass<'a> {
     /// Per texture: its largest level.
     pub(crate) largest: &'a [&'a [u8]],
     pub(crate) view: &'a View,
-    pub(crate) lights: &'a [EyeLight],
+    pub(crate) light: Lighting<'a>,
     /// Window outside which nothing is drawn.
     pub(crate) window: Window,
 }
@@ -99,7 +99,8 @@ impl Picture {
         let (visible, lists) = (&self.visible, &mut work.lists);
         lists.clear(first, visible.records.len(), pass.model.textures.len());
         shade::list_fragments(visible, &self.instances, window, lists);
-        shade::compute_surfaces(pass.model, visible, &self.instances, pass.lights, lists);
+        let content = Content::Colours(pass.light);
+        shade::compute_surfaces(pass.model, visible, &self.instances, content, lists);
         let (stride, samples) = (visible.stride, &mut self.samples);
         shade::colour(pass.model, pass.largest, lists, |fragment, colour| {
             let pixel = &mut samples[fragment.y() * stride + fragment.x()];

@@ -26,7 +26,7 @@ pub(crate) fn transform(
 ) -> ClusterExtent {
     let half_width = F::splat(drawing.visible.width as f32 * 0.5);
     let half_height = F::splat(drawing.visible.height as f32 * 0.5);
-    let (zero, one) = (F::splat(0.0), F::splat(1.0));
+    let one = F::splat(1.0);
     let count = (cluster.positions as usize).next_multiple_of(LANES);
     let mut any = I::splat(0);
     let mut low = [I::splat(i32::MAX); 2];
@@ -40,17 +40,11 @@ pub(crate) fn transform(
         let (cx, cy, cz, cw) = (row(0), row(1), row(2), row(3));
         let mut beyond = I::splat(0);
         if !is_inside {
-            let bit = |mask: Mask, bit: i32| mask.ints() & I::splat(bit);
-            beyond = bit(cx.gt(cw), 1)
-                | bit((cx + cw).lt(zero), 2)
-                | bit(cy.gt(cw), 4)
-                | bit((cy + cw).lt(zero), 8)
-                | bit(cz.lt(zero), 16)
-                | bit(cz.gt(cw), 32);
+            beyond = sides_beyond([cx, cy, cz, cw]);
             if let Some(plane) = drawing.plane {
                 let [a, b, c, d] = plane.map(F::splat);
                 let distance = d.fused(cw, c.fused(cz, b.fused(cy, a * cx)));
-                beyond |= bit(distance.lt(zero), 64);
+                beyond |= distance.lt(F::splat(0.0)).ints() & I::splat(64);
             }
             any |= beyond;
         }
@@ -87,4 +81,18 @@ pub(crate) fn transform(
         is_beyond,
         is_outside: !is_beyond && (misses(0, drawing.window.x) || misses(1, drawing.window.y)),
     }
+}
+
+/// Returns the bits of the sides of the view frustum that eight positions in clip space lie beyond;
+/// see [`clip`](crate::clip).
+#[inline(always)]
+pub(crate) fn sides_beyond([x, y, z, w]: [F; 4]) -> I {
+    let zero = F::splat(0.0);
+    let bit = |mask: Mask, bit: i32| mask.ints() & I::splat(bit);
+    bit(x.gt(w), 1)
+        | bit((x + w).lt(zero), 2)
+        | bit(y.gt(w), 4)
+        | bit((y + w).lt(zero), 8)
+        | bit(z.lt(zero), 16)
+        | bit(z.gt(w), 32)
 }

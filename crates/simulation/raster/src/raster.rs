@@ -2,7 +2,7 @@
 //! triangles, edges, samples.
 
 use crate::candidates::Candidates;
-use crate::clip::{self, ClippedTriangle, Clipping};
+use crate::clip::{self, ClippedTriangle, Clipping, Viewport};
 use crate::drawing::Drawing;
 use crate::fill::fill;
 use crate::frustum::Frustum;
@@ -93,10 +93,7 @@ fn clip_triangles(
     drawing: &mut Drawing<'_>,
 ) {
     let instance = &drawing.instances[index];
-    let half = [
-        drawing.visible.width as f32 * 0.5,
-        drawing.visible.height as f32 * 0.5,
-    ];
+    let viewport = Viewport::whole([drawing.visible.width, drawing.visible.height]);
     let mut setup = Setup::default();
     while triangles != 0 {
         let triangle = cluster.first_triangle as usize + triangles.trailing_zeros() as usize;
@@ -105,7 +102,7 @@ fn clip_triangles(
         let clipping = Clipping {
             beyond: drawing.positions.any_beyond(ids),
             plane: drawing.plane,
-            half,
+            viewport,
         };
         let corners = ids.map(|id| mesh.position(cluster, id));
         let polygon = clip::clip(instance, corners, [(); 3], &clipping);

@@ -2,6 +2,9 @@
 //! MuJoCo's abstract scene (`mjvScene`) for one frame. Lengths are metres; orientations
 //! are row-major rotation matrices; colours are 0 to 1.
 
+/// Largest number of lights in OpenGL.
+pub(crate) const MAX_LIGHTS: usize = 8;
+
 /// Shape of a geom. Meshes, planes and textures are referred to by their index in the
 /// [`Model`](crate::Model).
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
@@ -81,7 +84,7 @@ pub enum LightKind {
     },
 }
 
-/// A light, which casts no shadow.
+/// A light.
 #[derive(Debug, Clone, Copy, PartialEq)]
 pub struct Light {
     /// Kind of the light.
@@ -96,6 +99,20 @@ pub struct Light {
     pub diffuse: [f32; 3],
     /// Specular light.
     pub specular: [f32; 3],
+    /// True if opaque geoms are lit only where no geom lies between them and the light; see
+    /// [`Scene::shadows`].
+    pub casts_shadow: bool,
+}
+
+/// Quality of shadows, which are drawn from a square depth map of each light that casts them.
+#[derive(Debug, Clone, Copy, PartialEq)]
+pub struct Shadows {
+    /// Side of the map, texels.
+    pub size: usize,
+    /// Half the side of the square that a directional light's map covers, metres.
+    pub half_width: f32,
+    /// Share of a spot light's cone that its map covers.
+    pub cone_share: f32,
 }
 
 /// A camera.
@@ -136,4 +153,17 @@ pub struct Scene {
     pub sky: Option<usize>,
     /// True if mirrors are rendered.
     pub reflections: bool,
+    /// Quality of shadows; without it, no light casts any.
+    pub shadows: Option<Shadows>,
+}
+
+impl Scene {
+    /// Returns true for each light, up to OpenGL's limit, that casts shadows.
+    pub(crate) fn casting_lights(&self) -> Vec<bool> {
+        let lights = self.lights.iter().take(MAX_LIGHTS);
+        let has_shadows = self.shadows.is_some();
+        lights
+            .map(|light| has_shadows && light.casts_shadow)
+            .collect()
+    }
 }

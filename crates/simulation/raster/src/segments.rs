@@ -5,6 +5,7 @@ use crate::canvas::check;
 use crate::error::DrawError;
 use crate::fill::FIRST_SAMPLE;
 use crate::instance::{self, View};
+use crate::light::Lighting;
 use crate::model::Model;
 use crate::picture::{Pass, Picture, Workspace};
 use crate::scene::Scene;
@@ -32,7 +33,7 @@ pub fn segments(
         model,
         largest: &[],
         view: &view,
-        lights: &[],
+        light: Lighting::all(&[]),
         window: Window::whole(width, height),
     };
     let mut picture = Picture::default();

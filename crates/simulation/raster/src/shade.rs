@@ -4,11 +4,13 @@
 use crate::clip::VARYING;
 use crate::instance::Instance;
 use crate::lanes::{F, Floats as _, I, Ints as _, LANES};
-use crate::light::{EyeLight, Shading};
+use crate::light::{Lighting, Shading};
 use crate::model::Model;
+use crate::receiver::Receiver;
 use crate::sample::{self, Place};
 use crate::surface::{
-    self, COLOUR, COORDINATES, OPACITY, OVER_W, Surface, SurfaceRequest, Vertices,
+    self, COLOUR, COORDINATES, Interpolated, OPACITY, OVER_W, PLACE, Surface, SurfaceRequest,
+    Vertices,
 };
 use crate::texture::{Texels, TextureKind};
 use crate::visible::{CLIPPED, NOTHING, Record, SAMPLES, Visible};
@@ -56,6 +58,12 @@ impl Fragment {
         (self.place >> SIDE_BITS & SIDE_MASK) as usize
     }
 
+    /// Returns the index of its surface.
+    #[inline(always)]
+    pub(crate) fn surface(&self) -> usize {
+        self.surface as usize
+    }
+
     /// Returns the bits of the covered samples.
     #[inline(always)]
     pub(crate) fn samples(&self) -> usize {
@@ -67,7 +75,9 @@ impl Fragment {
 #[derive(Debug, Default)]
 pub(crate) struct Lists {
     /// Per record from `first` on: its surface, if listed.
-    pub(crate) surfaces: Vec<Surface>,
+    surfaces: Vec<Surface>,
+    /// The same for places in a shadow map.
+    places: Vec<Surface>,
     first: usize,
     /// Per record from `first` on: list that holds its fragments, or [`NOTHING`].
     list_of: Vec<u32>,
@@ -208,31 +218,46 @@ impl Listing<'_> {
     }
 }
 
+/// Values of surfaces to compute.
+#[derive(Clone, Copy)]
+pub(crate) enum Content<'a> {
+    /// Colours in this light.
+    Colours(Lighting<'a>),
+    /// Places in a light's shadow map.
+    Places(&'a Receiver),
+}
+
 /// Computes the listed surfaces.
 #[inline(always)]
 pub(crate) fn compute_surfaces(
     model: &Model,
     visible: &Visible,
     instances: &[Instance],
-    lights: &[EyeLight],
+    content: Content<'_>,
     lists: &mut Lists,
 ) {
-    // Stale entries of an earlier frame are overwritten before they are read.
-    if lists.surfaces.len() < lists.list_of.len() {
-        lists
-            .surfaces
-            .resize(lists.list_of.len(), Surface::default());
-    }
     let size = [visible.width as f32, visible.height as f32];
     let Lists {
         surfaces,
+        places,
         first,
         list_of,
         requests,
         vertices,
         ..
     } = lists;
-    let mut shading = ShadingCache { lights, last: None };
+    let into = match content {
+        Content::Colours(_) => surfaces,
+        Content::Places(_) => places,
+    };
+    // Stale entries of an earlier frame are overwritten before they are read.
+    if into.len() < list_of.len() {
+        into.resize(list_of.len(), Surface::default());
+    }
+    let mut shading = ShadingCache {
+        content,
+        last: None,
+    };
     let records = visible.records[*first..].iter().zip(&*list_of).zip(0u32..);
     let mut needed = records
         .filter(|((_, list), _)| **list != NOTHING)
@@ -241,10 +266,10 @@ pub(crate) fn compute_surfaces(
     while let Some((record, surface)) = needed.next() {
         let instance = &instances[record.instance as usize];
         let mesh = instance.mesh.resolve(model);
-        let shading = shading.get(record.instance, instance);
+        let interpolated = shading.get(record.instance, instance);
         if record.vertices == CLIPPED {
-            surfaces[surface as usize] =
-                surface::compute_clipped(instance, mesh, shading, visible, record);
+            into[surface as usize] =
+                surface::compute_clipped(instance, mesh, interpolated, visible, record);
             continue;
         }
         requests.clear();
@@ -261,24 +286,27 @@ pub(crate) fn compute_surfaces(
             });
         }
         let cluster = (record.vertices, requests.as_slice());
-        surface::compute_cluster(instance, mesh, shading, size, cluster, vertices, surfaces);
+        surface::compute_cluster(instance, mesh, interpolated, size, cluster, vertices, into);
     }
 }
 
 /// Cached shading of the last instance.
 struct ShadingCache<'a> {
-    lights: &'a [EyeLight],
+    content: Content<'a>,
     last: Option<(u32, Option<Shading<'a>>)>,
 }
 
 impl<'a> ShadingCache<'a> {
-    /// Returns `None` if lights do not affect the instance's colour.
-    fn get(&mut self, index: u32, instance: &Instance) -> Option<&Shading<'a>> {
+    fn get(&mut self, index: u32, instance: &Instance) -> Interpolated<'_> {
+        let light = match self.content {
+            Content::Colours(light) => light,
+            Content::Places(receiver) => return Interpolated::Place(receiver),
+        };
         if self.last.as_ref().is_none_or(|(last, _)| *last != index) {
-            let shading = instance.is_lit.then(|| Shading::new(instance, self.lights));
+            let shading = instance.is_lit.then(|| Shading::new(instance, light));
             self.last = Some((index, shading));
         }
-        self.last.as_ref().and_then(|(_, shading)| shading.as_ref())
+        Interpolated::Colour(self.last.as_ref().and_then(|(_, shading)| shading.as_ref()))
     }
 }
 
@@ -304,6 +332,48 @@ pub(crate) fn colour(
             }
         }
     }
+}
+
+/// Calls `visit` with every fragment, in the order of [`colour`], and its place in the shadow map of
+/// [`Content::Places`]: column and row as shares of the side, and depth.
+#[inline(always)]
+pub(crate) fn visit_places(lists: &Lists, mut visit: impl FnMut(&Fragment, [f32; 3])) {
+    for part in lists.fragments.iter().flat_map(|list| list.chunks(LANES)) {
+        let mut eight = [part[0]; LANES];
+        eight[..part.len()].copy_from_slice(part);
+        let surfaces: [&Surface; LANES] = eight
+            .each_ref()
+            .map(|fragment| &lists.places[fragment.surface()]);
+        let planes = Planes::gather(&surfaces);
+        let (x, y) = pixels(&eight);
+        let (px, py) = (centre(x), centre(y));
+        let one = F::splat(1.0);
+        let w = one / planes[OVER_W].at(px, py);
+        let along = [0, 1, 2, 3].map(|axis| planes[PLACE + axis].at(px, py) * w);
+        let over_fourth = one / along[3];
+        let places = [0, 1, 2].map(|axis| (along[axis] * over_fourth).to_array());
+        for (lane, fragment) in part.iter().enumerate() {
+            visit(fragment, places.map(|axis| axis[lane]));
+        }
+    }
+}
+
+/// Returns the columns and rows of eight fragments.
+#[inline(always)]
+fn pixels(fragments: &[Fragment; LANES]) -> (I, I) {
+    let places = I::new(
+        fragments
+            .each_ref()
+            .map(|fragment| fragment.place.cast_signed()),
+    );
+    let side = I::splat(SIDE_MASK.cast_signed());
+    (places & side, (places >> SIDE_BITS.cast_signed()) & side)
+}
+
+/// Returns the centres of pixels along an axis.
+#[inline(always)]
+fn centre(at: I) -> F {
+    at.float() + F::splat(0.5)
 }
 
 /// One interpolated value for each of eight fragments.
@@ -360,15 +430,8 @@ fn colour_eight(
         .map(|fragment| &surfaces[fragment.surface as usize]);
     let all = Planes::gather(&eight);
     let planes = |at: usize| all[at];
-    let (one, half) = (splat(1.0), splat(0.5));
-    let places = I::new(
-        fragments
-            .each_ref()
-            .map(|fragment| fragment.place.cast_signed()),
-    );
-    let side = I::splat(SIDE_MASK.cast_signed());
-    let (x, y) = (places & side, (places >> SIDE_BITS.cast_signed()) & side);
-    let centre = |at: I| -> F { at.float() + half };
+    let one = splat(1.0);
+    let (x, y) = pixels(fragments);
     let (px, py) = (centre(x), centre(y));
     let over_w = planes(OVER_W);
     let w = one / over_w.at(px, py);

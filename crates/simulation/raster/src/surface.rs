@@ -6,6 +6,7 @@ use crate::instance::{Instance, Mapping};
 use crate::lanes::{F, Floats as _, LANES};
 use crate::light::{Shading, shade};
 use crate::mesh::{CLUSTER, Mesh, Vertex};
+use crate::receiver::Receiver;
 use crate::setup::{Slopes, winding_order};
 use crate::visible::{CLIPPED, Record, Visible};
 
@@ -14,6 +15,8 @@ pub(crate) const OVER_W: usize = 0;
 pub(crate) const COLOUR: usize = 1;
 pub(crate) const COORDINATES: usize = 4;
 pub(crate) const OPACITY: usize = 7;
+/// Index at which the four coordinates of a place in a shadow map start.
+pub(crate) const PLACE: usize = 1;
 
 /// Interpolation planes of a triangle: values at the picture's corner and their changes per pixel
 /// along x and y.
@@ -23,6 +26,15 @@ pub(crate) struct Surface {
     pub(crate) at_corner: [f32; VARYING],
     pub(crate) per_x: [f32; VARYING],
     pub(crate) per_y: [f32; VARYING],
+}
+
+/// Values that a surface interpolates.
+#[derive(Clone, Copy)]
+pub(crate) enum Interpolated<'a> {
+    /// Colour, texture coordinates and opacity; without shading, the colour is white.
+    Colour(Option<&'a Shading<'a>>),
+    /// The place in a light's shadow map, from [`PLACE`] on.
+    Place(&'a Receiver),
 }
 
 /// A triangle of a cluster, and the index of its surface among all surfaces.
@@ -70,7 +82,7 @@ impl Vertices {
         &mut self,
         instance: &Instance,
         mesh: &Mesh,
-        shading: Option<&Shading<'_>>,
+        interpolated: Interpolated<'_>,
         size: [f32; 2],
         (first, requests): (u32, &[SurfaceRequest]),
     ) {
@@ -97,7 +109,7 @@ impl Vertices {
             let projected = from.project(instance, size);
             projected.x.store(&mut self.x[at..at + LANES]);
             projected.y.store(&mut self.y[at..at + LANES]);
-            let values = F::transpose(from.values(instance, shading, projected.over_w));
+            let values = F::transpose(from.values(instance, interpolated, projected.over_w));
             for (varying, values) in self.varying[at..at + LANES].iter_mut().zip(values) {
                 *varying = values.to_array();
             }
@@ -110,13 +122,13 @@ impl Vertices {
 pub(crate) fn compute_cluster(
     instance: &Instance,
     mesh: &Mesh,
-    shading: Option<&Shading<'_>>,
+    interpolated: Interpolated<'_>,
     size: [f32; 2],
     (first, requests): (u32, &[SurfaceRequest]),
     vertices: &mut Vertices,
     into: &mut [Surface],
 ) {
-    vertices.light(instance, mesh, shading, size, (first, requests));
+    vertices.light(instance, mesh, interpolated, size, (first, requests));
     let order = winding_order(instance.counter_clockwise).map(|corner| &mesh.corners[corner][..]);
     for requests in requests.chunks(LANES) {
         let mut slots = [[0u8; 3]; LANES];
@@ -188,11 +200,21 @@ impl Corners {
     fn values(
         &self,
         instance: &Instance,
-        shading: Option<&Shading<'_>>,
+        interpolated: Interpolated<'_>,
         over_w: F,
     ) -> [F; VARYING] {
         let splat = |value: f32| F::splat(value);
         let [x, y, z] = self.pos;
+        let shading = match interpolated {
+            Interpolated::Colour(shading) => shading,
+            Interpolated::Place(receiver) => {
+                let row = instance.to_eye.rows([x, y, z]);
+                let [s, t, r, q] = receiver.place([row(0), row(1), row(2)]);
+                let unused = splat(0.0);
+                return [splat(1.0), s, t, r, q, unused, unused, unused]
+                    .map(|value| value * over_w);
+            }
+        };
         let colour = match shading {
             None => [splat(1.0); 3],
             Some(shading) => {
@@ -232,7 +254,7 @@ impl Corners {
 pub(crate) fn compute_clipped(
     instance: &Instance,
     mesh: &Mesh,
-    shading: Option<&Shading<'_>>,
+    interpolated: Interpolated<'_>,
     visible: &Visible,
     record: &Record,
 ) -> Surface {
@@ -247,7 +269,7 @@ pub(crate) fn compute_clipped(
         .map(|corners| corners[piece.triangle as usize]);
     let [a, b, c] = ids.map(|id| mesh.vertices[piece.vertices as usize + usize::from(id)]);
     let from = Corners::new([a, b, c, c, c, c, c, c]);
-    let [a, b, c, ..] = F::transpose(from.values(instance, shading, F::splat(1.0)));
+    let [a, b, c, ..] = F::transpose(from.values(instance, interpolated, F::splat(1.0)));
     let pos = [0, 1, 2].map(|lane| from.pos.map(|axis| axis.as_array()[lane]));
     let polygon = clip::clip(instance, pos, [a, b, c], &piece.clipping);
     let Some(corners) = polygon.pieces().nth(piece.piece as usize) else {

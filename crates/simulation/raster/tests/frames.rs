@@ -6,7 +6,7 @@ mod scenes;
 
 use proptest::prelude::*;
 use raster::{Canvas, DrawError, MeshBuilder, Scene, Shape};
-use scenes::{corner, largest, model, room};
+use scenes::{corner, largest, model, room, shadows};
 use sha2::{Digest, Sha256};
 
 fn digest(frame: &[u8]) -> String {
@@ -63,6 +63,10 @@ fn every_part_of_the_room_changes_the_frame() {
         |scene: &mut Scene| scene.lights.truncate(1),
         |scene: &mut Scene| scene.lights.clear(),
         |scene: &mut Scene| scene.camera.orthographic = true,
+        |scene: &mut Scene| {
+            scene.shadows = Some(shadows(512));
+            scene.lights[1].casts_shadow = true;
+        },
     ] {
         let mut changed = scene.clone();
         change(&mut changed);
@@ -77,6 +81,7 @@ enum Change {
     Recolour(usize, u8),
     TurnCamera([i8; 3]),
     Dim(u8),
+    CastShadow(bool),
     Rest,
 }
 
@@ -86,6 +91,7 @@ fn change() -> impl Strategy<Value = Change> {
         1 => (0..10usize, any::<u8>()).prop_map(|(geom, to)| Change::Recolour(geom, to)),
         1 => any::<[i8; 3]>().prop_map(Change::TurnCamera),
         1 => any::<u8>().prop_map(Change::Dim),
+        1 => any::<bool>().prop_map(Change::CastShadow),
         4 => Just(Change::Rest),
     ]
 }
@@ -100,6 +106,10 @@ impl Change {
             Self::Recolour(geom, to) => scene.geoms[geom].rgba[3] = f32::from(to) / 255.0,
             Self::TurnCamera(by) => scene.camera.forward = moved(scene.camera.forward, by),
             Self::Dim(to) => scene.lights[1].diffuse = [f32::from(to) / 255.0; 3],
+            Self::CastShadow(casts) => {
+                scene.lights[1].casts_shadow = casts;
+                scene.shadows = Some(shadows(256));
+            }
             Self::Rest => {}
         }
     }
@@ -128,6 +138,7 @@ proptest! {
         bounded_numbers in prop::collection::vec(-2.0f32..2.0, 64),
         shapes in prop::collection::vec(0..7usize, 6),
         is_unbounded in any::<bool>(),
+        has_shadows in any::<bool>(),
         size in (prop_oneof![1..40usize, Just(0), Just(4097)], 1..40usize),
     ) {
         let mut model = model();
@@ -158,7 +169,9 @@ proptest! {
             light.pos = std::array::from_fn(|_| number());
             light.dir = std::array::from_fn(|_| number());
             light.diffuse = std::array::from_fn(|_| number());
+            light.casts_shadow = has_shadows;
         }
+        scene.shadows = Some(shadows(64));
         if is_unbounded {
             scene.camera.pos = std::array::from_fn(|_| number());
             scene.camera.forward = std::array::from_fn(|_| number());
@@ -211,6 +224,9 @@ fn a_scene_that_cannot_be_drawn_is_refused_with_the_reason() {
             scene.geoms[0].shape = Shape::Mesh(7)
         }),
         ("texture 9", |scene: &mut Scene| scene.sky = Some(9)),
+        ("shadow maps of 2 × 2", |scene: &mut Scene| {
+            scene.shadows = Some(shadows(2))
+        }),
     ] {
         let error = draw(&change, 8).expect_err(what).to_string();
         assert!(error.contains(what), "{error}");

@@ -4,7 +4,7 @@
 
 use raster::{
     Camera, Canvas, Corner, Geom, Light, LightKind, Mesh, MeshBuilder, Model, Quality, Scene,
-    Shape, Texture, TextureKind, TextureUse, mesh_triangle, plane, plane_grid,
+    Shadows, Shape, Texture, TextureKind, TextureUse, mesh_triangle, plane, plane_grid,
 };
 
 use crate::script;
@@ -75,6 +75,7 @@ impl Drawing {
                 camera: CAMERA_AT_REST,
                 sky: None,
                 reflections: true,
+                shadows: None,
             },
             canvas: Canvas::new(),
             frames: 0,
@@ -124,8 +125,10 @@ impl Drawing {
             }
             CAMERA => self.scene.camera = bytes.camera(),
             SURROUNDINGS => {
-                self.scene.reflections = bytes.byte() & 1 == 0;
+                let flags = bytes.byte();
+                self.scene.reflections = flags & 1 == 0;
                 self.scene.sky = bytes.index();
+                self.scene.shadows = (flags & 2 != 0).then(|| bytes.shadows());
             }
             DRAW => {
                 let size = bytes.frame_size();
@@ -374,7 +377,8 @@ impl Bytes<'_> {
     }
 
     fn light(&mut self) -> Light {
-        let kind = match self.byte() & 1 {
+        let flags = self.byte();
+        let kind = match flags & 1 {
             0 => LightKind::Directional,
             _ => LightKind::Spot {
                 cutoff: self.number(),
@@ -389,6 +393,20 @@ impl Bytes<'_> {
             ambient: self.numbers(),
             diffuse: self.numbers(),
             specular: self.numbers(),
+            casts_shadow: flags & 2 != 0,
+        }
+    }
+
+    /// Reads the quality of shadows. Large maps give no new kinds of lookups.
+    fn shadows(&mut self) -> Shadows {
+        Shadows {
+            size: match self.byte() {
+                255 => usize::MAX,
+                254 => (1 << 14) + 1,
+                side => usize::from(side),
+            },
+            half_width: self.number(),
+            cone_share: self.number(),
         }
     }
 

@@ -45,7 +45,7 @@ impl Entry {
     }
 
     /// Returns true if a variant's scene can be composed of LIBERO's assets and the given files,
-    /// named relative to the assets' folder. Added objects and lights are not supported.
+    /// named relative to the assets' folder. Added objects are not supported.
     pub fn is_composable(&self, is_present: impl Fn(&str) -> bool) -> bool {
         match (self.assets(), &self.class) {
             (Assets::Libero, _) => true,
@@ -55,8 +55,10 @@ impl Entry {
                     style.is_liberos || is_present(&format!("textures/{}", style.file))
                 })
             }
-            (Assets::Scenes, Some(class)) => class.scene.as_deref().is_some_and(is_present),
-            (Assets::Lights | Assets::NewObjects, _) | (_, None) => false,
+            (Assets::Scenes | Assets::Lights, Some(class)) => {
+                class.scene.as_deref().is_some_and(is_present)
+            }
+            (Assets::NewObjects, _) | (_, None) => false,
         }
     }
 

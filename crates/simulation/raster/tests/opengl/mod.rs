@@ -3,22 +3,15 @@
 
 use std::ops::Range;
 
-use raster::{Camera, Canvas, Geom, Scene, Shape, TextureUse};
+use raster::{Camera, Canvas, Geom, Light, LightKind, Scene, Shadows, Shape, TextureUse};
 
 use crate::scenes::{geom, largest, model};
 
-/// Draws geoms on an empty background from above, orthographically and without lights. Returns red
-/// of every pixel, row by row from the lowest. A pixel is one unit wide; the origin is the
-/// picture's lower left corner.
-fn red(side: usize, mut geoms: Vec<Geom>) -> Vec<Vec<u8>> {
+/// Returns a scene of geoms on an empty background, seen from above and orthographically, without
+/// lights. A pixel of a picture with this side is one unit wide; the origin is in its middle.
+fn from_above(side: usize, geoms: Vec<Geom>) -> Scene {
     let middle = side as f32 / 2.0;
-    for geom in &mut geoms {
-        for along in &mut geom.pos[..2] {
-            *along -= middle;
-        }
-        (geom.specular, geom.shininess, geom.emission) = (0.0, 0.0, 1.0);
-    }
-    let scene = Scene {
+    Scene {
         geoms,
         lights: Vec::new(),
         camera: Camera {
@@ -35,13 +28,30 @@ fn red(side: usize, mut geoms: Vec<Geom>) -> Vec<Vec<u8>> {
         },
         sky: None,
         reflections: false,
-    };
+        shadows: None,
+    }
+}
+
+/// Draws a scene. Returns red of every pixel, row by row from the lowest.
+fn red(side: usize, scene: &Scene) -> Vec<Vec<u8>> {
     let mut canvas = Canvas::new();
     let frame = canvas
-        .draw(&model(), &largest(), &scene, [side, side])
+        .draw(&model(), &largest(), scene, [side, side])
         .expect("a frame");
     let red: Vec<u8> = frame.chunks_exact(3).map(|pixel| pixel[0]).collect();
     red.chunks_exact(side).map(<[u8]>::to_vec).collect()
+}
+
+/// Draws glowing geoms without lights. The origin is the picture's lower left corner.
+fn red_of_glowing(side: usize, mut geoms: Vec<Geom>) -> Vec<Vec<u8>> {
+    let middle = side as f32 / 2.0;
+    for geom in &mut geoms {
+        for along in &mut geom.pos[..2] {
+            *along -= middle;
+        }
+        (geom.specular, geom.shininess, geom.emission) = (0.0, 0.0, 1.0);
+    }
+    red(side, &from_above(side, geoms))
 }
 
 /// Returns a white box centred at x, y.
@@ -59,7 +69,7 @@ fn part(picture: &[Vec<u8>], x: Range<usize>, y: Range<usize>) -> Vec<Vec<u8>> {
 fn samples_on_left_and_lower_edges_are_inside_and_those_on_other_edges_are_outside() {
     // The first box extends from 0.375 to 2.875 along both axes, the second from 4.875 to 7.375
     // along x and from 4.625 to 7.125 along y. Every edge lies on samples.
-    let small = red(
+    let small = red_of_glowing(
         48,
         vec![white_box(1.625, 1.625, 1.25), white_box(6.125, 5.875, 1.25)],
     );
@@ -77,7 +87,7 @@ fn samples_on_left_and_lower_edges_are_inside_and_those_on_other_edges_are_outsi
         ]
     );
     // The box extends from 0.375 to 42.875. Large triangles are filled block by block.
-    let large = red(48, vec![white_box(21.625, 21.625, 21.25)]);
+    let large = red_of_glowing(48, vec![white_box(21.625, 21.625, 21.25)]);
     let mut line = vec![255; 48];
     (line[0], line[42]) = (191, 191);
     line[43..].fill(0);
@@ -101,7 +111,7 @@ fn every_pixel_of_a_cube_has_its_own_level_of_detail() {
         by_corner: false,
     });
     assert_eq!(
-        part(&red(12, vec![ball]), 1..11, 2..10),
+        part(&red_of_glowing(12, vec![ball]), 1..11, 2..10),
         [
             [0, 0, 32, 102, 106, 129, 61, 63, 0, 0],
             [0, 65, 133, 115, 133, 147, 132, 119, 46, 0],
@@ -111,6 +121,99 @@ fn every_pixel_of_a_cube_has_its_own_level_of_detail() {
             [32, 112, 116, 163, 154, 137, 124, 105, 116, 64],
             [0, 53, 120, 134, 136, 128, 121, 132, 68, 0],
             [0, 0, 64, 63, 131, 108, 98, 32, 0, 0],
+        ]
+    );
+}
+
+/// Two lights cast the shadow of a floating box on a larger one: a directional light a short one to
+/// the right, a spot light one below the box. The maps are so coarse that every texel shows.
+#[test]
+fn shadows_have_the_texels_of_the_lights_maps() {
+    let light = |kind, dir, pos, diffuse| Light {
+        kind,
+        pos,
+        dir,
+        ambient: [0.0; 3],
+        diffuse: [diffuse; 3],
+        specular: [0.0; 3],
+        casts_shadow: true,
+    };
+    let spot = LightKind::Spot {
+        cutoff: 45.0,
+        exponent: 0.0,
+        attenuation: [1.0, 0.0, 0.0],
+    };
+    let mut scene = from_above(
+        16,
+        vec![
+            geom(Shape::Box, [0.0; 3], [7.0, 7.0, 0.5], [1.0; 4]),
+            geom(Shape::Box, [-2.0, -1.0, 3.0], [2.0, 1.5, 0.5], [1.0; 4]),
+        ],
+    );
+    scene.lights = vec![
+        light(
+            LightKind::Directional,
+            [0.498_272_87, 0.249_136_43, -0.830_454_8],
+            [0.0, 0.0, 8.0],
+            0.5,
+        ),
+        light(
+            spot,
+            [0.099_503_72, 0.0, -0.995_037_2],
+            [-2.0, 0.0, 12.0],
+            0.3,
+        ),
+    ];
+    scene.shadows = Some(Shadows {
+        size: 24,
+        half_width: 12.0,
+        cone_share: 0.6,
+    });
+    assert_eq!(
+        part(&red(16, &scene), 1..15, 1..15),
+        [
+            [
+                168, 169, 169, 170, 170, 171, 171, 171, 169, 168, 166, 165, 163, 162
+            ],
+            [
+                169, 170, 170, 171, 171, 172, 173, 172, 171, 169, 168, 166, 165, 163
+            ],
+            [
+                171, 171, 172, 172, 173, 173, 174, 174, 172, 171, 169, 168, 166, 164
+            ],
+            [
+                172, 172, 173, 173, 174, 175, 176, 175, 174, 172, 171, 169, 167, 164
+            ],
+            [
+                173, 174, 174, 142, 143, 143, 142, 106, 175, 174, 172, 170, 167, 165
+            ],
+            [
+                174, 175, 176, 180, 181, 181, 180, 106, 177, 175, 173, 170, 168, 166
+            ],
+            [
+                176, 177, 177, 181, 182, 182, 181, 106, 72, 176, 173, 171, 169, 167
+            ],
+            [
+                176, 177, 177, 180, 180, 181, 180, 180, 71, 175, 173, 171, 169, 167
+            ],
+            [
+                175, 175, 176, 177, 178, 178, 179, 178, 176, 174, 172, 169, 167, 166
+            ],
+            [
+                173, 174, 175, 176, 176, 177, 177, 176, 174, 172, 170, 168, 166, 165
+            ],
+            [
+                172, 173, 174, 174, 175, 175, 176, 175, 173, 171, 168, 167, 165, 164
+            ],
+            [
+                171, 172, 172, 173, 173, 174, 174, 173, 171, 169, 168, 166, 165, 163
+            ],
+            [
+                170, 170, 171, 171, 172, 172, 173, 172, 170, 168, 167, 165, 164, 162
+            ],
+            [
+                168, 169, 169, 170, 170, 171, 171, 170, 169, 167, 166, 164, 163, 161
+            ],
         ]
     );
 }

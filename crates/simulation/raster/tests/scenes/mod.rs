@@ -3,8 +3,8 @@
 use std::sync::LazyLock;
 
 use raster::{
-    Camera, Corner, Geom, Light, LightKind, MeshBuilder, Model, Quality, Scene, Shape, Texture,
-    TextureKind, TextureUse, mesh_triangle, plane, plane_grid,
+    Camera, Corner, Geom, Light, LightKind, MeshBuilder, Model, Quality, Scene, Shadows, Shape,
+    Texture, TextureKind, TextureUse, mesh_triangle, plane, plane_grid,
 };
 
 /// Identity rotation.
@@ -161,6 +161,7 @@ pub(crate) fn room() -> Scene {
                 ambient: [0.1; 3],
                 diffuse: [0.4; 3],
                 specular: [0.5; 3],
+                casts_shadow: false,
             },
             Light {
                 kind: LightKind::Spot {
@@ -173,6 +174,7 @@ pub(crate) fn room() -> Scene {
                 ambient: [0.0; 3],
                 diffuse: [0.8, 0.7, 0.6],
                 specular: [0.3; 3],
+                casts_shadow: false,
             },
         ],
         camera: Camera {
@@ -189,6 +191,7 @@ pub(crate) fn room() -> Scene {
         },
         sky: Some(4),
         reflections: true,
+        shadows: None,
     }
 }
 
@@ -198,5 +201,14 @@ pub(crate) fn corner(pos: [f32; 3]) -> Corner {
         pos,
         normal: [0.0, 0.0, 1.0],
         st: [0.0; 2],
+    }
+}
+
+/// Returns the quality of shadows with maps of this side, texels.
+pub(crate) fn shadows(size: usize) -> Shadows {
+    Shadows {
+        size,
+        half_width: 2.0,
+        cone_share: 0.6,
     }
 }

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::sync::Arc;
 
 use mujoco_rs::mujoco_c as c;
-use raster::{Camera, Geom, Light, LightKind, Scene, Shape, TextureUse};
+use raster::{Camera, Geom, Light, LightKind, Scene, Shadows, Shape, TextureUse};
 
 use super::prepare::{Material, Prepared, graphics};
 use super::view::View;
@@ -45,6 +45,7 @@ impl SoftwareCanvas {
                 },
                 sky: None,
                 reflections: true,
+                shadows: None,
             },
             canvases: BTreeMap::new(),
         }
@@ -119,10 +120,10 @@ impl SoftwareCanvas {
             .prepared
             .sky
             .filter(|_| flag(c::mjtRndFlag::mjRND_SKYBOX));
-        let has_shadows = flag(c::mjtRndFlag::mjRND_SHADOW);
+        self.scene.shadows = read_shadows(view.model).filter(|_| flag(c::mjtRndFlag::mjRND_SHADOW));
         self.scene.lights.clear();
         for light in &visual.lights[..visual.nlight as usize] {
-            self.scene.lights.push(read_light(light, has_shadows)?);
+            self.scene.lights.push(read_light(light)?);
         }
         let is_endless =
             |geom: &c::mjvGeom| geom.type_ == PLANE && geom.size[0] == 0.0 && geom.size[1] == 0.0;
@@ -142,10 +143,19 @@ impl SoftwareCanvas {
     }
 }
 
-fn read_light(light: &c::mjvLight, has_shadows: bool) -> Result<Light, SimError> {
-    if has_shadows && light.castshadow != 0 {
-        return Err(graphics("a light casts shadows".to_owned()));
-    }
+/// Returns the quality of the model's shadows; `None` if they are switched off.
+fn read_shadows(model: &Model) -> Option<Shadows> {
+    let raw = model.raw();
+    let map = &raw.vis.map;
+    let size = usize::try_from(raw.vis.quality.shadowsize).ok()?;
+    (size > 0).then_some(Shadows {
+        size,
+        half_width: (raw.stat.extent * f64::from(map.shadowclip)) as f32,
+        cone_share: map.shadowscale,
+    })
+}
+
+fn read_light(light: &c::mjvLight) -> Result<Light, SimError> {
     let kind = match light.type_ {
         kind if kind == c::mjtLightType::mjLIGHT_DIRECTIONAL as i32 => LightKind::Directional,
         kind if kind == c::mjtLightType::mjLIGHT_SPOT as i32 => LightKind::Spot {
@@ -166,6 +176,7 @@ fn read_light(light: &c::mjvLight, has_shadows: bool) -> Result<Light, SimError>
         ambient: light.ambient,
         diffuse: light.diffuse,
         specular: light.specular,
+        casts_shadow: light.castshadow != 0,
     })
 }
 

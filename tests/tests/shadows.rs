@@ -1,0 +1,245 @@
+//! LIBERO's scenes with other lights, which cast shadows, as LIBERO-Plus' light conditions have
+//! them: pictures compared with those that the original draws, as recorded by `shadows/record.py`.
+
+use std::collections::BTreeMap;
+use std::os::unix::fs::symlink;
+use std::path::Path;
+use std::process::Command;
+
+use libero_ctrl::presets::ENV_SEED;
+use libero_ctrl::{Benchmark, TaskRef};
+use libero_family::plus::{Dimension, Entry, inventory};
+use scene::{AssetPack, InitialStates, Sources, TaskFiles, compose};
+use serde::Deserialize;
+use sim::{Drawer, Environment, Renderer};
+use tests::fidelity::CLOSE_LEVELS;
+use tests::files::{libero, sources};
+use tests::programs::{Campaigns, program};
+
+/// A scene with other lights.
+#[derive(Deserialize)]
+struct Case {
+    name: String,
+    /// Kind of scene, as in the names of LIBERO-Plus' files.
+    scene: String,
+    task: TaskRef,
+    /// Attributes of lights, by the light's name.
+    lights: BTreeMap<String, BTreeMap<String, String>>,
+}
+
+const CASES: &str = include_str!("shadows/cases.json");
+/// Folder of the recorded pictures.
+const RECORDED: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/tests/shadows");
+/// Number of cases before those that were held out.
+const HELD_OUT: usize = 5;
+/// Shares of pixels that are equal, and within [`CLOSE_LEVELS`], at least.
+const EQUAL: f64 = 0.999;
+const CLOSE: f64 = 0.9999;
+const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
+/// Side of the recorded pictures, pixels.
+const SIDE: u32 = 128;
+
+fn cases() -> Vec<Case> {
+    serde_json::from_str(CASES).unwrap()
+}
+
+/// Returns LIBERO's scene file of a kind.
+fn base_scene(kind: &str) -> String {
+    let kind = match kind {
+        "kitchen" => "kitchen_tabletop",
+        "liv" => "living_room_tabletop",
+        other => other,
+    };
+    format!("libero_{kind}_base_style.xml")
+}
+
+/// Makes a folder of assets with links to a pack's files, for further scenes.
+fn folder_with_links(pack: &Path) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().unwrap();
+    std::fs::create_dir_all(folder.path().join("scenes/lights")).unwrap();
+    for inside in ["", "scenes"] {
+        for entry in std::fs::read_dir(pack.join(inside)).unwrap() {
+            let entry = entry.unwrap();
+            if entry.file_name() != "scenes" {
+                let link = folder.path().join(inside).join(entry.file_name());
+                symlink(entry.path(), link).unwrap();
+            }
+        }
+    }
+    folder
+}
+
+/// Returns a scene with other attributes of its lights, for a folder one level deeper.
+fn changed(text: &str, case: &Case) -> String {
+    let mut text = text.replace("file=\"", "file=\"../");
+    for (name, attributes) in &case.lights {
+        let lights: Vec<&str> = text
+            .split_inclusive('>')
+            .filter_map(|part| part.find("<light ").map(|at| &part[at..]))
+            .filter(|light| light.contains(&format!("name=\"{name}\"")))
+            .collect();
+        let [light] = lights[..] else {
+            panic!("{}: {} lights are called {name}", case.name, lights.len());
+        };
+        let mut other = light.to_owned();
+        for (attribute, value) in attributes {
+            let start = other.find(&format!(" {attribute}=\"")).unwrap() + attribute.len() + 3;
+            let end = start + other[start..].find('"').unwrap();
+            other.replace_range(start..end, value);
+        }
+        text = text.replace(light, &other);
+    }
+    text
+}
+
+/// Composes a case's scene at the task's first initial state.
+fn environment(case: &Case, number: usize, folder: &Path, sources: &Sources) -> Environment {
+    let scenes = folder.join("scenes");
+    let base = std::fs::read_to_string(scenes.join(base_scene(&case.scene))).unwrap();
+    let file = format!("lights/{}_light_sync_modified_{number}.xml", case.scene);
+    std::fs::write(scenes.join(file), changed(&base, case)).unwrap();
+    let files = TaskFiles::of_task(sources, case.task);
+    let mut problem = files.problem().unwrap();
+    problem.name = format!(
+        "{}_{}_light_sync_modified_{number}",
+        problem.name, case.scene
+    );
+    // The digest identifies the pack in results, and there are none.
+    let pack = AssetPack::open_known(folder.to_str().unwrap(), sources, "lights").unwrap();
+    let scene = compose(&problem, &pack, sources, ENV_SEED).unwrap();
+    let mut environment = Environment::new(scene, &pack, sources).unwrap();
+    let states = InitialStates::read(&files.init).unwrap();
+    environment.load(states.get(0).unwrap());
+    environment
+}
+
+/// Compares both cameras' pictures with the recorded ones.
+fn check(cases: &[Case], test: &str) {
+    let sources = sources();
+    let Some(pack) = libero(&sources, test) else {
+        return;
+    };
+    let folder = folder_with_links(pack.dir());
+    let drawer = Drawer::open(Renderer::Software).unwrap();
+    for (number, case) in cases.iter().enumerate() {
+        let mut environment = environment(case, number, folder.path(), &sources);
+        for camera in CAMERAS {
+            let place = format!("{}_{camera}", case.name);
+            let recorded = Path::new(RECORDED).join(format!("{place}.png"));
+            let recorded = image::open(recorded).unwrap().flipv().into_rgb8();
+            assert_eq!(recorded.dimensions(), (SIDE, SIDE));
+            let drawn = environment.draw(&drawer, camera, SIDE, SIDE).unwrap();
+            let pairs = drawn.rgb.chunks_exact(3).zip(recorded.chunks_exact(3));
+            let differences: Vec<u8> = pairs
+                .map(|(ours, theirs)| {
+                    let parts = ours.iter().zip(theirs);
+                    parts.map(|(a, b)| a.abs_diff(*b)).max().unwrap()
+                })
+                .collect();
+            let share = |most: u8| {
+                let count = differences.iter().filter(|levels| **levels <= most).count();
+                count as f64 / differences.len() as f64
+            };
+            let (equal, close) = (share(0), share(CLOSE_LEVELS));
+            let largest = differences.iter().max().unwrap();
+            println!("{place}: {equal:.5} equal, {close:.5} close, largest {largest}");
+            assert!(equal >= EQUAL, "{place}: {equal} of the pixels are equal");
+            assert!(close >= CLOSE, "{place}: {close} of the pixels are close");
+        }
+    }
+}
+
+#[test]
+fn pictures_with_shadows_equal_the_originals() {
+    let cases = cases();
+    let (first, _) = cases.split_at(HELD_OUT);
+    check(first, "pictures_with_shadows_equal_the_originals");
+}
+
+/// No rule of the renderer was changed after these cases were first compared.
+#[test]
+fn held_out_pictures_with_shadows_equal_the_originals() {
+    let cases = cases();
+    let (_, held_out) = cases.split_at(HELD_OUT);
+    assert!(held_out.len() >= HELD_OUT);
+    check(
+        held_out,
+        "held_out_pictures_with_shadows_equal_the_originals",
+    );
+}
+
+/// Runs `worker variants` and returns its output.
+fn variants(name: &str, assets: &Path, more: &[&str]) -> String {
+    let mut command = Command::new(program("worker"));
+    command.args(["variants", "--variant", name, "--assets"]);
+    let run = command.arg(assets).args(more).output().unwrap();
+    let complaint = String::from_utf8_lossy(&run.stderr);
+    assert!(run.status.success(), "{complaint}");
+    String::from_utf8(run.stdout).unwrap()
+}
+
+#[test]
+fn light_variants_run_from_a_folder_with_their_scene_files() {
+    let test = "light_variants_run_from_a_folder_with_their_scene_files";
+    let sources = sources();
+    let Some(pack) = libero(&sources, test) else {
+        return;
+    };
+    if !scene::has_task_files(Benchmark::Plus, &sources) {
+        println!("skipped {test}: no task files of LIBERO-Plus");
+        return;
+    }
+    let case = &cases()[0];
+    let is_of_task =
+        |entry: &&Entry| entry.variant.task == case.task && entry.dimension() == Dimension::Light;
+    let entry = inventory().iter().find(is_of_task).unwrap();
+    let name = entry.variant.to_string();
+    let folder = folder_with_links(pack.dir());
+    let listed = variants(&name, folder.path(), &["--list"]);
+    let lacks = "lacks scenes of LIBERO-Plus' archive (scenes/lights/), which no package index has";
+    assert!(listed.contains(lacks), "{listed}");
+
+    let scenes = folder.path().join("scenes");
+    let base = std::fs::read_to_string(scenes.join(base_scene(&case.scene))).unwrap();
+    let file = entry.class.as_ref().unwrap().scene.as_ref().unwrap();
+    assert!(file.starts_with("scenes/lights/tabletop_"), "{file}");
+    let outputs = tempfile::tempdir().unwrap();
+    let campaigns = Campaigns::start(&outputs.path().join("data"));
+    let url = campaigns.gateway.url.as_str();
+    let same_lights = Case {
+        lights: BTreeMap::new(),
+        ..cases().remove(0)
+    };
+    let [as_liberos, casting] = [&same_lights, case].map(|case| {
+        std::fs::write(folder.path().join(file), changed(&base, case)).unwrap();
+        let listed = variants(&name, folder.path(), &["--list"]);
+        assert!(listed.trim_end().ends_with("\truns"), "{listed}");
+        let output = outputs.path().join(case.lights.len().to_string());
+        let output_text = output.to_str().unwrap();
+        #[rustfmt::skip]
+        let run = ["--policy", "student", "--endpoint", url, "--output", output_text];
+        let table = variants(&name, folder.path(), &run);
+        assert!(table.contains("light"), "{table}");
+        rows(&output)
+    });
+    let (unperturbed, variant) = (0, 1);
+    assert_eq!(as_liberos.len(), 2);
+    let name_of = |row: &serde_json::Value| row["variant"].as_str().unwrap().to_owned();
+    assert!(name_of(&casting[variant]).contains(&name), "{casting:?}");
+    assert_eq!(
+        as_liberos[unperturbed]["first_frame_digest"],
+        casting[unperturbed]["first_frame_digest"]
+    );
+    // The lights move nothing, but the policy sees them.
+    for (field, is_equal) in [("init_state_digest", true), ("first_frame_digest", false)] {
+        let is_same = as_liberos[variant][field] == casting[variant][field];
+        assert_eq!(is_same, is_equal, "{field}");
+    }
+}
+
+/// Reads the results in a folder.
+fn rows(output: &Path) -> Vec<serde_json::Value> {
+    let results = std::fs::read_to_string(output.join("results.jsonl")).unwrap();
+    let rows = results.lines().map(serde_json::from_str);
+    rows.collect::<Result<_, _>>().unwrap()
+}
