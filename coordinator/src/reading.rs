@@ -15,7 +15,7 @@ pub enum ReadError {
         campaign: CampaignName,
         source: SpecError,
     },
-    #[error("read a stored name of a result")]
+    #[error("read a name in a stored result")]
     Name(#[from] UnknownName),
     #[error("read the stored manifest row of `{rollout_id}`")]
     Row {

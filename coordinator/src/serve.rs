@@ -9,7 +9,8 @@ use std::time::Duration;
 
 use queue::clock::Clock;
 use queue::{
-    Elsewhere, OpenError, Queue, QueueError, Store, StoreError, Tasks, Timing, remove_partial_files,
+    OpenError, Queue, QueueError, RemoteStorage, Store, StoreError, Tasks, Timing,
+    remove_partial_files,
 };
 use rand_chacha::ChaCha8Rng;
 use tokio::net::TcpListener;
@@ -87,7 +88,7 @@ impl Coordinator {
             source,
         })?;
         let artifact_store = config.storage.clone();
-        let artifact_store = artifact_store.map(|storage| storage as Arc<dyn Elsewhere>);
+        let artifact_store = artifact_store.map(|storage| storage as Arc<dyn RemoteStorage>);
         let (clock, rng) = (config.clock, config.rng);
         let queue = Queue::start_with(store, clock, rng, config.timing, artifact_store).await?;
         Ok(Coordinator {

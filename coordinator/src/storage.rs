@@ -300,7 +300,7 @@ impl Storage {
     }
 }
 
-impl queue::Elsewhere for Storage {
+impl queue::RemoteStorage for Storage {
     fn remove<'a>(
         &'a self,
         folder: &'a str,

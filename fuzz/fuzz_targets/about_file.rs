@@ -1,4 +1,4 @@
-//! Descriptions beside result rows (`about.json`). The properties are in `untrusted_input`.
+//! Files `about.json`, which describe result rows. The properties are in `untrusted_input`.
 
 #![no_main]
 

@@ -166,7 +166,7 @@ class Network(nn.Module):
 
 
 class SimulatedSmolvla(Policy):
-    """The network as a subclass of Policy, as authors write it."""
+    """The network behind the interface that authors of policies implement."""
 
     def __init__(self, device: str, max_batch: int, tiny: bool = False) -> None:
         torch.manual_seed(0)

@@ -82,8 +82,8 @@ def test_files_are_compared_in_parts_of_any_size(tmp_path, monkeypatch, count):
     save_file(stored, file)
 
     def require_loaded():
-        with weights.stored_in([file], lambda name: name.removeprefix("old.")) as there:
-            weights.require_loaded(network, there, "mine")
+        with weights.stored_in([file], lambda name: name.removeprefix("old.")) as renamed:
+            weights.require_loaded(network, renamed, "mine")
 
     require_loaded()
     stored["old.0.weight"][-1, -1] += 1

@@ -1,8 +1,9 @@
 """Many environments in one process, for reinforcement learning of a policy.
 
-Beyond ``VectorEnvironment``, the interface of gymnasium, they run the task of any BDDL file, and
-another task at each reset; start from a given state, as the original's ``set_init_state`` does;
-execute chunks of actions past success; and accept calls for some rows only.
+``TrainingEnvironment`` can do more than ``VectorEnvironment``, which has gymnasium's interface: it
+runs the task of any BDDL file, and another task at each reset; starts from a given state, as the
+original's ``set_init_state`` does; executes chunks of actions past success; and accepts calls for
+some rows only.
 """
 
 from __future__ import annotations

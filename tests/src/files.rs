@@ -1,5 +1,5 @@
-//! Locates files for tests: the unpacked sources, asset packs, and the reference data, which
-//! only some machines have.
+//! Locates files for tests: the unpacked packages of robosuite and LIBERO, asset packs, and the
+//! reference data, which only some machines have.
 
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
@@ -8,7 +8,7 @@ use libero_ctrl::TaskRef;
 use scene::pack::LIBERO;
 use scene::{AssetPack, SceneError, Sources, TaskFiles};
 
-/// Opens the unpacked sources, which every test of the simulator needs.
+/// Opens the unpacked packages of robosuite and LIBERO, which every test of the simulator needs.
 ///
 /// # Panics
 /// If the sources are missing.
@@ -71,4 +71,25 @@ pub fn shared(folder: &str, test: &str) -> Option<PathBuf> {
     }
     println!("skipped {test}: no reference data at {}", dir.display());
     None
+}
+
+/// Makes a folder of assets with links to a pack's files. The folders `own` inside it are no links,
+/// so that files can be added to them.
+///
+/// # Panics
+/// If the pack cannot be read or the folder cannot be written.
+pub fn folder_with_links(pack: &Path, own: &[&str]) -> tempfile::TempDir {
+    let folder = tempfile::tempdir().expect("a folder");
+    for inside in [&[""], own].concat() {
+        let here = folder.path().join(inside);
+        std::fs::create_dir_all(&here).expect("a folder");
+        for entry in std::fs::read_dir(pack.join(inside)).expect("a pack") {
+            let entry = entry.expect("a file");
+            if !own.iter().any(|name| entry.file_name() == **name) {
+                let link = here.join(entry.file_name());
+                std::os::unix::fs::symlink(entry.path(), link).expect("a link");
+            }
+        }
+    }
+    folder
 }

@@ -2,17 +2,19 @@
 //! `family/record.py`.
 
 use std::collections::BTreeMap;
+use std::process::Command;
 use std::sync::Arc;
 
 use libero_ctrl::numpy::LegacyRng;
 use libero_ctrl::{RolloutId, row_of};
 use libero_family::corruption::Corruption;
-use libero_family::plus::{Variant, start_posture};
+use libero_family::plus::{Assets, Variant, inventory, start_posture};
 use libero_family::pro::ProSuite;
 use libero_family::protocol::Benchmark;
 use scene::{AssetPack, Sources, TaskFiles};
 use sim::{Conditions, Environment, ObjectKind, ReadyScene, Reset, Start, VariantStart};
-use tests::files::{libero, sources};
+use tests::files::{folder_with_links, libero, primitives, sources};
+use tests::programs::program;
 
 const RECORDED: &str = include_str!("family/states.txt");
 /// Largest difference of any coordinate.
@@ -203,4 +205,103 @@ fn states_of_libero_pro_after_resets_and_waits_equal_the_originals() {
         largest = largest.max(difference);
     }
     assert!(largest <= TOLERANCE, "states differ by {largest:e}");
+}
+
+/// A model in the form of LIBERO-Plus' archive, as its code reads it: without an outer body. The
+/// archive's own models were not seen.
+const ADDED_MODEL: &str = r#"<mujoco model="added">
+  <asset><mesh name="shape" file="meshes/shape.obj"/></asset>
+  <worldbody><body name="object">
+    <geom type="mesh" mesh="shape" group="1" contype="0" conaffinity="0" mass="0"/>
+    <geom type="box" size="0.02 0.02 0.05" group="0" density="100"/>
+    <site name="bottom_site" pos="0 0 -0.05" size="0.005" rgba="0 0 0 0"/>
+    <site name="top_site" pos="0 0 0.05" size="0.005" rgba="0 0 0 0"/>
+    <site name="horizontal_radius_site" pos="0.02 0.02 0" size="0.005" rgba="0 0 0 0"/>
+  </body></worldbody>
+</mujoco>"#;
+const ADDED_SHAPE: &str = "v 0 0 0\nv 0.04 0 0\nv 0 0.04 0\nv 0 0 0.1\n\
+    f 1 3 2\nf 1 2 4\nf 2 3 4\nf 3 1 4\n";
+
+/// Checks with a task's layout of one added object and with the one of most. Added objects turn by
+/// −90° about x, −180° about y and 180° about z; read as MuJoCo does, this is 90° about z.
+#[test]
+fn added_objects_are_placed_from_models_in_the_archives_form() {
+    let test = "added_objects_are_placed_from_models_in_the_archives_form";
+    let sources = sources();
+    if !scene::has_task_files(Benchmark::Plus, &sources) {
+        println!("skipped {test}: no task files of LIBERO-Plus");
+        return;
+    }
+    let folder = folder_with_links(primitives(&sources).dir(), &[]);
+    let pack = AssetPack::open_known(folder.path().to_str().unwrap(), &sources, "added").unwrap();
+    let task = "libero_goal/8".parse().unwrap();
+    let of_task = inventory()
+        .iter()
+        .filter(|entry| entry.variant.task == task && entry.assets() == Assets::NewObjects);
+    let mut variants: Vec<Variant> = of_task.map(|entry| entry.variant).collect();
+    variants.sort_by_key(|variant| {
+        TaskFiles::of_variant(&sources, variant)
+            .problem()
+            .unwrap()
+            .objects
+            .len()
+    });
+    let list = |variant: &Variant| {
+        let mut command = Command::new(program("worker"));
+        command.args([
+            "variants",
+            "--list",
+            "--variant",
+            &variant.to_string(),
+            "--assets",
+        ]);
+        let run = command.arg(folder.path()).output().unwrap();
+        String::from_utf8(run.stdout).unwrap()
+    };
+    let lacks = "lacks objects of LIBERO-Plus' archive (new_objects/), which no package index has";
+    let mut counts = Vec::new();
+    for variant in [variants[0], *variants.last().unwrap()] {
+        let files = TaskFiles::of_variant(&sources, &variant);
+        let problem = files.problem().unwrap();
+        let file = |category: &str| scene::catalog::category(category).unwrap().file;
+        let added: Vec<_> = problem
+            .objects
+            .iter()
+            .filter(|object| file(&object.category).starts_with("new_objects/"))
+            .collect();
+        assert!(list(&variant).contains(lacks), "{}", list(&variant));
+        for object in &added {
+            let path = folder.path().join(file(&object.category));
+            let meshes = path.with_file_name("meshes");
+            std::fs::create_dir_all(&meshes).unwrap();
+            std::fs::write(path, ADDED_MODEL).unwrap();
+            std::fs::write(meshes.join("shape.obj"), ADDED_SHAPE).unwrap();
+        }
+        assert!(
+            list(&variant).trim_end().ends_with("\truns"),
+            "{}",
+            list(&variant)
+        );
+        // Compiling compares the width of the variant's initial state with the model's.
+        let ready = ReadyScene::compile(files, &pack, &sources).unwrap();
+        let mut environment = Environment::of(Arc::clone(ready.compiled())).unwrap();
+        let mut rng = LegacyRng::seed(SEED);
+        environment.reset(&mut rng, Reset::Hard, 2).unwrap();
+        let state = environment.state();
+        for object in &added {
+            let model = environment.model();
+            let joint = format!("{}_joint0", object.name);
+            let joint = model.id(ObjectKind::Joint, &joint).unwrap();
+            let at = 1 + model.jnt_qposadr()[joint] as usize + 3;
+            let turned = [0.5_f64.sqrt(), 0.0, 0.0, 0.5_f64.sqrt()];
+            let difference = difference(&state[at..at + 4], &turned);
+            assert!(
+                difference < 1e-6,
+                "{variant} {}: {difference:e}",
+                object.name
+            );
+        }
+        counts.push(added.len());
+    }
+    assert_eq!(counts, [1, 5]);
 }

@@ -2,7 +2,6 @@
 //! them: pictures compared with those that the original draws, as recorded by `shadows/record.py`.
 
 use std::collections::BTreeMap;
-use std::os::unix::fs::symlink;
 use std::path::Path;
 use std::process::Command;
 
@@ -13,7 +12,7 @@ use scene::{AssetPack, InitialStates, Sources, TaskFiles, compose};
 use serde::Deserialize;
 use sim::{Drawer, Environment, Renderer};
 use tests::fidelity::CLOSE_LEVELS;
-use tests::files::{libero, sources};
+use tests::files::{folder_with_links, libero, sources};
 use tests::programs::{Campaigns, program};
 
 /// A scene with other lights.
@@ -53,19 +52,10 @@ fn base_scene(kind: &str) -> String {
     format!("libero_{kind}_base_style.xml")
 }
 
-/// Makes a folder of assets with links to a pack's files, for further scenes.
-fn folder_with_links(pack: &Path) -> tempfile::TempDir {
-    let folder = tempfile::tempdir().unwrap();
-    std::fs::create_dir_all(folder.path().join("scenes/lights")).unwrap();
-    for inside in ["", "scenes"] {
-        for entry in std::fs::read_dir(pack.join(inside)).unwrap() {
-            let entry = entry.unwrap();
-            if entry.file_name() != "scenes" {
-                let link = folder.path().join(inside).join(entry.file_name());
-                symlink(entry.path(), link).unwrap();
-            }
-        }
-    }
+/// Makes a folder of assets with links to a pack's files, for further scenes of lights.
+fn folder_with_scenes(pack: &Path) -> tempfile::TempDir {
+    let folder = folder_with_links(pack, &["scenes"]);
+    std::fs::create_dir(folder.path().join("scenes/lights")).unwrap();
     folder
 }
 
@@ -119,7 +109,7 @@ fn check(cases: &[Case], test: &str) {
     let Some(pack) = libero(&sources, test) else {
         return;
     };
-    let folder = folder_with_links(pack.dir());
+    let folder = folder_with_scenes(pack.dir());
     let drawer = Drawer::open(Renderer::Software).unwrap();
     for (number, case) in cases.iter().enumerate() {
         let mut environment = environment(case, number, folder.path(), &sources);
@@ -194,7 +184,7 @@ fn light_variants_run_from_a_folder_with_their_scene_files() {
         |entry: &&Entry| entry.variant.task == case.task && entry.dimension() == Dimension::Light;
     let entry = inventory().iter().find(is_of_task).unwrap();
     let name = entry.variant.to_string();
-    let folder = folder_with_links(pack.dir());
+    let folder = folder_with_scenes(pack.dir());
     let listed = variants(&name, folder.path(), &["--list"]);
     let lacks = "lacks scenes of LIBERO-Plus' archive (scenes/lights/), which no package index has";
     assert!(listed.contains(lacks), "{listed}");

@@ -33,8 +33,8 @@ pub(crate) struct Options {
     arguments: Vec<String>,
 }
 
-/// Runs the comparison: RLinf only if PyTorch can be installed, and without the original if that
-/// cannot be.
+/// Runs the comparison. RLinf is omitted if PyTorch cannot be installed, and the original if it
+/// cannot be run on this machine.
 pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
     let cache = setup::run(root)?;
     let oracle = options.oracle.clone();

@@ -28,7 +28,7 @@ use super::planning::{self, Planning};
 use super::variant_flags::{DESIGN_FLAGS, VariantFlags};
 use super::{forecast, horizon, stopping};
 
-/// Further flags that conflict with `--spec`.
+/// Flags that conflict with `--spec`, in addition to [`DESIGN_FLAGS`].
 #[rustfmt::skip]
 const SPEC_FLAGS: [&str; 22] = [
     "policy", "endpoint", "tasks", "manifest", "realisation", "replicates", "record", "assets",
@@ -198,9 +198,9 @@ fn execution(text: &str) -> anyhow::Result<Execution> {
 struct StopFlags {
     /// Rule under which the campaign ends early, once it holds at every level: `width(M) < X` or
     /// `M excludes X`, or several joined by ` and `; M is S_sim, R_e, R_c, R_d or I. The rule
-    /// concerns only the configurations of this campaign: `I excludes 0` shows that they have
-    /// unequal numbers of emergent failures and compensated successes, which a complete run would
-    /// decide with certainty, and shows nothing about other tasks or directions.
+    /// concerns only the configurations of this campaign: `I excludes 0` is evidence that a
+    /// complete run of them would have unequal numbers of emergent failures and compensated
+    /// successes. It is no evidence about other tasks or directions.
     /// `M excludes X for new tasks` concerns tasks that were never run.
     #[arg(long, value_name = "RULE", hide_short_help = true)]
     stop: Option<StopRule>,
@@ -315,7 +315,7 @@ pub(super) async fn create(arguments: CreateArguments) -> Result<(), CommandErro
     if created.priority != arguments.priority {
         let kept = created.priority;
         print_line(&format!(
-            "it keeps priority {kept}: `coordinator campaign set-priority` changes it"
+            "campaign {name} keeps priority {kept}: `coordinator campaign set-priority` changes it"
         ))?;
     }
     print_video_estimate(&campaign)

@@ -35,7 +35,7 @@ fn code(error: &QueueError) -> Code {
         | QueueError::Cancelled { .. }
         | QueueError::Stopped { .. }
         | QueueError::CampaignInUse { .. }
-        | QueueError::GoneOnWith { .. }
+        | QueueError::HasDerived { .. }
         | QueueError::PolicyMeasured { .. }
         | QueueError::NotQuarantined { .. }
         | QueueError::NotSkippable { .. } => Code::FailedPrecondition,

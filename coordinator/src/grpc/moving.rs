@@ -150,7 +150,7 @@ pub(super) async fn import(
     mut chunks: Streaming<wire::ImportChunk>,
 ) -> Result<wire::ImportCampaignResponse, Status> {
     let first = next_chunk(&mut chunks).await?;
-    let first = first.ok_or_else(|| invalid("an empty upload"))?;
+    let first = first.ok_or_else(|| invalid("import the archive: the upload is empty"))?;
     let name = match first.name.as_str() {
         "" => None,
         name => Some(CampaignName::parse(name).map_err(invalid)?),
@@ -218,7 +218,7 @@ async fn next_chunk(
     match tokio::time::timeout(MAX_CHUNK_WAIT, chunks.next()).await {
         Ok(chunk) => chunk.transpose(),
         Err(_) => Err(Status::deadline_exceeded(format!(
-            "no chunk of the archive arrived within {MAX_CHUNK_WAIT:?}"
+            "receive the archive: no chunk arrived within {MAX_CHUNK_WAIT:?}"
         ))),
     }
 }

@@ -294,7 +294,7 @@ async fn an_operator_alters_a_campaign_from_the_command_line() {
         0,
         "14 rollouts",
     );
-    run(&CREATE, 0, "it keeps priority -3");
+    run(&CREATE, 0, "keeps priority -3");
     let mut worker = serve.worker("a").await;
     worker.claim_one().await;
     let set = |name, value| vec!["campaign", name, "demo", value];

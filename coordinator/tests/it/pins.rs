@@ -10,8 +10,8 @@ use crate::harness::{Bench, registration, small_spec, with};
 const SOFTWARE: &str = "rollout-raster 1";
 const GL: &str = "llvmpipe";
 
-/// Returns the reason why a worker with this pack and renderer gets no jobs, as its registration is
-/// answered; empty if it may have jobs.
+/// Registers a worker with this pack and renderer. Returns the reason in the response why the
+/// worker gets no jobs; empty if it may have jobs.
 async fn refusal_reason(bench: &Bench, pack: &str, renderer: &str) -> String {
     let mut worker = bench.worker_with_renderer("asks", pack, renderer).await;
     let mut announced = registration("asks", pack);
@@ -83,8 +83,8 @@ async fn a_result_that_is_refused_pins_nothing() {
     assert_eq!(refusal_reason(&bench, "libero", GL).await, "");
 }
 
-/// Replaced weights or another `--execute` make a different policy: its jobs wait until the
-/// measured policy is back, and no attempt is charged.
+/// Replaced weights or another `--execute` make a different policy: the campaign's jobs wait until
+/// the measured policy is back, and no attempt is charged.
 #[tokio::test]
 async fn a_replaced_policy_counts_as_an_outage_of_the_measured_one() {
     for (what, replace) in [

@@ -23,6 +23,7 @@ from stand_ins import prepare
 # Spawned processes import this file as well, and unpickle classes of the frameworks.
 prepare()
 
+#: Arms of the comparison: variants of a simulator, which the docstring of `compare.py` describes.
 ARMS = ("O", "O'", "S", "S+", "V")
 
 

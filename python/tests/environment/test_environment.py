@@ -130,7 +130,7 @@ def test_a_seed_selects_the_initial_state_and_later_resets_continue_from_it(make
     environment = make(cameras=[])
     assert [environment.reset(seed=seed)[1]["init_state"] for seed in (0, 7, 7, 53)] == [0, 7, 7, 3]
     assert [environment.reset()[1]["init_state"] for _ in range(2)] == [4, 5]
-    # A given state takes precedence, and does not advance the turn.
+    # A given state takes precedence over the seed's, and later resets still start at the seed's.
     assert environment.reset(seed=9, options={"init_state": 2})[1]["init_state"] == 2
     assert environment.reset()[1]["init_state"] == 9
     listed_states = make(cameras=[], init_states=[4, 2])

@@ -1,5 +1,5 @@
-"""RLinf's environments of LIBERO-Plus in one process, called as RLinf calls its environments in
-processes, against `liberoplus`' environments with a generator each."""
+"""LIBERO-Plus in one process, called as RLinf calls its subprocess environments. Its rollouts must
+equal those of `liberoplus` environments that each have their own global generator."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class Process:
         self.call("seed", seed)
 
     def call(self, name: str, *arguments: Any) -> Any:
-        """Calls a method of the environment with its generator; draws all frames."""
+        """Calls a method of the environment under its own state of the global generator."""
         outside = np.random.get_state()
         if self._state is not None:
             np.random.set_state(self._state)
@@ -74,7 +74,7 @@ class Process:
 
 @pytest.fixture(params=[False, True], ids=["last", "all"])
 def rows(request: pytest.FixtureRequest) -> Iterator[PlusRows]:
-    """Environments in one process, that draw the last step of a chunk, or all of them."""
+    """Environments in one process that render either the last step of a chunk or every step."""
     made = PlusRows([parameters(name) for name in NAMES], threads=2, draws_all=request.param)
     yield made
     made.close()
@@ -90,7 +90,8 @@ def test_rollouts_equal_those_in_processes(rows: PlusRows) -> None:
     every = list(range(len(NAMES)))
 
     def reset(ids: list[int], seed: int) -> None:
-        """RLinf's `_reconfigure` and waits, in both; it seeds all environments."""
+        """Imitates RLinf's `_reconfigure` and waiting steps in both: seeds all environments, resets
+        those of `ids`, and steps them twice."""
         rows.seed(seed)
         for i, process in enumerate(processes):
             process.call("seed", seed + i)

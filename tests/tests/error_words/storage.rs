@@ -111,7 +111,7 @@ fn queue(messages: &mut Messages) {
         QueueError::CampaignInUse { .. } => QueueError::CampaignInUse {
             campaign: campaign(), leased: 1,
         },
-        QueueError::GoneOnWith { .. } => QueueError::GoneOnWith {
+        QueueError::HasDerived { .. } => QueueError::HasDerived {
             campaign: campaign(), derived: campaign(),
         },
         QueueError::NoThresholds { .. } => QueueError::NoThresholds {

@@ -5,11 +5,11 @@ use std::fmt::Write;
 
 use assets::Table;
 use libero_ctrl::{ManifestRow, OwnTask};
-use libero_family::plus::Entry;
+use libero_family::plus::{Assets, Entry};
 use libero_family::protocol::Benchmark;
 use libero_family::{Case, Further, Lack, Lacking, SelectionError, Subject};
 use scene::catalog::category;
-use scene::{AssetPack, Sources};
+use scene::{AssetPack, Sources, TaskFiles};
 
 use super::case::files;
 use super::error::VariantsError;
@@ -231,23 +231,39 @@ fn lack_in_benchmark(
         Some(benchmark) if !(files.bddl.is_file() && files.init.is_file()) => {
             Ok(Some(Lack::TaskFiles(benchmark)))
         }
-        Some(Benchmark::Pro) => {
-            let problem = files.problem()?;
-            let declared = problem.objects.iter().chain(&problem.fixtures);
-            let mut models = declared.filter_map(|model| category(&model.category));
-            let is_present = |file: &str| {
-                (pack.is_managed() && Table::libero().get(file).is_some())
-                    || pack.dir().join(file).is_file()
-            };
-            Ok((!models.all(|model| is_present(model.file)))
-                .then_some(Lack::Further(Further::Models)))
-        }
-        _ => Ok(None),
+        Some(Benchmark::Pro) => models_lack(&files, pack, Further::Models),
+        Some(Benchmark::Plus) => match case.further_assets() {
+            Some(further @ Further::Assets(Assets::NewObjects)) => {
+                models_lack(&files, pack, further)
+            }
+            _ => Ok(None),
+        },
+        None => Ok(None),
     }
+}
+
+/// Returns a lack if the pack does not have the model of any object or fixture.
+fn models_lack(
+    files: &TaskFiles,
+    pack: &AssetPack,
+    further: Further,
+) -> Result<Option<Lack>, VariantsError> {
+    let problem = files.problem()?;
+    let declared = problem.objects.iter().chain(&problem.fixtures);
+    let mut models = declared.filter_map(|model| category(&model.category));
+    let is_present = |file: &str| {
+        (pack.is_managed() && Table::libero().get(file).is_some())
+            || pack.dir().join(file).is_file()
+    };
+    Ok((!models.all(|model| is_present(model.file))).then_some(Lack::Further(further)))
 }
 
 /// Returns the files that a LIBERO-Plus variant lacks, apart from its task files.
 fn assets_lack(entry: &Entry, pack: &AssetPack) -> Option<Lack> {
-    let is_composable = entry.is_composable(|file| pack.dir().join(file).is_file());
+    let is_composable = match entry.assets() {
+        // The files themselves are known from the BDDL file.
+        Assets::NewObjects => pack.dir().join("new_objects").is_dir(),
+        _ => entry.is_composable(|file| pack.dir().join(file).is_file()),
+    };
     (!is_composable).then(|| Lack::Further(Further::Assets(entry.assets())))
 }

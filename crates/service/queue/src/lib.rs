@@ -46,7 +46,7 @@ pub use operations::release::{ReleaseReply, ReleaseVerdict};
 pub use operations::retry::{MAX_JOBS_RETRIED, Retry};
 pub use queue::Queue;
 pub use read::View;
-pub use remote_storage::Elsewhere;
+pub use remote_storage::RemoteStorage;
 pub use store::failpoint::{FAILPOINT_VARIABLE, PANIC_VARIABLE, Side, Step};
 pub use store::workers::{MAX_SLOTS, WorkerInfo};
 pub use store::{DATABASE_FILE, OpenError, Store, StoreError, newest_known_schema};

@@ -23,7 +23,7 @@ use crate::operations::writer::{self, MAX_WAITING, Operation, Pending};
 use crate::operations::{batches, derive, stop};
 use crate::operations::{removals, start};
 use crate::read::{Changes, View};
-use crate::remote_storage::Elsewhere;
+use crate::remote_storage::RemoteStorage;
 use crate::rules::lease::FailureReason;
 use crate::store::{Store, StoreError};
 use crate::tasks::Tasks;
@@ -85,7 +85,7 @@ impl Queue {
         clock: Arc<dyn Clock>,
         rng: ChaCha8Rng,
         timing: Timing,
-        remote_storage: Option<Arc<dyn Elsewhere>>,
+        remote_storage: Option<Arc<dyn RemoteStorage>>,
     ) -> Result<Arc<Queue>, StoreError> {
         let shared = Arc::new(Shared::new(store, clock, rng, timing, remote_storage));
         start::start(&shared).await?;

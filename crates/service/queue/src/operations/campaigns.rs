@@ -56,7 +56,7 @@ impl Queue {
         }
         let folder = campaigns::free_folder(&mut context.tx, &new.name).await?;
         if new.jobs.len() > JOBS_PER_BATCH {
-            // Never a derived campaign, which is created without jobs.
+            // The campaign is not derived from another: derived campaigns are created without jobs.
             drop(context);
             batches::insert(shared, new, &folder).await?;
             return Ok(report_created(shared, new));
@@ -129,7 +129,7 @@ impl Queue {
         }
         let derived = derivations::derived_names(&mut context.tx, campaign.id).await?;
         if let Some(derived) = derived.first() {
-            return Err(QueueError::GoneOnWith {
+            return Err(QueueError::HasDerived {
                 campaign: name.clone(),
                 derived: derived.clone(),
             });

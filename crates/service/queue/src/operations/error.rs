@@ -66,7 +66,7 @@ pub enum QueueError {
     #[error(
         "delete campaign `{campaign}`: campaign `{derived}` is derived from it; delete that one first"
     )]
-    GoneOnWith {
+    HasDerived {
         campaign: CampaignName,
         derived: CampaignName,
     },

@@ -107,7 +107,7 @@ impl Context<'_> {
             is_back: false,
             is_last: false,
         };
-        // The remaining evidence is queried only in this case.
+        // If the policy answered no query, two further facts decide; they are read only then.
         if release.answered == Some(0) {
             let campaign = self.campaign(attempt.initial_state.campaign).await?;
             let job = attempt.job.id;

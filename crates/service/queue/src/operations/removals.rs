@@ -75,7 +75,7 @@ mod tests {
     use crate::ids::CampaignName;
     use crate::operations::alter::Alteration;
     use crate::queue::Queue;
-    use crate::remote_storage::Elsewhere;
+    use crate::remote_storage::RemoteStorage;
     use crate::store::Store;
     use crate::timing::Timing;
 
@@ -85,7 +85,7 @@ mod tests {
         answers: Semaphore,
     }
 
-    impl Elsewhere for SlowStorage {
+    impl RemoteStorage for SlowStorage {
         fn remove<'a>(
             &'a self,
             folder: &'a str,
@@ -115,7 +115,7 @@ mod tests {
             requests: Semaphore::new(0),
             answers: Semaphore::new(0),
         });
-        let remote_storage = Some(slow.clone() as Arc<dyn Elsewhere>);
+        let remote_storage = Some(slow.clone() as Arc<dyn RemoteStorage>);
         let queue = Queue::start_with(store, clock, rng, Timing::default(), remote_storage).await;
         let queue = queue.expect("a queue");
         let name = |name: &str| CampaignName::parse(name).expect("a name");

@@ -11,7 +11,7 @@ use super::cache::Cache;
 use super::in_flight::Films;
 use super::settled::Settled;
 use crate::clock::{Clock, UnixMillis};
-use crate::remote_storage::Elsewhere;
+use crate::remote_storage::RemoteStorage;
 use crate::store::Store;
 use crate::timing::Timing;
 
@@ -27,7 +27,7 @@ pub(crate) struct Shared {
     pub(crate) files: tokio::sync::Mutex<()>,
     pub(super) films: Films,
     /// Remote storage of videos, if configured.
-    pub(crate) remote_storage: Option<Arc<dyn Elsewhere>>,
+    pub(crate) remote_storage: Option<Arc<dyn RemoteStorage>>,
     /// Notified when jobs may have become leasable.
     pub(crate) work: Notify,
     /// Notified when jobs are settled, since further jobs may derive from their outcomes, or a
@@ -44,7 +44,7 @@ impl Shared {
         clock: Arc<dyn Clock>,
         rng: ChaCha8Rng,
         timing: Timing,
-        remote_storage: Option<Arc<dyn Elsewhere>>,
+        remote_storage: Option<Arc<dyn RemoteStorage>>,
     ) -> Shared {
         Shared {
             store,
