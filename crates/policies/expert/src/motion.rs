@@ -49,6 +49,9 @@ const GRASPED_M: (f64, f64) = (0.0015, 0.0765);
 /// Distance, m, within which a hand counts as stuck if it stays there for [`TRAIL_STEPS`].
 const STUCK_M: f64 = 0.02;
 const TRAIL_STEPS: usize = 16;
+/// Change of the opening per step below which fingers at an object hold it, m: the object shifts
+/// between them while the hand moves. Free fingers move by three times as much.
+const HOLDING_M: f64 = 0.002;
 /// Number of steps without motion after which the fingers count as at rest.
 const AT_REST_STEPS: u32 = 2;
 
@@ -78,14 +81,19 @@ impl HandPose {
     /// `aside` m beside it, at most slightly before or beyond it, and oriented like either
     /// pose.
     pub(crate) fn is_on_path_to(self, goal: HandPose, world: &World, aside: f64) -> bool {
+        let turned = self.turn_from(world).min(goal.turn_from(world));
+        self.is_straight_to(goal, world, aside) && turned < ALIGNED_RAD
+    }
+
+    /// As [`Self::is_on_path_to`], in any orientation.
+    pub(crate) fn is_straight_to(self, goal: HandPose, world: &World, aside: f64) -> bool {
         let way = goal.pos - self.pos;
         let length = way.norm().max(f64::MIN_POSITIVE);
         let ahead = way * (1.0 / length);
         let along = (world.grip - self.pos).dot(ahead);
         let beside = (world.grip - self.pos - ahead * along).norm();
-        let turned = self.turn_from(world).min(goal.turn_from(world));
         let within = -ALONG_M..length + ALONG_M;
-        beside < aside && within.contains(&along) && turned < ALIGNED_RAD
+        beside < aside && within.contains(&along)
     }
 
     /// Returns true if the hand is within these tolerances of the pose, in metres and
@@ -248,6 +256,12 @@ fn way_from_under(world: &World, load: HandLoad) -> Option<Vec3> {
     Some(away * (1.0 / away.norm().max(CLEARANCE_M)))
 }
 
+/// Returns true if the fingers are neither shut nor fully open.
+pub(crate) fn is_partly_open(world: &World) -> bool {
+    let (shut, open) = GRASPED_M;
+    shut < world.opening && world.opening < open
+}
+
 /// Tracks the motion of the hand and the fingers over steps.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Motion {
@@ -299,9 +313,13 @@ impl Motion {
 
     /// Returns true if the fingers have closed on something.
     pub(crate) fn grasps(&self, world: &World) -> bool {
-        let (shut, open) = GRASPED_M;
-        let is_between = shut < world.opening && world.opening < open;
-        is_between && self.finger_still_steps >= AT_REST_STEPS
+        is_partly_open(world) && self.finger_still_steps >= AT_REST_STEPS
+    }
+
+    /// Returns true if fingers that are neither open nor shut hold a mechanism, also while it
+    /// moves.
+    pub(crate) fn holds_mechanism(&self) -> bool {
+        self.opening_change.abs() < HOLDING_M
     }
 
     /// Returns true if fingers at a grasp should close: they are open, or have only just
