@@ -6,7 +6,7 @@
 //! a spring with the controller's own stiffness; a gain above one makes the spring
 //! stiffer, and saturation limits the speed to about 0.3 m/s.
 
-use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2};
+use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, PI};
 
 use crate::geometry::{Quat, Vec3, half_turn};
 use crate::world::{Entity, Solid, World};
@@ -42,6 +42,8 @@ const STILL_M: f64 = 0.0008;
 /// Tolerances of a hand on a straight path: distance before or beyond it, m, and angle, rad.
 const ALONG_M: f64 = 0.015;
 const ALIGNED_RAD: f64 = 0.25;
+/// Angle from the half turn of an orientation within which the hand keeps the half turn, rad.
+const SYMMETRIC_RAD: f64 = 0.3;
 /// Opening beyond which the fingers count as open, m; the hand opens to 0.08 m.
 pub(crate) const OPEN_M: f64 = 0.065;
 /// Range of the opening, m, in which fingers at rest hold an object.
@@ -112,6 +114,17 @@ pub(crate) fn pointing_down(angle: f64) -> Quat {
         v: Vec3::new(FRAC_1_SQRT_2, FRAC_1_SQRT_2, 0.0),
     };
     Quat::turn(Vec3::UP, half_turn(angle - FRAC_PI_2)).after(rest)
+}
+
+/// Returns [`pointing_down`] or its half turn, whichever is nearer to the hand's orientation. The
+/// two are equal in rank at a quarter turn, where the slightest turn of an object would swap them.
+pub(crate) fn pointing_down_like(world: &World, angle: f64) -> Quat {
+    let quat = pointing_down(angle);
+    let turn = quat.after(world.grip_quat.inverse()).rotation_vector();
+    match turn.norm() > PI - SYMMETRIC_RAD {
+        true => Quat::turn(Vec3::UP, PI).after(quat),
+        false => quat,
+    }
 }
 
 /// Tilts `quat`, the orientation of a hand that points down, by `angle` so that the fingers
@@ -404,6 +417,20 @@ mod tests {
                 (pose.rotate(Vec3::UP) + Vec3::UP).norm() < 1e-9,
                 "points down"
             );
+        }
+    }
+
+    #[test]
+    fn a_hand_at_a_quarter_turn_keeps_its_orientation_when_the_object_turns_slightly() {
+        let mut scene = scene();
+        // pointing_down differs by half a turn on the two sides of the x axis.
+        for (hand, angle) in [(0.01, -0.01), (-0.01, 0.01)] {
+            let pose = pointing_down(hand);
+            scene.state.grip_quat_wxyz = [pose.w, pose.v.x, pose.v.y, pose.v.z];
+            let world = scene.world();
+            let turn = |quat: Quat| quat.after(world.grip_quat.inverse()).rotation_vector();
+            assert!(turn(pointing_down(angle)).norm() > 3.0);
+            assert!(turn(pointing_down_like(&world, angle)).norm() < 0.03);
         }
     }
 

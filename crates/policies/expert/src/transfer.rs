@@ -6,6 +6,7 @@ use crate::geometry::{Quat, Vec3};
 use crate::grasp::{self, Grasp, Purpose};
 use crate::motion::{
     Command, FINGERTIP_M, Fingers, HandLoad, HandPose, Motion, OPEN_M, detour, pointing_down,
+    pointing_down_like,
 };
 use crate::place::{Place, Spot};
 use crate::world::{Entity, World};
@@ -145,7 +146,7 @@ impl Transfer {
             Phase::Release {
                 hand: HandPose {
                     pos: world.grip,
-                    quat: pointing_down(closing.y.atan2(closing.x)),
+                    quat: pointing_down_like(world, closing.y.atan2(closing.x)),
                 },
                 way_out: spot.way_out(),
             }
@@ -180,7 +181,7 @@ impl Transfer {
         }
         let closing = world.grip_quat.rotate(Vec3::new(1.0, 0.0, 0.0));
         Hold {
-            quat: pointing_down(closing.y.atan2(closing.x)),
+            quat: pointing_down_like(world, closing.y.atan2(closing.x)),
             object_from_grip: object.centre - world.grip,
             lifted_from: world.grip,
         }
@@ -375,7 +376,7 @@ impl Hold {
 
 /// Derives the phase before the object is held from the position of the hand.
 fn current_phase(grasp: Grasp, world: &World, object: &Entity, motion: &Motion) -> Phase {
-    let quat = pointing_down(grasp.closing);
+    let quat = pointing_down_like(world, grasp.closing);
     let grip = Grip { grasp, quat };
     let hand = grip.hand(object);
     let aside = (hand.pos - world.grip).horizontal_norm();
