@@ -22,6 +22,9 @@ const NEAR_RAD: f64 = 0.06;
 /// it at which the hand may have been stopped, m.
 const TURNED_RAD: f64 = 0.15;
 const STOPPED_M: f64 = 0.015;
+/// Angle from the grasp up to which closing fingers go on closing, rad: an object may turn between
+/// them.
+const CLOSING_RAD: f64 = 0.6;
 /// Distance from the grip point to an object's box within which the object can be held, m.
 const BESIDE_M: f64 = 0.005;
 /// Horizontal distance from its place within which a held object continues its descent, m.
@@ -142,32 +145,37 @@ impl Transfer {
         let is_over_rest = to_rest.horizontal_norm() < OVER_REST_M;
         let is_at_rest = is_over_rest && spot.can_release(world, object);
         let phase = if world.gap_to(object) < BESIDE_M && is_at_rest && world.opening < OPEN_M {
-            let closing = world.grip_quat.rotate(Vec3::new(1.0, 0.0, 0.0));
             Phase::Release {
-                hand: HandPose {
-                    pos: world.grip,
-                    quat: pointing_down_like(world, closing.y.atan2(closing.x)),
-                },
+                hand: upright_hand(world),
                 way_out: spot.way_out(),
             }
         } else if self.holds(world, motion)? {
             let hold = self.hold(earlier, world, object);
             let to_approach_start = Spot::hand_for(world, object, spot.approach_start) - world.grip;
-            match spot.can_approach(to_approach_start) || spot.is_entering(to_rest) {
-                true => Phase::Lower(hold),
-                false => Phase::Carry(hold),
+            if spot.can_approach(to_approach_start) || spot.is_entering(to_rest) {
+                Phase::Lower(hold)
+            } else if is_lifting(earlier, world, hold) {
+                Phase::Lift(hold)
+            } else {
+                Phase::Carry(hold)
             }
         } else {
-            let purpose = self.purpose(world, object)?;
-            let grasp = grasp::nearest(world, object, purpose, self.grasp.as_ref());
-            let grasp = grasp.ok_or_else(|| ExpertError::NotGraspable {
-                object: self.object.clone(),
-            })?;
-            self.grasp = Some(grasp);
+            let grasp = self.nearest_grasp(world, object)?;
             current_phase(grasp, world, object, motion)
         };
         self.enter(phase);
         Ok(())
+    }
+
+    /// Returns the grasp nearest to the hand, and keeps it for the next choice.
+    fn nearest_grasp(&mut self, world: &World, object: &Entity) -> Result<Grasp, ExpertError> {
+        let purpose = self.purpose(world, object)?;
+        let grasp = grasp::nearest(world, object, purpose, self.grasp.as_ref());
+        let grasp = grasp.ok_or_else(|| ExpertError::NotGraspable {
+            object: self.object.clone(),
+        })?;
+        self.grasp = Some(grasp);
+        Ok(grasp)
     }
 
     /// Returns the hold of the object: that of `earlier` if the object has not slipped since,
@@ -179,9 +187,8 @@ impl Transfer {
         {
             return hold;
         }
-        let closing = world.grip_quat.rotate(Vec3::new(1.0, 0.0, 0.0));
         Hold {
-            quat: pointing_down_like(world, closing.y.atan2(closing.x)),
+            quat: upright_hand(world).quat,
             object_from_grip: object.centre - world.grip,
             lifted_from: world.grip,
         }
@@ -374,6 +381,23 @@ impl Hold {
     }
 }
 
+/// Returns the pose of the hand, upright.
+fn upright_hand(world: &World) -> HandPose {
+    let closing = world.grip_quat.rotate(Vec3::new(1.0, 0.0, 0.0));
+    HandPose {
+        pos: world.grip,
+        quat: pointing_down_like(world, closing.y.atan2(closing.x)),
+    }
+}
+
+/// Returns true if the object has not been lifted since the fingers closed. An object that moves
+/// sideways at once is torn out of the hand by what surrounds it.
+fn is_lifting(earlier: Option<&Transfer>, world: &World, hold: Hold) -> bool {
+    let phase = earlier.map(|earlier| earlier.phase);
+    let has_closed = matches!(phase, Some(Phase::Close(_) | Phase::Lift(_)));
+    has_closed && world.grip.z < hold.lifted_from.z + LIFT_M
+}
+
 /// Derives the phase before the object is held from the position of the hand.
 fn current_phase(grasp: Grasp, world: &World, object: &Entity, motion: &Motion) -> Phase {
     let quat = pointing_down_like(world, grasp.closing);
@@ -388,6 +412,11 @@ fn current_phase(grasp: Grasp, world: &World, object: &Entity, motion: &Motion) 
             pos: world.grip,
             ..hand
         });
+    }
+    let is_closing = world.opening < OPEN_M && motion.may_close(world);
+    let is_at_object = world.gap_to(object) < BESIDE_M && aside < ALMOST_M && above < STOPPED_M;
+    if is_closing && is_at_object && hand.turn_from(world) < CLOSING_RAD {
+        return Phase::Close(upright_hand(world));
     }
     let is_above_grasp = aside < 2.0 * NEAR_M && above < HOVER_M + 2.0 * NEAR_M;
     match is_turned && is_above_grasp && world.opening > OPEN_M {
@@ -421,121 +450,4 @@ fn hold_to(pos: Vec3, hold: Hold, pace: f64) -> Next {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::kinematic_scene::KinematicScene;
-    use crate::motion::servo;
-    use crate::place::Relation;
-
-    const BASKET: &str = "basket_1_contain_region";
-
-    fn scene() -> KinematicScene {
-        KinematicScene::new("in", &["can_1", BASKET])
-            .object("can_1", [-0.1, -0.2, 0.038], [0.031, 0.031, 0.038])
-            .object("basket_1", [0.0, 0.26, 0.07], [0.08, 0.085, 0.07])
-            .region(
-                BASKET,
-                "basket_1",
-                [0.0, 0.26, 0.067],
-                [0.061, 0.061, 0.069],
-            )
-    }
-
-    fn can_into_basket() -> Transfer {
-        let place = Place {
-            relation: Relation::In,
-            target: BASKET.to_owned(),
-            slot: 0.0,
-        };
-        Transfer::new("can_1".to_owned(), place)
-    }
-
-    /// Runs the skill to its end and returns the names of the phases in the order in which
-    /// they were entered. `disturb` is called with the phase before each step.
-    fn run(
-        scene: &mut KinematicScene,
-        mut disturb: impl FnMut(&mut KinematicScene, Phase),
-    ) -> Vec<String> {
-        let (mut transfer, mut motion) = (can_into_basket(), Motion::default());
-        let mut phases: Vec<String> = Vec::new();
-        for _ in 0..400 {
-            let world = scene.world();
-            motion.observe(&world);
-            let Some(command) = transfer.step(&world, &motion).expect("a valid scene") else {
-                return phases;
-            };
-            let shown = format!("{:?}", transfer.phase);
-            let name = shown
-                .split(['(', ' '])
-                .next()
-                .unwrap_or_default()
-                .to_owned();
-            if phases.last() != Some(&name) {
-                phases.push(name);
-            }
-            scene.apply(servo(&world, &motion, &command));
-            disturb(scene, transfer.phase);
-        }
-        panic!("the skill did not end; phases: {phases:?}");
-    }
-
-    const ALL_PHASES: [&str; 8] = [
-        "Approach", "Descend", "Close", "Lift", "Carry", "Lower", "Release", "Retreat",
-    ];
-
-    fn in_basket(scene: &KinematicScene) -> bool {
-        let world = scene.world();
-        can_into_basket()
-            .place
-            .holds(&world, world.entity("can_1").unwrap())
-            .unwrap()
-    }
-
-    #[test]
-    fn a_can_goes_into_a_basket_phase_by_phase() {
-        let mut scene = scene();
-        assert_eq!(run(&mut scene, |_, _| ()), ALL_PHASES);
-        assert!(in_basket(&scene));
-    }
-
-    #[test]
-    fn a_missed_grasp_is_detected_on_lifting_and_tried_again() {
-        let mut scene = scene();
-        scene.failing_grasps = 1;
-        let phases = run(&mut scene, |_, _| ());
-        let missed = ["Approach", "Descend", "Close", "Lift"];
-        assert_eq!(phases, [&missed[..], &ALL_PHASES[..]].concat());
-        assert!(in_basket(&scene));
-    }
-
-    #[test]
-    fn an_object_lost_on_the_way_is_picked_up_again() {
-        let mut scene = scene();
-        let mut lost = false;
-        let phases = run(&mut scene, |scene, phase| {
-            if matches!(phase, Phase::Carry(_)) && !lost && scene.state.grip_pos[1] > 0.0 {
-                scene.knock_out_of_hand();
-                lost = true;
-            }
-        });
-        assert_eq!(phases, [&ALL_PHASES[..5], &ALL_PHASES[..]].concat());
-        assert!(in_basket(&scene));
-    }
-
-    #[test]
-    fn each_attempt_takes_the_next_grasp() {
-        let scene = scene();
-        let world = scene.world();
-        let can = world.entity("can_1").unwrap();
-        let mut transfer = can_into_basket();
-        let mut chosen = Vec::new();
-        for failed_attempts in 0..2 {
-            transfer.failed_attempts = failed_attempts;
-            match transfer.choose(&world, can) {
-                Ok(Next::Go(Phase::Approach(grip))) => chosen.push(grip.grasp),
-                _ => panic!("no grasp chosen"),
-            }
-        }
-        assert_ne!(chosen[0], chosen[1]);
-    }
-}
+mod tests;
