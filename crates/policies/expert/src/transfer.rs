@@ -42,6 +42,8 @@ const OPENING_STEPS: u32 = 5;
 /// which a movement through free space is given up.
 const PATIENCE_STEPS: u32 = 60;
 const TRAVEL_STEPS: u32 = 120;
+/// Number of steps without motion after which a descending hand counts as unable to reach its grasp.
+const BLOCKED_STEPS: u32 = 10;
 /// Distance from the goal within which a hand that runs out of steps proceeds anyway, m.
 const ALMOST_M: f64 = 0.03;
 /// Share of full speed near obstacles.
@@ -59,6 +61,8 @@ pub(crate) struct Transfer {
     failed_attempts: usize,
     /// The last grasp tried.
     grasp: Option<Grasp>,
+    /// The last grasp that an interrupted hand could not reach.
+    blocked: Option<Grasp>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -109,6 +113,7 @@ impl Transfer {
             ticks: 0,
             failed_attempts: 0,
             grasp: None,
+            blocked: None,
         }
     }
 
@@ -138,6 +143,7 @@ impl Transfer {
     ) -> Result<(), ExpertError> {
         if let Some(earlier) = earlier {
             (self.failed_attempts, self.grasp) = (earlier.failed_attempts, earlier.grasp);
+            self.blocked = earlier.blocked;
         }
         let object = world.entity(&self.object)?;
         let spot = self.place.spot(world, object)?;
@@ -161,7 +167,17 @@ impl Transfer {
             }
         } else {
             let grasp = self.nearest_grasp(world, object)?;
-            current_phase(grasp, world, object, motion)
+            match current_phase(grasp, world, object, motion) {
+                // Another controller's hand never runs out of steps above a grasp.
+                Phase::Descend(_)
+                    if motion.still_steps() % BLOCKED_STEPS == BLOCKED_STEPS - 1 =>
+                {
+                    self.blocked = Some(grasp);
+                    let other = self.nearest_grasp(world, object)?;
+                    current_phase(other, world, object, motion)
+                }
+                phase => phase,
+            }
         };
         self.enter(phase);
         Ok(())
@@ -170,7 +186,8 @@ impl Transfer {
     /// Returns the grasp nearest to the hand, and keeps it for the next choice.
     fn nearest_grasp(&mut self, world: &World, object: &Entity) -> Result<Grasp, ExpertError> {
         let purpose = self.purpose(world, object)?;
-        let grasp = grasp::nearest(world, object, purpose, self.grasp.as_ref());
+        let (earlier, blocked) = (self.grasp.as_ref(), self.blocked.as_ref());
+        let grasp = grasp::nearest(world, object, purpose, earlier, blocked);
         let grasp = grasp.ok_or_else(|| ExpertError::NotGraspable {
             object: self.object.clone(),
         })?;

@@ -121,7 +121,7 @@ fn hand_at_grasp(turned: f64) -> KinematicScene {
     let world = scene.world();
     let can = world.entity("can_1").unwrap();
     let purpose = can_into_basket().purpose(&world, can).unwrap();
-    let grasp = grasp::nearest(&world, can, purpose, None).unwrap();
+    let grasp = grasp::nearest(&world, can, purpose, None, None).unwrap();
     let pos = can.centre + grasp.offset;
     let quat = Quat::turn(Vec3::UP, turned).after(pointing_down(grasp.closing));
     scene.state.grip_pos = [pos.x, pos.y, pos.z];
@@ -174,4 +174,25 @@ fn an_object_is_lifted_after_the_fingers_have_closed() {
     scene.state.entities[0].centre[2] += 2.0 * LIFT_M;
     let carrying = resumed(Some(&lifting), &scene, &motion);
     assert!(matches!(carrying.phase, Phase::Carry(_)), "{carrying:?}");
+}
+
+#[test]
+fn a_hand_stopped_above_its_grasp_takes_another() {
+    let mut scene = hand_at_grasp(0.0);
+    scene.state.grip_pos[2] += 2.0 * STOPPED_M;
+    let (mut earlier, mut motion) = (None, Motion::default());
+    let mut grasps = Vec::new();
+    for _ in 0..=BLOCKED_STEPS {
+        motion.observe(&scene.world());
+        let transfer = resumed(earlier.as_ref(), &scene, &motion);
+        grasps.extend(transfer.grasp);
+        earlier = Some(transfer);
+    }
+    let (last, before) = grasps.split_last().unwrap();
+    assert!(
+        before[..before.len() - 1]
+            .iter()
+            .all(|grasp| *grasp == before[0])
+    );
+    assert_ne!(*last, before[0]);
 }
