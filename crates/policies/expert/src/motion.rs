@@ -335,6 +335,11 @@ impl Motion {
         self.opening_change.abs() < HOLDING_M
     }
 
+    /// Returns true if the fingers have opened further in the last step.
+    pub(crate) fn opens(&self) -> bool {
+        self.opening_change > STILL_M
+    }
+
     /// Returns true if fingers at a grasp should close: they are open, or have only just
     /// stopped closing.
     pub(crate) fn may_close(&self, world: &World) -> bool {

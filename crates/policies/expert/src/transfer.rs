@@ -42,8 +42,9 @@ const OPENING_STEPS: u32 = 5;
 /// which a movement through free space is given up.
 const PATIENCE_STEPS: u32 = 60;
 const TRAVEL_STEPS: u32 = 120;
-/// Number of steps without motion after which a descending hand counts as unable to reach its grasp.
-const BLOCKED_STEPS: u32 = 10;
+/// Numbers of steps without motion after which an object that enters a covered region counts as
+/// stopped, and a descending hand as unable to reach its grasp.
+const BLOCKED_STEPS: (u32, u32) = (2, 10);
 /// Distance from the goal within which a hand that runs out of steps proceeds anyway, m.
 const ALMOST_M: f64 = 0.03;
 /// Share of full speed near obstacles.
@@ -150,9 +151,21 @@ impl Transfer {
         let to_rest = Spot::hand_for(world, object, spot.rest) - world.grip;
         let is_over_rest = to_rest.horizontal_norm() < OVER_REST_M;
         let is_at_rest = is_over_rest && spot.can_release(world, object);
-        let phase = if world.gap_to(object) < BESIDE_M && is_at_rest && world.opening < OPEN_M {
+        let is_blocked = spot.can_release_blocked(to_rest)
+            && (motion.still_steps() >= BLOCKED_STEPS.0 || motion.opens());
+        // Opening fingers go on until they are clear of the object.
+        let may_open = world.opening < OPEN_M || motion.opens();
+        let is_released = (is_at_rest || is_blocked) && may_open;
+        let phase = if world.gap_to(object) < BESIDE_M && is_released {
+            let hand = upright_hand(world);
+            // A stopped object is still pushed while the fingers open, lest it moves back.
+            let ahead = if is_at_rest {
+                Vec3::default()
+            } else {
+                to_rest.at_height(0.0)
+            };
             Phase::Release {
-                hand: upright_hand(world),
+                hand: hand.moved(ahead),
                 way_out: spot.way_out(),
             }
         } else if self.holds(world, motion)? {
@@ -170,7 +183,7 @@ impl Transfer {
             match current_phase(grasp, world, object, motion) {
                 // Another controller's hand never runs out of steps above a grasp.
                 Phase::Descend(_)
-                    if motion.still_steps() % BLOCKED_STEPS == BLOCKED_STEPS - 1 =>
+                    if motion.still_steps() % BLOCKED_STEPS.1 == BLOCKED_STEPS.1 - 1 =>
                 {
                     self.blocked = Some(grasp);
                     let other = self.nearest_grasp(world, object)?;

@@ -182,7 +182,7 @@ fn a_hand_stopped_above_its_grasp_takes_another() {
     scene.state.grip_pos[2] += 2.0 * STOPPED_M;
     let (mut earlier, mut motion) = (None, Motion::default());
     let mut grasps = Vec::new();
-    for _ in 0..=BLOCKED_STEPS {
+    for _ in 0..=BLOCKED_STEPS.1 {
         motion.observe(&scene.world());
         let transfer = resumed(earlier.as_ref(), &scene, &motion);
         grasps.extend(transfer.grasp);
@@ -195,4 +195,72 @@ fn a_hand_stopped_above_its_grasp_takes_another() {
             .all(|grasp| *grasp == before[0])
     );
     assert_ne!(*last, before[0]);
+}
+
+#[test]
+fn an_object_stopped_before_its_covered_place_is_released_and_pushed_on() {
+    const INSIDE: &str = "oven_1_inside";
+    let mut transfer = Transfer::new(
+        "mug_1".to_owned(),
+        Place {
+            relation: Relation::In,
+            target: INSIDE.to_owned(),
+            slot: 0.0,
+        },
+    );
+    let mut scene = KinematicScene::new("in", &["mug_1", INSIDE])
+        .object("mug_1", [0.0, 0.0, 0.05], [0.03, 0.03, 0.05])
+        .fixture("oven_1", [0.0, 0.4, 0.1], [0.2, 0.1, 0.1])
+        .region(INSIDE, "oven_1", [0.0, 0.4, 0.1], [0.12, 0.08, 0.08])
+        .region(
+            "oven_1_top_side",
+            "oven_1",
+            [0.0, 0.4, 0.2],
+            [0.15, 0.1, 0.001],
+        );
+    let before = 0.014;
+    let world = scene.world();
+    let rest = transfer.place.spot(&world, world.entity("mug_1").unwrap());
+    let rest = rest.unwrap().rest;
+    let mug = &mut scene.state.entities[0];
+    (mug.pos, mug.centre) = (
+        [rest.x, rest.y - before, rest.z],
+        [rest.x, rest.y - before, rest.z + 0.05],
+    );
+    scene.state.grip_pos = mug.centre;
+    let motion = seen(&mut scene, &[0.02; 6]);
+    let world = scene.world();
+    transfer.resume(None, &world, &motion).expect("a phase");
+    let Phase::Release { hand, .. } = transfer.phase else {
+        panic!("{transfer:?}");
+    };
+    assert!(
+        (hand.pos.y - world.grip.y - before).abs() < 1e-9,
+        "{hand:?}"
+    );
+    // A hand that still moves goes on.
+    let mut motion = motion;
+    scene.state.grip_pos[1] += 0.002;
+    motion.observe(&scene.world());
+    transfer
+        .resume(None, &scene.world(), &motion)
+        .expect("a phase");
+    assert!(matches!(transfer.phase, Phase::Lower(_)), "{transfer:?}");
+}
+
+#[test]
+fn fingers_that_release_an_object_open_fully() {
+    let mut scene = scene();
+    let world = scene.world();
+    let spot = can_into_basket()
+        .place
+        .spot(&world, world.entity("can_1").unwrap());
+    let rest = spot.unwrap().rest;
+    let can = &mut scene.state.entities[0];
+    can.pos = [rest.x, rest.y, rest.z + can.half_extents[2]];
+    can.centre = can.pos;
+    scene.state.grip_pos = can.pos;
+    let motion = seen(&mut scene, &[0.06, 0.067, 0.07]);
+    let phase = resumed(None, &scene, &motion).phase;
+    assert!(matches!(phase, Phase::Release { .. }), "{phase:?}");
 }
