@@ -14,7 +14,7 @@ use crate::world::{World, drawer_joint};
 
 #[derive(Clone, Debug)]
 pub(crate) enum Skill {
-    Transfer(Transfer),
+    Transfer(Box<Transfer>),
     Routine(Routine),
     /// Opens the fingers to release an object, and backs out from a handle.
     LetGo,
@@ -115,7 +115,7 @@ pub(crate) fn resume(
     }
     let earlier_transfer = |object: &str| {
         earlier.iter().find_map(|skill| match skill {
-            Skill::Transfer(transfer) if transfer.object() == object => Some(transfer),
+            Skill::Transfer(transfer) if transfer.object() == object => Some(transfer.as_ref()),
             _ => None,
         })
     };
@@ -298,7 +298,7 @@ fn free_slot(world: &World, place: &Place, object: &str, other: &str) -> Result<
 fn transfer(world: &World, object: &str, place: Place) -> Result<Option<Skill>, ExpertError> {
     let is_placed = place.holds(world, world.entity(object)?)?;
     let transfer = Transfer::new(object.to_owned(), place);
-    Ok((!is_placed).then_some(Skill::Transfer(transfer)))
+    Ok((!is_placed).then(|| Skill::Transfer(Box::new(transfer))))
 }
 
 #[cfg(test)]

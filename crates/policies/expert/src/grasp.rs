@@ -47,6 +47,8 @@ const AWAY_WEIGHT: f64 = 6.0;
 const AWAY_M: f64 = 0.15;
 /// Penalty on a change of grasp, rad, and the distances within which two grasps count as the same.
 const CHANGE_COST: f64 = 0.5;
+/// Penalty on a grasp that the hand could not reach, rad: as for three parts in collision.
+const BLOCKED_COST: f64 = 12.0;
 const ALIKE_M: f64 = 0.02;
 const ALIKE_RAD: f64 = 0.3;
 
@@ -103,6 +105,14 @@ pub(crate) struct Grasp {
     strain: f64,
 }
 
+impl Grasp {
+    /// Returns true if both are about the same grasp of an object that has hardly moved.
+    fn is_like(&self, other: &Self) -> bool {
+        let turned = half_turn(self.closing - other.closing).abs();
+        (self.offset - other.offset).norm() <= ALIKE_M && turned <= ALIKE_RAD
+    }
+}
+
 /// Requirement of the object's destination on the grasp.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) enum GraspRequirement {
@@ -146,7 +156,8 @@ pub(crate) fn choices(world: &World, object: &Entity, purpose: Purpose<'_>) -> V
 
 /// Returns the best grasp of `object` for the current position of the hand: ranked like
 /// [`choices`], with penalties on the distance from the hand and on a change from `earlier`, so
-/// that the choice does not oscillate.
+/// that the choice does not oscillate. A grasp like `blocked`, which the hand could not reach, comes
+/// last.
 ///
 /// `None` if there is no grasp.
 pub(crate) fn nearest(
@@ -154,15 +165,16 @@ pub(crate) fn nearest(
     object: &Entity,
     purpose: Purpose<'_>,
     earlier: Option<&Grasp>,
+    blocked: Option<&Grasp>,
 ) -> Option<Grasp> {
     let rank = |grasp: &Grasp| {
         let away = (object.centre + grasp.offset - world.grip).horizontal_norm();
-        let is_changed = earlier.is_none_or(|earlier| {
-            let turned = half_turn(earlier.closing - grasp.closing).abs();
-            (earlier.offset - grasp.offset).norm() > ALIKE_M || turned > ALIKE_RAD
-        });
+        let is_changed = earlier.is_none_or(|earlier| !earlier.is_like(grasp));
         let change_cost = if is_changed { CHANGE_COST } else { 0.0 };
-        cost(world, object, purpose, grasp) + AWAY_WEIGHT * away.min(AWAY_M) + change_cost
+        let is_blocked = blocked.is_some_and(|blocked| blocked.is_like(grasp));
+        let blocked_cost = if is_blocked { BLOCKED_COST } else { 0.0 };
+        let away_cost = AWAY_WEIGHT * away.min(AWAY_M);
+        cost(world, object, purpose, grasp) + away_cost + change_cost + blocked_cost
     };
     let ranked = choices(world, object, purpose).into_iter();
     let ranked = ranked.map(|grasp| (rank(&grasp), grasp));

@@ -6,7 +6,7 @@
 //! a spring with the controller's own stiffness; a gain above one makes the spring
 //! stiffer, and saturation limits the speed to about 0.3 m/s.
 
-use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2};
+use std::f64::consts::{FRAC_1_SQRT_2, FRAC_PI_2, PI};
 
 use crate::geometry::{Quat, Vec3, half_turn};
 use crate::world::{Entity, Solid, World};
@@ -42,6 +42,8 @@ const STILL_M: f64 = 0.0008;
 /// Tolerances of a hand on a straight path: distance before or beyond it, m, and angle, rad.
 const ALONG_M: f64 = 0.015;
 const ALIGNED_RAD: f64 = 0.25;
+/// Angle from the half turn of an orientation within which the hand keeps the half turn, rad.
+const SYMMETRIC_RAD: f64 = 0.3;
 /// Opening beyond which the fingers count as open, m; the hand opens to 0.08 m.
 pub(crate) const OPEN_M: f64 = 0.065;
 /// Range of the opening, m, in which fingers at rest hold an object.
@@ -49,6 +51,9 @@ const GRASPED_M: (f64, f64) = (0.0015, 0.0765);
 /// Distance, m, within which a hand counts as stuck if it stays there for [`TRAIL_STEPS`].
 const STUCK_M: f64 = 0.02;
 const TRAIL_STEPS: usize = 16;
+/// Change of the opening per step below which fingers at an object hold it, m: the object shifts
+/// between them while the hand moves. Free fingers move by three times as much.
+const HOLDING_M: f64 = 0.002;
 /// Number of steps without motion after which the fingers count as at rest.
 const AT_REST_STEPS: u32 = 2;
 
@@ -78,14 +83,19 @@ impl HandPose {
     /// `aside` m beside it, at most slightly before or beyond it, and oriented like either
     /// pose.
     pub(crate) fn is_on_path_to(self, goal: HandPose, world: &World, aside: f64) -> bool {
+        let turned = self.turn_from(world).min(goal.turn_from(world));
+        self.is_straight_to(goal, world, aside) && turned < ALIGNED_RAD
+    }
+
+    /// As [`Self::is_on_path_to`], in any orientation.
+    pub(crate) fn is_straight_to(self, goal: HandPose, world: &World, aside: f64) -> bool {
         let way = goal.pos - self.pos;
         let length = way.norm().max(f64::MIN_POSITIVE);
         let ahead = way * (1.0 / length);
         let along = (world.grip - self.pos).dot(ahead);
         let beside = (world.grip - self.pos - ahead * along).norm();
-        let turned = self.turn_from(world).min(goal.turn_from(world));
         let within = -ALONG_M..length + ALONG_M;
-        beside < aside && within.contains(&along) && turned < ALIGNED_RAD
+        beside < aside && within.contains(&along)
     }
 
     /// Returns true if the hand is within these tolerances of the pose, in metres and
@@ -104,6 +114,17 @@ pub(crate) fn pointing_down(angle: f64) -> Quat {
         v: Vec3::new(FRAC_1_SQRT_2, FRAC_1_SQRT_2, 0.0),
     };
     Quat::turn(Vec3::UP, half_turn(angle - FRAC_PI_2)).after(rest)
+}
+
+/// Returns [`pointing_down`] or its half turn, whichever is nearer to the hand's orientation. The
+/// two are equal in rank at a quarter turn, where the slightest turn of an object would swap them.
+pub(crate) fn pointing_down_like(world: &World, angle: f64) -> Quat {
+    let quat = pointing_down(angle);
+    let turn = quat.after(world.grip_quat.inverse()).rotation_vector();
+    match turn.norm() > PI - SYMMETRIC_RAD {
+        true => Quat::turn(Vec3::UP, PI).after(quat),
+        false => quat,
+    }
 }
 
 /// Tilts `quat`, the orientation of a hand that points down, by `angle` so that the fingers
@@ -248,6 +269,12 @@ fn way_from_under(world: &World, load: HandLoad) -> Option<Vec3> {
     Some(away * (1.0 / away.norm().max(CLEARANCE_M)))
 }
 
+/// Returns true if the fingers are neither shut nor fully open.
+pub(crate) fn is_partly_open(world: &World) -> bool {
+    let (shut, open) = GRASPED_M;
+    shut < world.opening && world.opening < open
+}
+
 /// Tracks the motion of the hand and the fingers over steps.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Motion {
@@ -299,9 +326,18 @@ impl Motion {
 
     /// Returns true if the fingers have closed on something.
     pub(crate) fn grasps(&self, world: &World) -> bool {
-        let (shut, open) = GRASPED_M;
-        let is_between = shut < world.opening && world.opening < open;
-        is_between && self.finger_still_steps >= AT_REST_STEPS
+        is_partly_open(world) && self.finger_still_steps >= AT_REST_STEPS
+    }
+
+    /// Returns true if fingers that are neither open nor shut hold a mechanism, also while it
+    /// moves.
+    pub(crate) fn holds_mechanism(&self) -> bool {
+        self.opening_change.abs() < HOLDING_M
+    }
+
+    /// Returns true if the fingers have opened further in the last step.
+    pub(crate) fn opens(&self) -> bool {
+        self.opening_change > STILL_M
     }
 
     /// Returns true if fingers at a grasp should close: they are open, or have only just
@@ -386,6 +422,20 @@ mod tests {
                 (pose.rotate(Vec3::UP) + Vec3::UP).norm() < 1e-9,
                 "points down"
             );
+        }
+    }
+
+    #[test]
+    fn a_hand_at_a_quarter_turn_keeps_its_orientation_when_the_object_turns_slightly() {
+        let mut scene = scene();
+        // pointing_down differs by half a turn on the two sides of the x axis.
+        for (hand, angle) in [(0.01, -0.01), (-0.01, 0.01)] {
+            let pose = pointing_down(hand);
+            scene.state.grip_quat_wxyz = [pose.w, pose.v.x, pose.v.y, pose.v.z];
+            let world = scene.world();
+            let turn = |quat: Quat| quat.after(world.grip_quat.inverse()).rotation_vector();
+            assert!(turn(pointing_down(angle)).norm() > 3.0);
+            assert!(turn(pointing_down_like(&world, angle)).norm() < 0.03);
         }
     }
 

@@ -201,6 +201,13 @@ impl Spot {
         remaining < length && aside < ON_PATH_M
     }
 
+    /// Returns true if an object that cannot be moved further is near enough to its place to be
+    /// released, given the remaining displacement to the place. The front of a covered region may
+    /// stop the hand a little before.
+    pub(crate) fn can_release_blocked(&self, to_rest: Vec3) -> bool {
+        matches!(self.entry, Entry::Through(_)) && to_rest.horizontal_norm() < ON_PATH_M
+    }
+
     /// Returns true if the held object can be released.
     pub(crate) fn can_release(&self, world: &World, object: &Entity) -> bool {
         match self.entry {

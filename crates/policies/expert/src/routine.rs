@@ -8,8 +8,8 @@ use std::f64::consts::FRAC_PI_2;
 use crate::error::ExpertError;
 use crate::geometry::{Quat, Vec3};
 use crate::motion::{
-    Command, FINGERTIP_M, Fingers, HandLoad, HandPose, Motion, OPEN_M as OPEN_FINGERS_M, detour,
-    pointing_down, tilted,
+    self, Command, FINGERTIP_M, Fingers, HandLoad, HandPose, Motion, OPEN_M as OPEN_FINGERS_M,
+    detour, pointing_down, tilted,
 };
 use crate::world::{Entity, HANDLE_OUT_M, HANDLE_UP_M, World, drawer_joint};
 
@@ -189,15 +189,18 @@ impl RoutineTask {
         Ok(match self {
             Self::PullDrawer { .. } | Self::TurnKnob { .. } => {
                 let is_open = world.opening > OPEN_FINGERS_M;
-                if distance < HELD_M && motion.grasps(world) && !is_open {
-                    3
+                if distance < HELD_M && motion::is_partly_open(world) && !is_open {
+                    // The opening varies while the mechanism moves.
+                    if motion.holds_mechanism() { 3 } else { 2 }
                 } else if distance < AT_M && is_on_the_way && motion.may_close(world) {
                     2
                 } else {
                     u32::from(is_on_the_way && is_open)
                 }
             }
-            Self::PushDrawer { .. } | Self::PushDoor { .. } => u32::from(is_on_the_way),
+            Self::PushDrawer { .. } => u32::from(is_on_the_way),
+            // The pose at the door turns by half a turn as the door closes.
+            Self::PushDoor { .. } => u32::from(from.is_straight_to(to, world, ASIDE_M)),
             Self::Drag { object, .. } => {
                 let entity = world.entity(object)?;
                 let widest = entity.half.x.max(entity.half.y);
@@ -470,5 +473,68 @@ fn stage(hand: HandPose, fingers: Fingers, until: Until) -> Stage {
         hand,
         fingers,
         until,
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::kinematic_scene::KinematicScene;
+
+    /// Returns the scene with the hand in a pose, after the fingers had these openings, m.
+    fn with_hand(mut scene: KinematicScene, hand: HandPose, openings: &[f64]) -> (World, Motion) {
+        let (p, q) = (hand.pos, hand.quat);
+        scene.state.grip_pos = [p.x, p.y, p.z];
+        scene.state.grip_quat_wxyz = [q.w, q.v.x, q.v.y, q.v.z];
+        let mut motion = Motion::default();
+        for opening in openings {
+            scene.state.gripper_opening = *opening;
+            motion.observe(&scene.world());
+        }
+        (scene.world(), motion)
+    }
+
+    #[test]
+    fn a_hand_keeps_turning_a_knob_that_shifts_between_its_fingers() {
+        let scene = || {
+            KinematicScene::new("turnon", &["stove_1"])
+                .fixture("stove_1", [0.0, 0.4, 0.05], [0.1, 0.1, 0.05])
+                .joint("stove_1_button", 0.1)
+        };
+        let task = RoutineTask::TurnKnob {
+            stove: "stove_1".to_owned(),
+        };
+        let at_knob = task.stage(2, &scene().world()).unwrap().unwrap().hand;
+        let stage_after = |openings: &[f64]| {
+            let (world, motion) = with_hand(scene(), at_knob, openings);
+            task.current_stage(&world, &motion).unwrap()
+        };
+        assert_eq!(stage_after(&[0.026, 0.026, 0.027]), 3, "shifts");
+        assert_eq!(stage_after(&[0.06, 0.05, 0.04]), 2, "closes");
+        assert_eq!(
+            stage_after(&[0.0; 5]),
+            0,
+            "there is nothing between the fingers"
+        );
+    }
+
+    #[test]
+    fn a_hand_that_turns_with_the_door_keeps_pushing_it() {
+        let scene = || {
+            KinematicScene::new("close", &["microwave_1"])
+                .fixture("microwave_1", [0.0, 0.4, 0.1], [0.2, 0.1, 0.1])
+                .joint("microwave_1_door", -0.4)
+        };
+        let task = RoutineTask::PushDoor {
+            microwave: "microwave_1".to_owned(),
+        };
+        let pose = |number| task.stage(number, &scene().world()).unwrap().unwrap().hand;
+        let (from, to) = (pose(0), pose(1));
+        for turned in [0.0, 0.8, 1.6, 2.4] {
+            let pos = (from.pos + to.pos) * 0.5;
+            let quat = Quat::turn(Vec3::UP, turned).after(from.quat);
+            let (world, motion) = with_hand(scene(), HandPose { pos, quat }, &[0.0]);
+            assert_eq!(task.current_stage(&world, &motion).unwrap(), 1, "{turned}");
+        }
     }
 }

@@ -6,6 +6,7 @@ use crate::geometry::{Quat, Vec3};
 use crate::grasp::{self, Grasp, Purpose};
 use crate::motion::{
     Command, FINGERTIP_M, Fingers, HandLoad, HandPose, Motion, OPEN_M, detour, pointing_down,
+    pointing_down_like,
 };
 use crate::place::{Place, Spot};
 use crate::world::{Entity, World};
@@ -21,6 +22,9 @@ const NEAR_RAD: f64 = 0.06;
 /// it at which the hand may have been stopped, m.
 const TURNED_RAD: f64 = 0.15;
 const STOPPED_M: f64 = 0.015;
+/// Angle from the grasp up to which closing fingers go on closing, rad: an object may turn between
+/// them.
+const CLOSING_RAD: f64 = 0.6;
 /// Distance from the grip point to an object's box within which the object can be held, m.
 const BESIDE_M: f64 = 0.005;
 /// Horizontal distance from its place within which a held object continues its descent, m.
@@ -38,6 +42,9 @@ const OPENING_STEPS: u32 = 5;
 /// which a movement through free space is given up.
 const PATIENCE_STEPS: u32 = 60;
 const TRAVEL_STEPS: u32 = 120;
+/// Numbers of steps without motion after which an object that enters a covered region counts as
+/// stopped, and a descending hand as unable to reach its grasp.
+const BLOCKED_STEPS: (u32, u32) = (2, 10);
 /// Distance from the goal within which a hand that runs out of steps proceeds anyway, m.
 const ALMOST_M: f64 = 0.03;
 /// Share of full speed near obstacles.
@@ -55,6 +62,8 @@ pub(crate) struct Transfer {
     failed_attempts: usize,
     /// The last grasp tried.
     grasp: Option<Grasp>,
+    /// The last grasp that an interrupted hand could not reach.
+    blocked: Option<Grasp>,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -105,6 +114,7 @@ impl Transfer {
             ticks: 0,
             failed_attempts: 0,
             grasp: None,
+            blocked: None,
         }
     }
 
@@ -134,39 +144,68 @@ impl Transfer {
     ) -> Result<(), ExpertError> {
         if let Some(earlier) = earlier {
             (self.failed_attempts, self.grasp) = (earlier.failed_attempts, earlier.grasp);
+            self.blocked = earlier.blocked;
         }
         let object = world.entity(&self.object)?;
         let spot = self.place.spot(world, object)?;
         let to_rest = Spot::hand_for(world, object, spot.rest) - world.grip;
         let is_over_rest = to_rest.horizontal_norm() < OVER_REST_M;
         let is_at_rest = is_over_rest && spot.can_release(world, object);
-        let phase = if world.gap_to(object) < BESIDE_M && is_at_rest && world.opening < OPEN_M {
-            let closing = world.grip_quat.rotate(Vec3::new(1.0, 0.0, 0.0));
+        let is_blocked = spot.can_release_blocked(to_rest)
+            && (motion.still_steps() >= BLOCKED_STEPS.0 || motion.opens());
+        // Opening fingers go on until they are clear of the object.
+        let may_open = world.opening < OPEN_M || motion.opens();
+        let is_released = (is_at_rest || is_blocked) && may_open;
+        let phase = if world.gap_to(object) < BESIDE_M && is_released {
+            let hand = upright_hand(world);
+            // A stopped object is still pushed while the fingers open, lest it moves back.
+            let ahead = if is_at_rest {
+                Vec3::default()
+            } else {
+                to_rest.at_height(0.0)
+            };
             Phase::Release {
-                hand: HandPose {
-                    pos: world.grip,
-                    quat: pointing_down(closing.y.atan2(closing.x)),
-                },
+                hand: hand.moved(ahead),
                 way_out: spot.way_out(),
             }
         } else if self.holds(world, motion)? {
             let hold = self.hold(earlier, world, object);
             let to_approach_start = Spot::hand_for(world, object, spot.approach_start) - world.grip;
-            match spot.can_approach(to_approach_start) || spot.is_entering(to_rest) {
-                true => Phase::Lower(hold),
-                false => Phase::Carry(hold),
+            if spot.can_approach(to_approach_start) || spot.is_entering(to_rest) {
+                Phase::Lower(hold)
+            } else if is_lifting(earlier, world, hold) {
+                Phase::Lift(hold)
+            } else {
+                Phase::Carry(hold)
             }
         } else {
-            let purpose = self.purpose(world, object)?;
-            let grasp = grasp::nearest(world, object, purpose, self.grasp.as_ref());
-            let grasp = grasp.ok_or_else(|| ExpertError::NotGraspable {
-                object: self.object.clone(),
-            })?;
-            self.grasp = Some(grasp);
-            current_phase(grasp, world, object, motion)
+            let grasp = self.nearest_grasp(world, object)?;
+            match current_phase(grasp, world, object, motion) {
+                // Another controller's hand never runs out of steps above a grasp.
+                Phase::Descend(_)
+                    if motion.still_steps() % BLOCKED_STEPS.1 == BLOCKED_STEPS.1 - 1 =>
+                {
+                    self.blocked = Some(grasp);
+                    let other = self.nearest_grasp(world, object)?;
+                    current_phase(other, world, object, motion)
+                }
+                phase => phase,
+            }
         };
         self.enter(phase);
         Ok(())
+    }
+
+    /// Returns the grasp nearest to the hand, and keeps it for the next choice.
+    fn nearest_grasp(&mut self, world: &World, object: &Entity) -> Result<Grasp, ExpertError> {
+        let purpose = self.purpose(world, object)?;
+        let (earlier, blocked) = (self.grasp.as_ref(), self.blocked.as_ref());
+        let grasp = grasp::nearest(world, object, purpose, earlier, blocked);
+        let grasp = grasp.ok_or_else(|| ExpertError::NotGraspable {
+            object: self.object.clone(),
+        })?;
+        self.grasp = Some(grasp);
+        Ok(grasp)
     }
 
     /// Returns the hold of the object: that of `earlier` if the object has not slipped since,
@@ -178,9 +217,8 @@ impl Transfer {
         {
             return hold;
         }
-        let closing = world.grip_quat.rotate(Vec3::new(1.0, 0.0, 0.0));
         Hold {
-            quat: pointing_down(closing.y.atan2(closing.x)),
+            quat: upright_hand(world).quat,
             object_from_grip: object.centre - world.grip,
             lifted_from: world.grip,
         }
@@ -373,9 +411,26 @@ impl Hold {
     }
 }
 
+/// Returns the pose of the hand, upright.
+fn upright_hand(world: &World) -> HandPose {
+    let closing = world.grip_quat.rotate(Vec3::new(1.0, 0.0, 0.0));
+    HandPose {
+        pos: world.grip,
+        quat: pointing_down_like(world, closing.y.atan2(closing.x)),
+    }
+}
+
+/// Returns true if the object has not been lifted since the fingers closed. An object that moves
+/// sideways at once is torn out of the hand by what surrounds it.
+fn is_lifting(earlier: Option<&Transfer>, world: &World, hold: Hold) -> bool {
+    let phase = earlier.map(|earlier| earlier.phase);
+    let has_closed = matches!(phase, Some(Phase::Close(_) | Phase::Lift(_)));
+    has_closed && world.grip.z < hold.lifted_from.z + LIFT_M
+}
+
 /// Derives the phase before the object is held from the position of the hand.
 fn current_phase(grasp: Grasp, world: &World, object: &Entity, motion: &Motion) -> Phase {
-    let quat = pointing_down(grasp.closing);
+    let quat = pointing_down_like(world, grasp.closing);
     let grip = Grip { grasp, quat };
     let hand = grip.hand(object);
     let aside = (hand.pos - world.grip).horizontal_norm();
@@ -387,6 +442,11 @@ fn current_phase(grasp: Grasp, world: &World, object: &Entity, motion: &Motion) 
             pos: world.grip,
             ..hand
         });
+    }
+    let is_closing = world.opening < OPEN_M && motion.may_close(world);
+    let is_at_object = world.gap_to(object) < BESIDE_M && aside < ALMOST_M && above < STOPPED_M;
+    if is_closing && is_at_object && hand.turn_from(world) < CLOSING_RAD {
+        return Phase::Close(upright_hand(world));
     }
     let is_above_grasp = aside < 2.0 * NEAR_M && above < HOVER_M + 2.0 * NEAR_M;
     match is_turned && is_above_grasp && world.opening > OPEN_M {
@@ -420,121 +480,4 @@ fn hold_to(pos: Vec3, hold: Hold, pace: f64) -> Next {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::kinematic_scene::KinematicScene;
-    use crate::motion::servo;
-    use crate::place::Relation;
-
-    const BASKET: &str = "basket_1_contain_region";
-
-    fn scene() -> KinematicScene {
-        KinematicScene::new("in", &["can_1", BASKET])
-            .object("can_1", [-0.1, -0.2, 0.038], [0.031, 0.031, 0.038])
-            .object("basket_1", [0.0, 0.26, 0.07], [0.08, 0.085, 0.07])
-            .region(
-                BASKET,
-                "basket_1",
-                [0.0, 0.26, 0.067],
-                [0.061, 0.061, 0.069],
-            )
-    }
-
-    fn can_into_basket() -> Transfer {
-        let place = Place {
-            relation: Relation::In,
-            target: BASKET.to_owned(),
-            slot: 0.0,
-        };
-        Transfer::new("can_1".to_owned(), place)
-    }
-
-    /// Runs the skill to its end and returns the names of the phases in the order in which
-    /// they were entered. `disturb` is called with the phase before each step.
-    fn run(
-        scene: &mut KinematicScene,
-        mut disturb: impl FnMut(&mut KinematicScene, Phase),
-    ) -> Vec<String> {
-        let (mut transfer, mut motion) = (can_into_basket(), Motion::default());
-        let mut phases: Vec<String> = Vec::new();
-        for _ in 0..400 {
-            let world = scene.world();
-            motion.observe(&world);
-            let Some(command) = transfer.step(&world, &motion).expect("a valid scene") else {
-                return phases;
-            };
-            let shown = format!("{:?}", transfer.phase);
-            let name = shown
-                .split(['(', ' '])
-                .next()
-                .unwrap_or_default()
-                .to_owned();
-            if phases.last() != Some(&name) {
-                phases.push(name);
-            }
-            scene.apply(servo(&world, &motion, &command));
-            disturb(scene, transfer.phase);
-        }
-        panic!("the skill did not end; phases: {phases:?}");
-    }
-
-    const ALL_PHASES: [&str; 8] = [
-        "Approach", "Descend", "Close", "Lift", "Carry", "Lower", "Release", "Retreat",
-    ];
-
-    fn in_basket(scene: &KinematicScene) -> bool {
-        let world = scene.world();
-        can_into_basket()
-            .place
-            .holds(&world, world.entity("can_1").unwrap())
-            .unwrap()
-    }
-
-    #[test]
-    fn a_can_goes_into_a_basket_phase_by_phase() {
-        let mut scene = scene();
-        assert_eq!(run(&mut scene, |_, _| ()), ALL_PHASES);
-        assert!(in_basket(&scene));
-    }
-
-    #[test]
-    fn a_missed_grasp_is_detected_on_lifting_and_tried_again() {
-        let mut scene = scene();
-        scene.failing_grasps = 1;
-        let phases = run(&mut scene, |_, _| ());
-        let missed = ["Approach", "Descend", "Close", "Lift"];
-        assert_eq!(phases, [&missed[..], &ALL_PHASES[..]].concat());
-        assert!(in_basket(&scene));
-    }
-
-    #[test]
-    fn an_object_lost_on_the_way_is_picked_up_again() {
-        let mut scene = scene();
-        let mut lost = false;
-        let phases = run(&mut scene, |scene, phase| {
-            if matches!(phase, Phase::Carry(_)) && !lost && scene.state.grip_pos[1] > 0.0 {
-                scene.knock_out_of_hand();
-                lost = true;
-            }
-        });
-        assert_eq!(phases, [&ALL_PHASES[..5], &ALL_PHASES[..]].concat());
-        assert!(in_basket(&scene));
-    }
-
-    #[test]
-    fn each_attempt_takes_the_next_grasp() {
-        let scene = scene();
-        let world = scene.world();
-        let can = world.entity("can_1").unwrap();
-        let mut transfer = can_into_basket();
-        let mut chosen = Vec::new();
-        for failed_attempts in 0..2 {
-            transfer.failed_attempts = failed_attempts;
-            match transfer.choose(&world, can) {
-                Ok(Next::Go(Phase::Approach(grip))) => chosen.push(grip.grasp),
-                _ => panic!("no grasp chosen"),
-            }
-        }
-        assert_ne!(chosen[0], chosen[1]);
-    }
-}
+mod tests;
