@@ -294,7 +294,7 @@ mod tests {
         check("worker s3cret-s3cret s3cret-s3cret", &["two words"]);
         check("worker s3crét-s3cret-s3cret", &["visible ASCII"]);
         let long = format!("worker {}", "s3cret".repeat(100));
-        check(&long, &["longer"]);
+        check(&long, &["too long"]);
         let many = "viewer 0123456789abcdef\n".repeat(MAX_TOKENS + 1);
         check(&many, &["more than 256"]);
     }

@@ -28,7 +28,10 @@ fn too_few_tasks_for_an_interval_is_stated_in_every_form() {
         text.contains("too few tasks for an interval: it takes 10"),
         "{text}"
     );
-    let paper = text.split("how sure").next().expect("the paper's measures");
+    let paper = text
+        .split("95 % intervals about")
+        .next()
+        .expect("the paper's measures");
     assert!(!paper.contains('['), "{text}");
     let html = page(&few);
     assert!(

@@ -242,7 +242,7 @@ mod tests {
         assert!(
             matches!(range(&answers(&[-1.02])), Verdict::Pass { note } if note.contains("1.02"))
         );
-        assert!(fails(&range(&answers(&[1e9])), "un-normalised"));
+        assert!(fails(&range(&answers(&[1e9])), "un-normalisation"));
     }
 
     #[test]
@@ -250,7 +250,7 @@ mod tests {
         let alone = answers(&[0.5]);
         assert_eq!(batch(&alone, &alone), pass("bit for bit"));
         let moved = batch(&alone, &answers(&[0.500_01]));
-        assert!(matches!(moved, Verdict::Pass { note } if note.contains("reproducibility")));
+        assert!(matches!(moved, Verdict::Pass { note } if note.contains("low-order bits")));
         assert!(fails(&batch(&alone, &answers(&[0.6])), "differ by up to"));
         assert!(fails(&batch(&alone, &[]), "differ"));
     }
