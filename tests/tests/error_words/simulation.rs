@@ -253,7 +253,7 @@ fn rollouts(messages: &mut Messages) {
         )),
         VariantsError::Start { .. } => VariantsError::Start {
             id: "goal/t8/plus:noise_30/i00".parse().expect("an id"),
-            source: SimError::Scene(no_scene()),
+            source: Box::new(SimError::Scene(no_scene())),
         },
         VariantsError::SuiteFile { .. } => VariantsError::SuiteFile {
             path: path(), source: SuiteFile::from_json("{}").expect_err("no suite file"),

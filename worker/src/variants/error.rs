@@ -29,7 +29,7 @@ pub enum VariantsError {
         id: RolloutId,
         /// Error of the simulator.
         #[source]
-        source: SimError,
+        source: Box<SimError>,
     },
     /// The suite file is invalid.
     #[error("use {}", path.display())]

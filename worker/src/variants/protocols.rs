@@ -126,7 +126,10 @@ fn first_query(
     let prepared = Prepared::new(&case.row(protocol), simulator.sources())?;
     pack.provide_with_bar(slice::from_ref(&prepared.files))?;
     let row = &prepared.row;
-    let failed = |source: SimError| VariantsError::Start { id: row.id, source };
+    let failed = |source: SimError| VariantsError::Start {
+        id: row.id,
+        source: Box::new(source),
+    };
     let mut episode = simulator
         .begin_variant(prepared.files, row, &prepared.start)
         .map_err(failed)?;
