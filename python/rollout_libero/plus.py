@@ -21,6 +21,6 @@ def check_assets(bddl_file: str | PathLike[str], assets: str | PathLike[str] | N
     if lack:
         raise FileNotFoundError(
             f"failed to make the variant {name}, which lacks {lack}: choose a variant of LIBERO's "
-            "own files, or, for a background, set ROLLOUT_ASSETS to the unpacked archive "
+            "own files, or, for a background or light, set ROLLOUT_ASSETS to the unpacked archive "
             "(docs/FAMILY.md)"
         )

@@ -314,9 +314,9 @@ def test_segmentations_are_of_uncorrupted_frames() -> None:
 
 
 def test_what_cannot_be_shown_is_refused_with_the_remedy(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError, match="scenes/lights/.*shadows are not drawn"):
+    with pytest.raises(FileNotFoundError, match="scenes/lights/.*ROLLOUT_ASSETS"):
         make(f"{BOWL}_light_1")
-    with pytest.raises(FileNotFoundError, match="new_objects/.*catalogue"):
+    with pytest.raises(FileNotFoundError, match="new_objects/.*no package index"):
         make(f"{BOWL}_add_1")
     with pytest.raises(FileNotFoundError, match="no package index has.*ROLLOUT_ASSETS"):
         make(f"{BOWL}_table_1")
