@@ -45,8 +45,8 @@ fn features(packages: &[&str], edges: &str) -> BTreeSet<String> {
     text.lines().map(str::to_owned).collect()
 }
 
-/// Where features differ, a clean checkout compiles the dependency twice, with all that depends on
-/// it: for xtask, for the programs, for the Python extension, or for the tests.
+/// A clean checkout compiles a dependency twice, with its dependents, if xtask, the programs, the
+/// Python extension and the tests enable different features of it.
 #[test]
 fn one_build_of_each_dependency_serves_programs_and_tests() {
     let tests = features(&["--workspace"], "normal,build,dev");

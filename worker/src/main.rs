@@ -320,15 +320,9 @@ fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
     let audit = variants::Audit::new(cases, &rules, &simulator.pack, &simulator.sources)?;
     let print = |text: &str| terminal::print(text).context("print to standard output");
     if options.protocols {
+        let report = &mut |starts: &variants::Starts| print(&starts.to_string());
         print(&audit.report())?;
-        let cases = match choice.variants.is_empty() {
-            true => variants::one_of_each_group(&audit.runnable),
-            false => {
-                audit.require_all()?;
-                audit.runnable
-            }
-        };
-        return variants::compare(&cases, simulator, &mut |starts| print(&starts.to_string()));
+        return variants::compare(&audit, choice, simulator, report);
     }
     let (Some(endpoint), Some(output)) = (&arguments.endpoint, &arguments.output) else {
         return match options.list {

@@ -26,7 +26,7 @@ pub use audit::{Audit, lack};
 pub use case::{Prepared, files};
 pub use choice::{Choice, RunOptions};
 pub use error::VariantsError;
-pub use protocols::{compare, one_of_each_group};
+pub use protocols::{Starts, compare};
 use results::Results;
 pub use results::{Pin, Row, Tally};
 pub use rules::Rules;

@@ -9,7 +9,9 @@ use libero_family::{Case, SelectionError, Subject};
 use scene::AssetPack;
 use sim::{CameraRequest, ObservationRequest, SimError, Simulator, SimulatorConfig};
 
+use super::audit::Audit;
 use super::case::Prepared;
+use super::choice::Choice;
 use super::error::VariantsError;
 
 /// Side of the compared picture, pixels: that of the benchmarks' environments.
@@ -47,8 +49,8 @@ struct Start {
     changed_percent: f64,
 }
 
-/// Returns the cases to compare: the first of each dimension or suite.
-pub fn one_of_each_group(cases: &[Case]) -> Vec<Case> {
+/// Returns the first case of each dimension or suite.
+fn one_of_each_group(cases: &[Case]) -> Vec<Case> {
     let mut chosen: Vec<Case> = Vec::new();
     for case in cases {
         if chosen.iter().all(|other| other.group() != case.group()) {
@@ -58,19 +60,27 @@ pub fn one_of_each_group(cases: &[Case]) -> Vec<Case> {
     chosen
 }
 
-/// Starts each case under every protocol of its benchmark, and reports each as soon as it is
-/// known.
+/// Starts the chosen variants, or one of each dimension or suite if none is named, under every
+/// protocol of their benchmark, and reports each as soon as it is known.
 ///
 /// # Errors
-/// If a case has no protocols, its files cannot be had, the simulator fails, or `report` does.
+/// If a named variant lacks files, a case has no protocols, the simulator fails, or `report` does.
 pub fn compare(
-    cases: &[Case],
+    audit: &Audit,
+    choice: &Choice,
     simulator: SimulatorConfig,
     report: &mut dyn FnMut(&Starts) -> anyhow::Result<()>,
 ) -> anyhow::Result<()> {
+    let cases = match choice.variants.is_empty() {
+        true => one_of_each_group(&audit.runnable),
+        false => {
+            audit.require_all()?;
+            audit.runnable.clone()
+        }
+    };
     let pack = simulator.pack.clone();
     let mut simulator = Simulator::new(simulator);
-    for case in cases {
+    for case in &cases {
         report(&starts(case, &pack, &mut simulator)?)?;
     }
     Ok(())

@@ -21,6 +21,8 @@ const FINGER_STEP_M: f64 = 0.01;
 const HOLDING_M: f64 = 0.02;
 /// Largest distance from the grip point at which an object can be held, m.
 const REACH_M: f64 = 0.08;
+/// Half extents of the mug, m.
+pub(crate) const MUG_M: [f64; 3] = [0.03, 0.03, 0.05];
 
 pub(crate) struct KinematicScene {
     pub(crate) state: Privileged,
@@ -46,6 +48,25 @@ impl KinematicScene {
             held: None,
             velocity: [0.0; 3],
         }
+    }
+
+    /// Creates a mug, and an oven with an open front into which it is to be put.
+    pub(crate) fn mug_before_oven() -> Self {
+        Self::new("in", &["mug_1", "oven_1_inside"])
+            .object("mug_1", [0.0, 0.0, 0.05], MUG_M)
+            .fixture("oven_1", [0.0, 0.4, 0.1], [0.2, 0.1, 0.1])
+            .region(
+                "oven_1_inside",
+                "oven_1",
+                [0.0, 0.4, 0.1],
+                [0.12, 0.08, 0.08],
+            )
+            .region(
+                "oven_1_top_side",
+                "oven_1",
+                [0.0, 0.4, 0.2],
+                [0.15, 0.1, 0.001],
+            )
     }
 
     pub(crate) fn goal(mut self, name: &str, arguments: &[&str]) -> Self {

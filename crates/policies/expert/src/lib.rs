@@ -208,23 +208,7 @@ mod tests {
 
     #[test]
     fn an_expert_interrupted_at_every_step_puts_a_mug_into_a_covered_region() {
-        let oven = || {
-            KinematicScene::new("in", &["mug_1", "oven_1_inside"])
-                .object("mug_1", [0.0, 0.0, 0.05], [0.03, 0.03, 0.05])
-                .fixture("oven_1", [0.0, 0.4, 0.1], [0.2, 0.1, 0.1])
-                .region(
-                    "oven_1_inside",
-                    "oven_1",
-                    [0.0, 0.4, 0.1],
-                    [0.12, 0.08, 0.08],
-                )
-                .region(
-                    "oven_1_top_side",
-                    "oven_1",
-                    [0.0, 0.4, 0.2],
-                    [0.15, 0.1, 0.001],
-                )
-        };
+        let oven = KinematicScene::mug_before_oven;
         assert!(succeeds_in(oven(), 400, |_, _| None), "uninterrupted");
         assert!(succeeds_in(oven(), 400, |_, action| Some(action)));
     }

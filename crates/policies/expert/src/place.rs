@@ -232,27 +232,10 @@ impl Spot {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::kinematic_scene::KinematicScene;
-
-    const MUG: [f64; 3] = [0.03, 0.03, 0.05];
+    use crate::kinematic_scene::{KinematicScene, MUG_M};
 
     fn scene() -> KinematicScene {
-        KinematicScene::new("in", &["mug_1", "oven_1_inside"])
-            .object("mug_1", [0.0, 0.0, 0.05], MUG)
-            .object("plate_1", [0.3, 0.0, 0.01], [0.07, 0.07, 0.01])
-            .fixture("oven_1", [0.0, 0.4, 0.1], [0.2, 0.1, 0.1])
-            .region(
-                "oven_1_inside",
-                "oven_1",
-                [0.0, 0.4, 0.1],
-                [0.12, 0.08, 0.08],
-            )
-            .region(
-                "oven_1_top_side",
-                "oven_1",
-                [0.0, 0.4, 0.2],
-                [0.15, 0.1, 0.001],
-            )
+        KinematicScene::mug_before_oven().object("plate_1", [0.3, 0.0, 0.01], [0.07, 0.07, 0.01])
     }
 
     fn place(relation: Relation, target: &str, slot: f64) -> Place {
@@ -282,7 +265,7 @@ mod tests {
     #[test]
     fn neighbours_on_one_target_do_not_touch() {
         let [left, right] = [-1.0, 1.0].map(|slot| spot(&place(Relation::On, "plate_1", slot)));
-        assert!((left.rest - right.rest).horizontal_norm() > 2.0 * MUG[0]);
+        assert!((left.rest - right.rest).horizontal_norm() > 2.0 * MUG_M[0]);
     }
 
     #[test]
