@@ -120,6 +120,12 @@ pub(super) async fn compare(arguments: CompareArguments) -> Result<(), CommandEr
         };
         return Ok(print_line(text.trim_end())?);
     }
+    if subjects.iter().any(|subject| subject.protocol.is_some()) {
+        return Err(usage(anyhow!(
+            "compare a campaign of LIBERO's family with one of LIBERO-CTRL: they have no rollout in \
+             common; name two campaigns of one benchmark"
+        )));
+    }
     let document = Document::new(subjects).map_err(anyhow::Error::from)?;
     let [a, b] = document.analyses.as_slice() else {
         unreachable!("one analysis per subject");

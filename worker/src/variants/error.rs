@@ -66,7 +66,7 @@ pub enum VariantsError {
         problem: String,
     },
     /// A file cannot be read or written.
-    #[error("use {}", path.display())]
+    #[error("use {}: check its path and permissions", path.display())]
     File {
         /// Path of the file.
         path: PathBuf,
