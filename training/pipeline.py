@@ -44,6 +44,14 @@ def rounds(data: Path) -> list[Path]:
     return sorted(folder for folder in data.glob("round_*") if folder.is_dir())
 
 
+def visible_gpus() -> list[str]:
+    """Returns the names of the GPUs that this process may use, as in CUDA_VISIBLE_DEVICES."""
+    chosen = os.environ.get("CUDA_VISIBLE_DEVICES")
+    if chosen is not None:
+        return [name.strip() for name in chosen.split(",") if name.strip()]
+    return [str(at) for at in range(torch.cuda.device_count())]
+
+
 def collectors(arguments: argparse.Namespace, seconds: float) -> list[subprocess.Popen[bytes]]:
     """Starts the processes that collect a round, on all cores."""
     number = len({folder.name.split("_")[1] for folder in rounds(arguments.data)})
@@ -66,9 +74,9 @@ def collectors(arguments: argparse.Namespace, seconds: float) -> list[subprocess
         if any((folder / OUTCOMES).exists() for folder in earlier):
             command += ["--failures", *map(str, earlier)]
         log = (arguments.data / f"{into.name}.log").open("wb")
-        # The first GPU trains; collectors use a second one, if there is one.
-        last = max(0, torch.cuda.device_count() - 1)
-        environment = os.environ | {"CUDA_VISIBLE_DEVICES": str(last)} if last else None
+        # The first GPU trains; collectors use the last one, if there are several.
+        gpus = visible_gpus()
+        environment = os.environ | {"CUDA_VISIBLE_DEVICES": gpus[-1]} if len(gpus) > 1 else None
         processes.append(
             subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, env=environment)
         )
