@@ -74,9 +74,11 @@ def collectors(arguments: argparse.Namespace, seconds: float) -> list[subprocess
         if any((folder / OUTCOMES).exists() for folder in earlier):
             command += ["--failures", *map(str, earlier)]
         log = (arguments.data / f"{into.name}.log").open("wb")
-        # The first GPU trains; collectors use the last one, if there are several.
-        gpus = visible_gpus()
-        environment = os.environ | {"CUDA_VISIBLE_DEVICES": gpus[-1]} if len(gpus) > 1 else None
+        # The first GPU trains; collectors take turns with the others, if there are any.
+        others = visible_gpus()[1:]
+        environment = (
+            os.environ | {"CUDA_VISIBLE_DEVICES": others[at % len(others)]} if others else None
+        )
         processes.append(
             subprocess.Popen(command, stdout=log, stderr=subprocess.STDOUT, env=environment)
         )
