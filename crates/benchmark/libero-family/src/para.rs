@@ -7,7 +7,7 @@ mod score;
 
 pub use inventory::{Paraphrase, TypeName, digest, inventory, paraphrase};
 pub use kind::{Kind, Wording};
-pub use score::{Distances, Paraphrased, pride};
+pub use score::{Distances, Paraphrased};
 
 /// Folder of a checkout of LIBERO-Para that has the task files.
 pub const PACKAGE: &str = "libero/libero";

@@ -38,19 +38,17 @@ impl Distances {
     }
 }
 
-/// Returns PRIDE in per cent; `alpha` is the weight of the content words, 0.5 in the released
-/// code. `None` if the distances of all sentences are 0.
-pub fn pride(outcomes: &[Paraphrased], alpha: f64) -> Option<f64> {
-    let mut distances = Distances::default();
-    for outcome in outcomes {
-        distances.add(outcome, alpha);
-    }
-    distances.pride()
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn pride(outcomes: &[Paraphrased], alpha: f64) -> Option<f64> {
+        let mut distances = Distances::default();
+        for outcome in outcomes {
+            distances.add(outcome, alpha);
+        }
+        distances.pride()
+    }
 
     /// Expected values computed by hand: distances 0.25 and 0.75 at α = 0.5.
     #[test]
