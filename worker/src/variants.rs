@@ -1,6 +1,5 @@
-//! `worker variants`: counts variants of LIBERO-Plus or LIBERO-PRO, or the tasks of a suite file,
-//! reports missing files, and runs the rollouts, variants with the unperturbed rollouts of their
-//! tasks. Results are lines of `results.jsonl`; an interrupted run resumes from them.
+//! `worker variants`: counts rollouts of LIBERO-Plus, LIBERO-PRO, LIBERO-Para or a suite file, reports
+//! missing files, and runs the rollouts, variants with the unperturbed rollouts of their tasks. Results are lines of `results.jsonl`; an interrupted run resumes from them.
 
 mod audit;
 mod case;

@@ -30,10 +30,10 @@ use super::{forecast, horizon, stopping};
 
 /// Flags that conflict with `--spec`, in addition to [`DESIGN_FLAGS`].
 #[rustfmt::skip]
-const SPEC_FLAGS: [&str; 22] = [
+const SPEC_FLAGS: [&str; 23] = [
     "policy", "endpoint", "tasks", "manifest", "realisation", "replicates", "record", "assets",
     "renderer", "stop", "stop_seed", "stop_strata", "execution", "suite", "protocol", "variants",
-    "suites", "dimensions", "difficulties", "trials", "runnable", "suite_file",
+    "suites", "dimensions", "difficulties", "paraphrases", "trials", "runnable", "suite_file",
 ];
 /// Valid values of `--record`, `--nominal`, `--renderer`, `--directions` and `--stop-strata`.
 pub(super) const RECORDS: [&str; 4] = ["none", "failures", "transitions", "all"];
@@ -59,6 +59,10 @@ Examples:
   The variants of LIBERO-Plus whose files are in a package index, by its official protocol:
     coordinator campaign create --name plus --policy student \\
         --endpoint http://127.0.0.1:7412 --suite libero-plus --runnable
+  The sentences of LIBERO-Para that hint at one task:
+    coordinator campaign create --name hints --policy student \\
+        --endpoint http://127.0.0.1:7412 --suite libero-para --paraphrase hint \\
+        --tasks libero_goal/8
   The tasks of a further benchmark, as a suite file describes them:
     coordinator campaign create --name libero_90 --policy student \\
         --endpoint http://127.0.0.1:7412 --suite-file examples/suites/libero_90.json
@@ -70,7 +74,8 @@ Examples:
 #[derive(Args, Debug)]
 #[command(after_long_help = EXAMPLES)]
 #[command(group = ArgGroup::new("source").required(true).args(["spec", "name"]))]
-#[command(group = ArgGroup::new("rollouts").args(["tasks", "manifest", "suite", "suite_file"]))]
+#[command(group = ArgGroup::new("rollouts").multiple(true)
+    .args(["tasks", "manifest", "suite", "suite_file"]))]
 #[command(group = ArgGroup::new("of_benchmark").args(["suite", "suite_file"]))]
 pub(super) struct CreateArguments {
     /// File of a specification in JSON; `-` reads standard input.
@@ -133,7 +138,7 @@ struct SpecFlags {
     #[arg(long, value_name = "URL")]
     endpoint: Option<String>,
     /// Tasks: `libero_object/0,libero_spatial/0-3`, a suite, or `all`.
-    #[arg(long, value_delimiter = ',')]
+    #[arg(long, value_delimiter = ',', conflicts_with = "manifest")]
     tasks: Vec<String>,
     /// Manifest to run unchanged, instructions included, instead of a design; `-` reads standard
     /// input.
@@ -390,7 +395,8 @@ fn print_video_estimate(campaign: &NewCampaign) -> Result<(), CommandError> {
 }
 
 fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandError> {
-    let selection = arguments.variants.rollouts()?;
+    let chosen_tasks = tasks(&arguments.flags.tasks).map_err(usage)?;
+    let selection = arguments.variants.rollouts(&chosen_tasks)?;
     let rollouts = match (&arguments.flags.manifest, selection) {
         (Some(path), _) => Rollouts::Manifest(read_manifest(path)?),
         (None, Some(rollouts)) => rollouts,

@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use clap::Args;
-use libero_ctrl::{Benchmark, Rollouts, Variants};
+use libero_ctrl::{Benchmark, Rollouts, TaskRef, Variants};
 use libero_family::pro::STATES;
 use libero_family::protocol::Protocol;
 use terminal::number;
@@ -18,21 +18,22 @@ pub(super) const DESIGN_FLAGS: [&str; 9] = [
     "placebo_radius", "placebo_configs",
 ];
 
-/// Flags of LIBERO-Plus and LIBERO-PRO and another source of rollouts, which conflict with
-/// `--suite-file`.
+/// Flags of LIBERO-Plus, LIBERO-PRO and LIBERO-Para and other sources of rollouts, which conflict
+/// with `--suite-file`.
 #[rustfmt::skip]
-const VARIANT_FLAGS: [&str; 8] = [
-    "suite", "manifest", "protocol", "variants", "suites", "dimensions", "difficulties", "runnable",
+const VARIANT_FLAGS: [&str; 10] = [
+    "suite", "manifest", "tasks", "protocol", "variants", "suites", "dimensions", "difficulties",
+    "paraphrases", "runnable",
 ];
 
 /// The flags that take the place of a design.
 #[derive(Args, Debug)]
-#[command(next_help_heading = "LIBERO-Plus, LIBERO-PRO and further benchmarks")]
+#[command(next_help_heading = "LIBERO-Plus, LIBERO-PRO, LIBERO-Para and further benchmarks")]
 pub(super) struct VariantFlags {
-    /// Variants of a benchmark instead of a design: `libero-plus` or `libero-pro`, with the
-    /// unperturbed rollouts of their tasks.
+    /// Variants of a benchmark instead of a design: `libero-plus`, `libero-pro` or `libero-para`,
+    /// with the unperturbed rollouts of their tasks.
     #[arg(long, value_name = "BENCHMARK", hide_short_help = true,
-        conflicts_with_all = DESIGN_FLAGS)]
+        conflicts_with_all = DESIGN_FLAGS, conflicts_with = "manifest")]
     suite: Option<Benchmark>,
     /// Tasks of a suite file instead of a design: a further benchmark in JSON, as docs/FAMILY.md
     /// describes it. `-` reads standard input.
@@ -40,7 +41,7 @@ pub(super) struct VariantFlags {
         conflicts_with_all = DESIGN_FLAGS, conflicts_with_all = VARIANT_FLAGS)]
     suite_file: Option<PathBuf>,
     /// Evaluation protocol, see docs/FAMILY.md. If omitted, that of the benchmark's published
-    /// table: `plus-official` or `pro-official`.
+    /// table: `plus-official`, `pro-official` or `para-official`.
     #[arg(long, value_name = "NAME", requires = "suite", hide_short_help = true)]
     protocol: Option<Protocol>,
     /// Variants of LIBERO-Plus, by the benchmark's names.
@@ -75,6 +76,16 @@ pub(super) struct VariantFlags {
     #[arg(long = "difficulty", value_name = "N,...", value_delimiter = ',', requires = "suite",
         hide_short_help = true, value_parser = number(0..=5_u8, ""))]
     difficulties: Vec<u8>,
+    /// Sentences of LIBERO-Para of these types, by their names in its metadata: obj, act or comp;
+    /// structural; hint; act_pragmatical_hint. `--tasks libero_goal/8` selects those of a task.
+    #[arg(
+        long = "paraphrase",
+        value_name = "TYPE,...",
+        value_delimiter = ',',
+        requires = "suite",
+        hide_short_help = true
+    )]
+    paraphrases: Vec<String>,
     /// Trials of each task of LIBERO-PRO or of a suite file. If omitted, 50, or as the file says.
     #[arg(long, value_name = "N", requires = "of_benchmark", hide_short_help = true,
         value_parser = number(1..=STATES, "trials"))]
@@ -85,17 +96,18 @@ pub(super) struct VariantFlags {
 }
 
 impl VariantFlags {
-    /// Returns the selected rollouts; `None` if no benchmark and no suite file is named.
-    pub(super) fn rollouts(&self) -> Result<Option<Rollouts>, CommandError> {
+    /// Returns the selected rollouts; `None` if no benchmark and no suite file is named. `tasks` are
+    /// those of `--tasks`.
+    pub(super) fn rollouts(&self, tasks: &[TaskRef]) -> Result<Option<Rollouts>, CommandError> {
         let Some(path) = &self.suite_file else {
-            return Ok(self.selection().map(Rollouts::Variants));
+            return Ok(self.selection(tasks).map(Rollouts::Variants));
         };
         let mut file = read_suite_file(path)?;
         file.trials = self.trials.unwrap_or(file.trials);
         Ok(Some(Rollouts::SuiteFile(Box::new(file))))
     }
 
-    fn selection(&self) -> Option<Variants> {
+    fn selection(&self, tasks: &[TaskRef]) -> Option<Variants> {
         let benchmark = self.suite?;
         let protocol = self.protocol.unwrap_or(Protocol::official(benchmark));
         Some(Variants {
@@ -105,6 +117,8 @@ impl VariantFlags {
             suites: self.suites.clone(),
             dimensions: self.dimensions.clone(),
             difficulties: self.difficulties.clone(),
+            paraphrases: self.paraphrases.clone(),
+            tasks: tasks.iter().map(TaskRef::to_string).collect(),
             trials: self.trials,
             runnable: self.runnable,
         })

@@ -23,7 +23,7 @@ const MAX_PROGRESS: usize = 1_024;
 const MAX_CHUNK_WAIT: Duration = Duration::from_secs(30);
 /// Longest task name of a claim, bytes; longer ones are ignored.
 const MAX_TASK_BYTES: usize = 80;
-/// Most tasks accepted in a claim's `lacking_tasks`; forty tasks have three keys each, and a suite
+/// Most tasks accepted in a claim's `lacking_tasks`; forty tasks have four keys each, and a suite
 /// file has up to 256 tasks.
 const MAX_TASKS: usize = 1024;
 /// Name of the only accepted artifact.

@@ -6,7 +6,7 @@ use libero_ctrl::{Delays, Execution, NoSuchRow, SuiteFile, TooLate};
 use libero_family::SelectionError;
 use libero_family::corruption::{Corruption, Picture, UnsuitedPicture};
 use libero_family::plus::{BddlPath, ProblemClass, UnknownVariant};
-use libero_family::protocol::Protocol;
+use libero_family::protocol::{Benchmark, Protocol};
 use policy_protocol::{ActionFault, DescriptionFault};
 use raster::{DrawError, ModelError};
 use scene::SceneError;
@@ -80,6 +80,10 @@ fn scenes(messages: &mut Messages) {
         SceneError::NotLiberos { .. } => SceneError::NotLiberos {
             what: "the arena model".to_owned(), path: path(),
             difference: "altered: another SHA-256".to_owned(),
+        },
+        SceneError::NoWheel => SceneError::NoWheel,
+        SceneError::Checkout { .. } => SceneError::Checkout {
+            path: path(), problem: "3 of 4093 files are missing".to_owned(),
         },
         SceneError::Assets(_) => SceneError::Assets(AssetsError::Interrupted),
         SceneError::Inconsistent(_) => no_scene(),
@@ -363,6 +367,7 @@ fn assets(messages: &mut Messages) {
             folder: path(), count: 1, named: "a.xml (missing)".to_owned(),
         },
         PackError::Primitives { .. } => PackError::Primitives { folder: path() },
+        PackError::Checkout { .. } => PackError::Checkout { benchmark: Benchmark::Plus },
         PackError::Print(_) => PackError::Print(io_error()),
     );
     variants!(messages, AssetsError,

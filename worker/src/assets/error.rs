@@ -4,6 +4,7 @@ use std::io;
 use std::path::PathBuf;
 
 use assets::AssetsError;
+use libero_family::protocol::Benchmark;
 use scene::SceneError;
 
 /// Reason why an asset pack could not be listed, verified or fetched. Messages read
@@ -42,6 +43,11 @@ pub enum PackError {
         folder.display()
     )]
     Primitives { folder: PathBuf },
+    #[error(
+        "fetch the task files of {benchmark} from a checkout: a package index has them; leave \
+         --checkout out"
+    )]
+    Checkout { benchmark: Benchmark },
     #[error("print the result")]
     Print(#[source] io::Error),
 }

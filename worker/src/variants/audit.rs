@@ -221,7 +221,7 @@ fn lack_in_benchmark(
     let (case, _) = Case::of_row(row)?;
     let lack = match case.subject {
         Subject::Plus(entry) => assets_lack(entry, pack),
-        Subject::Pro(_) | Subject::Unperturbed | Subject::Own(_) => None,
+        Subject::Pro(_) | Subject::Para(_) | Subject::Unperturbed | Subject::Own(_) => None,
     };
     if lack.is_some() {
         return Ok(lack);
@@ -238,7 +238,7 @@ fn lack_in_benchmark(
             }
             _ => Ok(None),
         },
-        None => Ok(None),
+        Some(Benchmark::Para) | None => Ok(None),
     }
 }
 

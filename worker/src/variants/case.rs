@@ -4,7 +4,7 @@
 use libero_ctrl::{ManifestRow, OwnTask};
 use libero_family::corruption::Corruption;
 use libero_family::plus::{View, start_posture};
-use libero_family::protocol::{Beginning, Protocol};
+use libero_family::protocol::{Beginning, Benchmark, Protocol};
 use libero_family::{Case, SelectionError, Subject};
 use scene::{Sources, TaskFiles};
 use sim::{Start, VariantStart};
@@ -27,8 +27,7 @@ impl Prepared {
     /// # Errors
     /// If the row names no case of a benchmark, or its BDDL file cannot be read.
     pub fn new(row: &ManifestRow, sources: &Sources) -> Result<Self, VariantsError> {
-        let files = files(row, sources)?;
-        let sentence = files.problem()?.language;
+        let (files, sentence) = files_and_sentence(row, sources)?;
         let (prompt, start) = match &row.own {
             Some(own) => {
                 let prompt = Some(row.instruction.clone()).filter(|prompt| !prompt.is_empty());
@@ -48,6 +47,26 @@ impl Prepared {
     }
 }
 
+/// Returns the files that are simulated, and the sentence of the row's BDDL file. The rollouts of
+/// LIBERO-Para are simulated from LIBERO's own files, which differ in the sentence only, so that all
+/// sentences of a task share a compiled scene.
+fn files_and_sentence(
+    row: &ManifestRow,
+    sources: &Sources,
+) -> Result<(TaskFiles, String), VariantsError> {
+    let files = files(row, sources)?;
+    match row.id.variant().and_then(|name| name.benchmark()) {
+        Some(Benchmark::Para) => {
+            let sentence = files.sentence()?;
+            Ok((TaskFiles::of_task(sources, row.id.task()), sentence))
+        }
+        _ => {
+            let sentence = files.problem()?.language;
+            Ok((files, sentence))
+        }
+    }
+}
+
 /// Returns the files of a row's task.
 ///
 /// # Errors
@@ -61,6 +80,7 @@ pub fn files(row: &ManifestRow, sources: &Sources) -> Result<TaskFiles, Selectio
         Subject::Unperturbed | Subject::Own(_) => TaskFiles::of_task(sources, case.task),
         Subject::Plus(entry) => TaskFiles::of_variant(sources, &entry.variant),
         Subject::Pro(suite) => TaskFiles::of_pro_task(sources, suite, case.task),
+        Subject::Para(paraphrase) => TaskFiles::of_paraphrase(sources, paraphrase),
     })
 }
 

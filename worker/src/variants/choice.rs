@@ -4,18 +4,19 @@ use std::fs;
 use std::path::PathBuf;
 
 use clap::Args;
-use libero_ctrl::{Suite, SuiteFile};
+use libero_ctrl::{Suite, SuiteFile, TaskRef};
+use libero_family::para::TypeName;
 use libero_family::plus::{Dimension, Variant};
 use libero_family::pro::{ProSuite, STATES};
 use libero_family::protocol::{Benchmark, Protocol};
-use libero_family::{Case, PlusFilters, ProFilters, Selection, SelectionError};
+use libero_family::{Case, ParaFilters, PlusFilters, ProFilters, Selection, SelectionError};
 use terminal::number;
 
 use super::error::VariantsError;
 use super::rules::Rules;
 
 /// A choice of rollouts: variants of LIBERO-Plus that match every given filter, suites of
-/// LIBERO-PRO, or the tasks of a suite file.
+/// LIBERO-PRO, sentences of LIBERO-Para, or the tasks of a suite file.
 #[derive(Clone, Debug, Default, Args)]
 pub struct Choice {
     /// Variants of LIBERO-Plus by the benchmark's names, separated by commas
@@ -38,6 +39,18 @@ pub struct Choice {
     /// Tasks of a suite file instead: a further benchmark in JSON, as docs/FAMILY.md describes it
     #[arg(long, value_name = "FILE", group = "of_suites", conflicts_with_all = ["variants", "suites", "dimensions", "difficulties"])]
     pub suite_file: Option<PathBuf>,
+    /// Sentences of LIBERO-Para instead: `all`, or types by their names in its metadata, such as
+    /// obj, structural, hint or act_pragmatical_hint
+    #[arg(long = "para", value_name = "TYPE,...", value_delimiter = ',', conflicts_with_all = ["variants", "suites", "dimensions", "difficulties", "of_suites"])]
+    pub para: Vec<TypeName>,
+    /// Sentences for tasks, such as libero_goal/8
+    #[arg(
+        long,
+        value_name = "SUITE/N,...",
+        value_delimiter = ',',
+        requires = "para"
+    )]
+    pub tasks: Vec<TaskRef>,
     /// Trials of each task of LIBERO-PRO or of a suite file, one from each initial state [default:
     /// 50, or as the suite file says]
     #[arg(long, value_name = "N", requires = "of_suites", value_parser = number(1..=STATES, "trials"))]
@@ -48,8 +61,8 @@ pub struct Choice {
 #[derive(Clone, Debug, Args)]
 pub struct RunOptions {
     /// The protocol: plus-official, plus-openpi, plus-lerobot, plus-rlinf, plus-stripped,
-    /// pro-official, pro-openpi or pro-bddl; docs/FAMILY.md describes each [default: plus-official,
-    /// or pro-official]
+    /// pro-official, pro-openpi, pro-bddl or para-official; docs/FAMILY.md describes each [default:
+    /// plus-official, pro-official or para-official]
     #[arg(long, value_name = "NAME", conflicts_with = "suite_file")]
     pub protocol: Option<Protocol>,
     /// Leaves out variants whose files are missing, after naming them
@@ -98,8 +111,14 @@ impl Choice {
         self.suite_file.is_some() || !self.pro.is_empty() || cases.iter().any(needs)
     }
 
-    /// Returns the selection of the options of LIBERO-Plus and LIBERO-PRO.
+    /// Returns the selection of the options of LIBERO-Plus, LIBERO-PRO and LIBERO-Para.
     fn selection(&self) -> Selection {
+        if !self.para.is_empty() {
+            return Selection::Para(ParaFilters {
+                types: self.para.clone(),
+                tasks: self.tasks.clone(),
+            });
+        }
         match self.pro.is_empty() {
             true => Selection::Plus(PlusFilters {
                 variants: self.variants.clone(),
@@ -159,6 +178,24 @@ mod tests {
             unused.selection().cases(),
             Err(SelectionError::Unused { .. })
         ));
+    }
+
+    #[test]
+    fn sentences_are_chosen_by_type_and_task() {
+        let hints = Choice {
+            para: vec!["hint".parse().unwrap()],
+            tasks: vec!["libero_goal/8".parse().unwrap()],
+            ..Choice::default()
+        };
+        let cases = hints.selection().cases().unwrap();
+        assert_eq!(Case::unperturbed(&cases).len(), 1);
+        assert_eq!(cases[0].name(), "act_pragmatical_hint_eval3_ver1");
+        assert!(!hints.may_need_further_assets(&cases));
+        let none = Choice {
+            tasks: vec!["libero_object/8".parse().unwrap()],
+            ..hints
+        };
+        assert!(none.selection().cases().is_err());
     }
 
     #[test]

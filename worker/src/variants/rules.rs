@@ -12,7 +12,7 @@ use super::results::Pin;
 /// Rules of all rollouts of a run.
 #[derive(Clone, Debug)]
 pub enum Rules {
-    /// A protocol of LIBERO-Plus or LIBERO-PRO.
+    /// A protocol of LIBERO-Plus, LIBERO-PRO or LIBERO-Para.
     Protocol(Protocol),
     /// A suite file.
     SuiteFile {

@@ -1,11 +1,12 @@
-//! Report of a campaign of LIBERO's family or of a suite file: successes by dimension or suite and
-//! by difficulty, and the losses against the unperturbed rollouts of the same tasks and initial
+//! Report of a campaign of LIBERO's family or of a suite file: successes by dimension, suite or type
+//! and by difficulty, and the losses against the unperturbed rollouts of the same tasks and initial
 //! states, which suite files do not have.
 
 use std::collections::BTreeMap;
 use std::fmt::Write;
 
-use libero_ctrl::{Benchmark, TaskRef, UnknownName};
+use libero_ctrl::{TaskRef, UnknownName};
+use libero_family::para::{Kind, Paraphrased};
 use libero_family::plus::{Dimension, PUBLISHED, PUBLISHED_SOURCE};
 use libero_family::pro::ProSuite;
 use libero_family::protocol::Protocol;
@@ -13,6 +14,7 @@ use libero_family::{Case, SelectionError, Subject as CaseSubject};
 use paired::{Bootstrap, Interval, NoInterval, Outcome, intervals_of_many, push_wrapped};
 use serde::Serialize;
 
+use crate::family_pride::Pride;
 use crate::subject::Subject;
 
 /// Results of a campaign of LIBERO's family or of a suite file, under one protocol.
@@ -35,15 +37,19 @@ pub struct Family {
     pub is_paired: bool,
     /// The unperturbed rollouts.
     pub unperturbed: Line,
-    /// Dimensions of LIBERO-Plus or suites of LIBERO-PRO, in the benchmark's order, or suites of a
-    /// suite file by name.
+    /// The names `obj`, `act` and `comp` of LIBERO-Para's types.
+    pub kinds: Vec<Line>,
+    /// Dimensions of LIBERO-Plus, suites of LIBERO-PRO, or the first two names of LIBERO-Para's
+    /// types, in the benchmark's order, or suites of a suite file by name.
     pub groups: Vec<Line>,
     /// Difficulties of LIBERO-Plus; the last line is of variants without a difficulty.
     pub difficulties: Vec<Line>,
-    /// Difficulties within each dimension.
+    /// Difficulties within each dimension of LIBERO-Plus, or the 43 types of LIBERO-Para.
     pub cells: Vec<Line>,
     /// All variants together, as the benchmark's total counts them.
     pub all: Line,
+    /// LIBERO-Para's score over all sentences; empty for another benchmark.
+    pub pride: Vec<Pride>,
     /// Policies of the benchmark's published table, if the protocol is that table's.
     pub published: Vec<PublishedRow>,
 }
@@ -231,12 +237,31 @@ impl Family {
         "Intervals resample whole tasks.",
     ];
 
+    const PARA_LEGEND: [&str; 2] = [
+        "obj, act, comp: other words for the object, for the action, for both.",
+        "PRIDE: per cent of the successes, each weighted by the distance of its sentence from the \
+         original; α is the weight of the content words in this distance, and 1 − α that of the \
+         sentence's structure.",
+    ];
+
     /// Returns the meaning of the columns that the report has.
     pub(crate) fn legend(&self) -> Vec<&'static str> {
-        match self.is_paired {
+        let mut legend = match self.is_paired {
             true => Self::LEGEND.to_vec(),
             false => vec!["percent: successes over rollouts.", Self::LEGEND[2]],
+        };
+        if !self.pride.is_empty() {
+            legend.extend(Self::PARA_LEGEND);
         }
+        legend
+    }
+
+    /// Returns the cells of the table of PRIDE.
+    pub(crate) fn pride_cells(&self) -> impl Iterator<Item = [String; 3]> {
+        self.pride.iter().map(|pride| {
+            let interval = interval(pride.interval, pride.no_interval);
+            [pride.name(), number(pride.percent), interval]
+        })
     }
 
     /// Returns the lines of the table of successes.
@@ -298,20 +323,46 @@ impl Family {
         let mut groups: BTreeMap<_, Vec<&Counted>> = BTreeMap::new();
         let mut difficulties: BTreeMap<_, Vec<&Counted>> = BTreeMap::new();
         let mut cells: BTreeMap<_, Vec<&Counted>> = BTreeMap::new();
+        let mut kinds: BTreeMap<_, Vec<&Counted>> = BTreeMap::new();
         for variant in &variants {
             let (place, group) = group(&variant.case);
             groups
                 .entry((place, group.clone()))
                 .or_default()
                 .push(variant);
-            if benchmark == Some(Benchmark::Plus) {
-                // Variants without a difficulty come last.
-                let difficulty = variant.case.difficulty().unwrap_or(u8::MAX);
-                difficulties.entry(difficulty).or_default().push(variant);
-                let cell = cells.entry((place, difficulty, group)).or_default();
-                cell.push(variant);
+            match variant.case.subject {
+                CaseSubject::Plus(_) => {
+                    // Variants without a difficulty come last.
+                    let difficulty = variant.case.difficulty().unwrap_or(u8::MAX);
+                    difficulties.entry(difficulty).or_default().push(variant);
+                    let name = format!("{group} {}", difficulty_name(difficulty));
+                    let cell = cells.entry((place, difficulty, name)).or_default();
+                    cell.push(variant);
+                }
+                CaseSubject::Para(paraphrase) => {
+                    let kind = paraphrase.kind;
+                    let high = (place_of(|other| other.high() == kind.high()), kind.high());
+                    kinds.entry(high).or_default().push(variant);
+                    let place = place_of(|other| other == kind);
+                    let cell = cells.entry((place, 0, kind.title())).or_default();
+                    cell.push(variant);
+                }
+                _ => {}
             }
         }
+        let paraphrased = variants
+            .iter()
+            .filter_map(|variant| match variant.case.subject {
+                CaseSubject::Para(paraphrase) => Some((
+                    variant.case.task,
+                    Paraphrased {
+                        success: variant.success,
+                        keywords: paraphrase.keywords,
+                        structure: paraphrase.structure,
+                    },
+                )),
+                _ => None,
+            });
         let line = |name: &str, rollouts: &[&Counted]| Line::new(name, rollouts.iter().copied());
         Ok(Some(Self {
             campaign,
@@ -325,6 +376,10 @@ impl Family {
             missing: count(Outcome::Missing),
             quarantined: count(Outcome::Quarantined),
             unperturbed: Line::new("unperturbed", unperturbed.iter()),
+            kinds: kinds
+                .iter()
+                .map(|((_, name), rollouts)| line(name, rollouts))
+                .collect(),
             groups: groups
                 .iter()
                 .map(|((_, name), rollouts)| line(name, rollouts))
@@ -335,14 +390,10 @@ impl Family {
                 .collect(),
             cells: cells
                 .iter()
-                .map(|((_, difficulty, group), rollouts)| {
-                    line(
-                        &format!("{group} {}", difficulty_name(*difficulty)),
-                        rollouts,
-                    )
-                })
+                .map(|((_, _, name), rollouts)| line(name, rollouts))
                 .collect(),
             all: Line::new("all", variants.iter()),
+            pride: Pride::all(paraphrased),
             published: benchmark_protocol.map_or_else(Vec::new, |protocol| published(&protocol)),
         }))
     }
@@ -378,6 +429,18 @@ impl Family {
             );
         }
         text.push('\n');
+        let heads = ["PRIDE", "percent", "95 % interval"];
+        let pride = self.pride_cells();
+        for [name, percent, interval] in [heads.map(str::to_owned)]
+            .into_iter()
+            .chain(pride)
+            .filter(|_| !self.pride.is_empty())
+        {
+            let _ = writeln!(text, "{name:<30}{percent:>9}  {interval}");
+        }
+        if !self.pride.is_empty() {
+            text.push('\n');
+        }
         let heads = [
             "Against the unperturbed",
             "pairs",
@@ -449,7 +512,8 @@ impl Family {
     /// Returns the rows of variants, the total last.
     pub(crate) fn lines(&self, full: bool) -> Vec<&Line> {
         let cells = self.cells.iter().filter(|_| full);
-        let lines = self.groups.iter().chain(&self.difficulties).chain(cells);
+        let lines = self.kinds.iter().chain(&self.groups);
+        let lines = lines.chain(&self.difficulties).chain(cells);
         lines.chain([&self.all]).collect()
     }
 
@@ -494,8 +558,18 @@ pub(crate) fn group(case: &Case) -> (usize, String) {
             .into_iter()
             .position(|dimension| dimension == entry.dimension()),
         CaseSubject::Pro(suite) => ProSuite::all().position(|other| other == suite),
+        CaseSubject::Para(paraphrase) => {
+            let kind = paraphrase.kind;
+            let is_like = |other: Kind| other.high() == kind.high() && other.mid() == kind.mid();
+            Some(place_of(is_like))
+        }
     };
     (place.unwrap_or_default(), case.group().unwrap_or_default())
+}
+
+/// Returns the position of the first matching type of LIBERO-Para.
+fn place_of(is_match: impl Fn(Kind) -> bool) -> usize {
+    Kind::all().position(is_match).unwrap_or_default()
 }
 
 fn difficulty_name(difficulty: u8) -> String {

@@ -13,16 +13,20 @@ pub enum Benchmark {
     Plus,
     /// LIBERO-PRO.
     Pro,
+    /// LIBERO-Para.
+    Para,
 }
 
 impl Benchmark {
-    const ALL: [Self; 2] = [Self::Plus, Self::Pro];
+    /// All benchmarks.
+    pub const ALL: [Self; 3] = [Self::Plus, Self::Pro, Self::Para];
 
     /// Returns the name in results, which is also the name of the folder of the task files.
     pub const fn name(self) -> &'static str {
         match self {
             Self::Plus => "libero-plus",
             Self::Pro => "libero-pro",
+            Self::Para => "libero-para",
         }
     }
 
@@ -31,6 +35,7 @@ impl Benchmark {
         match self {
             Self::Plus => "plus",
             Self::Pro => "pro",
+            Self::Para => "para",
         }
     }
 

@@ -249,6 +249,7 @@ mod tests {
     fn ids_of_variants_are_parsed_and_sorted_by_task() {
         let texts = [
             "goal/t3/pro:swap/i07",
+            "goal/t4/para:contextual_subordination_1/i00",
             "goal/t8/plus:level5_sample2/i00",
             "goal/t8/plus:noise_30/i00",
             "goal/t8/plus:unperturbed/i00",
@@ -263,13 +264,13 @@ mod tests {
             assert!(id.config().is_none() && !id.is_placebo(), "{text}");
             ids.push(id);
         }
-        let name = ids[2].variant().expect("a variant");
+        let name = ids[3].variant().expect("a variant");
         assert_eq!(
             (name.benchmark(), name.change()),
             (Some(Benchmark::Plus), "noise_30")
         );
         assert!(
-            !name.is_unperturbed() && ids[3].variant().is_some_and(|name| name.is_unperturbed())
+            !name.is_unperturbed() && ids[4].variant().is_some_and(|name| name.is_unperturbed())
         );
         assert!(ids.is_sorted());
         let clean: RolloutId = "goal/t8/clean/i00".parse().expect("an id");
@@ -311,7 +312,7 @@ mod tests {
             "spatial/t0/camera/r0/c00",
             "spatial/t10/camera/L2/c00",
             "spatial/t0/camera/L2/c00/r1",
-            "goal/t8/para:noise_30/i00",
+            "goal/t8/paraphrase:noise_30/i00",
             "goal/t8/plus:/i00",
             "goal/t8/plus:noise-31/i00",
             "goal/t8/plus:noise_30/i50",

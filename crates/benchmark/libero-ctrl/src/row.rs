@@ -182,8 +182,8 @@ pub enum RowError {
     },
     /// A row of LIBERO's family or of a suite file lacks its protocol, or another row has one.
     #[error(
-        "read row {id}: `protocol` is {}; write one in rows of LIBERO-Plus, LIBERO-PRO and \
-         suite files only",
+        "read row {id}: `protocol` is {}; write one in rows of LIBERO-Plus, LIBERO-PRO, LIBERO-Para \
+         and suite files only",
         given.as_deref().unwrap_or("missing")
     )]
     Protocol {

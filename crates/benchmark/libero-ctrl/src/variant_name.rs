@@ -1,7 +1,7 @@
 //! Name of a variant within its task, as written in rollout ids of LIBERO's family:
-//! `plus:noise_30`, `pro:swap`, `plus:unperturbed`; or `own:NAME` for a task of suite `NAME` of a
-//! suite file. Only the form is checked here: `libero-family` defines the variants of each
-//! benchmark.
+//! `plus:noise_30`, `pro:swap`, `para:act_hint_1`, `plus:unperturbed`; or `own:NAME` for a task of
+//! suite `NAME` of a suite file. Only the form is checked here: `libero-family` defines the variants
+//! of each benchmark.
 
 use std::fmt;
 use std::str::FromStr;
@@ -109,7 +109,8 @@ impl FromStr for VariantName {
 }
 
 fn unknown(given: &str) -> UnknownName {
-    let valid = "plus:, pro: or own: and a change in at most 31 lower-case letters, digits and _, \
-                 such as plus:noise_30, pro:swap, plus:unperturbed or own:libero_90";
+    let valid = "plus:, pro:, para: or own: and a change in at most 31 lower-case letters, digits \
+                 and _, such as plus:noise_30, pro:swap, para:act_hint_1, plus:unperturbed or \
+                 own:libero_90";
     UnknownName::new("variant of a rollout id", given, &[valid])
 }

@@ -29,6 +29,12 @@ pub struct Variants {
     /// Difficulties of LIBERO-Plus, 1 to 5, and 0 for those without; empty for all.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub difficulties: Vec<u8>,
+    /// Types of paraphrase of LIBERO-Para, or names of its sentences; empty for all.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub paraphrases: Vec<String>,
+    /// Tasks of LIBERO-Para, such as `libero_goal/8`; empty for all.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub tasks: Vec<String>,
     /// Trials of each task of LIBERO-PRO.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub trials: Option<u16>,

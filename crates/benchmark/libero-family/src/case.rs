@@ -1,8 +1,10 @@
-//! One rollout of a benchmark: a variant of LIBERO-Plus, a task of LIBERO-PRO or of a suite file,
-//! or an unmodified task of LIBERO for comparison, from one of its initial states.
+//! One rollout of a benchmark: a variant of LIBERO-Plus, a task of LIBERO-PRO or of a suite file, a
+//! sentence of LIBERO-Para, or an unmodified task of LIBERO for comparison, from one of its initial
+//! states.
 
 use libero_ctrl::{ManifestRow, Perturbation, RolloutId, TaskRef, VariantName};
 
+use crate::para::{Paraphrase, paraphrase};
 use crate::plus::{Assets, Change, Entry, Prompt, Variant, entry};
 use crate::pro::{Kind, ProSuite};
 use crate::protocol::{Benchmark, Protocol};
@@ -17,6 +19,8 @@ pub enum Subject {
     Plus(&'static Entry),
     /// A task of LIBERO-PRO.
     Pro(ProSuite),
+    /// A sentence of LIBERO-Para for a task of LIBERO.
+    Para(&'static Paraphrase),
     /// A task of a suite of a suite file. The file's rows have its files and rules.
     Own(VariantName),
 }
@@ -81,6 +85,7 @@ impl Case {
             Subject::Unperturbed | Subject::Own(_) => None,
             Subject::Plus(_) => Some(Benchmark::Plus),
             Subject::Pro(_) => Some(Benchmark::Pro),
+            Subject::Para(_) => Some(Benchmark::Para),
         }
     }
 
@@ -92,6 +97,7 @@ impl Case {
         match self.subject {
             Subject::Plus(entry) => entry.variant.to_string(),
             Subject::Pro(suite) => format!("{suite}/{task}/e{trial:02}"),
+            Subject::Para(paraphrase) => paraphrase.to_string(),
             Subject::Unperturbed => format!("{}/{task}/e{trial:02}", self.task.suite()),
             Subject::Own(suite) => {
                 format!("{}/t{}/e{trial:02}", suite.change(), self.task.index())
@@ -112,6 +118,7 @@ impl Case {
         let change = match self.subject {
             Subject::Plus(entry) => entry.variant.change.label(),
             Subject::Pro(suite) => suite.kind.ending().to_owned(),
+            Subject::Para(paraphrase) => paraphrase.label(),
             Subject::Unperturbed => VariantName::UNPERTURBED.to_owned(),
             Subject::Own(suite) => return RolloutId::of_variant(self.task, suite, self.trial),
         };
@@ -120,12 +127,16 @@ impl Case {
     }
 
     /// Returns the row of the result tables in which the case counts: a dimension of LIBERO-Plus,
-    /// or a suite of LIBERO-PRO or of a suite file; `None` for an unperturbed rollout.
+    /// a suite of LIBERO-PRO or of a suite file, or the columns `high` and `mid` of a type of
+    /// LIBERO-Para; `None` for an unperturbed rollout.
     pub fn group(&self) -> Option<String> {
         match self.subject {
             Subject::Unperturbed => None,
             Subject::Plus(entry) => Some(entry.dimension().name().to_owned()),
             Subject::Pro(suite) => Some(suite.to_string()),
+            Subject::Para(Paraphrase { kind, .. }) => {
+                Some(format!("{} {}", kind.high(), kind.mid()))
+            }
             Subject::Own(suite) => Some(suite.change().to_owned()),
         }
     }
@@ -138,11 +149,12 @@ impl Case {
         }
     }
 
-    /// Returns the policy's prompt. `sentence` is that of the BDDL file, in lower case; without
-    /// the sentence, prompts that consist of it are `None`.
+    /// Returns the policy's prompt. `sentence` is that of the BDDL file, in lower case except for
+    /// LIBERO-Para; without the sentence, prompts that consist of it are `None`.
     pub fn prompt(&self, protocol: &Protocol, sentence: Option<&str>) -> Option<String> {
         let is_file_sentence = match self.subject {
             Subject::Plus(entry) => matches!(entry.variant.change, Change::Language(_)),
+            Subject::Para(_) => true,
             _ => false,
         };
         if (is_file_sentence || protocol.prompt == Prompt::Bddl) && sentence.is_none() {
@@ -151,6 +163,7 @@ impl Case {
         let sentence = sentence.unwrap_or_default();
         Some(match self.subject {
             Subject::Plus(entry) => protocol.prompt.of(&entry.variant, sentence),
+            Subject::Para(_) => sentence.to_owned(),
             _ => protocol.prompt.of_task(self.task, sentence),
         })
     }
@@ -173,7 +186,7 @@ impl Case {
     /// files, and that no package index has; `None` if the case needs none.
     pub fn further_assets(&self) -> Option<Further> {
         match self.subject {
-            Subject::Unperturbed | Subject::Own(_) => None,
+            Subject::Unperturbed | Subject::Para(_) | Subject::Own(_) => None,
             Subject::Pro(suite) => (suite.kind == Kind::Object).then_some(Further::Models),
             Subject::Plus(entry) => match entry.assets() {
                 Assets::Libero => None,
@@ -213,6 +226,7 @@ fn subject(task: TaskRef, name: VariantName) -> Option<Subject> {
             let suite = task.suite();
             Some(Subject::Pro(ProSuite { suite, kind }))
         }
+        Benchmark::Para => paraphrase(task, name.change()).map(Subject::Para),
     }
 }
 
@@ -226,6 +240,8 @@ mod tests {
             "goal/t8/plus:noise_51/i00",
             "goal/t8/plus:swap/i00",
             "goal/t8/pro:env/i00",
+            "goal/t8/para:act_hint_11/i00",
+            "object/t8/para:act_hint_1/i00",
             "goal/t8/clean/i00",
         ] {
             let id = text.parse().expect("well-formed");
@@ -255,5 +271,16 @@ mod tests {
         assert_eq!(prompt.as_deref(), Some("set the bowl down"));
         let bddl: Protocol = "pro-bddl".parse().expect("a protocol");
         assert_eq!(case("goal/t8/pro:lan/i00").prompt(&bddl, None), None);
+        let official = Protocol::PARA_OFFICIAL;
+        let hint = case("goal/t8/para:act_hint_1/i00");
+        assert_eq!(hint.row(&official).instruction, "");
+        let prompt = hint.prompt(&official, Some("The plate is empty"));
+        assert_eq!(prompt.as_deref(), Some("The plate is empty"));
+        let pair = case("goal/t8/para:unperturbed/i00").row(&official);
+        assert_eq!(pair.instruction, "put the bowl on the plate");
+        assert_eq!(
+            (pair.settle_steps, pair.max_steps, pair.init_id),
+            (10, 300, 0)
+        );
     }
 }

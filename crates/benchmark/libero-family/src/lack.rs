@@ -3,6 +3,7 @@
 use std::fmt;
 
 use crate::case::{Case, Further};
+use crate::para;
 use crate::protocol::Benchmark;
 
 /// Largest number of rollouts that a report names per reason; the others are counted.
@@ -42,11 +43,9 @@ pub enum Lack {
 impl fmt::Display for Lack {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::TaskFiles(benchmark) => write!(
-                f,
-                "task files; run `worker assets fetch --suite {}`",
-                benchmark.name()
-            ),
+            Self::TaskFiles(benchmark) => {
+                write!(f, "task files; run `{}`", fetch_command(*benchmark))
+            }
             Self::Folder(path) => write!(
                 f,
                 "folder {path}; put the suite file's BDDL files and states there, or correct its \
@@ -80,6 +79,15 @@ impl fmt::Display for Lack {
                 write!(f, "{assets}, which no package index has")
             }
         }
+    }
+}
+
+/// Returns the shell command that provides a benchmark's task files.
+pub fn fetch_command(benchmark: Benchmark) -> &'static str {
+    match benchmark {
+        Benchmark::Plus => "worker assets fetch --suite libero-plus",
+        Benchmark::Pro => "worker assets fetch --suite libero-pro",
+        Benchmark::Para => para::FETCH,
     }
 }
 

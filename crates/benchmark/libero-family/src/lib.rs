@@ -20,7 +20,7 @@ pub mod pro;
 pub mod protocol;
 
 pub use case::{Case, Further, Subject};
-pub use lack::{Lack, Lacking};
-pub use selection::{PlusFilters, ProFilters, Selection, expand, left_out};
+pub use lack::{Lack, Lacking, fetch_command};
+pub use selection::{ParaFilters, PlusFilters, ProFilters, Selection, expand, left_out};
 pub use selection_error::SelectionError;
 pub use task_key::TaskKey;

@@ -35,7 +35,7 @@ pub struct Protocol {
 const BUDGETS: [u32; 4] = [220, 280, 300, 520];
 
 /// The protocols.
-pub const PROTOCOLS: [Protocol; 8] = [
+pub const PROTOCOLS: [Protocol; 9] = [
     Protocol {
         name: "plus-official",
         benchmark: Benchmark::Plus,
@@ -119,6 +119,17 @@ pub const PROTOCOLS: [Protocol; 8] = [
         source: "this project: pro-official with the BDDL file's sentence as prompt, which states \
                  the changed task",
     },
+    Protocol {
+        name: "para-official",
+        benchmark: Benchmark::Para,
+        beginning: Beginning::InitialState,
+        prompt: Prompt::Released,
+        seed: 7,
+        waits: 10,
+        budgets: BUDGETS,
+        source: "LIBERO-Para dec2d93, eval_scripts/examples; the prompt is the file's sentence in \
+                 its own case",
+    },
 ];
 
 impl Protocol {
@@ -126,12 +137,15 @@ impl Protocol {
     pub const PLUS_OFFICIAL: Self = PROTOCOLS[0];
     /// Protocol of LIBERO-PRO's published table.
     pub const PRO_OFFICIAL: Self = PROTOCOLS[5];
+    /// Protocol of LIBERO-Para's scripts.
+    pub const PARA_OFFICIAL: Self = PROTOCOLS[8];
 
     /// Returns the protocol of a benchmark's published table.
     pub const fn official(benchmark: Benchmark) -> Self {
         match benchmark {
             Benchmark::Plus => Self::PLUS_OFFICIAL,
             Benchmark::Pro => Self::PRO_OFFICIAL,
+            Benchmark::Para => Self::PARA_OFFICIAL,
         }
     }
 

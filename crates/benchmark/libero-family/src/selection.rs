@@ -1,9 +1,13 @@
 //! Selection of variants, and the rows of a campaign that runs them.
 
-use libero_ctrl::{CampaignSpec, ManifestRow, Rollouts, SpecError, Suite, UnknownName, Variants};
+use libero_ctrl::{
+    CampaignSpec, ManifestRow, Rollouts, SpecError, Suite, TaskRef, UnknownName, Variants,
+    select_tasks,
+};
 
 use crate::case::{Case, Subject};
 use crate::lack::{Lack, Lacking};
+use crate::para::{self, Paraphrase, TypeName};
 use crate::plus::{Dimension, Entry, UnknownVariant, Variant, entry, inventory};
 use crate::pro::{ProSuite, STATES};
 use crate::protocol::{Benchmark, Protocol};
@@ -16,6 +20,8 @@ pub enum Selection {
     Plus(PlusFilters),
     /// Suites of LIBERO-PRO.
     Pro(ProFilters),
+    /// Sentences of LIBERO-Para.
+    Para(ParaFilters),
 }
 
 /// Filters of LIBERO-Plus' variants. A variant must match all filters that are not empty.
@@ -40,11 +46,20 @@ pub struct ProFilters {
     pub trials: u16,
 }
 
+/// Filters of LIBERO-Para's sentences. A sentence must match both that are not empty.
+#[derive(Clone, Debug, Default)]
+pub struct ParaFilters {
+    /// Types, or sentences by name.
+    pub types: Vec<TypeName>,
+    /// LIBERO's tasks.
+    pub tasks: Vec<TaskRef>,
+}
+
 impl Selection {
     /// Returns the selection of a specification.
     ///
     /// # Errors
-    /// If a name is unknown, a number is out of range, or only the other benchmark has a filter.
+    /// If a name is unknown, a number is out of range, or only another benchmark has a filter.
     pub fn of_spec(spec: &Variants) -> Result<Self, SelectionError> {
         let filter = |filter, is_given: bool| match is_given {
             true => Err(SelectionError::Filter {
@@ -56,6 +71,8 @@ impl Selection {
         match spec.benchmark {
             Benchmark::Plus => {
                 filter("trials", spec.trials.is_some())?;
+                filter("paraphrases", !spec.paraphrases.is_empty())?;
+                filter("tasks", !spec.tasks.is_empty())?;
                 if let Some(&given) = spec.difficulties.iter().find(|difficulty| **difficulty > 5) {
                     let (field, given) = ("difficulties", given.into());
                     let valid = [0, 5];
@@ -77,6 +94,8 @@ impl Selection {
                 filter("variants", !spec.variants.is_empty())?;
                 filter("dimensions", !spec.dimensions.is_empty())?;
                 filter("difficulties", !spec.difficulties.is_empty())?;
+                filter("paraphrases", !spec.paraphrases.is_empty())?;
+                filter("tasks", !spec.tasks.is_empty())?;
                 let trials = spec.trials.unwrap_or(STATES);
                 if !(1..=STATES).contains(&trials) {
                     let (field, given, valid) = ("trials", trials, [1, STATES]);
@@ -95,6 +114,22 @@ impl Selection {
                     trials,
                 }))
             }
+            Benchmark::Para => {
+                filter("trials", spec.trials.is_some())?;
+                filter("variants", !spec.variants.is_empty())?;
+                filter("suites", !spec.suites.is_empty())?;
+                filter("dimensions", !spec.dimensions.is_empty())?;
+                filter("difficulties", !spec.difficulties.is_empty())?;
+                let tasks: Vec<Vec<TaskRef>> = spec
+                    .tasks
+                    .iter()
+                    .map(|text| select_tasks(text))
+                    .collect::<Result<_, _>>()?;
+                Ok(Self::Para(ParaFilters {
+                    types: parse_all(&spec.paraphrases)?,
+                    tasks: tasks.concat(),
+                }))
+            }
         }
     }
 
@@ -103,6 +138,7 @@ impl Selection {
         match self {
             Self::Plus(_) => Benchmark::Plus,
             Self::Pro(_) => Benchmark::Pro,
+            Self::Para(_) => Benchmark::Para,
         }
     }
 
@@ -114,6 +150,7 @@ impl Selection {
         let cases = match self {
             Self::Plus(filters) => filters.cases()?,
             Self::Pro(filters) => filters.cases(),
+            Self::Para(filters) => filters.cases(),
         };
         match cases.is_empty() {
             true => Err(SelectionError::Nothing),
@@ -162,6 +199,23 @@ impl ProFilters {
             })
         });
         cases.collect()
+    }
+}
+
+impl ParaFilters {
+    fn cases(&self) -> Vec<Case> {
+        let is_chosen = |paraphrase: &&Paraphrase| {
+            let mut types = self.types.iter();
+            (self.types.is_empty() || types.any(|name| name.has(paraphrase)))
+                && matches_filter(&self.tasks, &paraphrase.task)
+        };
+        let case = |paraphrase: &'static Paraphrase| Case {
+            subject: Subject::Para(paraphrase),
+            task: paraphrase.task,
+            trial: 0,
+        };
+        let chosen = para::inventory().iter().filter(is_chosen);
+        chosen.map(case).collect()
     }
 }
 
@@ -259,15 +313,17 @@ mod tests {
     }
 
     #[test]
-    fn every_rollout_of_both_benchmarks_has_a_distinct_id_that_is_parsed() {
+    fn every_rollout_of_each_benchmark_has_a_distinct_id_that_is_parsed() {
         let plus = Selection::Plus(PlusFilters::default());
         let pro = Selection::Pro(ProFilters {
             suites: ProSuite::all().collect(),
             trials: STATES,
         });
+        let para = Selection::Para(ParaFilters::default());
         for (selection, protocol, rollouts) in [
             (plus, Protocol::PLUS_OFFICIAL, 10_030 + 40),
             (pro, Protocol::PRO_OFFICIAL, 160 * 50 + 40 * 50),
+            (para, Protocol::PARA_OFFICIAL, 4_092 + 10),
         ] {
             let mut cases = selection.cases().expect("cases");
             cases.extend(Case::unperturbed(&cases));
@@ -306,6 +362,22 @@ mod tests {
         let pro = r#"{"benchmark":"libero-pro","protocol":"pro-bddl","suites":["libero_goal_swap",
                      "libero_goal_lan"],"trials":3}"#;
         assert_eq!(count(pro), 2 * 10 * 3 + 10 * 3);
+        let para = r#""benchmark":"libero-para","protocol":"para-official""#;
+        assert_eq!(count(&format!("{{{para}}}")), 4_092 + 10);
+        let hints = format!("{{{para},\"paraphrases\":[\"hint\"],\"tasks\":[\"libero_goal/8\"]}}");
+        let ids: Vec<String> = expand(&spec(&hints))
+            .expect("rows")
+            .iter()
+            .map(|row| row.id.to_string())
+            .collect();
+        assert_eq!(ids[0], "goal/t8/para:unperturbed/i00");
+        assert!(
+            ids.len() > 5
+                && ids[1..]
+                    .iter()
+                    .all(|id| id.starts_with("goal/t8/para:act_hint_")),
+            "{ids:?}"
+        );
     }
 
     #[test]
@@ -365,5 +437,21 @@ mod tests {
         check_refused(&pro(r#""trials":51"#), "valid are 1 to 50");
         check_refused(&pro(r#""dimensions":["noise"]"#), "leave it out");
         check_refused(&pro(r#""suites":["libero_goal_env"]"#), "_swap");
+        check_refused(&pro(r#""paraphrases":["obj"]"#), "leave it out");
+        check_refused(&plus(r#""tasks":["libero_goal/3"]"#), "leave it out");
+        let para = |rest: &str| {
+            format!(r#"{{"benchmark":"libero-para","protocol":"para-official",{rest}}}"#)
+        };
+        check_refused(
+            &para(r#""paraphrases":["noise"]"#),
+            "valid are all, obj, act, comp",
+        );
+        check_refused(
+            &para(r#""tasks":["libero_object/3"]"#),
+            "leave a filter out",
+        );
+        check_refused(&para(r#""tasks":["libero_goal/10"]"#), "libero_goal/9");
+        check_refused(&para(r#""dimensions":["noise"]"#), "leave it out");
+        check_refused(&para(r#""trials":3"#), "leave it out");
     }
 }

@@ -32,8 +32,8 @@ pub enum SelectionError {
     },
     /// A filter that the benchmark does not have.
     #[error(
-        "choose variants of {benchmark} by `{filter}`: only the other benchmark has this filter; \
-         leave it out"
+        "choose variants of {benchmark} by `{filter}`: only another benchmark has this \
+         filter; leave it out"
     )]
     Filter {
         /// The benchmark.
@@ -53,8 +53,8 @@ pub enum SelectionError {
     },
     /// No rollout of LIBERO's family has the id.
     #[error(
-        "read rollout {id}: neither LIBERO-Plus nor LIBERO-PRO has it; `coordinator manifest \
-         expand` prints the ids of a specification"
+        "read rollout {id}: neither LIBERO-Plus nor LIBERO-PRO nor LIBERO-Para has it; `coordinator \
+         manifest expand` prints the ids of a specification"
     )]
     Id {
         /// The id.

@@ -42,8 +42,9 @@ impl TaskKey {
 
     /// Returns all keys of a task.
     pub fn of_task(task: TaskRef) -> impl Iterator<Item = Self> {
-        let files = [None, Some(Benchmark::Plus), Some(Benchmark::Pro)];
-        files.into_iter().map(move |files| Self { task, files })
+        let benchmarks = Benchmark::ALL.map(Some).into_iter();
+        let files = [None].into_iter().chain(benchmarks);
+        files.map(move |files| Self { task, files })
     }
 
     /// Returns the keys of all tasks that need a benchmark's task files.
@@ -57,8 +58,8 @@ impl TaskKey {
     /// Returns the benchmark whose task files a key needs, from the key's text.
     pub fn files_of(text: &str) -> Option<Benchmark> {
         let (_, name) = text.split_once('+')?;
-        let all = [Benchmark::Plus, Benchmark::Pro];
-        all.into_iter().find(|benchmark| benchmark.name() == name)
+        let mut all = Benchmark::ALL.into_iter();
+        all.find(|benchmark| benchmark.name() == name)
     }
 }
 
@@ -76,6 +77,7 @@ fn own_files(case: &Case) -> Option<Benchmark> {
     match case.subject {
         Subject::Unperturbed | Subject::Own(_) => None,
         Subject::Pro(_) => Some(Benchmark::Pro),
+        Subject::Para(_) => Some(Benchmark::Para),
         Subject::Plus(entry) => {
             let variant = &entry.variant;
             let has_own = variant.bddl_stem() != case.task.name() || variant.has_one_state();
@@ -116,6 +118,8 @@ mod tests {
             ),
             ("object/t0/plus:tb_18/i00", "libero_object/0+libero-plus"),
             ("goal/t8/pro:swap/i07", "libero_goal/8+libero-pro"),
+            ("goal/t8/para:act_hint_1/i00", "libero_goal/8+libero-para"),
+            ("goal/t8/para:unperturbed/i00", "libero_goal/8"),
         ] {
             let key = TaskKey::of_rollout(id.parse().expect("an id"));
             assert_eq!(key.to_string(), expected, "{id}");

@@ -2,6 +2,8 @@
 
 use std::path::PathBuf;
 
+use libero_family::para::FETCH;
+
 /// Reason why a scene could not be read or composed. Messages complete the phrase
 /// "failed to …" and name the file, the place in it and the remedy.
 #[derive(Debug, thiserror::Error)]
@@ -46,6 +48,12 @@ pub enum SceneError {
         problem: String,
         known: Vec<&'static str>,
     },
+    /// No package index has a benchmark's task files.
+    #[error("fetch LIBERO-Para's sentences: no package index has them; run `{FETCH}`")]
+    NoWheel,
+    /// A folder is not the checkout of LIBERO-Para that this release uses.
+    #[error("copy LIBERO-Para's sentences from {}: {problem}; run `{FETCH}`", path.display())]
+    Checkout { path: PathBuf, problem: String },
     #[error(transparent)]
     Assets(#[from] assets::AssetsError),
     #[error("compose the scene: {0}")]

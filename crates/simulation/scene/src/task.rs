@@ -4,6 +4,7 @@ use std::path::PathBuf;
 use std::time::SystemTime;
 
 use libero_ctrl::{OwnTask, TaskRef};
+use libero_family::para::Paraphrase;
 use libero_family::plus::Variant;
 use libero_family::pro::ProSuite;
 use libero_family::protocol::Benchmark;
@@ -11,6 +12,9 @@ use libero_family::protocol::Benchmark;
 use crate::bddl::Problem;
 use crate::error::SceneError;
 use crate::sources::Sources;
+
+/// Kind of file in messages.
+const BDDL: &str = "BDDL file";
 
 #[derive(Debug, Clone, PartialEq, Eq, Hash)]
 pub struct TaskFiles {
@@ -68,6 +72,16 @@ impl TaskFiles {
         }
     }
 
+    /// Returns the files of a sentence of LIBERO-Para: its BDDL file, which `worker assets fetch
+    /// --suite libero-para` has put beside LIBERO's, and LIBERO's initial states.
+    pub fn of_paraphrase(sources: &Sources, paraphrase: &Paraphrase) -> Self {
+        let folder = Sources::family(sources.dir(), Benchmark::Para);
+        Self {
+            bddl: folder.join(paraphrase.bddl_file()),
+            ..Self::of_task(sources, paraphrase.task)
+        }
+    }
+
     /// Returns the files of a suite file's task.
     pub fn of_suite_file(sources: &Sources, task: &OwnTask) -> Self {
         let folder = Sources::suite_folder(sources.dir(), &task.folder);
@@ -78,17 +92,35 @@ impl TaskFiles {
     }
 
     pub fn problem(&self) -> Result<Problem, SceneError> {
-        let what = "BDDL file";
-        let text = std::fs::read_to_string(&self.bddl).map_err(|source| SceneError::Read {
-            what: what.to_owned(),
+        Problem::parse(&self.text()?).map_err(|error| self.malformed(error.to_string()))
+    }
+
+    /// Returns the sentence of the BDDL file in its own case, as LIBERO-Para's scripts read it.
+    pub fn sentence(&self) -> Result<String, SceneError> {
+        let text = self.text()?;
+        let mut lines = text.lines().map(str::trim);
+        let sentence = lines
+            .find_map(|line| line.strip_prefix("(:language"))
+            .map(|rest| rest.trim_end_matches(')').trim())
+            .filter(|sentence| !sentence.is_empty());
+        let sentence = sentence.map(str::to_owned);
+        sentence.ok_or_else(|| self.malformed("no line `(:language SENTENCE)`".to_owned()))
+    }
+
+    fn text(&self) -> Result<String, SceneError> {
+        std::fs::read_to_string(&self.bddl).map_err(|source| SceneError::Read {
+            what: BDDL.to_owned(),
             path: self.bddl.clone(),
             remedy: "run `cargo xtask setup`, or correct the file's name".to_owned(),
             source,
-        })?;
-        Problem::parse(&text).map_err(|error| SceneError::Malformed {
-            what: what.to_owned(),
-            path: self.bddl.clone(),
-            problem: error.to_string(),
         })
+    }
+
+    fn malformed(&self, problem: String) -> SceneError {
+        SceneError::Malformed {
+            what: BDDL.to_owned(),
+            path: self.bddl.clone(),
+            problem,
+        }
     }
 }

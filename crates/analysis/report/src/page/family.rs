@@ -11,6 +11,7 @@ pub(super) fn sections(family: &Family) -> Markup {
     let losses = lines.iter().map(|line| markup(&line.losses())).collect();
     let successes = family.success_lines(true).into_iter();
     let successes = successes.map(|line| markup(&line.counts())).collect();
+    let pride = family.pride_cells().map(|cells| markup(&cells)).collect();
     html! {
         section {
             @match family.is_paired {
@@ -23,6 +24,12 @@ pub(super) fn sections(family: &Family) -> Markup {
                 &["variants.", "rollouts", "successes", "percent", "95 % interval"],
                 successes,
             ))
+        }
+        @if !family.pride.is_empty() {
+            section {
+                h2 { "PRIDE" }
+                (table("PRIDE", &["weight.", "percent", "95 % interval"], pride))
+            }
         }
         section {
             @if family.is_paired {

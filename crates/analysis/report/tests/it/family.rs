@@ -1,9 +1,12 @@
 //! Reports of campaigns of LIBERO's family.
 
+use std::collections::BTreeMap;
+use std::path::Path;
+
 use libero_ctrl::Suite;
 use libero_family::plus::Dimension;
 use libero_family::protocol::Protocol;
-use libero_family::{Case, PlusFilters, Selection};
+use libero_family::{Case, ParaFilters, PlusFilters, Selection};
 use paired::{NoInterval, Outcome, Record};
 use report::{Document, DocumentError, Family, FamilyComparison, Origin, Subject, page};
 
@@ -16,10 +19,19 @@ fn subject(suites: Vec<Suite>, outcome: impl Fn(&Case) -> Outcome) -> Subject {
         dimensions: vec![Dimension::Noise, Dimension::Robot],
         ..PlusFilters::default()
     });
+    subject_of(&selection, &Protocol::PLUS_OFFICIAL, outcome)
+}
+
+/// Returns a campaign of a selection in which `outcome` decides each rollout.
+fn subject_of(
+    selection: &Selection,
+    protocol: &Protocol,
+    outcome: impl Fn(&Case) -> Outcome,
+) -> Subject {
     let variants = selection.cases().expect("variants");
     let cases = Case::unperturbed(&variants).into_iter().chain(variants);
     let records = cases.map(|case| Record {
-        id: case.row(&Protocol::PLUS_OFFICIAL).id,
+        id: case.row(protocol).id,
         init_id: 0,
         replicate: 0,
         outcome: outcome(&case),
@@ -30,7 +42,7 @@ fn subject(suites: Vec<Suite>, outcome: impl Fn(&Case) -> Outcome) -> Subject {
             endpoint: "http://127.0.0.1:1".to_owned(),
             design: "variants-00000000".to_owned(),
         },
-        protocol: Some("plus-official".to_owned()),
+        protocol: Some(protocol.name.to_owned()),
         records: records.collect(),
         progress: Vec::new(),
         errors: Vec::new(),
@@ -145,6 +157,108 @@ fn every_form_has_the_dimensions_and_no_measure_of_libero_ctrl() {
         "{text}"
     );
     assert!(page(&document).contains("OpenVLA-OFT+") && json.contains("OpenVLA-OFT+"));
+}
+
+/// Returns the report of all sentences of LIBERO-Para and their unperturbed rollouts.
+fn para(outcome: impl Fn(&Case) -> Outcome) -> Subject {
+    let selection = Selection::Para(ParaFilters::default());
+    subject_of(&selection, &Protocol::PARA_OFFICIAL, outcome)
+}
+
+#[test]
+fn sentences_are_counted_by_type_and_paired_with_the_unperturbed_rollout() {
+    // Other words for the object are understood in the first five tasks only.
+    let subject = || {
+        para(|case| match case.group().as_deref() {
+            None => Outcome::Success,
+            Some("obj lexical") => Outcome::from(case.task.index() < 5),
+            Some(group) => Outcome::from(group.starts_with("act")),
+        })
+    };
+    let found = family(subject());
+    let names = |lines: &[report::Line]| -> Vec<String> {
+        lines.iter().map(|line| line.name.clone()).collect()
+    };
+    assert_eq!(names(&found.kinds), ["obj", "act", "comp"]);
+    assert_eq!(
+        names(&found.groups),
+        [
+            "obj lexical",
+            "act lexical",
+            "act structural",
+            "act pragmatical",
+            "comp lexical+lexical",
+            "comp lexical+structural",
+            "comp lexical+pragmatical",
+        ]
+    );
+    assert_eq!(found.cells.len(), 43);
+    let counts = found.kinds.iter().map(|line| (line.rollouts, line.pairs));
+    let counts: Vec<(u64, u64)> = counts.collect();
+    assert_eq!(counts, [(259, 259), (870, 870), (2963, 2963)]);
+    let [objects, actions, both] = found.kinds.as_slice() else {
+        panic!("{:?}", found.kinds);
+    };
+    assert_eq!((actions.broken, both.broken), (0, 2963));
+    assert_eq!(objects.broken, 259 - objects.successes);
+    let [low, high] = objects.interval.expect("ten tasks");
+    assert!(low < 50.0 && 50.0 < high, "{low} to {high}");
+    assert_eq!(found.unperturbed.rollouts, 10);
+    // Sentences of `comp` are far from the original, so that failing there costs more.
+    let [usual, _, _] = found.pride.as_slice() else {
+        panic!("{:?}", found.pride);
+    };
+    assert!(usual.percent < found.all.percent && usual.interval.is_some());
+    let document = document(vec![subject()]);
+    let json = document.json().expect("JSON");
+    for form in [&document.brief(), &document.text(), &page(&document), &json] {
+        for words in ["para-official", "act structural"] {
+            assert!(form.contains(words), "{form}");
+        }
+        assert!(form.to_lowercase().contains("pride"), "{form}");
+    }
+    let text = document.text();
+    assert!(text.contains("comp contextual+subordination"), "{text}");
+    assert!(
+        text.lines().all(|line| line.chars().count() <= 80),
+        "{text}"
+    );
+}
+
+/// Figures of the benchmark's own code for the log that it ships.
+#[test]
+fn the_shipped_log_of_libero_para_has_the_scores_of_its_own_code() {
+    let test = "the_shipped_log_of_libero_para_has_the_scores_of_its_own_code";
+    let Ok(checkout) = std::env::var("ROLLOUT_PARA") else {
+        println!("skipped {test}: ROLLOUT_PARA names no checkout of LIBERO-Para");
+        return;
+    };
+    let folder = Path::new(&checkout).join("logs_para/example_xiaomi-robotics-0/seed7");
+    let mut successes = BTreeMap::new();
+    for eval in 0..10 {
+        let path = folder.join(format!("eval{eval}.json"));
+        let text = std::fs::read_to_string(&path).expect("the log of a checkout");
+        let log: serde_json::Value = serde_json::from_str(&text).expect("JSON");
+        for episode in log["episodes"].as_array().expect("episodes") {
+            let name = episode["bddl_file"].as_str().expect("a file");
+            let success = episode["success"].as_bool().expect("an outcome");
+            successes.insert(name.trim_end_matches(".bddl").to_owned(), success);
+        }
+    }
+    assert_eq!(successes.len(), 4092);
+    let found = family(para(|case| {
+        successes
+            .get(&case.name())
+            .map_or(Outcome::Missing, |success| Outcome::from(*success))
+    }));
+    assert_eq!((found.all.rollouts, found.missing), (4092, 10));
+    let percents = found.pride.iter().map(|pride| pride.percent);
+    let percents: Vec<String> = [found.all.percent]
+        .into_iter()
+        .chain(percents)
+        .map(|percent| format!("{:.1}", percent.expect("rollouts")))
+        .collect();
+    assert_eq!(percents, ["76.1", "69.3", "73.8", "63.7"]);
 }
 
 #[test]

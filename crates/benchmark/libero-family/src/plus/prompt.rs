@@ -12,7 +12,7 @@ use super::variant::{Change, Variant};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub enum Prompt {
     /// As in the released code: the file's name including the description of the change, or
-    /// the BDDL file's sentence for language variants.
+    /// the BDDL file's sentence for language variants and LIBERO-Para.
     Released,
     /// The file's name without the description of the change: LIBERO's prompt of the task.
     Stripped,

@@ -376,8 +376,8 @@ fn missing_files(
     }
     let files = match TaskKey::files_of(first) {
         Some(benchmark) => format!(
-            "task files that this worker lacks; run `worker assets fetch --suite {}` on its machine",
-            benchmark.name()
+            "task files that this worker lacks; run `{}` on its machine",
+            libero_family::fetch_command(benchmark)
         ),
         None if first.contains('+') => format!(
             "task files that this worker lacks or has in another version, for task {first} among \

@@ -1,0 +1,91 @@
+//! Sentences of LIBERO-Para: the BDDL files of a checkout, verified and copied beside LIBERO's.
+
+use std::fmt::Write;
+use std::fs::{self, File};
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+use libero_family::para;
+use libero_family::protocol::Benchmark;
+use sha2::{Digest, Sha256};
+
+use crate::error::SceneError;
+use crate::family::{
+    MAX_FILE_BYTES, UNPACKED, UNPACKING, remove, required_files, write, write_error,
+};
+use crate::sources::Sources;
+
+/// Folder of the BDDL files.
+const BDDL_FILES: &str = "bddl_files";
+
+/// Verifies the sentences and the metadata of a checkout of LIBERO-Para, and copies the sentences
+/// into the folder of its task files, which it returns.
+///
+/// # Errors
+/// If the checkout lacks files or has others, or the copies cannot be written.
+pub fn copy_paraphrases(checkout: &Path, sources: &Sources) -> Result<PathBuf, SceneError> {
+    let refused = |problem: String| SceneError::Checkout {
+        path: checkout.to_owned(),
+        problem,
+    };
+    let folder = Sources::family(sources.dir(), Benchmark::Para);
+    let unpacking = folder.join(UNPACKING);
+    let required = required_files(Benchmark::Para);
+    let mut files = Vec::new();
+    let mut missing = Vec::new();
+    let mut digests = String::new();
+    let inside = required.iter().map(|path| {
+        let inside = format!("{}/{path}", para::PACKAGE);
+        (inside, Some(path))
+    });
+    for (inside, copy) in inside.chain([(para::METADATA.to_owned(), None)]) {
+        match read(&checkout.join(&inside)) {
+            Ok(bytes) => {
+                let digest = Sha256::digest(&bytes);
+                for byte in digest {
+                    let _ = write!(digests, "{byte:02x}");
+                }
+                let _ = writeln!(digests, "  {inside}");
+                files.extend(copy.map(|path| (path, bytes)));
+            }
+            Err(error) if error.kind() == io::ErrorKind::NotFound => missing.push(inside),
+            Err(error) => return Err(refused(format!("`{inside}` cannot be read: {error}"))),
+        }
+    }
+    if let Some(first) = missing.first() {
+        let all = required.len() + 1;
+        let count = missing.len();
+        return Err(refused(format!(
+            "{count} of {all} files are missing, for example `{first}`"
+        )));
+    }
+    let found: String = Sha256::digest(&digests)
+        .iter()
+        .map(|byte| format!("{byte:02x}"))
+        .collect();
+    let expected = para::digest();
+    if found != expected {
+        return Err(refused(format!(
+            "its files have the SHA-256 {found}, and those of this release {expected}"
+        )));
+    }
+    remove(&unpacking)?;
+    for (path, bytes) in files {
+        write(&unpacking.join(path), &bytes)?;
+    }
+    let target = folder.join(BDDL_FILES);
+    remove(&target)?;
+    fs::rename(unpacking.join(BDDL_FILES), &target)
+        .map_err(|source| write_error(&target, source))?;
+    remove(&unpacking)?;
+    write(&folder.join(UNPACKED), expected.as_bytes())?;
+    Ok(folder)
+}
+
+fn read(path: &Path) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    File::open(path)?
+        .take(MAX_FILE_BYTES)
+        .read_to_end(&mut bytes)?;
+    Ok(bytes)
+}
