@@ -226,7 +226,7 @@ impl Model {
             if let Some(lease) = job.lease_of(granted.attempt)
                 && lease.expires <= self.now
             {
-                self.end(&granted, lease.why_expired(None, LEASE));
+                self.end(&granted, lease.expiry_reason(None, LEASE));
             }
         }
     }

@@ -1,6 +1,6 @@
 //! The SQLite database: opening, locking, migrating and closing it, and its transactions.
-//! Submodules hold the SQL statements of `operations` and conversions only; decisions are made by
-//! the rules.
+//! Submodules hold only the SQL statements of `operations` and conversions of their rows; decisions
+//! are made by [`rules`](crate::rules).
 //!
 //! One coordinator owns a data folder: one connection writes, several read, in
 //! WAL mode with `synchronous=FULL`, so that a committed transaction survives a
@@ -52,7 +52,7 @@ const LOCK_FILE: &str = "coordinator.lock";
 /// private. Other users of the machine go through the coordinator.
 const PRIVATE_FOLDER_MODE: u32 = 0o700;
 const PRIVATE_MODE: u32 = 0o600;
-/// Read-only connections beside the writer.
+/// Number of read-only connections beside the writer.
 const READERS: u32 = 4;
 /// Longest wait of a statement for a lock held by another process, such as a backup or an
 /// interactive shell.
@@ -72,7 +72,8 @@ pub struct Store {
     /// Device and inode of the database file at opening.
     file: (u64, u64),
     failpoints: Failpoints,
-    /// Held until the store is closed; the kernel releases it however the process ends.
+    /// Locked file, which marks the folder as owned until the store is closed. The kernel releases
+    /// the lock however the process ends.
     lock: File,
 }
 
@@ -93,7 +94,7 @@ pub enum OpenError {
         known: i64,
         program: &'static str,
     },
-    /// The database is not of this program, or its schema was altered.
+    /// The database was not written by a coordinator, or its schema was altered.
     #[error("bring database {} to schema version {known}: restore it from a backup, or choose another folder with --data", path.display())]
     Migrate {
         path: PathBuf,
@@ -125,7 +126,7 @@ pub enum StoreError {
 }
 
 impl StoreError {
-    /// Returns true if a stored value could not be decoded, so that a retry fails again.
+    /// Returns true if a stored value could not be decoded, so that a retry would also fail.
     pub(crate) fn is_undecodable(&self) -> bool {
         let Self::Statement { source, .. } = self else {
             return false;
@@ -195,12 +196,12 @@ const WRITER_CACHE_KIB: &str = "-65536";
 /// Batch sizes of INSERT statements: only a few, so that each statement stays prepared.
 const INSERTED_ROWS: [usize; 4] = [64, 16, 4, 1];
 
-/// Splits rows into batches of these sizes.
+/// Splits rows into batches whose sizes are those of [`INSERTED_ROWS`].
 pub(crate) fn insert_batches<T>(mut rows: &[T]) -> impl Iterator<Item = &[T]> {
     std::iter::from_fn(move || {
         let size = INSERTED_ROWS.into_iter().find(|size| *size <= rows.len())?;
-        let (batch, others) = rows.split_at(size);
-        rows = others;
+        let (batch, remaining) = rows.split_at(size);
+        rows = remaining;
         Some(batch)
     })
 }
@@ -280,8 +281,8 @@ impl Store {
 
     /// Sets the writer's lock timeout, instead of [`BUSY_TIMEOUT`].
     #[cfg(test)]
-    pub(crate) async fn wait_for_locks(&self, time: Duration) {
-        let pragma = format!("PRAGMA busy_timeout = {}", time.as_millis());
+    pub(crate) async fn set_lock_timeout(&self, timeout: Duration) {
+        let pragma = format!("PRAGMA busy_timeout = {}", timeout.as_millis());
         sqlx::raw_sql(sqlx::AssertSqlSafe(pragma))
             .execute(&self.writer)
             .await
@@ -292,7 +293,8 @@ impl Store {
         &self.folder
     }
 
-    /// Begins the writing transaction for these steps after the preceding one has ended.
+    /// Waits until the preceding writing transaction has ended, and begins the one that carries out
+    /// `steps`.
     ///
     /// # Errors
     /// If the database's file is no longer in the data folder: what SQLite wrote to the
@@ -471,7 +473,7 @@ fn lock_folder(folder: &Path) -> Result<File, OpenError> {
 }
 
 /// Restricts a database to its owner, creating the file if needed, since SQLite would create it
-/// readable by everybody. Files that SQLite creates beside it inherit its permissions.
+/// readable by everybody. Files that SQLite creates beside the database inherit its permissions.
 fn make_private(database: &Path) -> io::Result<()> {
     if !database.exists() {
         let mut new = File::options();
@@ -493,7 +495,7 @@ fn make_private(database: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Checks the schema version of an existing database without writing to it.
+/// Refuses an existing database whose schema is newer than this program's, without writing to it.
 async fn refuse_newer_schema(path: &Path) -> Result<(), OpenError> {
     let database = |source| OpenError::Database {
         path: path.to_owned(),

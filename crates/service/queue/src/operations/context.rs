@@ -1,5 +1,5 @@
-//! The writing transaction with the context of an operation: cached rows, the current instant, and
-//! the steps that several operations share.
+//! The writing transaction with the context of an operation: cached rows and the current instant.
+//! Also holds the actions that several operations share, such as the end of an attempt.
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
@@ -37,8 +37,8 @@ pub(crate) struct Context<'a> {
     pub(super) settles: bool,
 }
 
-/// Rewrites an error for use after the name of its policy: replaces a leading "policy `bad` at
-/// ADDRESS" by "it".
+/// Rewrites an error for a sentence that already names the policy: replaces a leading "policy `bad`
+/// at ADDRESS" by "it".
 fn without_policy_name<'e>(policy: &str, error: &'e str) -> Cow<'e, str> {
     let address_first = error.strip_prefix(&format!("policy `{policy}` at "));
     match address_first.and_then(|rest| rest.split_once(' ')) {
@@ -57,7 +57,8 @@ pub(super) struct Ended {
 }
 
 impl<'a> Context<'a> {
-    /// Begins the transaction for these steps after the preceding one has ended.
+    /// Waits until the preceding writing transaction has ended, and begins the one that carries out
+    /// `steps`.
     pub(super) async fn begin(
         shared: &'a Shared,
         steps: Vec<Step>,
@@ -189,7 +190,7 @@ impl<'a> Context<'a> {
     }
 
     /// Counts one more failure of a worker's machine. Returns the reason why the worker must stop
-    /// leasing, if it must.
+    /// leasing; `None` if it may continue.
     pub(super) async fn strike(
         &mut self,
         worker: &WorkerId,

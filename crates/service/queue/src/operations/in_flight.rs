@@ -1,5 +1,6 @@
-//! Rollouts to be filmed and rollouts being filmed, kept in memory only. After a restart the list
-//! is computed again, and a rollout may be filmed twice, with identical frames.
+//! Rollouts to be filmed and rollouts being filmed, kept in memory only. After a restart the
+//! rollouts to be filmed are computed again; one that is still being filmed may be filmed twice,
+//! with identical frames.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Mutex, PoisonError};
@@ -12,10 +13,10 @@ use crate::store::films::Filmed;
 /// Time after which a rollout being filmed is assigned again: rendering the longest rollout in
 /// software takes a few minutes.
 const FILMING_TIMEOUT: Duration = Duration::from_secs(15 * 60);
-/// A scan that took less than this is repeated after every outcome.
+/// A scan that took less than this duration is repeated after every outcome.
 const CHEAP_SCAN: Duration = Duration::from_millis(50);
-/// A slower scan is repeated after this multiple of its duration at the earliest: scans of a large
-/// campaign then use at most a twentieth of a core while rollouts are committed.
+/// A slower scan is repeated only after this multiple of its duration, so that scans of a large
+/// campaign use at most a twentieth of a core while rollouts are committed.
 const AGE_PER_COST: u32 = 20;
 
 /// Rollouts to be filmed, by campaign.
@@ -31,6 +32,7 @@ struct FilmState {
     unfilmed: BTreeMap<CampaignId, Unfilmed>,
     /// Jobs filmed since the last scan began, which may have missed them.
     filmed: BTreeSet<JobId>,
+    /// Jobs being filmed, with the instant from which each may be assigned again.
     in_flight: BTreeMap<JobId, UnixMillis>,
 }
 
@@ -39,7 +41,9 @@ struct FilmState {
 struct Unfilmed {
     campaign: Filmed,
     jobs: Vec<JobId>,
+    /// Start of the scan that found the jobs.
     scanned_at: Instant,
+    /// Duration of that scan.
     cost: Duration,
 }
 
@@ -60,7 +64,7 @@ impl Films {
         campaigns.iter().filter(is_outdated).cloned().collect()
     }
 
-    /// Marks the start of a scan, which sees every video stored so far.
+    /// Records that a scan starts, which sees every video stored so far.
     pub(super) fn scan_begins(&self) {
         self.lock().filmed.clear();
     }
@@ -91,7 +95,7 @@ impl Films {
         state.filmed.insert(job);
         state.in_flight.remove(&job);
         if let Some(unfilmed) = state.unfilmed.get_mut(&campaign) {
-            unfilmed.jobs.retain(|other| *other != job);
+            unfilmed.jobs.retain(|unfilmed_job| *unfilmed_job != job);
         }
     }
 

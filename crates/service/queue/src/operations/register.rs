@@ -29,7 +29,8 @@ impl Queue {
         Ok(idle_reason)
     }
 
-    /// Records a worker's clean shutdown: it counts as gone at once, until it registers again.
+    /// Records a worker's clean shutdown: the worker counts as gone from now until it registers
+    /// again.
     ///
     /// # Errors
     /// If the worker is unknown or the database fails.

@@ -292,7 +292,7 @@ impl Lease {
     /// attempt, the worker has forgotten the attempt. A heartbeat in the second half of the lease
     /// counts as continuing, since heartbeats may be late and overtake one another. At the
     /// attempt's ceiling, any heartbeat within one lease shows that the worker is alive.
-    pub fn why_expired(
+    pub fn expiry_reason(
         &self,
         last_heartbeat: Option<UnixMillis>,
         lease_duration: Duration,
@@ -462,7 +462,7 @@ mod tests {
     fn an_expired_lease_is_charged_only_if_its_worker_still_sends_heartbeats() {
         const LEASE_DURATION: Duration = Duration::from_millis(40);
         let check = |lease: Lease, last_heartbeat, expected: FailureReason, is_charged| {
-            let reason = lease.why_expired(last_heartbeat, LEASE_DURATION);
+            let reason = lease.expiry_reason(last_heartbeat, LEASE_DURATION);
             assert_eq!((reason, reason.is_charged()), (expected, is_charged));
         };
         let late = |is_acknowledged| Lease {

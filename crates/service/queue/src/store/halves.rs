@@ -110,7 +110,7 @@ pub(crate) async fn records(
 }
 
 /// Returns a rollout that only one half has, or that differs between the halves.
-pub(crate) async fn other_rollout(
+pub(crate) async fn differing_rollout(
     tx: &mut SqliteConnection,
     (main, source): (CampaignId, CampaignId),
 ) -> Result<Option<Rollout>, StoreError> {

@@ -220,7 +220,7 @@ pub(crate) async fn copy(
     Ok(new)
 }
 
-/// As [`copy`], but without jobs, which [`copy_batch`] and [`copy_rest`] complete.
+/// As [`copy`], but without jobs, which [`copy_batch`] and [`copy_stop_and_state`] complete.
 pub(crate) async fn copy_without_jobs(
     tx: &mut SqliteConnection,
     old: CampaignId,
@@ -276,7 +276,7 @@ pub(crate) async fn jobs(
 }
 
 /// Copies the early stop and the state of the campaign, which require that all jobs are present.
-pub(crate) async fn copy_rest(
+pub(crate) async fn copy_stop_and_state(
     tx: &mut SqliteConnection,
     (campaign, old): (CampaignId, CampaignId),
 ) -> Result<(), StoreError> {
