@@ -93,14 +93,14 @@ pub struct Fingerprints {
 impl Pin {
     /// Returns true if a campaign pinned to `self` accepts results of a worker with the pin
     /// `worker`.
-    pub fn takes(&self, worker: &Pin) -> bool {
+    pub fn accepts(&self, worker: &Pin) -> bool {
         self.asset_pack_digest == worker.asset_pack_digest
             && self.mujoco_version == worker.mujoco_version
             && (self.renderer.is_empty() || self.renderer == worker.renderer)
     }
 
     /// Returns true if a worker with this pin meets a campaign's requirements.
-    pub fn suits(&self, wanted: &Wanted) -> bool {
+    pub fn meets(&self, wanted: &Wanted) -> bool {
         let has_pack = |name: &String| {
             self.asset_pack == *name || self.asset_pack_digest.starts_with(name.as_str())
         };

@@ -171,7 +171,7 @@ impl Context<'_> {
             self.able_machines(campaign).await? >= MIN_MACHINES_TO_QUARANTINE;
         let waiting = claims::lone(&mut self.tx, campaign.id, SPARE_CANDIDATES, self.now).await?;
         for (at, claim) in pending.iter().enumerate() {
-            let suits = |lone: &&claims::Lone| {
+            let suits = |lone: &&claims::LoneJob| {
                 claim.request.has_files_of(&lone.task)
                     && !(avoids_failed_machine && lone.job.has_failed_on(claim.machine))
             };

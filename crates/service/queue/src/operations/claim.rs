@@ -181,7 +181,7 @@ impl Context<'_> {
             let now = self.now;
             let suits = |campaign: &&Campaign| {
                 campaign.state.may_lease()
-                    && campaign.takes(pin)
+                    && campaign.accepts(pin)
                     && !done.contains(&campaign.id)
                     && campaign.health.allowance(now) != Allowance::Nothing
             };
@@ -250,7 +250,7 @@ impl Context<'_> {
         {
             let may_lease = !pending.is_empty()
                 && campaign.state.may_lease()
-                && campaign.takes(pin)
+                && campaign.accepts(pin)
                 && campaign.health.allowance(self.now) != Allowance::Nothing
                 && !tried.contains(&campaign.policy_id);
             if !may_lease || !policies::is_idle(&mut self.tx, campaign.policy_id).await? {
@@ -324,7 +324,7 @@ impl Context<'_> {
         let mut reasons = Vec::new();
         for campaign in self.cache.waiting(&mut self.tx).await?.iter() {
             let name = &campaign.name;
-            if !campaign.takes(pin) {
+            if !campaign.accepts(pin) {
                 let demand = campaign.demand();
                 reasons.push(format!(
                     "campaign `{name}` {demand} and this worker runs on {pin}"
@@ -354,7 +354,7 @@ impl Context<'_> {
     ) -> Result<Vec<(CampaignName, Vec<WaitingTask>)>, StoreError> {
         let mut waiting = Vec::new();
         for campaign in self.cache.waiting(&mut self.tx).await?.iter() {
-            if campaign.takes(pin) && campaign.state.may_lease() {
+            if campaign.accepts(pin) && campaign.state.may_lease() {
                 let tasks = claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?;
                 waiting.push((campaign.name.clone(), tasks));
             }

@@ -132,7 +132,7 @@ impl Context<'_> {
     ) -> Result<CommitReply, StoreError> {
         let campaign = self.campaign(attempt.initial_state.campaign).await?;
         let from = &report.provenance.pin;
-        if !campaign.takes(from) {
+        if !campaign.accepts(from) {
             let (name, demand) = (&campaign.name, campaign.demand());
             let detail = format!("campaign `{name}` {demand} and this result is of {from}");
             // Not charged if another result pinned the campaign after this lease was granted.
@@ -172,7 +172,7 @@ impl Context<'_> {
             let reason = FailureReason::PolicyUnavailable;
             return self.refuse(attempt, reason, detail).await;
         }
-        if let Some(detail) = pairing::misfit(&attempt.row, &report.result) {
+        if let Some(detail) = pairing::impossible_count(&attempt.row, &report.result) {
             return self.refuse(attempt, FailureReason::Unpaired, detail).await;
         }
         let demand = Demand {

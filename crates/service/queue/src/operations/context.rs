@@ -94,7 +94,7 @@ impl<'a> Context<'a> {
     pub(super) async fn able_machines(&mut self, campaign: &Campaign) -> Result<u32, StoreError> {
         let since = self.now.minus(self.shared.timing.worker_alive);
         let live = self.cache.live(&mut self.tx, since).await?;
-        let able = live.iter().filter(|worker| campaign.takes(&worker.pin));
+        let able = live.iter().filter(|worker| campaign.accepts(&worker.pin));
         let machines: BTreeSet<&str> = able.map(|worker| worker.machine.as_str()).collect();
         Ok(u32::try_from(machines.len()).unwrap_or(u32::MAX))
     }
@@ -106,7 +106,8 @@ impl<'a> Context<'a> {
         attempt: &NamedAttempt,
     ) -> Result<Option<Lease>, StoreError> {
         let cut_off = attempt.cut_off.as_ref();
-        let Some(lease) = cut_off.and_then(|cut_off| attempt.job.resumes(cut_off, self.now)) else {
+        let Some(lease) = cut_off.and_then(|cut_off| attempt.job.resumable(cut_off, self.now))
+        else {
             return Ok(None);
         };
         if self
@@ -168,8 +169,8 @@ impl<'a> Context<'a> {
             let wait = resume.since(now).clamp(Waits::USUAL.first, MAX_YIELD);
             *not_before = (*not_before).max(resume.plus(wait));
         }
-        let reason = reason.before(next_step);
-        let error = &reason.explained(error, job.losses + 1, suspicion.silences);
+        let reason = reason.stored_reason(next_step);
+        let error = &reason.stored_error(error, job.losses + 1, suspicion.silences);
         jobs::fail(&mut self.tx, job, lease, reason, error, next_step, now).await?;
         if next_step == AfterFailure::Quarantine {
             self.settles = true;

@@ -8,7 +8,7 @@ use std::time::{Duration, Instant};
 
 use crate::clock::UnixMillis;
 use crate::ids::{CampaignId, JobId};
-use crate::store::films::Filmed;
+use crate::store::films::FilmedCampaign;
 
 /// Time after which a rollout being filmed is assigned again: rendering the longest rollout in
 /// software takes a few minutes.
@@ -39,7 +39,7 @@ struct FilmState {
 /// Rollouts of a campaign that are still to be filmed.
 #[derive(Debug)]
 struct Unfilmed {
-    campaign: Filmed,
+    campaign: FilmedCampaign,
     jobs: Vec<JobId>,
     /// Start of the scan that found the jobs.
     scanned_at: Instant,
@@ -49,11 +49,16 @@ struct Unfilmed {
 
 impl Films {
     /// Drops cached campaigns that are not in `campaigns`. Returns those that must be scanned.
-    pub(super) fn outdated(&self, campaigns: &[Filmed], now: Instant) -> Vec<Filmed> {
+    pub(super) fn outdated(
+        &self,
+        campaigns: &[FilmedCampaign],
+        now: Instant,
+    ) -> Vec<FilmedCampaign> {
         let mut state = self.lock();
         let is_filmed = |id: &CampaignId| campaigns.iter().any(|campaign| campaign.campaign == *id);
         state.unfilmed.retain(|id, _| is_filmed(id));
-        let is_outdated = |campaign: &&Filmed| match state.unfilmed.get(&campaign.campaign) {
+        let is_outdated = |campaign: &&FilmedCampaign| match state.unfilmed.get(&campaign.campaign)
+        {
             Some(cached) => {
                 let age = now.saturating_duration_since(cached.scanned_at);
                 let is_due = cached.cost < CHEAP_SCAN || age >= cached.cost * AGE_PER_COST;
@@ -72,7 +77,7 @@ impl Films {
     /// Stores the result of a scan that began at `at` and took `cost`.
     pub(super) fn scanned(
         &self,
-        campaign: Filmed,
+        campaign: FilmedCampaign,
         mut jobs: Vec<JobId>,
         at: Instant,
         cost: Duration,
@@ -101,10 +106,14 @@ impl Films {
 
     /// Returns the first rollout of these campaigns that is not being filmed, and the number of
     /// rollouts without a video.
-    pub(super) fn assign(&self, campaigns: &[Filmed], now: UnixMillis) -> Option<(JobId, u64)> {
+    pub(super) fn assign(
+        &self,
+        campaigns: &[FilmedCampaign],
+        now: UnixMillis,
+    ) -> Option<(JobId, u64)> {
         let state = &mut *self.lock();
         state.in_flight.retain(|_, until| *until > now);
-        let unfilmed = |campaign: &Filmed| state.unfilmed.get(&campaign.campaign);
+        let unfilmed = |campaign: &FilmedCampaign| state.unfilmed.get(&campaign.campaign);
         let jobs = || {
             campaigns
                 .iter()
@@ -126,8 +135,8 @@ impl Films {
 mod tests {
     use super::*;
 
-    fn campaign(revision: i64) -> Filmed {
-        Filmed {
+    fn campaign(revision: i64) -> FilmedCampaign {
+        FilmedCampaign {
             campaign: CampaignId(1),
             revision,
             source: None,

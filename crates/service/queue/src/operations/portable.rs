@@ -164,7 +164,7 @@ impl Portable {
     /// Removes the videos with these paths, whose files are missing, from the database.
     pub async fn remove_missing_films(&self, missing: &[String]) -> Result<(), StoreError> {
         let mut tx = self.store.write(Vec::new()).await?;
-        portable::forget_artifacts(&mut tx, missing).await?;
+        portable::remove_artifacts(&mut tx, missing).await?;
         tx.commit().await
     }
 

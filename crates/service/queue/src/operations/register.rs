@@ -4,7 +4,7 @@ use super::context::Context;
 use super::error::QueueError;
 use crate::ids::WorkerId;
 use crate::queue::Queue;
-use crate::rules::lease::inherited;
+use crate::rules::lease::inherited_failures;
 use crate::store::failpoint::Step;
 use crate::store::workers::{self, WorkerInfo};
 
@@ -21,7 +21,8 @@ impl Queue {
             Some(machine) => workers::last_on_machine(&mut context.tx, machine, &worker.id).await?,
             None => 0,
         };
-        workers::upsert(&mut context.tx, worker, inherited(in_a_row), context.now).await?;
+        let inherited = inherited_failures(in_a_row);
+        workers::upsert(&mut context.tx, worker, inherited, context.now).await?;
         let idle_reason = context.idle_reason(&worker.pin).await?;
         context.commit().await?;
         // A job that failed on the other machines may suit the new worker.

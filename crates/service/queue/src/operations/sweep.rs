@@ -10,7 +10,7 @@ use super::start::restart_leases;
 use crate::clock::UnixMillis;
 use crate::ids::WorkerId;
 use crate::queue::Queue;
-use crate::rules::lease::{FailureReason, JobState, Lease, was_asleep};
+use crate::rules::lease::{FailureReason, JobState, Lease, was_suspended};
 use crate::store::StoreError;
 use crate::store::failpoint::Step;
 use crate::store::jobs::{self, ExpiredRow};
@@ -30,7 +30,7 @@ impl Queue {
         let mut context = Context::begin(shared, vec![Step::Sweep]).await?;
         let now = context.now;
         let mut has_new_work = false;
-        if was_asleep(now.since(last), shared.timing.lease) {
+        if was_suspended(now.since(last), shared.timing.lease) {
             tracing::warn!(
                 "the coordinator was suspended: every lease is restarted with its full duration"
             );

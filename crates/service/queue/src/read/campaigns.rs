@@ -161,7 +161,7 @@ impl View {
             PolicyState::Paused { resume, .. } => Some(resume.since(now)),
             PolicyState::Available | PolicyState::Probing { .. } => None,
         };
-        let able = live.iter().filter(|live| campaign.takes(live));
+        let able = live.iter().filter(|live| campaign.accepts(live));
         let live_workers = u32::try_from(able.count()).unwrap_or(u32::MAX);
         let source = derivations::awaited(self.tx(), campaign.id).await?;
         let may_grow = match &source {
