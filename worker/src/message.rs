@@ -247,9 +247,9 @@ impl From<&PolicyError> for FailureKind {
     /// policy would be charged.
     fn from(error: &PolicyError) -> Self {
         match *error {
-            PolicyError::Nonsense { .. }
+            PolicyError::InvalidAnswer { .. }
             | PolicyError::Failed { .. }
-            | PolicyError::Ended { .. } => Self::PolicyMisbehaved,
+            | PolicyError::RecordingEnded { .. } => Self::PolicyMisbehaved,
             PolicyError::Unavailable {
                 answered: Some(answered),
                 ..

@@ -133,7 +133,7 @@ impl PolicyClient {
 
     /// Describes a failed call: the policy's error, or a diagnosis of the peer.
     fn explain(&self, status: &Status) -> String {
-        let diagnosis = self.runtime.block_on(self.peer.trouble(status));
+        let diagnosis = self.runtime.block_on(self.peer.diagnose(status));
         diagnosis.map_or_else(|| answer(status), |diagnosis| diagnosis.to_string())
     }
 }
@@ -214,7 +214,7 @@ impl Actor for PolicyClient {
             .map_err(|status| self.refused(&call, session, Some(query_index), &status))?;
         let horizon = u32::try_from(horizon).unwrap_or(u32::MAX);
         let actions = policy_protocol::actions(&response, horizon);
-        let actions = actions.map_err(|fault| PolicyError::Nonsense {
+        let actions = actions.map_err(|fault| PolicyError::InvalidAnswer {
             call,
             policy: session.policy.to_owned(),
             endpoint: self.endpoint.clone(),

@@ -117,7 +117,7 @@ impl Actor for RecordedActions {
         let rest = self.actions.iter().skip(self.next).take(horizon);
         let answer: Vec<Action> = rest.copied().collect();
         if answer.is_empty() {
-            return Err(PolicyError::Ended {
+            return Err(PolicyError::RecordingEnded {
                 path: self.path.clone(),
                 actions: self.actions.len(),
             });

@@ -256,7 +256,7 @@ impl Link {
     /// transient.
     async fn explain(&self, status: Status) -> Failed {
         let is_transient = may_succeed_later(&status);
-        match self.state.peer.trouble(&status).await {
+        match self.state.peer.diagnose(&status).await {
             None => Failed {
                 status,
                 is_transient,
@@ -282,7 +282,7 @@ impl Link {
                 tracing::warn!(
                     "coordinator {url} cannot be reached: {}; trying again every {} to {} s, \
                      rollouts in flight continue",
-                    transport::answer(&failed.status),
+                    transport::status_text(&failed.status),
                     Waits::USUAL.first.as_secs(),
                     Waits::USUAL.longest.as_secs()
                 );

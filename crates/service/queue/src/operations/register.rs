@@ -18,7 +18,9 @@ impl Queue {
     pub async fn register(&self, worker: &WorkerInfo) -> Result<String, QueueError> {
         let mut context = Context::begin(&self.shared, vec![Step::Register]).await?;
         let in_a_row = match &worker.machine {
-            Some(machine) => workers::last_on_machine(&mut context.tx, machine, &worker.id).await?,
+            Some(machine) => {
+                workers::last_failures_on_machine(&mut context.tx, machine, &worker.id).await?
+            }
             None => 0,
         };
         let inherited = inherited_failures(in_a_row);
