@@ -213,7 +213,9 @@ fn rollouts(messages: &mut Messages) {
         PolicyError::TooLate { .. } => PolicyError::TooLate {
             policy: text(), problem: too_late(),
         },
-        PolicyError::RecordingEnded { .. } => PolicyError::RecordingEnded { path: path(), actions: 12 },
+        PolicyError::RecordingEnded { .. } => PolicyError::RecordingEnded {
+            path: path(), actions: 12,
+        },
     );
     variants!(messages, RolloutError,
         RolloutError::Simulator { .. } => RolloutError::Simulator {

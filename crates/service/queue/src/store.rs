@@ -2,9 +2,8 @@
 //! Submodules hold only the SQL statements of `operations` and conversions of their rows; decisions
 //! are made by [`rules`](crate::rules).
 //!
-//! One coordinator owns a data folder: one connection writes, several read, in
-//! WAL mode with `synchronous=FULL`, so that a committed transaction survives a
-//! power cut.
+//! One coordinator owns a data folder: one connection writes, several read, in WAL mode with
+//! `synchronous=FULL`, so that a committed transaction survives a power cut.
 
 pub(crate) mod artifacts;
 pub(crate) mod attached;
@@ -25,6 +24,7 @@ pub(crate) mod portable;
 pub(crate) mod provenance;
 pub(crate) mod removals;
 pub(crate) mod results;
+pub(crate) mod schema;
 pub(crate) mod stops;
 pub(crate) mod workers;
 
@@ -41,7 +41,7 @@ use sqlx::pool::PoolConnection;
 use sqlx::sqlite::{
     SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
 };
-use sqlx::{ConnectOptions, Connection, Sqlite, SqliteConnection, Transaction};
+use sqlx::{Connection, Sqlite, SqliteConnection, Transaction};
 
 use failpoint::{Failpoints, Side, Step};
 
@@ -57,7 +57,6 @@ const READERS: u32 = 4;
 /// Longest wait of a statement for a lock held by another process, such as a backup or an
 /// interactive shell.
 const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
-
 /// Longest wait for readers when the store is closed.
 const READERS_GRACE: Duration = Duration::from_secs(2);
 
@@ -297,8 +296,8 @@ impl Store {
     /// `steps`.
     ///
     /// # Errors
-    /// If the database's file is no longer in the data folder: what SQLite wrote to the
-    /// open file would be lost when this process ends.
+    /// If the database's file is no longer in the data folder: what SQLite wrote to the open file
+    /// would be lost when this process ends.
     pub(crate) async fn write(&self, steps: Vec<Step>) -> Result<Tx<'_>, StoreError> {
         if !self.is_in_place() {
             let folder = self.folder.clone();
@@ -558,50 +557,4 @@ pub(crate) async fn load_schema(connection: &mut SqliteConnection) -> Result<(),
             .await?;
     }
     Ok(())
-}
-
-/// Compares the schema of an untrusted database with those of all versions of this program. Returns
-/// a description of the first foreign, altered or missing object; `None` if the schema matches a
-/// version.
-///
-/// Reads only the schema table, so that nothing in the database is executed.
-pub(crate) async fn foreign_schema(path: &Path) -> Result<Option<String>, sqlx::Error> {
-    let mut model = SqliteConnection::connect("sqlite::memory:").await?;
-    let options = SqliteConnectOptions::new().filename(path).read_only(true);
-    let mut database = options
-        .immutable(true)
-        .pragma("trusted_schema", "OFF")
-        .connect()
-        .await?;
-    let found = objects(&mut database).await?;
-    database.close().await?;
-    let mut known = Vec::new();
-    for version in 1..=newest_known_schema() {
-        MIGRATIONS
-            .run_direct(Some(version), &mut model, false)
-            .await
-            .map_err(|error| sqlx::Error::Migrate(Box::new(error)))?;
-        known = objects(&mut model).await?;
-        if known == found {
-            return Ok(None);
-        }
-    }
-    let foreign = found.iter().find(|object| !known.contains(object));
-    let missing = known.iter().find(|object| !found.contains(object));
-    Ok(Some(match (foreign, missing) {
-        (Some((kind, name, _)), _) => format!("{kind} {name} is foreign or was altered"),
-        (None, Some((kind, name, _))) => format!("{kind} {name} is missing"),
-        (None, None) => "an object occurs twice".to_owned(),
-    }))
-}
-
-/// Returns all named objects of a database with their SQL, in order. This includes SQLite's
-/// automatic indices and internal tables, since a manipulated database can hold anything under
-/// their names.
-async fn objects(
-    connection: &mut SqliteConnection,
-) -> Result<Vec<(String, String, Option<String>)>, sqlx::Error> {
-    sqlx::query_as("SELECT type, name, sql FROM sqlite_schema ORDER BY type, name")
-        .fetch_all(connection)
-        .await
 }

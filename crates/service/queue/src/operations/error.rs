@@ -56,7 +56,8 @@ pub enum QueueError {
     #[error("change campaign `{campaign}`: it is cancelled, which is final; create another")]
     Cancelled { campaign: CampaignName },
     #[error(
-        "change campaign `{campaign}`: it stopped early because its stop rule was met, which is final; create another without `stop` to run the remaining rollouts"
+        "change campaign `{campaign}`: it stopped early because its stop rule was met, which is \
+         final; create another without `stop` to run the remaining rollouts"
     )]
     Stopped { campaign: CampaignName },
     #[error(

@@ -25,8 +25,8 @@ use crate::store::campaigns::{self, Campaign};
 use crate::store::failpoint::Step;
 use crate::store::portable::{self, CopyTarget};
 use crate::store::{
-    DATABASE_FILE, Doing, OpenError, Store, StoreError, derivations, foreign_schema, hidden,
-    instants, removals as removal_marks, undecodable,
+    DATABASE_FILE, Doing, OpenError, Store, StoreError, derivations, hidden, instants,
+    removals as removal_marks, schema, undecodable,
 };
 use crate::timing::Timing;
 
@@ -86,7 +86,7 @@ impl Portable {
     /// The database is untrusted. A view in place of a table, or a trigger, would run with the
     /// first statement that touches it, so the schema is compared before any other statement.
     pub async fn open(folder: &Path) -> Result<Portable, PortableError> {
-        let foreign = foreign_schema(&folder.join(DATABASE_FILE)).await;
+        let foreign = schema::foreign_schema(&folder.join(DATABASE_FILE)).await;
         if let Some(example) = foreign.doing("compare the schema of an archive")? {
             let invariant = SCHEMA_INVARIANT;
             return Err(PortableError::Violated { invariant, example });
@@ -377,7 +377,8 @@ pub enum CopyError {
 #[derive(Debug, thiserror::Error)]
 pub enum AdoptError {
     #[error(
-        "add campaign `{campaign}`: this coordinator has a campaign of that name; choose another name with --as NAME"
+        "add campaign `{campaign}`: this coordinator has a campaign of that name; choose another \
+         name with --as NAME"
     )]
     Exists { campaign: CampaignName },
     #[error(
@@ -388,7 +389,8 @@ pub enum AdoptError {
         source_campaign: CampaignName,
     },
     #[error(
-        "add campaign `{campaign}`: its source campaign `{source_campaign}` has other outcomes here; archive and import both campaigns in their current state"
+        "add campaign `{campaign}`: its source campaign `{source_campaign}` has other \
+         outcomes here; archive and import both campaigns in their current state"
     )]
     OtherSource {
         campaign: CampaignName,
