@@ -10,8 +10,8 @@ use report::Subject;
 use tokio::time::Instant;
 use tonic::{Code, Response, Status, Streaming};
 use transport::{
-    Access, AccessError, Connection, EndpointError, Peer, ServerKind, Settings, Trouble, answer,
-    parse_endpoint,
+    Access, AccessError, ConnectError, Connection, EndpointError, Peer, ServerKind, Settings,
+    parse_endpoint, status_text,
 };
 
 /// Default time for which a command retries an unreachable coordinator.
@@ -51,7 +51,10 @@ pub enum ClientError {
     #[error(transparent)]
     Access(#[from] AccessError),
     #[error("reach the coordinator at {url}: {trouble}")]
-    Unreachable { url: String, trouble: Box<Trouble> },
+    Unreachable {
+        url: String,
+        trouble: Box<ConnectError>,
+    },
     #[error("{message}")]
     Invalid { message: String },
     #[error("{message}")]
@@ -117,7 +120,7 @@ impl Client {
     pub async fn next<T>(&self, answer: &mut Streaming<T>) -> Result<Option<T>, ClientError> {
         match answer.message().await {
             Ok(next) => Ok(next),
-            Err(status) => Err(self.failed(&status, self.peer.trouble(&status).await)),
+            Err(status) => Err(self.failed(&status, self.peer.diagnose(&status).await)),
         }
     }
 
@@ -136,7 +139,7 @@ impl Client {
                 Ok(response) => return Ok(response.into_inner()),
                 Err(status) => status,
             };
-            let trouble = self.peer.trouble(&status).await;
+            let trouble = self.peer.diagnose(&status).await;
             let is_transient = match &trouble {
                 Some(trouble) => !trouble.found.is_final(),
                 None => status.code() == Code::Unavailable,
@@ -148,7 +151,7 @@ impl Client {
                 is_reported = true;
                 let reason = match &trouble {
                     Some(trouble) => trouble.finding().to_string(),
-                    None => answer(&status),
+                    None => status_text(&status),
                 };
                 terminal::complain(&format!(
                     "no answer from the coordinator at {}: {reason}; trying again for {} s",
@@ -161,14 +164,14 @@ impl Client {
         }
     }
 
-    fn failed(&self, status: &Status, trouble: Option<Trouble>) -> ClientError {
+    fn failed(&self, status: &Status, trouble: Option<ConnectError>) -> ClientError {
         if let Some(trouble) = trouble {
             return ClientError::Unreachable {
                 url: self.url.clone(),
                 trouble: trouble.into(),
             };
         }
-        let message = answer(status);
+        let message = status_text(status);
         match status.code() {
             Code::InvalidArgument => ClientError::Invalid { message },
             _ => ClientError::Refused { message },

@@ -7,7 +7,7 @@ use std::time::Duration;
 
 use futures_util::StreamExt;
 use futures_util::stream;
-use queue::{FilmHere, Forgotten, Queue};
+use queue::{FilmRemoval, LocalFilm, Queue};
 
 use crate::storage::{Storage, StorageError};
 
@@ -45,7 +45,10 @@ pub(crate) async fn run(queue: Arc<Queue>, storage: Arc<Storage>) {
 /// Moves the films that are in the data folder now.
 async fn move_films(queue: &Queue, storage: &Storage) -> Result<(), String> {
     let describe = |error: &(dyn std::error::Error + 'static)| transport::chain(error);
-    let films = queue.films_here().await.map_err(|error| describe(&error))?;
+    let films = queue
+        .local_films()
+        .await
+        .map_err(|error| describe(&error))?;
     // Started transfers run to their end, so that the storage keeps no partial upload; after a
     // failure of the storage no further transfer starts.
     let is_down = AtomicBool::new(false);
@@ -100,14 +103,14 @@ impl MoveError {
     }
 }
 
-async fn move_film(queue: &Queue, storage: &Storage, film: &FilmHere) -> Result<(), MoveError> {
+async fn move_film(queue: &Queue, storage: &Storage, film: &LocalFilm) -> Result<(), MoveError> {
     let stored = storage.put(&film.path, &film.file).await;
     stored.map_err(|error| MoveError::from_storage(&error))?;
-    let forgotten = queue
-        .forget_film(film)
+    let removal = queue
+        .remove_local_film(film)
         .await
         .map_err(|error| MoveError::File(format!("remove {}: {error}", film.file.display())))?;
-    if forgotten == Forgotten::Deleted {
+    if removal == FilmRemoval::CampaignDeleted {
         let deleted = storage.delete(&film.path).await;
         deleted.map_err(|error| MoveError::from_storage(&error))?;
     }

@@ -136,7 +136,7 @@ async fn early_stop(view: &mut View, campaign: &Campaign) -> Result<Option<Early
 }
 
 async fn beyond_range(view: &mut View, campaign: &Campaign) -> Result<BeyondRange, ReadError> {
-    let (actions, of_actions, rollouts) = view.beyond_range(campaign.id).await?;
+    let (actions, of_actions, rollouts) = view.clipped_actions(campaign.id).await?;
     Ok(BeyondRange {
         actions: actions.unsigned_abs(),
         of_actions: of_actions.unsigned_abs(),

@@ -52,7 +52,7 @@ pub enum PolicyError {
          `policy-gateway doctor` looks for the cause",
         label(policy)
     )]
-    Nonsense {
+    InvalidAnswer {
         /// The call: "query 3".
         call: String,
         policy: String,
@@ -71,7 +71,7 @@ pub enum PolicyError {
         "the recording {} ends after {actions} actions, before the rollout does",
         path.display()
     )]
-    Ended { path: PathBuf, actions: usize },
+    RecordingEnded { path: PathBuf, actions: usize },
 }
 
 /// Returns a policy's name for use in a sentence; a server's only policy has no name.
@@ -98,7 +98,7 @@ fn sentence(policy: &str, endpoint: &str, verb: &str, call: &str, problem: &str)
 pub struct Description {
     /// Description as the policy gave it.
     pub about: DescribeResponse,
-    /// Robot readings that the policy asks for, in its order.
+    /// Robot readings that the policy asks for, in the policy's order.
     pub state: Vec<StateField>,
     /// Maximum number of actions per answer.
     pub horizon: usize,
@@ -130,7 +130,7 @@ pub trait Actor {
     /// Starts an episode. Actors that keep no state between episodes do nothing.
     ///
     /// # Errors
-    /// If the actor does not answer or refuses.
+    /// If the actor does not answer, or answers with a refusal.
     fn reset(
         &mut self,
         _session: PolicySession<'_>,

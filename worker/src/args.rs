@@ -500,6 +500,7 @@ pub struct FetchArguments {
     pub hub: Option<String>,
 }
 
+/// Tasks whose assets are fetched.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum TaskChoice {
     /// The 40 tasks of the protocol.

@@ -60,7 +60,7 @@ pub fn run(arguments: &AssetsArguments) -> Result<(), PackError> {
 /// Fetches the missing files of tasks, with progress on standard error.
 ///
 /// # Errors
-/// If they cannot be fetched.
+/// If the files cannot be fetched.
 pub fn provide(
     pack: &AssetPack,
     sources: &Sources,
@@ -74,16 +74,17 @@ pub fn provide(
     Ok(())
 }
 
-/// Reason why a row's files are not there. The messages read after "failed to …".
+/// Reason why the files of a manifest row cannot be provided. The messages read after "failed to
+/// …".
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ProvideError {
     /// Files could not be fetched or read; a later attempt may succeed.
     Fetch(String),
-    /// Files that are not fetched are missing or wrong.
+    /// Files that this program does not fetch are missing or wrong.
     Lack {
         /// Message with the remedy.
         error: String,
-        /// The task files as they are.
+        /// Stamps of the task files when they were checked.
         files: FileStamps,
     },
 }
@@ -93,7 +94,7 @@ pub enum ProvideError {
 pub struct Provider {
     pack: AssetPack,
     sources: Sources,
-    ended: Arc<AtomicBool>,
+    is_cancelled: Arc<AtomicBool>,
 }
 
 impl Provider {
@@ -102,7 +103,7 @@ impl Provider {
         Self {
             pack: pack.clone(),
             sources: sources.clone(),
-            ended: Arc::default(),
+            is_cancelled: Arc::default(),
         }
     }
 
@@ -120,8 +121,8 @@ impl Provider {
     /// Fetches a row's missing or altered assets, with progress in the log.
     ///
     /// # Errors
-    /// If the assets cannot be fetched, or those of a variant are in no index, or its task files
-    /// are missing.
+    /// If the assets cannot be fetched, a variant's assets are in no index, or a variant's task
+    /// files are missing.
     pub fn provide(&self, row: &ManifestRow) -> Result<(), ProvideError> {
         let task = row.id.task();
         let files = match row.id.variant() {
@@ -143,7 +144,7 @@ impl Provider {
                     }
                 }
             }
-            match self.ended.load(Ordering::Relaxed) {
+            match self.is_cancelled.load(Ordering::Relaxed) {
                 true => ControlFlow::Break(()),
                 false => ControlFlow::Continue(()),
             }
@@ -163,11 +164,13 @@ impl Provider {
         let fault = |error: &(dyn std::error::Error + 'static)| {
             ProvideError::Fetch(transport::chain(error))
         };
-        // Before the check: a file that is corrected meanwhile counts as changed.
+        // The stamps are taken before the check, so that a file that is corrected in between counts
+        // as changed.
         let files = self.stamps(row);
         let lack = variants::lack(row, &self.pack, &self.sources).map_err(|error| fault(&error))?;
         match lack {
-            // A state that does not exist is a fault of this rollout, whose error names it.
+            // If the rollout's initial state does not exist, the rollout fails with an error that
+            // names the state.
             None | Some(Lack::States { .. }) => {
                 variants::files(row, &self.sources).map_err(|error| fault(&error))
             }
@@ -178,7 +181,8 @@ impl Provider {
         }
     }
 
-    /// Returns true if the files of a row that were missing or wrong may have been corrected.
+    /// Returns true if the files of a row have changed since `files` were taken, so that missing or
+    /// wrong files may have been corrected.
     pub fn has_changed(&self, row: &ManifestRow, files: &FileStamps) -> bool {
         self.stamps(row) != *files
     }
@@ -188,9 +192,9 @@ impl Provider {
         files.map_or_else(|_| FileStamps::default(), |files| files.stamps())
     }
 
-    /// Cancels running fetches, and any later one.
+    /// Cancels the fetches in progress, and every later fetch as soon as it reports progress.
     pub fn end(&self) {
-        self.ended.store(true, Ordering::Relaxed);
+        self.is_cancelled.store(true, Ordering::Relaxed);
     }
 }
 
@@ -271,14 +275,14 @@ fn verify(pack: &AssetPack, sources: &Sources) -> Result<(), PackError> {
     ))
 }
 
-/// Joins the first `MAX_NAMED` names, followed by the number of the others.
-pub fn name_some(mut names: Vec<String>, between: &str) -> String {
+/// Joins the first `MAX_NAMED` names, followed by the number of the remaining names.
+pub fn name_some(mut names: Vec<String>, separator: &str) -> String {
     let count = names.len();
     if count > MAX_NAMED {
         names.truncate(MAX_NAMED);
         names.push(format!("and {} more", count - MAX_NAMED));
     }
-    names.join(between)
+    names.join(separator)
 }
 
 /// Fetches the task files of a benchmark of LIBERO's family, or copies them from a checkout.
@@ -378,8 +382,8 @@ fn origin(arguments: &FetchArguments) -> Result<Origin, PackError> {
     })
 }
 
-/// Logs which tasks a pack can show, and returns those that it cannot; the worker leaves them to
-/// other workers.
+/// Logs which tasks a pack can show. Returns the tasks that it cannot show, which this worker
+/// leaves to other workers.
 ///
 /// # Errors
 /// If the task files cannot be read, or the pack can show no task.

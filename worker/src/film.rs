@@ -14,7 +14,7 @@ use sim::{Simulator, SimulatorConfig};
 use tokio::runtime::Handle;
 use tokio::sync::watch;
 use tonic::Status;
-use transport::{Access, answer, chain};
+use transport::{Access, chain, status_text};
 
 use crate::actor::Action;
 use crate::filming::{Replay, film_again};
@@ -35,9 +35,9 @@ pub struct Config {
     pub seed: u64,
 }
 
-/// Numbers of videos made and failed.
+/// Numbers of rollouts that were filmed and that could not be filmed.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct Filmed {
+pub struct FilmCounts {
     /// Videos that were stored at the coordinator.
     pub stored: u64,
     /// Rollouts that could not be filmed; the log says why.
@@ -48,16 +48,17 @@ pub struct Filmed {
 #[derive(Debug, thiserror::Error)]
 pub enum FilmError {
     #[error("create a temporary folder for videos")]
-    Room(#[source] io::Error),
+    Folder(#[source] io::Error),
     #[error(transparent)]
     Link(#[from] SuperviseError),
     #[error(
         "request a rollout to film from the coordinator at {url}: {}",
-        answer(status)
+        status_text(status)
     )]
     Refused { url: String, status: Box<Status> },
 }
 
+/// A committed rollout to be filmed.
 struct Filmable {
     attempt: AttemptId,
     /// Name of the rollout in messages.
@@ -68,8 +69,8 @@ struct Filmable {
     success: bool,
 }
 
-/// Films rollouts until none is left, `config.at_a_time` at a time, each thread with a simulator
-/// of its own. `provide` fetches the files of a rollout's task if they are missing.
+/// Films rollouts until none is left, in `config.at_a_time` threads, each with a simulator of its
+/// own. `provide` fetches the files of a rollout's task if they are missing.
 ///
 /// # Errors
 /// If the coordinator cannot be reached. A rollout that cannot be filmed is logged and
@@ -78,9 +79,9 @@ pub fn run(
     config: &Config,
     simulator: &SimulatorConfig,
     provide: &(dyn Fn(TaskRef) -> Result<(), String> + Sync),
-) -> Result<Filmed, FilmError> {
-    let runtime = tokio::runtime::Runtime::new().map_err(FilmError::Room)?;
-    let scratch = tempfile::tempdir().map_err(FilmError::Room)?;
+) -> Result<FilmCounts, FilmError> {
+    let runtime = tokio::runtime::Runtime::new().map_err(FilmError::Folder)?;
+    let scratch = tempfile::tempdir().map_err(FilmError::Folder)?;
     // `worker film` never drains: when it is ended, unfinished videos are lost.
     let (_running, draining) = watch::channel(false);
     let runtime_context = runtime.enter();
@@ -98,18 +99,19 @@ pub fn run(
             let (filming, simulator) = (&filming, simulator.clone());
             scope.spawn(move || filming.run(&mut Simulator::new(simulator), &file))
         });
-        // Collects first, so that all threads are started before the first is joined.
+        // The handles are collected first, so that all threads are started before the first thread
+        // is joined.
         let threads: Vec<_> = threads.collect();
         let ended = threads.into_iter().map(|thread| {
             thread
                 .join()
                 .unwrap_or_else(|panic| std::panic::resume_unwind(panic))
         });
-        ended.collect::<Result<Vec<Filmed>, FilmError>>()
+        ended.collect::<Result<Vec<FilmCounts>, FilmError>>()
     })?;
     Ok(filmed
         .into_iter()
-        .fold(Filmed::default(), |sum, filmed| Filmed {
+        .fold(FilmCounts::default(), |sum, filmed| FilmCounts {
             stored: sum.stored + filmed.stored,
             failed: sum.failed + filmed.failed,
         }))
@@ -124,9 +126,9 @@ struct Filming<'a> {
 }
 
 impl Filming<'_> {
-    /// Films one rollout after the other. The coordinator gives each to one caller only.
-    fn run(&self, simulator: &mut Simulator, file: &Path) -> Result<Filmed, FilmError> {
-        let mut filmed = Filmed::default();
+    /// Films one rollout after the other. The coordinator gives each rollout to one caller only.
+    fn run(&self, simulator: &mut Simulator, file: &Path) -> Result<FilmCounts, FilmError> {
+        let mut filmed = FilmCounts::default();
         loop {
             let request = NextFilmRequest {
                 asset_pack_digest: self.config.asset_pack_digest.clone(),
@@ -142,7 +144,7 @@ impl Filming<'_> {
             };
             let title = format!("attempt {} of campaign {}", film.attempt_id, film.campaign);
             let began = Instant::now();
-            let done = filmable(film)
+            let done = parse_film(film)
                 .map_err(|problem| format!("read {title}: {problem}"))
                 .and_then(|rollout| {
                     tracing::info!("filming {} ({} left)", rollout.label, answer.left);
@@ -184,7 +186,7 @@ fn film_rollout(simulator: &mut Simulator, rollout: &Filmable, file: &Path) -> R
     filmed.map_err(|error| chain(&error))
 }
 
-fn filmable(film: Film) -> Result<Filmable, String> {
+fn parse_film(film: Film) -> Result<Filmable, String> {
     let row: ManifestRow = serde_json::from_str(&film.manifest_row)
         .map_err(|error| libero_ctrl::JsonError::from(error).to_string())?;
     let attempt = film.attempt_id.parse();

@@ -45,7 +45,7 @@ pub(crate) struct Replay<'a> {
     pub(crate) realisation: Realisation,
     /// The actions that the robot executed.
     pub(crate) actions: &'a [Action],
-    /// Number of actions after which the perturbations were lifted, if they were.
+    /// Number of actions after which the perturbations were lifted; `None` if they were not.
     pub(crate) lifted_after: Option<usize>,
     /// True if the goal was reached.
     pub(crate) success: bool,
@@ -123,8 +123,8 @@ pub(crate) fn render_again(
 }
 
 /// Renders both cameras at [`PANE_SIDE`] as a policy sees them, for the left and right halves of a
-/// video. If the policy asks for another size, its frames differ in the sensor's corruption, which
-/// scales with the frame, and in the noise's values.
+/// video. If the policy asks for another size, the policy's frames differ from these in the
+/// sensor's corruption, which scales with the frame, and in the values of the noise.
 pub(crate) fn observe_both(episode: &mut Episode<'_>) -> Result<[Frame; 2], SimError> {
     let camera = |name: &str| CameraRequest {
         name: name.to_owned(),

@@ -55,13 +55,14 @@ pub fn host_name() -> String {
         .unwrap_or_else(|| "unknown-host".to_owned())
 }
 
-/// Returns an identifier of this machine, the same for every worker on it, in a container
-/// or not, whenever it is started; empty if there is none.
+/// Returns an identifier of this machine, the same for every worker on the machine, in a container
+/// or not, until the machine is rebooted; empty if the kernel provides no boot id.
 ///
-/// Derived from the kernel's boot id, which all containers of a machine share and no other machine
-/// has. `/etc/machine-id` is unsuitable: containers have their image's or none, and cluster nodes
-/// that boot from one image often share it. The host name is unsuitable too: each container has a
-/// new one. A rebooted machine counts as a new one: the reboot may have repaired it.
+/// The identifier is derived from the kernel's boot id, which all containers of a machine share and
+/// no other machine has. `/etc/machine-id` is unsuitable: containers have that of their image or
+/// none, and cluster nodes that boot from one image often share it. The host name is unsuitable
+/// too: each container has a new host name. A rebooted machine counts as a new machine, since the
+/// reboot may have repaired it.
 pub fn machine() -> String {
     let boot = fs::read_to_string("/proc/sys/kernel/random/boot_id").unwrap_or_default();
     match boot.trim() {
@@ -71,8 +72,8 @@ pub fn machine() -> String {
     }
 }
 
-/// Returns a number that differs at every start of a worker, from the system's random numbers with
-/// which the standard library seeds its hash maps.
+/// Returns a random number, from the operating system's randomness with which the standard library
+/// seeds its hash maps.
 pub fn random_number() -> u64 {
     RandomState::new().build_hasher().finish()
 }

@@ -101,7 +101,7 @@ fn manual(folder: &Path) -> anyhow::Result<()> {
     written.with_context(|| format!("write manual pages into {}", folder.display()))
 }
 
-fn open(arguments: &SimulatorArguments) -> anyhow::Result<SimulatorConfig> {
+fn open_simulator(arguments: &SimulatorArguments) -> anyhow::Result<SimulatorConfig> {
     if let Some(scenes) = &arguments.scenes {
         SceneFolder::choose(scenes);
     }
@@ -126,7 +126,7 @@ fn open(arguments: &SimulatorArguments) -> anyhow::Result<SimulatorConfig> {
 
 fn run_slot(arguments: &SlotArguments) -> anyhow::Result<()> {
     let access = arguments.access.access(&[Role::Worker])?;
-    Ok(slot::run(open(&arguments.simulator)?, &access)?)
+    Ok(slot::run(open_simulator(&arguments.simulator)?, &access)?)
 }
 
 fn run_bench_slot(arguments: &BenchSlotArguments) -> anyhow::Result<()> {
@@ -136,14 +136,14 @@ fn run_bench_slot(arguments: &BenchSlotArguments) -> anyhow::Result<()> {
         policy_secs,
     } = arguments.load;
     let answer_after = Duration::from_secs_f64(policy_secs);
-    let simulator = open(&arguments.simulator)?;
+    let simulator = open_simulator(&arguments.simulator)?;
     Ok(measure::count(simulator, task, execute, answer_after)?)
 }
 
 fn run_bench(arguments: &BenchArguments) -> anyhow::Result<()> {
     // The parent opens the simulator too, so that missing files are reported once, before any slot
     // starts.
-    let simulator = open(&arguments.simulator)?;
+    let simulator = open_simulator(&arguments.simulator)?;
     let LoadArguments {
         task,
         execute,
@@ -178,7 +178,7 @@ fn run_bench(arguments: &BenchArguments) -> anyhow::Result<()> {
 
 fn run_preview(arguments: &PreviewArguments) -> anyhow::Result<()> {
     let task = TaskRef::new(arguments.suite, arguments.task)?;
-    let simulator = open(&arguments.simulator)?;
+    let simulator = open_simulator(&arguments.simulator)?;
     assets::provide(&simulator.pack, &simulator.sources, [task])?;
     let mut simulator = Simulator::new(simulator);
     let request = preview::Request {
@@ -194,7 +194,7 @@ fn run_preview(arguments: &PreviewArguments) -> anyhow::Result<()> {
 }
 
 fn run_film(arguments: FilmArguments) -> anyhow::Result<()> {
-    let simulator = open(&arguments.simulator)?;
+    let simulator = open_simulator(&arguments.simulator)?;
     let at_a_time = match (arguments.at_a_time, arguments.simulator.renderer) {
         (Some(number), _) => number,
         (None, Renderer::Software) => measure::limits::films()?,
@@ -264,7 +264,7 @@ fn run_rollout(arguments: RolloutArguments) -> anyhow::Result<()> {
         )?),
         (None, None) => unreachable!("clap requires --endpoint or --actions"),
     };
-    let simulator = open(&arguments.simulator)?;
+    let simulator = open_simulator(&arguments.simulator)?;
     let files = own_task.as_ref().map_or_else(
         || TaskFiles::of_task(&simulator.sources, row.id.task()),
         OwnTask::files,
@@ -311,10 +311,10 @@ fn run_variants(arguments: VariantsArguments) -> anyhow::Result<()> {
         choice, options, ..
     } = &arguments;
     let (rules, cases) = choice.rollouts(options)?;
-    let mut simulator = open(&arguments.simulator)?;
-    let is_folder = !simulator.pack.is_managed() && simulator.pack.name() == LIBERO;
-    if is_folder && choice.may_need_further_assets(&cases) {
-        // Besides LIBERO's own files, the rollouts also use further files in the folder.
+    let mut simulator = open_simulator(&arguments.simulator)?;
+    let is_users_folder = !simulator.pack.is_managed() && simulator.pack.name() == LIBERO;
+    if is_users_folder && choice.may_need_further_assets(&cases) {
+        // Besides LIBERO's own files, the rollouts also use further files in the user's folder.
         simulator.pack = AssetPack::open_whole(simulator.pack.dir())?;
     }
     let audit = variants::Audit::new(cases, &rules, &simulator.pack, &simulator.sources)?;
@@ -383,7 +383,7 @@ fn run_rescue(arguments: RescueArguments) -> anyhow::Result<()> {
     let row = libero_ctrl::row_of(arguments.id)?;
     let access = arguments.access.access(&[Role::Worker, Role::Operator])?;
     let mut actor = PolicyClient::new(&arguments.endpoint, &access, ROLLOUT_SETTINGS)?;
-    let simulator = open(&arguments.simulator)?;
+    let simulator = open_simulator(&arguments.simulator)?;
     assets::provide(&simulator.pack, &simulator.sources, [row.id.task()])?;
     let mut simulator = Simulator::new(simulator);
     let assignment = Assignment {
@@ -442,16 +442,16 @@ fn run_worker(
     // The parent opens the simulator too, so that missing files are reported once, before any slot
     // starts.
     let access = client.access(&[Role::Worker])?;
-    let simulator = open(simulator_arguments)?;
+    let simulator = open_simulator(simulator_arguments)?;
     let mut simulator_arguments = simulator_arguments.clone();
     if let Some(Err(error)) = SceneFolder::of_process().map(SceneFolder::check) {
-        // Warns here once, instead of in every slot.
+        // The warning is logged once by the parent, instead of by every slot.
         let problem = transport::chain(&error);
         tracing::warn!("scenes are kept in the memory of each slot: failed to {problem}");
         simulator_arguments.scenes = Some("off".into());
     }
     let lacking_tasks = assets::check(&simulator.pack, &simulator.sources)?;
-    let has_own_slots = arguments.slot_program.is_some();
+    let has_custom_slot_program = arguments.slot_program.is_some();
     let program = match arguments.slot_program {
         Some(program) => program,
         None => this_program()?,
@@ -459,7 +459,8 @@ fn run_worker(
     let slots = match arguments.slots {
         SlotCount::Given(slots) => {
             // The memory needs of a custom slot program are unknown.
-            if !has_own_slots && let Some(warning) = measure::limits::check(slots.get())? {
+            if !has_custom_slot_program && let Some(warning) = measure::limits::check(slots.get())?
+            {
                 tracing::warn!("{warning}");
             }
             slots

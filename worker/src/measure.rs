@@ -1,6 +1,6 @@
 //! Measures how many slots are worth running on a machine: `worker bench` prints the measurements,
-//! `--slots auto` acts on them. Both start increasing numbers of slots that simulate and render
-//! whole rollouts with a policy that answers without delay, and add up their throughput.
+//! `--slots auto` acts on them. Both commands start increasing numbers of slots that simulate and
+//! render whole rollouts with a policy that answers without delay, and add up their throughput.
 //!
 //! Reading order: `open_loop` is that policy, `counting` the process of one measured slot,
 //! `together` the parent of these processes, `room` the available memory, `choice` the rule for

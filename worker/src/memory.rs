@@ -43,7 +43,7 @@ impl OomKills {
         }
     }
 
-    /// Compares with an earlier reading.
+    /// Returns the cause of a SIGKILL that was sent between an earlier reading and this one.
     pub(crate) fn since(self, earlier: Self) -> Verdict {
         let rose = |now: Option<u64>, before: Option<u64>| Some(now? > before?);
         match (
@@ -159,10 +159,10 @@ mod tests {
         let check = |before, after: OomKills, expected| {
             assert_eq!(after.since(before), expected, "{before:?} {after:?}");
         };
-        let one = kills(Some(1), Some(7));
-        check(one, kills(Some(2), Some(8)), Verdict::GroupLimit);
-        check(one, kills(Some(1), Some(8)), Verdict::Machine);
-        check(one, one, Verdict::Signal);
+        let before = kills(Some(1), Some(7));
+        check(before, kills(Some(2), Some(8)), Verdict::GroupLimit);
+        check(before, kills(Some(1), Some(8)), Verdict::Machine);
+        check(before, before, Verdict::Signal);
         check(kills(None, None), kills(None, None), Verdict::Unknown);
         check(kills(None, Some(1)), kills(None, Some(2)), Verdict::Machine);
     }

@@ -21,8 +21,8 @@ use crate::actor::{PolicyError, PolicySession};
 /// motion about 700,000.
 pub const MAX_LINE_BYTES: u64 = 1 << 20;
 
-/// Identifies an episode to the policy. The attempt alone makes it unique; rollout and replicate
-/// are for display.
+/// Identifies an episode to the policy. The attempt alone makes the identifier unique; rollout and
+/// replicate are for display.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(transparent)]
 pub struct Session(String);
@@ -44,6 +44,7 @@ impl fmt::Display for Session {
     }
 }
 
+/// Command that the parent sends to a slot.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum SlotCommand {
@@ -69,12 +70,13 @@ pub struct Assignment {
     pub policy_deadline: Duration,
     /// Name of the episode at the policy.
     pub session: Session,
-    /// Requested video, if any.
+    /// Requested video; `None` if no video is requested.
     pub video: Option<VideoRequest>,
     /// True if the result includes the actions.
     pub keep_actions: bool,
 }
 
+/// A requested video: its file, and the outcomes for which it is made.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct VideoRequest {
     pub file: PathBuf,
@@ -100,7 +102,7 @@ impl Assignment {
         }
     }
 
-    /// Returns the requested video of a rollout with this outcome, if one is wanted.
+    /// Returns the video to make of a rollout with this outcome; `None` if no video is requested.
     pub fn video_of(&self, success: bool) -> Option<&VideoRequest> {
         self.video.as_ref().filter(|video| match video.of {
             VideoOf::Everything => true,
@@ -150,7 +152,7 @@ pub enum RolloutEvent {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Finished {
     pub result: RolloutResult,
-    /// Simulator, scene and policy that produced it.
+    /// Simulator, scene and policy that produced the result.
     pub evidence: Evidence,
     /// Path of the end-effector and actions of the robot.
     pub motion: Motion,
@@ -216,8 +218,8 @@ pub enum FailureKind {
     PolicyMisbehaved,
     /// The policy did not answer. Not charged to the rollout.
     PolicyUnavailable,
-    /// The policy answered at first and then no longer. Not charged to the rollout, unless the
-    /// same rollout causes it repeatedly.
+    /// The policy answered at first and then became unreachable. Not charged to the rollout, unless
+    /// the rollout loses its policy repeatedly.
     PolicyLost {
         /// Number of queries that the policy had answered.
         answered: u32,
@@ -247,9 +249,9 @@ impl From<&PolicyError> for FailureKind {
     /// policy would be charged.
     fn from(error: &PolicyError) -> Self {
         match *error {
-            PolicyError::Nonsense { .. }
+            PolicyError::InvalidAnswer { .. }
             | PolicyError::Failed { .. }
-            | PolicyError::Ended { .. } => Self::PolicyMisbehaved,
+            | PolicyError::RecordingEnded { .. } => Self::PolicyMisbehaved,
             PolicyError::Unavailable {
                 answered: Some(answered),
                 ..
@@ -286,7 +288,7 @@ mod tests {
     }
 
     #[test]
-    fn commands_and_events_are_single_lines_that_read_back() {
+    fn commands_and_events_round_trip_as_single_lines() {
         let row = ManifestRow::new(
             "goal/t0/clean/i06".parse().expect("an id"),
             6,

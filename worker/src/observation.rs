@@ -6,7 +6,7 @@ use proto::policy as wire;
 use sim::{Frame, Observation, RobotState};
 use wire::StateField;
 
-/// Converts an observation, with the readings that the policy asked for, in its order.
+/// Converts an observation, with the readings that the policy asked for, in the policy's order.
 pub(crate) fn to_wire(observation: Observation, state: &[StateField]) -> wire::Observation {
     let robot = observation.robot;
     wire::Observation {
@@ -85,7 +85,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_policy_gets_the_requested_readings_in_its_order() {
+    fn a_policy_gets_readings_in_the_requested_order() {
         let robot = RobotState {
             eef_pos: [1.0, 2.0, 3.0],
             eef_quat_xyzw: [0.0, 0.0, 0.0, 1.0],

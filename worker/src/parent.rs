@@ -12,10 +12,11 @@ use serde::de::DeserializeOwned;
 
 use crate::message::MAX_LINE_BYTES;
 
+/// Connection to the parent process.
 #[derive(Debug)]
 pub struct Parent(UnixStream);
 
-/// Messages of the parent, until it closes its side.
+/// Iterator over the parent's messages, which ends when the parent closes the connection.
 #[derive(Debug)]
 pub struct FromParent<T> {
     stream: BufReader<UnixStream>,
@@ -42,8 +43,8 @@ impl Parent {
         (&self.0).write_all(&line)
     }
 
-    /// Returns an iterator over the parent's further messages. Call it once: two readers would
-    /// split the messages.
+    /// Returns an iterator over the parent's messages. To be called once, since two iterators would
+    /// each get a part of the messages.
     ///
     /// # Errors
     /// If this process has too many open files.

@@ -16,7 +16,7 @@ use tokio::runtime::Runtime;
 use tonic::transport::Endpoint;
 use tonic::{Code, Response, Status};
 use transport::{
-    Access, Connection, Peer, ServerKind, Settings, answer, is_outage, parse_endpoint,
+    Access, Connection, Peer, ServerKind, Settings, is_outage, parse_endpoint, status_text,
 };
 
 use crate::actor::{Action, Actor, Description, PolicyError, PolicySession};
@@ -35,7 +35,8 @@ const WINDOW_BYTES: u32 = 4 << 20;
 #[derive(Debug)]
 pub struct PolicyClient {
     endpoint: String,
-    // The background thread keeps the connection alive while the simulator occupies this thread.
+    // Its background thread keeps the connection alive while the simulator occupies the main
+    // thread.
     runtime: Runtime,
     grpc: GrpcClient<Connection>,
     peer: Peer,
@@ -57,8 +58,8 @@ pub const ROLLOUT_SETTINGS: Settings = Settings {
 
 impl PolicyClient {
     /// Creates a client of `grpc://HOST:PORT` or `http://HOST:PORT`, or with TLS `grpcs://` or
-    /// `https://`. `settings` names, in messages, where the endpoint was set. The first call opens
-    /// the connection.
+    /// `https://`. `settings` names, in messages, the settings with which a user addresses the
+    /// policy. The first call opens the connection.
     ///
     /// # Errors
     /// If the endpoint is not such a URL.
@@ -131,10 +132,10 @@ impl PolicyClient {
         }
     }
 
-    /// Describes a failed call: the policy's error, or a diagnosis of the peer.
+    /// Describes a failed call: by the policy's own error, or by a diagnosis of the connection.
     fn explain(&self, status: &Status) -> String {
-        let diagnosis = self.runtime.block_on(self.peer.trouble(status));
-        diagnosis.map_or_else(|| answer(status), |diagnosis| diagnosis.to_string())
+        let diagnosis = self.runtime.block_on(self.peer.diagnose(status));
+        diagnosis.map_or_else(|| status_text(status), |diagnosis| diagnosis.to_string())
     }
 }
 
@@ -197,7 +198,7 @@ impl Actor for PolicyClient {
     ) -> Result<Vec<Action>, PolicyError> {
         let mut request = infer_request(session, query_index, observation);
         request.under_way = under_way.map(|query| UnderWay {
-            // Policies answer 32-bit numbers: nothing is lost.
+            // Policies answer with 32-bit floats, so the conversion is exact.
             actions: query
                 .under_way
                 .iter()
@@ -214,7 +215,7 @@ impl Actor for PolicyClient {
             .map_err(|status| self.refused(&call, session, Some(query_index), &status))?;
         let horizon = u32::try_from(horizon).unwrap_or(u32::MAX);
         let actions = policy_protocol::actions(&response, horizon);
-        let actions = actions.map_err(|fault| PolicyError::Nonsense {
+        let actions = actions.map_err(|fault| PolicyError::InvalidAnswer {
             call,
             policy: session.policy.to_owned(),
             endpoint: self.endpoint.clone(),
@@ -284,7 +285,7 @@ mod tests {
     }
 
     #[test]
-    fn a_description_is_read() {
+    fn a_valid_description_is_parsed() {
         let read = read_description(description()).expect("a valid description");
         assert_eq!((read.horizon, read.execute), (10, 5));
         assert_eq!(read.state, [StateField::EefPos, StateField::GripperPos]);

@@ -119,7 +119,8 @@ fn presets_sheet(
     Ok(sheet.finish())
 }
 
-/// Renders the policy's first view; for the actuation axis, its view after a fixed motion.
+/// Renders the policy's first view of a row, or if the row perturbs actuation, the view after a
+/// fixed motion.
 fn picture(
     simulator: &mut Simulator,
     request: &Request,

@@ -1,11 +1,11 @@
 //! `worker rescue`: finds the last moment at which a failing rollout can still be saved. The scene
 //! is brought to a step of the failing rollout by replaying its commands, the perturbations are
 //! lifted there, and the policy continues in the nominal scene. The search finds the policy's last
-//! query from which it still succeeds. At each step that lifting saves, a placebo is tried:
-//! nothing is lifted, and the robot is nudged by a thousandth of a millimetre. If the placebo
-//! also saves the rollout, its outcome was marginal there, and it does not count as rescued. Writes
-//! `rescue.json` and `rescue.mp4`, with the failed rollout on the left and the saved one on the
-//! right.
+//! query from which the policy still succeeds. At each step at which lifting saves the rollout, a
+//! placebo is tried: nothing is lifted, and the robot is nudged by a thousandth of a millimetre. If
+//! the placebo also saves the rollout, the outcome was marginal at that step, and the step does not
+//! count as a rescue. Writes `rescue.json` and `rescue.mp4`, with the failed rollout on the left
+//! and the saved rollout on the right.
 
 mod search;
 #[cfg(test)]
@@ -32,7 +32,7 @@ use search::{Search, SearchResult};
 /// Reason why the search failed.
 #[derive(Debug, thiserror::Error)]
 pub enum RescueError {
-    /// The rollout has no perturbation to lift: it is nominal, or its policy is late.
+    /// The rollout has no perturbation to lift: it is nominal, or on the latency axis.
     #[error("rescue {0}: it has no perturbation to lift; name a failing rollout that has one")]
     NotPerturbed(RolloutId),
     /// The rollout succeeds, so there is nothing to rescue.
@@ -69,18 +69,20 @@ pub struct Rescue {
     /// Trials, by step.
     pub tried: Vec<Tried>,
     /// Last tried step at which lifting the perturbations saves the rollout and the placebo does
-    /// not; `None` if no trial saves it.
+    /// not; `None` if there is no such step.
     pub saved_until: Option<u32>,
-    /// Next query, from which the rollout is lost; `None` if the last query still saves it.
+    /// Step of the next query after `saved_until`, or of the first query if `saved_until` is
+    /// `None`: lifting there does not save the rollout. `None` if lifting at the last query does.
     pub lost_from: Option<u32>,
     /// True if every trial before `saved_until` also saved the rollout.
     pub is_monotone: bool,
-    /// Steps at which the placebo also saves the rollout: its outcome was marginal there.
+    /// Steps at which the placebo also saves the rollout, whose outcome was marginal there.
     pub saved_by_placebo: Vec<u32>,
     /// Distance by which the placebo moves the robot's hand, m.
     pub nudge_m: f64,
 }
 
+/// One trial of the search.
 #[derive(Clone, Copy, Debug, Serialize)]
 pub struct Tried {
     /// Step at which the perturbations were lifted.
@@ -125,7 +127,7 @@ pub fn run(
         let steps = failed.finished.result.steps;
         return Err(RescueError::Succeeds { id, steps });
     }
-    let query_steps = query_steps.at;
+    let query_steps = query_steps.queried_at;
     tracing::info!(
         "{id} fails; the policy was queried at {}; searching the last of them at which lifting \
          the perturbations saves the rollout",
@@ -211,7 +213,7 @@ pub fn run(
     Ok(rescue)
 }
 
-/// Returns a word for the end of a rollout.
+/// Returns a word for the outcome of a rollout.
 fn outcome_word(success: bool) -> &'static str {
     match success {
         true => "success",
@@ -222,7 +224,8 @@ fn outcome_word(success: bool) -> &'static str {
 /// Records the control steps at which the policy is queried.
 #[derive(Default)]
 struct QuerySteps {
-    at: Vec<u32>,
+    queried_at: Vec<u32>,
+    /// Control steps so far.
     steps: u32,
 }
 
@@ -232,7 +235,7 @@ impl Watcher for QuerySteps {
     }
 
     fn observed(&mut self, _query_index: u32, _observation: &Observation) {
-        self.at.push(self.steps);
+        self.queried_at.push(self.steps);
     }
 
     fn moved(&mut self, step: Option<&Step>, _episode: &mut Episode<'_>) {
@@ -240,8 +243,8 @@ impl Watcher for QuerySteps {
     }
 }
 
-/// Films both rollouts side by side through the first camera, as the policy sees it; the shorter
-/// one stays at its last frame.
+/// Films the failed and the saved rollout side by side, with the policy's view of the first camera.
+/// The shorter rollout stays at its last frame.
 fn side_by_side(
     stage: &mut Stage<'_>,
     assignment: &Assignment,
@@ -273,8 +276,8 @@ fn side_by_side(
     })?;
     let mut encoder = VideoEncoder::new()?;
     for step in 0..left.len().max(right.len()) {
-        let at = |pictures: &'_ [Vec<u8>]| pictures.len().min(step + 1) - 1;
-        encoder.add([&left[at(&left)], &right[at(&right)]])?;
+        let index = |pictures: &'_ [Vec<u8>]| pictures.len().min(step + 1) - 1;
+        encoder.add([&left[index(&left)], &right[index(&right)]])?;
     }
     Ok(encoder.finish()?)
 }

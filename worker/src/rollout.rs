@@ -1,7 +1,7 @@
 //! Runs one rollout: the scene settles, the policy is reset, and queries and steps alternate until
-//! the goal holds or the step budget is spent. Keeps the order of section 3 of the protocol, and
-//! renders frames only for the policy's queries. The caller provides assignment and policy and
-//! handles the result; this module does not call the coordinator.
+//! the goal holds or the step budget is spent. The order of these operations is that of section 3
+//! of the protocol, and frames are rendered only for the policy's queries. The caller provides
+//! assignment and policy and handles the result; this module does not call the coordinator.
 
 use std::borrow::Cow;
 use std::collections::BTreeMap;
@@ -85,6 +85,7 @@ const REAL_TIME_CHUNKING: &str = "real-time chunking";
 /// Batch mode if no gateway reports one: each query is answered alone.
 const UNBATCHED: &str = "single";
 
+/// Result of a simulated rollout, with the commands to the robot.
 #[derive(Clone, Debug)]
 pub struct Simulated {
     pub finished: Finished,
@@ -95,7 +96,7 @@ pub struct Simulated {
 /// Runs one rollout to its result.
 ///
 /// # Errors
-/// If the simulator fails, the policy fails or the watcher ends it.
+/// If the simulator fails, the policy fails or the watcher abandons the rollout.
 pub fn run(
     stage: &mut Stage<'_>,
     actor: &mut dyn Actor,
@@ -105,7 +106,7 @@ pub fn run(
     run_resumed(None, stage, actor, assignment, watcher)
 }
 
-/// Start of a rollout in the middle of an earlier one, with a change at that step.
+/// Start of a rollout at a step of an earlier rollout, with a change at that step.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Resumed<'a> {
     /// Commands to the robot up to that step.
@@ -122,8 +123,9 @@ pub(crate) enum Change {
     Nudge,
 }
 
-/// Runs a rollout. With `resumed`, it starts from the state after the earlier commands, with the
-/// change applied; the policy is reset there, and the commands count against the step budget.
+/// Runs a rollout. If `resumed` is given, the rollout starts from the state after the earlier
+/// commands, with the change applied; the policy is reset there, and the commands count against the
+/// step budget.
 ///
 /// # Errors
 /// See [`run`].
@@ -134,8 +136,8 @@ pub(crate) fn run_resumed(
     assignment: &Assignment,
     watcher: &mut dyn Watcher,
 ) -> Result<Simulated, RolloutError> {
-    // Describes the policy before every rollout: the results of a policy that was replaced
-    // meanwhile must not carry its predecessor's digest.
+    // The policy is described before every rollout: the results of a policy that replaced another
+    // must not carry its predecessor's digest.
     let description = actor.describe(assignment.policy_session())?;
     let row = &assignment.row;
     // An execution model that drops all answers of the policy is a mistake in the campaign. On the
@@ -164,7 +166,7 @@ pub(crate) fn run_resumed(
         goal: GoalProgress::default(),
         first_frame_digest: String::new(),
     };
-    // Opens the renderer first, so that a failure to render costs no simulation.
+    // The renderer is opened first, so that a failure to render costs no simulation.
     let needs_renderer = !description.about.cameras.is_empty() || assignment.video.is_some();
     let (renderer, fingerprint) = stage
         .renderer_and_fingerprint(needs_renderer)
@@ -203,7 +205,7 @@ pub(crate) fn run_resumed(
 /// State of a running rollout.
 struct Run<'a> {
     assignment: &'a Assignment,
-    /// Step of an earlier rollout from which this one resumes, if it does.
+    /// Start at a step of an earlier rollout; `None` for a rollout from its initial state.
     resumed: Option<Resumed<'a>>,
     /// Name of the rollout in messages.
     title: String,
@@ -392,7 +394,8 @@ fn continue_unless_abandoned(verdict: ControlFlow<()>) -> Result<(), RolloutErro
 /// answer, and the execution model.
 fn settings(description: &Description, execution: &Execution) -> BTreeMap<String, String> {
     let resolved = description.about.settings.iter();
-    // Drops a server's own setting of this name: it would pass for the rollout's execution model.
+    // A server's own setting of this name is dropped, since it would pass for the rollout's
+    // execution model.
     let resolved = resolved.filter(|setting| setting.name != EXECUTION);
     let model = (!execution.is_wait()).then(|| (EXECUTION.to_owned(), execution.to_string()));
     let chunking = execution.is_rtc().then(|| {

@@ -76,8 +76,8 @@ struct MotionFile {
     actions: Vec<Action>,
 }
 
-/// Runs one rollout and writes its outputs. If it fails, the trace and frames up to that point are
-/// still written.
+/// Runs one rollout and writes its outputs. If the rollout fails, the trace and frames up to the
+/// failure are still written.
 ///
 /// # Errors
 /// If the rollout has no result, or a file cannot be written.

@@ -1,5 +1,5 @@
-//! A slot: the process that simulates one rollout after another. MuJoCo and OpenGL run on its only
-//! simulation thread, so that a crash in native code ends this process and not the worker. It
+//! A slot: a process that simulates one rollout after another. MuJoCo and OpenGL run on its only
+//! simulation thread, so that a crash in native code ends the slot and not the worker. The slot
 //! takes commands from its parent, sends events, and ends when the parent closes the connection or
 //! dies.
 
@@ -22,7 +22,7 @@ use crate::rollout::{self, RolloutError, Watcher};
 use crate::stage::Stage;
 use crate::variants::{Prepared, VariantsError};
 
-/// Capacity of the queue of assignments: the parent never queues a second one.
+/// Capacity of the queue of assignments: the parent never queues a second assignment.
 const ASSIGNMENT_QUEUE: usize = 1;
 /// Adjustment of the out-of-memory score, -1000 to 1000, see proc(5); higher than other
 /// processes'.
@@ -83,7 +83,8 @@ pub fn run(config: SimulatorConfig, access: &Access) -> Result<(), SlotError> {
     Ok(())
 }
 
-/// Logs once why this process keeps scenes in its own memory, if it does.
+/// Logs, once, the reason why this process keeps scenes in its own memory instead of in files; logs
+/// nothing if there is no such reason.
 pub fn warn_of_scene_files() {
     if let Some(problem) = SceneFolder::take_problem() {
         tracing::warn!("{problem}");
@@ -154,7 +155,8 @@ fn run_assignment(
     }
 }
 
-/// Prepares a rollout of LIBERO's family, and completes its row; `None` for any other rollout.
+/// Prepares a rollout of LIBERO's family. Also returns the assignment with the completed row.
+/// `None` for any other rollout.
 fn prepare(
     assignment: &Assignment,
     simulator: &Simulator,
@@ -223,12 +225,13 @@ impl Watcher for Reporter<'_> {
     }
 }
 
-/// Ignores poisoning: no code panics while it holds the lock.
+/// Locks the abandoned attempt. Poisoning is ignored, since no code panics while it holds the lock.
 fn lock(abandoned: &Abandoned) -> std::sync::MutexGuard<'_, Option<AttemptId>> {
     abandoned.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
-/// Reads commands on a thread of their own, because the main thread simulates.
+/// Reads commands on a thread of their own, because the main thread simulates. Returns the receiver
+/// of assignments.
 fn listen(parent: &Parent, abandoned: Arc<Abandoned>) -> io::Result<Receiver<Assignment>> {
     let commands = parent.listen()?;
     let (sender, assignments) = sync_channel(ASSIGNMENT_QUEUE);

@@ -85,8 +85,9 @@ impl<'a> Stage<'a> {
     }
 
     /// Returns the policy's instruction, normally the row's. A policy that accepts only the
-    /// canonical wording gets that one, so that the language axis has no effect on it instead of
-    /// failing every rollout. A user's own task and one of a suite file have no other wording.
+    /// canonical wording gets the canonical wording, so that the language axis has no effect on the
+    /// policy instead of failing every rollout. A user's own task and a task of a suite file have
+    /// one wording, which every policy gets.
     pub(crate) fn instruction<'r>(
         &self,
         row: &'r ManifestRow,

@@ -26,7 +26,7 @@ const STEPS: u32 = 40;
 struct SensitivePolicy {
     /// True if each answer takes a random time.
     answers_slowly: bool,
-    /// The `under_way` arguments of all queries that had one.
+    /// The `under_way` arguments of all queries that were given one.
     rtc_queries: Vec<Query>,
 }
 
@@ -82,6 +82,7 @@ impl Watcher for SentActions {
     }
 }
 
+/// A rollout with a result, and what its policy and its simulation recorded.
 struct CompletedRollout {
     simulated: Simulated,
     sent: Vec<Action>,
@@ -193,13 +194,13 @@ fn a_latency_rollout_is_nominal_with_a_delayed_policy() {
     let Some(mut simulator) = simulator(test) else {
         return;
     };
-    let short = |id: &str| {
+    let short_row = |id: &str| {
         let mut row = row_of(id.parse().expect("an id")).expect("a row");
         row.max_steps = STEPS;
         row
     };
-    let late = short("spatial/t0/latency/L3/c00");
-    let nominal = short(&format!("spatial/t0/clean/i{:02}", late.init_id));
+    let late = short_row("spatial/t0/latency/L3/c00");
+    let nominal = short_row(&format!("spatial/t0/clean/i{:02}", late.init_id));
     // A row of the latency axis keeps its own model, whatever the campaign's.
     let ran = run_row(&mut simulator, late.under(&Execution::Wait), false);
     let delayed_nominal = run_row(

@@ -47,7 +47,7 @@ pub async fn package(
         tracing::warn!(campaign = %campaign_name,
             "films left out of the archive because their files are missing: {}",
             missing.join(", "));
-        campaign.leave_out(&missing).await?;
+        campaign.remove_missing_films(&missing).await?;
     }
     let derived_members = derived::derive(&campaign).await?;
     let mut contents = Contents {

@@ -380,7 +380,9 @@ fn print_stop(spec: &CampaignSpec, campaign: &NewCampaign) -> Result<(), Command
             "the campaign ends early once {rule} at every level; configurations run in the order \
              of seed {seed}, in rounds of {strata}"
         ))?;
-        for line in stopping::explain_rule(rule, campaign.stops_among.unwrap_or_default()) {
+        for line in
+            stopping::explain_rule(rule, campaign.stoppable_configurations.unwrap_or_default())
+        {
             print_line(&wrapped("  ", 4, &line))?;
         }
     }

@@ -93,7 +93,7 @@ async fn horizon(spec: &CampaignSpec, suite: &str, access: &Access) -> Result<us
         suite: suite.to_owned(),
     };
     let described = PolicyClient::new(connection).describe(request).await;
-    let described = described.map_err(|status| transport::answer(&status))?;
+    let described = described.map_err(|status| transport::status_text(&status))?;
     Ok(described.into_inner().horizon as usize)
 }
 

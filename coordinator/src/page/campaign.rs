@@ -18,7 +18,7 @@ use crate::forecast::message;
 pub(super) async fn sheet(page: &Page, name: &str) -> Result<Sheet, Problem> {
     let (campaign, mut view) = page.campaign(name).await?;
     let document = page.document(&campaign, &mut view).await?;
-    let pace = message(view.pace(&campaign).await?);
+    let pace = message(view.forecast_waiting(&campaign).await?);
     let status = view.status(campaign).await?;
     let is_over = status.counts.queued == 0;
     let name = &status.campaign.name;

@@ -159,7 +159,7 @@ async fn neighbours(
         requested.task().index(),
     );
     let prefix = format!("{suite}/t{task}/{}/", requested.condition());
-    let ids = view.beginning(campaign.id, &prefix).await?;
+    let ids = view.rollout_ids_with_prefix(campaign.id, &prefix).await?;
     let mut ids: Vec<RolloutId> = ids.iter().filter_map(|id| id.parse().ok()).collect();
     ids.sort();
     Ok(ids)

@@ -48,7 +48,7 @@ pub(super) async fn read(
     };
     // A thresholds campaign varies the radius of single conditions, so it yields no lattice.
     let (measured, candidates) = match explanation(view, campaign).await? {
-        None => (campaign.clone(), view.following(campaign.id).await?),
+        None => (campaign.clone(), view.derived_campaigns(campaign.id).await?),
         Some(_) => match view.source(campaign.id).await? {
             Some(source) => (source, vec![campaign.clone()]),
             None => return Ok(None),

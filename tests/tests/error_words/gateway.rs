@@ -21,7 +21,7 @@ use policy_gateway::front::FrontError;
 use policy_gateway::route::RouteError;
 use policy_protocol::{ActionFault, DescriptionFault};
 use tonic::Status;
-use transport::{AccessError, Found, SecurityError, ServerKind, Settings, Trouble};
+use transport::{AccessError, ConnectError, ProbeResult, SecurityError, ServerKind, Settings};
 
 use crate::{Messages, io_error, path, text, variants};
 
@@ -38,11 +38,11 @@ fn name() -> RouteName {
     "pi05".parse().expect("a name")
 }
 
-fn trouble() -> Box<Trouble> {
-    Box::new(Trouble {
+fn trouble() -> Box<ConnectError> {
+    Box::new(ConnectError {
         expected: ServerKind::Policy,
         host: "gpu-3".to_owned(),
-        found: Found::Nothing,
+        found: ProbeResult::Nothing,
         has_authority: false,
         settings: Settings {
             address: "its route",

@@ -21,7 +21,7 @@ const PRIVATE: [&str; 4] = ["FilmingError", "TextError", "Outer", "MissingInput"
 /// Errors whose messages are complete sentences; the messages of all others follow "failed to …".
 const SENTENCES: [&str; 13] = [
     "TooLate",
-    "Trouble",
+    "ConnectError",
     "BackendError",
     "ActionFault",
     "DescriptionFault",

@@ -206,7 +206,7 @@ fn rollouts(messages: &mut Messages) {
             policy: String::new(), endpoint: text(),
             fault: DescriptionFault::Horizon { horizon: 0 },
         },
-        PolicyError::Nonsense { .. } => PolicyError::Nonsense {
+        PolicyError::InvalidAnswer { .. } => PolicyError::InvalidAnswer {
             call: "query 3".to_owned(), policy: text(), endpoint: "grpc://gpu-3:1".to_owned(),
             fault: ActionFault::Empty,
         },
@@ -217,7 +217,9 @@ fn rollouts(messages: &mut Messages) {
         PolicyError::TooLate { .. } => PolicyError::TooLate {
             policy: text(), problem: too_late(),
         },
-        PolicyError::Ended { .. } => PolicyError::Ended { path: path(), actions: 12 },
+        PolicyError::RecordingEnded { .. } => PolicyError::RecordingEnded {
+            path: path(), actions: 12,
+        },
     );
     variants!(messages, RolloutError,
         RolloutError::Simulator { .. } => RolloutError::Simulator {
@@ -347,7 +349,7 @@ fn supervision(messages: &mut Messages) {
         SlotError::Parent(_) => SlotError::Parent(io_error()),
     );
     variants!(messages, FilmError,
-        FilmError::Room(_) => FilmError::Room(io_error()),
+        FilmError::Folder(_) => FilmError::Folder(io_error()),
         FilmError::Link(_) => FilmError::Link(SuperviseError::Panicked("a task".to_owned())),
         FilmError::Refused { .. } => FilmError::Refused {
             url: "http://h:1".to_owned(), status: Box::new(Status::unimplemented("")),

@@ -23,7 +23,9 @@ use report::{
     BadLine, BudgetTooSmall, DocumentError, FamilyComparisonError, FamilyError, ImportError,
     NoCommonOrder, NoInteractions, TableError, Unpairable,
 };
-use transport::{AccessError, EndpointError, Found, SecurityError, ServerKind, Settings, Trouble};
+use transport::{
+    AccessError, ConnectError, EndpointError, ProbeResult, SecurityError, ServerKind, Settings,
+};
 
 use crate::{Messages, io_error, json_error, path, text, variants};
 
@@ -415,10 +417,10 @@ fn coordinator(messages: &mut Messages) {
         ClientError::Access(_) => ClientError::Access(AccessError::Host { host: text() }),
         ClientError::Unreachable { .. } => ClientError::Unreachable {
             url: "http://h:1".to_owned(),
-            trouble: Box::new(Trouble {
+            trouble: Box::new(ConnectError {
                 expected: ServerKind::Coordinator,
                 host: "h".to_owned(),
-                found: Found::Nothing,
+                found: ProbeResult::Nothing,
                 has_authority: false,
                 settings: Settings {
                     address: "--connect",

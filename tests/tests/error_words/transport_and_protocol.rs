@@ -7,8 +7,8 @@ use libero_ctrl::{
     SpecError, StopError, SuiteFile, SuiteFileError, UnknownName, VariantsError,
 };
 use transport::{
-    AccessError, CertificateFault, EndpointError, Found, SecurityError, ServerKind, Settings,
-    TokenError, Trouble, Untrusted,
+    AccessError, CertificateFault, ConnectError, EndpointError, ProbeResult, SecurityError,
+    ServerKind, Settings, TokenError, Untrusted,
 };
 
 use crate::{Messages, io_error, path, text, variants};
@@ -26,7 +26,7 @@ fn no_suite_file() -> SuiteFileError {
 
 pub(crate) fn add(messages: &mut Messages) {
     for trouble in troubles() {
-        messages.add("Trouble", trouble);
+        messages.add("ConnectError", trouble);
     }
     variants!(messages, Untrusted,
         Untrusted::AnotherUser => Untrusted::AnotherUser,
@@ -217,32 +217,32 @@ fn protocol(messages: &mut Messages) {
 }
 
 /// Returns every finding at a server's address, for every kind of server.
-fn troubles() -> Vec<Trouble> {
-    let web = |is_proxy_waiting| Found::Web {
-        said: "HTTP status 404".to_owned(),
-        is_proxy_waiting,
+fn troubles() -> Vec<ConnectError> {
+    let web = |is_backend_down| ProbeResult::Web {
+        answer: "HTTP status 404".to_owned(),
+        is_backend_down,
     };
     let mut found = vec![
-        Found::UnknownHost,
-        Found::Nothing,
-        Found::NoAnswer,
-        Found::System(io_error().to_string()),
-        Found::AnotherUser,
-        Found::UnknownUser,
-        Found::Encrypted,
-        Found::Clear,
-        Found::OtherTls("received fatal alert: HandshakeFailure".to_owned()),
+        ProbeResult::UnknownHost,
+        ProbeResult::Nothing,
+        ProbeResult::NoAnswer,
+        ProbeResult::System(io_error().to_string()),
+        ProbeResult::AnotherUser,
+        ProbeResult::UnknownUser,
+        ProbeResult::Encrypted,
+        ProbeResult::Unencrypted,
+        ProbeResult::OtherTls("received fatal alert: HandshakeFailure".to_owned()),
         web(false),
         web(true),
-        Found::Ssh,
-        Found::Other {
-            said: "220 mail".to_owned(),
+        ProbeResult::Ssh,
+        ProbeResult::Other {
+            answer: "220 mail".to_owned(),
         },
-        Found::Mute,
-        Found::OtherKind(ServerKind::Policy),
-        Found::OtherGrpc,
-        Found::Older,
-        Found::Broken,
+        ProbeResult::Mute,
+        ProbeResult::OtherKind(ServerKind::Policy),
+        ProbeResult::OtherGrpc,
+        ProbeResult::LacksCall,
+        ProbeResult::Broken,
     ];
     for found in &found {
         is_known(found);
@@ -263,7 +263,7 @@ fn troubles() -> Vec<Trouble> {
     for fault in &faults {
         is_known_fault(fault);
     }
-    found.extend(faults.map(Found::Certificate));
+    found.extend(faults.map(ProbeResult::Certificate));
     let kinds = [
         ServerKind::Coordinator,
         ServerKind::Policy,
@@ -276,7 +276,7 @@ fn troubles() -> Vec<Trouble> {
         .flat_map(|found| kinds.map(|kind| (found, kind)))
     {
         for has_authority in [false, true] {
-            troubles.push(Trouble {
+            troubles.push(ConnectError {
                 expected,
                 host: "gpu-3".to_owned(),
                 found: found.clone(),
@@ -289,26 +289,26 @@ fn troubles() -> Vec<Trouble> {
 }
 
 /// Fails to compile if a variant is missing from the list above.
-fn is_known(found: &Found) {
+fn is_known(found: &ProbeResult) {
     match found {
-        Found::UnknownHost
-        | Found::Nothing
-        | Found::NoAnswer
-        | Found::System(_)
-        | Found::AnotherUser
-        | Found::UnknownUser
-        | Found::Encrypted
-        | Found::Clear
-        | Found::Certificate(_)
-        | Found::OtherTls(_)
-        | Found::Web { .. }
-        | Found::Ssh
-        | Found::Other { .. }
-        | Found::Mute
-        | Found::OtherKind(_)
-        | Found::OtherGrpc
-        | Found::Older
-        | Found::Broken => {}
+        ProbeResult::UnknownHost
+        | ProbeResult::Nothing
+        | ProbeResult::NoAnswer
+        | ProbeResult::System(_)
+        | ProbeResult::AnotherUser
+        | ProbeResult::UnknownUser
+        | ProbeResult::Encrypted
+        | ProbeResult::Unencrypted
+        | ProbeResult::Certificate(_)
+        | ProbeResult::OtherTls(_)
+        | ProbeResult::Web { .. }
+        | ProbeResult::Ssh
+        | ProbeResult::Other { .. }
+        | ProbeResult::Mute
+        | ProbeResult::OtherKind(_)
+        | ProbeResult::OtherGrpc
+        | ProbeResult::LacksCall
+        | ProbeResult::Broken => {}
     }
 }
 

@@ -12,8 +12,8 @@ use crate::child::SlotProgram;
 const ALL_SECS: f64 = 4.0;
 /// Longest measurement of one number at a time, seconds.
 const ONE_SECS: f64 = 1.0;
-/// Measurements of each number of slots. The best one counts: other load on the machine only slows
-/// slots down.
+/// Measurements of each number of slots. The best measurement counts, since other load on the
+/// machine only slows slots down.
 const ROUNDS: usize = 2;
 
 /// Chosen number of slots, with the reason.
@@ -35,12 +35,12 @@ pub fn choose_slots(program: SlotProgram, scenes: usize) -> Result<Chosen, Measu
     let measurements = ROUNDS * numbers_to_measure(cores).len();
     let secs = (ALL_SECS / measurements as f64).min(ONE_SECS);
     let mut slots = Slots::new(program);
-    // Uses only the measured memory: a third throughput of one slot would favour that number over
-    // larger ones.
+    // Only the memory of this measurement is used. If its throughput counted too, one slot would
+    // have one more attempt at a high value than larger numbers of slots.
     let per_slot = slots.measure(1, secs)?.per_slot(scenes);
     let fitting = fitting_slots(available, per_slot);
     let most = cores.min(fitting);
-    // Starts all slots at once, which takes about as long as starting one.
+    // All slots are started at once, which takes about as long as starting one slot.
     slots.start(most)?;
     let mut best = BTreeMap::new();
     for _ in 0..ROUNDS {
@@ -55,7 +55,7 @@ pub fn choose_slots(program: SlotProgram, scenes: usize) -> Result<Chosen, Measu
         steps_per_sec,
     };
     let measured: Vec<Throughput> = best.iter().map(throughput).collect();
-    // One slot was measured, and always fits.
+    // A number is always chosen: one slot was measured, and always fits.
     let slots = choose(&measured, most).map_or(1, |throughput| throughput.slots);
     let rates: Vec<String> = measured
         .iter()

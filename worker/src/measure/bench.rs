@@ -9,6 +9,7 @@ use super::together::{Measured, Slots};
 use super::{MeasureError, cores, room};
 use crate::child::SlotProgram;
 
+/// Settings of `worker bench`.
 #[derive(Clone, Debug)]
 pub struct Plan {
     /// Description of the simulated task.

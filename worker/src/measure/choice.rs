@@ -7,8 +7,8 @@ use libero_ctrl::TaskRef;
 /// Share of the best throughput that a number of slots must reach. Further slots would take memory
 /// and cores from other processes for the remaining few per cent.
 pub(super) const ENOUGH_SHARE: f64 = 0.95;
-/// Share of the available memory that slots may take. The rest is for videos and for tasks whose
-/// scenes are larger than the measured one.
+/// Share of the available memory that slots may take. The remaining memory is for videos and for
+/// tasks whose scenes are larger than the measured scene.
 const MEMORY_SHARE: f64 = 0.8;
 
 /// Combined throughput of a number of slots.
@@ -20,7 +20,7 @@ pub(super) struct Throughput {
 }
 
 /// Returns the smallest number of slots that reaches [`ENOUGH_SHARE`] of the best throughput.
-/// Numbers above `most` are ignored, also for the best throughput. None if no number is left.
+/// Numbers above `most` are ignored, also for the best throughput. `None` if no number is left.
 pub(super) fn choose(measured: &[Throughput], most: usize) -> Option<Throughput> {
     let fitting = || {
         measured
@@ -37,8 +37,8 @@ pub(super) fn choose(measured: &[Throughput], most: usize) -> Option<Throughput>
 }
 
 /// Returns the number of slots that should keep `cores` cores busy, if one slot alone makes
-/// `steps_per_sec` control steps, queries the policy every `execute` of them and waits
-/// `policy_secs` for each answer. At most 100 per core.
+/// `steps_per_sec` control steps per second, queries the policy every `execute` steps and waits
+/// `policy_secs` for each answer. At most 100 slots per core.
 pub(super) fn slots_to_fill_cores(
     cores: usize,
     steps_per_sec: f64,

@@ -38,6 +38,7 @@ pub(super) enum SlotReport {
     Counted(Count),
 }
 
+/// Counts of one period.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Count {
     /// Duration, seconds.
@@ -67,8 +68,8 @@ pub(super) struct SlotMemory {
     pub(super) scene_files: u64,
 }
 
-/// Counts control steps of `task` for the parent process until it closes the connection. The
-/// simulated policy is queried every `execute` steps and answers after `answer_after`.
+/// Counts control steps of `task` for the parent process until the parent closes the connection.
+/// The simulated policy is queried every `execute` steps and answers after `answer_after`.
 ///
 /// # Errors
 /// If the task cannot be simulated or rendered, or a report cannot be sent to the parent.
@@ -126,8 +127,8 @@ pub fn count(
     Ok(())
 }
 
-/// Reads the periods to count, in seconds, on a thread of its own. Ends the process when the
-/// parent closes the connection, because no one is left to report to.
+/// Reads the lengths of the periods to count, in seconds, on a thread of its own. Ends the process
+/// when the parent closes the connection, because no one is left to report to.
 fn receive_periods(requests: FromParent<f64>) -> Receiver<f64> {
     let (sender, periods) = sync_channel(1);
     thread::spawn(move || {

@@ -1,5 +1,5 @@
-//! Upper limits on a machine's number of slots. A number beyond them is refused before any process
-//! starts; an implausibly large one causes a warning.
+//! Upper limits on a machine's number of slots. A number above a limit is refused before any
+//! process starts; an implausibly large number causes a warning.
 
 use std::num::NonZeroUsize;
 
@@ -26,6 +26,7 @@ const FILES_PER_SLOT: u64 = 4;
 /// Open files for everything else: libraries, the coordinator's connection, video uploads.
 const OTHER_FILES: u64 = 128;
 
+/// Resources that the slots of a machine share.
 #[derive(Clone, Copy, Debug)]
 struct Machine {
     cores: usize,

@@ -1,4 +1,4 @@
-//! Memory available to slots: the machine's, or less if a control group limits this process.
+//! Memory available to slots: that of the machine, or less if a control group limits this process.
 
 use std::fs;
 use std::path::Path;
@@ -35,8 +35,8 @@ fn available_below(root: &Path) -> Result<u64, MeasureError> {
     let limits = group_folders(root, &groups)
         .into_iter()
         .filter_map(|folder| {
-            // The limits of all parent groups apply too. In a container, folders below the first
-            // may be missing, because the path is the host's.
+            // The limits of all parent groups apply too. In a container, the path is that of the
+            // host, so only the uppermost folder may exist.
             let parents = folder
                 .ancestors()
                 .take_while(|ancestor| ancestor.starts_with(&base));

@@ -57,7 +57,7 @@ pub(super) struct Measured {
 }
 
 impl Slots {
-    /// Creates an empty set; `program` starts each slot.
+    /// Creates an empty set of slots; `program` starts each slot.
     pub(super) fn new(program: SlotProgram) -> Self {
         let (sender, inbox) = channel();
         Self {
@@ -76,7 +76,7 @@ impl Slots {
     }
 
     /// Measures `slots` slots together for `secs` seconds. Starts missing slots first, and begins
-    /// when the last one is ready. Surplus slots wait, which takes memory but no processor time.
+    /// when the last slot is ready. Surplus slots wait, which takes memory but no processor time.
     ///
     /// # Errors
     /// If a slot cannot be started, ends, or sends nothing for too long.
@@ -212,7 +212,7 @@ impl Measured {
     }
 
     /// Returns the memory of a campaign's slot that keeps `scenes` compiled scenes, extrapolated
-    /// from the measured one.
+    /// from the measured slots, which keep one scene.
     pub(super) fn per_slot(&self, scenes: usize) -> PerSlot {
         let further = (scenes as u64).saturating_sub(1);
         PerSlot {
@@ -228,7 +228,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn rates_add_up_and_memory_is_the_largest_slots() {
+    fn rates_add_up_and_memory_is_that_of_the_largest_slot() {
         let count = |secs, steps, own| Count {
             secs,
             steps,

@@ -9,6 +9,7 @@ pub(super) const LEVELS: [Level; 3] = [Level::L1, Level::L2, Level::L3];
 /// Control steps of the fixed motion that shows the actuation axis.
 pub(super) const MOTION_STEPS: usize = 40;
 
+/// Configuration to preview.
 pub struct Request {
     pub task: TaskRef,
     /// Index of the configuration, which selects preset and initial state.
@@ -19,8 +20,8 @@ pub struct Request {
     pub realisation: Realisation,
 }
 
-/// Returns a condition's row. Without a level the row is unperturbed, but has the same
-/// initial state and id, so that only the perturbation differs.
+/// Returns a condition's row. Without a level the row is unperturbed, but has the initial state and
+/// id of the perturbed row at L1, so that only the perturbation differs.
 pub(super) fn row(
     task: TaskRef,
     condition: Condition,
@@ -43,7 +44,8 @@ pub(super) fn row(
     ManifestRow::new(id, config, init_id, perturbation)
 }
 
-/// Returns a step of a sweep outwards and down, which shows gain, bias and misalignment.
+/// Returns the action of a step in a sweep outwards and down, which shows gain, bias and
+/// misalignment.
 pub(super) fn motion(step: usize) -> [f64; 7] {
     let phase = std::f64::consts::TAU * step as f64 / MOTION_STEPS as f64;
     [

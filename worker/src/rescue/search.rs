@@ -15,6 +15,7 @@ pub(super) struct Search {
     tried: BTreeMap<usize, bool>,
 }
 
+/// Result of a search.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) enum SearchResult {
     /// No tried query saves the rollout; the first was tried.
@@ -37,7 +38,8 @@ impl Search {
         }
     }
 
-    /// Records a trial: `saved` if lifting at `query` saves the rollout and the placebo does not.
+    /// Records a trial. `saved` is true if lifting at `query` saves the rollout and the placebo
+    /// does not.
     pub(super) fn record(&mut self, query: usize, saved: bool) {
         self.tried.insert(query, saved);
     }
@@ -70,7 +72,8 @@ impl Search {
         saved.next_back().map(|(query, _)| *query)
     }
 
-    /// Returns the first later query that is known to be lost, or the number of queries.
+    /// Returns the first tried query after the last saved one, or the number of queries if there is
+    /// none.
     fn first_lost_after(&self, saved: usize) -> usize {
         let after = self.tried.range(saved + 1..).next();
         after.map_or(self.queries, |(query, _)| *query)

@@ -37,7 +37,7 @@ impl Capture {
         }
     }
 
-    /// Writes `frames/` and `trace.npz`; leaves out either if it would be empty.
+    /// Writes `frames/` and `trace.npz`. A folder or trace that would be empty is not written.
     pub(super) fn write(&self, output: &Path) -> Result<(), SingleError> {
         let queries = self.first_query.iter().chain(&self.last_query);
         let queries = queries.map(|(query, frames)| (format!("query-{query:03}"), frames));
@@ -60,7 +60,7 @@ impl Capture {
         written.map_err(|source| write_error(&path, source))
     }
 
-    fn capture_ends(&mut self, title: &'static str, episode: &mut Episode<'_>) {
+    fn capture_end(&mut self, title: &'static str, episode: &mut Episode<'_>) {
         if !self.renders_ends {
             return;
         }
@@ -91,16 +91,16 @@ impl Watcher for Capture {
     fn moved(&mut self, step: Option<&Step>, episode: &mut Episode<'_>) {
         self.trace.add(step, episode.environment());
         if step.is_none() {
-            self.capture_ends("first", episode);
+            self.capture_end("first", episode);
         }
     }
 
     fn ended(&mut self, episode: &mut Episode<'_>) {
-        self.capture_ends("last", episode);
+        self.capture_end("last", episode);
     }
 }
 
-/// Converts a frame, whose row 0 is the bottom one, to an upright image.
+/// Converts a frame, whose row 0 is the bottom row, to an upright image.
 fn upright(frame: &Frame) -> RgbImage {
     let (width, height) = (frame.width, frame.height);
     RgbImage::from_fn(width, height, |x, y| {

@@ -9,6 +9,7 @@ use scene::TaskFiles;
 
 use super::error::SingleError;
 
+/// A user's own task, and the rollout whose place it takes.
 #[derive(Debug)]
 pub struct OwnTask {
     pub bddl: PathBuf,
@@ -16,12 +17,12 @@ pub struct OwnTask {
     pub init: PathBuf,
     /// Index of the initial state, from 0.
     pub init_id: u16,
-    /// The policy's instruction; `None` for the BDDL file's.
+    /// The policy's instruction; `None` for the instruction in the BDDL file.
     pub instruction: Option<String>,
-    /// Step budget of the policy; `None` for that of the row's suite.
+    /// Step budget of the policy; `None` for the budget of the row's suite.
     pub max_steps: Option<u32>,
-    /// Rollout whose place the task takes; `None` for a nominal one of `libero_10`, the suite with
-    /// the largest budget.
+    /// Rollout whose place the task takes; `None` for a nominal rollout of `libero_10`, the suite
+    /// with the largest budget.
     pub id: Option<RolloutId>,
 }
 
@@ -68,7 +69,7 @@ impl OwnTask {
     }
 }
 
-/// Extracts the words of `(:language …)`, in lower case as the original LIBERO reads them.
+/// Extracts the words of `(:language …)`, converted to lower case as in the original LIBERO.
 fn instruction_in(bddl: &str) -> Option<String> {
     let lines = bddl.lines();
     let code: Vec<&str> = lines.filter_map(|line| line.split(';').next()).collect();

@@ -31,6 +31,7 @@ const MAX_LINE_BYTES: u64 = 4096;
 pub struct RecordedActions {
     path: PathBuf,
     actions: Vec<Action>,
+    /// Index of the action to replay next.
     next: usize,
 }
 
@@ -114,10 +115,10 @@ impl Actor for RecordedActions {
         horizon: usize,
         _: Option<&Query>,
     ) -> Result<Vec<Action>, PolicyError> {
-        let rest = self.actions.iter().skip(self.next).take(horizon);
-        let answer: Vec<Action> = rest.copied().collect();
+        let following = self.actions.iter().skip(self.next).take(horizon);
+        let answer: Vec<Action> = following.copied().collect();
         if answer.is_empty() {
-            return Err(PolicyError::Ended {
+            return Err(PolicyError::RecordingEnded {
                 path: self.path.clone(),
                 actions: self.actions.len(),
             });

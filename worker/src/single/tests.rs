@@ -32,13 +32,13 @@ fn a_rollout_id_determines_the_simulation() {
     let paraphrased = row("spatial/t0/language/L2/c00").expect("a row");
     assert_eq!(all.instruction, paraphrased.instruction);
     assert_ne!(all.instruction, clean.instruction);
-    let other = row("spatial/t0/combination/r2.5/c10").expect("a row");
-    assert_eq!(other.perturbation.axes(), Axis::METRIC);
+    let at_radius = row("spatial/t0/combination/r2.5/c10").expect("a row");
+    assert_eq!(at_radius.perturbation.axes(), Axis::METRIC);
     let error = row("spatial/t0/camera/L2/c1000").expect_err("too many");
     assert!(error.to_string().contains("c1000"), "{error}");
 }
 
-/// A task outside the protocol: the sources' libero_90 stands in for a user's own files.
+/// Returns a task outside the protocol: a task of libero_90 stands in for a user's own files.
 fn drawer_task(sources: &Sources) -> OwnTask {
     let stem = "KITCHEN_SCENE1_open_the_bottom_drawer_of_the_cabinet";
     OwnTask {
@@ -87,6 +87,7 @@ pub(crate) fn assignment(row: ManifestRow, video: Option<&Path>) -> Assignment {
     }
 }
 
+/// Returns the shape and the values of an array in a trace.
 fn array<T: npyz::Deserialize>(trace: &Path, name: &str) -> (Vec<u64>, Vec<T>) {
     let file = fs::File::open(trace).expect("a trace");
     let mut archive = zip::ZipArchive::new(file).expect("an NPZ file");
@@ -152,7 +153,7 @@ fn a_users_task_is_run_from_a_recording_and_again_from_its_trace() {
 }
 
 /// The released code distorts the policy's answers before clipping: with a gain below 1, an answer
-/// of 2 gives another command than one of 1.
+/// of 2 and an answer of 1 give different commands.
 #[test]
 fn answers_are_distorted_before_clipping_as_in_the_released_code() {
     let test = "answers_are_distorted_before_clipping_as_in_the_released_code";
@@ -189,14 +190,14 @@ fn answers_are_distorted_before_clipping_as_in_the_released_code() {
     };
     let (distorted, clean) = ("object/t0/actuation/L1/c00", "object/t0/clean/i00");
     let (matched, reference) = (Realisation::Matched, Realisation::Reference);
-    for (id, realisation, alike) in [
+    for (id, realisation, is_equal) in [
         (distorted, matched, true),
         (distorted, reference, false),
         (clean, matched, true),
         (clean, reference, true),
     ] {
         let same = path_of(id, realisation, 2.0) == path_of(id, realisation, 1.0);
-        assert_eq!(same, alike, "{id} in {realisation} realisation");
+        assert_eq!(same, is_equal, "{id} in {realisation} realisation");
     }
 }
 

@@ -48,7 +48,7 @@ impl Trace {
         self.success.is_empty()
     }
 
-    /// Adds a scene, and the step that led to it; the first scene has none.
+    /// Adds a scene, and the step that led to it; no step led to the first scene.
     pub(super) fn add(&mut self, step: Option<&Step>, environment: &mut Environment) {
         if let Some(step) = step {
             self.actions.extend(step.sent);

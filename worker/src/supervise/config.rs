@@ -14,6 +14,7 @@ use crate::assets::Provider;
 use crate::child::SlotProgram;
 use crate::ids::WorkerId;
 
+/// Configuration of a worker.
 #[derive(Clone, Debug)]
 pub struct Config {
     /// URL of the coordinator.
@@ -27,9 +28,9 @@ pub struct Config {
     pub slot_program: SlotProgram,
     /// Provides the files of jobs; without a provider, the files are assumed to exist.
     pub provider: Option<Provider>,
-    /// Tasks that the asset pack cannot show; they are not claimed.
+    /// Tasks that the asset pack cannot show and the worker therefore does not claim.
     pub lacking_tasks: Vec<TaskRef>,
-    /// Endpoint of the policies, which overrides that of the leases.
+    /// Endpoint of the policies, which overrides the endpoints of the leases.
     pub policy_endpoint: Option<String>,
     /// Longest time to finish rollouts in flight after the worker is asked to end.
     pub drain: Option<Duration>,

@@ -1,5 +1,5 @@
 //! Reports the end of a rollout to the coordinator: its result with the provenance, or the reason
-//! why it has none. Builds the messages, and logs the coordinator's answers.
+//! why it has no result. Builds the messages, and logs the coordinator's answers.
 
 use libero_ctrl::Realisation;
 use proto::coordinator::commit_response::Verdict as CommitVerdict;
@@ -16,6 +16,7 @@ use super::config::Identity;
 use super::link::Link;
 use crate::message::{Evidence, Failure, Finished};
 
+/// How a rollout ended.
 #[derive(Debug)]
 pub(crate) enum Ending {
     /// The rollout has a result.
@@ -35,6 +36,7 @@ pub(crate) struct Delivery {
     pub(crate) ending: Ending,
 }
 
+/// The coordinator's answer to the report of a rollout's end.
 #[derive(Debug)]
 pub(crate) enum Answer {
     Committed(CommitResponse),
@@ -62,7 +64,7 @@ impl Delivery {
 }
 
 impl Answer {
-    /// Logs the answer to the ending of a rollout, unless it was accepted.
+    /// Logs the answer, unless the coordinator accepted the report.
     pub(crate) fn log(&self, label: &str) {
         match self {
             Self::Committed(answer) => match answer.verdict() {
@@ -103,7 +105,7 @@ impl Answer {
         matches!(self, Self::Committed(answer) if matches!(answer.verdict(), Accepted | Duplicate))
     }
 
-    /// Returns the reason why the worker must stop leasing, if the coordinator gave one.
+    /// Returns the coordinator's reason why the worker must stop leasing; `None` if it may go on.
     pub(crate) fn stop_leasing(self) -> Option<String> {
         match self {
             Self::Released(answer) => Some(answer.stop_leasing).filter(|text| !text.is_empty()),

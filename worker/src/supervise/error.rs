@@ -7,7 +7,7 @@ use transport::{AccessError, EndpointError};
 
 use super::slot_state::MAX_FAILED_STARTS;
 
-/// Reason why a worker ended unasked.
+/// Reason why a worker ended without being asked to.
 #[derive(Debug, thiserror::Error)]
 pub enum SuperviseError {
     #[error(transparent)]

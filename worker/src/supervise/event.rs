@@ -9,10 +9,10 @@ use super::deliver::Answer;
 use crate::assets::ProvideError;
 use crate::message::SlotEvent;
 
-/// End of a slot's process. `description` reads after the process's name.
+/// End of a slot's process.
 #[derive(Debug)]
 pub(crate) struct ProcessEnd {
-    /// Description of the end, such as "was killed by signal 9".
+    /// Description of the end, such as "was killed by signal 9"; reads after the process's name.
     pub(crate) description: String,
     /// The last lines that the process printed; the worker has relayed them already.
     pub(crate) last_lines: Vec<String>,
@@ -51,20 +51,23 @@ pub(crate) struct ProcessKey {
     pub(crate) number: u64,
 }
 
+/// Event that the supervisor's loop handles.
 #[derive(Debug)]
 pub(crate) enum Event {
     /// The interval between checks for timeouts has passed.
     Tick,
     /// The coordinator answered the worker's registration.
     Registered(Result<RegisterResponse, Status>),
+    /// The interval between heartbeats has passed.
     HeartbeatDue,
+    /// The coordinator answered a heartbeat.
     Renewed(Result<HeartbeatResponse, Status>),
     /// The coordinator answered a slot's claim.
     Claimed {
         slot: usize,
         answer: Result<ClaimResponse, Status>,
     },
-    /// The files of an attempt's task were fetched or could not be.
+    /// The files of an attempt's task were fetched or could not be fetched.
     Provided {
         slot: usize,
         attempt: AttemptId,
@@ -78,20 +81,12 @@ pub(crate) enum Event {
         answer: Answer,
     },
     /// A slot's process sent an event.
-    Slot {
-        key: ProcessKey,
-        event: SlotEvent,
-    },
+    Slot { key: ProcessKey, event: SlotEvent },
     /// A slot's process ended.
-    Ended {
-        key: ProcessKey,
-        end: ProcessEnd,
-    },
+    Ended { key: ProcessKey, end: ProcessEnd },
     /// A task of this program panicked.
-    Panicked {
-        task: task::Id,
-        error: String,
-    },
-    /// Shutdown was requested: the first request drains, the second gives rollouts back.
+    Panicked { task: task::Id, error: String },
+    /// Shutdown was requested. After the first request the worker drains; after the second it gives
+    /// its rollouts back.
     Shutdown,
 }

@@ -25,21 +25,20 @@ use crate::grpc::with_deadline;
 
 /// Longest time that a claim may wait at the coordinator for a job.
 const CLAIM_WAIT: Duration = Duration::from_secs(5);
-/// Longest wait for any other answer.
+/// Longest wait for the answer to any other call.
 const CALL_DEADLINE: Duration = Duration::from_secs(30);
 /// Longest wait for the answer to a sign-off.
 const SIGN_OFF_DEADLINE: Duration = Duration::from_secs(2);
 /// Longest wait for a video to be stored.
 const UPLOAD_DEADLINE: Duration = Duration::from_secs(60);
-/// Attempts to send a video: about a minute's worth if each is refused at once.
+/// Attempts to send a video. They take about a minute if each is refused at once.
 const UPLOAD_TRIES: u32 = 7;
 /// Bytes of a video per message.
 const CHUNK_BYTES: usize = 256 << 10;
 /// Largest video that is sent, bytes; far above any rollout's.
 const MAX_VIDEO_BYTES: u64 = 256 << 20;
 
-/// Names, in messages, of the settings with which a worker's user addresses a
-/// coordinator.
+/// Names, in messages, of the settings with which a worker's user addresses a coordinator.
 const SETTINGS: Settings = Settings {
     address: "--connect",
     authority: "--ca",
@@ -64,7 +63,7 @@ struct LinkState {
     /// True if the coordinator has ever answered; a later failure then cannot be a mistake in the
     /// settings.
     has_answered: AtomicBool,
-    /// Start of the current outage, if there is one.
+    /// Start of the current outage; `None` while the coordinator answers.
     outage: Mutex<Option<Instant>>,
     /// Notified when an outage ends.
     outage_ended: Notify,
@@ -184,7 +183,7 @@ impl Link {
     }
 
     /// Sends a video, with at most `UPLOAD_TRIES` attempts. A coordinator that cannot store videos
-    /// does not count as an outage, because everything else may work.
+    /// does not count as an outage, because it may answer all other calls.
     pub(crate) async fn put_video(
         &self,
         attempt: AttemptId,
@@ -256,7 +255,7 @@ impl Link {
     /// transient.
     async fn explain(&self, status: Status) -> Failed {
         let is_transient = may_succeed_later(&status);
-        match self.state.peer.trouble(&status).await {
+        match self.state.peer.diagnose(&status).await {
             None => Failed {
                 status,
                 is_transient,
@@ -282,7 +281,7 @@ impl Link {
                 tracing::warn!(
                     "coordinator {url} cannot be reached: {}; trying again every {} to {} s, \
                      rollouts in flight continue",
-                    transport::answer(&failed.status),
+                    transport::status_text(&failed.status),
                     Waits::USUAL.first.as_secs(),
                     Waits::USUAL.longest.as_secs()
                 );

@@ -1,5 +1,5 @@
 //! A slot's process from the parent's side: start, commands, events, kill, and an explanation of
-//! its end. The supervisor decides when each happens.
+//! its end. The supervisor decides when to start and to kill it.
 
 use std::collections::VecDeque;
 use std::io;
@@ -17,14 +17,15 @@ use crate::child::{SlotProgram, connection, explain_status};
 use crate::memory::OomKills;
 use crate::message::{MAX_LINE_BYTES, SlotCommand, SlotEvent};
 
-/// Capacity of a process's command queue; a run and its abandonment need two.
+/// Capacity of a process's command queue; a run and its abandonment need two places.
 const COMMAND_QUEUE: usize = 4;
-/// Lines of a process's standard error that explain its end.
+/// Number of the last lines of a process's standard error that explain its end.
 const LAST_LINES: usize = 5;
-/// Longest relayed line, bytes; longer ones are split.
+/// Longest relayed line, bytes; longer lines are split.
 const MAX_RELAYED_LINE_BYTES: u64 = 4096;
 
-/// Running process of a slot. Dropping it closes the connection, whereupon the process ends.
+/// Running process of a slot. Dropping this value closes the connection, whereupon the process
+/// ends.
 #[derive(Debug)]
 pub(crate) struct SlotProcess {
     requests: mpsc::Sender<Request>,
@@ -33,6 +34,7 @@ pub(crate) struct SlotProcess {
     pub(crate) task: task::Id,
 }
 
+/// Request to the task that owns a process.
 #[derive(Debug)]
 enum Request {
     Send(SlotCommand),
@@ -69,8 +71,9 @@ impl SlotProcess {
         })
     }
 
-    /// Sends a command. If the queue is full, the process reads no commands; it then sends no
-    /// events either and is killed for that, so the command may be lost.
+    /// Sends a command. A full queue shows that the process reads no commands. It then sends no
+    /// events either and is killed for lack of progress, so the loss of the command does not
+    /// matter.
     pub(crate) fn send(&self, command: SlotCommand) {
         let _ = self.requests.try_send(Request::Send(command));
     }

@@ -16,7 +16,7 @@ pub(crate) const START_DEADLINE: Duration = Duration::from_secs(120);
 /// Longest time to abandon a rollout before the process is killed. The process checks for the
 /// command at every control step.
 pub(crate) const ABANDON_DEADLINE: Duration = Duration::from_secs(5);
-/// Failed starts of a slot's process in a row, without a rollout in between, after which the
+/// Failed starts of a slot's process in a row, without a rollout between them, after which the
 /// worker gives up.
 pub(crate) const MAX_FAILED_STARTS: u32 = 5;
 
@@ -25,7 +25,7 @@ pub(crate) const MAX_FAILED_STARTS: u32 = 5;
 pub(crate) enum Mode {
     /// Claims work.
     Serving,
-    /// Finishes the rollouts in flight and claims none.
+    /// Finishes the rollouts in flight and claims no more.
     Draining,
     /// Has given up its rollouts, and only delivers reports.
     Abandoning {
@@ -34,6 +34,7 @@ pub(crate) enum Mode {
     },
 }
 
+/// State of a slot's process.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ProcessState {
     /// No process is running.
@@ -51,6 +52,7 @@ pub(crate) enum ProcessState {
     Dying,
 }
 
+/// Work of a slot.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Work {
     /// The slot is idle.
@@ -90,7 +92,7 @@ pub(crate) enum Work {
 /// The video of the rollout that a slot simulated last.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum Video {
-    /// No video is being made or waits for upload.
+    /// No video is being made, and none waits for its result.
     None,
     /// The slot's process makes the video, and does no other work meanwhile.
     Filming {
@@ -100,7 +102,7 @@ pub(crate) enum Video {
         pictures: u32,
         /// Time of the last reported progress.
         progressed_at: Instant,
-        /// State of the result that the video belongs to.
+        /// State of the result to which the video belongs.
         result: ResultState,
     },
     /// The video is finished, and its result is still being delivered.
@@ -110,11 +112,12 @@ pub(crate) enum Video {
     },
 }
 
+/// State of a filmed rollout's result.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum ResultState {
     Delivering,
     Committed,
-    /// The coordinator refused it, or its lease was lost.
+    /// The coordinator refused the result, or the rollout's lease was lost.
     Unwanted,
 }
 
@@ -136,6 +139,7 @@ pub(crate) struct Loss {
     pub(crate) video: Option<AttemptId>,
 }
 
+/// State of a slot.
 #[derive(Clone, Debug)]
 pub(crate) struct SlotState {
     pub(crate) process: ProcessState,
@@ -176,7 +180,7 @@ impl SlotState {
         }
     }
 
-    /// Returns the action that is due. The caller carries it out and records it in the state.
+    /// Returns the action that is due, which the caller carries out and records in the state.
     pub(crate) fn decide(
         &self,
         mode: Mode,
@@ -335,9 +339,9 @@ impl SlotState {
         loss
     }
 
-    /// Records the end of an attempt, which is filmed next if `is_filmed`. Returns true if the
-    /// attempt is still wanted and must be delivered, also if its process was killed as stuck
-    /// meanwhile.
+    /// Records the end of an attempt, which is filmed next if `is_filmed`. Returns true if its end
+    /// must be reported because its lease was not lost. A process that was killed as stuck may
+    /// still have sent this end.
     pub(crate) fn rollout_ended(&mut self, id: AttemptId, is_filmed: bool, now: Instant) -> bool {
         let (result, control_steps) = match self.work {
             Work::Running {
@@ -394,8 +398,8 @@ impl SlotState {
         }
     }
 
-    /// Records the coordinator's answer to the slot's report; `is_committed` if the coordinator
-    /// has the result.
+    /// Records the coordinator's answer to the slot's report; `is_committed` is true if the
+    /// coordinator has the result.
     pub(crate) fn delivered(&mut self, is_committed: bool) -> Option<VideoDecision> {
         self.work = Work::Nothing;
         match &mut self.video {
@@ -420,8 +424,8 @@ impl SlotState {
         }
     }
 
-    /// Ends the slot's work at once: the process is killed, its video is dropped, and the attempt
-    /// under way, if any, is returned to be given back.
+    /// Records that the process is killed and its video dropped. Returns the attempt under way,
+    /// which must be given back; `None` without one.
     pub(crate) fn give_up(&mut self) -> Option<AttemptId> {
         self.process = ProcessState::Dying;
         self.video = Video::None;

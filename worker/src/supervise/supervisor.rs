@@ -35,23 +35,27 @@ use crate::message::{Assignment, Failure, FailureKind, RolloutEvent, SlotCommand
 const TICK: Duration = Duration::from_millis(250);
 /// Longest wait for unfinished uploads of a worker that is otherwise done.
 const UPLOAD_GRACE: Duration = Duration::from_secs(15);
-/// Processes started before the loop handles signals and messages again.
+/// Largest number of processes started before the loop handles signals and messages again.
 const STARTS_AT_ONCE: usize = 8;
 /// Longest wait for slots' processes to end by themselves.
 const END_DEADLINE: Duration = Duration::from_secs(5);
 
+/// A slot, its process and its job.
 #[derive(Debug)]
 struct Slot {
     state: SlotState,
     process: Option<SlotProcess>,
+    /// Number of starts of the slot's process.
     starts: u64,
-    /// Current assignment, or the last one, whose scene is compiled.
+    /// Assignment of the current or the last job, whose scene the process has compiled.
     assignment: Option<Assignment>,
+    /// Campaign of `assignment`.
     campaign: String,
     /// Assignment whose files are being fetched, with its campaign.
     preparing: Option<(Assignment, String)>,
 }
 
+/// A worker's state.
 pub(super) struct Supervisor {
     config: Config,
     timing: Timing,
@@ -72,16 +76,17 @@ pub(super) struct Supervisor {
     /// Reason why the worker ends, unless it was asked to end.
     fault: Option<SuperviseError>,
     is_heartbeat_in_flight: bool,
-    /// True if a lease was taken that no heartbeat has named yet: the first heartbeat acknowledges
-    /// it.
+    /// True if a lease was taken that no heartbeat has named yet. The first heartbeat that names a
+    /// lease acknowledges it.
     has_unacknowledged_lease: bool,
     /// Back-off of failed fetches of assets.
     fetches: Backoff,
     /// Earliest time of the next claim after a failed fetch.
     claims_from: Instant,
-    /// Rollouts that lacked task files, with the files as they were, by the keys of their tasks.
+    /// Rollouts that lacked task files, by the keys of their tasks, with the stamps of the files
+    /// when they were checked.
     lacks: BTreeMap<String, (ManifestRow, FileStamps)>,
-    /// Coordinator's last reason for having no work.
+    /// The coordinator's last reason for granting no job.
     idle_reason: String,
     events: mpsc::Sender<Event>,
     calls: JoinSet<()>,
@@ -285,8 +290,8 @@ impl Supervisor {
         process.is_some_and(|process| process.key == key)
     }
 
-    /// Starts at most [`STARTS_AT_ONCE`] processes, since starting one takes milliseconds;
-    /// returns true if more are to be started.
+    /// Carries out the decisions of all slots. Starts at most [`STARTS_AT_ONCE`] processes, since
+    /// starting one takes milliseconds; returns true if more processes are to be started.
     fn carry_out_decisions(&mut self, now: Instant) -> bool {
         let mut starts_left = STARTS_AT_ONCE;
         for slot in 0..self.slots.len() {
@@ -393,8 +398,9 @@ impl Supervisor {
         }
     }
 
-    /// Handles a slot's readiness. The first slot's renderer registers the worker; the others must
-    /// have the same one, or the coordinator would refuse some of their results.
+    /// Handles a slot's readiness. The first ready slot registers the worker with its renderer. The
+    /// other slots must have the same renderer, or the coordinator would refuse some of their
+    /// results.
     fn became_ready(&mut self, slot: usize, renderer: String, fingerprint: &str) {
         self.slots[slot].state.became_ready();
         tracing::info!("slot {slot} is ready: renderer {renderer}, fingerprint {fingerprint}");
@@ -516,9 +522,9 @@ impl Supervisor {
         }
     }
 
-    /// Handles a task's panic. If the task attended a slot's process, the process has been killed
-    /// with it. For any other task the worker gives up: a rollout waiting for that task would have
-    /// its lease renewed for ever.
+    /// Handles a task's panic. If the task owned a slot's process, the process was killed with it.
+    /// If it was another task, the worker gives up, because it would renew the lease of a rollout
+    /// that waits for that task for ever.
     fn panicked(&mut self, task: task::Id, error: String, now: Instant) {
         let owns = |slot: &Slot| matches!(&slot.process, Some(process) if process.task == task);
         if let Some(slot) = self.slots.iter().position(owns) {

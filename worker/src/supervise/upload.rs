@@ -1,5 +1,6 @@
 //! Uploads videos after their results. Videos have the lowest priority: few are sent at a time,
-//! and one that cannot be sent in time is dropped, so that no result, lease or slot waits for it.
+//! and a video that cannot be sent in time is dropped, so that no result, lease or slot waits for
+//! it.
 
 use std::path::PathBuf;
 use std::sync::Arc;
@@ -41,7 +42,7 @@ impl Uploader {
         }
     }
 
-    /// Uploads a video, or logs why it is dropped. Removes its file in either case.
+    /// Uploads a video, or drops it and logs the reason. Removes the video's file in either case.
     pub(crate) async fn upload(self, upload: Upload) {
         let sending = async {
             // The semaphore is never closed.

@@ -67,7 +67,7 @@ impl Audit {
     /// Checks that no rollout lacks files.
     ///
     /// # Errors
-    /// If any rollout lacks files.
+    /// If a rollout lacks files.
     pub fn require_all(&self) -> Result<(), VariantsError> {
         match self.lacking.count() {
             0 => Ok(()),
@@ -111,7 +111,7 @@ impl Audit {
     /// beyond LIBERO's assets, and whether the rollout can run.
     ///
     /// # Errors
-    /// If the rules do not have one of the rollouts.
+    /// If one of the rollouts does not exist under the rules.
     pub fn list(&self, rules: &Rules) -> Result<String, VariantsError> {
         let mut text = String::new();
         let all = [(None, &self.runnable)];
@@ -168,9 +168,9 @@ fn needs(case: &Case, row: &ManifestRow) -> String {
 
 /// Returns true if two cases are of the same task of LIBERO-PRO or of a suite file, and so have the
 /// same files.
-fn have_the_same_files(one: &Case, other: &Case) -> bool {
-    let has_trials = matches!(one.subject, Subject::Pro(_) | Subject::Own(_));
-    has_trials && one.task == other.task && one.subject == other.subject
+fn have_the_same_files(first: &Case, second: &Case) -> bool {
+    let has_trials = matches!(first.subject, Subject::Pro(_) | Subject::Own(_));
+    has_trials && first.task == second.task && first.subject == second.subject
 }
 
 /// Returns the reason why a rollout cannot run; `None` if all its files exist.
@@ -185,9 +185,10 @@ pub fn lack(
     Ok(Checked::new(row, pack, sources)?.lack(row.init_id))
 }
 
-/// The files of a task, as far as all its trials share them.
+/// Outcome of the check of a task's files, valid for all its trials.
 #[derive(Clone, Debug)]
 struct Checked {
+    /// Reason why no trial can run; `None` if all the task's files exist.
     lack: Option<Lack>,
     /// Initial states of a suite file's task.
     states: Option<States>,
@@ -205,7 +206,7 @@ impl Checked {
         Ok(Self { lack, states })
     }
 
-    /// Returns the reason why a rollout from an initial state cannot run.
+    /// Returns the reason why a rollout from an initial state cannot run; `None` if it can.
     fn lack(&self, init_id: u16) -> Option<Lack> {
         let states = self.states.as_ref();
         let lack = self.lack.clone();
@@ -242,7 +243,8 @@ fn lack_in_benchmark(
     }
 }
 
-/// Returns a lack if the pack does not have the model of any object or fixture.
+/// Returns a lack of `further` if the pack lacks the model of an object or fixture; `None` if it
+/// has all models.
 fn models_lack(
     files: &TaskFiles,
     pack: &AssetPack,
@@ -258,10 +260,11 @@ fn models_lack(
     Ok((!models.all(|model| is_present(model.file))).then_some(Lack::Further(further)))
 }
 
-/// Returns the files that a LIBERO-Plus variant lacks, apart from its task files.
+/// Returns the lack of assets, apart from the task files, of a LIBERO-Plus variant; `None` if the
+/// pack has them all.
 fn assets_lack(entry: &Entry, pack: &AssetPack) -> Option<Lack> {
     let is_composable = match entry.assets() {
-        // The files themselves are known from the BDDL file.
+        // `models_lack` checks the files, which the BDDL file names.
         Assets::NewObjects => pack.dir().join("new_objects").is_dir(),
         _ => entry.is_composable(|file| pack.dir().join(file).is_file()),
     };

@@ -1,5 +1,5 @@
 //! A case as the simulator runs it: its files, its initial conditions, and its manifest row with
-//! the prompt. `worker variants` and a campaign's slots use the same function.
+//! the prompt. `worker variants` and the slots of a campaign both prepare their cases here.
 
 use libero_ctrl::{ManifestRow, OwnTask};
 use libero_family::corruption::Corruption;
@@ -100,12 +100,12 @@ fn start_of_own(own: &OwnTask, trial: u16) -> VariantStart {
         posture: changes.posture,
         seed: own.seed,
         earlier_resets: u32::from(trial),
-        start: beginning(own.start),
+        start: reset_or_state(own.start),
         corruption: changes.noise.and_then(Corruption::new),
     }
 }
 
-fn beginning(beginning: Beginning) -> Start {
+fn reset_or_state(beginning: Beginning) -> Start {
     match beginning {
         Beginning::InitialState => Start::InitialState,
         Beginning::Reset => Start::Reset,
@@ -125,7 +125,7 @@ fn start(case: &Case, protocol: &Protocol) -> VariantStart {
             .and_then(start_posture),
         seed: protocol.seed,
         earlier_resets: u32::from(case.trial),
-        start: beginning(protocol.beginning),
+        start: reset_or_state(protocol.beginning),
         corruption: variant
             .and_then(|variant| variant.corruption())
             .and_then(Corruption::new),

@@ -105,7 +105,7 @@ impl Choice {
         Ok(Rules::of_file(file)?)
     }
 
-    /// Returns true if any of the chosen rollouts may need files that LIBERO's assets do not have.
+    /// Returns true if a chosen rollout may need files that LIBERO's assets do not have.
     pub fn may_need_further_assets(&self, cases: &[Case]) -> bool {
         let needs = |case: &Case| case.further_assets().is_some();
         self.suite_file.is_some() || !self.pro.is_empty() || cases.iter().any(needs)

@@ -28,11 +28,11 @@ impl States {
     }
 }
 
-/// Largest task file, bytes: a hundred times LIBERO's.
+/// Largest task file, bytes: a hundred times the largest of LIBERO.
 const MAX_FILE_BYTES: u64 = 64 << 20;
 
-/// Checks that a task's files exist, are those of the suite file, and make a scene. Returns its
-/// initial states, or what it lacks.
+/// Checks that a task's files exist, have the suite file's digest, and make a scene. Returns the
+/// task's initial states, or the lack that prevents its rollouts.
 pub(super) fn check(own: &OwnTask, pack: &AssetPack, sources: &Sources) -> Result<States, Lack> {
     let folder = Sources::suite_folder(sources.dir(), &own.folder);
     let text = |path: &Path| path.display().to_string();

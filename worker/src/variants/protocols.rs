@@ -14,7 +14,7 @@ use super::case::Prepared;
 use super::choice::Choice;
 use super::error::VariantsError;
 
-/// Side of the compared picture, pixels: that of the benchmarks' environments.
+/// Side of the compared picture, pixels, as in the benchmarks' environments.
 const SIDE: u32 = 256;
 
 /// The policy's first observation.
@@ -35,8 +35,8 @@ pub struct Starts {
     lines: Vec<Start>,
 }
 
-/// Start of one variant under one protocol, relative to that of the unperturbed task under the
-/// benchmark's official protocol.
+/// Start of one variant under one protocol, compared with the start of the unperturbed task under
+/// the benchmark's official protocol.
 struct Start {
     protocol: Protocol,
     budget: u32,
@@ -45,7 +45,8 @@ struct Start {
     moved_mm: f64,
     /// Angle between the hand's orientations, degrees.
     turned_degrees: f64,
-    /// Share of the pixels that differ from the variant's under the official protocol, per cent.
+    /// Share of the pixels that differ from the variant's picture under the official protocol, per
+    /// cent.
     changed_percent: f64,
 }
 
@@ -53,7 +54,7 @@ struct Start {
 fn one_of_each_group(cases: &[Case]) -> Vec<Case> {
     let mut chosen: Vec<Case> = Vec::new();
     for case in cases {
-        if chosen.iter().all(|other| other.group() != case.group()) {
+        if chosen.iter().all(|earlier| earlier.group() != case.group()) {
             chosen.push(*case);
         }
     }
@@ -61,10 +62,11 @@ fn one_of_each_group(cases: &[Case]) -> Vec<Case> {
 }
 
 /// Starts the chosen variants, or one of each dimension or suite if none is named, under every
-/// protocol of their benchmark, and reports each as soon as it is known.
+/// protocol of their benchmark, and reports each variant's starts as soon as they are known.
 ///
 /// # Errors
-/// If a named variant lacks files, a case has no protocols, the simulator fails, or `report` does.
+/// If a named variant lacks files, a case is of no benchmark with protocols, the simulator fails,
+/// or `report` fails.
 pub fn compare(
     audit: &Audit,
     choice: &Choice,
@@ -176,10 +178,11 @@ fn angle(a: [f64; 4], b: [f64; 4]) -> f64 {
     2.0 * cosine.abs().min(1.0).acos()
 }
 
-fn changed_share(one: &[u8], other: &[u8]) -> f64 {
-    let pixels = one.chunks_exact(3).zip(other.chunks_exact(3));
+/// Returns the share of the pixels that differ between two pictures of the same size.
+fn changed_share(a: &[u8], b: &[u8]) -> f64 {
+    let pixels = a.chunks_exact(3).zip(b.chunks_exact(3));
     let changed = pixels.filter(|(a, b)| a != b).count();
-    3.0 * changed as f64 / one.len() as f64
+    3.0 * changed as f64 / a.len() as f64
 }
 
 impl fmt::Display for Starts {

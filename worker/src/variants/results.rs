@@ -47,7 +47,7 @@ pub struct Pin {
 /// A rollout's result.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Row {
-    /// Name of the case: the benchmark's name of the variant, or the unperturbed task's.
+    /// Name of the case: the benchmark's name of the variant, or the name of the unperturbed task.
     pub variant: String,
     /// LIBERO's task, or `own/N` for the task at position N of a suite file.
     pub task: String,
@@ -101,7 +101,7 @@ impl Pin {
         }
     }
 
-    /// Returns the first difference to another pin: its name, and both values.
+    /// Returns the first condition in which two pins differ: its name, and both values.
     fn difference(&self, other: &Self) -> Option<(&'static str, String, String)> {
         let values = |pin: &Self| {
             [
@@ -129,8 +129,8 @@ impl Pin {
         ];
         let pairs = values(self).into_iter().zip(values(other));
         let mut named = NAMES.into_iter().zip(pairs);
-        let (name, (own, others)) = named.find(|(_, (own, others))| own != others)?;
-        Some((name, own, others))
+        let (name, (value, other_value)) = named.find(|(_, (a, b))| a != b)?;
+        Some((name, value, other_value))
     }
 }
 
@@ -210,7 +210,7 @@ impl Results {
         self.rows.iter().any(|row| row.variant == variant)
     }
 
-    /// Appends a result, if its policy and simulator are those of the others.
+    /// Appends a result, if its policy and simulator are those of the earlier results.
     pub(super) fn add(&mut self, row: Row) -> Result<(), VariantsError> {
         self.check(&row)?;
         let mut line = serde_json::to_string(&row).expect("texts and numbers");
@@ -399,7 +399,7 @@ mod tests {
         let error = results.add(another).unwrap_err();
         let what = |error: &VariantsError| match error {
             VariantsError::Pinned { what, .. } => *what,
-            other => panic!("{other}"),
+            unexpected => panic!("{unexpected}"),
         };
         assert_eq!(what(&error), "policy weights");
         assert!(!results.has("two"));

@@ -1,4 +1,4 @@
-//! Rules of a run: those of a named protocol, or of a suite file.
+//! Rules of a run: a named protocol or a suite file.
 
 use std::collections::BTreeMap;
 
@@ -18,7 +18,7 @@ pub enum Rules {
     SuiteFile {
         /// The file.
         file: Box<SuiteFile>,
-        /// Its rows.
+        /// Manifest rows of the file's rollouts, by rollout id.
         rows: BTreeMap<RolloutId, ManifestRow>,
     },
 }
@@ -27,7 +27,7 @@ impl Rules {
     /// Returns the rules and the rollouts of a suite file.
     ///
     /// # Errors
-    /// If a row is of no case, which valid files do not have.
+    /// If a row names no case, which the rows of a valid file never do.
     pub fn of_file(file: SuiteFile) -> Result<(Self, Vec<Case>), SelectionError> {
         let rows = file.rows();
         let cases: Result<_, _> = rows.iter().map(|row| Case::of_id(row.id)).collect();

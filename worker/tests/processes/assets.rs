@@ -26,7 +26,7 @@ fn empty_sources(folder: &Path) {
     }
 }
 
-/// Copies the built-in pack to a folder, as a user's own pack.
+/// Copies the built-in pack to a folder, as a user's own pack; returns the copy's path.
 fn copy_of_primitives(folder: &Path) -> PathBuf {
     let sources = scene::Sources::open(&scene::Sources::default_dir()).expect("ready");
     let primitives = scene::AssetPack::open("primitives", &sources).expect("built in");
@@ -130,15 +130,15 @@ fn packs_are_verified_against_liberos_files() {
     let folder = tempfile::tempdir().expect("a folder");
     let copy = copy_of_primitives(folder.path());
     let path = copy.to_str().expect("UTF-8");
-    let (code, other) = code_and_output(run(&["assets", "verify", path]));
-    assert_eq!(code, Some(1), "{other}");
+    let (code, verified) = code_and_output(run(&["assets", "verify", path]));
+    assert_eq!(code, Some(1), "{verified}");
     for words in [
         "not LIBERO's",
         "scenes/libero_floor_base_style.xml (altered: ",
         "and 18 more",
         "`custom`",
     ] {
-        assert!(other.contains(words), "{other}");
+        assert!(verified.contains(words), "{verified}");
     }
     let (code, listed) = code_and_output(run(&["assets", "list", path]));
     assert_eq!(code, Some(0), "{listed}");

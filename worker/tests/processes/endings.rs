@@ -8,7 +8,7 @@ use crate::scripted_coordinator::ScriptedCoordinator;
 use crate::scripted_policy::ScriptedPolicy;
 use crate::worker_process::{WorkerProcess, lease, ready, signal, wait_for_the_end_of};
 
-/// Starts a worker that is in the middle of a rollout of some seconds.
+/// Starts a worker with a rollout of some seconds, and waits until the rollout is under way.
 async fn busy_worker() -> (WorkerProcess, ScriptedCoordinator, ScriptedPolicy) {
     busy_worker_with(&[]).await
 }

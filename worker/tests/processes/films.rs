@@ -1,5 +1,5 @@
-//! Videos of finished rollouts, made from their actions. The address of the coordinator comes from
-//! the environment here.
+//! Videos of finished rollouts, made from their actions. In these tests, the worker takes the
+//! address of the coordinator from the environment.
 
 use std::process::Output;
 
@@ -20,6 +20,7 @@ async fn filmable_rollout(coordinator: &ScriptedCoordinator) -> Film {
     film_of(coordinator, lease(1, "still", "")).await
 }
 
+/// Runs a leased rollout that stores its actions; returns the film to be made of it.
 async fn film_of(coordinator: &ScriptedCoordinator, mut job_lease: Lease) -> Film {
     let policy = ScriptedPolicy::start().await;
     job_lease.policy_endpoint = policy.url();
@@ -132,7 +133,8 @@ async fn a_film_that_ends_differently_from_its_rollout_is_not_stored() {
     assert_eq!(coordinator.messages().len(), 2, "no video");
 }
 
-/// Returns two films of one rollout: by the slot that simulated it, and made afterwards.
+/// Returns two films of one rollout: the film by the slot that simulated it, and the film by
+/// `worker film`.
 async fn films_of(row: &ManifestRow) -> [Vec<u8>; 2] {
     let coordinator = ScriptedCoordinator::start().await;
     let mut filmed = lease(1, "still", "");
@@ -163,7 +165,10 @@ async fn a_later_film_equals_the_slots_film_and_shows_sensor_corruption() {
     let nominal = row(format!("object/t0/clean/i{:02}", sensor.init_id));
     let [by_the_slot, afterwards] = films_of(&sensor).await;
     assert!(by_the_slot == afterwards, "equal pictures give equal bytes");
-    let [unperturbed, again] = films_of(&nominal).await;
-    assert!(unperturbed == again, "equal pictures give equal bytes");
+    let [unperturbed, unperturbed_afterwards] = films_of(&nominal).await;
+    assert!(
+        unperturbed == unperturbed_afterwards,
+        "equal pictures give equal bytes"
+    );
     assert!(by_the_slot != unperturbed, "the corruption is visible");
 }

@@ -23,10 +23,10 @@ async fn a_claim_whose_answer_is_lost_is_repeated_with_the_same_id() {
         assert_eq!(commit.attempt_id, attempt_id(job));
     }
     let claims = coordinator.claims().into_iter();
-    let names: Vec<String> = claims.map(|claim| claim.claim_id).collect();
-    assert_eq!(names[0], names[1], "the repeated claim has the same id");
-    assert_ne!(names[1], names[2], "the next claim has a new id");
-    assert!(names.iter().all(|name| name.len() == 32), "{names:?}");
+    let ids: Vec<String> = claims.map(|claim| claim.claim_id).collect();
+    assert_eq!(ids[0], ids[1], "the repeated claim has the same id");
+    assert_ne!(ids[1], ids[2], "the next claim has a new id");
+    assert!(ids.iter().all(|id| id.len() == 32), "{ids:?}");
 }
 
 #[tokio::test(flavor = "multi_thread")]
@@ -39,7 +39,7 @@ async fn a_lease_is_acknowledged_long_before_the_next_heartbeat_is_due() {
     let policy = ScriptedPolicy::start().await;
     let _worker = WorkerProcess::start(&coordinator.url());
     coordinator.wait_for_claims(1).await;
-    // By then, the heartbeat after the registration has been sent.
+    // After a second, the heartbeat that follows the registration has been sent.
     tokio::time::sleep(Duration::from_secs(1)).await;
     let leased_at = Instant::now();
     coordinator.lease(lease(1, "silent", &policy.url()));

@@ -154,7 +154,7 @@ async fn automatic_slots_are_registered_and_explained() {
     let slots = registered.slots;
     assert!((1..=cores).contains(&(slots as usize)), "{slots} slots");
     let log = worker.terminated();
-    // On a busy machine, it may be one slot.
+    // On a busy machine, one slot may be chosen.
     let plural = if slots == 1 { "" } else { "s" };
     for words in [
         format!("--slots auto: {slots}, the fewest that reach 95 %"),

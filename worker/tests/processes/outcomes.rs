@@ -160,7 +160,8 @@ async fn a_rollout_without_frames_names_its_slots_renderer_too() {
     let _worker = WorkerProcess::start(&coordinator.url());
     let without_frames = coordinator.message(1).await.commit().provenance;
     let observing = coordinator.message(2).await.commit().provenance;
-    let (without_frames, observing) = (without_frames.expect("one"), observing.expect("one"));
+    let without_frames = without_frames.expect("a provenance");
+    let observing = observing.expect("a provenance");
     assert_eq!(without_frames.first_frame_digest, "");
     assert_eq!(observing.first_frame_digest.len(), 64);
     assert!(!without_frames.renderer.is_empty());
@@ -300,7 +301,8 @@ fn a_replay_without_pictures_opens_no_renderer() {
     );
 }
 
-/// The row is from another version: the attempt is released with this reason and has no outcome.
+/// A row that this version cannot read comes from another version. The attempt is released with the
+/// reason and has no outcome.
 #[tokio::test(flavor = "multi_thread")]
 async fn an_unreadable_row_is_released_with_the_reason() {
     if !ready("an_unreadable_row_is_released_with_the_reason") {

@@ -29,7 +29,7 @@ fn missing_sources_are_reported_with_the_remedy() {
     );
 }
 
-/// A variable in the environment must not count as a part of the command line.
+/// A value from the environment must not count as an option of the command line.
 #[test]
 fn the_environment_names_the_sources_in_every_mode() {
     for mode in [

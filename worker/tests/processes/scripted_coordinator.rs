@@ -1,5 +1,5 @@
-//! A coordinator that leases the jobs that a test gives it, and records every message. The real one
-//! cannot be made to lose a lease.
+//! A coordinator that leases the jobs that a test gives it, and records every message. A test
+//! cannot make the real coordinator lose a lease.
 
 use std::collections::{HashMap, VecDeque};
 use std::net::SocketAddr;
@@ -26,6 +26,7 @@ use crate::worker_process::attempt_id;
 /// Longest wait for something that a test expects.
 const PATIENCE: Duration = Duration::from_secs(60);
 
+/// Message of a worker, apart from claims, heartbeats and sign-offs.
 #[derive(Clone, Debug)]
 pub(crate) enum WorkerMessage {
     Registered(Box<RegisterRequest>),
@@ -38,18 +39,19 @@ impl WorkerMessage {
     pub(crate) fn commit(self) -> CommitRequest {
         match self {
             Self::Committed(commit) => *commit,
-            other => panic!("expected a commit, got {other:?}"),
+            unexpected => panic!("expected a commit, got {unexpected:?}"),
         }
     }
 
     pub(crate) fn release(self, reason: release_request::Reason) -> ReleaseRequest {
         match self {
             Self::Released(release) if release.reason() == reason => *release,
-            other => panic!("expected a release for {reason:?}, got {other:?}"),
+            unexpected => panic!("expected a release for {reason:?}, got {unexpected:?}"),
         }
     }
 }
 
+/// The coordinator's instructions from the test, and the messages that it received.
 #[derive(Debug, Default)]
 struct State {
     leases: VecDeque<Lease>,
@@ -63,8 +65,8 @@ struct State {
     claims_withdrawn: u32,
     /// Number of further claims whose answers are lost.
     answers_to_lose: u32,
-    /// Leases granted to claims whose answers were lost.
-    leased: HashMap<String, Lease>,
+    /// Leases granted to claims whose answers were lost, by claim id.
+    unanswered_leases: HashMap<String, Lease>,
     stop_leasing: String,
     refuses_artifacts: bool,
     refused_artifacts: u32,
@@ -323,6 +325,7 @@ impl Service {
     }
 }
 
+/// Claim under way, which counts as withdrawn if it is dropped before its answer.
 struct WaitingClaim<'a> {
     service: &'a Service,
     is_answered: bool,
@@ -368,7 +371,7 @@ impl WorkerService for Service {
         let leasing = async {
             loop {
                 let lease = self.change_quietly(|state| {
-                    let repeated = state.leased.remove(&claim.claim_id);
+                    let repeated = state.unanswered_leases.remove(&claim.claim_id);
                     repeated.or_else(|| state.leases.pop_front())
                 });
                 if let Some(lease) = lease {
@@ -386,7 +389,8 @@ impl WorkerService for Service {
             let is_lost = lease.is_some() && state.answers_to_lose > 0;
             state.answers_to_lose -= u32::from(is_lost);
             if is_lost && let Some(lease) = &lease {
-                state.leased.insert(claim.claim_id.clone(), lease.clone());
+                let leases = &mut state.unanswered_leases;
+                leases.insert(claim.claim_id.clone(), lease.clone());
             }
             is_lost
         });

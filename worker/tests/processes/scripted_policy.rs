@@ -31,7 +31,7 @@ pub(crate) struct ReceivedRequests {
 pub(crate) struct ScriptedPolicy {
     address: SocketAddr,
     pub(crate) received: Arc<Mutex<ReceivedRequests>>,
-    /// The server's task, which ends when this is dropped.
+    /// The server's task, which ends when the set is dropped.
     _serving: JoinSet<()>,
 }
 

@@ -14,8 +14,8 @@ fn slot_program(folder: &Path, script: &str) -> String {
     program.to_str().expect("UTF-8").to_owned()
 }
 
-/// Shell functions of a slot, which reports that it is ready, reads commands and extracts their
-/// attempts. Output to `&0` goes to the parent.
+/// Shell code of a slot that reports that it is ready, and functions that read commands, extract
+/// their attempts and send events. Output to `&0` goes to the parent.
 const SHELL_SLOT: &str = r#"
 send_line() { printf '%s\n' "$1" >&0; }
 send_line '{"ready": {"renderer": "shell", "fingerprint": "ff"}}'
@@ -99,10 +99,10 @@ async fn messages_about_another_attempt_are_ignored() {
     let folder = tempfile::tempdir().expect("a folder");
     let script = "while :; do
         next_attempt
-        mine=$attempt
+        own_attempt=$attempt
         attempt=$(printf '%032d' 99)
         send_event \"$(result 99 false)\"
-        attempt=$mine
+        attempt=$own_attempt
         send_event \"$(result 21 false)\"
     done";
     let (_worker, coordinator) = worker_with(script, folder.path()).await;

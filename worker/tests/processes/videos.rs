@@ -100,7 +100,7 @@ async fn a_coordinator_that_cannot_store_videos_gets_every_result() {
         let commit = coordinator.message(number).await.commit();
         assert_eq!(commit.attempt_id, attempt_id(job));
     }
-    // Sending each of the two videos is tried again.
+    // The worker tries to send each of the two videos twice.
     coordinator.wait_for_refused_artifacts(4).await;
     coordinator.wait_for_claims(3).await;
     let log = worker.terminated();
@@ -127,7 +127,7 @@ async fn a_video_of_a_refused_result_is_not_sent() {
     assert_eq!(coordinator.messages().len(), 3);
 }
 
-/// To the parent process, this looks like a crash of the encoder at the worst moment.
+/// To the parent process, the kill looks like a crash of the encoder at the worst moment.
 #[tokio::test(flavor = "multi_thread")]
 async fn a_slot_that_dies_before_its_result_is_committed_is_not_charged() {
     if !ready("a_slot_that_dies_before_its_result_is_committed_is_not_charged") {

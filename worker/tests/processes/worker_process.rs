@@ -14,8 +14,7 @@ const PATIENCE: Duration = Duration::from_secs(30);
 /// Control steps of a test's rollouts.
 pub(crate) const MAX_STEPS: u32 = 24;
 
-/// Returns true if this machine can run a worker; prints a message if it
-/// cannot.
+/// Returns true if this machine can run a worker; prints a message if it cannot.
 pub(crate) fn ready(test: &str) -> bool {
     let ready = scene::Sources::open(&scene::Sources::default_dir());
     if let Err(error) = &ready {
@@ -48,7 +47,7 @@ pub(crate) fn lease(job: i64, policy: &str, endpoint: &str) -> Lease {
     }
 }
 
-/// A worker with one slot, which is killed when dropped.
+/// A running program, which is killed when this value is dropped.
 pub(crate) struct WorkerProcess {
     child: Child,
 }

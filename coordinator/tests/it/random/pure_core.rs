@@ -9,7 +9,7 @@ use queue::ids::{AttemptNumber, JobId, WorkerId};
 use queue::rules::campaign::{CampaignState, Change};
 use queue::rules::lease::{
     AfterFailure, CommitJudgement, FailureReason, Job, JobState, Lease, MAX_CHARGED_ATTEMPTS,
-    MAX_LOSSES, MAX_SILENCES, OutcomeKey, Party, Suspicion, strike, was_asleep,
+    MAX_LOSSES, MAX_SILENCES, OutcomeKey, Party, Suspicion, strike, was_suspended,
 };
 use queue::rules::outage::{Allowance, PolicyHealth, PolicyState};
 use rand_chacha::ChaCha8Rng;
@@ -217,7 +217,7 @@ impl Model {
     fn pass(&mut self, secs: u64) {
         self.now = self.now.plus(Duration::from_secs(secs));
         assert!(
-            !was_asleep(self.now.since(self.last_sweep), LEASE),
+            !was_suspended(self.now.since(self.last_sweep), LEASE),
             "sweeps are too frequent to mean a suspension"
         );
         self.last_sweep = self.now;
@@ -226,7 +226,7 @@ impl Model {
             if let Some(lease) = job.lease_of(granted.attempt)
                 && lease.expires <= self.now
             {
-                self.end(&granted, lease.why_expired(None, LEASE));
+                self.end(&granted, lease.expiry_reason(None, LEASE));
             }
         }
     }
@@ -297,7 +297,7 @@ impl Model {
                 JobState::Queued { not_before }
             }
             AfterFailure::Quarantine => {
-                match reason.before(consequence) {
+                match reason.stored_reason(consequence) {
                     FailureReason::TakesPolicyDown => assert!(job.losses >= MAX_LOSSES),
                     FailureReason::TakesWorkerDown => assert!(silences >= MAX_SILENCES),
                     _ => {

@@ -227,7 +227,7 @@ fn left_out(subject: &Subject) -> Option<String> {
 fn other_training_pack(subject: &Subject) -> Option<String> {
     let mut provenances = subject.provenances.iter();
     provenances.find_map(|provenance| {
-        let taught_on = provenance.taught_elsewhere()?;
+        let taught_on = provenance.other_training_pack()?;
         Some(format!(
             "policy `{}` was taught on asset pack `{taught_on}` and measured on `{}`: objects of \
              the two packs look different, so that these rates say little about the policy",

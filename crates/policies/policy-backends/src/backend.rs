@@ -6,7 +6,7 @@ use policy_protocol::{ActionFault, DescriptionFault};
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
 use thiserror::Error;
 use tonic::{Code, Status};
-use transport::{Settings, Trouble, answer, is_outage_code};
+use transport::{ConnectError, Settings, is_outage_code, status_text};
 
 use crate::cause::Cause;
 
@@ -72,7 +72,7 @@ pub enum BackendError {
         /// host:port.
         address: String,
         /// Cause found at that address.
-        trouble: Box<Trouble>,
+        trouble: Box<ConnectError>,
     },
     /// The server rejected the gateway's credentials.
     #[error(
@@ -164,7 +164,7 @@ pub enum BackendError {
         answered: usize,
     },
     /// The server answered with an error of its own.
-    #[error("the policy server at {address} answered: {}", answer(status))]
+    #[error("the policy server at {address} answered: {}", status_text(status))]
     Refused {
         /// host:port.
         address: String,

@@ -10,7 +10,7 @@ use proto::policy::{
 };
 use thiserror::Error;
 use tonic::{Code, Response, Status, codegen::http::Uri, transport::Endpoint};
-use transport::{Access, AccessError, Connection, Found, Peer, ServerKind};
+use transport::{Access, AccessError, Connection, Peer, ProbeResult, ServerKind};
 
 use crate::{
     backend::{Backend, BackendError, SETTINGS},
@@ -146,9 +146,9 @@ impl GrpcBackend {
 
     async fn error(&self, status: Status) -> BackendError {
         let address = self.address.authority.clone();
-        match self.peer.trouble(&status).await {
+        match self.peer.diagnose(&status).await {
             // An older server did answer, so its policy is at fault, not the connection.
-            Some(trouble) if trouble.found == Found::Older => BackendError::Refused {
+            Some(trouble) if trouble.found == ProbeResult::LacksCall => BackendError::Refused {
                 address,
                 status: Box::new(Status::new(status.code(), trouble.to_string())),
             },

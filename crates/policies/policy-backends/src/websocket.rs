@@ -16,7 +16,7 @@ use tokio_tungstenite::{
     },
 };
 use tonic::{codegen::http::Uri, transport::Endpoint};
-use transport::{Access, Found, Peer, ServerKind, Settings};
+use transport::{Access, Peer, ProbeResult, ServerKind, Settings};
 
 use crate::{
     backend::{BackendError, SETTINGS},
@@ -127,11 +127,11 @@ impl Server {
         let stream = match tokio::time::timeout(CONNECT_TIMEOUT, connecting).await {
             Ok(Ok(stream)) => stream,
             Ok(Err(_)) => return Err(self.connection_error().await),
-            Err(_) => return Err(self.unreachable(Found::NoAnswer)),
+            Err(_) => return Err(self.unreachable(ProbeResult::NoAnswer)),
         };
         let checked = match self.host_port.uri().parse() {
             Ok(uri) => self.access.check_connection(&uri, &stream).await,
-            Err(_) => Err(Found::UnknownHost),
+            Err(_) => Err(ProbeResult::UnknownHost),
         };
         checked.map_err(|found| self.unreachable(found))?;
         let greeting = async {
@@ -152,7 +152,7 @@ impl Server {
         };
         tokio::time::timeout(GREETING_TIMEOUT, greeting)
             .await
-            .map_err(|_| self.unreachable(Found::Mute))?
+            .map_err(|_| self.unreachable(ProbeResult::Mute))?
     }
 
     async fn shake_hands(
@@ -190,7 +190,7 @@ impl Server {
                 }
             }
             tungstenite::Error::Http(response) => {
-                self.unreachable(Found::web(response.status().as_u16()))
+                self.unreachable(ProbeResult::web(response.status().as_u16()))
             }
             _ => self.connection_error().await,
         }
@@ -204,10 +204,10 @@ impl Server {
         }
     }
 
-    fn unreachable(&self, found: Found) -> BackendError {
+    fn unreachable(&self, found: ProbeResult) -> BackendError {
         BackendError::Unreachable {
             address: self.host_port.authority.clone(),
-            trouble: self.peer.found(found).into(),
+            trouble: self.peer.error(found).into(),
         }
     }
 }
@@ -269,7 +269,7 @@ impl Connection {
     fn connection_lost(&self) -> BackendError {
         BackendError::Unreachable {
             address: self.authority.clone(),
-            trouble: self.peer.found(Found::Broken).into(),
+            trouble: self.peer.error(ProbeResult::Broken).into(),
         }
     }
 }

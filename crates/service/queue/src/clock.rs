@@ -1,4 +1,4 @@
-//! Instants, and the clock that is injected: nothing else in this crate reads the time.
+//! Instants, and the injected clock, through which alone this crate reads the time.
 
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};

@@ -28,20 +28,21 @@ pub struct NewCampaign {
     pub policy_endpoint: String,
     /// Realisation: "matched" or "reference".
     pub realisation: String,
-    /// Text of its execution model.
+    /// Execution model, as text.
     pub execution: String,
     /// Rollouts to be filmed: "none", "failures", "transitions" or "all".
     pub record: &'static str,
     /// Requirements on the workers.
     pub wanted: Wanted,
-    /// Rollouts that this campaign derives from another campaign's outcomes, if it does.
+    /// Rollouts that are derived from another campaign's outcomes; `None` if this campaign is not
+    /// derived.
     pub derived: Option<Rollouts>,
-    /// Number of configurations, if the campaign may stop early; its jobs then follow a random
-    /// order of the configurations.
-    pub stops_among: Option<usize>,
-    /// Jobs in paired-unit order; empty at first if they derive from outcomes.
+    /// Number of configurations in a campaign that may stop early, whose jobs follow a random order
+    /// of the configurations; `None` in other campaigns.
+    pub stoppable_configurations: Option<usize>,
+    /// Jobs in paired-unit order; empty at first in a derived campaign.
     pub jobs: Vec<NewJob>,
-    /// Control steps of all rollouts if none reaches its goal.
+    /// Sum of the control steps of all rollouts if none reaches its goal.
     pub step_budget: u64,
     /// Priority, one of [`PRIORITIES`](crate::rules::campaign::PRIORITIES); 0 by default.
     pub priority: i32,
@@ -120,7 +121,7 @@ impl NewCampaign {
     pub fn from_spec(spec: &CampaignSpec) -> Result<NewCampaign, ExpandError> {
         let name = CampaignName::parse(&spec.name)?;
         let mut rows = libero_family::expand(spec)?;
-        let stops_among = spec
+        let stoppable_configurations = spec
             .stop
             .as_ref()
             .map(|stop| order_randomly(&mut rows, stop));
@@ -149,7 +150,7 @@ impl NewCampaign {
                 | Rollouts::SuiteFile(_) => None,
                 derived => Some(derived.clone()),
             },
-            stops_among,
+            stoppable_configurations,
             record: match spec.record {
                 Record::None => "none",
                 Record::Failures => "failures",
@@ -167,8 +168,9 @@ impl NewCampaign {
     }
 }
 
-/// Sorts rows into a random order of their configurations, each with its nominal rollout; the
-/// remaining nominal rollouts come last. Returns the number of configurations.
+/// Sorts rows into a random order of their configurations. A nominal rollout precedes the first
+/// configuration that is compared with it; nominal rollouts without a configuration come last.
+/// Returns the number of configurations.
 fn order_randomly(rows: &mut [ManifestRow], stop: &Stop) -> usize {
     let unit = |row: &ManifestRow| -> Option<Unit> { Some((row.id.task(), row.id.config()?)) };
     let order = drawn_order(stop, rows.iter().filter_map(unit));
@@ -191,7 +193,7 @@ fn order_randomly(rows: &mut [ManifestRow], stop: &Stop) -> usize {
     places.len()
 }
 
-/// Returns a stored specification after a change, and its digest.
+/// Applies a change to a stored specification. Returns the changed specification and its digest.
 ///
 /// # Errors
 /// If the changed specification is invalid.
@@ -208,16 +210,16 @@ pub(crate) fn altered(
 }
 
 /// Returns the names of the fields in which two specifications differ, for messages.
-pub fn differing_fields(one: &str, other: &str) -> String {
+pub fn differing_fields(first: &str, second: &str) -> String {
     let fields = |text: &str| match serde_json::from_str(text) {
         Ok(Value::Object(fields)) => fields,
         _ => Map::new(),
     };
-    let (one, other) = (fields(one), fields(other));
-    let names: BTreeSet<&String> = one.keys().chain(other.keys()).collect();
+    let (first, second) = (fields(first), fields(second));
+    let names: BTreeSet<&String> = first.keys().chain(second.keys()).collect();
     let differing: Vec<String> = names
         .into_iter()
-        .filter(|name| one.get(*name) != other.get(*name))
+        .filter(|name| first.get(*name) != second.get(*name))
         .map(|name| format!("`{name}`"))
         .collect();
     differing.join(", ")

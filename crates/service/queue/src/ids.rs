@@ -1,11 +1,11 @@
-//! Identifiers, each its own type, so that a job number is never taken for an attempt, nor a
-//! worker's name for a campaign's. Rollout ids are defined by the protocol crate.
+//! Identifiers, each with a type of its own, so that a job number is never taken for an attempt
+//! number, nor a worker's id for a campaign's name. Rollout ids are defined by the protocol crate.
 
 use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-/// Longest name of a campaign, bytes; it is also a folder's name.
+/// Longest name of a campaign, bytes. A campaign's name is also the name of a folder.
 pub const MAX_CAMPAIGN_NAME_BYTES: usize = 80;
 /// Longest worker id, bytes.
 pub const MAX_WORKER_ID_BYTES: usize = 128;
@@ -166,7 +166,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_campaign_name_cannot_leave_its_folder() {
+    fn a_campaign_name_cannot_be_a_path_or_a_hidden_file() {
         for invalid in ["", ".", "..", "../up", "a/b", "a\\b", "a b", "é", ".hidden"] {
             assert!(CampaignName::parse(invalid).is_err(), "{invalid:?}");
         }

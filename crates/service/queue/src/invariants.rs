@@ -1,6 +1,6 @@
 //! Named invariants of a database. Each is one query whose rows describe the violations.
 //! `coordinator check` runs them on a database at rest; tests run them after every injected fault.
-//! They do not cover policies or files beside the database.
+//! Neither policies nor files beside the database are checked.
 
 use std::path::{Path, PathBuf};
 
@@ -199,7 +199,7 @@ pub const INVARIANTS: [Invariant; 20] = [
          FROM job j JOIN campaign c ON c.id = j.campaign_id JOIN stop s ON s.campaign_id = c.id
          WHERE j.state = 'leased' AND s.stopped_ms IS NOT NULL",
     },
-    // A policy's probe holds a lease of that policy.
+    // The attempt that probes a policy holds a lease on a job of that policy.
     Invariant {
         name: "probe_is_out",
         query: "SELECT format('policy %s is probed by attempt %s, which holds no lease', p.name,
@@ -209,9 +209,9 @@ pub const INVARIANTS: [Invariant; 20] = [
               WHERE j.attempt_id = p.probe_attempt_id AND j.state = 'leased'
                   AND c.policy_id = p.id)",
     },
-    // A result is of its job's campaign, and of the assets, the simulator, the
-    // renderer and the mode that the campaign is pinned to. Schema 1 pinned no
-    // renderer: its results, which have no fingerprint, may be of any.
+    // A result belongs to its job's campaign, and comes from the assets, the simulator, the
+    // renderer and the realisation that the campaign is pinned to. Schema 1 pinned no renderer:
+    // its results, which have no fingerprint, may come from any renderer.
     Invariant {
         name: "results_are_of_the_pin",
         query:
@@ -223,8 +223,8 @@ pub const INVARIANTS: [Invariant; 20] = [
              OR p.mujoco_version IS NOT c.mujoco_version OR p.realisation <> c.realisation
              OR (p.fingerprint <> '' AND p.renderer IS NOT c.renderer)",
     },
-    // A result is within the step budget of its job, and its numbers within those that a
-    // worker may report.
+    // A result is within the step budget of its job, and its numbers are within the bounds of
+    // a worker's report.
     Invariant {
         name: "results_fit_their_rows",
         query: "SELECT format('the result of job %d has %d control steps, %d of them clipped, and '
@@ -310,8 +310,8 @@ pub async fn check(path: &Path) -> Result<Vec<Violation>, CheckError> {
 }
 
 /// Opens a database for reading. A file without a write-ahead log is complete and used by no
-/// process, so it is opened as immutable, without a lock. With a log, SQLite has to read both
-/// files.
+/// process, so it is opened as immutable, without a lock. If there is a log, SQLite has to read the
+/// database file and the log.
 async fn open(file: &Path) -> Result<SqliteConnection, sqlx::Error> {
     let mut log = file.as_os_str().to_owned();
     log.push("-wal");

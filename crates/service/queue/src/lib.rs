@@ -6,8 +6,8 @@
 //! SQL statements. [`View`] reads for the web page, the command line and reports. [`Queue`] is the
 //! entry point.
 //!
-//! A function that returns a [`StoreError`] fails if the database does, and has no section of
-//! errors.
+//! A function that returns a [`StoreError`] fails if the database fails; such functions have no
+//! section `# Errors`.
 
 #![forbid(unsafe_code)]
 #![allow(missing_docs, reason = "names and messages are self-explanatory")]
@@ -37,7 +37,7 @@ pub use operations::commit::{CommitReply, CommitReport, CommitVerdict};
 pub use operations::error::QueueError;
 pub use operations::films::Film;
 pub use operations::imported::{RowProblem, RowsError, WorkerProblem};
-pub use operations::local_videos::{FilmHere, Forgotten};
+pub use operations::local_videos::{FilmRemoval, LocalFilm};
 pub use operations::merge::{MergeError, Merged, merge};
 pub use operations::portable::{
     AdoptError, CopyError, FilmFile, Portable, PortableError, SourceOutcomes,

@@ -32,7 +32,7 @@ use crate::timing::Timing;
 /// Interval between checkpoints of the write-ahead log.
 const CHECKPOINT_INTERVAL: Duration = Duration::from_secs(1);
 
-/// The job table in operation.
+/// The job table of a running coordinator.
 pub struct Queue {
     pub(crate) shared: Arc<Shared>,
     /// Operations of workers, waiting for the next transaction.
@@ -76,7 +76,7 @@ impl Queue {
         Queue::start_with(store, clock, rng, timing, None).await
     }
 
-    /// As [`start`](Self::start), with remote storage for videos.
+    /// Starts like [`start`](Self::start), with remote storage for videos if it is given.
     ///
     /// # Errors
     /// If the database cannot be written.
@@ -236,8 +236,8 @@ impl Queue {
         self.release_after(attempt, reason, error, None).await
     }
 
-    /// As [`release`](Self::release), for a policy that became unreachable after `answered`
-    /// queries; `None` if it was unreachable at the first query.
+    /// Ends a lease like [`release`](Self::release), for a policy that became unreachable after it
+    /// had answered `answered` queries; `None` if it was unreachable at the first query.
     ///
     /// # Errors
     /// If the attempt is unknown or the database fails.

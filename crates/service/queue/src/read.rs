@@ -1,8 +1,8 @@
 //! Read access: one consistent view for any number of queries. Used by the web page, the command
-//! line and reports; workers never wait for it.
+//! line and reports; workers never wait for a view.
 
-/// Policy control steps of a leased `job`. Workers also count the settling steps, which results and
-/// budgets exclude.
+/// SQL column with the policy's control steps of a leased `job`. The stored count comes from
+/// heartbeats and includes the settling steps, which results and budgets exclude.
 macro_rules! policy_steps {
     () => {
         "iif(control_steps IS NULL, NULL, max(0, control_steps
@@ -29,7 +29,7 @@ use sqlx::{Sqlite, SqliteConnection, Transaction};
 
 use crate::clock::UnixMillis;
 use crate::ids::WorkerId;
-use crate::operations::settled::Settled;
+use crate::operations::settled::SettlementWatch;
 use crate::store::{Store, StoreError};
 use crate::timing::Timing;
 
@@ -57,8 +57,9 @@ pub struct View {
     held: Option<String>,
     /// Number of videos that each worker renders or uploads; workers without videos are absent.
     filming: BTreeMap<WorkerId, u32>,
-    /// Counts of settling transactions, and how many had been processed when the view began.
-    settled: Arc<Settled>,
+    /// Counts of the transactions that settled jobs.
+    settled: Arc<SettlementWatch>,
+    /// Settling transactions that derivation had processed when the view began.
     processed: u64,
 }
 
@@ -67,7 +68,7 @@ impl View {
         store: &Store,
         now: UnixMillis,
         timing: Timing,
-        settled: Arc<Settled>,
+        settled: Arc<SettlementWatch>,
         held: Option<String>,
         filming: BTreeMap<WorkerId, u32>,
     ) -> Result<View, StoreError> {

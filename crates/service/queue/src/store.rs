@@ -1,10 +1,9 @@
 //! The SQLite database: opening, locking, migrating and closing it, and its transactions.
-//! Submodules hold the SQL statements of `operations` and conversions only; decisions are made by
-//! the rules.
+//! Submodules hold only the SQL statements of `operations` and conversions of their rows; decisions
+//! are made by [`rules`](crate::rules).
 //!
-//! One coordinator owns a data folder: one connection writes, several read, in
-//! WAL mode with `synchronous=FULL`, so that a committed transaction survives a
-//! power cut.
+//! One coordinator owns a data folder: one connection writes, several read, in WAL mode with
+//! `synchronous=FULL`, so that a committed transaction survives a power cut.
 
 pub(crate) mod artifacts;
 pub(crate) mod attached;
@@ -25,6 +24,7 @@ pub(crate) mod portable;
 pub(crate) mod provenance;
 pub(crate) mod removals;
 pub(crate) mod results;
+pub(crate) mod schema;
 pub(crate) mod stops;
 pub(crate) mod workers;
 
@@ -41,7 +41,7 @@ use sqlx::pool::PoolConnection;
 use sqlx::sqlite::{
     SqliteConnectOptions, SqliteJournalMode, SqlitePool, SqlitePoolOptions, SqliteSynchronous,
 };
-use sqlx::{ConnectOptions, Connection, Sqlite, SqliteConnection, Transaction};
+use sqlx::{Connection, Sqlite, SqliteConnection, Transaction};
 
 use failpoint::{Failpoints, Side, Step};
 
@@ -52,12 +52,11 @@ const LOCK_FILE: &str = "coordinator.lock";
 /// private. Other users of the machine go through the coordinator.
 const PRIVATE_FOLDER_MODE: u32 = 0o700;
 const PRIVATE_MODE: u32 = 0o600;
-/// Read-only connections beside the writer.
+/// Number of read-only connections beside the writer.
 const READERS: u32 = 4;
 /// Longest wait of a statement for a lock held by another process, such as a backup or an
 /// interactive shell.
 const BUSY_TIMEOUT: Duration = Duration::from_secs(10);
-
 /// Longest wait for readers when the store is closed.
 const READERS_GRACE: Duration = Duration::from_secs(2);
 
@@ -72,7 +71,8 @@ pub struct Store {
     /// Device and inode of the database file at opening.
     file: (u64, u64),
     failpoints: Failpoints,
-    /// Held until the store is closed; the kernel releases it however the process ends.
+    /// Locked file, which marks the folder as owned until the store is closed. The kernel releases
+    /// the lock however the process ends.
     lock: File,
 }
 
@@ -93,7 +93,7 @@ pub enum OpenError {
         known: i64,
         program: &'static str,
     },
-    /// The database is not of this program, or its schema was altered.
+    /// The database was not written by a coordinator, or its schema was altered.
     #[error("bring database {} to schema version {known}: restore it from a backup, or choose another folder with --data", path.display())]
     Migrate {
         path: PathBuf,
@@ -125,7 +125,7 @@ pub enum StoreError {
 }
 
 impl StoreError {
-    /// Returns true if a stored value could not be decoded, so that a retry fails again.
+    /// Returns true if a stored value could not be decoded, so that a retry would also fail.
     pub(crate) fn is_undecodable(&self) -> bool {
         let Self::Statement { source, .. } = self else {
             return false;
@@ -195,12 +195,12 @@ const WRITER_CACHE_KIB: &str = "-65536";
 /// Batch sizes of INSERT statements: only a few, so that each statement stays prepared.
 const INSERTED_ROWS: [usize; 4] = [64, 16, 4, 1];
 
-/// Splits rows into batches of these sizes.
+/// Splits rows into batches whose sizes are those of [`INSERTED_ROWS`].
 pub(crate) fn insert_batches<T>(mut rows: &[T]) -> impl Iterator<Item = &[T]> {
     std::iter::from_fn(move || {
         let size = INSERTED_ROWS.into_iter().find(|size| *size <= rows.len())?;
-        let (batch, others) = rows.split_at(size);
-        rows = others;
+        let (batch, remaining) = rows.split_at(size);
+        rows = remaining;
         Some(batch)
     })
 }
@@ -280,8 +280,8 @@ impl Store {
 
     /// Sets the writer's lock timeout, instead of [`BUSY_TIMEOUT`].
     #[cfg(test)]
-    pub(crate) async fn wait_for_locks(&self, time: Duration) {
-        let pragma = format!("PRAGMA busy_timeout = {}", time.as_millis());
+    pub(crate) async fn set_lock_timeout(&self, timeout: Duration) {
+        let pragma = format!("PRAGMA busy_timeout = {}", timeout.as_millis());
         sqlx::raw_sql(sqlx::AssertSqlSafe(pragma))
             .execute(&self.writer)
             .await
@@ -292,11 +292,12 @@ impl Store {
         &self.folder
     }
 
-    /// Begins the writing transaction for these steps after the preceding one has ended.
+    /// Waits until the preceding writing transaction has ended, and begins the one that carries out
+    /// `steps`.
     ///
     /// # Errors
-    /// If the database's file is no longer in the data folder: what SQLite wrote to the
-    /// open file would be lost when this process ends.
+    /// If the database's file is no longer in the data folder: what SQLite wrote to the open file
+    /// would be lost when this process ends.
     pub(crate) async fn write(&self, steps: Vec<Step>) -> Result<Tx<'_>, StoreError> {
         if !self.is_in_place() {
             let folder = self.folder.clone();
@@ -471,7 +472,7 @@ fn lock_folder(folder: &Path) -> Result<File, OpenError> {
 }
 
 /// Restricts a database to its owner, creating the file if needed, since SQLite would create it
-/// readable by everybody. Files that SQLite creates beside it inherit its permissions.
+/// readable by everybody. Files that SQLite creates beside the database inherit its permissions.
 fn make_private(database: &Path) -> io::Result<()> {
     if !database.exists() {
         let mut new = File::options();
@@ -493,7 +494,7 @@ fn make_private(database: &Path) -> io::Result<()> {
     Ok(())
 }
 
-/// Checks the schema version of an existing database without writing to it.
+/// Refuses an existing database whose schema is newer than this program's, without writing to it.
 async fn refuse_newer_schema(path: &Path) -> Result<(), OpenError> {
     let database = |source| OpenError::Database {
         path: path.to_owned(),
@@ -556,50 +557,4 @@ pub(crate) async fn load_schema(connection: &mut SqliteConnection) -> Result<(),
             .await?;
     }
     Ok(())
-}
-
-/// Compares the schema of an untrusted database with those of all versions of this program. Returns
-/// a description of the first foreign, altered or missing object; `None` if the schema matches a
-/// version.
-///
-/// Reads only the schema table, so that nothing in the database is executed.
-pub(crate) async fn foreign_schema(path: &Path) -> Result<Option<String>, sqlx::Error> {
-    let mut model = SqliteConnection::connect("sqlite::memory:").await?;
-    let options = SqliteConnectOptions::new().filename(path).read_only(true);
-    let mut database = options
-        .immutable(true)
-        .pragma("trusted_schema", "OFF")
-        .connect()
-        .await?;
-    let found = objects(&mut database).await?;
-    database.close().await?;
-    let mut known = Vec::new();
-    for version in 1..=newest_known_schema() {
-        MIGRATIONS
-            .run_direct(Some(version), &mut model, false)
-            .await
-            .map_err(|error| sqlx::Error::Migrate(Box::new(error)))?;
-        known = objects(&mut model).await?;
-        if known == found {
-            return Ok(None);
-        }
-    }
-    let foreign = found.iter().find(|object| !known.contains(object));
-    let missing = known.iter().find(|object| !found.contains(object));
-    Ok(Some(match (foreign, missing) {
-        (Some((kind, name, _)), _) => format!("{kind} {name} is foreign or was altered"),
-        (None, Some((kind, name, _))) => format!("{kind} {name} is missing"),
-        (None, None) => "an object occurs twice".to_owned(),
-    }))
-}
-
-/// Returns all named objects of a database with their SQL, in order. This includes SQLite's
-/// automatic indices and internal tables, since a manipulated database can hold anything under
-/// their names.
-async fn objects(
-    connection: &mut SqliteConnection,
-) -> Result<Vec<(String, String, Option<String>)>, sqlx::Error> {
-    sqlx::query_as("SELECT type, name, sql FROM sqlite_schema ORDER BY type, name")
-        .fetch_all(connection)
-        .await
 }

@@ -1,4 +1,4 @@
-//! Named background tasks: when a task ends, the queue can report which one.
+//! Named background tasks, so that the queue can report the name of a task that has ended.
 
 use std::collections::HashMap;
 use std::future::Future;
@@ -7,7 +7,7 @@ use tokio::task::{Id, JoinSet};
 
 use crate::store::failpoint;
 
-/// Background tasks, aborted on drop. None ends by itself unless it panics.
+/// Background tasks, aborted on drop. A task ends by itself only if it panics.
 #[derive(Debug, Default)]
 pub struct Tasks {
     running: JoinSet<()>,
@@ -47,15 +47,15 @@ mod tests {
 
     #[tokio::test]
     async fn a_task_that_panics_is_named() {
-        for panics in ["first", "second"] {
+        for panicking in ["first", "second"] {
             let mut tasks = Tasks::default();
             for name in ["first", "second"] {
                 tasks.spawn(name, async move {
-                    assert_ne!(name, panics, "a defect");
+                    assert_ne!(name, panicking, "a defect");
                     std::future::pending().await
                 });
             }
-            assert_eq!(tasks.next_ended().await, panics);
+            assert_eq!(tasks.next_ended().await, panicking);
         }
     }
 }

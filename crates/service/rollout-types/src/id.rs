@@ -9,14 +9,14 @@ use serde::{Deserialize, Serialize};
 /// As text, 32 digits of lower-case hex.
 ///
 /// Job numbers, attempt numbers and worker names do not identify an attempt, since two coordinators
-/// assign the same ones.
+/// may assign equal numbers and names.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 #[serde(try_from = "String", into = "String")]
 pub struct AttemptId(u128);
 
 /// Invalid text of an attempt's id.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("read an attempt id: it is 32 digits of lower-case hex")]
+#[error("read an attempt id: the text must be 32 digits of lower-case hex")]
 pub struct AttemptIdError;
 
 impl AttemptId {
@@ -75,14 +75,18 @@ mod tests {
         let text = id.to_string();
         assert_eq!(text, "000102030405060708090a0b0c0d0eff");
         assert_eq!(text.parse(), Ok(id));
-        for other in [
+        for invalid in [
             "",
             "0",
             &text[1..],
             &text.to_uppercase(),
             &format!("+{}", &text[1..]),
         ] {
-            assert_eq!(other.parse::<AttemptId>(), Err(AttemptIdError), "{other}");
+            assert_eq!(
+                invalid.parse::<AttemptId>(),
+                Err(AttemptIdError),
+                "{invalid}"
+            );
         }
     }
 }

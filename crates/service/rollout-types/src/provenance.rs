@@ -12,10 +12,10 @@ pub const SOFTWARE_RENDERER: &str = "rollout-raster ";
 /// Name of the setting that holds the asset pack on which a policy was trained.
 pub const TAUGHT_ON: &str = "taught on";
 
-/// Name of the setting that holds the execution model; absent for `WAIT`.
+/// Name of the setting that holds the execution model; absent if the model is `wait`.
 pub const EXECUTION: &str = "execution model";
 
-/// The execution model of results that name none.
+/// Execution model of results without the setting [`EXECUTION`].
 const WAIT: &str = "wait";
 
 /// Asset pack, simulator and renderer of a worker. A campaign is pinned to one combination: results
@@ -84,6 +84,7 @@ pub struct Digests {
 /// Mix of fingerprints among the results of a campaign.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Fingerprints {
+    /// Number of results by fingerprint.
     pub results: BTreeMap<String, u64>,
     /// Tasks and initial states whose results have several fingerprints.
     pub mixed: Vec<String>,
@@ -92,14 +93,14 @@ pub struct Fingerprints {
 impl Pin {
     /// Returns true if a campaign pinned to `self` accepts results of a worker with the pin
     /// `worker`.
-    pub fn takes(&self, worker: &Pin) -> bool {
+    pub fn accepts(&self, worker: &Pin) -> bool {
         self.asset_pack_digest == worker.asset_pack_digest
             && self.mujoco_version == worker.mujoco_version
             && (self.renderer.is_empty() || self.renderer == worker.renderer)
     }
 
     /// Returns true if a worker with this pin meets a campaign's requirements.
-    pub fn suits(&self, wanted: &Wanted) -> bool {
+    pub fn meets(&self, wanted: &Wanted) -> bool {
         let has_pack = |name: &String| {
             self.asset_pack == *name || self.asset_pack_digest.starts_with(name.as_str())
         };
@@ -119,7 +120,7 @@ impl Provenance {
         settings.join(", ")
     }
 
-    /// Returns the text of the execution model: the robot's conduct while a response was pending.
+    /// Returns the text of the execution model: what the robot does while a response is pending.
     pub fn execution(&self) -> &str {
         self.policy_settings
             .get(EXECUTION)
@@ -128,7 +129,7 @@ impl Provenance {
 
     /// Returns the asset pack that the policy reports to have been trained on, if it differs from
     /// the one that the policy was measured on.
-    pub fn taught_elsewhere(&self) -> Option<&str> {
+    pub fn other_training_pack(&self) -> Option<&str> {
         let taught_on = self.policy_settings.get(TAUGHT_ON)?.as_str();
         let Pin {
             asset_pack,
@@ -138,13 +139,13 @@ impl Provenance {
         (taught_on != asset_pack && taught_on != asset_pack_digest).then_some(taught_on)
     }
 
-    /// Describes the first difference between the policies of two results of one campaign and
-    /// suite; `None` if they are the same. Ignores the row's execution model and the reported
-    /// training assets: neither affects the policy's actions, and a server may begin to report them
-    /// later.
-    pub fn other_policy(&self, pinned: &Provenance) -> Option<String> {
-        let differs = |value: &str, now: &str, before: &str| {
-            (now != before).then(|| format!("{value} is `{now}` now and was `{before}`"))
+    /// Describes the first difference of this result's policy from the policy of an earlier result,
+    /// `pinned`, of the same campaign and suite; `None` if the policies are the same. Ignores the
+    /// execution model and the reported training assets: neither affects the policy's actions, and
+    /// a server may begin to report them later.
+    pub fn policy_difference(&self, pinned: &Provenance) -> Option<String> {
+        let differs = |property: &str, now: &str, before: &str| {
+            (now != before).then(|| format!("{property} is `{now}` now and was `{before}`"))
         };
         let digests = [self, pinned].map(|provenance| provenance.policy_checkpoint_digest.as_str());
         let settings = &pinned.policy_settings;
@@ -205,7 +206,7 @@ mod tests {
     fn training_on_other_assets_is_detected_if_declared() {
         let training_pack = |pack, taught_on| {
             let provenance = measured_on(pack, taught_on);
-            provenance.taught_elsewhere().map(str::to_owned)
+            provenance.other_training_pack().map(str::to_owned)
         };
         assert_eq!(training_pack("libero", None), None);
         assert_eq!(training_pack("libero", Some("libero")), None);
@@ -218,7 +219,7 @@ mod tests {
     fn newly_declared_training_assets_do_not_change_the_policy() {
         let [undeclared, declared] =
             [None, Some("libero")].map(|assets| measured_on("libero", assets));
-        assert_eq!(declared.other_policy(&undeclared), None);
-        assert_eq!(undeclared.other_policy(&declared), None);
+        assert_eq!(declared.policy_difference(&undeclared), None);
+        assert_eq!(undeclared.policy_difference(&declared), None);
     }
 }

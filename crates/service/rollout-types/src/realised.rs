@@ -9,8 +9,9 @@ use serde::{Deserialize, Serialize};
 /// brightness). Values come from trigonometry and inverse kinematics, whose last bits differ
 /// between processors; different perturbations differ by far more.
 ///
-/// Values within 1e-9 must be equal and values 1e-6 apart must differ. The tolerance lies ten times
-/// above 1e-9 and a hundred times below 1e-6, so that rounding at either bound does not matter.
+/// Values within 1e-9 of each other must count as equal, and values 1e-6 apart as different. The
+/// tolerance lies ten times above 1e-9 and a hundred times below 1e-6, so that rounding at either
+/// bound does not matter.
 pub const TOLERANCE: f64 = 1e-8;
 
 /// The perturbed axes of a rollout with their realised values. Empty for a nominal rollout. Never
@@ -57,7 +58,8 @@ impl Realised {
 
 impl RealisedAxis {
     /// Describes the first difference from another realisation of the same axis; `None` if they
-    /// agree.
+    /// agree. The text ends with the other realisation's value, so that the caller can append the
+    /// place of that value.
     pub fn difference(&self, other: &RealisedAxis) -> Option<String> {
         let (
             RealisedAxis::Values {

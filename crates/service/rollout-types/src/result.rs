@@ -63,8 +63,8 @@ impl GoalProgress {
     }
 }
 
-/// Parts of a rollout's duration, seconds. The rest was spent waiting for a core, a graphics card
-/// or a disk.
+/// Parts of a rollout's duration, seconds. The remaining time was spent waiting for a core, a
+/// graphics card or a disk.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 pub struct Parts {
     /// Processor time of loading the initial state, settling and control steps.

@@ -35,8 +35,8 @@ pub(crate) struct SessionCookie {
 }
 
 impl SessionCookie {
-    /// `suffix` distinguishes this server's cookie. Over TLS, the prefix `__Host-` makes browsers
-    /// reject a cookie set by another host or over plain HTTP.
+    /// Creates the cookie of a server, whose name ends with `suffix`. Over TLS, the name's prefix
+    /// `__Host-` makes browsers reject a cookie set by another host or over plain HTTP.
     pub(crate) fn new(suffix: &str, is_encrypted: bool) -> SessionCookie {
         let prefix = if is_encrypted { "__Host-" } else { "" };
         SessionCookie {
@@ -45,8 +45,8 @@ impl SessionCookie {
         }
     }
 
-    /// Returns the `Set-Cookie` value that stores a session id: inaccessible to scripts and other
-    /// sites, sent only over TLS if this server uses TLS. It expires with the session.
+    /// Returns the `Set-Cookie` value that stores a session id for `secs` seconds. The cookie is
+    /// inaccessible to scripts and other sites, and is sent only over TLS if this server uses TLS.
     pub(crate) fn set(&self, session: &str, secs: u64) -> String {
         let secure = if self.is_encrypted { "; Secure" } else { "" };
         let name = &self.name;
@@ -94,10 +94,10 @@ pub(crate) fn check_call<B>(request: &Request<B>) -> Result<(), Status> {
     }
 }
 
-/// Refuses a request for a page if it is cross-site, unless the user followed a link. If no token
-/// is required, the host name must also be one that nobody can own on the Internet. Otherwise a
-/// page could rebind its own DNS name to an address of this machine, and the browser would treat
-/// this server as same-origin with that page.
+/// Refuses a cross-site request for a page, unless the user followed a link. If no token is
+/// required, also refuses a host name that somebody could own on the Internet: a page could rebind
+/// its own DNS name to an address of this machine, and the browser would treat this server as
+/// same-origin with that page.
 pub(crate) fn check_page<B>(request: &Request<B>, asks_for_tokens: bool) -> Result<(), Status> {
     let host = host(request);
     // Browsers use HTTP/2 only over TLS, where the certificate covers the name.
@@ -277,22 +277,22 @@ mod tests {
             assert!(check_page(&request, true).is_ok(), "{host}");
             check_page(&request, false).is_err()
         };
-        for own in [
+        for private in [
             "127.0.0.1:7411",
             "localhost",
             "[::1]:7411",
             "10.0.0.7",
             "keeper:7411",
         ] {
-            assert!(!refused(own), "{own}");
+            assert!(!refused(private), "{private}");
         }
-        for foreign in [
+        for public in [
             "evil.example:7411",
             "127.0.0.1.evil.example",
             "",
             "keeper.lab",
         ] {
-            assert!(refused(foreign), "{foreign}");
+            assert!(refused(public), "{public}");
         }
     }
 
@@ -317,18 +317,18 @@ mod tests {
     #[tokio::test]
     async fn browsers_are_redirected_to_the_log_in_and_programs_get_text() {
         let status = Status::unauthenticated(NO_TOKEN);
-        let person = request(Version::HTTP_11, &[(header::ACCEPT, "text/html,*/*")]);
-        let answer = refusal(&status, &person, Some("/login"));
+        let browser = request(Version::HTTP_11, &[(header::ACCEPT, "text/html,*/*")]);
+        let answer = refusal(&status, &browser, Some("/login"));
         assert_eq!(answer.status(), StatusCode::SEE_OTHER);
         let target = &answer.headers()[header::LOCATION];
         assert_eq!(target, "/login?next=/campaigns/a%3Fb%3Dc%26d");
         let program = refusal(&status, &request(Version::HTTP_11, &[]), Some("/login"));
         assert_eq!(program.status(), StatusCode::UNAUTHORIZED);
         assert_eq!(program.headers()[header::WWW_AUTHENTICATE], "Bearer");
-        let call = refusal(&status, &person, None);
-        assert_eq!(call.status(), StatusCode::UNAUTHORIZED);
+        let without_log_in = refusal(&status, &browser, None);
+        assert_eq!(without_log_in.status(), StatusCode::UNAUTHORIZED);
         for message in [NO_TOKEN, UNKNOWN_TOKEN, OTHER_USER] {
-            let refused = refusal(&Status::unauthenticated(message), &person, None);
+            let refused = refusal(&Status::unauthenticated(message), &browser, None);
             let mut body = refused.into_body();
             let frame = poll_fn(|context| Pin::new(&mut body).poll_frame(context)).await;
             let bytes = frame.expect("a text").expect("whole").into_data();

@@ -15,11 +15,12 @@ use crate::browser::SessionCookie;
 
 /// Lifetime of a session, regardless of its use: a working day.
 pub const SESSION_LIFETIME: Duration = Duration::from_secs(12 * 3600);
-/// Most concurrent sessions. Beyond them, the oldest is dropped.
+/// Most concurrent sessions. A further log-in ends the oldest session.
 pub const MAX_SESSIONS: usize = 1_024;
 /// Random bytes in a session id.
 const SESSION_ID_BYTES: usize = 16;
 
+/// The open sessions of a server's browsers, and the cookie that holds their ids.
 #[derive(Clone, Debug)]
 pub(crate) struct BrowserSessions {
     cookie: SessionCookie,
@@ -35,7 +36,8 @@ impl BrowserSessions {
         }
     }
 
-    /// Starts a session. Returns the `Set-Cookie` value with its id.
+    /// Starts a session. Returns the `Set-Cookie` value with its id, or `None` if the system
+    /// provides no randomness.
     pub(crate) fn log_in(&self) -> Option<String> {
         let session = self.sessions().begin(Instant::now())?;
         Some(self.cookie.set(&session, SESSION_LIFETIME.as_secs()))
@@ -111,14 +113,14 @@ mod tests {
     fn a_session_is_open_until_it_expires_or_is_ended() {
         let mut sessions = Sessions::default();
         let start = Instant::now();
-        let [one, two] = [0; 2].map(|_| sessions.begin(start).expect("randomness"));
-        assert_ne!(one, two);
-        assert_eq!(one.len(), 2 * SESSION_ID_BYTES);
+        let [first, second] = [0; 2].map(|_| sessions.begin(start).expect("randomness"));
+        assert_ne!(first, second);
+        assert_eq!(first.len(), 2 * SESSION_ID_BYTES);
         let last = start + SESSION_LIFETIME - Duration::from_secs(1);
-        assert!(sessions.is_open(&one, last) && sessions.is_open(&two, last));
-        sessions.end(&one);
-        assert!(!sessions.is_open(&one, last) && sessions.is_open(&two, last));
-        assert!(!sessions.is_open(&two, start + SESSION_LIFETIME));
+        assert!(sessions.is_open(&first, last) && sessions.is_open(&second, last));
+        sessions.end(&first);
+        assert!(!sessions.is_open(&first, last) && sessions.is_open(&second, last));
+        assert!(!sessions.is_open(&second, start + SESSION_LIFETIME));
         assert!(!sessions.is_open("", start));
     }
 

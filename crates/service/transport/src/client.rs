@@ -20,7 +20,7 @@ use tonic::service::Interceptor;
 use tonic::transport::{Certificate, Channel, ClientTlsConfig, Endpoint};
 use tonic::{Request, Status};
 
-use crate::found::Found;
+use crate::found::ProbeResult;
 use crate::server::{HANDSHAKE_TIMEOUT, SecurityError, read_pem, tokens};
 use crate::token::{Role, Token, TokenError, Tokens};
 use crate::users::check_server;
@@ -105,8 +105,8 @@ pub enum AccessError {
 }
 
 impl ClientArguments {
-    /// Reads the credentials that the arguments and the environment name. `roles` are those that
-    /// this program can use, best first.
+    /// Reads the credentials that the arguments and the environment name. `roles` are the roles
+    /// whose tokens this program can use, in order of preference.
     pub fn access(&self, roles: &[Role]) -> Result<Access, AccessError> {
         let tokens = tokens(self.token_file.as_deref())?;
         Access::new(self.ca.as_deref(), tokens, roles)
@@ -119,8 +119,8 @@ impl Access {
         Access::default()
     }
 
-    /// Reads files only, not the environment: for a program that is both a server with its own
-    /// tokens and a client of other servers.
+    /// Reads credentials from files only, not from the environment: for a program that is both a
+    /// server with its own tokens and a client of other servers.
     pub fn from_files(
         ca: Option<&Path>,
         token_file: Option<&Path>,
@@ -187,9 +187,13 @@ impl Access {
     /// # Errors
     /// If the token would be sent unencrypted to another user of this machine; the error is the
     /// finding.
-    pub async fn check_connection(&self, uri: &Uri, connection: &TcpStream) -> Result<(), Found> {
+    pub async fn check_connection(
+        &self,
+        uri: &Uri,
+        connection: &TcpStream,
+    ) -> Result<(), ProbeResult> {
         match self.sends_token_unencrypted(uri) {
-            true => check_server(connection).await.map_err(Found::from),
+            true => check_server(connection).await.map_err(ProbeResult::from),
             false => Ok(()),
         }
     }
@@ -292,7 +296,7 @@ fn authority(path: &Path) -> Result<Vec<u8>, AccessError> {
     }
 }
 
-/// Returns `None` if one of the certificates is invalid.
+/// Parses certificates; `None` if one of them is invalid.
 fn roots(pem: &[u8]) -> Option<RootCertStore> {
     let mut roots = RootCertStore::empty();
     for certificate in CertificateDer::pem_slice_iter(pem) {
@@ -361,7 +365,7 @@ print('listening', flush=True)
 print('got', len(listener.accept()[0].recv(1000)), flush=True)
 ";
 
-    /// A channel that reconnects repeats the check before it sends anything.
+    /// A channel that reconnects repeats the check of the server's user before it sends anything.
     #[tokio::test]
     async fn a_server_is_checked_at_every_connection() {
         if !rustix::process::geteuid().is_root() {

@@ -19,7 +19,7 @@ impl EndpointError {
 /// Parses a gRPC server's URL.
 ///
 /// # Errors
-/// If it has another scheme, or no host.
+/// If the URL has another scheme, no host, or a path.
 pub fn parse_endpoint(url: &str) -> Result<Endpoint, EndpointError> {
     let error = || EndpointError {
         given: url.to_owned(),

@@ -4,8 +4,7 @@ use std::error::Error;
 
 use tonic::{Code, Status};
 
-/// Formats an error and its causes in one line, without text that a cause repeats from the error
-/// before it.
+/// Formats an error and its causes in one line, without the causes whose text is already in it.
 pub fn chain(error: &(dyn Error + 'static)) -> String {
     let mut text = error_text(error);
     let mut cause = error.source();
@@ -32,13 +31,13 @@ pub fn innermost(error: &(dyn Error + 'static)) -> String {
 /// and the raw details.
 fn error_text(error: &(dyn Error + 'static)) -> String {
     match error.downcast_ref::<Status>() {
-        Some(status) => answer(status),
+        Some(status) => status_text(status),
         None => error.to_string(),
     }
 }
 
-/// Returns a server's error message, or the status code if it gave none.
-pub fn answer(status: &Status) -> String {
+/// Returns the message of a status, or its code if the server gave no message.
+pub fn status_text(status: &Status) -> String {
     match status.message() {
         "" => format!("gRPC status {:?}, without a reason", status.code()),
         message => message.to_owned(),
@@ -55,15 +54,15 @@ pub fn is_outage_code(code: Code) -> bool {
 }
 
 /// Returns true if a call failed because of the server or the network, rather than because of the
-/// request. INTERNAL counts as an answer: a policy failed on this observation.
+/// request. INTERNAL is not an outage: the policy answered, and failed on this observation.
 pub fn is_outage(status: &Status) -> bool {
     // A status that this side created for a broken connection has a source; a status from the
     // server has none.
     is_outage_code(status.code()) || status.source().is_some()
 }
 
-/// Returns true if the same call may succeed later: everything but a refusal with a reason.
-/// INTERNAL is retried: a coordinator returns it when its disk is full.
+/// Returns true if the same call may succeed later, that is, for every code except those of a
+/// refusal. INTERNAL is retried: a coordinator returns it when its disk is full.
 pub fn may_succeed_later(status: &Status) -> bool {
     !matches!(
         status.code(),

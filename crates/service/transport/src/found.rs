@@ -1,4 +1,5 @@
-//! Diagnosis of a failed call, with its remedy as text. Pure; `probe` does the network access.
+//! Diagnosis of a failed call, with its remedy as text. This module does no network access; `probe`
+//! does.
 
 use std::fmt;
 
@@ -82,6 +83,7 @@ pub enum CertificateFault {
         days: u64,
     },
     NotYetValid,
+    /// The certificate is valid for other host names.
     OtherName {
         names: Vec<String>,
     },
@@ -96,7 +98,7 @@ pub enum CertificateFault {
 
 /// Result of probing an address at which a call failed.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Found {
+pub enum ProbeResult {
     /// The host name does not resolve.
     UnknownHost,
     /// The connection is refused.
@@ -115,7 +117,7 @@ pub enum Found {
     /// The server uses TLS, and the client does not.
     Encrypted,
     /// The server does not use TLS, and the client does.
-    Clear,
+    Unencrypted,
     /// The certificate is not trusted.
     Certificate(CertificateFault),
     /// The TLS handshake failed for another reason.
@@ -126,115 +128,115 @@ pub enum Found {
     /// A web server that does not implement the expected protocol.
     Web {
         /// First line of the answer, or its HTTP status.
-        said: String,
-        /// True if it is a proxy whose backend is unavailable.
-        is_proxy_waiting: bool,
+        answer: String,
+        /// True if the web server is a proxy whose backend is unavailable.
+        is_backend_down: bool,
     },
     /// An SSH server.
     Ssh,
-    /// A server of an unknown protocol.
-    Other { said: String },
+    /// A server of an unknown protocol, with the first line of its answer.
+    Other { answer: String },
     /// A server that accepts the connection, then sends nothing or closes the connection.
     Mute,
-    /// A server of another kind of this project.
+    /// A server of this project, but of another kind.
     OtherKind(ServerKind),
     /// A gRPC server of another project.
     OtherGrpc,
-    /// The right kind of server, but a version without this call.
-    Older,
-    /// The right server, reachable now; the connection broke.
+    /// The expected kind of server, in a version without the requested call.
+    LacksCall,
+    /// The expected server, which is reachable now; the connection of the failed call broke.
     Broken,
 }
 
-impl From<Untrusted> for Found {
-    fn from(untrusted: Untrusted) -> Found {
+impl From<Untrusted> for ProbeResult {
+    fn from(untrusted: Untrusted) -> ProbeResult {
         match untrusted {
-            Untrusted::AnotherUser => Found::AnotherUser,
-            Untrusted::UnknownUser => Found::UnknownUser,
+            Untrusted::AnotherUser => ProbeResult::AnotherUser,
+            Untrusted::UnknownUser => ProbeResult::UnknownUser,
         }
     }
 }
 
 /// HTTP statuses of a proxy whose backend is unavailable.
-const PROXY_WAITING: [u16; 3] = [502, 503, 504];
+const BACKEND_DOWN: [u16; 3] = [502, 503, 504];
 
-impl Found {
+impl ProbeResult {
     /// Classifies a web server that answered with this HTTP status.
-    pub fn web(status: u16) -> Found {
-        Found::Web {
-            said: format!("HTTP status {status}"),
-            is_proxy_waiting: PROXY_WAITING.contains(&status),
+    pub fn web(status: u16) -> ProbeResult {
+        ProbeResult::Web {
+            answer: format!("HTTP status {status}"),
+            is_backend_down: BACKEND_DOWN.contains(&status),
         }
     }
 
     /// Classifies a web server whose answer begins with this line.
-    pub(crate) fn web_line(answer: String) -> Found {
+    pub(crate) fn web_line(answer: String) -> ProbeResult {
         let status = answer
             .split_whitespace()
             .nth(1)
             .and_then(|word| word.parse().ok());
-        Found::Web {
-            is_proxy_waiting: status.is_some_and(|code| PROXY_WAITING.contains(&code)),
-            said: answer,
+        ProbeResult::Web {
+            is_backend_down: status.is_some_and(|code| BACKEND_DOWN.contains(&code)),
+            answer,
         }
     }
 
     /// Returns true if the settings of client or server are wrong, so that retrying is useless.
     pub fn is_final(&self) -> bool {
         match self {
-            Found::AnotherUser
-            | Found::Encrypted
-            | Found::Clear
-            | Found::Certificate(_)
-            | Found::OtherTls(_)
-            | Found::Ssh
-            | Found::Other { .. }
-            | Found::OtherKind(_)
-            | Found::OtherGrpc
-            | Found::Older => true,
-            Found::Web {
-                is_proxy_waiting, ..
-            } => !is_proxy_waiting,
-            Found::UnknownHost
-            | Found::Nothing
-            | Found::NoAnswer
-            | Found::System(_)
-            | Found::UnknownUser
-            | Found::Mute
-            | Found::Broken => false,
+            ProbeResult::AnotherUser
+            | ProbeResult::Encrypted
+            | ProbeResult::Unencrypted
+            | ProbeResult::Certificate(_)
+            | ProbeResult::OtherTls(_)
+            | ProbeResult::Ssh
+            | ProbeResult::Other { .. }
+            | ProbeResult::OtherKind(_)
+            | ProbeResult::OtherGrpc
+            | ProbeResult::LacksCall => true,
+            ProbeResult::Web {
+                is_backend_down, ..
+            } => !is_backend_down,
+            ProbeResult::UnknownHost
+            | ProbeResult::Nothing
+            | ProbeResult::NoAnswer
+            | ProbeResult::System(_)
+            | ProbeResult::UnknownUser
+            | ProbeResult::Mute
+            | ProbeResult::Broken => false,
         }
     }
 }
 
-/// Reason why a server could not be called, with its remedy. The message follows the server's
-/// address and a colon.
+/// Reason why a call to a server failed, with the remedy. The message follows the server's address
+/// and a colon.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 #[error("{}; {}", self.finding(), Remedy(self))]
-pub struct Trouble {
+pub struct ConnectError {
     /// Kind of server that was expected.
     pub expected: ServerKind,
     /// Host name of the server.
     pub host: String,
     /// Finding at the address.
-    pub found: Found,
+    pub found: ProbeResult,
     /// True if the client has a certificate authority.
     pub has_authority: bool,
     /// Names of the settings for the remedy.
     pub settings: Settings,
 }
 
-impl Trouble {
+impl ConnectError {
     /// Describes the finding, without the remedy.
     pub fn finding(&self) -> impl fmt::Display {
         Finding(self)
     }
 }
 
-struct Finding<'a>(&'a Trouble);
+struct Finding<'a>(&'a ConnectError);
 
 impl fmt::Display for Finding<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        let Trouble {
+        let ConnectError {
             expected,
             host,
             found,
@@ -242,83 +244,89 @@ impl fmt::Display for Finding<'_> {
             has_authority,
         } = self.0;
         match found {
-            Found::UnknownHost => write!(f, "no address is known for the name `{host}`"),
-            Found::Nothing => f.write_str("nothing listens there"),
-            Found::NoAnswer => f.write_str("the machine does not answer"),
-            Found::System(message) => {
+            ProbeResult::UnknownHost => write!(f, "no address is known for the name `{host}`"),
+            ProbeResult::Nothing => f.write_str("nothing listens there"),
+            ProbeResult::NoAnswer => f.write_str("the machine does not answer"),
+            ProbeResult::System(message) => {
                 write!(f, "the operating system cannot connect to it ({message})")
             }
-            Found::AnotherUser => write!(f, "{}", Untrusted::AnotherUser),
-            Found::UnknownUser => write!(f, "{}", Untrusted::UnknownUser),
-            Found::Encrypted => f.write_str("the server there uses TLS"),
-            Found::Clear => f.write_str("the server there does not use TLS"),
-            Found::Certificate(CertificateFault::Untrusted) if *has_authority => write!(
+            ProbeResult::AnotherUser => write!(f, "{}", Untrusted::AnotherUser),
+            ProbeResult::UnknownUser => write!(f, "{}", Untrusted::UnknownUser),
+            ProbeResult::Encrypted => f.write_str("the server there uses TLS"),
+            ProbeResult::Unencrypted => f.write_str("the server there does not use TLS"),
+            ProbeResult::Certificate(CertificateFault::Untrusted) if *has_authority => write!(
                 f,
                 "its certificate was not signed by the authority that {} names",
                 settings.authority
             ),
-            Found::Certificate(CertificateFault::Untrusted) => {
+            ProbeResult::Certificate(CertificateFault::Untrusted) => {
                 f.write_str("its certificate was signed by an authority that is not known here")
             }
-            Found::Certificate(CertificateFault::Expired { days }) => match days {
+            ProbeResult::Certificate(CertificateFault::Expired { days }) => match days {
                 0 => f.write_str("its certificate expired today"),
                 1 => f.write_str("its certificate expired a day ago"),
                 days => write!(f, "its certificate expired {days} days ago"),
             },
-            Found::Certificate(CertificateFault::NotYetValid) => {
+            ProbeResult::Certificate(CertificateFault::NotYetValid) => {
                 f.write_str("its certificate is not valid yet")
             }
-            Found::Certificate(CertificateFault::OtherName { names }) => match names.is_empty() {
-                true => write!(
-                    f,
-                    "its certificate names no host, so it is not valid for `{host}`"
-                ),
-                false => write!(
-                    f,
-                    "its certificate is for {}, not for `{host}`",
-                    names.join(", ")
-                ),
-            },
-            Found::Certificate(CertificateFault::Authority) => f.write_str(
+            ProbeResult::Certificate(CertificateFault::OtherName { names }) => {
+                match names.is_empty() {
+                    true => write!(
+                        f,
+                        "its certificate names no host, so it is not valid for `{host}`"
+                    ),
+                    false => write!(
+                        f,
+                        "its certificate is for {}, not for `{host}`",
+                        names.join(", ")
+                    ),
+                }
+            }
+            ProbeResult::Certificate(CertificateFault::Authority) => f.write_str(
                 "its certificate is that of a certificate authority, which a server must not use",
             ),
-            Found::Certificate(CertificateFault::Unusable(message)) => {
+            ProbeResult::Certificate(CertificateFault::Unusable(message)) => {
                 write!(f, "its certificate cannot be used ({message})")
             }
-            Found::OtherTls(message) => write!(f, "TLS with it fails ({message})"),
-            Found::Web {
-                said: answer,
-                is_proxy_waiting: true,
+            ProbeResult::OtherTls(message) => write!(f, "TLS with it fails ({message})"),
+            ProbeResult::Web {
+                answer,
+                is_backend_down: true,
             } => write!(
                 f,
                 "a proxy there cannot reach the server behind it ({answer})"
             ),
-            Found::Web { said: answer, .. } => {
+            ProbeResult::Web { answer, .. } => {
                 write!(f, "a web server of another kind is there ({answer})")
             }
-            Found::Ssh => f.write_str("an SSH server is there"),
-            Found::Other { said: answer } => {
+            ProbeResult::Ssh => f.write_str("an SSH server is there"),
+            ProbeResult::Other { answer } => {
                 write!(
                     f,
                     "a server of another kind is there, whose answer begins with {answer:?}"
                 )
             }
-            Found::Mute => f.write_str("the server there closes the connection or sends nothing"),
-            Found::OtherKind(kind) => {
+            ProbeResult::Mute => {
+                f.write_str("the server there closes the connection or sends nothing")
+            }
+            ProbeResult::OtherKind(kind) => {
                 write!(f, "{} is there, not {}", kind.article(), expected.article())
             }
-            Found::OtherGrpc => write!(
+            ProbeResult::OtherGrpc => write!(
                 f,
                 "a gRPC server is there, and it is not {}",
                 expected.article()
             ),
-            Found::Older => write!(f, "{} there does not have this call", expected.definite()),
-            Found::Broken => f.write_str("the connection ended before the answer came"),
+            ProbeResult::LacksCall => {
+                write!(f, "{} there does not have this call", expected.definite())
+            }
+            ProbeResult::Broken => f.write_str("the connection ended before the answer came"),
         }
     }
 }
 
-struct Remedy<'a>(&'a Trouble);
+struct Remedy<'a>(&'a ConnectError);
 
 impl fmt::Display for Remedy<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
@@ -331,88 +339,92 @@ impl fmt::Display for Remedy<'_> {
             encrypted,
         } = trouble.settings;
         match &trouble.found {
-            Found::UnknownHost => write!(f, "correct the host's name in {address}"),
-            Found::Nothing => write!(
+            ProbeResult::UnknownHost => write!(f, "correct the host's name in {address}"),
+            ProbeResult::Nothing => write!(
                 f,
                 "{}, or name another in {address}",
                 expected.start_instruction()
             ),
-            Found::NoAnswer => write!(
+            ProbeResult::NoAnswer => write!(
                 f,
                 "check that the machine is running and that no firewall blocks the connection, or \
                  name another in {address}"
             ),
-            Found::System(_) => write!(f, "correct {address}"),
-            Found::AnotherUser => write!(
+            ProbeResult::System(_) => write!(f, "correct {address}"),
+            ProbeResult::AnotherUser => write!(
                 f,
                 "stop that program, or let {} use TLS and write {encrypted} in place of {clear} \
                  in {address}",
                 expected.definite()
             ),
-            Found::UnknownUser => write!(
+            ProbeResult::UnknownUser => write!(
                 f,
                 "try again, or let {} use TLS and write {encrypted} in place of {clear} in \
                  {address}",
                 expected.definite()
             ),
-            Found::Encrypted => {
+            ProbeResult::Encrypted => {
                 write!(f, "write {encrypted} in place of {clear} in {address}")?;
                 match trouble.has_authority {
                     true => Ok(()),
                     false => write!(f, ", and name its certificate authority with {authority}"),
                 }
             }
-            Found::Clear => write!(
+            ProbeResult::Unencrypted => write!(
                 f,
                 "write {clear} in place of {encrypted} in {address}, or start the server with \
                  --tls-cert and --tls-key"
             ),
-            Found::Certificate(CertificateFault::Untrusted) => write!(
+            ProbeResult::Certificate(CertificateFault::Untrusted) => write!(
                 f,
                 "name the certificate of the authority that signed it with {authority}"
             ),
-            Found::Certificate(CertificateFault::Expired { .. }) => {
+            ProbeResult::Certificate(CertificateFault::Expired { .. }) => {
                 f.write_str("start the server with a new one in --tls-cert")
             }
-            Found::Certificate(CertificateFault::NotYetValid) => {
+            ProbeResult::Certificate(CertificateFault::NotYetValid) => {
                 f.write_str("correct the clocks of both machines")
             }
-            Found::Certificate(CertificateFault::OtherName { .. }) => write!(
+            ProbeResult::Certificate(CertificateFault::OtherName { .. }) => write!(
                 f,
                 "write a name in {address} that the certificate is for, or start the server with a \
                  certificate for `{}`",
                 trouble.host
             ),
-            Found::Certificate(_) => f.write_str(
+            ProbeResult::Certificate(_) => f.write_str(
                 "start the server with its own certificate, signed by the authority: see \
                  docs/OPERATING.md",
             ),
-            Found::OtherTls(_) => f.write_str("let the server use TLS 1.2 or 1.3, and HTTP/2"),
-            Found::Web {
-                is_proxy_waiting: true,
+            ProbeResult::OtherTls(_) => {
+                f.write_str("let the server use TLS 1.2 or 1.3, and HTTP/2")
+            }
+            ProbeResult::Web {
+                is_backend_down: true,
                 ..
             } => f.write_str(expected.start_instruction()),
-            Found::Web { .. }
-            | Found::Ssh
-            | Found::Other { .. }
-            | Found::OtherKind(_)
-            | Found::OtherGrpc => write!(
+            ProbeResult::Web { .. }
+            | ProbeResult::Ssh
+            | ProbeResult::Other { .. }
+            | ProbeResult::OtherKind(_)
+            | ProbeResult::OtherGrpc => write!(
                 f,
                 "name the address of {} in {address}",
                 expected.definite()
             ),
-            Found::Mute => write!(
+            ProbeResult::Mute => write!(
                 f,
                 "check that {address} names the port of {}",
                 expected.definite()
             ),
-            Found::Older => f.write_str(match expected {
+            ProbeResult::LacksCall => f.write_str(match expected {
                 ServerKind::Coordinator => "use the same version of both programs",
                 ServerKind::Policy | ServerKind::Openpi | ServerKind::VlaEval => {
                     "implement every call of rollout.policy.v1, which policy.proto describes"
                 }
             }),
-            Found::Broken => f.write_str("try again; the server's log says why, if it failed"),
+            ProbeResult::Broken => {
+                f.write_str("try again; the server's log says why, if it failed")
+            }
         }
     }
 }

@@ -1,7 +1,8 @@
 //! The gate before a server's calls and pages. It limits the request rate of each connection,
-//! checks access by the server's table of paths, and logs refusals, including those of the calls
-//! behind it, whose messages it truncates. The path alone decides whether a request is a call;
-//! headers do not, because another site's page can choose them. Message bodies are not inspected.
+//! checks access by the server's table of paths, and logs refusals. Refusals by the calls behind
+//! the gate are logged too, and their messages are truncated. The path alone decides whether a
+//! request is a call; headers do not, because another site's page can choose them. Message bodies
+//! are not inspected.
 
 use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};

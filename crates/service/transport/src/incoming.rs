@@ -4,8 +4,8 @@
 //! Each connection costs a file descriptor, and anyone who can reach the port can open thousands.
 //! Three rules keep room for active callers. A connection is closed if its first bytes do not
 //! arrive in time, or if nothing passes for minutes (live HTTP/2 connections carry pings). Beyond
-//! the limit, the oldest connection that has sent nothing yet is evicted for the next one. An
-//! address that fills its share with active connections is refused further ones.
+//! the limit, the oldest connection that has not sent its greeting yet is evicted for the next one.
+//! An address that fills its share with active connections is refused further connections.
 
 use std::collections::HashMap;
 use std::future::Future;
@@ -38,7 +38,7 @@ const GREETING_BYTES: usize = 24;
 pub const IDLE_TIMEOUT: Duration = Duration::from_secs(180);
 /// File descriptors reserved for databases, videos and backends.
 const RESERVED_DESCRIPTORS: u64 = 96;
-/// Fewest connections, however low the descriptor limit is.
+/// Number of connections that are allowed however low the descriptor limit is.
 const MIN_CONNECTIONS: usize = 8;
 /// Highest descriptor limit that is requested.
 const WANTED_DESCRIPTORS: u64 = 65_536;
@@ -113,8 +113,8 @@ impl OpenConnections {
     }
 
     /// Takes a slot for connection `number`; numbers follow the order of arrival. At a limit, the
-    /// oldest silent connection is evicted: of the same address if that one is over its share,
-    /// otherwise of any address. Returns `None` if no slot is free.
+    /// oldest silent connection is evicted: of the same address if that address has used its share,
+    /// otherwise of any address. Returns `None` if there is no silent connection to evict.
     fn take_slot(
         self: &Arc<OpenConnections>,
         number: u64,
@@ -291,9 +291,11 @@ pub struct Incoming {
     open: Arc<OpenConnections>,
     /// Longest time of a connection without traffic.
     idle: Duration,
+    /// Number of connections accepted so far.
     accepted: u64,
+    /// Length of the next pause after a failed accept.
     pause: Duration,
-    /// Pause after a failed accept.
+    /// The pause in progress.
     waiting: Option<Pin<Box<Sleep>>>,
     /// Time of the last log entry about too many connections.
     logged: Option<Instant>,
@@ -409,8 +411,8 @@ mod tests {
     }
 
     /// Takes a slot for an active connection.
-    fn active(open: &Arc<OpenConnections>, number: u64, of: IpAddr) -> Option<Slot> {
-        let (slot, _) = open.take_slot(number, of)?;
+    fn active(open: &Arc<OpenConnections>, number: u64, caller: IpAddr) -> Option<Slot> {
+        let (slot, _) = open.take_slot(number, caller)?;
         open.lock().get_mut(&number).expect("an entry").evict = None;
         Some(slot)
     }
@@ -433,7 +435,7 @@ mod tests {
     #[test]
     fn active_connections_of_one_address_leave_the_others_their_share() {
         let open = open(4, 3);
-        let others = open.take_slot(1, address(2)).expect("a slot");
+        let silent = open.take_slot(1, address(2)).expect("a slot");
         let taken: Vec<Slot> = (2..=4)
             .filter_map(|number| active(&open, number, address(1)))
             .collect();
@@ -449,7 +451,7 @@ mod tests {
         // Another address evicts the silent connection.
         assert!(open.take_slot(6, address(3)).is_some());
         assert!(!open.lock().contains_key(&1));
-        drop((others, taken));
+        drop((silent, taken));
     }
 
     /// Connects to `incoming`; returns both ends.
@@ -468,7 +470,7 @@ mod tests {
         Incoming::new(listener)
     }
 
-    /// Time until a read of a silent connection fails.
+    /// Returns the time until a read of a silent connection fails.
     async fn time_until_closed(connection: &mut Watched) -> Duration {
         let begun = Instant::now();
         let read = timeout(4 * GREETING_TIMEOUT, connection.read_u8()).await;

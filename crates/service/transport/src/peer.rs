@@ -13,7 +13,7 @@ use tonic::transport::{Channel, Endpoint};
 use tonic::{Code, Status};
 
 use crate::client::Access;
-use crate::found::{Found, ServerKind, Settings, Trouble};
+use crate::found::{ConnectError, ProbeResult, ServerKind, Settings};
 use crate::probe::{self, HttpVersion, ProbeTarget};
 use crate::users::Untrusted;
 
@@ -34,8 +34,8 @@ pub struct Peer {
 }
 
 impl Peer {
-    /// Describes the server expected at an endpoint, and the settings of its
-    /// address.
+    /// Creates the peer at an endpoint, where a server of `kind` is expected. `settings` name the
+    /// client's settings of the address in remedies.
     pub fn new(endpoint: Endpoint, access: &Access, kind: ServerKind, settings: Settings) -> Peer {
         Peer {
             endpoint,
@@ -45,9 +45,9 @@ impl Peer {
         }
     }
 
-    /// Diagnoses a failed call; `None` if the failure was the server's own answer. Probes the
-    /// address, which takes a few seconds at most.
-    pub async fn trouble(&self, status: &Status) -> Option<Trouble> {
+    /// Diagnoses a failed call; `None` if the server itself answered with the failure. May probe
+    /// the address, which takes a few seconds at most.
+    pub async fn diagnose(&self, status: &Status) -> Option<ConnectError> {
         let found = match status.source() {
             Some(_) => match connection_finding(status) {
                 Some(found) => found,
@@ -59,20 +59,21 @@ impl Peer {
         };
         // The probe found the right server, which lacks only the requested call.
         let found = match found {
-            Found::Broken if status.code() == Code::Unimplemented => Found::Older,
+            ProbeResult::Broken if status.code() == Code::Unimplemented => ProbeResult::LacksCall,
             found => found,
         };
-        Some(self.found(found))
+        Some(self.error(found))
     }
 
-    /// Probes the server's address, for clients that do not use gRPC.
-    pub async fn probe(&self) -> Trouble {
-        self.found(self.probe_address().await)
+    /// Diagnoses a failed connection by probing the server's address, for clients that do not use
+    /// gRPC.
+    pub async fn probe(&self) -> ConnectError {
+        self.error(self.probe_address().await)
     }
 
-    /// Returns the diagnosis for a finding at this server.
-    pub fn found(&self, found: Found) -> Trouble {
-        Trouble {
+    /// Returns the error for a finding at this server's address.
+    pub fn error(&self, found: ProbeResult) -> ConnectError {
+        ConnectError {
             expected: self.kind,
             host: host(self.endpoint.uri()).to_owned(),
             found,
@@ -81,7 +82,7 @@ impl Peer {
         }
     }
 
-    async fn probe_address(&self) -> Found {
+    async fn probe_address(&self) -> ProbeResult {
         let uri = self.endpoint.uri();
         let is_encrypted = Access::is_encrypted(uri);
         let target = ProbeTarget {
@@ -97,30 +98,32 @@ impl Peer {
         };
         let tls = match self.access.tls(protocols) {
             Ok(tls) => tls,
-            Err(error) => return Found::OtherTls(error.to_string()),
+            Err(error) => return ProbeResult::OtherTls(error.to_string()),
         };
         match (probe::identify(target, &tls).await, self.kind) {
             (Err(found), _) => found,
-            (Ok(HttpVersion::Http1(_)), ServerKind::Openpi | ServerKind::VlaEval) => Found::Broken,
-            (Ok(HttpVersion::Http1(line)), _) => Found::web_line(line),
+            (Ok(HttpVersion::Http1(_)), ServerKind::Openpi | ServerKind::VlaEval) => {
+                ProbeResult::Broken
+            }
+            (Ok(HttpVersion::Http1(line)), _) => ProbeResult::web_line(line),
             (Ok(HttpVersion::Http2), _) => self.kind_at_address().await,
         }
     }
 
     /// Determines the kind of this project's server at the address.
-    async fn kind_at_address(&self) -> Found {
+    async fn kind_at_address(&self) -> ProbeResult {
         let Some(channel) = self.access.channel(self.http_endpoint()).await else {
-            return Found::Broken;
+            return ProbeResult::Broken;
         };
         let others = ServerKind::OF_GRPC
             .into_iter()
             .filter(|kind| *kind != self.kind);
-        let mut finding = Found::OtherGrpc;
+        let mut finding = ProbeResult::OtherGrpc;
         for kind in [self.kind].into_iter().chain(others) {
             let Some(path) = kind.call() else { continue };
             match self.has_call(channel.clone(), path).await {
-                Ok(true) if kind == self.kind => return Found::Broken,
-                Ok(true) => return Found::OtherKind(kind),
+                Ok(true) if kind == self.kind => return ProbeResult::Broken,
+                Ok(true) => return ProbeResult::OtherKind(kind),
                 Ok(false) => {}
                 // A coordinator answers unknown paths with a page.
                 Err(found) => finding = found,
@@ -133,10 +136,10 @@ impl Peer {
     ///
     /// # Errors
     /// If no gRPC server answers; the error is the finding.
-    async fn has_call(&self, mut channel: Channel, path: &str) -> Result<bool, Found> {
+    async fn has_call(&self, mut channel: Channel, path: &str) -> Result<bool, ProbeResult> {
         let mut request = Request::post(path)
             .body(Body::new(EMPTY_MESSAGE.to_owned()))
-            .map_err(|_| Found::Broken)?;
+            .map_err(|_| ProbeResult::Broken)?;
         let headers = request.headers_mut();
         for (name, value) in [
             (header::CONTENT_TYPE, "application/grpc"),
@@ -149,17 +152,20 @@ impl Peer {
             headers.insert(header::AUTHORIZATION, token);
         }
         let is_ready = poll_fn(|context| channel.poll_ready(context)).await;
-        is_ready.map_err(|_| Found::Broken)?;
-        let answer = channel.call(request).await.map_err(|_| Found::Broken)?;
+        is_ready.map_err(|_| ProbeResult::Broken)?;
+        let answer = channel
+            .call(request)
+            .await
+            .map_err(|_| ProbeResult::Broken)?;
         let content = answer.headers().get(header::CONTENT_TYPE);
         if !content.is_some_and(|header| header.as_bytes().starts_with(b"application/grpc")) {
-            return Err(Found::web(answer.status().as_u16()));
+            return Err(ProbeResult::web(answer.status().as_u16()));
         }
         let status = Status::from_header_map(answer.headers());
         Ok(status.is_none_or(|status| status.code() != Code::Unimplemented))
     }
 
-    /// Converts a WebSocket server's address to an HTTP one.
+    /// Returns the endpoint of the server for gRPC calls of the probe, with its timeouts.
     fn http_endpoint(&self) -> Endpoint {
         let uri = self.endpoint.uri();
         let scheme = if Access::is_encrypted(uri) {
@@ -175,17 +181,17 @@ impl Peer {
     }
 }
 
-/// Returns the finding for an error of connecting, if the status contains one, so that no probe is
-/// needed.
-fn connection_finding(status: &Status) -> Option<Found> {
+/// Returns the finding for a connection error among a status's causes, so that no probe is needed;
+/// `None` if there is no such error.
+fn connection_finding(status: &Status) -> Option<ProbeResult> {
     let mut cause = status.source();
     while let Some(error) = cause {
         if let Some(untrusted) = error.downcast_ref::<Untrusted>() {
-            return Some(Found::from(*untrusted));
+            return Some(ProbeResult::from(*untrusted));
         }
         if let Some(found) = error
             .downcast_ref::<io::Error>()
-            .and_then(probe::no_connection)
+            .and_then(probe::connect_finding)
         {
             return Some(found);
         }

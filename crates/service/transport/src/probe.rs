@@ -11,7 +11,7 @@ use tokio_rustls::TlsConnector;
 use tokio_rustls::rustls::pki_types::ServerName;
 use tokio_rustls::rustls::{CertificateError, Error as TlsError};
 
-use crate::found::{CertificateFault, Found};
+use crate::found::{CertificateFault, ProbeResult};
 
 /// Timeout of each answer.
 const ANSWER_TIMEOUT: Duration = Duration::from_secs(3);
@@ -36,7 +36,7 @@ pub(crate) struct ProbeTarget<'a> {
     pub(crate) is_encrypted: bool,
 }
 
-/// HTTP version of a server that accepts the client's kind of connection.
+/// HTTP version of a server that accepts connections like the client's, with or without TLS.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) enum HttpVersion {
     Http2,
@@ -58,25 +58,27 @@ enum Reply {
 /// Connects like the client and identifies the protocol.
 ///
 /// # Errors
-/// If the server does not use HTTP over the client's kind of connection; the error is the finding.
+/// If the server does not use HTTP, or uses it with TLS where the client does not or vice versa;
+/// the error is the finding.
 pub(crate) async fn identify(
     target: ProbeTarget<'_>,
     tls: &TlsConnector,
-) -> Result<HttpVersion, Found> {
+) -> Result<HttpVersion, ProbeResult> {
     let stream = connect(target).await?;
     if !target.is_encrypted {
         return match send_preface(stream).await {
             Reply::Silence => match encrypt(connect(target).await?, target, tls).await {
                 Err(Handshake::NotTls) => {
                     let web = request_http1(connect(target).await?).await?;
-                    // A coordinator also serves pages over HTTP/1. Retry, so that it is not
-                    // mistaken for another kind of web server because its first answer was lost.
+                    // A coordinator also serves pages over HTTP/1. The preface is sent once more,
+                    // so that a coordinator whose first answer was lost is not mistaken for another
+                    // kind of web server.
                     match send_preface(connect(target).await?).await {
                         Reply::Http2 => Ok(HttpVersion::Http2),
                         _ => Ok(web),
                     }
                 }
-                Ok(_) | Err(Handshake::Failed(_)) => Err(Found::Encrypted),
+                Ok(_) | Err(Handshake::Failed(_)) => Err(ProbeResult::Encrypted),
             },
             reply => http_version(reply),
         };
@@ -86,62 +88,63 @@ pub(crate) async fn identify(
         Ok((stream, false)) => http_version(send_preface(stream).await),
         Err(Handshake::Failed(found)) => Err(found),
         Err(Handshake::NotTls) => match http_version(send_preface(connect(target).await?).await) {
-            Ok(_) => Err(Found::Clear),
-            Err(Found::Encrypted) => Err(Found::Mute),
+            Ok(_) => Err(ProbeResult::Unencrypted),
+            Err(ProbeResult::Encrypted) => Err(ProbeResult::Mute),
             Err(found) => Err(found),
         },
     }
 }
 
-async fn connect(target: ProbeTarget<'_>) -> Result<TcpStream, Found> {
+async fn connect(target: ProbeTarget<'_>) -> Result<TcpStream, ProbeResult> {
     let resolving = tokio::net::lookup_host((target.host, target.port));
     let addresses = match timeout(ANSWER_TIMEOUT, resolving).await {
         Ok(Ok(addresses)) => addresses.collect::<Vec<_>>(),
-        Ok(Err(_)) | Err(_) => return Err(Found::UnknownHost),
+        Ok(Err(_)) | Err(_) => return Err(ProbeResult::UnknownHost),
     };
     if addresses.is_empty() {
-        return Err(Found::UnknownHost);
+        return Err(ProbeResult::UnknownHost);
     }
     match timeout(ANSWER_TIMEOUT, TcpStream::connect(&*addresses)).await {
         Ok(Ok(stream)) => Ok(stream),
-        Ok(Err(error)) => Err(no_connection(&error).unwrap_or_else(|| system(&error))),
-        Err(_) => Err(Found::NoAnswer),
+        Ok(Err(error)) => Err(connect_finding(&error).unwrap_or_else(|| system_finding(&error))),
+        Err(_) => Err(ProbeResult::NoAnswer),
     }
 }
 
 /// Maps a connection error of the system to a finding, if the error is specific enough.
-pub(crate) fn no_connection(error: &io::Error) -> Option<Found> {
+pub(crate) fn connect_finding(error: &io::Error) -> Option<ProbeResult> {
     match error.kind() {
-        io::ErrorKind::ConnectionRefused => Some(Found::Nothing),
+        io::ErrorKind::ConnectionRefused => Some(ProbeResult::Nothing),
         io::ErrorKind::TimedOut
         | io::ErrorKind::HostUnreachable
-        | io::ErrorKind::NetworkUnreachable => Some(Found::NoAnswer),
+        | io::ErrorKind::NetworkUnreachable => Some(ProbeResult::NoAnswer),
         _ => None,
     }
 }
 
-fn system(error: &io::Error) -> Found {
-    Found::System(error.to_string())
+fn system_finding(error: &io::Error) -> ProbeResult {
+    ProbeResult::System(error.to_string())
 }
 
+/// Failure of a TLS handshake.
 enum Handshake {
     /// The server does not use TLS, or did not answer the handshake.
     NotTls,
     /// The server uses TLS and the handshake failed.
-    Failed(Found),
+    Failed(ProbeResult),
 }
 
 trait Stream: AsyncRead + AsyncWrite + Send + Unpin {}
 impl<S: AsyncRead + AsyncWrite + Send + Unpin> Stream for S {}
 
-/// Performs the TLS handshake. Also returns true if HTTP/2 was negotiated.
+/// Performs the TLS handshake. Returns the encrypted stream, and true if HTTP/2 was negotiated.
 async fn encrypt(
     stream: TcpStream,
     target: ProbeTarget<'_>,
     tls: &TlsConnector,
 ) -> Result<(impl Stream, bool), Handshake> {
     let name = ServerName::try_from(target.host.to_owned());
-    let name = name.map_err(|_| Handshake::Failed(Found::UnknownHost))?;
+    let name = name.map_err(|_| Handshake::Failed(ProbeResult::UnknownHost))?;
     match timeout(ANSWER_TIMEOUT, tls.connect(name, stream)).await {
         Ok(Ok(stream)) => {
             let is_http2 = stream.get_ref().1.alpn_protocol() == Some(HTTP2);
@@ -152,13 +155,13 @@ async fn encrypt(
     }
 }
 
-/// Maps a handshake error to a finding, if the server uses TLS.
-fn tls_finding(error: &io::Error) -> Option<Found> {
+/// Maps a handshake error to a finding; `None` if the server does not use TLS.
+fn tls_finding(error: &io::Error) -> Option<ProbeResult> {
     let inner = error.get_ref()?.downcast_ref::<TlsError>()?;
     match inner {
         TlsError::InvalidMessage(_) => None,
-        TlsError::InvalidCertificate(fault) => Some(Found::Certificate(certificate(fault))),
-        other => Some(Found::OtherTls(other.to_string())),
+        TlsError::InvalidCertificate(fault) => Some(ProbeResult::Certificate(certificate(fault))),
+        other => Some(ProbeResult::OtherTls(other.to_string())),
     }
 }
 
@@ -210,7 +213,7 @@ async fn send_preface(mut stream: impl Stream) -> Reply {
 }
 
 /// Sends an HTTP/1 request and classifies the answer.
-async fn request_http1(mut stream: TcpStream) -> Result<HttpVersion, Found> {
+async fn request_http1(mut stream: TcpStream) -> Result<HttpVersion, ProbeResult> {
     let mut bytes = [0; 128];
     let exchange = async {
         let request =
@@ -245,14 +248,14 @@ fn first_line(bytes: &[u8]) -> String {
         .collect()
 }
 
-fn http_version(reply: Reply) -> Result<HttpVersion, Found> {
+fn http_version(reply: Reply) -> Result<HttpVersion, ProbeResult> {
     match reply {
         Reply::Http2 => Ok(HttpVersion::Http2),
         Reply::Http1(line) => Ok(HttpVersion::Http1(line)),
-        Reply::Tls => Err(Found::Encrypted),
-        Reply::Ssh => Err(Found::Ssh),
-        Reply::Other(answer) => Err(Found::Other { said: answer }),
-        Reply::Silence => Err(Found::Mute),
+        Reply::Tls => Err(ProbeResult::Encrypted),
+        Reply::Ssh => Err(ProbeResult::Ssh),
+        Reply::Other(answer) => Err(ProbeResult::Other { answer }),
+        Reply::Silence => Err(ProbeResult::Mute),
     }
 }
 
@@ -265,8 +268,9 @@ mod tests {
 
     use super::*;
 
-    /// Probes a server that gives one of `answers` on each connection, in order, and closes it.
-    async fn probe(answers: &'static [&'static [u8]]) -> Result<HttpVersion, Found> {
+    /// Probes a server that sends the next of `answers` on each connection and closes the
+    /// connection.
+    async fn probe(answers: &'static [&'static [u8]]) -> Result<HttpVersion, ProbeResult> {
         let listener = TcpListener::bind("127.0.0.1:0").await.unwrap();
         let port = listener.local_addr().unwrap().port();
         let server = async move {
@@ -319,10 +323,10 @@ mod tests {
 
     #[test]
     fn a_proxy_with_an_unavailable_backend_is_worth_a_retry() {
-        let is_retryable = |line: &str| !Found::web_line(line.to_owned()).is_final();
+        let is_retryable = |line: &str| !ProbeResult::web_line(line.to_owned()).is_final();
         assert!(is_retryable("HTTP/1.1 502 Bad Gateway"));
         assert!(!is_retryable("HTTP/1.1 400 Bad Request"));
         assert!(!is_retryable("<!DOCTYPE HTML>"));
-        assert!(!Found::web(503).is_final());
+        assert!(!ProbeResult::web(503).is_final());
     }
 }

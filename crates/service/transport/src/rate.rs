@@ -6,10 +6,10 @@ use std::net::SocketAddr;
 
 use tokio::time::Instant;
 
-/// Sustained requests per second of one connection: far above a worker with a hundred slots, far
-/// below what would starve the others.
+/// Sustained requests per second of one connection: far more than a worker with a hundred slots
+/// sends, and far less than would starve other connections.
 pub const MAX_REQUESTS_PER_SEC: f64 = 10_000.0;
-/// Burst of requests of one connection.
+/// Requests that one connection may send at once after a pause.
 pub const BURST_REQUESTS: f64 = 20_000.0;
 /// Maximum number of buckets. Full buckets are dropped first, since a new bucket is full, too.
 const MAX_BUCKETS: usize = 8_192;
@@ -27,6 +27,7 @@ struct Bucket {
 }
 
 impl Bucket {
+    /// Returns the number of requests that the bucket admits at `now`.
     fn filled(self, now: Instant) -> f64 {
         let secs = now.saturating_duration_since(self.updated).as_secs_f64();
         (self.remaining + secs * MAX_REQUESTS_PER_SEC).min(BURST_REQUESTS)

@@ -10,7 +10,7 @@ use tonic::Code;
 
 /// Interval after which a continuing refusal is logged again.
 pub const LOG_AGAIN_AFTER: Duration = Duration::from_secs(600);
-/// Most refusals in memory. Beyond them nothing is logged until some expire.
+/// Most refusals in memory. Further refusals are not logged until one of these expires.
 pub const MAX_REMEMBERED_REFUSALS: usize = 1_024;
 
 /// The refusals that were logged.
@@ -43,14 +43,14 @@ mod tests {
     fn a_refusal_is_logged_once_per_interval() {
         let mut refusals = Refusals::default();
         let start = Instant::now();
-        let one = IpAddr::from(Ipv4Addr::LOCALHOST);
-        assert!(refusals.must_log(one, Code::Unauthenticated, start));
-        assert!(!refusals.must_log(one, Code::Unauthenticated, start));
-        assert!(refusals.must_log(one, Code::InvalidArgument, start));
-        let other = IpAddr::from([10, 0, 0, 1]);
-        assert!(refusals.must_log(other, Code::Unauthenticated, start));
+        let local = IpAddr::from(Ipv4Addr::LOCALHOST);
+        assert!(refusals.must_log(local, Code::Unauthenticated, start));
+        assert!(!refusals.must_log(local, Code::Unauthenticated, start));
+        assert!(refusals.must_log(local, Code::InvalidArgument, start));
+        let remote = IpAddr::from([10, 0, 0, 1]);
+        assert!(refusals.must_log(remote, Code::Unauthenticated, start));
         let later = start + LOG_AGAIN_AFTER;
-        assert!(refusals.must_log(one, Code::Unauthenticated, later));
+        assert!(refusals.must_log(local, Code::Unauthenticated, later));
         assert_eq!(refusals.logged.len(), 1);
     }
 

@@ -23,9 +23,10 @@ pub const HANDSHAKE_TIMEOUT: Duration = Duration::from_secs(10);
 pub const MAX_STREAMS_PER_CONNECTION: u32 = 1_024;
 /// Largest headers of a call, bytes.
 pub const MAX_HEADER_BYTES: u32 = 16 << 10;
-/// Interval of keepalive pings on an idle connection, and the timeout of their answers. Frees the
-/// connections of machines that vanished.
+/// Interval of keepalive pings on an idle connection, which free the connections of machines that
+/// vanished.
 const KEEPALIVE_INTERVAL: Duration = Duration::from_secs(30);
+/// Longest wait for the answer to a keepalive ping.
 const KEEPALIVE_TIMEOUT: Duration = Duration::from_secs(20);
 /// The environment variable that holds the lines of a token file.
 pub(crate) const TOKENS_VARIABLE: &str = "ROLLOUT_TOKENS";
@@ -118,10 +119,13 @@ impl ServerArguments {
                 Err(SecurityError::Unguarded { address, missing })
             }
             _ => {
-                let is_for_own = tokens.is_none()
+                let accepts_own_user_only = tokens.is_none()
                     && address.ip().to_canonical().is_loopback()
                     && !self.insecure_loopback;
-                let users = if is_for_own { Users::Own } else { Users::Any };
+                let users = match accepts_own_user_only {
+                    true => Users::Own,
+                    false => Users::Any,
+                };
                 Ok(Security::new(identity, tokens, users))
             }
         }
@@ -129,8 +133,8 @@ impl ServerArguments {
 }
 
 impl Security {
-    /// Returns the rules of a server on a loopback address, which requires no token and accepts its
-    /// own user.
+    /// Returns the rules of a server on a loopback address, which requires no token and accepts the
+    /// user that started it.
     pub fn loopback() -> Security {
         Security::new(None, None, Users::Own)
     }
@@ -155,7 +159,7 @@ impl Security {
     }
 
     /// Logs in a browser that sends the token of one of these roles. Returns the `Set-Cookie`
-    /// value, or `None` if no such token is known.
+    /// value, or `None` if the token is unknown or of another role.
     pub fn log_in(&self, token: &str, roles: &[Role]) -> Option<String> {
         let role = self.tokens.as_ref()?.role_of(token)?;
         roles

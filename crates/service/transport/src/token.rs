@@ -149,27 +149,27 @@ pub enum TokenError {
 impl Tokens {
     /// Reads a token file. Fails if other users can access the file.
     pub fn read(path: &Path) -> Result<Tokens, TokenError> {
-        let at = |source| TokenError::Read {
+        let read_error = |source| TokenError::Read {
             path: path.to_owned(),
             source,
         };
         let mut bytes = Vec::new();
-        let file = File::open(path).map_err(at)?;
-        if let Some(mode) = exposed(&file).map_err(at)? {
+        let file = File::open(path).map_err(read_error)?;
+        if let Some(mode) = exposed(&file).map_err(read_error)? {
             return Err(TokenError::Exposed {
                 path: path.to_owned(),
                 mode,
             });
         }
         let mut bounded = file.take(MAX_TOKEN_FILE_BYTES + 1);
-        bounded.read_to_end(&mut bytes).map_err(at)?;
+        bounded.read_to_end(&mut bytes).map_err(read_error)?;
         if bytes.len() as u64 > MAX_TOKEN_FILE_BYTES {
             return Err(TokenError::TooLarge {
                 path: path.to_owned(),
             });
         }
         let text = String::from_utf8(bytes).map_err(|_| {
-            at(io::Error::new(
+            read_error(io::Error::new(
                 io::ErrorKind::InvalidData,
                 "it is not UTF-8",
             ))
@@ -221,7 +221,7 @@ impl Tokens {
 
     /// Returns true if there is a token of this role.
     pub fn has(&self, role: Role) -> bool {
-        self.tokens.iter().any(|(other, _)| *other == role)
+        self.tokens.iter().any(|(held, _)| *held == role)
     }
 
     /// Returns the first token of one of these roles, in the order of the roles.
@@ -257,7 +257,7 @@ mod tests {
     }
 
     #[test]
-    fn a_token_gives_its_role_and_anything_else_none() {
+    fn a_known_token_has_a_role_and_any_other_text_has_none() {
         let tokens = tokens();
         let role = |given: &str| tokens.role_of(given);
         assert_eq!(role("0123456789abcdef0123"), Some(Role::Worker));
@@ -306,7 +306,7 @@ mod tests {
     }
 
     #[test]
-    fn a_token_file_is_bounded_and_named() {
+    fn a_token_file_is_bounded_and_named_in_errors() {
         let file = tempfile::NamedTempFile::new().expect("a file");
         let path = file.path();
         std::fs::write(path, FILE).expect("written");

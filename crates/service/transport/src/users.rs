@@ -28,7 +28,8 @@ pub(crate) enum Users {
 #[derive(Clone, Debug)]
 pub struct Caller {
     connection: TcpConnectInfo,
-    /// User id, looked up on first use; `None` if the kernel has no such socket.
+    /// User id of the process at the other end, looked up on first use; `None` if the kernel lists
+    /// no socket for it.
     user: Arc<OnceLock<Option<u32>>>,
 }
 
@@ -66,7 +67,7 @@ pub enum Untrusted {
 }
 
 /// Checks that a token may be sent unencrypted over an open connection to a local server: the
-/// server's user must be this program's own, root, or that of a service.
+/// server's user must be this program's own, root, or a system user.
 ///
 /// # Errors
 /// If the server belongs to another user, or the kernel does not report its user.
@@ -80,7 +81,8 @@ pub(crate) async fn check_server(connection: &TcpStream) -> Result<(), Untrusted
     check_rows(&rows, peer, local, geteuid().as_raw())
 }
 
-/// Applies [`check_server`] to the kernel's tables, which list listening sockets first.
+/// Checks the server's user, as [`check_server`] describes, against the rows of the kernel's
+/// tables.
 ///
 /// An accepted connection belongs to the server's user. A connection that waits to be accepted has
 /// no owner yet, and is attributed to all users that listen on the port. If no user listens, either
@@ -201,8 +203,8 @@ mod tests {
             let local = server.local_addr().expect("an address");
             let user = user_of(peer, local).expect("a table");
             assert_eq!(user, Some(geteuid().as_raw()), "{listen}");
-            let other = SocketAddr::new(peer.ip(), peer.port() ^ 1);
-            assert_eq!(user_of(other, local).expect("a table"), None);
+            let unconnected = SocketAddr::new(peer.ip(), peer.port() ^ 1);
+            assert_eq!(user_of(unconnected, local).expect("a table"), None);
             let trusted = check_rows(&rows().expect("a table"), peer, local, geteuid().as_raw());
             assert_eq!(trusted, Ok(()), "{listen}");
             drop(client);

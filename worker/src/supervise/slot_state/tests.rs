@@ -208,24 +208,24 @@ proptest! {
         let mut slot = running(start);
         let (mut deliveries, mut has_result, mut uploads) = (0, false, 0);
         let mut answered = false;
-        for (at, event) in events.into_iter().enumerate() {
-            let now = start + secs(30 * at as u64);
+        for (index, event) in events.into_iter().enumerate() {
+            let now = start + secs(30 * index as u64);
             let mut video = None;
             match event {
                 0 => slot.became_ready(),
-                1 => slot.advanced(attempt(1), at as u32, now),
+                1 => slot.advanced(attempt(1), index as u32, now),
                 2 => deliveries += u32::from(slot.ended(now).rollout.is_some()),
                 3 if slot.rollout_ended(attempt(1), is_filmed, now) => {
                     deliveries += 1;
                     has_result = true;
                 }
-                4 => video = slot.filming_ended(attempt(1), at % 2 == 0),
+                4 => video = slot.filming_ended(attempt(1), index % 2 == 0),
                 5 if matches!(slot.work, Work::Delivering { .. }) => {
                     video = slot.delivered(has_result && is_committed);
                     answered = true;
                 }
                 6 => prop_assert!(!slot.rollout_ended(attempt(2), is_filmed, now)),
-                7 => slot.filming_advanced(attempt(1), at as u32, now),
+                7 => slot.filming_advanced(attempt(1), index as u32, now),
                 _ => match slot.decide(Mode::Draining, TIMEOUT, now) {
                     Some(Decision::Kill(reason)) => slot.killed(reason),
                     Some(decision) => prop_assert!(false, "{decision:?}"),

@@ -29,11 +29,11 @@ impl Supervisor {
             return;
         };
         self.slots[slot].state.work = Work::Claiming;
-        let warm = self.slots[slot].assignment.as_ref();
+        let last = self.slots[slot].assignment.as_ref();
         let request = ClaimRequest {
             worker_id: self.config.identity.worker.to_string(),
             claim_id: random_id().to_string(),
-            warm_task: warm.map_or_else(String::new, |warm| TaskKey::of_row(&warm.row)),
+            warm_task: last.map_or_else(String::new, |last| TaskKey::of_row(&last.row)),
             lacking_tasks: self.lacking_keys().into_iter().collect(),
             ..ClaimRequest::default()
         };
@@ -63,7 +63,7 @@ impl Supervisor {
         keys
     }
 
-    /// Starts the job that was granted to a slot, or releases it.
+    /// Starts the job that was granted to a slot, or gives it back.
     pub(super) fn claimed(
         &mut self,
         slot: usize,
@@ -111,15 +111,15 @@ impl Supervisor {
 
     /// Fetches the files of a job's task before the job starts.
     fn prepare(&mut self, slot: usize, assignment: Assignment, campaign: String, now: Instant) {
-        // Variants of a task have files of their own.
-        let has_the_files_of = |last: &ManifestRow, row: &ManifestRow| {
+        let have_the_same_files = |last: &ManifestRow, row: &ManifestRow| {
+            // Each variant of a task has its own files.
             let files = |id: RolloutId| (id.task(), id.variant());
             // A user may change the files of a suite file at any time.
             files(last.id) == files(row.id) && row.own.is_none()
         };
         let row = assignment.row.clone();
         let last = self.slots[slot].assignment.as_ref();
-        let is_warm = last.is_some_and(|last| has_the_files_of(&last.row, &row));
+        let is_warm = last.is_some_and(|last| have_the_same_files(&last.row, &row));
         let provider = self.config.provider.clone();
         let Some(provider) = provider.filter(|provider| !is_warm && provider.is_needed(&row))
         else {
@@ -141,7 +141,7 @@ impl Supervisor {
     }
 
     /// Starts a job whose files were fetched. If the fetch failed, gives the job back uncharged,
-    /// because the network is not the job's fault. If task files are missing that are not fetched,
+    /// because the network is not the job's fault. If the task lacks files that cannot be fetched,
     /// leaves the task to other workers until the files change.
     pub(super) fn provided(
         &mut self,
@@ -196,7 +196,8 @@ impl Supervisor {
         );
     }
 
-    /// Logs once why the coordinator grants no job although jobs wait.
+    /// Logs the coordinator's reason for granting no job although jobs wait, unless it was the last
+    /// reason too.
     pub(super) fn log_idle_reason(&mut self, reason: String) {
         if reason != self.idle_reason {
             if !reason.is_empty() {
@@ -214,7 +215,7 @@ impl Supervisor {
                 format!("read the manifest row of job {}: {problem}", lease.job_id)
             })?;
         let realisation = lease.realisation.parse();
-        // Rows of older campaigns have no execution model; the lease then gives it.
+        // Rows of older campaigns have no execution model; the lease has it instead.
         if row.execution.is_wait() && !lease.execution.is_empty() {
             let execution = lease.execution.parse();
             row.execution =

@@ -17,7 +17,7 @@ const DUPLICATE_REQUEST: Duration = Duration::from_millis(500);
 const GIVE_BACK_DEADLINE: Duration = Duration::from_secs(10);
 
 impl Supervisor {
-    /// Stops claiming work because of a fault.
+    /// Starts to drain because of a fault. A worker that drains already ignores the fault.
     pub(super) fn stop(&mut self, fault: SuperviseError) {
         if self.mode == Mode::Serving {
             self.start_to_drain();
@@ -48,7 +48,8 @@ impl Supervisor {
         }
     }
 
-    /// Ends a drain that exceeds its limit, and a worker that has been idle too long.
+    /// Gives the rollouts back if a drain exceeds its limit, and ends a worker that has been idle
+    /// for too long.
     pub(super) fn end_in_time(&mut self, now: Instant) {
         let is_over = |since: Instant, limit: Option<Duration>| {
             limit.filter(|limit| now.duration_since(since) >= *limit)

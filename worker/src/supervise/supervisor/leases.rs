@@ -1,4 +1,5 @@
-//! Registers the worker, renews its leases by heartbeats, and abandons the rollouts of lost ones.
+//! Registers the worker, renews its leases by heartbeats, and abandons the rollouts of lost
+//! leases.
 
 use std::time::Duration;
 
@@ -95,8 +96,11 @@ impl Supervisor {
             slot.preparing = None;
             return;
         }
-        let runs = |slot: &Slot| matches!(slot.state.work, Work::Running { attempt, .. } if attempt == lost);
-        let Some(slot) = self.slots.iter().position(runs) else {
+        let is_running = |slot: &Slot| {
+            let work = &slot.state.work;
+            matches!(work, Work::Running { attempt, .. } if *attempt == lost)
+        };
+        let Some(slot) = self.slots.iter().position(is_running) else {
             return;
         };
         tracing::warn!(

@@ -96,7 +96,7 @@ impl Probe {
             Ok(response) => response.into_inner(),
             Err(status) => {
                 let url = target.url.clone();
-                return Err(match peer.trouble(&status).await {
+                return Err(match peer.diagnose(&status).await {
                     Some(trouble) => ConformanceError::Connect {
                         url,
                         trouble: trouble.into(),

@@ -2,7 +2,7 @@
 
 use thiserror::Error;
 use tonic::Status;
-use transport::{Access, AccessError, Trouble, answer};
+use transport::{Access, AccessError, ConnectError, status_text};
 
 /// Queries per episode.
 pub(super) const QUERIES: u32 = 5;
@@ -42,10 +42,10 @@ pub enum ConformanceError {
         /// URL as given.
         url: String,
         /// Cause found at that address.
-        trouble: Box<Trouble>,
+        trouble: Box<ConnectError>,
     },
     /// The server does not describe its policy.
-    #[error("have {url} describe its policy: {}", answer(status))]
+    #[error("have {url} describe its policy: {}", status_text(status))]
     Describe {
         /// URL as given.
         url: String,
@@ -53,7 +53,7 @@ pub enum ConformanceError {
         status: Box<Status>,
     },
     /// The server answers no query.
-    #[error("play one episode with {url}: {}", answer(status))]
+    #[error("play one episode with {url}: {}", status_text(status))]
     Episode {
         /// URL as given.
         url: String,

@@ -5,7 +5,7 @@ use std::time::Duration;
 use policy_protocol::DescriptionFault;
 use proto::policy::{DescribeResponse, InferResponse};
 use tonic::Status;
-use transport::answer;
+use transport::status_text;
 
 /// Largest absolute value that a worker plausibly clips; a larger one means that the policy
 /// answers in other units.
@@ -55,7 +55,7 @@ pub(crate) fn skip(reason: impl Into<String>) -> Verdict {
 
 /// Fails a point because the server answered with an error.
 pub(crate) fn refused(status: &Status) -> Verdict {
-    fail(format!("the server refused: {}", answer(status)))
+    fail(format!("the server refused: {}", status_text(status)))
 }
 
 /// Judges a description by the result of its check.

@@ -26,40 +26,40 @@ pub struct Alteration {
 }
 
 impl Queue {
-    /// Alters a campaign. Returns the number of revoked leases; each worker learns of it from the
-    /// response to its next heartbeat.
+    /// Alters a campaign. Returns the number of revoked leases; each worker learns of the
+    /// revocation from the response to its next heartbeat.
     ///
     /// A renamed campaign is found under its new name only; its files stay in their folder. Name
     /// and policy also change in the stored specification, so creating the campaign again with the
     /// altered specification is accepted and with the original one refused.
     ///
     /// # Errors
-    /// If there is no such campaign, it has ended, the new name is taken, it has results of another
-    /// policy, the endpoint is not a URL, or the database fails.
+    /// If there is no such campaign, the campaign has ended, the new name is taken, the campaign
+    /// has results of another policy, the endpoint is not a URL, or the database fails.
     pub async fn alter_campaign(
         &self,
         name: &CampaignName,
-        to: &Alteration,
+        alteration: &Alteration,
     ) -> Result<u64, QueueError> {
         let _guard = self.campaigns.lock().await;
         let shared = &*self.shared;
         let mut context = Context::begin(shared, vec![Step::ChangeCampaign]).await?;
         let campaign = context.campaign_named(name).await?;
         let mut revoked = 0;
-        if let Some(priority) = to.priority {
+        if let Some(priority) = alteration.priority {
             campaigns::set_priority(&mut context.tx, campaign.id, priority).await?;
         }
-        let endpoint = to.endpoint.as_ref().unwrap_or(&campaign.endpoint);
-        let policy = to.policy.as_ref().unwrap_or(&campaign.policy);
+        let endpoint = alteration.endpoint.as_ref().unwrap_or(&campaign.endpoint);
+        let policy = alteration.policy.as_ref().unwrap_or(&campaign.policy);
         if (endpoint, policy) != (&campaign.endpoint, &campaign.policy) {
             revoked = context.change_policy(&campaign, endpoint, policy).await?;
         }
-        if let Some(new_name) = to.name.as_ref().filter(|new| *new != name) {
+        if let Some(new_name) = alteration.name.as_ref().filter(|new| *new != name) {
             context.rename(&campaign, new_name).await?;
         }
         context.cache.clear_campaigns();
         context.commit().await?;
-        tracing::info!(campaign = %name, "altered: {to:?}");
+        tracing::info!(campaign = %name, "altered: {alteration:?}");
         shared.work.notify_waiters();
         Ok(revoked)
     }
@@ -81,8 +81,8 @@ impl Context<'_> {
                 results,
             });
         }
-        // Revoked before the policy changes: the end of these attempts, one of which may be the
-        // probe, counts as evidence about the old policy only.
+        // The leases are revoked before the policy changes: the end of their attempts, one of which
+        // may be the probe, counts as evidence about the old policy only.
         let explanation = "the campaign's policy or endpoint was changed";
         let revoked = self.revoke_leases(campaign.id, explanation).await?;
         let (spec, digest) = self
@@ -91,8 +91,8 @@ impl Context<'_> {
                 policy.clone_into(&mut spec.policy.name);
             })
             .await?;
-        let found = policies::find_or_insert(&mut self.tx, endpoint, policy, self.now).await?;
-        campaigns::set_policy(&mut self.tx, campaign.id, found).await?;
+        let new_policy = policies::find_or_insert(&mut self.tx, endpoint, policy, self.now).await?;
+        campaigns::set_policy(&mut self.tx, campaign.id, new_policy).await?;
         campaigns::set_spec(&mut self.tx, campaign.id, &spec, &digest).await?;
         policies::remove_unused(&mut self.tx, campaign.policy_id).await?;
         Ok(revoked)

@@ -1,5 +1,5 @@
-//! Videos stored beside outcomes, below the data folder. Each is written under a temporary name and
-//! then renamed, so that a file under its final name is complete.
+//! Videos of committed outcomes, stored below the data folder. Each video is written under a
+//! temporary name and then renamed, so that a file under its final name is complete.
 
 use std::io;
 use std::path::{Path, PathBuf};
@@ -64,12 +64,12 @@ impl Queue {
         let folder = target.parent().unwrap_or(Path::new("."));
         tokio::fs::create_dir_all(folder)
             .await
-            .map_err(at(folder))?;
+            .map_err(write_error(folder))?;
         // Every upload has its own temporary file, even two uploads of one attempt.
         let partial = tempfile::Builder::new()
             .suffix(PARTIAL_SUFFIX)
             .tempfile_in(folder);
-        let (file, partial) = partial.map_err(at(folder))?.into_parts();
+        let (file, partial) = partial.map_err(write_error(folder))?.into_parts();
         Ok(Upload {
             shared,
             attempt,
@@ -93,7 +93,7 @@ impl Upload<'_> {
             return Err(ArtifactError::TooLarge { attempt });
         }
         let written = self.file.write_all(data).await;
-        written.map_err(at(&self.partial))
+        written.map_err(write_error(&self.partial))
     }
 
     /// Moves the complete file into place. Returns its path below the data folder.
@@ -102,8 +102,14 @@ impl Upload<'_> {
     /// If the outcome was deleted in the meantime, or the disk fails.
     pub async fn finish(mut self) -> Result<String, ArtifactError> {
         // Writes run in the background; only a flush reports a failure of the last one.
-        self.file.flush().await.map_err(at(&self.partial))?;
-        self.file.sync_all().await.map_err(at(&self.partial))?;
+        self.file
+            .flush()
+            .await
+            .map_err(write_error(&self.partial))?;
+        self.file
+            .sync_all()
+            .await
+            .map_err(write_error(&self.partial))?;
         let attempt = self.attempt;
         let mut context = Context::begin(self.shared, vec![Step::Artifact]).await?;
         let owner = artifacts::owner(&mut context.tx, attempt).await?;
@@ -113,7 +119,7 @@ impl Upload<'_> {
         let _guard = self.shared.files.lock().await;
         let target = self.shared.store.folder().join(&self.path);
         let renamed = self.partial.persist(&target);
-        renamed.map_err(|failed| at(&target)(failed.error))?;
+        renamed.map_err(|failed| write_error(&target)(failed.error))?;
         context.commit().await?;
         self.shared.films.filmed(owner.campaign, owner.job);
         Ok(self.path)
@@ -173,7 +179,7 @@ fn relative_path(owner: &ArtifactOwner, attempt: AttemptId) -> String {
     )
 }
 
-fn at(path: &Path) -> impl FnOnce(io::Error) -> ArtifactError {
+fn write_error(path: &Path) -> impl FnOnce(io::Error) -> ArtifactError {
     let path = path.to_owned();
     move |source| ArtifactError::Write { path, source }
 }

@@ -9,11 +9,11 @@ use super::error::QueueError;
 use crate::queue::Queue;
 use crate::store::backup;
 
-/// A finished backup. Its file is removed on drop, after which the next backup can be made.
+/// A finished backup. Its file is removed on drop; only then can the next backup be made.
 #[derive(Debug)]
 pub struct Backup {
     copy: TempPath,
-    _turn: OwnedMutexGuard<()>,
+    _guard: OwnedMutexGuard<()>,
 }
 
 impl Backup {
@@ -28,11 +28,11 @@ impl Queue {
     /// # Errors
     /// If another backup is being made, the disk is full, or the database fails.
     pub async fn backup(&self) -> Result<Backup, QueueError> {
-        let turn = self.backups.clone().try_lock_owned();
-        let turn = turn.map_err(|_| QueueError::BackupInHand)?;
+        let guard = self.backups.clone().try_lock_owned();
+        let guard = guard.map_err(|_| QueueError::BackupInHand)?;
         Ok(Backup {
             copy: backup::copy(&self.shared.store).await?,
-            _turn: turn,
+            _guard: guard,
         })
     }
 }

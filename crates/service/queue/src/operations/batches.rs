@@ -12,7 +12,7 @@ use crate::ids::{CampaignId, PolicyId};
 use crate::store::failpoint::Step;
 use crate::store::{StoreError, campaigns, hidden, policies, stops};
 
-/// Jobs that one transaction adds or removes, which takes some tens of milliseconds.
+/// Most jobs that one transaction adds or removes, so that it takes some tens of milliseconds.
 pub(super) const JOBS_PER_BATCH: usize = 500;
 
 /// Inserts a campaign of any size with an unused name, whose files go into `folder`.
@@ -28,7 +28,7 @@ pub(super) async fn insert(
     context.commit().await?;
     let inserted = insert_jobs(shared, new, id, folder).await;
     if inserted.is_err() {
-        // The incomplete campaign is hidden; if its removal fails, the next start repeats it.
+        // The incomplete campaign is hidden; if its removal fails, the next start removes it.
         let policy = policy_of(shared, id).await;
         if let Err(error) = remove(shared, id, policy?).await {
             tracing::warn!(
@@ -55,7 +55,7 @@ async fn insert_jobs(
     let now = context.now;
     campaigns::take_name(&mut context.tx, &new.name).await?;
     hidden::publish(&mut context.tx, id, (&new.name, folder), now).await?;
-    if let Some(configurations) = new.stops_among {
+    if let Some(configurations) = new.stoppable_configurations {
         stops::insert(&mut context.tx, id, configurations).await?;
     }
     context.cache.clear_campaigns();
@@ -138,7 +138,7 @@ pub(super) mod tests {
     }
 
     /// Returns a campaign of more than two batches.
-    fn large() -> NewCampaign {
+    fn large_campaign() -> NewCampaign {
         let spec = json!({
             "name": "large",
             "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
@@ -166,7 +166,7 @@ pub(super) mod tests {
     #[tokio::test(flavor = "multi_thread")]
     async fn a_large_campaign_is_inserted_and_deleted_in_hidden_batches() {
         let folder = tempfile::tempdir().expect("a temporary folder");
-        let new = large();
+        let new = large_campaign();
         let jobs = i64::try_from(new.jobs.len()).expect("few");
         assert!(new.jobs.len() > 2 * JOBS_PER_BATCH);
         let mut queue = start(folder.path()).await;

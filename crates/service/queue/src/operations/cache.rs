@@ -3,8 +3,9 @@
 //! Cached for one transaction: campaigns with waiting jobs, campaigns with their policies, and the
 //! pins of live workers; cleared whenever an operation changes any of them. Cached across
 //! transactions: results and origins, which are immutable once stored and stored only by this
-//! process; and the turns of campaigns, which only break ties. A transaction that is rolled back,
-//! or that deletes a campaign, clears the whole cache.
+//! process; and the turns at which campaigns last received leases, which only break ties between
+//! campaigns. A transaction that is rolled back, or that deletes a campaign, clears the whole
+//! cache.
 
 use std::collections::HashMap;
 use std::collections::btree_map::{BTreeMap, Entry};
@@ -41,14 +42,15 @@ pub(super) struct Cache {
     origins: HashMap<Arc<Provenance>, ProvenanceId>,
     /// Origin of a campaign's results in a suite; identifies the policy that was measured.
     measured: BTreeMap<(CampaignId, Suite), Option<Arc<Provenance>>>,
-    /// Number of turns so far, and the turn at which each campaign last received leases.
+    /// Number of turns so far. A turn grants leases to one campaign.
     turns: u64,
+    /// Turn at which each campaign last received leases.
     last_turns: BTreeMap<CampaignId, u64>,
 }
 
 impl Cache {
     /// Prepares the cache for a new transaction. Siblings are evicted only here: a transaction may
-    /// need those that it has added itself, which may not be stored yet.
+    /// need siblings that it has added to the cache and not yet written to the database.
     pub(super) fn begin(&mut self) {
         if self.is_open {
             *self = Cache::default();
@@ -69,8 +71,8 @@ impl Cache {
         self.is_open = false;
     }
 
-    /// Returns the campaigns with waiting jobs. May include a campaign whose last job was leased
-    /// since.
+    /// Returns the campaigns with waiting jobs. May include a campaign whose last waiting job was
+    /// leased after they were read.
     pub(super) async fn waiting(
         &mut self,
         tx: &mut SqliteConnection,
@@ -180,7 +182,7 @@ impl Cache {
         self.last_turns.insert(campaign, self.turns);
     }
 
-    /// Returns the turn at which a campaign last received leases, counted upwards; 0 if unknown.
+    /// Returns the turn at which a campaign last received leases, from 1; 0 if unknown.
     pub(super) fn last_turn(&self, campaign: CampaignId) -> u64 {
         self.last_turns.get(&campaign).copied().unwrap_or(0)
     }

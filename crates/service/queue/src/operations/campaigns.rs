@@ -15,7 +15,7 @@ use crate::rules::campaign::{CampaignState, Change, EndedIsFinal};
 use crate::rules::lease::{FailureReason, JobState};
 use crate::store::campaigns::Campaign;
 use crate::store::failpoint::Step;
-use crate::store::removals as pending;
+use crate::store::removals as removal_marks;
 use crate::store::{
     Doing, StoreError, campaigns, derivations, hidden, jobs, policies, stops, undecodable,
 };
@@ -67,7 +67,7 @@ impl Queue {
             derivations::insert(&mut context.tx, id, source).await?;
             context.settles = true;
         }
-        if let Some(configurations) = new.stops_among {
+        if let Some(configurations) = new.stoppable_configurations {
             stops::insert(&mut context.tx, id, configurations).await?;
         }
         context.commit().await?;
@@ -76,10 +76,11 @@ impl Queue {
 
     /// Pauses, resumes or cancels a campaign. Resuming also ends the back-off of its policy, which
     /// may be probed at once. Cancelling revokes the campaign's leases without a charge; each
-    /// worker learns of it from the response to its next heartbeat.
+    /// worker learns of the revocation from the response to its next heartbeat.
     ///
     /// # Errors
-    /// If there is no such campaign, it is already cancelled or stopped, or the database fails.
+    /// If there is no such campaign, the campaign is already cancelled or stopped, or the database
+    /// fails.
     pub async fn change_campaign(
         &self,
         name: &CampaignName,
@@ -109,7 +110,8 @@ impl Queue {
         Ok(after)
     }
 
-    /// Deletes a campaign with its jobs, results and files. Returns the numbers of deleted jobs.
+    /// Deletes a campaign with its jobs, results and files. Returns the numbers of deleted jobs by
+    /// state.
     ///
     /// # Errors
     /// If there is no such campaign, some of its rollouts are leased, another campaign derives from
@@ -143,7 +145,7 @@ impl Queue {
             policies::remove_unused(&mut context.tx, campaign.policy_id).await?;
         }
         context.cache.clear();
-        pending::note(&mut context.tx, &folder).await?;
+        removal_marks::add(&mut context.tx, &folder).await?;
         context.commit().await?;
         if is_large {
             remove_hidden(shared, campaign.id, campaign.policy_id).await?;
@@ -185,7 +187,8 @@ pub(super) fn check_not_ended(campaign: &Campaign) -> Result<(), QueueError> {
 }
 
 impl Context<'_> {
-    /// Returns the campaign that a new one derives from, if any.
+    /// Returns the source campaign of a new derived campaign; `None` if the new campaign is not
+    /// derived.
     async fn source_of(&mut self, new: &NewCampaign) -> Result<Option<CampaignId>, QueueError> {
         let Some(derived) = &new.derived else {
             return Ok(None);
@@ -258,8 +261,8 @@ impl Context<'_> {
     }
 
     /// Revokes a campaign's leases without a charge, including those of workers that were cut off
-    /// and may reconnect. Each worker learns of it from the response to its next heartbeat. Returns
-    /// the number of leases.
+    /// and may reconnect. Each worker learns of the revocation from the response to its next
+    /// heartbeat. Returns the number of leases.
     pub(super) async fn revoke_leases(
         &mut self,
         campaign: CampaignId,

@@ -10,8 +10,8 @@ use crate::store::StoreError;
 use crate::store::campaigns::Campaign;
 use crate::store::claims::{self, Grant};
 
-/// Candidate jobs read beyond the number requested: some waiting jobs have failed on the very
-/// machine that requests one.
+/// Candidate jobs read beyond the number requested, because some waiting jobs have failed on the
+/// machine whose worker claims a job.
 const SPARE_CANDIDATES: usize = 8;
 
 /// A worker's request for one job.
@@ -34,7 +34,7 @@ impl ClaimRequest {
 
 /// A pending claim, to which no job is assigned yet.
 pub(super) struct PendingClaim<'a> {
-    /// Index of the claim among those of the transaction.
+    /// Index of the claim among the claims of the transaction.
     pub(super) place: usize,
     pub(super) request: &'a ClaimRequest,
     /// Machine of the claiming worker.
@@ -44,16 +44,18 @@ pub(super) struct PendingClaim<'a> {
 }
 
 impl Context<'_> {
-    /// Assigns jobs of a campaign to claims: first jobs of warm tasks; then, for claims whose warm
-    /// tasks have no job left, jobs of the tasks with the fewest leases. Removes served claims from
-    /// `pending`.
+    /// Assigns up to `room` jobs of a campaign to claims: first jobs of warm tasks; then, for
+    /// claims whose warm tasks have no job left, jobs of the tasks with the fewest leases. Removes
+    /// served claims from `pending`. Returns the grants with the indices of their claims.
     pub(super) async fn choose(
         &mut self,
         campaign: &Campaign,
         pending: &mut Vec<PendingClaim<'_>>,
         room: usize,
     ) -> Result<Vec<(usize, Grant)>, StoreError> {
-        let must_differ = self.able_machines(campaign).await? >= MIN_MACHINES_TO_QUARANTINE;
+        // A job that has failed on a machine goes to another machine, if there are enough.
+        let avoids_failed_machine =
+            self.able_machines(campaign).await? >= MIN_MACHINES_TO_QUARANTINE;
         let mut grants: Vec<(usize, Grant)> = Vec::new();
         let mut taken: BTreeSet<JobId> = BTreeSet::new();
         let mut tasks: Option<Vec<WaitingTask>> = None;
@@ -88,7 +90,8 @@ impl Context<'_> {
                     continue;
                 };
                 let suits = |job: &claims::Candidate| {
-                    !(taken.contains(&job.id) || must_differ && job.has_failed_on(claim.machine))
+                    !(taken.contains(&job.id)
+                        || avoids_failed_machine && job.has_failed_on(claim.machine))
                 };
                 let waiting = candidates.get_mut(task);
                 let job = waiting.and_then(|jobs| {
@@ -108,16 +111,18 @@ impl Context<'_> {
         Ok(grants)
     }
 
-    /// Assigns jobs of a campaign that may stop early, in its random order, regardless of the scenes
-    /// that the slots hold. Only jobs up to the first gap in that order count, so the result of a
-    /// job beyond a gap may be wasted.
+    /// Assigns up to `room` jobs of a campaign that may stop early, in its random order, regardless
+    /// of the scenes that the slots hold. The stop rule uses only the outcomes before the first gap
+    /// in that order, so the result of a job after a gap may be wasted.
     pub(super) async fn choose_in_order(
         &mut self,
         campaign: &Campaign,
         pending: &mut Vec<PendingClaim<'_>>,
         room: usize,
     ) -> Result<Vec<(usize, Grant)>, StoreError> {
-        let must_differ = self.able_machines(campaign).await? >= MIN_MACHINES_TO_QUARANTINE;
+        // A job that has failed on a machine goes to another machine, if there are enough.
+        let avoids_failed_machine =
+            self.able_machines(campaign).await? >= MIN_MACHINES_TO_QUARANTINE;
         let limit = room.min(pending.len()) + SPARE_CANDIDATES;
         let mut tasks = claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?;
         let is_runnable = |task: &str| pending.iter().any(|claim| claim.request.has_files_of(task));
@@ -136,7 +141,8 @@ impl Context<'_> {
         for claim in pending.drain(..) {
             let request = claim.request;
             let suits = |(task, job): &(String, claims::Candidate)| {
-                request.has_files_of(task) && !(must_differ && job.has_failed_on(claim.machine))
+                request.has_files_of(task)
+                    && !(avoids_failed_machine && job.has_failed_on(claim.machine))
             };
             let found = match grants.len() < room {
                 true => candidates.iter().position(suits),
@@ -153,19 +159,21 @@ impl Context<'_> {
         Ok(grants)
     }
 
-    /// Assigns a job that must run alone to one of the claims. Also returns the reason why it runs
-    /// alone.
+    /// Assigns a job that must run alone to one of the claims. Returns the index of the claim, the
+    /// grant, and the reason why the job runs alone.
     pub(super) async fn choose_lone(
         &mut self,
         campaign: &Campaign,
         pending: &mut Vec<PendingClaim<'_>>,
     ) -> Result<Option<(usize, Grant, String)>, StoreError> {
-        let must_differ = self.able_machines(campaign).await? >= MIN_MACHINES_TO_QUARANTINE;
+        // A job that has failed on a machine goes to another machine, if there are enough.
+        let avoids_failed_machine =
+            self.able_machines(campaign).await? >= MIN_MACHINES_TO_QUARANTINE;
         let waiting = claims::lone(&mut self.tx, campaign.id, SPARE_CANDIDATES, self.now).await?;
         for (at, claim) in pending.iter().enumerate() {
-            let suits = |lone: &&claims::Lone| {
+            let suits = |lone: &&claims::LoneJob| {
                 claim.request.has_files_of(&lone.task)
-                    && !(must_differ && lone.job.has_failed_on(claim.machine))
+                    && !(avoids_failed_machine && lone.job.has_failed_on(claim.machine))
             };
             let Some(chosen) = waiting.iter().find(suits) else {
                 continue;
@@ -202,8 +210,8 @@ impl PendingClaim<'_> {
         warm.filter(|task| !self.exhausted.contains(*task))
     }
 
-    /// Returns the task to serve this claim from: its warm task, or else a chosen one, whose number
-    /// of leases is then incremented.
+    /// Returns the task to serve this claim from: its warm task, or else the task that
+    /// [`choose_task`] chooses, whose number of leases is then incremented.
     fn choose(&self, tasks: &mut [WaitingTask]) -> Option<String> {
         if let Some(warm) = self.warm() {
             return Some(warm.to_owned());

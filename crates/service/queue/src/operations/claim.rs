@@ -1,5 +1,5 @@
-//! Granting of leases. All claims that arrive together are served by the same statements: repeated
-//! claims get their earlier lease, the others a waiting job.
+//! Granting of leases. All claims that arrive together are served by the same statements: a
+//! repeated claim gets its earlier lease, and a new claim a waiting job.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::time::Duration;
@@ -23,11 +23,13 @@ pub use super::choose::ClaimRequest;
 /// Longest time that a claim waits for a job.
 pub const MAX_CLAIM_WAIT: Duration = Duration::from_secs(30);
 
+/// Answer to a claim.
 #[derive(Clone, Debug, Default)]
 pub struct Claimed {
-    /// A job, and the lease on it.
+    /// The leased job; `None` if no lease was granted.
     pub job: Option<Assigned>,
-    /// Reason why waiting jobs cannot go to this worker, if no lease was granted.
+    /// Reason why waiting jobs cannot go to this worker; empty if a lease was granted or no job
+    /// waits.
     pub idle_reason: String,
 }
 
@@ -49,15 +51,15 @@ pub struct Assigned {
     pub policy_endpoint: String,
     /// Realisation: "matched" or "reference".
     pub realisation: String,
-    /// Text of the execution model.
+    /// Execution model, as text.
     pub execution: String,
     /// Rollouts to be filmed: "none", "failures", "transitions" or "all".
     pub record: String,
 }
 
 impl Context<'_> {
-    /// Answers claims that arrive at the same time. `is_new` is false for a claim that was only
-    /// woken while it waited: it does not show that its worker is alive.
+    /// Answers claims that arrive at the same time. The flag of a request is true for a new claim,
+    /// and false for a waiting claim that was woken, which does not show that its worker is alive.
     pub(super) async fn claim(
         &mut self,
         requests: &[(&ClaimRequest, bool)],
@@ -78,8 +80,8 @@ impl Context<'_> {
                 }
             };
             let mut claimed = Claimed::default();
-            let before = repeated.get(request.claim.as_str());
-            if let Some(job) = before.filter(|job| job.lease_owner == request.worker) {
+            let earlier = repeated.get(request.claim.as_str());
+            if let Some(job) = earlier.filter(|job| job.lease_owner == request.worker) {
                 let campaign = self.campaign(job.campaign_id).await?;
                 claimed.job = Some(assigned(&campaign, job.clone()));
             } else if let Some(reason) = self.shared.held() {
@@ -92,7 +94,7 @@ impl Context<'_> {
                     exhausted: BTreeSet::new(),
                 };
                 match pending.iter_mut().find(|(pin, _)| *pin == standing.pin) {
-                    Some((_, others)) => others.push(claim),
+                    Some((_, same_pin)) => same_pin.push(claim),
                     None => pending.push((standing.pin.clone(), vec![claim])),
                 }
             }
@@ -149,7 +151,7 @@ impl Context<'_> {
         Ok(standings)
     }
 
-    /// Returns the leases that repeated claims got earlier.
+    /// Returns the leases that repeated claims got earlier, by claim.
     async fn repeated(
         &mut self,
         requests: &[(&ClaimRequest, bool)],
@@ -179,7 +181,7 @@ impl Context<'_> {
             let now = self.now;
             let suits = |campaign: &&Campaign| {
                 campaign.state.may_lease()
-                    && campaign.takes(pin)
+                    && campaign.accepts(pin)
                     && !done.contains(&campaign.id)
                     && campaign.health.allowance(now) != Allowance::Nothing
             };
@@ -248,7 +250,7 @@ impl Context<'_> {
         {
             let may_lease = !pending.is_empty()
                 && campaign.state.may_lease()
-                && campaign.takes(pin)
+                && campaign.accepts(pin)
                 && campaign.health.allowance(self.now) != Allowance::Nothing
                 && !tried.contains(&campaign.policy_id);
             if !may_lease || !policies::is_idle(&mut self.tx, campaign.policy_id).await? {
@@ -316,12 +318,13 @@ impl Context<'_> {
         Ok(assignments.collect())
     }
 
-    /// Returns the reason why waiting jobs cannot go to a worker with this pin; empty if none wait.
+    /// Returns the reason why waiting jobs cannot go to a worker with this pin; empty if no job
+    /// waits.
     pub(super) async fn idle_reason(&mut self, pin: &Pin) -> Result<String, StoreError> {
         let mut reasons = Vec::new();
         for campaign in self.cache.waiting(&mut self.tx).await?.iter() {
             let name = &campaign.name;
-            if !campaign.takes(pin) {
+            if !campaign.accepts(pin) {
                 let demand = campaign.demand();
                 reasons.push(format!(
                     "campaign `{name}` {demand} and this worker runs on {pin}"
@@ -351,7 +354,7 @@ impl Context<'_> {
     ) -> Result<Vec<(CampaignName, Vec<WaitingTask>)>, StoreError> {
         let mut waiting = Vec::new();
         for campaign in self.cache.waiting(&mut self.tx).await?.iter() {
-            if campaign.takes(pin) && campaign.state.may_lease() {
+            if campaign.accepts(pin) && campaign.state.may_lease() {
                 let tasks = claims::waiting_tasks(&mut self.tx, campaign.id, self.now).await?;
                 waiting.push((campaign.name.clone(), tasks));
             }
@@ -361,7 +364,7 @@ impl Context<'_> {
 }
 
 /// Describes the files that all waiting tasks of a campaign need and a worker lacks; `None` if
-/// no task waits, or the worker has the files of one.
+/// no task waits, or the worker has the files of at least one waiting task.
 fn missing_files(
     campaign: &CampaignName,
     waiting: &[WaitingTask],
@@ -388,7 +391,7 @@ fn missing_files(
     Some(format!("campaign `{campaign}` needs {files}"))
 }
 
-/// Returns the standing of a worker that may lease.
+/// Returns the standing of a worker, or the error if the worker may not lease.
 fn may_claim<'a>(
     standings: &'a BTreeMap<WorkerId, Standing>,
     worker: &WorkerId,

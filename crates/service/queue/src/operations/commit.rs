@@ -1,5 +1,5 @@
-//! End of an attempt with a result. Results that arrive together are judged one after the other;
-//! the accepted ones are stored by the same statements.
+//! End of an attempt with a result. Results that arrive together are judged one after the other,
+//! and the accepted results are stored by the same statements.
 
 use libero_ctrl::Condition;
 use rollout_types::{AttemptId, Digests, Motion, Provenance, Realised, RolloutResult};
@@ -36,8 +36,8 @@ pub enum CommitVerdict {
     Stale,
     /// A different outcome of the attempt is already stored; this one is recorded separately.
     Divergent,
-    /// Refused: the result is inconsistent with its configuration's siblings, which is charged, or
-    /// with a pin that its campaign received after the lease, which is not.
+    /// Refused, because the result is inconsistent with its siblings or with its campaign. The
+    /// attempt is charged, unless the campaign was pinned only after the lease was granted.
     Unpaired,
 }
 
@@ -132,7 +132,7 @@ impl Context<'_> {
     ) -> Result<CommitReply, StoreError> {
         let campaign = self.campaign(attempt.initial_state.campaign).await?;
         let from = &report.provenance.pin;
-        if !campaign.takes(from) {
+        if !campaign.accepts(from) {
             let (name, demand) = (&campaign.name, campaign.demand());
             let detail = format!("campaign `{name}` {demand} and this result is of {from}");
             // Not charged if another result pinned the campaign after this lease was granted.
@@ -144,17 +144,16 @@ impl Context<'_> {
             };
             return self.refuse(attempt, reason, detail).await;
         }
-        let of_campaign = &campaign.execution;
         let wanted = match attempt.row.id.condition() {
             Condition::Latency => attempt.row.execution.to_string(),
-            _ => of_campaign.clone(),
+            _ => campaign.execution.clone(),
         };
-        let ran = report.provenance.execution();
-        if ran != wanted {
+        let reported = report.provenance.execution();
+        if reported != wanted {
             let (name, id) = (&campaign.name, attempt.row.id);
             let detail = format!(
                 "{id} of campaign `{name}` runs under execution model `{wanted}` and this result \
-                 under `{ran}`: update the worker's program"
+                 under `{reported}`: update the worker's program"
             );
             return self.refuse(attempt, FailureReason::Unpaired, detail).await;
         }
@@ -163,7 +162,7 @@ impl Context<'_> {
             .cache
             .measured(&mut self.tx, campaign.id, suite)
             .await?;
-        let difference = measured.and_then(|pinned| report.provenance.other_policy(&pinned));
+        let difference = measured.and_then(|pinned| report.provenance.policy_difference(&pinned));
         if let Some(difference) = difference {
             let name = &campaign.name;
             let detail = format!(
@@ -173,7 +172,7 @@ impl Context<'_> {
             let reason = FailureReason::PolicyUnavailable;
             return self.refuse(attempt, reason, detail).await;
         }
-        if let Some(detail) = pairing::misfit(&attempt.row, &report.result) {
+        if let Some(detail) = pairing::impossible_count(&attempt.row, &report.result) {
             return self.refuse(attempt, FailureReason::Unpaired, detail).await;
         }
         let demand = Demand {
@@ -188,7 +187,7 @@ impl Context<'_> {
             realised: report.realised.clone(),
             origin,
         };
-        // A variant is compared with no other rollout, and a task may have hundreds of them.
+        // A variant is compared with no other rollout, and a task may have hundreds of variants.
         let has_siblings = attempt.row.id.variant().is_none();
         let siblings = match has_siblings {
             true => {
@@ -242,7 +241,7 @@ impl Context<'_> {
         })
     }
 
-    /// Ends an attempt whose result is inconsistent with the campaign's others.
+    /// Ends an attempt whose result is refused for `reason`, which `detail` explains.
     async fn refuse(
         &mut self,
         attempt: &NamedAttempt,

@@ -1,5 +1,5 @@
-//! The writing transaction with the context of an operation: cached rows, the current instant, and
-//! the steps that several operations share.
+//! The writing transaction with the context of an operation: cached rows and the current instant.
+//! Also holds the actions that several operations share, such as the end of an attempt.
 
 use std::borrow::Cow;
 use std::collections::BTreeSet;
@@ -37,8 +37,8 @@ pub(crate) struct Context<'a> {
     pub(super) settles: bool,
 }
 
-/// Rewrites an error for use after the name of its policy: replaces a leading "policy `bad` at
-/// ADDRESS" by "it".
+/// Rewrites an error for a sentence that already names the policy: replaces a leading "policy `bad`
+/// at ADDRESS" by "it".
 fn without_policy_name<'e>(policy: &str, error: &'e str) -> Cow<'e, str> {
     let address_first = error.strip_prefix(&format!("policy `{policy}` at "));
     match address_first.and_then(|rest| rest.split_once(' ')) {
@@ -57,7 +57,8 @@ pub(super) struct Ended {
 }
 
 impl<'a> Context<'a> {
-    /// Begins the transaction for these steps after the preceding one has ended.
+    /// Waits until the preceding writing transaction has ended, and begins the one that carries out
+    /// `steps`.
     pub(super) async fn begin(
         shared: &'a Shared,
         steps: Vec<Step>,
@@ -93,7 +94,7 @@ impl<'a> Context<'a> {
     pub(super) async fn able_machines(&mut self, campaign: &Campaign) -> Result<u32, StoreError> {
         let since = self.now.minus(self.shared.timing.worker_alive);
         let live = self.cache.live(&mut self.tx, since).await?;
-        let able = live.iter().filter(|worker| campaign.takes(&worker.pin));
+        let able = live.iter().filter(|worker| campaign.accepts(&worker.pin));
         let machines: BTreeSet<&str> = able.map(|worker| worker.machine.as_str()).collect();
         Ok(u32::try_from(machines.len()).unwrap_or(u32::MAX))
     }
@@ -105,7 +106,8 @@ impl<'a> Context<'a> {
         attempt: &NamedAttempt,
     ) -> Result<Option<Lease>, StoreError> {
         let cut_off = attempt.cut_off.as_ref();
-        let Some(lease) = cut_off.and_then(|cut_off| attempt.job.resumes(cut_off, self.now)) else {
+        let Some(lease) = cut_off.and_then(|cut_off| attempt.job.resumable(cut_off, self.now))
+        else {
             return Ok(None);
         };
         if self
@@ -167,8 +169,8 @@ impl<'a> Context<'a> {
             let wait = resume.since(now).clamp(Waits::USUAL.first, MAX_YIELD);
             *not_before = (*not_before).max(resume.plus(wait));
         }
-        let reason = reason.before(next_step);
-        let error = &reason.explained(error, job.losses + 1, suspicion.silences);
+        let reason = reason.stored_reason(next_step);
+        let error = &reason.stored_error(error, job.losses + 1, suspicion.silences);
         jobs::fail(&mut self.tx, job, lease, reason, error, next_step, now).await?;
         if next_step == AfterFailure::Quarantine {
             self.settles = true;
@@ -189,7 +191,7 @@ impl<'a> Context<'a> {
     }
 
     /// Counts one more failure of a worker's machine. Returns the reason why the worker must stop
-    /// leasing, if it must.
+    /// leasing; `None` if it may continue.
     pub(super) async fn strike(
         &mut self,
         worker: &WorkerId,

@@ -3,7 +3,7 @@
 //! Derived jobs are a pure function of the outcomes, and jobs are only ever added. They are
 //! therefore recomputed after every settled job and at every start, which also repairs interrupted
 //! work. A campaign whose own and whose source's outcomes are unchanged since the last pass is
-//! skipped, so a finished campaign costs one row.
+//! skipped, so a finished campaign costs one row a pass.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::panic::resume_unwind;
@@ -42,7 +42,7 @@ struct Passes {
     /// Records of completed sources. They are read once, since a source stays the same unless some
     /// of its jobs come back from quarantine.
     sources: BTreeMap<CampaignId, (SourceEdition, Arc<Vec<Record>>)>,
-    /// State of each campaign at the last pass that added nothing.
+    /// Inputs of each campaign at the last pass, if that pass added no job.
     complete: BTreeMap<CampaignId, Inputs>,
 }
 
@@ -64,7 +64,7 @@ impl Inputs {
     }
 }
 
-/// Returns the pause after a pass of this duration, so that passes over a campaign of any size use
+/// Returns the pause after a pass that took `cost`, so that passes over a campaign of any size use
 /// at most a fifth of a core.
 pub(super) fn pause_after(cost: Duration) -> Duration {
     PAUSE.max(cost * PAUSE_PER_COST)
@@ -75,14 +75,14 @@ pub(crate) async fn run(shared: Arc<Shared>) {
     let mut settled = shared.settled.subscribe();
     let mut passes = Passes::default();
     loop {
-        let ended = *settled.borrow_and_update();
+        let ended_before_pass = *settled.borrow_and_update();
         let began = Instant::now();
         if let Err(error) = pass(&shared, &mut passes).await {
             tracing::error!("failed to {}", error.with_cause());
             tokio::time::sleep(PAUSE_AFTER_FAILURE).await;
             continue;
         }
-        shared.settled.mark_processed(ended);
+        shared.settled.mark_processed(ended_before_pass);
         tokio::time::sleep(pause_after(began.elapsed())).await;
         // Never closes: the sender belongs to the same queue.
         let _ = settled.changed().await;
@@ -259,7 +259,8 @@ async fn source_records(
     Ok(records)
 }
 
-/// Reads the records of a source; if it stopped early, only those that count for its figures.
+/// Reads the records of a source; if the source stopped early, only those of the configurations
+/// that its results use.
 async fn read_source(
     tx: &mut SqliteConnection,
     campaign: &Derived,
@@ -315,7 +316,7 @@ mod tests {
     use crate::store::Store;
     use crate::timing::Timing;
 
-    fn spec(name: &str, rollouts: &serde_json::Value) -> NewCampaign {
+    fn new_campaign(name: &str, rollouts: &serde_json::Value) -> NewCampaign {
         let mut spec = json!({
             "name": name,
             "policy": {"name": "expert", "endpoint": "http://127.0.0.1:50051"},
@@ -334,13 +335,13 @@ mod tests {
         let (clock, rng) = (Arc::new(SystemClock::start()), ChaCha8Rng::seed_from_u64(1));
         let queue = Queue::start(store, clock, rng, Timing::default()).await;
         let queue = queue.expect("a queue");
-        let source = spec(
+        let source = new_campaign(
             "source",
             &json!({"tasks": ["libero_object/0"], "axes": ["camera", "sensor"],
                     "levels": ["L1"], "configs": [0], "nominal": "eval"}),
         );
         queue.create_campaign(&source).await.expect("created");
-        let explaining = spec("explaining", &json!({"explains": {"campaign": "source"}}));
+        let explaining = new_campaign("explaining", &json!({"explains": {"campaign": "source"}}));
         queue.create_campaign(&explaining).await.expect("created");
         let derived = async || {
             let mut view = queue.store().read().await.expect("a view");

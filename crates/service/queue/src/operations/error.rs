@@ -56,7 +56,8 @@ pub enum QueueError {
     #[error("change campaign `{campaign}`: it is cancelled, which is final; create another")]
     Cancelled { campaign: CampaignName },
     #[error(
-        "change campaign `{campaign}`: it stopped early because its stop rule was met, which is final; create another without `stop` to run the rest"
+        "change campaign `{campaign}`: it stopped early because its stop rule was met, which is \
+         final; create another without `stop` to run the remaining rollouts"
     )]
     Stopped { campaign: CampaignName },
     #[error(
@@ -73,12 +74,12 @@ pub enum QueueError {
     /// A campaign with the realisation `reference` cannot be derived from.
     #[error(
         "derive from campaign `{campaign}`: its realisation is reference, in which each condition \
-         perturbs an axis differently; name a campaign with matched"
+         perturbs an axis differently; name a campaign whose realisation is matched"
     )]
     Unmatched { campaign: CampaignName },
     #[error(
         "derive from campaign `{campaign}`: it measures policy `{policy}` at {endpoint}; name the \
-         same one"
+         same policy"
     )]
     OtherPolicy {
         campaign: CampaignName,
@@ -88,7 +89,7 @@ pub enum QueueError {
     #[error("measure the thresholds of campaign `{campaign}`: {problem}")]
     NoThresholds {
         campaign: CampaignName,
-        /// Reason. Part of the message, because callers are sent nothing else.
+        /// Reason. Part of the message, because a caller receives only the message.
         problem: NotMeasurable,
     },
     #[error(
@@ -104,7 +105,7 @@ pub enum QueueError {
         "skip `{job}`: it is {state}; only a rollout that waits or is being run can be skipped"
     )]
     NotSkippable { job: JobName, state: String },
-    #[error("make a backup: another one is being made; try again when it is done")]
+    #[error("make a backup: another backup is being made; try again when it is done")]
     BackupInHand,
     #[error("lease jobs: the coordinator is shutting down")]
     ShuttingDown,

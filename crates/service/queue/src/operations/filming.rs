@@ -1,5 +1,5 @@
-//! Number of videos that each worker renders or uploads, as reported by its last heartbeat. Kept
-//! in memory only; after a restart the next heartbeat reports it again.
+//! Number of videos that each worker renders or uploads, as reported by its last heartbeat. The
+//! numbers are kept in memory only; after a restart the next heartbeats report them again.
 
 use std::collections::BTreeMap;
 use std::sync::{Mutex, PoisonError};
@@ -28,7 +28,7 @@ impl Filming {
         }
     }
 
-    /// Returns the numbers of videos, by worker; workers without any are left out.
+    /// Returns the numbers of videos, by worker; workers without videos are absent.
     pub(crate) fn by_worker(&self) -> BTreeMap<WorkerId, u32> {
         let reports = self.0.lock().unwrap_or_else(PoisonError::into_inner);
         let reports = reports.iter();

@@ -1,7 +1,7 @@
-//! Choice of the rollouts that are filmed afterwards: in campaigns that record transitions, those
-//! of configurations whose outcome simultaneous perturbation changed; in campaigns that explain
-//! others, the rollouts that show the explanation. Their actions are stored, so filming needs no
-//! policy.
+//! Choice of the rollouts that are filmed after they were committed: in campaigns that record
+//! transitions, the rollouts of configurations whose outcome simultaneous perturbation changed; in
+//! campaigns that explain others, the rollouts that show the explanation. The actions of these
+//! rollouts are stored, so filming needs no policy.
 
 use std::collections::BTreeSet;
 use std::time::Instant;
@@ -23,7 +23,7 @@ pub use crate::store::films::Film;
 
 impl Queue {
     /// Returns a rollout to film with this asset pack and simulator, and the number of such
-    /// rollouts; `None` if nothing is left.
+    /// rollouts; `None` if none is left.
     ///
     /// # Errors
     /// If the database fails.

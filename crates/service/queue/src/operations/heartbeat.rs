@@ -61,8 +61,8 @@ impl Context<'_> {
         Ok(heartbeats.iter().map(answer).collect())
     }
 
-    /// Restores leases of workers that were cut off if their heartbeats name them again. Returns
-    /// true if any lease was restored.
+    /// Restores leases of workers that were cut off and whose heartbeats now report the leased
+    /// attempts again. Returns true if any lease was restored.
     async fn resume_cut_off_leases(
         &mut self,
         progress: &[Progress<'_>],
@@ -96,8 +96,8 @@ impl Context<'_> {
         held: &BTreeSet<AttemptId>,
     ) -> Result<(), StoreError> {
         for probe in policies::probes(&mut self.tx).await? {
-            let is_past_settling = |report: &Progress<'_>| is_answer(report, &probe);
-            if held.contains(&probe.attempt) && progress.iter().any(is_past_settling) {
+            let is_past = |report: &Progress<'_>| is_past_settling(report, &probe);
+            if held.contains(&probe.attempt) && progress.iter().any(is_past) {
                 let campaign = self.campaign(probe.campaign).await?;
                 let after = campaign.health.after_answer(probe.attempt.0, self.now);
                 self.set_health(&campaign, &after).await?;
@@ -107,6 +107,7 @@ impl Context<'_> {
     }
 }
 
-fn is_answer(progress: &Progress<'_>, probe: &Probe) -> bool {
+/// Returns true if `progress` reports that the attempt of `probe` is past its settling steps.
+fn is_past_settling(progress: &Progress<'_>, probe: &Probe) -> bool {
     progress.attempt == probe.attempt.0 && progress.control_steps > probe.settle_steps
 }

@@ -1,6 +1,6 @@
 //! Comparison of an archive's rows with its campaign's specification. The invariants compare rows
-//! with one another; these checks refuse rows that this program would never have stored, which
-//! would fail every claim or commit that reads them.
+//! with one another; the checks of this module refuse rows that this program would never have
+//! stored and that would fail every claim or commit that reads them.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -20,7 +20,7 @@ use crate::store::portable;
 use crate::store::workers::MAX_SLOTS;
 use crate::store::{Store, StoreError};
 
-/// Longest problem of a parser in a message, bytes: it may quote the archive.
+/// Longest part of a parser's error in a message, bytes: the error may quote the archive.
 const MAX_PROBLEM_BYTES: usize = 200;
 
 /// Rows of an archive that this program would not have stored.
@@ -76,8 +76,8 @@ pub enum WorkerProblem {
 /// derive from the outcomes of another campaign.
 type Expansion = Option<(BTreeMap<RolloutId, ManifestRow>, u32)>;
 
-/// Returns the first contradiction in the jobs, results and workers of a database that holds one
-/// campaign.
+/// Returns the first job, result or worker, of a database that holds one campaign, that contradicts
+/// the campaign's specification or the bounds of this program; `None` if there is none.
 pub(super) async fn contradiction(
     view: &mut SqliteConnection,
     campaign: CampaignId,

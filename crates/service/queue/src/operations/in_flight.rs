@@ -1,5 +1,6 @@
-//! Rollouts to be filmed and rollouts being filmed, kept in memory only. After a restart the list
-//! is computed again, and a rollout may be filmed twice, with identical frames.
+//! Rollouts to be filmed and rollouts being filmed, kept in memory only. After a restart the
+//! rollouts to be filmed are computed again; one that is still being filmed may be filmed twice,
+//! with identical frames.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Mutex, PoisonError};
@@ -7,15 +8,15 @@ use std::time::{Duration, Instant};
 
 use crate::clock::UnixMillis;
 use crate::ids::{CampaignId, JobId};
-use crate::store::films::Filmed;
+use crate::store::films::FilmedCampaign;
 
 /// Time after which a rollout being filmed is assigned again: rendering the longest rollout in
 /// software takes a few minutes.
 const FILMING_TIMEOUT: Duration = Duration::from_secs(15 * 60);
-/// A scan that took less than this is repeated after every outcome.
+/// A scan that took less than this duration is repeated after every outcome.
 const CHEAP_SCAN: Duration = Duration::from_millis(50);
-/// A slower scan is repeated after this multiple of its duration at the earliest: scans of a large
-/// campaign then use at most a twentieth of a core while rollouts are committed.
+/// A slower scan is repeated only after this multiple of its duration, so that scans of a large
+/// campaign use at most a twentieth of a core while rollouts are committed.
 const AGE_PER_COST: u32 = 20;
 
 /// Rollouts to be filmed, by campaign.
@@ -31,25 +32,33 @@ struct FilmState {
     unfilmed: BTreeMap<CampaignId, Unfilmed>,
     /// Jobs filmed since the last scan began, which may have missed them.
     filmed: BTreeSet<JobId>,
+    /// Jobs being filmed, with the instant from which each may be assigned again.
     in_flight: BTreeMap<JobId, UnixMillis>,
 }
 
 /// Rollouts of a campaign that are still to be filmed.
 #[derive(Debug)]
 struct Unfilmed {
-    campaign: Filmed,
+    campaign: FilmedCampaign,
     jobs: Vec<JobId>,
+    /// Start of the scan that found the jobs.
     scanned_at: Instant,
+    /// Duration of that scan.
     cost: Duration,
 }
 
 impl Films {
     /// Drops cached campaigns that are not in `campaigns`. Returns those that must be scanned.
-    pub(super) fn outdated(&self, campaigns: &[Filmed], now: Instant) -> Vec<Filmed> {
+    pub(super) fn outdated(
+        &self,
+        campaigns: &[FilmedCampaign],
+        now: Instant,
+    ) -> Vec<FilmedCampaign> {
         let mut state = self.lock();
         let is_filmed = |id: &CampaignId| campaigns.iter().any(|campaign| campaign.campaign == *id);
         state.unfilmed.retain(|id, _| is_filmed(id));
-        let is_outdated = |campaign: &&Filmed| match state.unfilmed.get(&campaign.campaign) {
+        let is_outdated = |campaign: &&FilmedCampaign| match state.unfilmed.get(&campaign.campaign)
+        {
             Some(cached) => {
                 let age = now.saturating_duration_since(cached.scanned_at);
                 let is_due = cached.cost < CHEAP_SCAN || age >= cached.cost * AGE_PER_COST;
@@ -60,7 +69,7 @@ impl Films {
         campaigns.iter().filter(is_outdated).cloned().collect()
     }
 
-    /// Marks the start of a scan, which sees every video stored so far.
+    /// Records that a scan starts, which sees every video stored so far.
     pub(super) fn scan_begins(&self) {
         self.lock().filmed.clear();
     }
@@ -68,7 +77,7 @@ impl Films {
     /// Stores the result of a scan that began at `at` and took `cost`.
     pub(super) fn scanned(
         &self,
-        campaign: Filmed,
+        campaign: FilmedCampaign,
         mut jobs: Vec<JobId>,
         at: Instant,
         cost: Duration,
@@ -91,16 +100,20 @@ impl Films {
         state.filmed.insert(job);
         state.in_flight.remove(&job);
         if let Some(unfilmed) = state.unfilmed.get_mut(&campaign) {
-            unfilmed.jobs.retain(|other| *other != job);
+            unfilmed.jobs.retain(|unfilmed_job| *unfilmed_job != job);
         }
     }
 
     /// Returns the first rollout of these campaigns that is not being filmed, and the number of
     /// rollouts without a video.
-    pub(super) fn assign(&self, campaigns: &[Filmed], now: UnixMillis) -> Option<(JobId, u64)> {
+    pub(super) fn assign(
+        &self,
+        campaigns: &[FilmedCampaign],
+        now: UnixMillis,
+    ) -> Option<(JobId, u64)> {
         let state = &mut *self.lock();
         state.in_flight.retain(|_, until| *until > now);
-        let unfilmed = |campaign: &Filmed| state.unfilmed.get(&campaign.campaign);
+        let unfilmed = |campaign: &FilmedCampaign| state.unfilmed.get(&campaign.campaign);
         let jobs = || {
             campaigns
                 .iter()
@@ -122,8 +135,8 @@ impl Films {
 mod tests {
     use super::*;
 
-    fn campaign(revision: i64) -> Filmed {
-        Filmed {
+    fn campaign(revision: i64) -> FilmedCampaign {
+        FilmedCampaign {
             campaign: CampaignId(1),
             revision,
             source: None,

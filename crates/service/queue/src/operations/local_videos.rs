@@ -1,5 +1,5 @@
-//! Videos stored remotely: lists those still in the data folder and removes them after the upload.
-//! The caller chooses the storage.
+//! Videos that are to be stored remotely: lists the videos still in the data folder, and removes
+//! each after the caller has uploaded it.
 
 use std::io;
 use std::os::unix::fs::MetadataExt;
@@ -12,7 +12,7 @@ use crate::store::{Doing, StoreError, artifacts};
 
 /// A video in the data folder.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub struct FilmHere {
+pub struct LocalFilm {
     /// Path below the data folder.
     pub path: String,
     /// Absolute path of the file.
@@ -21,15 +21,16 @@ pub struct FilmHere {
     identity: (u64, i64, i64),
 }
 
-/// State of a local video after it was stored remotely.
+/// Result of removing a local video that has been stored remotely.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Forgotten {
-    /// Only the remote copy is left.
-    Gone,
-    /// A new upload replaced the file, which must be stored remotely again.
+pub enum FilmRemoval {
+    /// The file was removed, so only the remote copy is left.
+    Removed,
+    /// The file was kept: a new upload has replaced it, and it must be stored remotely again.
     Replaced,
-    /// The campaign was deleted, so the remote copy must be removed too.
-    Deleted,
+    /// The file no longer exists, because its campaign was deleted. The remote copy must be removed
+    /// too.
+    CampaignDeleted,
 }
 
 impl Queue {
@@ -37,8 +38,8 @@ impl Queue {
     ///
     /// # Errors
     /// If the folder or the database cannot be read.
-    pub async fn films_here(&self) -> Result<Vec<FilmHere>, StoreError> {
-        let found = walk(self.store().folder()).map_err(sqlx::Error::Io);
+    pub async fn local_films(&self) -> Result<Vec<LocalFilm>, StoreError> {
+        let found = list_files(self.store().folder()).map_err(sqlx::Error::Io);
         let found = found.doing("list the videos in the data folder")?;
         if found.is_empty() {
             return Ok(found);
@@ -46,7 +47,7 @@ impl Queue {
         let paths: Vec<&str> = found.iter().map(|film| film.path.as_str()).collect();
         let mut view = self.store().read().await?;
         let recorded = artifacts::recorded(&mut view, &paths).await?;
-        let is_recorded = |film: &FilmHere| recorded.contains(&film.path);
+        let is_recorded = |film: &LocalFilm| recorded.contains(&film.path);
         Ok(found.into_iter().filter(is_recorded).collect())
     }
 
@@ -54,25 +55,28 @@ impl Queue {
     ///
     /// # Errors
     /// If the film cannot be removed.
-    pub async fn forget_film(&self, film: &FilmHere) -> io::Result<Forgotten> {
+    pub async fn remove_local_film(&self, film: &LocalFilm) -> io::Result<FilmRemoval> {
         let _guard = self.shared.files.lock().await;
         match identity(&film.file) {
             Ok(now) if now == film.identity => {
-                std::fs::remove_file(&film.file).map(|()| Forgotten::Gone)
+                std::fs::remove_file(&film.file).map(|()| FilmRemoval::Removed)
             }
-            Ok(_) => Ok(Forgotten::Replaced),
-            Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(Forgotten::Deleted),
+            Ok(_) => Ok(FilmRemoval::Replaced),
+            Err(error) if error.kind() == io::ErrorKind::NotFound => {
+                Ok(FilmRemoval::CampaignDeleted)
+            }
             Err(error) => Err(error),
         }
     }
 
     /// Removes the remaining files of deleted campaigns, locally and remotely. Campaigns can be
-    /// created and deleted meanwhile, because remote storage may be slow or unavailable. Concurrent
+    /// created and deleted meanwhile, since remote storage may be slow or unavailable. Concurrent
     /// calls run one after the other.
     pub async fn finish_removals(&self) -> Result<(), StoreError> {
         let _guard = self.removing.lock().await;
-        // A campaign being imported has its folder marked for removal until it is complete. This
-        // lock excludes imports, and no campaign ever gets a folder that is marked.
+        // The folder of a campaign that is being imported stays marked for removal until the import
+        // is complete. The lock excludes imports while the marked folders are read; no campaign
+        // that is created later gets a marked folder.
         let no_imports = self.campaigns.lock().await;
         let pending = removals::pending(&self.shared).await?;
         drop(no_imports);
@@ -83,7 +87,8 @@ impl Queue {
     }
 }
 
-fn walk(data: &Path) -> io::Result<Vec<FilmHere>> {
+/// Lists all complete files in the folders of campaigns.
+fn list_files(data: &Path) -> io::Result<Vec<LocalFilm>> {
     let mut found = Vec::new();
     let campaigns = match std::fs::read_dir(data.join(ARTIFACTS_FOLDER)) {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(found),
@@ -108,7 +113,7 @@ fn walk(data: &Path) -> io::Result<Vec<FilmHere>> {
             }
             // The file may have been replaced or removed since it was listed.
             if let Ok(identity) = identity(&file) {
-                found.push(FilmHere {
+                found.push(LocalFilm {
                     path: format!("{ARTIFACTS_FOLDER}/{folder}/{name}"),
                     file,
                     identity,

@@ -21,14 +21,14 @@ const MAX_EXAMPLES: usize = 20;
 /// Numbers of rollouts in a merged campaign.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Merged {
-    /// Outcome in the first half only.
+    /// Rollouts with an outcome in the first half only.
     pub first: u64,
-    /// Outcome in the second half only.
+    /// Rollouts with an outcome in the second half only.
     pub second: u64,
-    /// Same outcome in both halves.
+    /// Rollouts with the same outcome in both halves.
     pub both: u64,
     pub quarantined: u64,
-    /// Still to be run.
+    /// Rollouts still to be run.
     pub open: u64,
 }
 
@@ -79,11 +79,12 @@ impl From<StoreError> for MergeError {
 }
 
 /// Merges two halves of one campaign into an empty folder, which becomes a data folder. Videos are
-/// not copied. The result takes its name, policy endpoint, priority and state from the first half,
-/// unless a new name is given.
+/// not copied. The merged campaign takes its name, policy endpoint, priority and state from the
+/// first half, or the name from `name` if it is given.
 ///
 /// # Errors
-/// If the campaigns are not halves of one, if they contradict each other, or if a database fails.
+/// If the campaigns are not halves of one campaign, if they contradict each other, or if a database
+/// fails.
 pub async fn merge(
     first: &Portable,
     second: &Portable,
@@ -99,18 +100,18 @@ pub async fn merge(
         .attach(&second.folder().join(DATABASE_FILE))
         .await?;
     let mut tx = attached.write(Vec::new()).await?;
-    let both = (whole.campaign.id, second.campaign.id);
-    if let Some((rollout_id, replicate)) = halves::other_rollout(&mut tx, both).await? {
+    let halves = (whole.campaign.id, second.campaign.id);
+    if let Some((rollout_id, replicate)) = halves::differing_rollout(&mut tx, halves).await? {
         let rollout = JobName {
             rollout_id,
             replicate,
         };
         return Err(MergeError::Rollout { rollout });
     }
-    let first_records = halves::records(&mut tx, Schema::Main, both.0).await?;
-    let second_records = halves::records(&mut tx, Schema::Source, both.1).await?;
-    let first_results = halves::results(&mut tx, Schema::Main, both.0).await?;
-    let second_results = halves::results(&mut tx, Schema::Source, both.1).await?;
+    let first_records = halves::records(&mut tx, Schema::Main, halves.0).await?;
+    let second_records = halves::records(&mut tx, Schema::Source, halves.1).await?;
+    let first_results = halves::results(&mut tx, Schema::Main, halves.0).await?;
+    let second_results = halves::results(&mut tx, Schema::Source, halves.1).await?;
     check_same_policy(&first_results, &second_results)?;
     let kept = match merge::merge(&first_records, &second_records) {
         Ok(kept) => kept,
@@ -119,18 +120,19 @@ pub async fn merge(
     check_consistency(whole.campaign.mode()?, &first_results, &second_results)?;
     let of_second = kept.iter().filter(|(_, kept)| **kept == KeptHalf::Second);
     let of_second: Vec<Rollout> = of_second.map(|(rollout, _)| rollout.clone()).collect();
-    portable::replace(&mut tx, both, &of_second).await?;
-    halves::copy_pin(&mut tx, both).await?;
+    portable::replace(&mut tx, halves, &of_second).await?;
+    halves::copy_pin(&mut tx, halves).await?;
     portable::erase_history(&mut tx).await?;
     tx.commit().await?;
     drop(attached);
     whole.store.compact().await?;
     let mut merged = Merged::default();
-    for (rollout, one) in &first_records {
-        let other = second_records.get(rollout).copied().unwrap_or_default();
+    for (rollout, in_first) in &first_records {
+        let in_second = second_records.get(rollout).copied().unwrap_or_default();
+        let standings = [in_first.standing, in_second.standing];
         let is_committed = |standing| matches!(standing, Standing::Committed(_));
-        let is_quarantined = [one.standing, other.standing].contains(&Standing::Quarantined);
-        match (is_committed(one.standing), is_committed(other.standing)) {
+        let is_quarantined = standings.contains(&Standing::Quarantined);
+        match (is_committed(standings[0]), is_committed(standings[1])) {
             (true, true) => merged.both += 1,
             (true, false) => merged.first += 1,
             (false, true) => merged.second += 1,
@@ -142,8 +144,8 @@ pub async fn merge(
     Ok((whole, merged))
 }
 
-/// Checks that two halves are of one design. Name and endpoint may differ: each half had its own
-/// coordinator.
+/// Checks that two halves have one design. Name and endpoint may differ, since each half had its
+/// own coordinator.
 fn check_same_design(first: &Portable, second: &Portable) -> Result<(), MergeError> {
     for half in [first, second] {
         if source_of(&half.spec)?.is_some() {
@@ -168,12 +170,12 @@ fn check_same_design(first: &Portable, second: &Portable) -> Result<(), MergeErr
             differs,
         });
     }
-    if let (Some(one), Some(other)) = (&first.campaign.pin, &second.campaign.pin)
-        && one != other
+    if let (Some(first), Some(second)) = (&first.campaign.pin, &second.campaign.pin)
+        && first != second
     {
         return Err(MergeError::Pin {
-            first: one.to_string(),
-            second: other.to_string(),
+            first: first.to_string(),
+            second: second.to_string(),
         });
     }
     Ok(())
@@ -188,8 +190,9 @@ fn check_same_policy(first: &[Stored], second: &[Stored]) -> Result<(), MergeErr
     }
     for stored in second.iter().filter(has_settings) {
         let suite = stored.manifest_row.id.task().suite();
-        let before = measured.get(&suite);
-        if let Some(difference) = before.and_then(|origin| stored.origin().other_policy(origin)) {
+        let first_origin = measured.get(&suite);
+        let difference = first_origin.and_then(|first| stored.origin().policy_difference(first));
+        if let Some(difference) = difference {
             return Err(MergeError::Policy { suite, difference });
         }
     }
@@ -226,7 +229,7 @@ fn check_consistency(
     }
     match differing.is_empty() {
         true => Ok(()),
-        false => Err(listed(&differing)),
+        false => Err(contradictions_error(&differing)),
     }
 }
 
@@ -245,7 +248,7 @@ fn contradictions(
     first: &[Stored],
     second: &[Stored],
 ) -> MergeError {
-    let described = |half: &[Stored], (id, replicate): &Rollout, outcome: OutcomeKey| {
+    let describe = |half: &[Stored], (id, replicate): &Rollout, outcome: OutcomeKey| {
         let stored = half
             .iter()
             .find(|stored| (&stored.rollout_id, stored.replicate) == (id, *replicate));
@@ -275,14 +278,14 @@ fn contradictions(
         };
         format!(
             "`{name}`: {} in the first, {} in the second",
-            described(first, rollout, contradiction.first),
-            described(second, rollout, contradiction.second)
+            describe(first, rollout, contradiction.first),
+            describe(second, rollout, contradiction.second)
         )
     });
-    listed(&texts.collect::<Vec<_>>())
+    contradictions_error(&texts.collect::<Vec<_>>())
 }
 
-fn listed(texts: &[String]) -> MergeError {
+fn contradictions_error(texts: &[String]) -> MergeError {
     let mut examples = texts[..texts.len().min(MAX_EXAMPLES)].join("\n");
     if texts.len() > MAX_EXAMPLES {
         examples.push_str("\n…");
@@ -300,7 +303,8 @@ fn name(stored: &Stored) -> JobName {
     }
 }
 
-/// Shortens a digest to enough digits to tell two apart.
+/// Shortens a digest to 12 digits, which suffice to tell two digests apart; returns "unknown" for
+/// an empty digest.
 fn short(digest: &str) -> &str {
     match crate::ids::shortened(digest, 12) {
         "" => "unknown",

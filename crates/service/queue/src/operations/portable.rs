@@ -15,7 +15,7 @@ use super::context::Context;
 use super::error::QueueError;
 use super::imported::{self, RowsError};
 use super::removals;
-use super::settled::Settled;
+use super::settled::SettlementWatch;
 use crate::expand::altered;
 use crate::ids::{CampaignId, CampaignName};
 use crate::invariants::{self, SCHEMA_INVARIANT, Violation};
@@ -25,8 +25,8 @@ use crate::store::campaigns::{self, Campaign};
 use crate::store::failpoint::Step;
 use crate::store::portable::{self, CopyTarget};
 use crate::store::{
-    DATABASE_FILE, Doing, OpenError, Store, StoreError, derivations, foreign_schema, hidden,
-    instants, removals as pending, undecodable,
+    DATABASE_FILE, Doing, OpenError, Store, StoreError, derivations, hidden, instants,
+    removals as removal_marks, schema, undecodable,
 };
 use crate::timing::Timing;
 
@@ -48,9 +48,10 @@ pub struct FilmFile {
     pub size_bytes: u64,
 }
 
-/// Outcomes of the campaign that another one derives from.
+/// The source campaign of a derived campaign, with the digest of its outcomes.
 #[derive(Clone, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
 pub struct SourceOutcomes {
+    /// Name of the source campaign.
     pub campaign: String,
     /// SHA-256 of the outcomes, hex.
     pub outcomes: String,
@@ -85,7 +86,7 @@ impl Portable {
     /// The database is untrusted. A view in place of a table, or a trigger, would run with the
     /// first statement that touches it, so the schema is compared before any other statement.
     pub async fn open(folder: &Path) -> Result<Portable, PortableError> {
-        let foreign = foreign_schema(&folder.join(DATABASE_FILE)).await;
+        let foreign = schema::foreign_schema(&folder.join(DATABASE_FILE)).await;
         if let Some(example) = foreign.doing("compare the schema of an archive")? {
             let invariant = SCHEMA_INVARIANT;
             return Err(PortableError::Violated { invariant, example });
@@ -138,10 +139,10 @@ impl Portable {
         self.store.folder()
     }
 
-    /// Begins a view of the database, to read from.
+    /// Begins a read-only view of the database.
     pub async fn view(&self) -> Result<View, StoreError> {
         let (now, filming) = (self.campaign.created_ms, BTreeMap::new());
-        let settled = Arc::new(Settled::new());
+        let settled = Arc::new(SettlementWatch::new());
         View::begin(&self.store, now, Timing::default(), settled, None, filming).await
     }
 
@@ -160,10 +161,10 @@ impl Portable {
         Ok(films.into_iter().map(film).collect())
     }
 
-    /// Removes missing videos from the database.
-    pub async fn leave_out(&self, missing: &[String]) -> Result<(), StoreError> {
+    /// Removes the videos with these paths, whose files are missing, from the database.
+    pub async fn remove_missing_films(&self, missing: &[String]) -> Result<(), StoreError> {
         let mut tx = self.store.write(Vec::new()).await?;
-        portable::forget_artifacts(&mut tx, missing).await?;
+        portable::remove_artifacts(&mut tx, missing).await?;
         tx.commit().await
     }
 
@@ -178,8 +179,8 @@ impl Portable {
 
 impl Queue {
     /// Copies the current state of a campaign into an empty folder, which becomes a data folder.
-    /// Leases end in the copy without a charge: their jobs wait again. Videos are not copied; their
-    /// folder, relative to this coordinator's data folder, is returned.
+    /// Leases end in the copy without a charge: their jobs wait again. Videos are not copied.
+    /// Returns the copy, and the folder of the videos below this coordinator's data folder.
     ///
     /// # Errors
     /// If there is no such campaign, or a database fails.
@@ -203,7 +204,8 @@ impl Queue {
         Ok((copy, campaign_folder(&campaign.folder)))
     }
 
-    /// Returns the outcomes that a campaign derives from, if it derives from another one.
+    /// Returns the digest of the outcomes of the source campaign that a specification names; `None`
+    /// if the specification is not of a derived campaign.
     ///
     /// # Errors
     /// If the database fails.
@@ -222,12 +224,13 @@ impl Queue {
         }))
     }
 
-    /// Imports the campaign of a data folder and moves its videos out of it. The campaign continues
-    /// in its former state. Returns its name and number of jobs.
+    /// Imports the campaign of a data folder and moves its videos into this coordinator's data
+    /// folder. The campaign continues in its former state. Returns its name and the numbers of its
+    /// jobs by state.
     ///
     /// # Errors
-    /// If the name is taken, its source campaign is missing or has other outcomes, or the database
-    /// or disk fails; in these cases nothing has changed.
+    /// If the name is taken, the campaign's source is missing or has other outcomes, or the
+    /// database or disk fails; in these cases nothing has changed.
     pub async fn adopt(
         &self,
         from: &Portable,
@@ -249,8 +252,9 @@ impl Queue {
         }
         let local_source = context.local_source(&target, source).await?;
         if let Some(source) = local_source {
-            // Releases the writer while many rows are read. The lock on `campaigns` prevents
-            // creations and deletions meanwhile, and the rows of a campaign never change.
+            // Dropping the context releases the writer while many rows are read. The lock on
+            // `campaigns` prevents creations and deletions meanwhile, and the manifest rows of a
+            // campaign never change.
             drop(context);
             let derived = (&from.store, from.campaign.id);
             if !imported::has_budgets_of(derived, (&shared.store, source)).await? {
@@ -263,7 +267,7 @@ impl Queue {
         target.folder = campaigns::free_folder(&mut context.tx, &target.name).await?;
         let folder = campaign_folder(&target.folder);
         // Marks the folder for removal at the next start, in case the import does not complete.
-        pending::note(&mut context.tx, &folder).await?;
+        removal_marks::add(&mut context.tx, &folder).await?;
         context.commit().await?;
         let moved = move_films(from.folder(), &films, &shared.store.folder().join(&folder)).await;
         let adopted = match moved {
@@ -314,23 +318,25 @@ impl Queue {
         copied
     }
 
+    /// Copies the jobs of campaign `old` in batches into the hidden campaign `id`, which then
+    /// becomes visible.
     async fn copy_jobs(
         &self,
         from: &Portable,
-        both: (CampaignId, CampaignId),
+        (id, old): (CampaignId, CampaignId),
         target: &CopyTarget,
         local_source: Option<CampaignId>,
     ) -> Result<Counts, AdoptError> {
-        let (shared, id) = (&*self.shared, both.0);
+        let shared = &*self.shared;
         let database = &from.folder().join(DATABASE_FILE);
         let mut view = from.store.read().await?;
-        let jobs = portable::jobs(&mut view, both.1).await?;
+        let jobs = portable::jobs(&mut view, old).await?;
         drop(view);
         for batch in jobs.chunks(JOBS_PER_BATCH) {
             let mut attached = shared.store.attach(database).await?;
             let tx = attached.write(vec![Step::ImportCampaign]).await?;
             let mut context = Context::within(shared, tx).await;
-            portable::copy_batch(&mut context.tx, both, &target.folder, batch).await?;
+            portable::copy_batch(&mut context.tx, (id, old), &target.folder, batch).await?;
             context.commit().await?;
             attached.detach().await?;
         }
@@ -340,7 +346,7 @@ impl Queue {
         let now = context.now;
         campaigns::take_name(&mut context.tx, &target.name).await?;
         hidden::publish(&mut context.tx, id, (&target.name, &target.folder), now).await?;
-        portable::copy_rest(&mut context.tx, both).await?;
+        portable::copy_stop_and_state(&mut context.tx, (id, old)).await?;
         // The exporting coordinator's clock may be ahead of this one.
         let latest = now.plus(rollout_types::Waits::USUAL.longest);
         instants::set_back(&mut context.tx, now, latest).await?;
@@ -349,7 +355,7 @@ impl Queue {
         }
         context.settles = true;
         context.cache.clear_campaigns();
-        pending::done(&mut context.tx, &campaign_folder(&target.folder)).await?;
+        removal_marks::remove(&mut context.tx, &campaign_folder(&target.folder)).await?;
         let counts = Counts::read(&mut context.tx, id).await?;
         context.commit().await?;
         attached.detach().await?;
@@ -357,21 +363,22 @@ impl Queue {
     }
 }
 
-/// A campaign cannot be exported.
+/// A campaign that cannot be exported.
 #[derive(Debug, thiserror::Error)]
 pub enum CopyError {
-    /// The campaign does not exist here, or the database failed.
+    /// This coordinator has no such campaign, or the database failed.
     #[error(transparent)]
     Queue(#[from] QueueError),
     #[error(transparent)]
     Portable(#[from] PortableError),
 }
 
-/// A campaign cannot be imported.
+/// A campaign that cannot be imported.
 #[derive(Debug, thiserror::Error)]
 pub enum AdoptError {
     #[error(
-        "add campaign `{campaign}`: this coordinator has a campaign of that name; give this one another with --as NAME"
+        "add campaign `{campaign}`: this coordinator has a campaign of that name; choose another \
+         name with --as NAME"
     )]
     Exists { campaign: CampaignName },
     #[error(
@@ -382,7 +389,8 @@ pub enum AdoptError {
         source_campaign: CampaignName,
     },
     #[error(
-        "add campaign `{campaign}`: its source campaign `{source_campaign}` has other outcomes here; archive and import both in their current state"
+        "add campaign `{campaign}`: its source campaign `{source_campaign}` has other \
+         outcomes here; archive and import both campaigns in their current state"
     )]
     OtherSource {
         campaign: CampaignName,
@@ -433,8 +441,8 @@ impl Portable {
 }
 
 impl Context<'_> {
-    /// Returns the campaign here that an imported one derives from, after checking that its
-    /// outcomes are the same.
+    /// Returns this coordinator's campaign that an imported campaign derives from, after checking
+    /// that its outcomes are the `expected` ones; `None` if the imported campaign is not derived.
     async fn local_source(
         &mut self,
         target: &CopyTarget,

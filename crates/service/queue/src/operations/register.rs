@@ -4,7 +4,7 @@ use super::context::Context;
 use super::error::QueueError;
 use crate::ids::WorkerId;
 use crate::queue::Queue;
-use crate::rules::lease::inherited;
+use crate::rules::lease::inherited_failures;
 use crate::store::failpoint::Step;
 use crate::store::workers::{self, WorkerInfo};
 
@@ -18,10 +18,13 @@ impl Queue {
     pub async fn register(&self, worker: &WorkerInfo) -> Result<String, QueueError> {
         let mut context = Context::begin(&self.shared, vec![Step::Register]).await?;
         let in_a_row = match &worker.machine {
-            Some(machine) => workers::last_on_machine(&mut context.tx, machine, &worker.id).await?,
+            Some(machine) => {
+                workers::last_failures_on_machine(&mut context.tx, machine, &worker.id).await?
+            }
             None => 0,
         };
-        workers::upsert(&mut context.tx, worker, inherited(in_a_row), context.now).await?;
+        let inherited = inherited_failures(in_a_row);
+        workers::upsert(&mut context.tx, worker, inherited, context.now).await?;
         let idle_reason = context.idle_reason(&worker.pin).await?;
         context.commit().await?;
         // A job that failed on the other machines may suit the new worker.
@@ -29,7 +32,8 @@ impl Queue {
         Ok(idle_reason)
     }
 
-    /// Records a worker's clean shutdown: it counts as gone at once, until it registers again.
+    /// Records a worker's clean shutdown: the worker counts as gone from now until it registers
+    /// again.
     ///
     /// # Errors
     /// If the worker is unknown or the database fails.

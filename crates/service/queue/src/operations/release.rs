@@ -1,4 +1,4 @@
-//! End of an attempt without a result (`commit` handles those with one).
+//! End of an attempt without a result; `commit` handles attempts with a result.
 
 use std::time::Duration;
 
@@ -31,12 +31,13 @@ pub(crate) struct Release {
     pub(crate) answered: Option<u32>,
 }
 
+/// Answer to the report of an attempt that ended without a result.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct ReleaseReply {
     pub verdict: ReleaseVerdict,
     /// Time until the job, or its policy, may be tried again.
     pub backoff: Duration,
-    /// Reason why this worker must stop leasing, if it must.
+    /// Reason why this worker must stop leasing; `None` if it may continue.
     pub stop_leasing: Option<String>,
 }
 
@@ -51,9 +52,9 @@ impl Context<'_> {
         let Some(attempt) = named.get_mut(&id) else {
             return Ok(Err(QueueError::UnknownAttempt { attempt: id }));
         };
-        // Resumes the lease before ending it. Otherwise a heartbeat sent before the release could
-        // resume it later, and the following heartbeats, which leave it out, would charge the
-        // machine.
+        // The lease of a worker that was cut off is resumed before it ends. Otherwise a heartbeat
+        // sent before the release could resume the lease later, and the following heartbeats, which
+        // omit the attempt, would charge the machine.
         if let Some(lease) = self.resume(attempt).await? {
             attempt.job.state = JobState::Leased(lease);
         }

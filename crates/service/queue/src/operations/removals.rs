@@ -14,30 +14,31 @@ pub(crate) async fn pending(shared: &Shared) -> Result<Vec<String>, StoreError> 
     removals::pending(&mut view).await
 }
 
-/// Removes a folder or file below the data folder. It stays marked for removal from remote storage.
-pub(crate) async fn remove_locally(shared: &Shared, below: &str) -> Result<(), StoreError> {
-    match try_remove_locally(shared, below).await && shared.remote_storage.is_none() {
-        true => note_done(shared, below).await,
+/// Removes a folder or file below the data folder. If there is remote storage, the path stays
+/// marked for removal from it.
+pub(crate) async fn remove_locally(shared: &Shared, relative: &str) -> Result<(), StoreError> {
+    match try_remove_locally(shared, relative).await && shared.remote_storage.is_none() {
+        true => unmark(shared, relative).await,
         false => Ok(()),
     }
 }
 
 /// Removes a folder or file below the data folder and from remote storage.
-pub(crate) async fn remove(shared: &Shared, below: &str) -> Result<(), StoreError> {
-    if !try_remove_locally(shared, below).await {
+pub(crate) async fn remove(shared: &Shared, relative: &str) -> Result<(), StoreError> {
+    if !try_remove_locally(shared, relative).await {
         return Ok(());
     }
     if let Some(remote_storage) = &shared.remote_storage
-        && let Err(problem) = remote_storage.remove(below).await
+        && let Err(problem) = remote_storage.remove(relative).await
     {
         tracing::warn!("failed to {problem}; the removal is tried again");
         return Ok(());
     }
-    note_done(shared, below).await
+    unmark(shared, relative).await
 }
 
-async fn try_remove_locally(shared: &Shared, below: &str) -> bool {
-    let path = shared.store.folder().join(below);
+async fn try_remove_locally(shared: &Shared, relative: &str) -> bool {
+    let path = shared.store.folder().join(relative);
     let removed = match path.is_dir() {
         true => tokio::fs::remove_dir_all(&path).await,
         false => tokio::fs::remove_file(&path).await,
@@ -52,9 +53,10 @@ async fn try_remove_locally(shared: &Shared, below: &str) -> bool {
     }
 }
 
-async fn note_done(shared: &Shared, below: &str) -> Result<(), StoreError> {
+/// Removes the mark of a path that has been removed.
+async fn unmark(shared: &Shared, relative: &str) -> Result<(), StoreError> {
     let mut context = Context::begin(shared, vec![Step::FinishRemoval]).await?;
-    removals::done(&mut context.tx, below).await?;
+    removals::remove(&mut context.tx, relative).await?;
     context.commit().await
 }
 
@@ -142,16 +144,16 @@ mod tests {
                 async move { queue.finish_removals().await.expect("removed") }
             });
             slow.requests.acquire().await.expect("a removal").forget();
-            // A new campaign of the same name, whose videos must not be removed with the deleted
-            // one's.
+            // A new campaign of the same name, whose videos must not be removed together with those
+            // of the deleted campaign.
             create("one").await;
             create("two").await;
-            let to = Alteration {
+            let alteration = Alteration {
                 priority: Some(1),
                 ..Alteration::default()
             };
             queue
-                .alter_campaign(&name("two"), &to)
+                .alter_campaign(&name("two"), &alteration)
                 .await
                 .expect("altered");
             queue.delete_campaign(&name("two")).await.expect("deleted");

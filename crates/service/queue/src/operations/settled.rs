@@ -1,21 +1,25 @@
-//! Numbers of transactions that settled jobs, and of those that derivation has processed: while
-//! some are unprocessed, further jobs may derive from their outcomes.
+//! Numbers of transactions that settled jobs, that is, committed or quarantined them, and of those
+//! transactions that derivation has processed. While some are unprocessed, further jobs may derive
+//! from their outcomes.
 
 use std::sync::atomic::{AtomicU64, Ordering};
 
 use tokio::sync::watch;
 
-/// Counts the transactions that settle jobs, before and after they are committed.
-pub(crate) struct Settled {
+/// Counts of the transactions that settle jobs.
+pub(crate) struct SettlementWatch {
+    /// Transactions that have started to commit.
     begun: AtomicU64,
+    /// Transactions that have been committed or rolled back.
     ended: watch::Sender<u64>,
+    /// Transactions that derivation has processed.
     processed: AtomicU64,
 }
 
 /// A transaction that settles jobs. Dropping this value marks its end.
-pub(crate) struct Settling<'a>(&'a Settled);
+pub(crate) struct Settling<'a>(&'a SettlementWatch);
 
-impl Settled {
+impl SettlementWatch {
     /// Starts with one unprocessed transaction, since jobs settled before startup have not been
     /// processed.
     pub(crate) fn new() -> Self {
@@ -49,7 +53,7 @@ impl Settled {
     }
 
     /// Returns true if no transaction has settled jobs since `processed` was read, so that a view
-    /// read in between is complete. Call it after reading.
+    /// read in between is complete. To be called after the view was read.
     pub(crate) fn is_current(&self, processed: u64) -> bool {
         self.begun.load(Ordering::SeqCst) == processed
     }
@@ -57,7 +61,7 @@ impl Settled {
 
 impl Drop for Settling<'_> {
     fn drop(&mut self) {
-        // Also runs after a rollback; the watcher then finds nothing new.
+        // Also runs after a rollback; subscribers then find nothing new.
         self.0.ended.send_modify(|ended| *ended += 1);
     }
 }
@@ -68,7 +72,7 @@ mod tests {
 
     #[test]
     fn uncommitted_settlements_count_as_unprocessed() {
-        let settled = Settled::new();
+        let settled = SettlementWatch::new();
         let ended = settled.subscribe();
         let is_current = || settled.is_current(settled.processed());
         let process = || settled.mark_processed(*ended.borrow());

@@ -9,7 +9,7 @@ use tokio::sync::{Notify, watch};
 
 use super::cache::Cache;
 use super::in_flight::Films;
-use super::settled::Settled;
+use super::settled::SettlementWatch;
 use crate::clock::{Clock, UnixMillis};
 use crate::remote_storage::RemoteStorage;
 use crate::store::Store;
@@ -32,7 +32,8 @@ pub(crate) struct Shared {
     pub(crate) work: Notify,
     /// Notified when jobs are settled, since further jobs may derive from their outcomes, or a
     /// campaign's stop rule may be met.
-    pub(crate) settled: Arc<Settled>,
+    pub(crate) settled: Arc<SettlementWatch>,
+    /// True once the coordinator is shutting down and leases no more jobs.
     pub(crate) draining: watch::Sender<bool>,
     /// Reason why leasing is suspended; `None` while jobs are leased.
     pub(crate) hold: watch::Sender<Option<String>>,
@@ -56,7 +57,7 @@ impl Shared {
             films: Films::default(),
             remote_storage,
             work: Notify::new(),
-            settled: Arc::new(Settled::new()),
+            settled: Arc::new(SettlementWatch::new()),
             draining: watch::Sender::new(false),
             hold: watch::Sender::new(None),
         }

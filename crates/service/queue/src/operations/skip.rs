@@ -1,4 +1,5 @@
-//! Skipping of rollouts: an operator gives them up, and the campaign continues without them.
+//! Skipping of rollouts: at an operator's request they are quarantined, and the campaign continues
+//! without them.
 
 use super::campaigns::check_not_ended;
 use super::context::Context;

@@ -1,5 +1,5 @@
-//! Correction of stored instants when the coordinator starts, and of leases also after the machine
-//! was suspended.
+//! Correction of stored instants when the coordinator starts, and restart of all leases at that
+//! time and after the machine was suspended.
 
 use super::context::Context;
 use super::shared::Shared;

@@ -27,7 +27,7 @@ use crate::store::{Doing, StoreError, undecodable};
 const PAUSE_AFTER_FAILURE: Duration = Duration::from_secs(5);
 
 /// First incomplete configuration of each campaign at the last evaluation. While it is unchanged,
-/// no new outcome counts.
+/// new outcomes cannot change the result of the stop rule.
 type Fronts = BTreeMap<CampaignId, Front>;
 
 /// A configuration or a nominal rollout: the task, true for a configuration, and the number of the
@@ -85,9 +85,9 @@ async fn evaluate_rules(shared: &Shared, fronts: &mut Fronts) -> Result<(), Stor
     Ok(())
 }
 
-/// Stops a campaign whose rule is met at `look`, unless the campaign was cancelled since, or one of
-/// the rollouts before `order`, on which the evaluation rests, was taken out of quarantine. Returns
-/// false if the campaign continues.
+/// Stops a campaign whose rule is met at `look`, unless the campaign was cancelled after the
+/// evaluation, or one of the rollouts before `order`, which the evaluation used, was taken out of
+/// quarantine. Returns false if the campaign is not stopped.
 ///
 /// The rule is not evaluated again here: for 150,000 outcomes that takes most of a minute, during
 /// which the transaction would block every claim and result.
@@ -115,8 +115,8 @@ async fn stop(
     // A campaign that derives from this one may now grow.
     context.settles = true;
     context.commit().await?;
-    let (used, all) = (look.used.len(), look.units);
-    tracing::info!(campaign = %name, "stopped early after {used} of {all} configurations");
+    let (used, total) = (look.used.len(), look.units);
+    tracing::info!(campaign = %name, "stopped early after {used} of {total} configurations");
     shared.work.notify_waiters();
     Ok(true)
 }
@@ -169,13 +169,13 @@ mod tests {
             levels: BTreeMap::new(),
         };
         let shared = &queue.shared;
-        let later = stop(shared, campaign, first.unit_order + 1, &look).await;
-        assert!(!later.expect("evaluated"), "an earlier rollout waits");
-        let now = stop(shared, campaign, first.unit_order, &look).await;
-        assert!(now.expect("stopped"));
-        let again = stop(shared, campaign, first.unit_order, &look).await;
+        let outdated = stop(shared, campaign, first.unit_order + 1, &look).await;
+        assert!(!outdated.expect("evaluated"), "an earlier rollout waits");
+        let current = stop(shared, campaign, first.unit_order, &look).await;
+        assert!(current.expect("stopped"));
+        let repeated = stop(shared, campaign, first.unit_order, &look).await;
         assert!(
-            !again.expect("evaluated"),
+            !repeated.expect("evaluated"),
             "the campaign has already stopped"
         );
     }

@@ -10,7 +10,7 @@ use super::start::restart_leases;
 use crate::clock::UnixMillis;
 use crate::ids::WorkerId;
 use crate::queue::Queue;
-use crate::rules::lease::{FailureReason, JobState, Lease, was_asleep};
+use crate::rules::lease::{FailureReason, JobState, Lease, was_suspended};
 use crate::store::StoreError;
 use crate::store::failpoint::Step;
 use crate::store::jobs::{self, ExpiredRow};
@@ -30,7 +30,7 @@ impl Queue {
         let mut context = Context::begin(shared, vec![Step::Sweep]).await?;
         let now = context.now;
         let mut has_new_work = false;
-        if was_asleep(now.since(last), shared.timing.lease) {
+        if was_suspended(now.since(last), shared.timing.lease) {
             tracing::warn!(
                 "the coordinator was suspended: every lease is restarted with its full duration"
             );
@@ -50,11 +50,12 @@ impl Queue {
 
 impl Context<'_> {
     /// Ends expired leases and returns true if any lease expired. A worker whose heartbeats omitted
-    /// several leases gets one strike for all of them; a worker whose heartbeats stopped gets none.
+    /// several leases gets one strike, that is, one counted failure of its machine, for all of
+    /// them; a worker whose heartbeats stopped gets no strike.
     async fn end_expired(&mut self) -> Result<bool, StoreError> {
         let expired = jobs::expired(&mut self.tx, self.now, MAX_EXPIRED_PER_SWEEP).await?;
         let mut to_strike: BTreeSet<WorkerId> = BTreeSet::new();
-        let lasts = self.shared.timing.lease;
+        let duration = self.shared.timing.lease;
         for ExpiredRow {
             leased: row,
             heartbeat_ms,
@@ -63,7 +64,7 @@ impl Context<'_> {
             let JobState::Leased(lease) = &row.job.state else {
                 continue;
             };
-            let reason = lease.why_expired(*heartbeat_ms, lasts);
+            let reason = lease.expiry_reason(*heartbeat_ms, duration);
             let error = explain(reason, lease, row.control_steps);
             tracing::warn!(job = %row.job.id, attempt = %lease.attempt, "lease lost: {error}");
             self.end_attempt((&row.job, lease), row.campaign_id, (reason, &error))

@@ -1,5 +1,5 @@
-//! Group commit: requests of workers are collected while one transaction runs and go into the next
-//! one together, so that many answers share one `fsync`.
+//! Group commit: requests of workers are collected while one transaction runs and are executed
+//! together in the next transaction, so that many answers share one `fsync`.
 //!
 //! A failing operation does not fail the others: the transaction is rolled back and each operation
 //! is retried in its own transaction. If a transaction cannot begin, all its operations fail.
@@ -21,7 +21,7 @@ use crate::store::failpoint::Step;
 
 /// Most operations of one transaction.
 const MAX_BATCH: usize = 256;
-/// Most operations that wait for a transaction; beyond that, callers wait to submit theirs.
+/// Most operations that wait for a transaction; further callers wait to submit their operations.
 pub(crate) const MAX_WAITING: usize = 4_096;
 
 /// An operation that a worker requests.
@@ -195,7 +195,7 @@ mod tests {
         const BUSY: Duration = Duration::from_millis(400);
         let folder = tempfile::tempdir().expect("a temporary folder");
         let store = Store::open(folder.path()).await.expect("a store");
-        store.wait_for_locks(BUSY).await;
+        store.set_lock_timeout(BUSY).await;
         let (clock, rng) = (Arc::new(SystemClock::start()), ChaCha8Rng::seed_from_u64(1));
         let queue = Queue::start(store, clock, rng, Timing::default()).await;
         let queue = queue.expect("a queue");

@@ -16,8 +16,8 @@ use crate::store::derivations::{self, Source};
 use crate::store::stops::{self, EarlyStop};
 use crate::store::{Doing, StoreError, workers};
 
-/// Window over which a campaign's rate is measured; shorter if its first rollout began, or it was
-/// resumed, within the window.
+/// Window over which a campaign's rate is measured; shorter if the campaign's first rollout began,
+/// or the campaign was resumed, within the window.
 pub const RATE_WINDOW: Duration = Duration::from_secs(300);
 
 /// Counts of a campaign's jobs, by state.
@@ -31,28 +31,29 @@ pub struct Counts {
     pub succeeded: u64,
 }
 
+/// Status of one campaign.
 #[derive(Clone, Debug)]
 pub struct CampaignStatus {
     pub campaign: Campaign,
-    /// Numbers of its jobs, by state.
+    /// Numbers of the campaign's jobs, by state.
     pub counts: Counts,
-    /// Reason why jobs of its policy are paused, if they are.
+    /// Reason why the campaign's policy is paused; `None` if it is not paused.
     pub policy_pause_reason: Option<String>,
-    /// Time until a probe tries its paused policy again.
+    /// Time until a probe tries the paused policy again.
     pub policy_retry: Option<Duration>,
     /// Committed rollouts per second over [`RATE_WINDOW`].
     pub rate_per_sec: Option<f64>,
     /// Seconds that the remaining rollouts take at that rate.
     pub eta_secs: Option<f64>,
-    /// Live workers that meet its requirements and its pin.
+    /// Live workers that meet the campaign's requirements and its pin.
     pub live_workers: u32,
     /// Reason why no job is leased although jobs wait; empty otherwise.
     pub waiting_reason: String,
-    /// Mix of fingerprints among its results, if they have more than one.
+    /// Mix of fingerprints among the campaign's results; `None` unless there are several.
     pub fingerprints: Option<Fingerprints>,
-    /// Early-stopping rule, and the point at which the campaign stopped, if it has.
+    /// Early-stopping rule, with the point at which the campaign stopped; `None` without a rule.
     pub stop: Option<EarlyStop>,
-    /// The campaign that this one derives from, if any.
+    /// Source of a derived campaign; `None` in other campaigns.
     pub source: Option<Source>,
     /// True if further rollouts may be added automatically.
     pub may_grow: bool,
@@ -160,7 +161,7 @@ impl View {
             PolicyState::Paused { resume, .. } => Some(resume.since(now)),
             PolicyState::Available | PolicyState::Probing { .. } => None,
         };
-        let able = live.iter().filter(|live| campaign.takes(live));
+        let able = live.iter().filter(|live| campaign.accepts(live));
         let live_workers = u32::try_from(able.count()).unwrap_or(u32::MAX);
         let source = derivations::awaited(self.tx(), campaign.id).await?;
         let may_grow = match &source {
@@ -255,8 +256,8 @@ fn no_worker_reason(demand: &str, live: Option<&Pin>) -> String {
     match (demand, live) {
         ("", _) => "no worker is connected; start one with `worker --connect`".to_owned(),
         (_, None) => format!("no worker is connected, and the campaign {demand}"),
-        (_, Some(other)) => {
-            format!("no worker suits: the campaign {demand}; a connected worker runs on {other}")
+        (_, Some(pin)) => {
+            format!("no worker suits: the campaign {demand}; a connected worker runs on {pin}")
         }
     }
 }

@@ -23,10 +23,10 @@ pub struct RolloutLine {
     /// Manifest row, JSON.
     pub manifest_row: String,
     pub policy_seed: i64,
-    /// The worker that holds its lease, while it is leased.
+    /// The worker that holds the job's lease; `None` unless the job is leased.
     pub lease_owner: Option<WorkerId>,
-    /// The policy's control steps that its worker last reported, while it is
-    /// leased; 0 while the scene settles.
+    /// The policy's control steps that the worker last reported; 0 while the scene settles, `None`
+    /// unless the job is leased.
     pub control_steps: Option<u32>,
     /// Reports that were refused because their attempt no longer held the lease.
     pub stale_reports: u32,
@@ -70,9 +70,9 @@ pub struct ResultLine {
     /// The perturbation as it was realised.
     #[sqlx(json)]
     pub realised: Realised,
-    /// Path of its video below the data folder.
+    /// Path of the rollout's video below the data folder.
     pub video: Option<String>,
-    /// Size of its video, bytes.
+    /// Size of the video, bytes.
     pub video_bytes: Option<i64>,
     /// Origin of the result: machine, assets, policy and program.
     #[sqlx(json)]
@@ -80,7 +80,7 @@ pub struct ResultLine {
 }
 
 impl ResultLine {
-    /// Returns how much of the goal held, if the worker reported it.
+    /// Returns the progress towards the goal; `None` if the worker did not report it.
     pub fn goal(&self) -> Option<GoalProgress> {
         Some(GoalProgress {
             predicates: self.goal_predicates?,
@@ -131,8 +131,8 @@ impl View {
     }
 
     /// Returns a campaign's rollout ids in replicate 0 that start with a prefix and are longer than
-    /// it.
-    pub async fn beginning(
+    /// the prefix.
+    pub async fn rollout_ids_with_prefix(
         &mut self,
         campaign: CampaignId,
         prefix: &str,
@@ -169,7 +169,7 @@ impl View {
         .doing("read a configuration's results")
     }
 
-    /// Returns the motion of the robots of some committed jobs.
+    /// Returns the robots' paths in some committed jobs; the actions are not read and stay empty.
     pub async fn paths(&mut self, jobs: &[JobId]) -> Result<Vec<(JobId, Motion)>, StoreError> {
         let rows: Vec<(JobId, Vec<u8>)> = sqlx::query_as(
             "SELECT job_id, path FROM motion WHERE job_id IN (SELECT value FROM json_each(?))",

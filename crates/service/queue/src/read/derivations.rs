@@ -7,7 +7,7 @@ use crate::store::campaigns::{self, Campaign};
 use crate::store::outcomes::OutcomeRow;
 use crate::store::{Doing, StoreError, derivations, json};
 
-/// One rollout of a configuration, with the fields that explaining it needs.
+/// One rollout of a configuration, with the fields that an explanation of the configuration needs.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub struct SubsetRow {
     /// The job and its outcome.
@@ -18,7 +18,7 @@ pub struct SubsetRow {
 }
 
 impl View {
-    /// Returns the campaign that a campaign derives from, if any.
+    /// Returns the source of a derived campaign; `None` for other campaigns.
     pub async fn source(&mut self, campaign: CampaignId) -> Result<Option<Campaign>, StoreError> {
         match derivations::source(self.tx(), campaign).await? {
             Some(source) => Ok(Some(campaigns::by_id(self.tx(), source).await?)),
@@ -30,7 +30,10 @@ impl View {
     ///
     /// # Errors
     /// If the database fails.
-    pub async fn following(&mut self, campaign: CampaignId) -> Result<Vec<Campaign>, QueueError> {
+    pub async fn derived_campaigns(
+        &mut self,
+        campaign: CampaignId,
+    ) -> Result<Vec<Campaign>, QueueError> {
         let mut list = Vec::new();
         for name in derivations::derived_names(self.tx(), campaign).await? {
             list.push(self.campaign(&name).await?);

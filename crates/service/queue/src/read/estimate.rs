@@ -14,7 +14,7 @@ pub struct Forecast {
     /// workers have several pins, the forecast is for the pin that finishes first.
     pub workers: u32,
     pub slots: u32,
-    /// Cores of these workers; `None` if one does not report them.
+    /// Cores of these workers; `None` if a worker does not report its cores.
     pub cores: Option<u32>,
     /// Seconds until all rollouts are done; `None` without measurements.
     pub secs: Option<f64>,
@@ -52,7 +52,7 @@ pub struct Planned<'a> {
     pub policy_rate: Option<f64>,
 }
 
-/// Recent results of one policy in one suite, drawn by one renderer.
+/// Recent results of one policy in one suite, rendered by one renderer.
 #[derive(Clone, Debug, Default, PartialEq, sqlx_macros::FromRow)]
 pub(super) struct Measured {
     pub(super) policy: String,
@@ -81,29 +81,30 @@ pub(super) struct Live {
     pub(super) cores: Option<u32>,
 }
 
+/// Forecasts the planned rollouts on the workers of the pin that finishes first.
 pub(super) fn forecast(workers: &[Live], measured: &[Measured], planned: &Planned<'_>) -> Forecast {
-    let mut kinds: Vec<(&Pin, Vec<&Live>)> = Vec::new();
+    let mut pins: Vec<(&Pin, Vec<&Live>)> = Vec::new();
     for worker in workers {
-        match kinds.iter_mut().find(|(pin, _)| **pin == worker.pin) {
+        match pins.iter_mut().find(|(pin, _)| **pin == worker.pin) {
             Some((_, workers)) => workers.push(worker),
-            None => kinds.push((&worker.pin, vec![worker])),
+            None => pins.push((&worker.pin, vec![worker])),
         }
     }
-    let by_kind = kinds.iter().map(|(pin, workers)| {
+    let by_pin = pins.iter().map(|(pin, workers)| {
         let of_renderer = measured
             .iter()
             .filter(|results| results.renderer == pin.renderer);
-        forecast_for_kind(workers, &of_renderer.collect::<Vec<_>>(), planned)
+        forecast_for_pin(workers, &of_renderer.collect::<Vec<_>>(), planned)
     });
     let by_duration = |a: &Forecast, b: &Forecast| {
         let secs = |forecast: &Forecast| forecast.secs.unwrap_or(f64::INFINITY);
         secs(a).total_cmp(&secs(b)).then(b.slots.cmp(&a.slots))
     };
-    by_kind.min_by(by_duration).unwrap_or_default()
+    by_pin.min_by(by_duration).unwrap_or_default()
 }
 
-/// Returns the forecast for workers of one kind, from results of the same renderer.
-fn forecast_for_kind(
+/// Returns the forecast for workers with one pin, from results of the pin's renderer.
+fn forecast_for_pin(
     workers: &[&Live],
     of_renderer: &[&Measured],
     planned: &Planned<'_>,
@@ -146,7 +147,7 @@ fn forecast_for_kind(
     }
     let rollouts = total(&planned.rollouts);
     // Additional slots do not shorten a single rollout.
-    let at = |per_sec: f64| (rollouts as f64 / per_sec).max(longest);
+    let secs_at_rate = |per_sec: f64| (rollouts as f64 / per_sec).max(longest);
     let speed = spent(&used, &planned.rollouts).map(|(results, spent)| {
         let rate = rate(
             machines.as_deref().unwrap_or(&[]),
@@ -157,13 +158,13 @@ fn forecast_for_kind(
             results,
             spent,
             rate,
-            enough_slots_secs: rate.map(|rate| at(rate.most_per_sec)),
+            enough_slots_secs: rate.map(|rate| secs_at_rate(rate.most_per_sec)),
         }
     });
     let rate = speed.as_ref().and_then(|speed| speed.rate);
-    let alone = || (work / f64::from(slots.max(1))).max(longest);
+    let secs_by_slots = || (work / f64::from(slots.max(1))).max(longest);
     Forecast {
-        secs: Some(rate.map_or_else(alone, |rate| at(rate.per_sec))),
+        secs: Some(rate.map_or_else(secs_by_slots, |rate| secs_at_rate(rate.per_sec))),
         results: used.iter().map(|row| row.results.unsigned_abs()).sum(),
         is_of_policy,
         unmeasured_suites,
@@ -189,12 +190,13 @@ fn of_suite<'a>(measured: &[&'a Measured], suite: &str) -> Vec<&'a Measured> {
     in_suite.copied().collect()
 }
 
-/// Returns the mean time of a planned rollout, and the number of results that it is based on. A
-/// suite without results is assumed to be like the others. `None` if no result reports its times.
+/// Returns the mean time of a planned rollout by part, and the number of results that it is based
+/// on. A suite without results is assumed to take the mean time of all results. `None` if no result
+/// reports where its time went.
 fn spent(used: &[&Measured], rollouts: &BTreeMap<String, u64>) -> Option<(u64, Spent)> {
     let results: i64 = used.iter().map(|row| row.timed_results).sum();
     let total = total(rollouts);
-    // If no rollouts remain, all suites weigh the same.
+    // Without planned rollouts there are no weights, and the mean of all results is used.
     let weight = |suite: &str| match total {
         0 => 0.0,
         _ => rollouts.get(suite).copied().unwrap_or_default() as f64 / total as f64,
@@ -389,8 +391,8 @@ mod tests {
         let forecast = forecast_with_cores(Some(1), &[("software", 1)], &measurements, &rollouts);
         let speed = forecast.speed.expect("known");
         assert_eq!((speed.results, speed.spent.physics_secs), (20, 4.5));
-        let nothing = forecast_with_cores(Some(1), &[("software", 1)], &measurements, &[]);
-        assert_eq!(nothing.speed.expect("known").spent.physics_secs, 6.0);
+        let unplanned = forecast_with_cores(Some(1), &[("software", 1)], &measurements, &[]);
+        assert_eq!(unplanned.speed.expect("known").spent.physics_secs, 6.0);
     }
 
     #[test]

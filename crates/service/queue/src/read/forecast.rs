@@ -15,7 +15,8 @@ const RECENT: Duration = Duration::from_secs(7 * 24 * 3_600);
 const RECENT_RESULTS: u32 = 200;
 
 impl View {
-    /// Forecasts the duration of rollouts on the live workers, assuming that they run nothing else.
+    /// Forecasts the duration of rollouts on the live workers, assuming that the workers run no
+    /// other rollouts.
     pub async fn forecast(&mut self, planned: &Planned<'_>) -> Result<Forecast, StoreError> {
         let workers = self.live().await?;
         let measured = self.measured(None).await?;
@@ -23,7 +24,7 @@ impl View {
     }
 
     /// Forecasts the duration of a campaign's waiting rollouts from its own results.
-    pub async fn pace(&mut self, campaign: &Campaign) -> Result<Forecast, StoreError> {
+    pub async fn forecast_waiting(&mut self, campaign: &Campaign) -> Result<Forecast, StoreError> {
         let queued: Vec<(String, i64)> = sqlx::query_as(
             "SELECT task, count(*) FROM job WHERE campaign_id = ? AND state = 'queued'
              GROUP BY task",
@@ -41,7 +42,7 @@ impl View {
             *planned.rollouts.entry(suite.to_owned()).or_default() += count.unsigned_abs();
         }
         let mut workers = self.live().await?;
-        workers.retain(|worker| campaign.takes(&worker.pin));
+        workers.retain(|worker| campaign.accepts(&worker.pin));
         let measured = self.measured(Some(campaign.id)).await?;
         Ok(forecast(&workers, &measured, &planned))
     }
@@ -59,7 +60,10 @@ impl View {
     }
 
     /// Returns recent durations of rollouts, of one campaign or of all campaigns.
-    async fn measured(&mut self, of: Option<CampaignId>) -> Result<Vec<Measured>, StoreError> {
+    async fn measured(
+        &mut self,
+        campaign: Option<CampaignId>,
+    ) -> Result<Vec<Measured>, StoreError> {
         let recent = self.now.minus(RECENT);
         sqlx::query_as(
             "SELECT p.name AS policy, v.renderer,
@@ -85,7 +89,7 @@ impl View {
         )
         .bind(recent)
         .bind(RECENT_RESULTS)
-        .bind(of)
+        .bind(campaign)
         .fetch_all(self.tx())
         .await
         .doing("read the recent durations of rollouts")

@@ -15,17 +15,18 @@ pub const MAX_JOBS_LISTED: u32 = 1_000;
 /// Most failures that one query returns, newest first.
 const MAX_FAILURES_SHOWN: u32 = 100;
 
+/// Conditions on the jobs to list; `None` is no condition.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct JobFilter<'a> {
-    /// State: "queued", "leased", "committed" or "quarantined". `None` selects all.
+    /// State: "queued", "leased", "committed" or "quarantined".
     pub state: Option<&'a str>,
-    /// Outcome of committed jobs; `None` selects all jobs.
+    /// Outcome, which only committed jobs have: true if the goal was reached.
     pub success: Option<bool>,
     /// A task such as "libero_object/0", or a suite such as "libero_object".
     pub task: Option<&'a str>,
     pub condition: Option<Condition>,
     pub level: Option<Level>,
-    /// Only jobs after this one, for paging.
+    /// Last job of the preceding page: only jobs after it are listed.
     pub after: JobId,
     /// Most jobs to return, capped at [`MAX_JOBS_LISTED`].
     pub limit: u32,
@@ -42,21 +43,21 @@ pub struct JobLine {
     /// Leases granted so far.
     pub attempt: AttemptNumber,
     pub charged_attempts: u32,
-    /// Earliest instant of its next lease, while it waits.
+    /// Earliest instant of the next lease; `None` unless the job is queued.
     pub not_before_ms: Option<UnixMillis>,
-    /// The attempt that holds its lease, while it is leased.
+    /// The attempt that holds the job's lease; `None` unless the job is leased.
     pub attempt_id: Option<String>,
-    /// The worker that holds its lease, while it is leased.
+    /// The worker that holds the job's lease; `None` unless the job is leased.
     pub lease_owner: Option<WorkerId>,
-    /// Instant at which its lease expires without a heartbeat.
+    /// Instant at which the lease expires without a further heartbeat.
     pub lease_expires_ms: Option<UnixMillis>,
-    /// The policy's control steps that its worker last reported, while it is
-    /// leased; 0 while the scene settles.
+    /// The policy's control steps that the worker last reported; 0 while the scene settles, `None`
+    /// unless the job is leased.
     pub control_steps: Option<u32>,
     pub last_error: Option<String>,
     /// Outcome, true if the goal was reached; `None` until the job is committed.
     pub success: Option<bool>,
-    /// The policy's control steps, once it is committed.
+    /// The policy's control steps; `None` until the job is committed.
     pub steps: Option<u32>,
 }
 
@@ -76,7 +77,7 @@ pub struct FailureLine {
     pub error: String,
 }
 
-/// Everything about one job.
+/// A job with its manifest row, failed attempts and result.
 #[derive(Clone, Debug)]
 pub struct JobDetails {
     pub line: JobLine,
@@ -89,7 +90,7 @@ pub struct JobDetails {
     pub result: Option<ResultLine>,
 }
 
-/// The columns of [`JobLine`] and their sources.
+/// Query for the [`JobLine`]s of a campaign, `?1`; further conditions can be appended.
 macro_rules! job_lines {
     () => {
         concat!(
@@ -158,7 +159,7 @@ impl View {
         })
     }
 
-    /// Returns everything about one job.
+    /// Returns one job of a campaign with its manifest row, failed attempts and result.
     ///
     /// # Errors
     /// If there is no such job or the database fails.
@@ -174,17 +175,18 @@ impl View {
                 .fetch_one(self.tx())
                 .await
                 .doing("read a job")?;
-        let of = [line.id];
+        let ids = [line.id];
         Ok(JobDetails {
             manifest_row,
             stale_reports,
-            failures: self.failures(&of).await?,
-            result: self.results(&of).await?.into_iter().next(),
+            failures: self.failures(&ids).await?,
+            result: self.results(&ids).await?.into_iter().next(),
             line,
         })
     }
 
-    /// Returns the newest attempts of some jobs that ended without a result, newest first.
+    /// Returns those attempts of some jobs that ended without a result, newest first, up to
+    /// `MAX_FAILURES_SHOWN`.
     pub async fn failures(&mut self, jobs: &[JobId]) -> Result<Vec<FailureLine>, StoreError> {
         sqlx::query_as(
             "SELECT job_id, attempt, worker_id, failed_ms, reason, charged, error

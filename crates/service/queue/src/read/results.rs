@@ -81,7 +81,7 @@ pub struct SetupRow {
 }
 
 impl RecordRow {
-    /// Returns the progress towards the goal, if the worker reported it.
+    /// Returns the progress towards the goal; `None` if the worker did not report it.
     pub fn goal(&self) -> Option<GoalProgress> {
         Some(GoalProgress {
             predicates: self.goal_predicates?,
@@ -98,8 +98,8 @@ impl Edition {
 }
 
 impl View {
-    /// Returns the state that a campaign's report depends on. Counts come from the campaign's
-    /// tally, except for divergent rollouts, which are few and counted here.
+    /// Returns the state that a campaign's report depends on. The counts are read from the
+    /// campaign's tally, except for the divergent rollouts, which are few and counted anew.
     pub async fn edition(&mut self, campaign: CampaignId) -> Result<Edition, StoreError> {
         sqlx::query_as(
             "SELECT id, created_ms, t.committed, t.quarantined,
@@ -116,7 +116,8 @@ impl View {
         .doing("check whether a campaign's results changed")
     }
 
-    /// Returns up to `limit` committed rollouts after a given one, by rollout id, then replicate.
+    /// Returns up to `limit` committed rollouts in the order of rollout id and replicate, starting
+    /// after the rollout and replicate `after`.
     pub async fn exported(
         &mut self,
         campaign: CampaignId,
@@ -156,8 +157,8 @@ impl View {
         .doing("read the records of a campaign's rollouts")
     }
 
-    /// Returns the setups of a campaign's rollouts in its first replicate; all replicates share
-    /// them.
+    /// Returns the setups of a campaign's rollouts in the first replicate; the other replicates
+    /// have equal setups.
     pub async fn setups(&mut self, campaign: CampaignId) -> Result<Vec<SetupRow>, StoreError> {
         sqlx::query_as(
             "SELECT j.rollout_id, j.manifest_row, r.scene_digest, r.init_state_digest
@@ -207,7 +208,7 @@ impl View {
 
     /// Returns the number of clipped actions in a campaign's results, the number of all actions,
     /// and the number of rollouts with clipped actions.
-    pub async fn beyond_range(
+    pub async fn clipped_actions(
         &mut self,
         campaign: CampaignId,
     ) -> Result<(i64, i64, i64), StoreError> {
@@ -222,9 +223,9 @@ impl View {
         .doing("count a campaign's clipped actions")
     }
 
-    /// Returns the results of each fingerprint in a campaign, and the tasks and initial states that
-    /// have several fingerprints; `None` if there is only one. Reads the committed jobs only if
-    /// there are several; otherwise the results' index is enough.
+    /// Returns the number of results of each fingerprint in a campaign, and the tasks and initial
+    /// states that have several fingerprints; `None` unless the campaign has several fingerprints.
+    /// Reads the committed jobs only in that case; the fingerprints are counted from tallies.
     pub async fn fingerprints(
         &mut self,
         campaign: CampaignId,

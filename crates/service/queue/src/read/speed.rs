@@ -24,7 +24,7 @@ pub struct Spent {
     pub drawing_secs: f64,
     /// Time waiting for the policy's answers.
     pub policy_secs: f64,
-    /// Rest of its duration: waiting for a core, a card or a disk.
+    /// Remaining part of the duration: waiting for a core, a graphics card or a disk.
     pub waiting_secs: f64,
     /// Part of the waiting time that slots with a core of their own lost to another resource, such
     /// as a disk; additional slots would lose it as well.
@@ -43,6 +43,7 @@ pub enum Bottleneck {
     Policy,
 }
 
+/// Rate of rollouts, and the slots that would raise it to its highest value.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Rate {
     pub per_sec: f64,
@@ -50,7 +51,7 @@ pub struct Rate {
     pub bottleneck: Bottleneck,
     /// Fewest slots that reach the highest rate.
     pub enough_slots: u32,
-    /// Rollouts per second with that many slots.
+    /// The highest rate: rollouts per second with `enough_slots` or more.
     pub most_per_sec: f64,
 }
 
@@ -215,11 +216,11 @@ mod tests {
 
         #[test]
         fn more_slots_cores_or_machines_never_lower_the_rate(
-            machines in machines(), spent in spent(), policy in policy(), which in 0..6_usize,
+            machines in machines(), spent in spent(), policy in policy(), index in 0..6_usize,
         ) {
             let before = rate(&machines, &spent, policy).expect("a rate").per_sec;
             let mut more = machines.clone();
-            let place = which % more.len();
+            let place = index % more.len();
             more[place].slots += 1;
             let slots = rate(&more, &spent, policy).expect("a rate").per_sec;
             more[place].cores += 1;
@@ -250,9 +251,9 @@ mod tests {
         fn the_order_of_machines_changes_nothing(
             machines in machines(), spent in spent(), policy in policy(),
         ) {
-            let mut turned = machines.clone();
-            turned.reverse();
-            let (a, b) = (rate(&machines, &spent, policy), rate(&turned, &spent, policy));
+            let mut reversed = machines.clone();
+            reversed.reverse();
+            let (a, b) = (rate(&machines, &spent, policy), rate(&reversed, &spent, policy));
             let (a, b) = (a.expect("a rate"), b.expect("a rate"));
             prop_assert!((a.per_sec - b.per_sec).abs() <= 1e-9 * a.per_sec);
             prop_assert_eq!(a.enough_slots, b.enough_slots);

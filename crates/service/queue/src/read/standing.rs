@@ -16,7 +16,7 @@ pub struct WorkerLine {
     pub id: WorkerId,
     /// Machine of the worker.
     pub host: String,
-    /// Rollouts that it runs concurrently.
+    /// Rollouts that the worker runs concurrently.
     pub slots: u32,
     pub leases: u32,
     pub asset_pack: String,
@@ -24,17 +24,19 @@ pub struct WorkerLine {
     pub mujoco_version: String,
     pub renderer: String,
     pub program_version: String,
-    /// Instant of its last registration.
+    /// Instant of the worker's last registration.
     pub registered_ms: UnixMillis,
     pub last_seen_ms: UnixMillis,
-    /// True if it signed off after a clean shutdown.
+    /// True if the worker signed off after a clean shutdown.
     pub has_signed_off: bool,
+    /// Charged failures of the worker's machine since its last committed result.
     pub charged_in_a_row: u32,
-    /// Reason why it may not lease any more, if it may not.
+    /// Reason why the worker must stop leasing; `None` if it may lease.
     pub stopped_reason: Option<String>,
-    /// True if it called recently and has not signed off.
+    /// True if the worker called recently and has not signed off.
     pub is_alive: bool,
-    /// Videos of finished rollouts that the worker renders or uploads; 0 if the worker has gone.
+    /// Videos of finished rollouts that the worker renders or uploads; 0 unless the worker is
+    /// alive.
     #[sqlx(skip)]
     pub filming: u32,
 }
@@ -112,7 +114,7 @@ impl View {
         Ok(policies)
     }
 
-    /// Returns up to `limit` quarantined rollouts, of one campaign or of all.
+    /// Returns up to `limit` quarantined rollouts, of one campaign or of all campaigns.
     pub async fn quarantine(
         &mut self,
         campaign: Option<CampaignId>,

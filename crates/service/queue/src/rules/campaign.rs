@@ -38,7 +38,7 @@ pub enum Change {
     Cancel,
 }
 
-/// A campaign that is cancelled or stopped cannot change its state.
+/// Error of a change to a campaign that is cancelled or stopped, which is final.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct EndedIsFinal;
 

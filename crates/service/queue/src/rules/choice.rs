@@ -6,7 +6,7 @@ use crate::ids::CampaignId;
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct WaitingCampaign {
     pub id: CampaignId,
-    /// Priority: higher ones are leased first.
+    /// Priority: campaigns with a higher priority are leased first.
     pub priority: i32,
     pub leased: u32,
     /// Turn of the last lease, a number that rises with every lease; 0 if unknown.
@@ -27,13 +27,13 @@ pub fn choose_campaign(waiting: &[WaitingCampaign], claims: usize) -> Option<(Ca
     let mut peers: Vec<&WaitingCampaign> = peers.collect();
     peers.sort_by_key(|campaign| (campaign.leased, campaign.last_turn, campaign.id));
     let first = peers.first()?;
-    // Find the number of leases that the campaign and its peers reach together once all claims are
-    // served; peers that already have more get none.
+    // The level is the number of leases that the campaign and its peers each reach once all claims
+    // are served; peers that already have more leases get none of the claims.
     let mut level = usize::MAX;
     let mut leases = claims;
-    for (others, peer) in peers.iter().enumerate() {
+    for (preceding, peer) in peers.iter().enumerate() {
         leases += peer.leased as usize;
-        level = level.min(leases.div_ceil(others + 1));
+        level = level.min(leases.div_ceil(preceding + 1));
     }
     let share = level.saturating_sub(first.leased as usize);
     Some((first.id, share.max(1)))
@@ -107,8 +107,8 @@ mod tests {
         );
     }
 
-    /// Returns the leases of each campaign when `claims` arrive together, and when they arrive one
-    /// by one.
+    /// Asserts that campaigns end with the same numbers of leases whether `claims` claims arrive
+    /// together or one by one.
     fn check(leased: &[u32], claims: usize) {
         let leases = |at_a_time: usize| {
             let mut waiting: Vec<WaitingCampaign> = (1..)

@@ -8,7 +8,7 @@ use adaptive::subsets::{Sample, configurations, explain, plan};
 use libero_ctrl::{AxisSet, Condition, Explanation, RolloutId};
 use paired::Record;
 
-/// Rollouts to add.
+/// Rollouts of one subset of axes that are to be added.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub(crate) struct Addition {
     /// The simultaneous rollout of the configuration in the explained campaign.
@@ -26,7 +26,7 @@ pub(crate) fn additions(
     explaining: &[Record],
     explanation: &Explanation,
 ) -> Vec<Addition> {
-    // A single axis leaves nothing to explain.
+    // A campaign that perturbs a single axis has nothing to explain.
     let Ok(lattices) = configurations(explained, explaining, explanation.repeats) else {
         return Vec::new();
     };

@@ -12,28 +12,28 @@ use crate::ids::{AttemptNumber, JobId, WorkerId};
 
 /// Charged attempts after which a job is quarantined.
 pub const MAX_CHARGED_ATTEMPTS: u32 = 3;
-/// Machines on which a job must have failed before it is quarantined, if workers on that many are
-/// alive: one broken machine must not put a rollout into quarantine. Workers that do not report
-/// their machine count as one machine each.
+/// Machines on which a job must have failed before it is quarantined, if workers on that many
+/// machines are alive: one broken machine must not put a rollout into quarantine. Workers that do
+/// not report their machine count as one machine each.
 pub const MIN_MACHINES_TO_QUARANTINE: u32 = 2;
 /// Machine failures in a row after which a worker stops leasing.
 pub const MAX_WORKER_FAILURES_IN_A_ROW: u32 = 5;
-/// From this number of a job's attempts that were cut off with their worker, each is followed by a
-/// back-off, so that other jobs get the remaining workers.
+/// Number of a job's attempts cut off with their worker (whose heartbeats stopped) from which each
+/// such attempt is followed by a back-off, so that other jobs get the remaining workers.
 pub const SILENCES_UNTIL_BACKOFF: u32 = 3;
 /// Number of a job's attempts cut off with their worker at which the job is quarantined, since it
 /// probably crashes its workers: network failures would have to hit this job that often, each time
 /// until its worker counts as gone.
 pub const MAX_SILENCES: u32 = 10;
-/// From this number of a job's attempts that lost their policy, each is followed by a back-off, so
-/// that other jobs run while the policy is available.
+/// Number of a job's attempts that lost their policy from which each such attempt is followed by a
+/// back-off, so that other jobs run while the policy is available.
 pub const LOSSES_UNTIL_BACKOFF: u32 = 2;
 /// Attempts of one job that lost their policy after which the job runs only as the policy's single
 /// lease, and only when no other job of the policy waits. The schema's index `job_alone` uses the
 /// same number.
 pub const LOSSES_UNTIL_ALONE: u32 = 4;
-/// Attempts of one job that lost their policy, the last of them as its single lease, after which
-/// the job is quarantined, since it crashes its policy.
+/// Attempts of one job that lost their policy after which the job is quarantined, since it crashes
+/// its policy: in the last of these attempts, the job was the policy's single lease.
 pub const MAX_LOSSES: u32 = 6;
 
 /// Lease state of a job: one rollout × replicate.
@@ -53,15 +53,16 @@ pub struct Job {
 #[derive(Clone, Debug, PartialEq, Eq, Deserialize)]
 #[serde(tag = "is", rename_all = "snake_case")]
 pub enum JobState {
-    /// Waits to be leased, not before an instant.
+    /// Waits to be leased.
     Queued {
-        /// End of its back-off.
+        /// End of the job's back-off, the earliest instant of the next lease.
         not_before: UnixMillis,
     },
     Leased(Lease),
     /// The result is stored. Final.
     Committed,
-    /// Taken out after too many charged attempts, until an operator retries it.
+    /// Not leased after too many failed attempts, or because an operator skipped it, until an
+    /// operator retries it.
     Quarantined,
 }
 
@@ -126,7 +127,7 @@ pub enum FailureReason {
     SlotStuck,
     /// The policy's answer violated the protocol.
     PolicyMisbehaved,
-    /// The lease expired because the worker's heartbeats left it out.
+    /// The lease expired because the worker's heartbeats omitted it.
     LeaseLost,
     /// The attempt reached its ceiling.
     Overdue,
@@ -156,16 +157,16 @@ pub enum FailureReason {
 /// Next step of a failed attempt's job.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum AfterFailure {
-    /// Requeue the job, to be leased after an instant.
+    /// Requeue the job.
     Requeue {
-        /// End of its back-off.
+        /// End of the job's back-off, the earliest instant of the next lease.
         not_before: UnixMillis,
     },
     Quarantine,
 }
 
-/// Evidence against a job from its attempts, including the one that ends now, since an operator
-/// last took the job out of quarantine.
+/// Evidence against a job: its attempts since an operator last took it out of quarantine, including
+/// the attempt that ends now.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Suspicion {
     /// Distinct machines with a charged failure.
@@ -187,7 +188,7 @@ pub struct CutOff {
     pub lease: Lease,
 }
 
-/// Failures in a row of a worker's machine, after one more.
+/// Number of a machine's failures in a row, including the latest failure.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Strike {
     pub in_a_row: u32,
@@ -196,7 +197,7 @@ pub struct Strike {
 }
 
 impl Job {
-    /// Returns the lease if this very attempt holds it. An expired lease counts as held until the
+    /// Returns the job's lease if `attempt` holds it. An expired lease counts as held until the
     /// sweep ends it: reports are fenced by the attempt, not by the clock.
     pub fn lease_of(&self, attempt: AttemptId) -> Option<&Lease> {
         match &self.state {
@@ -221,9 +222,9 @@ impl Job {
         }
     }
 
-    /// Returns the lease that a reconnected worker may resume: its job was not leased again in the
-    /// meantime, and the attempt's ceiling is not reached.
-    pub fn resumes<'a>(&self, cut_off: &'a CutOff, now: UnixMillis) -> Option<&'a Lease> {
+    /// Returns the lease of `cut_off` if its reconnected worker may resume it: the job was not
+    /// leased again in the meantime, and the attempt's ceiling is not reached.
+    pub fn resumable<'a>(&self, cut_off: &'a CutOff, now: UnixMillis) -> Option<&'a Lease> {
         let waits = matches!(self.state, JobState::Queued { .. });
         let is_newest = self.attempt == cut_off.number;
         (waits && is_newest && now < cut_off.lease.ceiling).then_some(&cut_off.lease)
@@ -238,9 +239,9 @@ impl Job {
         rng: &mut impl Rng,
     ) -> AfterFailure {
         let machines = MIN_MACHINES_TO_QUARANTINE.min(suspicion.able_machines);
-        // `is_over` is true if the job is quarantined; `wait` is the exponent of its back-off
-        // otherwise.
-        let (is_over, wait) = match reason {
+        // `failures` is the number of failures that determines the back-off of a job that is not
+        // quarantined; 0 for no back-off.
+        let (is_quarantined, failures) = match reason {
             FailureReason::Skipped => return AfterFailure::Quarantine,
             FailureReason::PolicyLost => {
                 let losses = self.losses + 1;
@@ -251,9 +252,8 @@ impl Job {
             }
             FailureReason::WorkerSilent => {
                 let silences = suspicion.silences;
-                let is_over = silences >= MAX_SILENCES && suspicion.silent_on_machines >= machines;
                 (
-                    is_over,
+                    silences >= MAX_SILENCES && suspicion.silent_on_machines >= machines,
                     (silences + 1).saturating_sub(SILENCES_UNTIL_BACKOFF),
                 )
             }
@@ -264,12 +264,13 @@ impl Job {
                     Some(Party::Policy) => 1,
                     _ => machines,
                 };
-                let is_over =
-                    charged >= MAX_CHARGED_ATTEMPTS && suspicion.failed_on_machines >= needed;
-                (is_over, charged)
+                (
+                    charged >= MAX_CHARGED_ATTEMPTS && suspicion.failed_on_machines >= needed,
+                    charged,
+                )
             }
         };
-        match (is_over, wait) {
+        match (is_quarantined, failures) {
             (true, _) => AfterFailure::Quarantine,
             (false, 0) => AfterFailure::Requeue { not_before: now },
             (false, failures) => {
@@ -284,15 +285,15 @@ impl Job {
 
 impl Lease {
     /// Returns the reason why this lease expired. `lease_duration` is the duration of a lease
-    /// without a heartbeat; `last_heartbeat` is the worker's last one, even if it did not name
-    /// this attempt.
+    /// without a heartbeat; `last_heartbeat` is the instant of the worker's last heartbeat, even if
+    /// that heartbeat did not name this attempt.
     ///
     /// If the worker's heartbeats stopped, all its leases expired together and nothing is known
     /// about the rollout: the network may be cut. If its heartbeats continued but omitted the
     /// attempt, the worker has forgotten the attempt. A heartbeat in the second half of the lease
     /// counts as continuing, since heartbeats may be late and overtake one another. At the
     /// attempt's ceiling, any heartbeat within one lease shows that the worker is alive.
-    pub fn why_expired(
+    pub fn expiry_reason(
         &self,
         last_heartbeat: Option<UnixMillis>,
         lease_duration: Duration,
@@ -316,7 +317,7 @@ impl Lease {
 }
 
 impl FailureReason {
-    /// Returns the one party that the failure is charged to; `None` if it was caused by the
+    /// Returns the party that the failure is charged to; `None` if the failure was caused by the
     /// network, an operator, an unreachable policy, or the rollout itself.
     pub fn blames(self) -> Option<Party> {
         match self {
@@ -362,9 +363,10 @@ impl FailureReason {
         )
     }
 
-    /// Returns the reason to store with an attempt whose job continues with `next_step`.
+    /// Returns the reason to store with an attempt whose job continues with `next_step`: attempts
+    /// that lead to a quarantine get a reason of their own.
     #[must_use]
-    pub fn before(self, next_step: AfterFailure) -> FailureReason {
+    pub fn stored_reason(self, next_step: AfterFailure) -> FailureReason {
         match (self, next_step) {
             (FailureReason::PolicyLost, AfterFailure::Quarantine) => FailureReason::TakesPolicyDown,
             (FailureReason::WorkerSilent, AfterFailure::Quarantine) => {
@@ -374,9 +376,9 @@ impl FailureReason {
         }
     }
 
-    /// Returns the error text to store with an attempt, which mentions the limit if this was the
-    /// last of too many attempts.
-    pub fn explained(self, error: &str, losses: u32, silences: u32) -> String {
+    /// Returns the error text to store with an attempt; the text names the exceeded limit if the
+    /// attempt was the last of too many.
+    pub fn stored_error(self, error: &str, losses: u32, silences: u32) -> String {
         match self {
             FailureReason::TakesPolicyDown => format!(
                 "this rollout takes its policy down: {losses} attempts reached the policy and \
@@ -418,10 +420,11 @@ impl FailureReason {
     }
 }
 
-/// Returns the failures in a row that a new worker starts with on a machine whose last worker had
-/// `in_a_row`. A broken machine stays broken when its worker restarts, so one more failure stops
-/// the new worker too. A committed result resets the count.
-pub fn inherited(in_a_row: u32) -> u32 {
+/// Returns the number of failures in a row that a new worker starts with on a machine whose last
+/// worker had `in_a_row`. A broken machine stays broken when its worker restarts, so the new worker
+/// is stopped by its first failure if the last worker was stopped. A committed result resets the
+/// count.
+pub fn inherited_failures(in_a_row: u32) -> u32 {
     in_a_row.min(MAX_WORKER_FAILURES_IN_A_ROW - 1)
 }
 
@@ -436,7 +439,7 @@ pub fn strike(in_a_row: u32) -> Strike {
 
 /// Returns true if so much time has passed since the last sweep that the coordinator must have been
 /// suspended. Every lease is then restarted, and no worker is charged.
-pub fn was_asleep(since_last_sweep: Duration, lease: Duration) -> bool {
+pub fn was_suspended(since_last_sweep: Duration, lease: Duration) -> bool {
     since_last_sweep >= lease / 2
 }
 
@@ -462,7 +465,7 @@ mod tests {
     fn an_expired_lease_is_charged_only_if_its_worker_still_sends_heartbeats() {
         const LEASE_DURATION: Duration = Duration::from_millis(40);
         let check = |lease: Lease, last_heartbeat, expected: FailureReason, is_charged| {
-            let reason = lease.why_expired(last_heartbeat, LEASE_DURATION);
+            let reason = lease.expiry_reason(last_heartbeat, LEASE_DURATION);
             assert_eq!((reason, reason.is_charged()), (expected, is_charged));
         };
         let late = |is_acknowledged| Lease {
@@ -476,7 +479,7 @@ mod tests {
         let at = |millis| Some(UnixMillis(millis));
         check(late(false), at(59), FailureReason::NeverAcknowledged, false);
         check(late(false), None, FailureReason::NeverAcknowledged, false);
-        // The last heartbeat renewed the lease, or an older one arrived after it.
+        // The last heartbeat renewed the lease, or an older heartbeat arrived after that one.
         check(late(true), at(20), FailureReason::WorkerSilent, false);
         check(late(true), at(40), FailureReason::WorkerSilent, false);
         check(late(true), at(41), FailureReason::LeaseLost, true);
@@ -501,24 +504,24 @@ mod tests {
             lease: lease(true),
         };
         let not_before = UnixMillis(50);
-        let waits = job(2, JobState::Queued { not_before });
+        let waiting = job(2, JobState::Queued { not_before });
         assert_eq!(
-            waits.resumes(&cut_off, UnixMillis(99)),
+            waiting.resumable(&cut_off, UnixMillis(99)),
             Some(&cut_off.lease)
         );
         assert_eq!(
-            waits.resumes(&cut_off, UnixMillis(100)),
+            waiting.resumable(&cut_off, UnixMillis(100)),
             None,
             "the ceiling is reached"
         );
-        let was_leased_since = job(3, JobState::Queued { not_before });
-        assert_eq!(was_leased_since.resumes(&cut_off, UnixMillis(50)), None);
+        let leased_again = job(3, JobState::Queued { not_before });
+        assert_eq!(leased_again.resumable(&cut_off, UnixMillis(50)), None);
         for state in [
             JobState::Leased(lease(true)),
             JobState::Committed,
             JobState::Quarantined,
         ] {
-            assert_eq!(job(2, state).resumes(&cut_off, UnixMillis(50)), None);
+            assert_eq!(job(2, state).resumable(&cut_off, UnixMillis(50)), None);
         }
     }
 
@@ -551,7 +554,7 @@ mod tests {
             assert_ne!(lost(count), at_once, "{count}");
         }
         assert_eq!(lost(MAX_LOSSES), AfterFailure::Quarantine);
-        let stored = FailureReason::PolicyLost.before(AfterFailure::Quarantine);
+        let stored = FailureReason::PolicyLost.stored_reason(AfterFailure::Quarantine);
         assert_eq!(stored, FailureReason::TakesPolicyDown);
         assert_eq!(stored.blames(), None);
     }
@@ -573,9 +576,9 @@ mod tests {
 
     #[test]
     fn a_worker_that_is_started_again_on_a_broken_machine_has_one_failure_left() {
-        assert_eq!(inherited(0), 0);
-        assert_eq!(inherited(3), 3);
-        let next = strike(inherited(MAX_WORKER_FAILURES_IN_A_ROW));
+        assert_eq!(inherited_failures(0), 0);
+        assert_eq!(inherited_failures(3), 3);
+        let next = strike(inherited_failures(MAX_WORKER_FAILURES_IN_A_ROW));
         assert!(next.stop);
     }
 
@@ -588,7 +591,7 @@ mod tests {
     #[test]
     fn a_gap_of_half_a_lease_between_sweeps_means_suspension() {
         let lease = Duration::from_secs(30);
-        assert!(!was_asleep(Duration::from_secs(14), lease));
-        assert!(was_asleep(Duration::from_secs(15), lease));
+        assert!(!was_suspended(Duration::from_secs(14), lease));
+        assert!(was_suspended(Duration::from_secs(15), lease));
     }
 }

@@ -45,10 +45,11 @@ pub struct Contradiction<N> {
 
 impl RolloutRecord {
     /// Chooses which record of a rollout to keep: an outcome is preferred to a quarantine, and a
-    /// quarantine to an open rollout; of two equal ones, the record with more information.
+    /// quarantine to an open rollout; of two records with the same state, the one with more
+    /// information.
     ///
     /// # Errors
-    /// If both halves have an outcome and the outcomes differ. The error holds both.
+    /// If both halves have an outcome and the outcomes differ. The error holds both outcomes.
     pub fn choose(&self, other: &RolloutRecord) -> Result<KeptHalf, (OutcomeKey, OutcomeKey)> {
         if let (Standing::Committed(first), Standing::Committed(second)) =
             (self.standing, other.standing)
@@ -191,7 +192,7 @@ mod tests {
                 .keys()
                 .filter(|id| {
                     let both = outcome(a.get(*id)).zip(outcome(b.get(*id)));
-                    both.is_some_and(|(one, other)| one != other)
+                    both.is_some_and(|(in_a, in_b)| in_a != in_b)
                 })
                 .copied()
                 .collect();
@@ -209,7 +210,8 @@ mod tests {
             prop_assert_eq!(merged(&a, &b), merged(&b, &a));
             let left = merged(&a, &b).and_then(|ab| merged(&ab, &c));
             let right = merged(&b, &c).and_then(|bc| merged(&a, &bc));
-            // Contradictions are found in either order of the halves.
+            // Both are `None` if the halves contradict each other, in whatever order they are
+            // merged.
             prop_assert_eq!(left, right);
         }
 

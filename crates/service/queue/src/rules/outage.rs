@@ -53,7 +53,7 @@ pub struct Contact {
     pub answered: Option<u32>,
     /// True if the policy has answered another attempt since this job last failed to reach it.
     pub is_back: bool,
-    /// True if the policy's only waiting jobs are those that repeatedly lost it.
+    /// True if all other waiting jobs of the policy have repeatedly lost it.
     pub is_last: bool,
 }
 
@@ -61,9 +61,9 @@ impl Contact {
     /// Returns true if the attempt had reached its policy and lost it, so that the rollout may have
     /// crashed the policy. The loss is then counted against the job.
     ///
-    /// A policy that is unreachable from the first query on may never have been able to answer. It
-    /// counts as lost only if it answers other attempts in between, or has no other rollout to
-    /// answer.
+    /// A policy that answered no query of the attempt may have been down before the attempt. It
+    /// counts as lost only if it answered another attempt since this job last failed to reach it,
+    /// or if no other rollout waits to query it.
     pub fn was_lost(self) -> bool {
         match self.answered {
             None => false,
@@ -119,7 +119,7 @@ impl PolicyHealth {
     }
 
     /// Returns the health after a job that repeatedly lost this policy was leased alone: no other
-    /// job of the policy is leased until it ends.
+    /// job of the policy is leased until its attempt ends.
     #[must_use]
     pub fn with_lone_probe(&self, attempt: AttemptId, reason: String) -> PolicyHealth {
         PolicyHealth {
@@ -155,8 +155,8 @@ impl PolicyHealth {
     }
 
     /// Returns the health after an attempt with invalid answers. The policy is paused after several
-    /// of them in a row, and at once if the attempt was the probe, to protect the rollouts of other
-    /// campaigns.
+    /// such attempts in a row, and at once if the attempt was the probe, to protect the rollouts of
+    /// other campaigns.
     #[must_use]
     pub fn after_misbehaviour(
         &self,
@@ -249,8 +249,8 @@ impl PolicyHealth {
         }
     }
 
-    pub fn is_probe(&self, of: AttemptId) -> bool {
-        matches!(&self.state, PolicyState::Probing { attempt, .. } if *attempt == of)
+    pub fn is_probe(&self, candidate: AttemptId) -> bool {
+        matches!(&self.state, PolicyState::Probing { attempt, .. } if *attempt == candidate)
     }
 }
 

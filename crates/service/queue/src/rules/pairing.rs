@@ -13,7 +13,7 @@ use crate::ids::WorkerId;
 /// instruction.
 const IN_FIRST_FRAME: [Axis; 4] = [Axis::Camera, Axis::Lighting, Axis::Robot, Axis::Sensor];
 /// Axes realised without random values: their realisation follows from the parameters and the
-/// initial state alone, in either mode.
+/// initial state alone, in both realisation modes.
 const WITHOUT_RANDOM_VALUES: [Axis; 3] = [Axis::Camera, Axis::Lighting, Axis::Robot];
 
 /// Requirements of a campaign on one of its results.
@@ -40,13 +40,14 @@ impl Sibling {
     pub(crate) fn stands_for(&self, other: &Sibling) -> bool {
         self.rollout == other.rollout
             && self.digests.first_frame.is_empty() == other.digests.first_frame.is_empty()
-            && has_same_frames(&self.origin, &other.origin)
+            && must_share_frames(&self.origin, &other.origin)
     }
 }
 
-/// Describes why no rollout of this manifest row can have the result; `None` if one can. An action
-/// is clipped in the control step that executes it, and settling steps are not counted.
-pub(crate) fn misfit(row: &ManifestRow, result: &RolloutResult) -> Option<String> {
+/// Describes the number in a result that no rollout of the manifest row can have; `None` if the
+/// result is possible. An action is clipped in the control step that executes it, and settling
+/// steps are not counted.
+pub(crate) fn impossible_count(row: &ManifestRow, result: &RolloutResult) -> Option<String> {
     let (steps, clipped, budget) = (result.steps, result.clipped_actions, row.max_steps);
     if steps > budget {
         return Some(format!(
@@ -57,8 +58,8 @@ pub(crate) fn misfit(row: &ManifestRow, result: &RolloutResult) -> Option<String
         .then(|| format!("the result has {clipped} clipped actions in {steps} control steps"))
 }
 
-/// Describes the first difference that makes a result inconsistent; `None` if it may be stored. The
-/// siblings are committed rollouts of the same campaign, task and initial state.
+/// Describes the first difference that makes a result inconsistent; `None` if the result may be
+/// stored. The siblings are committed rollouts of the same campaign, task and initial state.
 pub(crate) fn difference(
     demand: &Demand<'_>,
     siblings: &[Sibling],
@@ -97,7 +98,8 @@ fn difference_in_row(row: &ManifestRow, realised: &Realised) -> Option<String> {
     differs("set of perturbed axes", &value, &other_value, place)
 }
 
-/// Compares with one sibling only: the others were compared before they were stored.
+/// Compares with one sibling only, since each sibling was compared with an earlier one when it was
+/// stored.
 fn difference_in_scene(siblings: &[Sibling], digests: &Digests) -> Option<String> {
     let sibling = siblings.first()?;
     let (other, place) = (&sibling.digests, sibling_place(sibling));
@@ -124,22 +126,24 @@ fn difference_in_perturbation(
     })
 }
 
-/// Returns true if two rollouts of one initial state that both perturb an axis must have the same
-/// realisation of it.
-fn must_share(axis: Axis, mode: Realisation, one: &RolloutId, other: &RolloutId) -> bool {
-    let is_same_configuration = one.level() == other.level() && one.config() == other.config();
+/// Returns true if two rollouts of one initial state that both perturb `axis` must realise it
+/// equally.
+fn must_share(axis: Axis, mode: Realisation, first: &RolloutId, second: &RolloutId) -> bool {
+    let is_same_configuration =
+        first.level() == second.level() && first.config() == second.config();
     match mode {
         Realisation::Matched => is_same_configuration,
         // Random values are seeded with the rollout's id.
         Realisation::Reference if WITHOUT_RANDOM_VALUES.contains(&axis) => is_same_configuration,
-        Realisation::Reference => one == other,
+        Realisation::Reference => first == second,
     }
 }
 
 /// Compares first frames. For one scene and initial state, the axes in `IN_FIRST_FRAME` determine
-/// the policy's first observation, so replicates share it, as do the nominal rollout and those that
-/// perturb only actions or words. Frames are compared bit by bit, and only between results whose
-/// fingerprint and realised values have the same bits.
+/// the policy's first observation. It is therefore equal in all replicates of a rollout, and in the
+/// nominal rollout and the rollouts that perturb only actions or the instruction. Frames are
+/// compared bit by bit, and only between results whose fingerprint and realised values have the
+/// same bits.
 fn difference_in_first_frame(siblings: &[Sibling], result: &Sibling) -> Option<String> {
     if result.digests.first_frame.is_empty() {
         return None;
@@ -147,7 +151,7 @@ fn difference_in_first_frame(siblings: &[Sibling], result: &Sibling) -> Option<S
     let has_same_view = |sibling: &&Sibling| {
         let has_same_values = |axis: &Axis| sibling.realised.of(*axis) == result.realised.of(*axis);
         !sibling.digests.first_frame.is_empty()
-            && has_same_frames(&sibling.origin, &result.origin)
+            && must_share_frames(&sibling.origin, &result.origin)
             && IN_FIRST_FRAME.iter().all(has_same_values)
     };
     let sibling = siblings.iter().find(has_same_view)?;
@@ -160,13 +164,14 @@ fn difference_in_first_frame(siblings: &[Sibling], result: &Sibling) -> Option<S
     )
 }
 
-/// Returns true if the same scene must give the same frames to the same policy.
-fn has_same_frames(one: &Provenance, other: &Provenance) -> bool {
-    one.pin.renderer == other.pin.renderer
-        && one.fingerprint == other.fingerprint
-        && one.policy_name == other.policy_name
-        && one.policy_checkpoint == other.policy_checkpoint
-        && one.policy_checkpoint_digest == other.policy_checkpoint_digest
+/// Returns true if results of these two origins must have equal frames of equal scenes: renderer,
+/// fingerprint and policy are the same.
+fn must_share_frames(first: &Provenance, second: &Provenance) -> bool {
+    first.pin.renderer == second.pin.renderer
+        && first.fingerprint == second.fingerprint
+        && first.policy_name == second.policy_name
+        && first.policy_checkpoint == second.policy_checkpoint
+        && first.policy_checkpoint_digest == second.policy_checkpoint_digest
 }
 
 fn sibling_place(sibling: &Sibling) -> String {
@@ -237,12 +242,13 @@ mod tests {
         }
     }
 
-    /// Describes why a result with these realised values, in this mode, is inconsistent.
+    /// Describes the difference that makes a result with these realised values, in this mode,
+    /// inconsistent with the sibling `committed`; `None` if it is consistent.
     fn inconsistency(
         (id, mode): (&str, Realisation),
         values: &[(Axis, f64)],
         first_frame: &str,
-        other: &Sibling,
+        committed: &Sibling,
     ) -> Option<String> {
         let row = row(id);
         let demand = Demand {
@@ -253,7 +259,7 @@ mod tests {
             origin: origin(mode),
             ..sibling(id, values, first_frame)
         };
-        difference(&demand, std::slice::from_ref(other), &result)
+        difference(&demand, std::slice::from_ref(committed), &result)
     }
 
     fn check(difference: Option<String>, words: &[&str]) {
@@ -264,7 +270,7 @@ mod tests {
     }
 
     const COMBINATION: &str = "goal/t0/combination/L2/c01";
-    const FIVE: [(Axis, f64); 5] = [
+    const METRIC_VALUES: [(Axis, f64); 5] = [
         (Axis::Camera, 1.0),
         (Axis::Lighting, 2.0),
         (Axis::Robot, 3.0),
@@ -275,17 +281,22 @@ mod tests {
     /// Compares a combination with a sibling that realised one of its axes differently.
     fn difference_from_single(mode: Realisation, axis: Axis) -> Option<String> {
         let other = sibling(&format!("goal/t0/{axis}/L2/c01"), &[(axis, 0.0)], "");
-        inconsistency((COMBINATION, mode), &FIVE, "", &other)
+        inconsistency((COMBINATION, mode), &METRIC_VALUES, "", &other)
     }
 
     #[test]
-    fn matched_mode_realises_every_axis_alone_as_in_the_combination() {
+    fn in_matched_mode_an_axis_is_realised_alone_as_in_the_combination() {
         for axis in Axis::METRIC {
             let difference = difference_from_single(Realisation::Matched, axis);
             check(difference, &[&format!("realisation of axis {axis}"), "`w`"]);
         }
         let same = sibling("goal/t0/sensor/L2/c01", &[(Axis::Sensor, 4.0)], "");
-        let difference = inconsistency((COMBINATION, Realisation::Matched), &FIVE, "", &same);
+        let difference = inconsistency(
+            (COMBINATION, Realisation::Matched),
+            &METRIC_VALUES,
+            "",
+            &same,
+        );
         assert_eq!(difference, None);
     }
 
@@ -294,7 +305,7 @@ mod tests {
         let matched = (COMBINATION, Realisation::Matched);
         for (off_by, agrees) in [(1e-16, true), (1e-9, true), (1e-6, false)] {
             let other = sibling("goal/t0/robot/L2/c01", &[(Axis::Robot, 3.0 + off_by)], "");
-            let difference = inconsistency(matched, &FIVE, "", &other);
+            let difference = inconsistency(matched, &METRIC_VALUES, "", &other);
             assert_eq!(difference.is_none(), agrees, "{off_by}: {difference:?}");
         }
     }
@@ -311,7 +322,7 @@ mod tests {
         // Replicates of one rollout must still agree.
         let of_sensor = ("goal/t0/sensor/L2/c01", Realisation::Reference);
         let replicate = sibling(of_sensor.0, &[(Axis::Sensor, 0.0)], "");
-        let difference = inconsistency(of_sensor, &FIVE[3..4], "", &replicate);
+        let difference = inconsistency(of_sensor, &METRIC_VALUES[3..4], "", &replicate);
         check(difference, &["realisation of axis sensor", of_sensor.0]);
     }
 
@@ -319,7 +330,12 @@ mod tests {
     fn other_levels_and_configurations_may_be_realised_differently() {
         for id in ["goal/t0/sensor/L1/c01", "goal/t0/sensor/L2/c02"] {
             let other = sibling(id, &[(Axis::Sensor, 0.0)], "");
-            let difference = inconsistency((COMBINATION, Realisation::Matched), &FIVE, "", &other);
+            let difference = inconsistency(
+                (COMBINATION, Realisation::Matched),
+                &METRIC_VALUES,
+                "",
+                &other,
+            );
             assert_eq!(difference, None);
         }
     }
@@ -329,11 +345,16 @@ mod tests {
         let other = sibling("goal/t0/clean/i06", &[], "");
         let matched = |id| (id, Realisation::Matched);
         check(
-            inconsistency(matched(COMBINATION), &FIVE[..4], "", &other),
+            inconsistency(matched(COMBINATION), &METRIC_VALUES[..4], "", &other),
             &["set of perturbed axes", "actuation` in its manifest row"],
         );
         check(
-            inconsistency(matched("goal/t0/language/L2/c01"), &FIVE[..1], "", &other),
+            inconsistency(
+                matched("goal/t0/language/L2/c01"),
+                &METRIC_VALUES[..1],
+                "",
+                &other,
+            ),
             &["`camera` here and `none`"],
         );
     }
@@ -342,7 +363,7 @@ mod tests {
     fn replicates_and_conditions_that_show_the_same_scene_show_the_same_first_frame() {
         let matched = |id| (id, Realisation::Matched);
         let (clean, language) = ("goal/t0/clean/i06", "goal/t0/language/L3/c01");
-        let (actuation, actuated) = ("goal/t0/actuation/L2/c01", &FIVE[4..]);
+        let (actuation, actuated) = ("goal/t0/actuation/L2/c01", &METRIC_VALUES[4..]);
         let (frame, other_frame) = (hex('f'), hex('0'));
         let compare = |id, values: &[_], committed: &Sibling| {
             inconsistency(matched(id), values, &frame, committed)
@@ -357,8 +378,8 @@ mod tests {
             ),
             (
                 COMBINATION,
-                &FIVE[..],
-                sibling(COMBINATION, &FIVE, &other_frame),
+                &METRIC_VALUES[..],
+                sibling(COMBINATION, &METRIC_VALUES, &other_frame),
             ),
         ] {
             check(
@@ -370,7 +391,11 @@ mod tests {
         // The combination's frame shows its camera perturbation, and rollouts without cameras have
         // no frame.
         assert_eq!(
-            compare(COMBINATION, &FIVE, &sibling(clean, &[], &other_frame)),
+            compare(
+                COMBINATION,
+                &METRIC_VALUES,
+                &sibling(clean, &[], &other_frame)
+            ),
             None
         );
         assert_eq!(compare(language, &[], &sibling(clean, &[], "")), None);

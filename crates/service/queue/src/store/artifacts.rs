@@ -38,7 +38,7 @@ pub(crate) async fn owner(
     .doing("find the rollout of a video")
 }
 
-/// Returns the subset of these files that are recorded as artifacts.
+/// Returns those of the paths that are recorded as artifacts.
 pub(crate) async fn recorded(
     tx: &mut SqliteConnection,
     paths: &[&str],

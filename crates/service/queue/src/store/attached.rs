@@ -8,8 +8,8 @@ use sqlx::{Connection, Sqlite};
 use super::failpoint::Step;
 use super::{Doing, Store, StoreError, Tx};
 
-/// The writer with another database attached as the schema `source`. Other writers wait until this
-/// is dropped.
+/// The writer with another database attached as the schema `source`. Other writing transactions
+/// wait until this value is dropped.
 pub(crate) struct Attached<'a> {
     connection: PoolConnection<Sqlite>,
     store: &'a Store,
@@ -52,8 +52,8 @@ impl Attached<'_> {
         Ok(())
     }
 
-    /// Begins the writing transaction for these steps. The transaction is deferred, since an
-    /// immediate one would also lock the attached database.
+    /// Begins the writing transaction that carries out `steps`. The transaction is deferred, since
+    /// an immediate one would also lock the attached database.
     pub(crate) async fn write(&mut self, steps: Vec<Step>) -> Result<Tx<'_>, StoreError> {
         let transaction = self.connection.begin().await;
         Ok(Tx {

@@ -16,7 +16,7 @@ pub(crate) async fn copy(store: &Store) -> Result<TempPath, StoreError> {
     remove_leftover(store.folder());
     let mut reader = store.reader().await?;
     // Dropping the path on an error removes an incomplete copy.
-    let copy = place(store).map_err(sqlx::Error::Io);
+    let copy = copy_path(store).map_err(sqlx::Error::Io);
     let copy = copy.doing("copy the database")?;
     sqlx::query("VACUUM INTO ?")
         .bind(copy.display().to_string())
@@ -28,7 +28,7 @@ pub(crate) async fn copy(store: &Store) -> Result<TempPath, StoreError> {
 
 /// Returns the path of the copy: in the data folder, whose disk is expected to have room, or among
 /// temporary files if the data folder is gone.
-fn place(store: &Store) -> io::Result<TempPath> {
+fn copy_path(store: &Store) -> io::Result<TempPath> {
     if store.is_in_place() {
         return TempPath::try_from_path(store.folder().join(BACKUP_FILE));
     }
@@ -42,7 +42,7 @@ fn place(store: &Store) -> io::Result<TempPath> {
 
 /// Removes the incomplete copy of a process that was killed.
 pub(crate) fn remove_leftover(folder: &Path) {
-    // Usually there is no such file. If it cannot be removed, the next backup overwrites it or
-    // reports the error.
+    // Usually there is no such file. If the file cannot be removed, the next backup overwrites it
+    // or reports the error.
     let _ = std::fs::remove_file(folder.join(BACKUP_FILE));
 }

@@ -33,7 +33,7 @@ pub struct Campaign {
     pub health: PolicyHealth,
     /// Source of random values in perturbations: "matched" or "reference".
     pub realisation: String,
-    /// Execution model as text: the robot's conduct while the policy computes an answer.
+    /// Execution model as text: what the robot does while the policy computes an answer.
     pub execution: String,
     /// Rollouts to be filmed: "none", "failures", "transitions" or "all".
     pub record: String,
@@ -44,11 +44,11 @@ pub struct Campaign {
     /// Requirements on the workers.
     #[sqlx(json)]
     pub wanted: Wanted,
-    /// Priority: jobs of a higher one are leased first.
+    /// Priority: jobs of campaigns with a higher priority are leased first.
     pub priority: i32,
     pub created_ms: UnixMillis,
-    /// Folder of the campaign's files below the artifacts folder: its first name, or a variant if
-    /// another campaign has that folder.
+    /// Folder of the campaign's files below the artifacts folder: the campaign's first name, or
+    /// that name with a number if another campaign has that folder.
     pub(crate) folder: String,
     pub pinned_ms: Option<UnixMillis>,
     /// Pin of the first result; until then, the source campaign's pin if this campaign is derived.
@@ -69,8 +69,8 @@ impl Campaign {
     }
 
     /// Returns true if the campaign accepts results of a worker with this pin.
-    pub(crate) fn takes(&self, worker: &Pin) -> bool {
-        worker.suits(&self.wanted) && self.pin.as_ref().is_none_or(|pin| pin.takes(worker))
+    pub(crate) fn accepts(&self, worker: &Pin) -> bool {
+        worker.meets(&self.wanted) && self.pin.as_ref().is_none_or(|pin| pin.accepts(worker))
     }
 
     /// Describes the required workers, as text that follows the campaign's name in a message; empty
@@ -141,7 +141,7 @@ pub(crate) async fn all(tx: &mut SqliteConnection) -> Result<Vec<Campaign>, Stor
     .doing("list campaigns")
 }
 
-/// Returns the campaigns with waiting jobs, oldest first, except cancelled and stopped ones.
+/// Returns the campaigns with waiting jobs, oldest first, except cancelled and stopped campaigns.
 pub(crate) async fn waiting(tx: &mut SqliteConnection) -> Result<Vec<Campaign>, StoreError> {
     sqlx::query_as(campaigns_where!(
         "c.state <> 'cancelled' AND s.stopped_ms IS NULL
@@ -162,9 +162,9 @@ pub(crate) async fn spec(tx: &mut SqliteConnection, id: CampaignId) -> Result<St
         .doing("read a campaign's specification")
 }
 
-/// Returns an unused folder for a new campaign's files: its name, unless a renamed campaign keeps
-/// that folder or files of a deleted one are still to be removed from it. A `~` cannot occur in a
-/// name, so a suffix that starts with it is unique.
+/// Returns an unused folder for a new campaign's files: the campaign's name, unless a renamed
+/// campaign keeps that folder or files of a deleted campaign are still to be removed from it. A `~`
+/// cannot occur in a campaign's name, so a suffix that starts with `~` is unique.
 pub(crate) async fn free_folder(
     tx: &mut SqliteConnection,
     name: &CampaignName,
@@ -186,7 +186,7 @@ pub(crate) async fn free_folder(
     Ok(folder)
 }
 
-/// Stores a campaign and all its jobs. Its files get their own folder.
+/// Stores a campaign and all its jobs. The campaign's files go into `folder`.
 pub(crate) async fn insert(
     tx: &mut SqliteConnection,
     campaign: &NewCampaign,
@@ -384,7 +384,8 @@ pub(crate) async fn rename(
         .map(drop)
 }
 
-/// Returns the current name of the campaign that last had this name, if it was renamed.
+/// Returns the current name of the campaign that had the former name `name`; `None` if no campaign
+/// had it.
 pub(crate) async fn renamed(
     tx: &mut SqliteConnection,
     name: &CampaignName,
@@ -413,7 +414,8 @@ pub(crate) async fn take_name(
 }
 
 pub(crate) async fn delete(tx: &mut SqliteConnection, id: CampaignId) -> Result<(), StoreError> {
-    // Jobs first, since deleting a row of `campaign_task` checks for jobs that refer to it.
+    // Jobs are deleted first, since deleting a row of `campaign_task` checks for jobs that refer to
+    // it.
     for statement in [
         "DELETE FROM job WHERE campaign_id = ?",
         "DELETE FROM campaign WHERE id = ?",

@@ -64,9 +64,9 @@ macro_rules! failed_on {
     };
 }
 
-/// A job that runs only as its policy's single lease.
+/// A job that runs alone, that is, only as its policy's single lease.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
-pub(crate) struct Lone {
+pub(crate) struct LoneJob {
     #[sqlx(flatten)]
     pub(crate) job: Candidate,
     pub(crate) task: String,
@@ -84,16 +84,19 @@ pub(crate) struct Grant {
     pub(crate) claim: String,
 }
 
+/// Start, expiry and ceiling of leases that are granted together.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Term {
     pub(crate) granted: UnixMillis,
     pub(crate) expires: UnixMillis,
-    /// Milliseconds for each control step of the budget, settling included.
+    /// Milliseconds from the grant to the ceiling, for each control step of the budget, settling
+    /// included.
     pub(crate) ceiling_per_step_ms: i64,
 }
 
 impl Candidate {
-    /// Returns true if the job has failed too often, and on this very machine.
+    /// Returns true if the job has failed on this machine, and so often that it should run on
+    /// another.
     pub(crate) fn has_failed_on(&self, machine: &str) -> bool {
         let failed_on = self.failed_on.as_deref().unwrap_or("[]");
         let failed_on: Vec<&str> = serde_json::from_str(failed_on).unwrap_or_default();
@@ -117,7 +120,7 @@ pub(crate) async fn repeated(
     .doing("find the leases of repeated claims")
 }
 
-/// Returns the number of leases of each campaign that has any. Reads leased jobs only.
+/// Returns the number of leases of each campaign that has leases. Reads leased jobs only.
 pub(crate) async fn leases(
     tx: &mut SqliteConnection,
 ) -> Result<BTreeMap<CampaignId, u32>, StoreError> {
@@ -163,7 +166,7 @@ pub(crate) async fn waiting_tasks(
     Ok(rows.into_iter().filter_map(waiting).collect())
 }
 
-/// Returns up to `limit` jobs of each task whose back-off is over, by task, then paired-unit order.
+/// Returns for each task up to `limit` waiting jobs whose back-off is over, in paired-unit order.
 pub(crate) async fn candidates(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -198,7 +201,7 @@ pub(crate) async fn candidates(
     Ok(candidates)
 }
 
-/// Returns the campaigns with jobs that run alone. Reads only these jobs.
+/// Returns the campaigns with waiting jobs that run alone. Reads only these jobs.
 pub(crate) async fn with_lone_jobs(
     tx: &mut SqliteConnection,
 ) -> Result<Vec<CampaignId>, StoreError> {
@@ -210,15 +213,15 @@ pub(crate) async fn with_lone_jobs(
     .doing("find campaigns with jobs that run alone")
 }
 
-/// Returns up to `limit` jobs of a campaign that run alone and whose back-off is over, in
+/// Returns up to `limit` waiting jobs of a campaign that run alone and whose back-off is over, in
 /// paired-unit order.
 pub(crate) async fn lone(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
     limit: usize,
     now: UnixMillis,
-) -> Result<Vec<Lone>, StoreError> {
-    // The number must match the index `job_alone`.
+) -> Result<Vec<LoneJob>, StoreError> {
+    // The 4 in `losses >= 4` must match the index `job_alone`.
     sqlx::query_as(concat!(
         "SELECT j.id, j.task, j.unit_order, j.rollout_id, j.losses, ",
         failed_on!("?4"),

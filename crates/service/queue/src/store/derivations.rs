@@ -13,15 +13,15 @@ use crate::store::outcomes::OutcomeRow;
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct Derived {
     pub(crate) campaign: CampaignId,
-    /// The campaign that it derives from.
+    /// The campaign that `campaign` derives from.
     pub(crate) source: CampaignId,
-    /// Specification, JSON.
+    /// Specification of `campaign`, JSON.
     pub(crate) spec: String,
-    /// Number of its jobs so far.
+    /// Number of jobs of `campaign` so far.
     pub(crate) jobs: i64,
     /// Number of the source's jobs without an outcome; 0 if the source has stopped early.
     pub(crate) unsettled: i64,
-    /// Revision of the outcomes: equal revisions mean equal outcomes.
+    /// Revision of the outcomes of `campaign`: equal revisions mean equal outcomes.
     pub(crate) revision: i64,
     #[sqlx(flatten)]
     pub(crate) source_edition: SourceEdition,
@@ -98,7 +98,7 @@ pub(crate) async fn is_unchanged(
     .doing("check whether a derived campaign is unchanged")
 }
 
-/// Returns the campaign that this one derives from, if any.
+/// Returns the source of a derived campaign; `None` for other campaigns.
 pub(crate) async fn source(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -110,17 +110,17 @@ pub(crate) async fn source(
         .doing("find the source of a campaign")
 }
 
-/// The campaign that a derived one waits for, and the number of its rollouts without an outcome.
+/// The source campaign that a derived campaign waits for.
 #[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
 pub struct Source {
     pub name: CampaignName,
-    /// Rollouts that still lack an outcome; nothing is derived until this is 0.
+    /// Rollouts of the source that still lack an outcome; no rollout is derived until this is 0.
     pub awaited: u32,
     /// True if the outcomes will never arrive, because the source is cancelled.
     pub is_cancelled: bool,
 }
 
-/// Returns the campaign that a derived one waits for.
+/// Returns the source campaign that a derived campaign waits for; `None` for other campaigns.
 pub(crate) async fn awaited(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
@@ -137,7 +137,7 @@ pub(crate) async fn awaited(
     .doing("read the outcomes that a derived campaign waits for")
 }
 
-/// Returns the names of the campaigns that derive from this one.
+/// Returns the names of the campaigns that derive from `source`, oldest first.
 pub(crate) async fn derived_names(
     tx: &mut SqliteConnection,
     source: CampaignId,

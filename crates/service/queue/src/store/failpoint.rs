@@ -29,7 +29,7 @@ pub enum Step {
     DeleteCampaign,
     /// The removal of a deleted campaign's files is recorded as complete.
     FinishRemoval,
-    /// Jobs are taken out of quarantine, or put there because they are skipped.
+    /// Jobs are taken out of quarantine, or quarantined because an operator skips them.
     RetryJobs,
     /// Jobs are added to a derived campaign.
     Derive,
@@ -116,7 +116,7 @@ impl Failpoints {
         Failpoints { armed }
     }
 
-    /// Kills the process like `kill -9` if this is its failpoint.
+    /// Kills the process like `kill -9` if the environment names this failpoint.
     pub(crate) fn reach(&self, side: Side, step: Step) {
         let Some((point, countdown)) = &self.armed else {
             return;

@@ -26,7 +26,7 @@ pub struct Film {
     pub success: bool,
 }
 
-/// A rollout of a campaign that records transitions.
+/// A rollout of a campaign whose rollouts may be filmed after they were committed.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct FilmableRow {
     pub(crate) job_id: JobId,
@@ -36,22 +36,23 @@ pub(crate) struct FilmableRow {
     pub(crate) lacks_video: bool,
 }
 
-/// A campaign that records transitions. While both revisions are unchanged, no rollout is added to
-/// those that are still to be filmed.
+/// A campaign that records transitions. While its revision and its source's are unchanged, the set
+/// of rollouts to film does not grow.
 #[derive(Clone, Debug, PartialEq, Eq, sqlx_macros::FromRow)]
-pub(crate) struct Filmed {
+pub(crate) struct FilmedCampaign {
     pub(crate) campaign: CampaignId,
     pub(crate) revision: i64,
-    /// The campaign that it derives from.
+    /// Source of a derived campaign.
     pub(crate) source: Option<CampaignId>,
     pub(crate) source_revision: Option<i64>,
 }
 
-/// Returns the campaigns with this asset pack and simulator that record transitions, oldest first.
+/// Returns the campaigns that record transitions and are pinned to this asset pack and simulator,
+/// oldest first.
 pub(crate) async fn filmed_campaigns(
     tx: &mut SqliteConnection,
     pin: &Pin,
-) -> Result<Vec<Filmed>, StoreError> {
+) -> Result<Vec<FilmedCampaign>, StoreError> {
     sqlx::query_as(
         "SELECT c.id AS campaign, own.revision, d.source_id AS source,
              its.revision AS source_revision

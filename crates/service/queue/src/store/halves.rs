@@ -1,5 +1,5 @@
-//! Statements that compare a campaign with its other half, which is attached as the schema
-//! `source`.
+//! Statements that compare the first half of a campaign with the second half, which is attached as
+//! the schema `source`.
 
 use std::collections::BTreeMap;
 use std::sync::Arc;
@@ -16,12 +16,12 @@ use crate::ids::{CampaignId, WorkerId};
 use crate::rules::lease::OutcomeKey;
 use crate::rules::merge::{RolloutRecord, Standing};
 
-/// Schema of the main database, or of the attached one.
+/// Schema of the database that holds a half.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Schema {
-    /// The first half.
+    /// Main database, which holds the first half.
     Main,
-    /// The second half.
+    /// Attached database, which holds the second half.
     Source,
 }
 
@@ -109,8 +109,9 @@ pub(crate) async fn records(
     Ok(records.collect())
 }
 
-/// Returns a rollout that only one half has, or that differs between the halves.
-pub(crate) async fn other_rollout(
+/// Returns a rollout that only one half has, or whose manifest row, seed or place differs between
+/// the halves.
+pub(crate) async fn differing_rollout(
     tx: &mut SqliteConnection,
     (main, source): (CampaignId, CampaignId),
 ) -> Result<Option<Rollout>, StoreError> {
@@ -151,7 +152,7 @@ pub(crate) async fn results(
     .doing("read the results of a half")
 }
 
-/// Copies the other half's pin to a campaign without results.
+/// Copies the second half's pin to the first half if the first half has no results.
 pub(crate) async fn copy_pin(
     tx: &mut SqliteConnection,
     (main, source): (CampaignId, CampaignId),

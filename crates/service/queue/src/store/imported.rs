@@ -19,7 +19,7 @@ pub(crate) struct StoredRow {
     pub(crate) policy_seed: i64,
     /// Manifest row, JSON.
     pub(crate) manifest_row: String,
-    /// Realised perturbation of the result, JSON, if the job has a result.
+    /// Realised perturbation of the result, JSON; `None` if the job has no result.
     pub(crate) realised: Option<String>,
 }
 
@@ -40,7 +40,7 @@ pub(crate) async fn rows_of(
     .doing("read the rows of an archive")
 }
 
-/// A task, "libero_goal/3", and the step budgets of its policy and for settling.
+/// A task, such as "libero_goal/3", with its numbers of policy steps and settling steps.
 pub(crate) type Budget = (String, i64, i64);
 
 /// Returns the step budgets of a campaign's rollouts.
@@ -60,7 +60,7 @@ pub(crate) async fn budgets(
 }
 
 /// Returns the ids of all workers with their slots and cores. Types are SQLite's, since the values
-/// are those of an archive.
+/// are untrusted.
 pub(crate) async fn worker_sizes(
     tx: &mut SqliteConnection,
 ) -> Result<Vec<(String, i64, Option<i64>)>, StoreError> {

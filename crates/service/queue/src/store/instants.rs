@@ -37,7 +37,8 @@ const SET_BACK: &[&str] = &[
     "UPDATE artifact SET stored_ms = ?1 WHERE stored_ms > ?1",
 ];
 
-/// Moves instants that lie after `now` back to it, and the ends of waits back to `latest`.
+/// Moves instants that lie after `now` back to `now`, and ends of back-offs and pauses that lie
+/// after `latest` back to `latest`.
 pub(crate) async fn set_back(
     tx: &mut SqliteConnection,
     now: UnixMillis,

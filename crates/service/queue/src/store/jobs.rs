@@ -31,7 +31,7 @@ pub(crate) struct InitialState {
 pub(crate) struct NamedAttempt {
     #[sqlx(rename = "named")]
     pub(crate) id: Text<AttemptId>,
-    /// The worker that holds or held its lease.
+    /// The worker that holds or held the attempt's lease.
     pub(crate) worker: WorkerId,
     pub(crate) number: AttemptNumber,
     #[sqlx(json)]
@@ -49,12 +49,13 @@ pub(crate) struct NamedAttempt {
     pub(crate) cut_off: Option<CutOff>,
 }
 
+/// A leased job.
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct LeasedRow {
     #[sqlx(json)]
     pub(crate) job: Job,
     pub(crate) campaign_id: CampaignId,
-    /// Control steps last reported.
+    /// Control steps that the worker last reported.
     pub(crate) control_steps: u32,
 }
 
@@ -63,11 +64,12 @@ pub(crate) struct LeasedRow {
 pub(crate) struct ExpiredRow {
     #[sqlx(flatten)]
     pub(crate) leased: LeasedRow,
-    /// The last heartbeat of its worker.
+    /// Instant of the last heartbeat of the lease's worker.
     pub(crate) heartbeat_ms: Option<UnixMillis>,
 }
 
-/// Numbers of a job's attempts, including one that ends now.
+/// Numbers of a job's attempts, including the attempt that ends now. The fields are those of
+/// [`Suspicion`](crate::rules::lease::Suspicion).
 #[derive(Clone, Copy, Debug, sqlx_macros::FromRow)]
 pub(crate) struct History {
     pub(crate) failed_on_machines: u32,
@@ -128,8 +130,8 @@ pub(crate) async fn attempts_by_id(
     Ok(found.into_iter().map(by_id).collect())
 }
 
-/// Renews leases up to their ceilings, acknowledges them, and stores their progress. Returns those
-/// that are still held.
+/// Renews leases up to their ceilings, acknowledges them, and stores their progress. Returns the
+/// attempts whose leases are still held.
 pub(crate) async fn renew(
     tx: &mut SqliteConnection,
     progress: &[Progress<'_>],
@@ -309,7 +311,7 @@ pub(crate) async fn fail(
     .map(drop)
 }
 
-/// Marks held jobs as committed; their results were stored just before.
+/// Marks the jobs of attempts that hold their leases as committed, after their results were stored.
 pub(crate) async fn mark_committed(
     tx: &mut SqliteConnection,
     attempts: &[AttemptId],
@@ -378,7 +380,7 @@ pub(crate) async fn expired(
     .doing("find expired leases")
 }
 
-/// Returns the lease of a job, if it has one.
+/// Returns a job with its lease; `None` if the job is not leased.
 pub(crate) async fn lease(
     tx: &mut SqliteConnection,
     job: JobId,
@@ -442,8 +444,8 @@ pub(crate) async fn retry(
     .map(drop)
 }
 
-/// Counts a job's attempts since an operator last retried it, including one more by `worker`. A
-/// worker that does not name its machine counts as a machine of its own.
+/// Counts a job's attempts since an operator last retried the job, including the attempt of
+/// `worker` that ends now. A worker that does not name its machine counts as a machine of its own.
 pub(crate) async fn history(
     tx: &mut SqliteConnection,
     job: JobId,

@@ -1,4 +1,4 @@
-//! Outcome of a job, as rows of several statements hold it.
+//! Outcome of a job, as a row of several queries.
 
 use libero_ctrl::UnknownName;
 use paired::{Outcome, Record};

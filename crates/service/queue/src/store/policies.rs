@@ -64,7 +64,8 @@ pub(crate) struct Probe {
     pub(crate) settle_steps: u32,
 }
 
-/// Returns the leased probes, except those that run alone: their first answer is no evidence yet.
+/// Returns the leased probes, except probes of jobs that run alone: since these jobs lose the
+/// policy after it has answered, a first answer does not show that the policy stays available.
 pub(crate) async fn probes(tx: &mut SqliteConnection) -> Result<Vec<Probe>, StoreError> {
     sqlx::query_as(
         "SELECT j.campaign_id AS campaign, j.attempt_id AS attempt,

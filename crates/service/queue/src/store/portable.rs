@@ -23,14 +23,14 @@ pub(crate) struct CopyTarget {
 }
 
 /// Parts of the statement that copies the rows of one table.
-struct Copied {
+struct TableCopy {
     table: &'static str,
     /// The `FROM` clause; the copied rows have the alias `s`.
     from: &'static str,
     /// Columns with a changed value; NULL stands for a new row number.
     values: &'static [(&'static str, &'static str)],
-    /// SQL that follows the last column.
-    rest: &'static str,
+    /// SQL that follows the `FROM` clause.
+    tail: &'static str,
 }
 
 /// The column of the campaign's id, with its new value from the temporary table `moved`.
@@ -42,15 +42,15 @@ const MOVED: &str = "the campaign was copied while this attempt ran";
 
 /// Tables copied row by row, in order. `CROSS JOIN` makes SQLite start from the copied jobs, which
 /// may be a small part of all jobs.
-const COPIED: [Copied; 10] = [
-    Copied {
+const COPIED: [TableCopy; 10] = [
+    TableCopy {
         table: "campaign_task",
         from: "source.campaign_task s WHERE s.campaign_id = (SELECT old FROM temp.moved)",
         values: &[CAMPAIGN],
-        rest: " ORDER BY s.task ON CONFLICT DO NOTHING",
+        tail: " ORDER BY s.task ON CONFLICT DO NOTHING",
     },
     // Workers are copied as signed off: none of them works for this coordinator.
-    Copied {
+    TableCopy {
         table: "worker",
         from: "source.worker s JOIN (SELECT worker_id, max(committed_ms) AS last_ms
                    FROM source.result WHERE campaign_id = (SELECT old FROM temp.moved)
@@ -61,16 +61,16 @@ const COPIED: [Copied; 10] = [
             ("charged_in_a_row", "0"),
             ("stopped_reason", "NULL"),
         ],
-        rest: " ORDER BY s.id ON CONFLICT (id) DO NOTHING",
+        tail: " ORDER BY s.id ON CONFLICT (id) DO NOTHING",
     },
-    Copied {
+    TableCopy {
         table: "provenance",
         from: "source.provenance s WHERE s.id IN (SELECT old FROM temp.moved_origin)",
         values: &[("id", "NULL")],
-        rest: " ORDER BY s.id ON CONFLICT DO NOTHING",
+        tail: " ORDER BY s.id ON CONFLICT DO NOTHING",
     },
     // A committed job is copied as leased until its result is stored, as the schema requires.
-    Copied {
+    TableCopy {
         table: "job",
         from: "temp.moved_job m CROSS JOIN source.job s ON s.id = m.old
                LEFT JOIN source.result r ON r.job_id = s.id WHERE TRUE",
@@ -98,9 +98,9 @@ const COPIED: [Copied; 10] = [
                 "(SELECT new FROM temp.moved_attempt WHERE old = r.attempt_id)",
             ),
         ],
-        rest: " ORDER BY m.new",
+        tail: " ORDER BY m.new",
     },
-    Copied {
+    TableCopy {
         table: "result",
         from: "temp.moved_job m CROSS JOIN source.result s ON s.job_id = m.old
                JOIN temp.moved_attempt a ON a.old = s.attempt_id
@@ -111,36 +111,36 @@ const COPIED: [Copied; 10] = [
             ("attempt_id", "a.new"),
             ("provenance_id", "o.new"),
         ],
-        rest: " ORDER BY m.new",
+        tail: " ORDER BY m.new",
     },
-    Copied {
+    TableCopy {
         table: "motion",
         from: "temp.moved_job m CROSS JOIN source.motion s ON s.job_id = m.old WHERE TRUE",
         values: &[JOB],
-        rest: " ORDER BY m.new",
+        tail: " ORDER BY m.new",
     },
-    Copied {
+    TableCopy {
         table: "divergence",
         from: "temp.moved_job m CROSS JOIN source.divergence s ON s.job_id = m.old
                JOIN temp.moved_origin o ON o.old = s.provenance_id WHERE TRUE",
         values: &[("id", "NULL"), JOB, ("provenance_id", "o.new")],
-        rest: " ORDER BY s.id",
+        tail: " ORDER BY s.id",
     },
-    Copied {
+    TableCopy {
         table: "failure",
         from: "temp.moved_job m CROSS JOIN source.failure s ON s.job_id = m.old
                JOIN temp.moved_attempt a ON a.old = s.attempt_id WHERE TRUE",
         values: &[
             JOB,
             ("attempt_id", "a.new"),
-            // Dropped, since a worker that reconnects reports its result to the original
-            // coordinator.
+            // The attempt cannot be resumed, since a worker that reconnects reports its result to
+            // the original coordinator.
             ("leased_ms", "NULL"),
             ("ceiling_ms", "NULL"),
         ],
-        rest: " ORDER BY m.new, s.attempt",
+        tail: " ORDER BY m.new, s.attempt",
     },
-    Copied {
+    TableCopy {
         table: "artifact",
         from: "temp.moved_attempt a CROSS JOIN source.artifact s ON s.attempt_id = a.old
                WHERE TRUE",
@@ -153,14 +153,14 @@ const COPIED: [Copied; 10] = [
                      || replace(s.path, rtrim(s.path, replace(s.path, '/', '')), '')",
             ),
         ],
-        rest: " ORDER BY s.path, s.kind",
+        tail: " ORDER BY s.path, s.kind",
     },
     // Copied last, because a stopped campaign must hold no lease.
-    Copied {
+    TableCopy {
         table: "stop",
         from: "source.stop s WHERE s.campaign_id = (SELECT old FROM temp.moved)",
         values: &[CAMPAIGN],
-        rest: "",
+        tail: "",
     },
 ];
 
@@ -168,8 +168,8 @@ const COPIED: [Copied; 10] = [
 /// copied.
 const PER_CAMPAIGN: [&str; 2] = ["campaign_task", "worker"];
 
-/// The campaign's own row, which all others refer to.
-const CAMPAIGN_ROW: Copied = Copied {
+/// Row of the campaign in table `campaign`, which all other copied rows refer to.
+const CAMPAIGN_ROW: TableCopy = TableCopy {
     table: "campaign",
     from: "source.campaign s JOIN temp.moved m ON m.old = s.id WHERE TRUE",
     values: &[
@@ -180,11 +180,11 @@ const CAMPAIGN_ROW: Copied = Copied {
         ("policy_id", "m.policy"),
         ("folder", "nullif(m.folder, m.name)"),
     ],
-    rest: " RETURNING id",
+    tail: " RETURNING id",
 };
 
-/// Tables that are not copied. A policy's health and pending removals are this coordinator's own;
-/// the specification names the source of a derived campaign; triggers count the copied rows.
+/// Tables that are not copied. Health of policies and pending removals concern one coordinator
+/// only; the specification names the source of a derived campaign; triggers count the copied rows.
 #[cfg(test)]
 const NOT_COPIED: [&str; 9] = [
     "_sqlx_migrations",
@@ -215,12 +215,13 @@ pub(crate) async fn copy(
          FROM source.job WHERE campaign_id = (SELECT old FROM temp.moved)",
     )
     .await?;
-    rows(tx, new, |_| true).await?;
+    copy_rows(tx, new, |_| true).await?;
     end(tx).await?;
     Ok(new)
 }
 
-/// As [`copy`], but without jobs, which [`copy_batch`] and [`copy_rest`] complete.
+/// Copies a campaign like [`copy`], but without its jobs, stop and state, which [`copy_batch`] and
+/// [`copy_stop_and_state`] copy.
 pub(crate) async fn copy_without_jobs(
     tx: &mut SqliteConnection,
     old: CampaignId,
@@ -229,13 +230,13 @@ pub(crate) async fn copy_without_jobs(
 ) -> Result<CampaignId, StoreError> {
     begin(tx, old).await?;
     let new = copy_row(tx, old, target, now).await?;
-    rows(tx, new, |table| PER_CAMPAIGN.contains(&table)).await?;
+    copy_rows(tx, new, |table| PER_CAMPAIGN.contains(&table)).await?;
     end(tx).await?;
     Ok(new)
 }
 
-/// Copies some jobs with their dependent rows. Their new numbers follow this order and come after
-/// those of all jobs that ever existed here.
+/// Copies some jobs with their dependent rows. The new job numbers follow the order of `jobs` and
+/// are higher than those of all jobs that ever existed in this database.
 pub(crate) async fn copy_batch(
     tx: &mut SqliteConnection,
     (campaign, old): (CampaignId, CampaignId),
@@ -259,7 +260,7 @@ pub(crate) async fn copy_batch(
     .await
     .doing("copy a campaign")?;
     let is_per_job = |table: &str| !PER_CAMPAIGN.contains(&table) && table != "stop";
-    rows(tx, campaign, is_per_job).await?;
+    copy_rows(tx, campaign, is_per_job).await?;
     end(tx).await
 }
 
@@ -276,7 +277,7 @@ pub(crate) async fn jobs(
 }
 
 /// Copies the early stop and the state of the campaign, which require that all jobs are present.
-pub(crate) async fn copy_rest(
+pub(crate) async fn copy_stop_and_state(
     tx: &mut SqliteConnection,
     (campaign, old): (CampaignId, CampaignId),
 ) -> Result<(), StoreError> {
@@ -286,7 +287,7 @@ pub(crate) async fn copy_rest(
         .execute(&mut *tx)
         .await
         .doing("copy a campaign")?;
-    rows(tx, campaign, |table| table == "stop").await?;
+    copy_rows(tx, campaign, |table| table == "stop").await?;
     run(
         tx,
         "UPDATE main.campaign SET (state, state_since_ms, created_ms) =
@@ -370,10 +371,11 @@ pub(crate) async fn replace(
         "DELETE FROM main.job WHERE id IN (SELECT new FROM temp.moved_job)",
     )
     .await?;
-    rows(tx, campaign, |_| true).await?;
+    copy_rows(tx, campaign, |_| true).await?;
     end(tx).await
 }
 
+/// Creates temporary tables that map old row numbers to new ones.
 async fn begin(tx: &mut SqliteConnection, old: CampaignId) -> Result<(), StoreError> {
     run(
         tx,
@@ -392,6 +394,7 @@ async fn begin(tx: &mut SqliteConnection, old: CampaignId) -> Result<(), StoreEr
         .map(drop)
 }
 
+/// Drops the temporary tables.
 async fn end(tx: &mut SqliteConnection) -> Result<(), StoreError> {
     run(
         tx,
@@ -401,13 +404,14 @@ async fn end(tx: &mut SqliteConnection) -> Result<(), StoreError> {
     .await
 }
 
-/// Copies rows of the chosen jobs in the chosen tables.
-async fn rows(
+/// Copies, from the tables that `is_wanted` selects, the rows of the campaign and of the jobs in
+/// `moved_job`.
+async fn copy_rows(
     tx: &mut SqliteConnection,
     campaign: CampaignId,
     is_wanted: impl Fn(&str) -> bool,
 ) -> Result<(), StoreError> {
-    name_attempts(tx).await?;
+    assign_attempt_ids(tx).await?;
     for copied in COPIED.iter().filter(|table| is_wanted(table.table)) {
         let statement = copied.statement(tx).await?;
         run(tx, &statement).await?;
@@ -422,7 +426,7 @@ async fn rows(
 
 /// Assigns ids to the copied attempts: the original id, or a new one if the original id exists in
 /// this database, which then holds the original campaign as well.
-async fn name_attempts(tx: &mut SqliteConnection) -> Result<(), StoreError> {
+async fn assign_attempt_ids(tx: &mut SqliteConnection) -> Result<(), StoreError> {
     run(
         tx,
         "INSERT INTO temp.moved_attempt
@@ -491,13 +495,13 @@ async fn end_leases(tx: &mut SqliteConnection) -> Result<(), StoreError> {
     .map(drop)
 }
 
-impl Copied {
+impl TableCopy {
     /// Returns the statement that copies the rows.
     async fn statement(&self, tx: &mut SqliteConnection) -> Result<String, StoreError> {
         let columns = columns(tx, self.table).await?;
         let value = |column: &String| {
-            let other = self.values.iter().find(|(name, _)| name == column);
-            other.map_or_else(|| format!("s.{column}"), |(_, value)| (*value).to_owned())
+            let changed = self.values.iter().find(|(name, _)| name == column);
+            changed.map_or_else(|| format!("s.{column}"), |(_, value)| (*value).to_owned())
         };
         let values: Vec<String> = columns.iter().map(value).collect();
         Ok(format!(
@@ -506,7 +510,7 @@ impl Copied {
             columns.join(", "),
             values.join(", "),
             self.from,
-            self.rest,
+            self.tail,
         ))
     }
 }
@@ -528,8 +532,8 @@ async fn run(tx: &mut SqliteConnection, statements: &str) -> Result<(), StoreErr
         .map(drop)
 }
 
-/// Removes the differences between two databases of equal content: instants of their creation and
-/// the history of their counters.
+/// Removes values that depend on a database's history, so that databases with equal campaigns are
+/// equal: instants of migrations, revisions, and counters that are zero.
 pub(crate) async fn erase_history(tx: &mut SqliteConnection) -> Result<(), StoreError> {
     run(
         tx,
@@ -542,7 +546,7 @@ pub(crate) async fn erase_history(tx: &mut SqliteConnection) -> Result<(), Store
 }
 
 /// Removes the rows of videos whose files are missing.
-pub(crate) async fn forget_artifacts(
+pub(crate) async fn remove_artifacts(
     tx: &mut SqliteConnection,
     missing: &[String],
 ) -> Result<(), StoreError> {

@@ -28,7 +28,7 @@ macro_rules! provenance {
 }
 pub(crate) use provenance;
 
-/// Returns the provenance of one of a campaign's results in a suite, its source's included; only
+/// Returns the provenance of a result in a suite, of a campaign or of its source campaign; only
 /// results that report the policy's settings are considered.
 pub(crate) async fn of_suite(
     tx: &mut SqliteConnection,
@@ -57,7 +57,7 @@ pub(crate) async fn of_suite(
 /// Returns the row number of an origin, storing the origin if it is new.
 pub(crate) async fn find_or_insert(
     tx: &mut SqliteConnection,
-    of: &Provenance,
+    origin: &Provenance,
 ) -> Result<ProvenanceId, StoreError> {
     // The no-op update makes RETURNING return an existing row too.
     sqlx::query_scalar(
@@ -68,21 +68,21 @@ pub(crate) async fn find_or_insert(
          VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)
          ON CONFLICT DO UPDATE SET host = excluded.host RETURNING id",
     )
-    .bind(&of.host)
-    .bind(&of.pin.renderer)
-    .bind(&of.fingerprint)
-    .bind(&of.pin.mujoco_version)
-    .bind(&of.pin.asset_pack)
-    .bind(&of.pin.asset_pack_digest)
-    .bind(&of.realisation)
-    .bind(&of.policy_name)
-    .bind(&of.policy_checkpoint)
-    .bind(&of.policy_checkpoint_digest)
-    .bind(of.policy_privileged)
-    .bind(of.policy_canonical_only)
-    .bind(Json(&of.policy_settings))
-    .bind(&of.batch_mode)
-    .bind(&of.program_version)
+    .bind(&origin.host)
+    .bind(&origin.pin.renderer)
+    .bind(&origin.fingerprint)
+    .bind(&origin.pin.mujoco_version)
+    .bind(&origin.pin.asset_pack)
+    .bind(&origin.pin.asset_pack_digest)
+    .bind(&origin.realisation)
+    .bind(&origin.policy_name)
+    .bind(&origin.policy_checkpoint)
+    .bind(&origin.policy_checkpoint_digest)
+    .bind(origin.policy_privileged)
+    .bind(origin.policy_canonical_only)
+    .bind(Json(&origin.policy_settings))
+    .bind(&origin.batch_mode)
+    .bind(&origin.program_version)
     .fetch_one(tx)
     .await
     .doing("store the provenance of a result")

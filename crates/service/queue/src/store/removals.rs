@@ -4,8 +4,8 @@ use sqlx::SqliteConnection;
 
 use super::{Doing, StoreError};
 
-/// Marks a folder for removal.
-pub(crate) async fn note(tx: &mut SqliteConnection, folder: &str) -> Result<(), StoreError> {
+/// Marks a folder or file for removal.
+pub(crate) async fn add(tx: &mut SqliteConnection, folder: &str) -> Result<(), StoreError> {
     sqlx::query("INSERT OR IGNORE INTO removal (folder) VALUES (?)")
         .bind(folder)
         .execute(tx)
@@ -14,8 +14,8 @@ pub(crate) async fn note(tx: &mut SqliteConnection, folder: &str) -> Result<(), 
         .map(drop)
 }
 
-/// Unmarks a folder that was removed.
-pub(crate) async fn done(tx: &mut SqliteConnection, folder: &str) -> Result<(), StoreError> {
+/// Unmarks a folder or file that was removed.
+pub(crate) async fn remove(tx: &mut SqliteConnection, folder: &str) -> Result<(), StoreError> {
     sqlx::query("DELETE FROM removal WHERE folder = ?")
         .bind(folder)
         .execute(tx)

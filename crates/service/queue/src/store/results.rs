@@ -14,6 +14,7 @@ use crate::clock::UnixMillis;
 use crate::ids::{AttemptNumber, CampaignId, JobId, WorkerId};
 use crate::rules::pairing::Sibling;
 
+/// A result to be stored.
 #[derive(Clone, Debug)]
 pub(crate) struct NewResult<'a> {
     pub(crate) attempt: AttemptId,
@@ -127,7 +128,7 @@ pub(crate) async fn insert_divergence(
 /// replicates with equal renderer, fingerprint and policy, only the first is returned.
 pub(crate) async fn siblings(
     tx: &mut SqliteConnection,
-    of: &InitialState,
+    state: &InitialState,
 ) -> Result<Vec<Sibling>, StoreError> {
     // With a single min(), SQLite takes the other columns from the same row.
     type Row = (
@@ -153,9 +154,9 @@ pub(crate) async fn siblings(
              v.policy_name, v.policy_checkpoint, v.policy_checkpoint_digest
          ORDER BY 1",
     ))
-    .bind(of.campaign)
-    .bind(&of.task)
-    .bind(of.init_id)
+    .bind(state.campaign)
+    .bind(&state.task)
+    .bind(state.init_id)
     .fetch_all(tx)
     .await
     .doing("find a configuration's siblings")?;

@@ -1,4 +1,4 @@
-//! Statements on `stop`: campaigns that may stop early, and those that have.
+//! Statements on `stop`: campaigns that may stop early or have stopped early.
 
 use libero_ctrl::Stop;
 use sqlx::SqliteConnection;
@@ -19,18 +19,19 @@ pub(crate) struct Stoppable {
 #[derive(Clone, Debug, sqlx_macros::FromRow)]
 pub(crate) struct FirstUnsettled {
     pub(crate) rollout_id: String,
-    /// Place of the rollout in that order.
+    /// Place of the rollout in paired-unit order.
     pub(crate) unit_order: i64,
 }
 
-/// Early stop of a campaign: its rule, and the point at which the campaign stopped, if it has.
+/// Early stop of a campaign: the rule, and the point at which the campaign stopped.
 #[derive(Clone, Debug, PartialEq, sqlx_macros::FromRow)]
 pub struct EarlyStop {
     /// The stop rule, with the seed of the random order of configurations.
     #[sqlx(json)]
     pub stop: Stop,
+    /// Number of all configurations of the campaign.
     pub configurations: u32,
-    /// Number of configurations after which the campaign stopped; `None` if it has not.
+    /// Number of configurations after which the campaign stopped; `None` if it has not stopped.
     pub used: Option<u32>,
 }
 

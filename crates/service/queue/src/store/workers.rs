@@ -14,6 +14,7 @@ use crate::rules::lease::Strike;
 /// Most slots or cores of a worker; bounded so that sums over workers do not overflow.
 pub const MAX_SLOTS: u32 = 1 << 16;
 
+/// A worker, as it registers.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct WorkerInfo {
     pub id: WorkerId,
@@ -40,25 +41,25 @@ pub(crate) struct Standing {
     /// Asset pack, simulator and renderer.
     #[sqlx(json)]
     pub(crate) pin: Pin,
-    /// Instant of its last call.
+    /// Instant of the worker's last call.
     pub(crate) last_seen_ms: UnixMillis,
     pub(crate) charged_in_a_row: u32,
-    /// Reason why the worker may not lease any more, if it may not.
+    /// Reason why the worker must stop leasing; `None` if it may lease.
     pub(crate) stopped_reason: Option<String>,
 }
 
 /// SQL for the [`Pin`] of a worker or a campaign, as JSON.
 macro_rules! pin {
-    ($of:literal) => {
+    ($table:literal) => {
         concat!(
             "json_object('asset_pack', ",
-            $of,
+            $table,
             ".asset_pack, 'asset_pack_digest', ",
-            $of,
+            $table,
             ".asset_pack_digest, 'mujoco_version', ",
-            $of,
+            $table,
             ".mujoco_version, 'renderer', coalesce(",
-            $of,
+            $table,
             ".renderer, ''))"
         )
     };
@@ -71,25 +72,26 @@ fn distinct_ids(ids: &[&WorkerId]) -> String {
     json(ids.iter().map(|id| &id.0).collect::<BTreeSet<_>>())
 }
 
-/// Returns the failures in a row of the last worker that started on a machine, other than this one.
-pub(crate) async fn last_on_machine(
+/// Returns the number of failures in a row of the worker that registered last on a machine, not
+/// counting the worker `except`.
+pub(crate) async fn last_failures_on_machine(
     tx: &mut SqliteConnection,
     machine: &str,
-    but: &WorkerId,
+    except: &WorkerId,
 ) -> Result<u32, StoreError> {
     let last = sqlx::query_scalar(
         "SELECT charged_in_a_row FROM worker WHERE machine = ? AND id <> ?
          ORDER BY registered_ms DESC, rowid DESC LIMIT 1",
     )
     .bind(machine)
-    .bind(but)
+    .bind(except)
     .fetch_optional(tx)
     .await
     .doing("find the last worker of a machine")?;
     Ok(last.unwrap_or(0))
 }
 
-/// Stores a registering worker, with the failures in a row that it inherits.
+/// Stores a worker that registers, with the number of failures in a row that it inherits.
 pub(crate) async fn upsert(
     tx: &mut SqliteConnection,
     worker: &WorkerInfo,
@@ -160,7 +162,7 @@ pub(crate) async fn record_calls(
     .map(drop)
 }
 
-/// Notes that workers sent heartbeats.
+/// Records that workers sent heartbeats.
 pub(crate) async fn record_heartbeats(
     tx: &mut SqliteConnection,
     ids: &[&WorkerId],
@@ -178,7 +180,8 @@ pub(crate) async fn record_heartbeats(
     .map(drop)
 }
 
-/// Stores a worker's failures in a row, and the reason why it must stop leasing, if it must.
+/// Stores a worker's number of failures in a row, and the reason why the worker must stop leasing;
+/// `None` keeps a reason that is already stored.
 pub(crate) async fn set_strike(
     tx: &mut SqliteConnection,
     id: &WorkerId,
@@ -198,8 +201,8 @@ pub(crate) async fn set_strike(
     .map(drop)
 }
 
-/// Notes that workers reported results that were committed: they are alive, and their failures in a
-/// row are reset.
+/// Records that results of workers were committed: the workers are alive, and their numbers of
+/// failures in a row are reset.
 pub(crate) async fn record_successes(
     tx: &mut SqliteConnection,
     ids: &[&WorkerId],
@@ -218,19 +221,19 @@ pub(crate) async fn record_successes(
     .map(drop)
 }
 
-/// Notes that a worker shut down cleanly; returns false if the worker is unknown.
+/// Records that a worker shut down cleanly; returns false if the worker is unknown.
 pub(crate) async fn sign_off(
     tx: &mut SqliteConnection,
     id: &WorkerId,
     now: UnixMillis,
 ) -> Result<bool, StoreError> {
-    let noted = sqlx::query("UPDATE worker SET signed_off_ms = ? WHERE id = ?")
+    let recorded = sqlx::query("UPDATE worker SET signed_off_ms = ? WHERE id = ?")
         .bind(now)
         .bind(id)
         .execute(tx)
         .await
         .doing("record that a worker signed off")?;
-    Ok(noted.rows_affected() > 0)
+    Ok(recorded.rows_affected() > 0)
 }
 
 /// A live worker that may lease.
