@@ -8,7 +8,7 @@
 
 use std::time::{Duration, Instant};
 
-use policy_backends::{Cause, told::told};
+use policy_backends::{Cause, shorten::shorten};
 use rollout_types::Waits;
 
 /// Waits for a server that could not be reached: a recovered server is in use again within the
@@ -185,11 +185,11 @@ impl Health {
     /// is out because of it, in which case the error is the server's fault and not the task's.
     pub fn erred(&mut self, error: &str, task: &str, now: Instant) -> Option<Cause> {
         if is_fatal(error) {
-            let cause = Cause::Broken(told(error));
+            let cause = Cause::Broken(shorten(error));
             self.failed(cause.clone(), now);
             return Some(cause);
         }
-        let comparable_text = comparable(&told(error));
+        let comparable_text = comparable(&shorten(error));
         match self {
             Self::Up(errors) => {
                 if errors.comparable_text != comparable_text {
@@ -205,12 +205,12 @@ impl Health {
                 if errors.tasks.len() < SAME_ERROR_TASKS {
                     return None;
                 }
-                let cause = Cause::Repeats(told(error));
+                let cause = Cause::RepeatedError(shorten(error));
                 self.failed(cause.clone(), now);
                 Some(cause)
             }
             Self::Out(Outage {
-                cause: Cause::Repeats(earlier_error),
+                cause: Cause::RepeatedError(earlier_error),
                 ..
             }) if comparable(earlier_error) != comparable_text => {
                 // A different error shows that the server works again.
@@ -274,8 +274,8 @@ mod tests {
     fn event() -> impl Strategy<Value = Event> {
         let cause = prop_oneof![
             Just(unreachable()),
-            Just(Cause::Silent),
-            Just(Cause::Disagrees("digest".to_owned())),
+            Just(Cause::NoAnswer),
+            Just(Cause::DescriptionDiffers("digest".to_owned())),
         ];
         prop_oneof![
             prop::option::of(0..SESSIONS.len()).prop_map(Event::Admit),
@@ -344,7 +344,7 @@ mod tests {
         #[test]
         fn a_failure_is_followed_by_a_wait_within_its_bounds(
             events in prop::collection::vec(event(), 0..60),
-            cause in prop_oneof![Just(unreachable()), Just(Cause::Silent)],
+            cause in prop_oneof![Just(unreachable()), Just(Cause::NoAnswer)],
         ) {
             let (mut health, mut now) = (Health::default(), Instant::now());
             for event in &events {
@@ -414,7 +414,7 @@ mod tests {
     fn only_an_abandoned_probe_admits_the_next_call() {
         let mut health = Health::default();
         let mut now = Instant::now();
-        health.failed(Cause::Silent, now);
+        health.failed(Cause::NoAnswer, now);
         let (_, wait) = health.admit(Call::InSession("a"), now).expect_err("a wait");
         now += wait;
         assert_eq!(health.admit(Call::InSession("a"), now), Ok(()));

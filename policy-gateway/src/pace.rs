@@ -90,7 +90,7 @@ impl Drop for CallInFlight<'_> {
 
 /// The server has answered no query within the limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Silent;
+pub struct NoAnswer;
 
 impl Watch {
     /// Waits for the answer to a call without queries.
@@ -101,13 +101,13 @@ impl Watch {
         &self,
         limit: Duration,
         call: impl Future<Output = T>,
-    ) -> Result<T, Silent> {
+    ) -> Result<T, NoAnswer> {
         let sent = Instant::now();
         let mut call = std::pin::pin!(call);
         loop {
             let until = self.pace().silent_at(sent, limit);
             if until <= Instant::now() {
-                return Err(Silent);
+                return Err(NoAnswer);
             }
             tokio::select! {
                 answer = &mut call => return Ok(answer),
@@ -126,7 +126,7 @@ impl Watch {
         limit: Duration,
         call: impl Future<Output = T>,
         answered: impl FnOnce(&T) -> u32,
-    ) -> Result<T, Silent> {
+    ) -> Result<T, NoAnswer> {
         self.pace().sent(Instant::now());
         let _sent = CallInFlight(self);
         let answer = self.answer(limit, call).await?;

@@ -386,7 +386,7 @@ impl Route {
         source: BackendError,
     ) -> RouteError {
         match source {
-            BackendError::Nonsense { fault } => RouteError::Action {
+            BackendError::InvalidActions { fault } => RouteError::Action {
                 route: self.name.clone(),
                 replica: replica.to_string(),
                 query_index,
@@ -440,7 +440,7 @@ async fn query_replica(
 fn most_informative(earlier: Option<RouteError>, new: RouteError) -> RouteError {
     let is_out_of_service = |error: &RouteError| {
         matches!(error, RouteError::Replica { source, .. }
-            if matches!(**source, BackendError::Out { .. }))
+            if matches!(**source, BackendError::OutOfService { .. }))
     };
     match earlier {
         Some(earlier) if !is_out_of_service(&earlier) => earlier,

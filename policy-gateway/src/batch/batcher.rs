@@ -18,7 +18,7 @@ use tokio::{
 };
 
 use super::{MAX_QUEUED, Next, Queue};
-use crate::pace::{Silent, Watch};
+use crate::pace::{NoAnswer, Watch};
 
 /// Queue of queries with the task that empties it. Dropping the batcher ends the task.
 pub struct Batcher {
@@ -89,7 +89,7 @@ impl Batcher {
             Ok(answer) => answer,
             Err(_) if is_sent.load(Ordering::Relaxed) => answered.await,
             Err(_) => {
-                return Err(BackendError::Crowded {
+                return Err(BackendError::Overloaded {
                     backend: self.shared.backend.to_string(),
                     waited: patience,
                 });
@@ -180,7 +180,7 @@ async fn send(shared: Arc<Shared>, batch: Vec<Query>) {
             }
         }
         Ok(Err(error)) => fail(callers, &error),
-        Err(Silent) => {
+        Err(NoAnswer) => {
             let error = BackendError::TimedOut {
                 backend: shared.backend.to_string(),
                 limit,

@@ -2,7 +2,7 @@
 
 use std::time::Duration;
 
-use policy_backends::{BackendError, sessions::MAX_SESSION_BYTES, told::told};
+use policy_backends::{BackendError, sessions::MAX_SESSION_BYTES, shorten::shorten};
 use policy_protocol::ActionFault;
 use thiserror::Error;
 use tonic::{Code, Status};
@@ -130,9 +130,9 @@ impl RouteError {
 }
 
 impl RouteError {
-    /// Returns the error and its causes in one line, shortened by [`told`].
+    /// Returns the error and its causes in one line, shortened by [`shorten`].
     pub fn words(&self) -> String {
-        told(&chain(self))
+        shorten(&chain(self))
     }
 }
 

@@ -15,7 +15,7 @@ use std::{
 
 use policy_backends::{
     Backend, BackendError, BackendSpec, Cause, UnusableBackend, description, open,
-    recorder::Recorder, told::told,
+    recorder::Recorder, shorten::shorten,
 };
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
 use tokio::sync::Semaphore;
@@ -25,7 +25,7 @@ use crate::{
     batch::batcher::Batcher,
     config::{AccessFiles, Batching, RouteSpec},
     health::{Answered, Call, Health},
-    pace::{Silent, Watch},
+    pace::{NoAnswer, Watch},
 };
 
 /// Concurrent single queries per server. The server computes them one by one; queries waiting
@@ -204,9 +204,9 @@ impl Replica {
             fault,
         })?;
         if let Err(difference) = agrees(&described) {
-            let difference = told(&difference);
-            self.record_outage(Cause::Disagrees(difference.clone()));
-            return Err(BackendError::Disagrees { difference });
+            let difference = shorten(&difference);
+            self.record_outage(Cause::DescriptionDiffers(difference.clone()));
+            return Err(BackendError::DescriptionDiffers { difference });
         }
         self.answered(Answered::Other);
         let batch_size = match self.batching {
@@ -270,7 +270,7 @@ impl Replica {
             answer.and_then(
                 |response| match policy_protocol::actions(&response, horizon) {
                     Ok(_) => Ok(response),
-                    Err(fault) => Err(BackendError::Nonsense { fault }),
+                    Err(fault) => Err(BackendError::InvalidActions { fault }),
                 },
             );
         match checked {
@@ -295,7 +295,7 @@ impl Replica {
                 if was_up {
                     self.log_outage(&cause);
                 }
-                BackendError::Sick {
+                BackendError::Broken {
                     backend: self.to_string(),
                     cause,
                 }
@@ -311,7 +311,7 @@ impl Replica {
     ) -> Result<InferResponse, BackendError> {
         let patience = self.queue_timeout();
         let Ok(_turn) = tokio::time::timeout(patience, self.calls.acquire()).await else {
-            return Err(BackendError::Crowded {
+            return Err(BackendError::Overloaded {
                 backend: self.to_string(),
                 waited: patience,
             });
@@ -346,7 +346,7 @@ impl Replica {
             call,
             has_ended: false,
         });
-        guard.map_err(|(cause, retry_in)| BackendError::Out {
+        guard.map_err(|(cause, retry_in)| BackendError::OutOfService {
             backend: self.to_string(),
             cause,
             retry_in,
@@ -355,9 +355,9 @@ impl Replica {
 
     fn unless_silent<T>(
         &self,
-        answer: Result<Result<T, BackendError>, Silent>,
+        answer: Result<Result<T, BackendError>, NoAnswer>,
     ) -> Result<T, BackendError> {
-        answer.unwrap_or_else(|Silent| {
+        answer.unwrap_or_else(|NoAnswer| {
             Err(BackendError::TimedOut {
                 backend: self.to_string(),
                 limit: self.answer_within,
@@ -368,17 +368,17 @@ impl Replica {
     /// Records what an answer shows about the server's health, and returns the answer.
     fn record_health<T>(&self, answer: Result<T, BackendError>) -> Result<T, BackendError> {
         match &answer {
-            Err(BackendError::TimedOut { .. }) => self.record_outage(Cause::Silent),
+            Err(BackendError::TimedOut { .. }) => self.record_outage(Cause::NoAnswer),
             Err(error) if is_no_evidence(error) => {}
             Err(BackendError::Unreachable { trouble, .. }) => {
                 let problem = trouble.to_string();
                 self.record_outage(match trouble.found.is_final() {
-                    true => Cause::Misplaced(problem),
+                    true => Cause::Misconfigured(problem),
                     false => Cause::Unreachable(problem),
                 });
             }
-            Err(error @ BackendError::Barred { .. }) => {
-                self.record_outage(Cause::Distrust(error.to_string()));
+            Err(error @ BackendError::TokenRejected { .. }) => {
+                self.record_outage(Cause::TokenRejected(error.to_string()));
             }
             // A temporary refusal also shows that the server is up.
             Err(error) if error.is_outage() => self.answered(Answered::Other),
@@ -394,7 +394,7 @@ impl Replica {
     }
 
     fn record_outage(&self, cause: Cause) {
-        let cause = cause.told();
+        let cause = cause.shortened();
         if self.health().failed(cause.clone(), Instant::now()) {
             self.log_outage(&cause);
         }
@@ -420,9 +420,9 @@ fn is_no_evidence(error: &BackendError) -> bool {
     matches!(
         error,
         BackendError::QueueFull { .. }
-            | BackendError::Crowded { .. }
+            | BackendError::Overloaded { .. }
             | BackendError::BatchLost
-            | BackendError::Out { .. }
+            | BackendError::OutOfService { .. }
     )
 }
 

@@ -129,7 +129,7 @@ parameters! {
 }
 
 /// Perturbation of one rollout: the parameters of each perturbed axis. All are absent
-/// in a nominal rollout and in one that perturbs only language, whose perturbation is the
+/// in a nominal rollout and in a rollout that perturbs only language, whose perturbation is the
 /// row's instruction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]

@@ -181,7 +181,7 @@ fn every_task_level_and_configuration_has_a_named_sentence() {
     assert_eq!(paraphrase(first, Level::L1, 1).variant_id, "t0/L1/v01");
 }
 
-/// Covers all levels at once, so that no level repeats a sentence of another.
+/// Covers all levels at once, so that no level repeats a sentence of another level.
 #[test]
 fn the_thirty_sentences_of_a_task_are_distinct() {
     for task in TaskRef::all() {

@@ -116,7 +116,7 @@ impl Quat {
         }
     }
 
-    /// Composes rotations: `first`, then this one.
+    /// Composes rotations: `first`, then this rotation.
     pub(crate) fn after(self, first: Self) -> Self {
         Self {
             w: self.w * first.w - self.v.dot(first.v),

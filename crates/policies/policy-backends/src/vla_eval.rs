@@ -132,7 +132,7 @@ impl VlaEvalBackend {
     }
 
     fn unsuited(&self, reason: String) -> BackendError {
-        BackendError::Unsuited {
+        BackendError::UnsupportedPolicy {
             address: self.server.authority().to_owned(),
             reason,
         }

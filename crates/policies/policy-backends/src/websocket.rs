@@ -184,7 +184,7 @@ impl Server {
             tungstenite::Error::Http(response)
                 if matches!(response.status().as_u16(), 401 | 403) =>
             {
-                BackendError::Barred {
+                BackendError::TokenRejected {
                     address: self.host_port.authority.clone(),
                     reason: format!("it answered HTTP {}", response.status()),
                 }

@@ -23,7 +23,7 @@ pub(crate) fn situations(folder: &Path, count: usize) -> Result<Vec<Situation>, 
     }
     match situations.is_empty() {
         false => Ok(situations),
-        true => Err(RecordingError::None {
+        true => Err(RecordingError::NoRecordings {
             folder: folder.to_owned(),
         }),
     }

@@ -150,7 +150,7 @@ impl Episode<'_> {
     ) -> Result<Vec<Action>, ExaminationError> {
         let answer = self.query(observation).await?;
         let actions = self.server.actions(&answer.response);
-        actions.map_err(|fault| ExaminationError::Nonsense {
+        actions.map_err(|fault| ExaminationError::InvalidActions {
             url: self.server.url.clone(),
             fault,
         })
@@ -169,7 +169,7 @@ async fn in_time<T>(
     answer: impl Future<Output = Result<T, BackendError>>,
 ) -> Result<T, ExaminationError> {
     let answer = tokio::time::timeout(ANSWER_TIMEOUT, answer).await;
-    let answer = answer.map_err(|_| ExaminationError::Silent {
+    let answer = answer.map_err(|_| ExaminationError::NoAnswer {
         url: url.to_owned(),
     })?;
     answer.map_err(|error| ExaminationError::Answer {
@@ -189,7 +189,7 @@ pub enum ExaminationError {
     Recording(#[from] RecordingError),
     /// The server does not answer in time.
     #[error("get an answer from {url} within {} s", ANSWER_TIMEOUT.as_secs())]
-    Silent {
+    NoAnswer {
         /// URL as given.
         url: String,
     },
@@ -211,7 +211,7 @@ pub enum ExaminationError {
     },
     /// The server's answer is not a valid chunk of actions.
     #[error("compare the answers of {url}: {fault}; `policy-gateway doctor {url}` shows more")]
-    Nonsense {
+    InvalidActions {
         /// URL as given.
         url: String,
         /// Fault of the answer.

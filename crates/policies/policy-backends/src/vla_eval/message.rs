@@ -127,7 +127,7 @@ fn actions(payload: &ValueRef<'_>, execute: u32) -> Result<InferResponse, Answer
     let actions = lookup(payload, "actions").or_else(|| lookup(payload, "action"));
     let actions = actions.ok_or(AnswerError::None)?;
     let Array { shape, numbers } = match actions {
-        ValueRef::Array(items) => number_list(items).ok_or(ArrayError::None)?,
+        ValueRef::Array(items) => number_list(items).ok_or(ArrayError::NotAnArray)?,
         other => numpy::numbers(other)?,
     };
     let (count, width) = match *shape {

@@ -190,7 +190,7 @@ impl<'a> DiagnosedServer<'a> {
     ) -> Result<Vec<Action>, ExaminationError> {
         let response = self.query(at, observation, instruction).await?;
         let actions = self.server.actions(&response);
-        actions.map_err(|fault| ExaminationError::Nonsense {
+        actions.map_err(|fault| ExaminationError::InvalidActions {
             url: self.server.url.clone(),
             fault,
         })
