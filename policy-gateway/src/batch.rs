@@ -1,8 +1,8 @@
 //! Queue that decides which queries form a batch, and when the batch is sent. Pure: callers pass
 //! in the time. [`batcher`] carries out the decisions.
 //!
-//! A full batch is sent as soon as the server can take one more; a partial one when the server is
-//! idle and its oldest query has waited [`MAX_WAIT`].
+//! A full batch is sent as soon as the server can take one more batch; a partial batch is sent when
+//! the server is idle and the oldest query has waited [`MAX_WAIT`].
 
 use std::{
     collections::VecDeque,
@@ -50,7 +50,7 @@ impl<T> Queue<T> {
     /// Adds a query.
     ///
     /// # Errors
-    /// Returns the query if [`MAX_QUEUED`] are waiting already.
+    /// Returns the query if [`MAX_QUEUED`] queries are waiting already.
     pub fn push(&mut self, query: T, now: Instant) -> Result<(), T> {
         if self.waiting.len() >= MAX_QUEUED {
             return Err(query);

@@ -320,7 +320,7 @@ async fn check(
     });
     if let Some(file) = latency {
         let measured = conformance::latency::measure(&target).await?;
-        print_line(&measured.in_words());
+        print_line(&measured.describe());
         let delays = measured.delays()?;
         let text = serde_json::to_string_pretty(&measured)?;
         std::fs::write(file, text + "\n").with_context(|| format!("write {}", file.display()))?;

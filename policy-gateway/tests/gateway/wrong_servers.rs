@@ -9,7 +9,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use policy_gateway::{config::RouteSpec, health::SICK_WAITS};
+use policy_gateway::{config::RouteSpec, health::BROKEN_WAITS};
 use proto::policy::{
     DescribeRequest, DescribeResponse, InferBatchRequest, InferBatchResponse, InferRequest,
     InferResponse, ResetRequest, ResetResponse, policy_client::PolicyClient, policy_server::Policy,
@@ -67,11 +67,11 @@ async fn a_broken_accelerator_is_out_with_its_first_error_until_a_query_is_answe
     );
 
     broken.store(false, Ordering::SeqCst);
-    let deadline = Instant::now() + SICK_WAITS.longest;
+    let deadline = Instant::now() + BROKEN_WAITS.longest;
     while let Err(status) = one_query(&mut client, "again").await {
         assert_eq!(status.code(), Code::Unavailable, "{status}");
         assert!(Instant::now() < deadline, "{status}");
-        tokio::time::sleep(SICK_WAITS.first / 10).await;
+        tokio::time::sleep(BROKEN_WAITS.first / 10).await;
     }
     one_query(&mut client, "milk")
         .await

@@ -80,15 +80,15 @@ fn configuration(messages: &mut Messages) {
             path: path(), source: Box::new(ConfigError::NoRoute),
         },
         ConfigError::NoReplica { .. } => ConfigError::NoReplica { name: name() },
-        ConfigError::BothKinds { .. } => ConfigError::BothKinds { name: name() },
+        ConfigError::ReplicasAndSuites { .. } => ConfigError::ReplicasAndSuites { name: name() },
         ConfigError::TooManyReplicas { .. } => ConfigError::TooManyReplicas { name: name() },
-        ConfigError::ReplicaTwice { .. } => ConfigError::ReplicaTwice {
+        ConfigError::DuplicateReplica { .. } => ConfigError::DuplicateReplica {
             name: name(), replica: "grpc://h:1".to_owned(),
         },
         ConfigError::AnswerWithin { .. } => ConfigError::AnswerWithin { name: name(), secs: 0.0 },
         ConfigError::Form { .. } => "pi05".parse::<RouteSpec>().expect_err("no back-end"),
         ConfigError::Name(_) => ConfigError::Name(no_name()),
-        ConfigError::Twice { .. } => ConfigError::Twice { name: name() },
+        ConfigError::DuplicateRoute { .. } => ConfigError::DuplicateRoute { name: name() },
         ConfigError::Backend(_) => ConfigError::Backend(no_back_end()),
         ConfigError::NoAuthority { .. } => ConfigError::NoAuthority {
             name: name(), replica: "https://h:1".to_owned(),
@@ -144,7 +144,7 @@ fn checks(messages: &mut Messages) {
         DescriptionFault::Horizon { .. } => DescriptionFault::Horizon { horizon: 0 },
         DescriptionFault::Execute { .. } => DescriptionFault::Execute { execute: 9, horizon: 8 },
         DescriptionFault::StateField { .. } => DescriptionFault::StateField { field: 99 },
-        DescriptionFault::Version { .. } => DescriptionFault::Version { theirs: 2 },
+        DescriptionFault::Version { .. } => DescriptionFault::Version { given: 2 },
         DescriptionFault::Camera { .. } => DescriptionFault::Camera { name: text() },
         DescriptionFault::FrameSide { .. } => DescriptionFault::FrameSide {
             camera: text(), width: 0, height: 256,
@@ -177,7 +177,7 @@ fn checks(messages: &mut Messages) {
         VlaEvalAnswerError::OutOfStep { .. } => VlaEvalAnswerError::OutOfStep { number: 3, asked: 4 },
         VlaEvalAnswerError::Policy(_) => VlaEvalAnswerError::Policy(text()),
         VlaEvalAnswerError::Start(_) => VlaEvalAnswerError::Start(text()),
-        VlaEvalAnswerError::None => VlaEvalAnswerError::None,
+        VlaEvalAnswerError::NoActions => VlaEvalAnswerError::NoActions,
         VlaEvalAnswerError::Array(_) => VlaEvalAnswerError::Array(ArrayError::NotAnArray),
         VlaEvalAnswerError::Shape { .. } => VlaEvalAnswerError::Shape { shape: vec![2, 3, 7] },
         VlaEvalAnswerError::Chunk { .. } => VlaEvalAnswerError::Chunk { count: 8 },
@@ -335,7 +335,7 @@ fn examination(messages: &mut Messages) {
         ExaminationError::InvalidActions { .. } => ExaminationError::InvalidActions {
             url: url(), fault: ActionFault::Empty,
         },
-        ExaminationError::Lacking { .. } => ExaminationError::Lacking {
+        ExaminationError::MissingInput { .. } => ExaminationError::MissingInput {
             url: url(), missing: MissingInput::Privileged,
         },
     );

@@ -82,8 +82,11 @@ pub fn roll_pitch_yaw(quaternion: Quaternion) -> [f64; 3] {
 mod tests {
     use super::*;
 
-    fn close(one: &[f64], other: &[f64]) -> bool {
-        one.iter().zip(other).all(|(a, b)| (a - b).abs() < 1e-9)
+    fn close(actual: &[f64], expected: &[f64]) -> bool {
+        actual
+            .iter()
+            .zip(expected)
+            .all(|(a, b)| (a - b).abs() < 1e-9)
     }
 
     #[test]

@@ -12,7 +12,7 @@ pub(crate) const ARM: usize = 6;
 /// Number of components of the robot's state.
 pub(crate) const STATE: usize = 14;
 
-/// Chunk of actions: for each, translation (3) and rotation (3) of the hand, from -1 to 1,
+/// Chunk of actions. An action has translation (3) and rotation (3) of the hand, from -1 to 1,
 /// and the gripper: 1 closes it, -1 opens it.
 pub type Chunk = [[f32; ARM + 1]; ACTIONS];
 
@@ -54,8 +54,8 @@ impl Query<'_> {
         ];
         for (reading, values) in readings {
             // Checked after conversion: a finite f64 may be infinite as f32.
-            let wrong = values.iter().position(|value| !(*value as f32).is_finite());
-            if let Some(place) = wrong {
+            let not_finite = values.iter().position(|value| !(*value as f32).is_finite());
+            if let Some(place) = not_finite {
                 return Err(QueryError::State {
                     query,
                     reading,

@@ -7,11 +7,11 @@ use proto::policy::{DescribeResponse, InferResponse};
 use tonic::Status;
 use transport::answer;
 
-/// Largest absolute value that a worker plausibly clips; a larger one means that the policy
-/// answers in other units.
+/// Largest absolute value of an action that a worker clips without harm; a larger value means that
+/// the policy answers in other units.
 pub(crate) const LARGEST_PLAUSIBLE: f32 = 2.0;
-/// Largest difference between actions in a batch and alone. Kernels for other batch sizes sum in
-/// another order, which changes low-order bits.
+/// Largest difference between the actions for a query in a batch and for the same query alone.
+/// Kernels for other batch sizes sum in another order, which changes low-order bits.
 pub(crate) const BATCH_TOLERANCE: f32 = 1e-3;
 
 /// Result of one point.
@@ -109,8 +109,12 @@ pub(crate) fn same(expected: &[InferResponse], found: &[InferResponse]) -> Verdi
 }
 
 /// Checks that answers depend on the seed just as the policy declares.
-pub(crate) fn seeds(stochastic: bool, one: &[InferResponse], other: &[InferResponse]) -> Verdict {
-    match (stochastic, first_difference(one, other)) {
+pub(crate) fn seeds(
+    stochastic: bool,
+    seed_1: &[InferResponse],
+    seed_2: &[InferResponse],
+) -> Verdict {
+    match (stochastic, first_difference(seed_1, seed_2)) {
         (true, Some(_)) | (false, None) => pass(""),
         (true, None) => {
             fail("it declares itself stochastic, but seeds 1 and 2 give the same actions")
@@ -121,7 +125,7 @@ pub(crate) fn seeds(stochastic: bool, one: &[InferResponse], other: &[InferRespo
     }
 }
 
-/// Checks that answers in a batch equal those given alone.
+/// Checks that answers to queries in a batch equal the answers to the same queries sent alone.
 pub(crate) fn batch(alone: &[InferResponse], batched: &[InferResponse]) -> Verdict {
     if first_difference(alone, batched).is_none() {
         return pass("bit for bit");
@@ -167,7 +171,7 @@ fn numbers(answers: &[InferResponse]) -> impl Iterator<Item = f32> {
 }
 
 /// Returns the first query at which two episodes differ.
-fn first_difference(one: &[InferResponse], other: &[InferResponse]) -> Option<usize> {
+fn first_difference(first: &[InferResponse], second: &[InferResponse]) -> Option<usize> {
     let bits = |answer: &InferResponse| -> Vec<u32> {
         answer
             .actions
@@ -175,21 +179,25 @@ fn first_difference(one: &[InferResponse], other: &[InferResponse]) -> Option<us
             .map(|number| number.to_bits())
             .collect()
     };
-    let pairs = one.iter().zip(other);
+    let pairs = first.iter().zip(second);
     let differing = pairs.clone().position(|(a, b)| bits(a) != bits(b));
-    differing.or((one.len() != other.len()).then_some(pairs.len()))
+    differing.or((first.len() != second.len()).then_some(pairs.len()))
 }
 
 fn percentiles(latencies: &[Duration]) -> String {
     let mut sorted = latencies.to_vec();
     sorted.sort_unstable();
-    let at = |share: f64| {
+    let percentile = |share: f64| {
         let index = (share * sorted.len() as f64).ceil() as usize;
         sorted
             .get(index.max(1) - 1)
             .map_or(f64::NAN, |latency| latency.as_secs_f64() * 1e3)
     };
-    format!("p50 {:.2} ms, p99 {:.2} ms", at(0.5), at(0.99))
+    format!(
+        "p50 {:.2} ms, p99 {:.2} ms",
+        percentile(0.5),
+        percentile(0.99)
+    )
 }
 
 #[cfg(test)]
