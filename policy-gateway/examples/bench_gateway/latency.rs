@@ -91,16 +91,16 @@ async fn open_loop(
             }
         }
     });
-    let mut under_way = JoinSet::new();
+    let mut in_flight = JoinSet::new();
     while let Some((number, scheduled)) = due_queries.recv().await {
         let slot = slots[number as usize % slots.len()].clone();
-        under_way.spawn(async move {
+        in_flight.spawn(async move {
             slot.query(first_query + number).await?;
             anyhow::Ok(scheduled.elapsed())
         });
     }
     let mut latencies = Vec::new();
-    while let Some(latency) = under_way.join_next().await {
+    while let Some(latency) = in_flight.join_next().await {
         latencies.push(latency??);
     }
     ticker.join().expect("the ticker does not panic");

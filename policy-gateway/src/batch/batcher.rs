@@ -122,11 +122,11 @@ impl Shared {
 }
 
 async fn send_batches(shared: Arc<Shared>) {
-    let mut under_way = JoinSet::new();
+    let mut in_flight = JoinSet::new();
     loop {
         let wait = match shared.next() {
             Next::Send(batch) => {
-                under_way.spawn(send(Arc::clone(&shared), batch));
+                in_flight.spawn(send(Arc::clone(&shared), batch));
                 continue;
             }
             Next::WaitUntil(time) => Some(time),
@@ -140,7 +140,7 @@ async fn send_batches(shared: Arc<Shared>) {
         };
         tokio::select! {
             // A batch whose task panicked counts as done; its callers get `BatchLost`.
-            Some(_) = under_way.join_next() => shared.queue().0.done(),
+            Some(_) = in_flight.join_next() => shared.queue().0.done(),
             () = shared.changed.notified() => {}
             () = wait_over => {}
         }

@@ -2,7 +2,8 @@
 //! answers, so that everything returned from here is safe to forward to a robot.
 //!
 //! A query is first *queued*, then *sent*. In the queue, only the caller's patience limits the
-//! wait, and a caller that gives up frees its place. A sent query fails when the server is silent.
+//! wait, and the query of a caller that gives up is removed. A sent query fails when the server has
+//! answered no query for the longest allowed time.
 
 use std::{
     fmt,
@@ -28,11 +29,11 @@ use crate::{
     pace::{NoAnswer, Watch},
 };
 
-/// Concurrent single queries per server. The server computes them one by one; queries waiting
-/// behind them need no second copy of their observation.
+/// Concurrent single queries per server, which computes them one by one. Further queries wait in
+/// the gateway, so that the server holds no copies of their observations.
 pub const MAX_CALLS: usize = 64;
-/// Sessions that a replica may have regardless of its pace: the throughput of a server that answers
-/// several queries at once cannot be measured with fewer.
+/// Sessions that a replica may have regardless of its pace: with fewer sessions, the throughput of
+/// a server that answers several queries at once cannot be measured.
 const MIN_SESSIONS: usize = 4;
 /// Longest time per control step of a rollout: most of the 10 s that a coordinator allows
 /// (`--step-ceiling-secs`).
@@ -151,7 +152,7 @@ impl Replica {
         self.last_assigned.store(number, Ordering::Relaxed);
     }
 
-    /// Returns the longest time for which the server may be silent.
+    /// Returns the longest time for which the server may answer no query.
     pub fn answer_within(&self) -> Duration {
         self.answer_within
     }
@@ -250,7 +251,7 @@ impl Replica {
         task: &str,
     ) -> Result<InferResponse, BackendError> {
         self.load.fetch_add(1, Ordering::Relaxed);
-        let _under_way = LoadGuard(&self.load);
+        let _in_flight = LoadGuard(&self.load);
         let session = request.session.clone();
         let call = Call::InSession(&session);
         let guard = self.admit(call)?;
@@ -353,6 +354,7 @@ impl Replica {
         })
     }
 
+    /// Converts the answer of a server that is silent to a timeout.
     fn unless_silent<T>(
         &self,
         answer: Result<Result<T, BackendError>, NoAnswer>,
@@ -426,8 +428,8 @@ fn is_no_evidence(error: &BackendError) -> bool {
     )
 }
 
-/// Returns the number of sessions that get their answers in time from a server with `per_query`
-/// per query, if all of them query at once.
+/// Returns the number of sessions that get their answers in time if all of them query at once, from
+/// a server that takes `per_query` for each query.
 fn capacity(patience: Duration, execute: u32, per_query: Duration) -> usize {
     let longest = patience.min(MAX_STEP_WAIT * execute.max(1));
     let sessions = longest.as_secs_f64() / per_query.as_secs_f64().max(1e-9);

@@ -155,7 +155,7 @@ async fn a_silent_server_is_out_after_the_limit_and_later_queries_fail_at_once()
 }
 
 #[tokio::test]
-async fn a_server_that_answers_after_the_limit_is_out_like_a_silent_one() {
+async fn a_server_that_answers_after_the_limit_is_out_like_a_silent_server() {
     expect_outage_after_the_limit(DelayedPolicy(Some(Duration::from_millis(600)))).await;
 }
 
