@@ -78,7 +78,10 @@ async fn serve(
             problem: innermost(&error),
         }),
         () = grace_is_over => {
-            tracing::warn!("stopping with queries still under way after {} s", SHUTDOWN_GRACE.as_secs());
+            tracing::warn!(
+                "stopping with queries still in flight after {} s",
+                SHUTDOWN_GRACE.as_secs()
+            );
             Ok(())
         }
     }

@@ -309,7 +309,7 @@ impl Route {
         };
         let adopted = Session::new(pool, None, state);
         let mut sessions = self.sessions();
-        // Another query of the session may have adopted it meanwhile.
+        // Another query of the session may have adopted the session meanwhile.
         Ok(match sessions.get(name) {
             Some(open) => Arc::clone(open),
             None => Arc::clone(sessions.open(name, adopted)),

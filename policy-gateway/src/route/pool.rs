@@ -152,8 +152,8 @@ impl Pool {
     }
 
     /// Returns the replica with the fewest queries in flight that is not out; among equals, a
-    /// replica where the session is open, then the one whose last new session is oldest. If all
-    /// are out, returns the first replica, whose error names the cause.
+    /// replica where the session is open, then the replica whose last new session is oldest. If
+    /// all are out, returns a replica that is out, whose error names the cause.
     fn least_loaded(
         &self,
         session: &str,
@@ -171,7 +171,8 @@ impl Pool {
         })
     }
 
-    /// Reads a replica's description, and compares it with that of the first replica.
+    /// Reads a replica's description, and compares it with the description by the first replica to
+    /// answer.
     ///
     /// # Errors
     /// If the replica does not answer, or its description is invalid or differs from the first
@@ -186,7 +187,7 @@ impl Pool {
                 self.agree(replica, described)
             })
             .await?;
-        // A gateway behind this one knows the actual batch mode.
+        // If the replica is another gateway, it has set the actual batch mode already.
         if described.batch_mode.is_empty() {
             let batch_size = description::batch_size(&described);
             described.batch_mode = self.batching.describe(batch_size);

@@ -129,8 +129,8 @@ impl Replica {
         })
     }
 
-    /// Returns true if a new replica with these settings would be the same. Never true with access
-    /// files, whose content may have changed.
+    /// Returns true if a new replica with these settings would equal this replica. Never true with
+    /// access files, whose content may have changed.
     pub fn has_settings(&self, spec: &BackendSpec, route: &RouteSpec) -> bool {
         let settings = (spec, &self.access, route.answer_within, route.batching);
         self.access == AccessFiles::default()
@@ -187,7 +187,7 @@ impl Replica {
     }
 
     /// Reads the policy's description, for `suite` unless that is empty. `agrees` reports how a
-    /// valid description differs from the expected one.
+    /// valid description differs from the expected description.
     ///
     /// # Errors
     /// If the replica does not answer, or its description is invalid or unexpected.

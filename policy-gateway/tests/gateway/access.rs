@@ -105,7 +105,8 @@ async fn send_query_over(
 ) -> Result<(), Status> {
     let file = tempfile::NamedTempFile::new().expect("a file");
     let text = format!(
-        "[policy.x]\nreplicas = [\"{scheme}://localhost:{}\"]\nca = {ca:?}\ntoken_file = {token_file:?}\n",
+        "[policy.x]\nreplicas = [\"{scheme}://localhost:{}\"]\nca = {ca:?}\n\
+         token_file = {token_file:?}\n",
         server.port
     );
     std::fs::write(file.path(), text).expect("written");

@@ -151,7 +151,10 @@ async fn one_query_of_a_batch_fails_alone_and_results_keep_their_order() {
         .into_iter()
         .map(|result| result.result)
         .collect();
-    let answered = |result: &_| matches!(result, Some(infer_result::Result::Response(answer)) if answer.actions == NOOP_ACTION);
+    let answered = |result: &_| {
+        matches!(result, Some(infer_result::Result::Response(answer))
+            if answer.actions == NOOP_ACTION)
+    };
     assert!(
         answered(&results[0]) && answered(&results[2]),
         "{results:?}"

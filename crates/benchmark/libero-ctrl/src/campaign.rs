@@ -76,7 +76,8 @@ pub enum Rollouts {
 }
 
 impl Rollouts {
-    /// Returns the name of the campaign whose outcomes determine the rollouts, if any.
+    /// Returns the name of the campaign whose outcomes determine the rollouts; `None` if the
+    /// specification itself determines the rollouts.
     pub fn source(&self) -> Option<&str> {
         match self {
             Self::Design(_) | Self::Manifest(_) | Self::Variants(_) | Self::SuiteFile(_) => None,

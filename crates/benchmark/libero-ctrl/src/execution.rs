@@ -203,9 +203,9 @@ impl Delays {
         self.weighted[self.weighted.len() - 1].0
     }
 
-    /// Returns the delay of the response to a query. It is the same for all rollouts of a task from
-    /// the same initial state, regardless of the perturbation, so that paired rollouts have the
-    /// same delays.
+    /// Returns the delay of the response to a query. The delay is the same in all rollouts of a
+    /// task from the same initial state, regardless of the perturbation, so that paired rollouts
+    /// have the same delays.
     pub fn of_query(&self, task: TaskRef, init_id: u16, query: u32) -> u16 {
         if let [(only, _)] = self.weighted[..] {
             return only;

@@ -261,7 +261,8 @@ pub enum PerturbError {
     },
     /// The parameters are for different axes than the condition's.
     #[error(
-        "read `perturb` of condition {condition}: it has parameters of {given}, give the parameters of its own axes"
+        "read `perturb` of condition {condition}: it has parameters of {given}, give the \
+         parameters of the condition's axes"
     )]
     OtherAxes {
         /// The row's condition.

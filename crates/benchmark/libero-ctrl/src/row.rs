@@ -126,7 +126,7 @@ impl ManifestRow {
     }
 }
 
-/// Error: the row contradicts itself.
+/// Error: a column of the row is invalid or contradicts another column.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RowError {
     /// A column contradicts the rollout id.
@@ -152,7 +152,7 @@ pub enum RowError {
     /// The placebo radius is missing in a placebo row, given in any other row, or out of range.
     #[error(
         "read row {id}: `placebo_radius` is {}, write {} to {} in perturbed rows at L0, and \
-         leave it out of others",
+         leave it out of other rows",
         radius_text(*given), PLACEBO_RADII[0], PLACEBO_RADII[1]
     )]
     Placebo {
@@ -185,8 +185,8 @@ pub enum RowError {
     /// A row of LIBERO's family or of a suite file lacks its protocol, or a row of LIBERO-CTRL has
     /// a protocol.
     #[error(
-        "read row {id}: `protocol` is {}; write one in rows of LIBERO-Plus, LIBERO-PRO and \
-         suite files only",
+        "read row {id}: `protocol` is {}; write a protocol in rows of LIBERO-Plus, LIBERO-PRO \
+         and suite files only",
         given.as_deref().unwrap_or("missing")
     )]
     Protocol {
@@ -477,7 +477,7 @@ mod tests {
         check("policy_seed", json!(7), "write 0");
         check("colour", json!("red"), "unknown field `colour`");
         check("perturb", json!({"blur_sigma": 1.0}), "is missing");
-        check("placebo_radius", json!(0.02), "leave it out of others");
+        check("placebo_radius", json!(0.02), "leave it out of other rows");
         let mut placebo = valid.clone();
         placebo["level"] = json!("L0");
         placebo["rollout_id"] = json!("goal/t0/sensor/L0/c09");

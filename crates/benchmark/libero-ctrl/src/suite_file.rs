@@ -230,7 +230,7 @@ impl SuiteFile {
             let field = |name: &str| format!("suites[{index}].{name}");
             check_name(&field("name"), &suite.name)?;
             if !names.insert(&suite.name) {
-                let remedy = "another suite has this name; choose another";
+                let remedy = "another suite has this name; choose another name";
                 return Err(invalid(&field("name"), &quoted(&suite.name), remedy));
             }
             for (name, path) in [("bddl", &suite.bddl), ("states", &suite.states)] {

@@ -249,8 +249,8 @@ fn put_on(
     transfer(world, object, place)
 }
 
-/// Side of the target if two objects share it: -1 for the first, 1 for the second;
-/// otherwise 0.
+/// Returns the side of the target on which the predicate's object is placed, if exactly two
+/// predicates of the goal have this target: -1 for the first, 1 for the second; otherwise 0.
 fn slot(goal: &[Predicate], predicate: &Predicate) -> f64 {
     let shares_target = |other: &&Predicate| {
         other.name == predicate.name && other.arguments.last() == predicate.arguments.last()

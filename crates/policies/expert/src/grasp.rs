@@ -164,8 +164,8 @@ pub(crate) fn choices(world: &World, object: &Entity, purpose: Purpose<'_>) -> V
 
 /// Returns the best grasp of `object` for the current position of the hand: ranked like
 /// [`choices`], with penalties on the distance from the hand and on a change from `earlier`, so
-/// that the choice does not oscillate. A grasp like `blocked`, which the hand could not reach, comes
-/// last.
+/// that the choice does not oscillate. A grasp like `blocked`, which the hand could not reach, is
+/// ranked last.
 ///
 /// `None` if there is no grasp.
 pub(crate) fn nearest(
@@ -277,7 +277,7 @@ fn cost(world: &World, object: &Entity, purpose: Purpose<'_>, grasp: &Grasp) -> 
     turning + askew + grasp.strain + collisions + into_wall + stretch + downhill
 }
 
-/// Returns the number of parts of the open hand that would collide with a solid selected by
+/// Returns the number of collisions between parts of the open hand and the solids selected by
 /// `among`, with the grip point at `grip`. The container of the object does not count, because
 /// [`into_wall`] checks its walls.
 fn collisions(world: &World, grip: Vec3, closing: f64, among: impl Fn(&Solid) -> bool) -> usize {

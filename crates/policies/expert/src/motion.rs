@@ -39,7 +39,8 @@ const HIGH_M: f64 = 0.05;
 /// Displacement per step below which the hand counts as stopped, m.
 const STILL_M: f64 = 0.0008;
 
-/// Tolerances of a hand on a straight path: distance before or beyond it, m, and angle, rad.
+/// Tolerances of a hand on a straight path: distance before its start or beyond its end, m, and
+/// angle, rad.
 const ALONG_M: f64 = 0.015;
 const ALIGNED_RAD: f64 = 0.25;
 /// Largest angle between the hand and the half turn of [`pointing_down`] at which
@@ -82,8 +83,8 @@ impl HandPose {
     }
 
     /// Returns true if the hand is on the straight path from this pose to `goal`: at most
-    /// `aside` m beside the path, at most [`ALONG_M`] before or beyond it, and oriented like one of
-    /// the two poses.
+    /// `aside` m beside the path, at most [`ALONG_M`] before its start or beyond its end, and
+    /// oriented like one of the two poses.
     pub(crate) fn is_on_path_to(self, goal: HandPose, world: &World, aside: f64) -> bool {
         let turned = self.turn_from(world).min(goal.turn_from(world));
         self.is_straight_to(goal, world, aside) && turned < ALIGNED_RAD

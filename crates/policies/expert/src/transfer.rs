@@ -414,8 +414,8 @@ impl Hold {
     }
 }
 
-/// Returns the position of the hand with the orientation that points down and is nearest to its
-/// own.
+/// Returns the current position of the hand, with the orientation that points down and is nearest
+/// to the hand's current orientation.
 fn upright_hand(world: &World) -> HandPose {
     let closing = world.grip_quat.rotate(Vec3::new(1.0, 0.0, 0.0));
     HandPose {
@@ -425,7 +425,7 @@ fn upright_hand(world: &World) -> HandPose {
 }
 
 /// Returns true if the object has not yet been lifted since the fingers closed. If the hand moved
-/// sideways before lifting, surrounding objects would tear the object out of it.
+/// sideways before lifting, surrounding objects would tear the object out of the hand.
 fn is_lifting(earlier: Option<&Transfer>, world: &World, hold: Hold) -> bool {
     let phase = earlier.map(|earlier| earlier.phase);
     let has_closed = matches!(phase, Some(Phase::Close(_) | Phase::Lift(_)));

@@ -90,7 +90,7 @@ pub enum BackendError {
     OutOfService {
         /// Back-end as configured.
         backend: String,
-        /// Reason why the server is out.
+        /// Reason why the server is out of service.
         cause: Cause,
         /// Time until the next attempt.
         retry_in: Duration,
@@ -104,11 +104,11 @@ pub enum BackendError {
         limit: Duration,
     },
     /// The server's error shows that the server is broken, not the query.
-    #[error("{backend} is out, because it {cause}")]
+    #[error("{backend} is out of service, because it {cause}")]
     Broken {
         /// Back-end as configured.
         backend: String,
-        /// Reason why the server is out.
+        /// Reason why the server is out of service.
         cause: Cause,
     },
     /// The policy's description cannot be used.

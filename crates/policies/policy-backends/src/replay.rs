@@ -191,7 +191,7 @@ fn difference(path: &Path, query_index: u32, sent: &Observation) -> Result<Strin
             let recorded = pair.query.observation.unwrap_or_default();
             let difference = first_difference(&recorded, sent);
             return Ok(format!(
-                "the observation is not the recorded one ({}): {difference}",
+                "the observation is not the recorded observation ({}): {difference}",
                 path.display()
             ));
         }

@@ -189,8 +189,8 @@ impl Link {
 #[tonic::async_trait]
 impl Backend for VlaEvalBackend {
     async fn describe(&self, _suite: &str) -> Result<DescribeResponse, BackendError> {
-        // Opens a new connection each time, because HELLO shows whether it is still the same
-        // server.
+        // Opens a new connection each time, because the HELLO shows whether the server is still
+        // the same.
         let link = self.connect().await?;
         let described = link.terms.described.clone();
         let mut idle = self.idle();

@@ -116,7 +116,7 @@ fn seed_differences(servers: &ServerPair, randomness: [Randomness; 2]) -> Vec<Di
         if !randomness.is_repeatable() && !servers.described(side).unseeded {
             let text = format!(
                 "{letter} answers the same observation and seed differently every time, by up to \
-                 {}, and does not declare it: its noise does not come from the seed.",
+                 {}, and does not declare this: its noise does not come from the seed.",
                 size(randomness.repeat_difference)
             );
             return vec![Difference::new(Kind::Seed, text)];
@@ -160,7 +160,7 @@ async fn compare_paired(
     let unchanged = fit(&pair.a, &pair.b, &setup.floor);
     if is_random
         && !unchanged.explains
-        && let Some(found) = other_seed(servers, pair).await?
+        && let Some(found) = find_other_seed(servers, pair).await?
     {
         let note = comparison_note(servers, &pair.a, "with one seed each");
         return Ok((vec![found], note));
@@ -193,7 +193,7 @@ async fn compare_paired(
 }
 
 /// Finds a seed with which one server gives the answers that the other server gives with [`SEED`].
-async fn other_seed(
+async fn find_other_seed(
     servers: &ServerPair,
     pair: &AnswerPair,
 ) -> Result<Option<Difference>, ExaminationError> {

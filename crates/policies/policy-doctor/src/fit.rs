@@ -114,8 +114,8 @@ impl Fit {
         self.cost() == 0
     }
 
-    /// Returns true if the remaining difference is within `limit`, which need not be the limit of
-    /// the fit.
+    /// Returns true if the remaining difference is within `limit`, which may differ from the limit
+    /// with which the fit was made.
     pub(crate) fn is_within(&self, limit: &Limit) -> bool {
         self.remaining
             .iter()

@@ -163,7 +163,8 @@ impl SearchSetup<'_> {
         Ok(SearchResult::Unexplained(closest))
     }
 
-    /// Returns all extensions of `changes` by one change, on a topic that `changes` does not have.
+    /// Returns all extensions of `changes` by one change whose topic is not among those of
+    /// `changes`.
     fn extensions(&self, changes: &[(Side, Variant)]) -> Vec<Vec<(Side, Variant)>> {
         let used: Vec<Topic> = changes.iter().map(|(_, variant)| variant.topic()).collect();
         let mut extensions = vec![];

@@ -1,5 +1,4 @@
-//! Modifies observations as another pipeline would, by one common mistake at a time. Pure
-//! functions.
+//! Modifies an observation as a pipeline with one common mistake would. Pure functions.
 
 use std::fmt;
 
@@ -15,7 +14,7 @@ use crate::{
 /// Change to an observation.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Variant {
-    /// Rotates or flips the frames of one camera, or of all if `None`.
+    /// Rotates or flips the frames of one camera, or of all cameras if `None`.
     Turned(Turn, Option<String>),
     /// Scales frames to this width and height, and back.
     Resized([u32; 2], Filter),
@@ -132,8 +131,8 @@ impl Variant {
         }
     }
 
-    /// Returns true if applying the variant twice changes nothing, so that applying it to either of
-    /// two servers is equivalent.
+    /// Returns true if applying the variant twice changes nothing, so that applying it to either
+    /// server's observations has the same result.
     pub(crate) fn is_its_own_inverse(&self) -> bool {
         match self {
             Self::Turned(turn, _) => !matches!(turn, Turn::Left | Turn::Right),

@@ -75,10 +75,11 @@ pub(crate) fn description(
 /// Checks the shape of every answer of an episode, in order of query index.
 pub(crate) fn shapes(answers: &[InferResponse], horizon: u32) -> Verdict {
     let faults = answers.iter().enumerate();
-    let mut faults = faults
-        .filter_map(|(at, answer)| Some((at, policy_protocol::actions(answer, horizon).err()?)));
+    let mut faults = faults.filter_map(|(query, answer)| {
+        Some((query, policy_protocol::actions(answer, horizon).err()?))
+    });
     match faults.next() {
-        Some((at, fault)) => fail(format!("at query {at}, {fault}")),
+        Some((query, fault)) => fail(format!("at query {query}, {fault}")),
         None => pass(""),
     }
 }
@@ -104,7 +105,7 @@ pub(crate) fn range(answers: &[InferResponse]) -> Verdict {
 pub(crate) fn same(expected: &[InferResponse], found: &[InferResponse]) -> Verdict {
     match first_difference(expected, found) {
         None => pass(""),
-        Some(at) => fail(format!("at query {at} the actions differ")),
+        Some(query) => fail(format!("at query {query} the actions differ")),
     }
 }
 
@@ -119,8 +120,8 @@ pub(crate) fn seeds(
         (true, None) => {
             fail("it declares itself stochastic, but seeds 1 and 2 give the same actions")
         }
-        (false, Some(at)) => fail(format!(
-            "it declares itself deterministic, but seeds 1 and 2 differ at query {at}"
+        (false, Some(query)) => fail(format!(
+            "it declares itself deterministic, but seeds 1 and 2 differ at query {query}"
         )),
     }
 }

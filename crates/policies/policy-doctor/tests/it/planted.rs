@@ -89,7 +89,7 @@ impl Planted {
         Self { noise, ..policy }
     }
 
-    /// Requests another state.
+    /// Replaces the state fields that the policy requests.
     pub(crate) fn with_state(mut self, fields: &[StateField]) -> Self {
         self.described.state = fields.iter().map(|&field| field.into()).collect();
         self
@@ -193,7 +193,7 @@ fn network(input: &NetworkInput, query: u64, count: usize, noise: f64) -> Vec<Ac
 fn weight(input: usize, feature: usize) -> f64 {
     static WEIGHTS: std::sync::OnceLock<Vec<f64>> = std::sync::OnceLock::new();
     let count = 2 * PATCHES * PATCHES * 3 * 14;
-    let weights = || (0..count as u64).map(|index| hash(&[4, index])).collect();
+    let weights = || -> Vec<f64> { (0..count as u64).map(|index| hash(&[4, index])).collect() };
     WEIGHTS.get_or_init(weights)[input * 14 + feature]
 }
 
