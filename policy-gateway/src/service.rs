@@ -164,8 +164,8 @@ impl Policy for Gateway {
     }
 
     /// Queries are sent to their back-ends concurrently, each as if it had been sent alone. If a
-    /// back-end is down, the whole call fails, because the error text of a single result has no
-    /// status code that would leave its query uncharged.
+    /// back-end is down, the whole call fails: a single result has only an error text, without the
+    /// status code that tells a worker not to charge the failure to the rollout.
     async fn infer_batch(
         &self,
         request: Request<InferBatchRequest>,

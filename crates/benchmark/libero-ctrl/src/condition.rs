@@ -18,8 +18,8 @@ pub enum Condition {
     Clean,
     /// One axis alone.
     Single(Axis),
-    /// The latency axis: delayed responses without further perturbation. No [`AxisSet`] contains
-    /// it.
+    /// The latency axis, which no [`AxisSet`] contains: delayed responses without further
+    /// perturbation.
     Latency,
     /// Two to five axes; constructed by [`Self::of`].
     Subset(AxisSet),

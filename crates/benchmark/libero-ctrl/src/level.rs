@@ -11,8 +11,8 @@ use crate::names::{UnknownName, serde_as_text};
 ///
 /// LIBERO-CTRL names four radii; radius 4, for example, is written `L2`. Any other radius
 /// is written as a number with up to six decimals, such as `r2.5`. Levels are ordered by
-/// radius. `L0` is the level of nominal rollouts and, for perturbed ones, the placebo level,
-/// whose radius is stored in the rows ([`crate::Placebo`]).
+/// radius. `L0` is the level of nominal rollouts and, for perturbed rollouts, the placebo
+/// level, whose radius is stored in the rows ([`crate::Placebo`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Level {
     // An integer, so that a level equals the level parsed from its text.
@@ -20,7 +20,7 @@ pub struct Level {
 }
 
 impl Level {
-    /// Radius 0 for nominal rollouts; the placebo level for perturbed ones.
+    /// Radius 0 for nominal rollouts; the placebo level for perturbed rollouts.
     pub const L0: Self = Self::of_whole_radius(0);
     /// Radius 2.
     pub const L1: Self = Self::of_whole_radius(2);

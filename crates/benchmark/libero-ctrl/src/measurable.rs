@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn conditions_that_cannot_be_measured_are_refused_with_the_valid_ones() {
+    fn conditions_that_cannot_be_measured_are_refused_with_the_valid_conditions() {
         let design = Design {
             axes: vec![Axis::Camera, Axis::Robot],
             ..Design::v0_1()

@@ -1,4 +1,4 @@
-//! Plans skills from goal predicates, in an order in which they do not undo each other.
+//! Plans skills from goal predicates, in an order in which no skill undoes an earlier skill.
 
 use std::collections::VecDeque;
 
@@ -178,7 +178,7 @@ pub(crate) fn plan(world: &World) -> Result<Vec<Skill>, ExpertError> {
 }
 
 /// Plans to open the drawer of `region` to the joint position `to`, m; `None` if the region is in
-/// no drawer, or in an open one.
+/// no drawer, or in an open drawer.
 fn open(world: &World, region: &str, to: f64) -> Result<Option<Skill>, ExpertError> {
     let joint = drawer_joint(region);
     let Some(position) = joint.and_then(|joint| world.joint(&joint).ok()) else {

@@ -113,8 +113,8 @@ pub(crate) struct Grasp {
 }
 
 impl Grasp {
-    /// Returns true if the two grasps differ so little that they are one grasp of an object that
-    /// has hardly moved between them.
+    /// Returns true if the two grasps differ so little that they are the same grasp, of an object
+    /// that has hardly moved meanwhile.
     fn is_like(&self, other: &Self) -> bool {
         let turned = half_turn(self.closing - other.closing).abs();
         (self.offset - other.offset).norm() <= ALIKE_M && turned <= ALIKE_RAD

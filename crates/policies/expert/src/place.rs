@@ -21,8 +21,8 @@ const COVERED_FLOOR_GAP_M: f64 = 0.02;
 const COVERED_RUN_M: f64 = 0.13;
 /// Gap between two objects that share a target, m.
 const NEIGHBOUR_GAP_M: f64 = 0.004;
-/// Distance from the straight path to its place within which a held object continues on the path,
-/// m.
+/// Distance of a held object from the straight path to its place within which the object continues
+/// on the path, m.
 const ON_PATH_M: f64 = 0.02;
 /// Tolerance of the object's position at its place, m.
 const AT_PLACE_M: f64 = 0.005;
@@ -37,7 +37,7 @@ pub(crate) struct Place {
     pub(crate) relation: Relation,
     /// Object or region.
     pub(crate) target: String,
-    /// Side of the target's centre, if two objects share it: -1 or 1; 0 is the centre
+    /// Side of the target's centre, if two objects share the target: -1 or 1; 0 is the centre
     /// itself.
     pub(crate) slot: f64,
 }

@@ -1,7 +1,7 @@
 //! Manipulation without carrying: drawers, the stove's knob, the microwave's door, and
-//! flat objects that are pushed. Each is a short sequence of stages, whose poses follow the
-//! mechanism as it moves. Bounding boxes do not show the movable part of a fixture, so the
-//! necessary dimensions of LIBERO's fixture models are constants here.
+//! flat objects that are pushed. Each manipulation is a short sequence of stages, whose poses
+//! follow the mechanism as it moves. Bounding boxes do not show the movable part of a fixture, so
+//! the necessary dimensions of LIBERO's fixture models are constants here.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -20,7 +20,7 @@ pub(crate) const OPEN_M: f64 = -0.14;
 /// so that the hand has room beneath.
 pub(crate) const DRAWER_OPEN_M: f64 = -0.155;
 pub(crate) const DRAWER_AJAR_M: f64 = -0.118;
-/// Joint position at which a drawer is safely closed, m; it counts as closed above 0.
+/// Joint position at which a drawer is safely closed, m; a drawer counts as closed above 0.
 const DRAWER_CLOSED_M: f64 = 0.003;
 /// Tilt of the hand when it reaches for a handle from the front, and when it pushes a drawer
 /// shut with the fingertips ahead of the palm, rad.
@@ -30,8 +30,8 @@ const PUSH_TILT: f64 = 0.6;
 const KNOB_ON: f64 = 0.8;
 /// Depth of the grip point below the top of the knob's ridge, m.
 const KNOB_DEPTH_M: f64 = 0.018;
-/// Position of the microwave's hinge, and height of the top of its door above its origin, m, both
-/// in the microwave's own axes.
+/// Position of the hinge of the microwave's door, and height of the top of the door, m, both from
+/// the microwave's origin along its axes.
 const HINGE: Vec3 = Vec3::new(-0.1725, -0.088, 0.0);
 const DOOR_TOP_M: f64 = 0.188;
 /// Contact point of the hand, m: distance from the hinge along the door, depth below the top
@@ -40,7 +40,7 @@ const DOOR_TOP_M: f64 = 0.188;
 const DOOR_REACH_M: f64 = 0.17;
 const DOOR_DEPTH_M: f64 = 0.05;
 const DOOR_FRONT_M: f64 = 0.044;
-/// Angle to which the microwave's door is closed, rad; it counts as closed above -0.005 rad.
+/// Angle to which the microwave's door is closed, rad; the door counts as closed above -0.005 rad.
 const DOOR_CLOSED: f64 = -0.003;
 /// Lead of the hand's goal over a mechanism, m and rad, which pulls the mechanism along.
 const LEAD_M: f64 = 0.05;

@@ -22,12 +22,13 @@ const NEAR_RAD: f64 = 0.06;
 /// the grasp at which an object may have stopped the hand, m.
 const TURNED_RAD: f64 = 0.15;
 const STOPPED_M: f64 = 0.015;
-/// Angle from the grasp up to which closing fingers go on closing, rad: an object may turn between
-/// them.
+/// Angle of the hand from the grasp up to which closing fingers go on closing, rad: an object may
+/// turn between the fingers.
 const CLOSING_RAD: f64 = 0.6;
 /// Distance from the grip point to an object's box within which the object can be held, m.
 const BESIDE_M: f64 = 0.005;
-/// Horizontal distance from its place within which a held object continues its descent, m.
+/// Horizontal distance of a held object from its place within which the object continues its
+/// descent, m.
 const OVER_REST_M: f64 = 0.02;
 /// Distance from the grasp within which the fingers close, m.
 const DEEP_M: f64 = 0.003;
@@ -211,7 +212,7 @@ impl Transfer {
         Ok(grasp)
     }
 
-    /// Returns the hold of the object: that of `earlier` if the object has not slipped since,
+    /// Returns the hold of the object: the hold of `earlier` if the object has not slipped since,
     /// otherwise a new hold from the current poses.
     fn hold(&self, earlier: Option<&Self>, world: &World, object: &Entity) -> Hold {
         if let Some(Phase::Lift(hold) | Phase::Carry(hold) | Phase::Lower(hold)) =

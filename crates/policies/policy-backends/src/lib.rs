@@ -1,6 +1,6 @@
-//! Clients of policy servers, one module per protocol, and the policies that need no server. Each
-//! implements the trait [`Backend`]; a [`BackendSpec`] specifies a back-end, and [`open()`] creates
-//! the back-end.
+//! Back-ends: clients of policy servers, one module per protocol, and the policies that need no
+//! server. Each back-end implements the trait [`Backend`]; a [`BackendSpec`] specifies a back-end,
+//! and [`open()`] creates the back-end.
 //!
 //! A back-end neither checks answers nor retries: the gateway does. The tools that examine a server
 //! thus receive its answers unchanged.

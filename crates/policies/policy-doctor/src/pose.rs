@@ -3,8 +3,8 @@
 /// A unit quaternion, x y z w.
 pub type Quaternion = [f64; 4];
 
-/// Returns axis times angle, rad, with the angle in 0..2π: a quaternion and its antipode differ,
-/// as in robosuite.
+/// Returns axis times angle, rad, with the angle in 0..2π, so that a quaternion and its antipode
+/// have different vectors, as in robosuite.
 pub fn axis_angle([x, y, z, w]: Quaternion) -> [f64; 3] {
     let sine = (x * x + y * y + z * z).sqrt();
     if sine == 0.0 {

@@ -1,6 +1,6 @@
 //! Validation of a policy server's responses: its description, and its chunks of
-//! actions. Worker and gateway both apply it, so that a response is judged the same
-//! whether a campaign's endpoint is a gateway or the policy server itself.
+//! actions. Worker and gateway apply the same validation, so that a response is judged the
+//! same whether a campaign's endpoint is a gateway or the policy server itself.
 //!
 //! Numbers beyond ±1 and up to [`LARGEST_NUMBER`] are accepted: the worker clips them
 //! and counts the clipped actions in the result.
@@ -30,8 +30,8 @@ pub const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
 const QUOTED_CHARS: usize = 64;
 
 /// Largest magnitude of a number in an action. Policies that return millimetres, degrees or
-/// pixels by mistake stay below it; their actions are clipped and counted. Larger numbers
-/// come from a broken network; clipping them would report its failure as a failed task.
+/// pixels by mistake stay below this limit; their actions are clipped and counted. Larger
+/// numbers come from a broken network; clipping them would report its failure as a failed task.
 pub const LARGEST_NUMBER: f32 = 1e3;
 
 /// One action in wire format.

@@ -35,7 +35,7 @@ pub struct Query<'a> {
 }
 
 impl Query<'_> {
-    /// Validates the query. `query` is its index in the batch, for the error.
+    /// Validates the query. `query` is the query's index in the batch, for the error.
     pub(crate) fn check(&self, query: usize) -> Result<(), QueryError> {
         for (camera, picture) in [("agentview", self.agentview), ("wrist", self.wrist)] {
             if picture.len() != PICTURE_BYTES {
@@ -83,7 +83,7 @@ impl Query<'_> {
 pub struct Output {
     /// Arm components of each action, not clamped to -1..1.
     pub arm: [[f32; ARM]; ACTIONS],
-    /// Score per action for a closed gripper; above 0 it closes.
+    /// Score per action for a closed gripper; above 0 the gripper closes.
     pub gripper_logits: [f32; ACTIONS],
 }
 
