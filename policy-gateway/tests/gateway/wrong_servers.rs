@@ -35,7 +35,7 @@ async fn behind_a_gateway(server: &Running) -> Running {
 }
 
 #[tokio::test]
-async fn a_broken_accelerator_is_out_with_its_first_error_until_a_query_is_answered() {
+async fn a_broken_server_is_out_from_its_first_error_until_a_query_is_answered() {
     let broken = Arc::new(AtomicBool::new(true));
     let queries = Arc::new(AtomicU32::new(0));
     let (is_broken, count) = (Arc::clone(&broken), Arc::clone(&queries));
