@@ -2,8 +2,8 @@
 
 use transport::{Allowed, Resource, Role};
 
-/// Maps request paths to permissions: workers query policies, operators check them. Health checks
-/// need no token, because they often come from outside this system.
+/// Maps request paths to permissions: workers query policies, and operators check policies. Health
+/// checks need no token, because they often come from outside this system.
 pub(crate) fn resource(path: &str) -> Resource {
     Resource::Call(match path.starts_with("/grpc.health.v1.Health/") {
         true => Allowed::Everybody,

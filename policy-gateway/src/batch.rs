@@ -1,8 +1,8 @@
 //! Queue that decides which queries form a batch, and when the batch is sent. Pure: callers pass
 //! in the time. [`batcher`] carries out the decisions.
 //!
-//! A full batch is sent as soon as the server can take one more; a partial one when the server is
-//! idle and its oldest query has waited [`MAX_WAIT`].
+//! A full batch is sent as soon as the server can take one more batch; a partial batch is sent when
+//! the server is idle and the oldest query has waited [`MAX_WAIT`].
 
 use std::{
     collections::VecDeque,
@@ -17,13 +17,13 @@ pub const MAX_WAIT: Duration = Duration::from_millis(5);
 /// workers wait and the gateway's memory does not grow.
 pub const MAX_QUEUED: usize = 256;
 /// Concurrent batches per server: the second is in transit while the first is computed.
-pub const MAX_UNDER_WAY: usize = 2;
+pub const MAX_IN_FLIGHT: usize = 2;
 
 /// Queries waiting for a batch, in order of arrival.
 #[derive(Debug)]
 pub struct Queue<T> {
     waiting: VecDeque<(Instant, T)>,
-    under_way: usize,
+    in_flight: usize,
 }
 
 /// Next action of a batcher.
@@ -41,7 +41,7 @@ impl<T> Default for Queue<T> {
     fn default() -> Self {
         Self {
             waiting: VecDeque::new(),
-            under_way: 0,
+            in_flight: 0,
         }
     }
 }
@@ -50,7 +50,7 @@ impl<T> Queue<T> {
     /// Adds a query.
     ///
     /// # Errors
-    /// Returns the query if [`MAX_QUEUED`] are waiting already.
+    /// Returns the query if [`MAX_QUEUED`] queries are waiting already.
     pub fn push(&mut self, query: T, now: Instant) -> Result<(), T> {
         if self.waiting.len() >= MAX_QUEUED {
             return Err(query);
@@ -77,20 +77,20 @@ impl<T> Queue<T> {
         };
         let send_at = *oldest + MAX_WAIT;
         let is_full = self.waiting.len() >= size;
-        match self.under_way {
+        match self.in_flight {
             0 if !is_full && now < send_at => return Next::WaitUntil(send_at),
-            1..MAX_UNDER_WAY if !is_full => return Next::Nothing,
-            MAX_UNDER_WAY.. => return Next::Nothing,
+            1..MAX_IN_FLIGHT if !is_full => return Next::Nothing,
+            MAX_IN_FLIGHT.. => return Next::Nothing,
             _ => {}
         }
-        self.under_way += 1;
+        self.in_flight += 1;
         let batch = self.waiting.drain(..size.min(self.waiting.len()));
         Next::Send(batch.map(|(_, query)| query).collect())
     }
 
     /// Records that a batch has ended, answered or not.
     pub fn done(&mut self) {
-        self.under_way = self.under_way.saturating_sub(1);
+        self.in_flight = self.in_flight.saturating_sub(1);
     }
 }
 
@@ -124,7 +124,7 @@ mod tests {
             events in prop::collection::vec(event(), 0..120),
         ) {
             let (mut queue, mut now) = (Queue::default(), Instant::now());
-            let (mut accepted, mut sent, mut under_way) = (vec![], vec![], 0_usize);
+            let (mut accepted, mut sent, mut in_flight) = (vec![], vec![], 0_usize);
             let mut number = 0_u32;
             for event in events {
                 match event {
@@ -138,23 +138,23 @@ mod tests {
                     Event::Next => if let Next::Send(batch) = queue.next(size, now) {
                         prop_assert!((1..=size).contains(&batch.len()));
                         sent.extend(batch);
-                        under_way += 1;
+                        in_flight += 1;
                     },
                     Event::Done => {
                         queue.done();
-                        under_way = under_way.saturating_sub(1);
+                        in_flight = in_flight.saturating_sub(1);
                     }
                     Event::Pass(millis) => now += Duration::from_millis(millis),
                 }
-                prop_assert!(under_way <= MAX_UNDER_WAY);
+                prop_assert!(in_flight <= MAX_IN_FLIGHT);
                 prop_assert!(accepted.len() - sent.len() <= MAX_QUEUED);
                 prop_assert_eq!(&accepted[..sent.len()], &sent[..]);
             }
             // When the server is free, all waiting queries are sent, each batch after at most one
             // wait.
-            while under_way > 0 {
+            while in_flight > 0 {
                 queue.done();
-                under_way -= 1;
+                in_flight -= 1;
             }
             now += MAX_WAIT;
             while let Next::Send(batch) = queue.next(size, now) {

@@ -14,7 +14,7 @@ mod name;
 pub use error::{ConfigError, MAX_REPLICAS};
 pub use name::{MAX_ROUTE_NAME_BYTES, RouteName, RouteNameError};
 
-/// Routes of a gateway: at least one, with distinct names.
+/// Routes of a gateway: at least one route; the names are distinct.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Config {
     routes: Vec<RouteSpec>,
@@ -29,12 +29,12 @@ impl Config {
         if routes.is_empty() {
             return Err(ConfigError::NoRoute);
         }
-        for (at, route) in routes.iter().enumerate() {
-            if routes[..at]
+        for (index, route) in routes.iter().enumerate() {
+            if routes[..index]
                 .iter()
                 .any(|earlier| earlier.name == route.name)
             {
-                return Err(ConfigError::Twice {
+                return Err(ConfigError::DuplicateRoute {
                     name: route.name.clone(),
                 });
             }
@@ -148,15 +148,15 @@ impl RouteSpec {
             if replicas.len() > MAX_REPLICAS {
                 return Err(ConfigError::TooManyReplicas { name: name() });
             }
-            for (at, replica) in replicas.iter().enumerate() {
+            for (index, replica) in replicas.iter().enumerate() {
                 if replica.is_encrypted() && self.access.ca.is_none() {
                     return Err(ConfigError::NoAuthority {
                         name: name(),
                         replica: replica.to_string(),
                     });
                 }
-                if replicas[..at].contains(replica) {
-                    return Err(ConfigError::ReplicaTwice {
+                if replicas[..index].contains(replica) {
+                    return Err(ConfigError::DuplicateReplica {
                         name: name(),
                         replica: replica.to_string(),
                     });
@@ -220,7 +220,10 @@ mod tests {
         let route = |text: &str| text.parse::<RouteSpec>().expect(text);
         assert!(matches!(Config::new(vec![]), Err(ConfigError::NoRoute)));
         let twice = vec![route("x=builtin:noop"), route("x=grpc://h:1")];
-        assert!(matches!(Config::new(twice), Err(ConfigError::Twice { .. })));
+        assert!(matches!(
+            Config::new(twice),
+            Err(ConfigError::DuplicateRoute { .. })
+        ));
         let same = vec![route("x=grpc://h:1,grpc://h:1")];
         let error = Config::new(same).expect_err("one server twice");
         assert!(error.to_string().contains("grpc://h:1 is given twice"));

@@ -13,7 +13,7 @@ use crate::{
     service::Gateway,
 };
 
-/// Gateway in front of a server. Dropping it ends the gateway.
+/// Gateway in front of a server. Dropping this value stops the gateway.
 pub struct Front {
     /// Listening address.
     pub address: SocketAddr,

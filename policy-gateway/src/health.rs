@@ -2,13 +2,13 @@
 //! at once, except those of one probing session at a time. Pure: callers pass in the time. The
 //! replica classifies the failures.
 //!
-//! A server that could not be reached counts as recovered after any answer; a silent or sick server
-//! only after an answered query, since its Describe and Reset often keep working when its
-//! accelerator does not.
+//! A server that could not be reached counts as recovered after any answer. A server that did not
+//! answer in time, or is broken, counts as recovered only after an answered query, since Describe
+//! and Reset often keep working when the server's accelerator does not.
 
 use std::time::{Duration, Instant};
 
-use policy_backends::{Cause, told::told};
+use policy_backends::{Cause, shorten::shorten};
 use rollout_types::Waits;
 
 /// Waits for a server that could not be reached: a recovered server is in use again within the
@@ -17,12 +17,12 @@ pub const WAITS: Waits = Waits {
     first: Duration::from_millis(100),
     longest: Duration::from_secs(5),
 };
-/// Waits for a server that was sick or silent.
-pub const SICK_WAITS: Waits = Waits::USUAL;
+/// Waits for a server that is out for any other reason.
+pub const BROKEN_WAITS: Waits = Waits::USUAL;
 /// Longest time for a probing session to produce an answer before another session may probe.
 pub const PROBE_TIMEOUT: Duration = Duration::from_secs(60);
 /// Number of tasks that must receive the same error, with no answer in between, before the server
-/// counts as sick. A single task may cause its own error, so its retries count once.
+/// counts as broken. A task may cause an error itself, so its retries count once.
 pub const SAME_ERROR_TASKS: usize = 3;
 /// Number of characters in which errors are compared.
 const COMPARED_CHARS: usize = 160;
@@ -51,7 +51,7 @@ pub enum Call<'a> {
 /// Kind of an answered call.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Answered {
-    /// Any answer but actions.
+    /// Any answer except actions.
     Other,
     /// An answer to a query, with actions.
     Query,
@@ -78,7 +78,8 @@ pub struct Errors {
 pub struct Outage {
     /// Reason why the server is out.
     pub cause: Cause,
-    /// Failures in a row with the same kind of wait: the first one, and those of probes.
+    /// Number of consecutive failures with the same kind of wait: the failure that began the
+    /// outage, and the failures of probes.
     failures: u32,
     /// Earliest time of the next probe.
     probe_at: Instant,
@@ -159,7 +160,8 @@ impl Health {
         }
     }
 
-    /// Records at `now` that the server gave no usable answer. Returns true if it was up before.
+    /// Records at `now` that the server gave no usable answer. Returns true if the server was up
+    /// before.
     ///
     /// Queries in flight at the time of a failure fail together, so only a probe's failure
     /// lengthens the wait.
@@ -182,14 +184,15 @@ impl Health {
     }
 
     /// Records at `now` the server's error to a query of `task`. Returns the reason if the server
-    /// is out because of it, in which case the error is the server's fault and not the task's.
+    /// is out of service after this error, in which case the error is the server's fault and not
+    /// the task's.
     pub fn erred(&mut self, error: &str, task: &str, now: Instant) -> Option<Cause> {
         if is_fatal(error) {
-            let cause = Cause::Broken(told(error));
+            let cause = Cause::Broken(shorten(error));
             self.failed(cause.clone(), now);
             return Some(cause);
         }
-        let comparable_text = comparable(&told(error));
+        let comparable_text = comparable(&shorten(error));
         match self {
             Self::Up(errors) => {
                 if errors.comparable_text != comparable_text {
@@ -205,12 +208,12 @@ impl Health {
                 if errors.tasks.len() < SAME_ERROR_TASKS {
                     return None;
                 }
-                let cause = Cause::Repeats(told(error));
+                let cause = Cause::RepeatedError(shorten(error));
                 self.failed(cause.clone(), now);
                 Some(cause)
             }
             Self::Out(Outage {
-                cause: Cause::Repeats(earlier_error),
+                cause: Cause::RepeatedError(earlier_error),
                 ..
             }) if comparable(earlier_error) != comparable_text => {
                 // A different error shows that the server works again.
@@ -234,7 +237,7 @@ impl Health {
 fn waits(cause: &Cause) -> Waits {
     match cause {
         Cause::Unreachable(_) => WAITS,
-        _ => SICK_WAITS,
+        _ => BROKEN_WAITS,
     }
 }
 
@@ -274,8 +277,8 @@ mod tests {
     fn event() -> impl Strategy<Value = Event> {
         let cause = prop_oneof![
             Just(unreachable()),
-            Just(Cause::Silent),
-            Just(Cause::Disagrees("digest".to_owned())),
+            Just(Cause::NoAnswer),
+            Just(Cause::DescriptionDiffers("digest".to_owned())),
         ];
         prop_oneof![
             prop::option::of(0..SESSIONS.len()).prop_map(Event::Admit),
@@ -296,7 +299,7 @@ mod tests {
     }
 
     fn call(session: Option<usize>) -> Call<'static> {
-        session.map_or(Call::Describe, |at| Call::InSession(SESSIONS[at]))
+        session.map_or(Call::Describe, |index| Call::InSession(SESSIONS[index]))
     }
 
     fn apply(health: &mut Health, event: &Event, now: &mut Instant) {
@@ -319,7 +322,7 @@ mod tests {
             for event in &events {
                 apply(&mut health, event, &mut now);
             }
-            now += SICK_WAITS.longest + PROBE_TIMEOUT;
+            now += BROKEN_WAITS.longest + PROBE_TIMEOUT;
             prop_assert!(health.admit(Call::InSession("new"), now).is_ok());
             health.answered(Answered::Query);
             prop_assert_eq!(health, Health::default());
@@ -344,13 +347,13 @@ mod tests {
         #[test]
         fn a_failure_is_followed_by_a_wait_within_its_bounds(
             events in prop::collection::vec(event(), 0..60),
-            cause in prop_oneof![Just(unreachable()), Just(Cause::Silent)],
+            cause in prop_oneof![Just(unreachable()), Just(Cause::NoAnswer)],
         ) {
             let (mut health, mut now) = (Health::default(), Instant::now());
             for event in &events {
                 apply(&mut health, event, &mut now);
             }
-            now += SICK_WAITS.longest + PROBE_TIMEOUT;
+            now += BROKEN_WAITS.longest + PROBE_TIMEOUT;
             prop_assert!(health.admit(Call::InSession("probe"), now).is_ok());
             health.failed(cause.clone(), now);
             let refusal = health.admit(Call::InSession("probe"), now);
@@ -361,7 +364,7 @@ mod tests {
         }
 
         #[test]
-        fn a_description_does_not_end_the_outage_of_a_sick_server(
+        fn a_description_does_not_end_an_outage_that_needs_an_answered_query(
             events in prop::collection::vec(event(), 0..60),
         ) {
             let (mut health, mut now) = (Health::default(), Instant::now());
@@ -414,7 +417,7 @@ mod tests {
     fn only_an_abandoned_probe_admits_the_next_call() {
         let mut health = Health::default();
         let mut now = Instant::now();
-        health.failed(Cause::Silent, now);
+        health.failed(Cause::NoAnswer, now);
         let (_, wait) = health.admit(Call::InSession("a"), now).expect_err("a wait");
         now += wait;
         assert_eq!(health.admit(Call::InSession("a"), now), Ok(()));

@@ -1,6 +1,6 @@
-//! Gateway between workers and policy servers: routes a worker's queries to the policy that it
-//! names, and checks every answer before an action reaches a robot. It offers workers
-//! the same service as a policy server. It does not simulate, perturb or clip.
+//! Gateway between workers and policy servers: routes each query of a worker to the policy that the
+//! query names, and checks every answer before an action reaches a robot. The gateway offers
+//! workers the same service as a policy server. It does not simulate, perturb or clip.
 
 #![forbid(unsafe_code)]
 
@@ -19,7 +19,7 @@ pub mod batch;
 pub mod config;
 pub mod front;
 pub mod health;
-pub mod held;
+pub mod observation_budget;
 pub mod pace;
 pub mod route;
 pub mod service;
@@ -78,7 +78,10 @@ async fn serve(
             problem: innermost(&error),
         }),
         () = grace_is_over => {
-            tracing::warn!("stopping with queries still under way after {} s", SHUTDOWN_GRACE.as_secs());
+            tracing::warn!(
+                "stopping with queries still in flight after {} s",
+                SHUTDOWN_GRACE.as_secs()
+            );
             Ok(())
         }
     }

@@ -293,7 +293,7 @@ fn usage_error(error: &dyn std::error::Error) -> ! {
         .exit()
 }
 
-/// Prints a verdict per point. The exit code is 1 if one failed.
+/// Prints a verdict per point. The exit code is 1 if a point failed.
 #[tokio::main]
 async fn check(
     target: impl FnOnce(Access) -> Target,
@@ -320,13 +320,13 @@ async fn check(
     });
     if let Some(file) = latency {
         let measured = conformance::latency::measure(&target).await?;
-        print_line(&measured.in_words());
+        print_line(&measured.describe());
         let delays = measured.delays()?;
         let text = serde_json::to_string_pretty(&measured)?;
         std::fs::write(file, text + "\n").with_context(|| format!("write {}", file.display()))?;
         print_line(&format!(
-            "`coordinator campaign create --execution overlap:@{}` draws from them: \
-             overlap:{delays}",
+            "`coordinator campaign create --execution overlap:@{}` draws delays from this \
+             distribution: overlap:{delays}",
             file.display()
         ));
     }
@@ -401,7 +401,7 @@ async fn serve(
     let mut served = pin!(policy_gateway::run(gateway, security, listener, shutdown));
     tokio::select! {
         served = &mut served => return Ok(served?),
-        // Disabled if there is no such task.
+        // Without a task that reloads the configuration, this branch is disabled.
         Some(ended) = reloading.join_next() => tracing::error!(
             "SIGHUP no longer reads the configuration again, because {}; restart the gateway when \
              no rollout is under way",
@@ -411,7 +411,7 @@ async fn serve(
     Ok(served.await?)
 }
 
-/// Reloads the configuration at every SIGHUP. An invalid one is logged and ignored.
+/// Reloads the configuration at every SIGHUP. An invalid configuration is logged and ignored.
 async fn reload(gateway: Gateway, file: PathBuf, mut hangups: Signal) {
     let read_again = |file: &Path| -> anyhow::Result<usize> {
         let config = config::file::read(file)?;

@@ -1,5 +1,6 @@
-//! Measures the pace at which a policy server answers queries, and detects silence. [`Pace`] is
-//! pure: callers pass in the time. [`Watch`] applies it to calls.
+//! Measures the pace at which a policy server answers queries, and detects a silent server, which
+//! answers no query. [`Pace`] is pure: callers pass in the time. [`Watch`] applies the pace to
+//! calls.
 //!
 //! A server with a long queue takes long for each query without being silent, because it answers
 //! other queries meanwhile. So a call has failed only if the server answered no query at all for
@@ -21,7 +22,7 @@ const MIN_SAMPLES: usize = 8;
 #[derive(Debug, Default)]
 pub struct Pace {
     /// Number of calls with queries in flight.
-    under_way: usize,
+    in_flight: usize,
     /// Time at which the server last became busy.
     busy_since: Option<Instant>,
     last_answer: Option<Instant>,
@@ -32,10 +33,10 @@ pub struct Pace {
 impl Pace {
     /// Records that a call with queries was sent.
     pub fn sent(&mut self, now: Instant) {
-        if self.under_way == 0 {
+        if self.in_flight == 0 {
             self.busy_since = Some(now);
         }
-        self.under_way += 1;
+        self.in_flight += 1;
     }
 
     /// Records that a call's queries were answered.
@@ -52,11 +53,11 @@ impl Pace {
 
     /// Records that a call has ended, answered or not.
     pub fn ended(&mut self) {
-        self.under_way = self.under_way.saturating_sub(1);
+        self.in_flight = self.in_flight.saturating_sub(1);
     }
 
     /// Returns the time at which the server will have been silent for `limit` since a call was sent
-    /// at `sent`, unless it answers before.
+    /// at `sent`, unless the server answers a query before.
     pub fn silent_at(&self, sent: Instant, limit: Duration) -> Instant {
         Some(sent).max(self.last_answer).unwrap_or(sent) + limit
     }
@@ -90,7 +91,7 @@ impl Drop for CallInFlight<'_> {
 
 /// The server has answered no query within the limit.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Silent;
+pub struct NoAnswer;
 
 impl Watch {
     /// Waits for the answer to a call without queries.
@@ -101,13 +102,13 @@ impl Watch {
         &self,
         limit: Duration,
         call: impl Future<Output = T>,
-    ) -> Result<T, Silent> {
+    ) -> Result<T, NoAnswer> {
         let sent = Instant::now();
         let mut call = std::pin::pin!(call);
         loop {
             let until = self.pace().silent_at(sent, limit);
             if until <= Instant::now() {
-                return Err(Silent);
+                return Err(NoAnswer);
             }
             tokio::select! {
                 answer = &mut call => return Ok(answer),
@@ -116,8 +117,8 @@ impl Watch {
         }
     }
 
-    /// Waits for the answer to a call with queries. `answered` returns how many of them succeeded,
-    /// which shows that the server is alive.
+    /// Waits for the answer to a call with queries. `answered` returns how many of the queries were
+    /// answered, which shows that the server is alive.
     ///
     /// # Errors
     /// If the server is silent for `limit`.
@@ -126,7 +127,7 @@ impl Watch {
         limit: Duration,
         call: impl Future<Output = T>,
         answered: impl FnOnce(&T) -> u32,
-    ) -> Result<T, Silent> {
+    ) -> Result<T, NoAnswer> {
         self.pace().sent(Instant::now());
         let _sent = CallInFlight(self);
         let answer = self.answer(limit, call).await?;

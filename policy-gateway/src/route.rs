@@ -1,6 +1,7 @@
 //! Route of a gateway: its name, checkpoints and open sessions. A session stays with the pool in
-//! which it was opened, a retry of its last query gets the same answer, a query whose replica
-//! fails moves to another if the policy allows it, and the memory of waiting queries is limited.
+//! which it was opened. A retry of the session's last query gets the same answer. A query whose
+//! replica fails moves to another replica if the policy allows it. The memory of waiting queries is
+//! limited.
 
 use std::{
     sync::{
@@ -24,7 +25,7 @@ use self::{
 use crate::{
     config::{RouteName, RouteSpec},
     health::Call,
-    held::ObservationBudget,
+    observation_budget::ObservationBudget,
 };
 
 mod checkpoints;
@@ -34,10 +35,10 @@ pub mod replica;
 
 pub use error::RouteError;
 
-/// Time without a call after which a session no longer counts towards the capacity: its worker has
-/// ended, or simulates for long between queries.
+/// Time without a call after which a session no longer counts towards the capacity: the worker of
+/// the session has ended, or simulates for long between queries.
 const SESSION_IDLE: Duration = Duration::from_secs(120);
-/// Interval at which a waiting Reset checks for a free place.
+/// Interval at which a waiting Reset checks for capacity.
 const RESET_POLL_INTERVAL: Duration = Duration::from_millis(100);
 
 /// Name, checkpoints and open sessions of a route.
@@ -52,7 +53,7 @@ pub struct Route {
 /// Open session.
 struct Session {
     /// Pool in which the session was opened. If a reload replaces the pool, open sessions keep the
-    /// old one.
+    /// old pool.
     pool: Arc<Pool>,
     /// Reset of the session; `None` for a session adopted after a restart of the gateway.
     reset: Option<ResetRequest>,
@@ -118,7 +119,7 @@ impl Route {
         self.retired.load(Ordering::Relaxed)
     }
 
-    /// Refuses new sessions from now on; open ones continue.
+    /// Refuses new sessions from now on; open sessions continue.
     pub fn retire(&self) {
         self.retired.store(true, Ordering::Relaxed);
     }
@@ -163,7 +164,7 @@ impl Route {
     /// Starts an episode. If the replicas are at capacity, waits for another session to end.
     ///
     /// # Errors
-    /// If the session's name is invalid, its suite has no checkpoint, no place becomes free in
+    /// If the session's name is invalid, its suite has no checkpoint, no other session ends in
     /// time, or no replica answers.
     pub async fn reset(&self, request: ResetRequest) -> Result<(), RouteError> {
         check_session(&request.session)?;
@@ -173,7 +174,7 @@ impl Route {
         }
         let pool = self.pool(&request.suite)?;
         let session = request.session.as_str();
-        let _opening = self.reserve_place(&pool, session).await?;
+        let _opening = self.reserve_capacity(&pool, session).await?;
         let mut tried = vec![];
         let mut failure = None;
         while let Some(replica) = pool.for_session(session, request.seed, &tried) {
@@ -308,16 +309,16 @@ impl Route {
         };
         let adopted = Session::new(pool, None, state);
         let mut sessions = self.sessions();
-        // Another query of the session may have adopted it meanwhile.
+        // Another query of the session may have adopted the session meanwhile.
         Ok(match sessions.get(name) {
             Some(open) => Arc::clone(open),
             None => Arc::clone(sessions.open(name, adopted)),
         })
     }
 
-    /// Waits until the replicas have capacity for one more session. An open session already has
-    /// its place.
-    async fn reserve_place(
+    /// Waits until the replicas have capacity for one more session. A session that is already open
+    /// needs no further capacity.
+    async fn reserve_capacity(
         &self,
         pool: &Arc<Pool>,
         session: &str,
@@ -386,7 +387,7 @@ impl Route {
         source: BackendError,
     ) -> RouteError {
         match source {
-            BackendError::Nonsense { fault } => RouteError::Action {
+            BackendError::InvalidActions { fault } => RouteError::Action {
                 route: self.name.clone(),
                 replica: replica.to_string(),
                 query_index,
@@ -440,7 +441,7 @@ async fn query_replica(
 fn most_informative(earlier: Option<RouteError>, new: RouteError) -> RouteError {
     let is_out_of_service = |error: &RouteError| {
         matches!(error, RouteError::Replica { source, .. }
-            if matches!(**source, BackendError::Out { .. }))
+            if matches!(**source, BackendError::OutOfService { .. }))
     };
     match earlier {
         Some(earlier) if !is_out_of_service(&earlier) => earlier,

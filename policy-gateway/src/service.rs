@@ -17,12 +17,12 @@ use tonic::{Request, Response, Status};
 
 use crate::{
     config::{Config, RouteSpec},
-    held::ObservationBudget,
+    observation_budget::ObservationBudget,
     route::{Route, RouteError},
 };
 
 /// Largest number of routes that are kept for their open sessions after they were removed from the
-/// configuration. Beyond that, the routes that were configured first are dropped.
+/// configuration. If there are more, the routes that were configured first are dropped.
 pub const MAX_RETIRED_ROUTES: usize = 64;
 
 /// Policies of a gateway, by route. Clones share their state.
@@ -108,8 +108,8 @@ struct Names<'a>(&'a [Arc<Route>]);
 impl fmt::Display for Names<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let serving = self.0.iter().filter(|route| !route.is_retired());
-        for (at, route) in serving.enumerate() {
-            let separator = if at == 0 { "" } else { ", " };
+        for (index, route) in serving.enumerate() {
+            let separator = if index == 0 { "" } else { ", " };
             write!(f, "{separator}{}", route.name())?;
         }
         Ok(())
@@ -164,8 +164,8 @@ impl Policy for Gateway {
     }
 
     /// Queries are sent to their back-ends concurrently, each as if it had been sent alone. If a
-    /// back-end is down, the whole call fails, because the error text of a single result has no
-    /// status code that would leave its query uncharged.
+    /// back-end is down, the whole call fails: a single result has only an error text, without the
+    /// status code that tells a worker not to charge the failure to the rollout.
     async fn infer_batch(
         &self,
         request: Request<InferBatchRequest>,
@@ -178,16 +178,16 @@ impl Policy for Gateway {
             )));
         }
         let mut results = vec![InferResult::default(); queries.len()];
-        let mut under_way = JoinSet::new();
-        for (at, query) in queries.into_iter().enumerate() {
+        let mut in_flight = JoinSet::new();
+        for (index, query) in queries.into_iter().enumerate() {
             let route = self.route(&query.policy)?;
-            under_way.spawn(async move { (at, route.infer(query).await) });
+            in_flight.spawn(async move { (index, route.infer(query).await) });
         }
-        while let Some(joined) = under_way.join_next().await {
-            let (at, answer) = joined.map_err(|error| {
+        while let Some(joined) = in_flight.join_next().await {
+            let (index, answer) = joined.map_err(|error| {
                 Status::internal(format!("a query of the batch failed: {error}"))
             })?;
-            results[at].result = Some(result(answer)?);
+            results[index].result = Some(result(answer)?);
         }
         Ok(Response::new(InferBatchResponse { results }))
     }
@@ -197,6 +197,6 @@ fn result(answer: Result<InferResponse, RouteError>) -> Result<infer_result::Res
     match answer {
         Ok(response) => Ok(infer_result::Result::Response(response)),
         Err(error) if error.is_outage() => Err(error.into()),
-        Err(error) => Ok(infer_result::Result::Error(error.words())),
+        Err(error) => Ok(infer_result::Result::Error(error.one_line())),
     }
 }

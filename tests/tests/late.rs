@@ -69,7 +69,9 @@ fn a_campaign_draws_its_delays_from_a_servers_measured_latencies() {
     assert!(delays.shortest() >= MIN_DELAY_STEPS, "{text}");
     for part in [
         "latency with 8 rollouts at once: median ".to_owned(),
-        format!("--execution overlap:@{path}` draws from them: overlap:{delays}"),
+        format!(
+            "--execution overlap:@{path}` draws delays from this distribution: overlap:{delays}"
+        ),
     ] {
         assert!(printed.contains(&part), "{part}: {printed}");
     }

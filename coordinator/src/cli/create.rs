@@ -426,7 +426,7 @@ fn spec_of_flags(arguments: &CreateArguments) -> Result<CampaignSpec, CommandErr
             strata: arguments
                 .stop
                 .stop_strata
-                .unwrap_or_else(|| Strata::usual(&rule)),
+                .unwrap_or_else(|| Strata::default_for(&rule)),
             rule,
             seed: arguments.stop.stop_seed,
         }),

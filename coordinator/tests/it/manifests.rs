@@ -176,7 +176,7 @@ fn differences_are_named_by_row_and_column() {
     assert!(printed.contains("and \"sing\"\n"), "{printed}");
     let removed = removed["rollout_id"].as_str().expect("text");
     assert!(
-        printed.contains(&format!("{removed}: only in the first\n")),
+        printed.contains(&format!("{removed}: only in the first manifest\n")),
         "{printed}"
     );
     assert!(text(&output.stderr).contains("differ in 2 places"));

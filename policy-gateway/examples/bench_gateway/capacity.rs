@@ -22,7 +22,7 @@ pub(crate) struct Slots {
     /// Address of the policy server or gateway
     #[arg(long, value_name = "HOST:PORT")]
     address: String,
-    /// Name of the policy there, if it serves several
+    /// Name of the policy, if the server has several
     #[arg(long, default_value = "")]
     policy: String,
     /// Slots
@@ -59,22 +59,24 @@ pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
     Ok(report)
 }
 
-/// Runs the slots against a server; fails if one of their queries fails.
+/// Runs the slots against a server; fails if a query fails.
 pub(crate) async fn run_slots(slots: &Slots) -> Result<Value> {
-    let began = Instant::now() + WARM_UP;
-    let ends = began + Duration::from_secs(slots.secs);
+    let counted_from = Instant::now() + WARM_UP;
+    let ends = counted_from + Duration::from_secs(slots.secs);
     let mut running = JoinSet::new();
     for slot in Slot::open_all(&slots.address, &slots.policy, slots.slots).await? {
         running.spawn(query_until(slot, ends));
     }
     let mut answers = Vec::new();
     while let Some(ended) = running.join_next().await {
-        let counted = ended??.into_iter().filter(|(at, _)| *at >= began);
+        let counted = ended??
+            .into_iter()
+            .filter(|(answered_at, _)| *answered_at >= counted_from);
         answers.extend(counted);
     }
     let mut seconds = vec![0.0; slots.secs as usize];
-    for (at, _) in &answers {
-        let second = (*at - began).as_secs() as usize;
+    for (answered_at, _) in &answers {
+        let second = (*answered_at - counted_from).as_secs() as usize;
         // Answers to queries still in flight at the end arrive later and are not counted.
         if let Some(second) = seconds.get_mut(second) {
             *second += 1.0;

@@ -70,8 +70,8 @@ pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
     }))
 }
 
-/// Sends queries at a fixed rate, even if earlier ones are not answered yet. Returns latencies
-/// since the scheduled time of each query.
+/// Sends queries at a fixed rate, even if earlier queries are not answered yet. Returns the latency
+/// of each query from its scheduled time.
 async fn open_loop(
     slots: &[Slot],
     rate: u32,
@@ -79,28 +79,28 @@ async fn open_loop(
     first_query: u32,
 ) -> Result<Vec<Duration>> {
     let queries = rate * span.as_secs() as u32;
-    let (due, mut dues) = mpsc::unbounded_channel();
+    let (schedule, mut due_queries) = mpsc::unbounded_channel();
     // A separate thread, since the runtime's timer has a resolution of a millisecond.
     let ticker = thread::spawn(move || {
         let began = Instant::now();
         for number in 0..queries {
             let scheduled = began + Duration::from_secs(1) * number / rate;
             thread::sleep(scheduled.saturating_duration_since(Instant::now()));
-            if due.send((number, scheduled)).is_err() {
+            if schedule.send((number, scheduled)).is_err() {
                 break;
             }
         }
     });
-    let mut under_way = JoinSet::new();
-    while let Some((number, scheduled)) = dues.recv().await {
+    let mut in_flight = JoinSet::new();
+    while let Some((number, scheduled)) = due_queries.recv().await {
         let slot = slots[number as usize % slots.len()].clone();
-        under_way.spawn(async move {
+        in_flight.spawn(async move {
             slot.query(first_query + number).await?;
             anyhow::Ok(scheduled.elapsed())
         });
     }
     let mut latencies = Vec::new();
-    while let Some(latency) = under_way.join_next().await {
+    while let Some(latency) = in_flight.join_next().await {
         latencies.push(latency??);
     }
     ticker.join().expect("the ticker does not panic");

@@ -72,17 +72,17 @@ impl Slot {
     }
 
     /// Opens another session on the same connection.
-    pub(crate) async fn sibling(&self, number: u32) -> Result<Self> {
-        let mut sibling = self.clone();
-        sibling.query.session = format!("sibling {number} of {}", std::process::id());
+    pub(crate) async fn open_another(&self, number: u32) -> Result<Self> {
+        let mut other = self.clone();
+        other.query.session = format!("sibling {number} of {}", std::process::id());
         let reset = ResetRequest {
-            policy: sibling.query.policy.clone(),
-            session: sibling.query.session.clone(),
+            policy: other.query.policy.clone(),
+            session: other.query.session.clone(),
             suite: SUITE.to_owned(),
             ..ResetRequest::default()
         };
-        sibling.client.reset(reset).await?;
-        Ok(sibling)
+        other.client.reset(reset).await?;
+        Ok(other)
     }
 
     /// Sends one query.
@@ -108,9 +108,9 @@ pub(crate) fn percentiles(latencies: &[Duration]) -> Value {
 pub(crate) fn percentile_millis(latencies: &[Duration], share: f64) -> f64 {
     let mut sorted = latencies.to_vec();
     sorted.sort_unstable();
-    let place = (share * sorted.len() as f64).ceil() as usize;
+    let rank = (share * sorted.len() as f64).ceil() as usize;
     sorted
-        .get(place.max(1) - 1)
+        .get(rank.max(1) - 1)
         .map_or(f64::NAN, |latency| latency.as_secs_f64() * 1e3)
 }
 

@@ -28,7 +28,7 @@ pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
     for number in 0..measure.stalled_queries {
         waiting.push(
             slots[(number % CONNECTIONS) as usize]
-                .sibling(number)
+                .open_another(number)
                 .await?,
         );
     }
@@ -38,7 +38,7 @@ pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
         queries_in_flight.spawn(async move { slot.query(0).await });
     }
     let mut refused = 0;
-    let mut most = before;
+    let mut highest = before;
     loop {
         while let Ok(Some(answered)) =
             tokio::time::timeout(QUIET, queries_in_flight.join_next()).await
@@ -49,10 +49,10 @@ pub(crate) async fn measure(measure: &Measure) -> Result<Value> {
             }
         }
         let now = gateway.memory_mib("VmRSS")?;
-        if now <= most {
+        if now <= highest {
             break;
         }
-        most = now;
+        highest = now;
     }
     Ok(json!({
         "queries": measure.stalled_queries,

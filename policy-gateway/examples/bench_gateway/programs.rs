@@ -57,7 +57,7 @@ impl Running {
         Self::start(command).await
     }
 
-    /// Returns a memory size of the process from `/proc`, MiB: `VmRSS`, the current one, or
+    /// Returns a memory size of the process from `/proc`, MiB: `VmRSS`, the current size, or
     /// `VmHWM`, the peak.
     pub(crate) fn memory_mib(&self, size: &str) -> Result<f64> {
         let pid = self
@@ -78,8 +78,8 @@ impl Running {
 /// Returns the path of the gateway: in the parent folder, since examples are built in a subfolder,
 /// or in this program's own folder.
 fn gateway_program() -> Result<PathBuf> {
-    let this = std::env::current_exe()?;
-    let mut folders = this.ancestors().skip(1).take(2);
+    let this_program = std::env::current_exe()?;
+    let mut folders = this_program.ancestors().skip(1).take(2);
     let program = folders.find_map(|folder| {
         let program = folder.join("policy-gateway");
         program.exists().then_some(program)

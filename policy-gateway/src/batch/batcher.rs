@@ -1,6 +1,6 @@
 //! Sends batches to one server: a task takes queries from the queue and distributes the answers.
-//! A batch ends early if its server is silent or no caller waits for its answers any more. The
-//! replica decides which queries may be sent at all.
+//! A batch ends early if its server does not answer in time, or if no caller waits for its answers
+//! any more. The replica decides which queries enter the queue.
 
 use std::{
     sync::{
@@ -18,7 +18,7 @@ use tokio::{
 };
 
 use super::{MAX_QUEUED, Next, Queue};
-use crate::pace::{Silent, Watch};
+use crate::pace::{NoAnswer, Watch};
 
 /// Queue of queries with the task that empties it. Dropping the batcher ends the task.
 pub struct Batcher {
@@ -61,7 +61,7 @@ impl Batcher {
     /// the batch is sent. Dropping the future removes the query from the queue.
     ///
     /// # Errors
-    /// If the queue is full, or the batch is not sent in time; otherwise as [`Backend::infer`].
+    /// If the queue is full, the batch is not sent in time, or [`Backend::infer_batch`] fails.
     pub async fn infer(
         &self,
         request: InferRequest,
@@ -89,7 +89,7 @@ impl Batcher {
             Ok(answer) => answer,
             Err(_) if is_sent.load(Ordering::Relaxed) => answered.await,
             Err(_) => {
-                return Err(BackendError::Crowded {
+                return Err(BackendError::Overloaded {
                     backend: self.shared.backend.to_string(),
                     waited: patience,
                 });
@@ -122,25 +122,25 @@ impl Shared {
 }
 
 async fn send_batches(shared: Arc<Shared>) {
-    let mut under_way = JoinSet::new();
+    let mut in_flight = JoinSet::new();
     loop {
         let wait = match shared.next() {
             Next::Send(batch) => {
-                under_way.spawn(send(Arc::clone(&shared), batch));
+                in_flight.spawn(send(Arc::clone(&shared), batch));
                 continue;
             }
-            Next::WaitUntil(then) => Some(then),
+            Next::WaitUntil(time) => Some(time),
             Next::Nothing => None,
         };
         let wait_over = async {
             match wait {
-                Some(then) => tokio::time::sleep_until(then.into()).await,
+                Some(time) => tokio::time::sleep_until(time.into()).await,
                 None => std::future::pending().await,
             }
         };
         tokio::select! {
             // A batch whose task panicked counts as done; its callers get `BatchLost`.
-            Some(_) = under_way.join_next() => shared.queue().0.done(),
+            Some(_) = in_flight.join_next() => shared.queue().0.done(),
             () = shared.changed.notified() => {}
             () = wait_over => {}
         }
@@ -180,7 +180,7 @@ async fn send(shared: Arc<Shared>, batch: Vec<Query>) {
             }
         }
         Ok(Err(error)) => fail(callers, &error),
-        Err(Silent) => {
+        Err(NoAnswer) => {
             let error = BackendError::TimedOut {
                 backend: shared.backend.to_string(),
                 limit,
@@ -236,7 +236,7 @@ mod tests {
     }
 
     #[tokio::test]
-    async fn a_batch_whose_task_panics_is_lost_as_an_outage_and_the_next_one_is_answered() {
+    async fn a_batch_whose_task_panics_is_lost_as_an_outage_and_the_next_batch_is_answered() {
         let backend = Arc::new(PanickingBackend::default());
         let patience = Duration::from_secs(60);
         let batcher = Batcher::new(backend, Arc::default(), patience);

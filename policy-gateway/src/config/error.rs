@@ -53,7 +53,7 @@ pub enum ConfigError {
     },
     /// A policy has both `replicas` and `suites`.
     #[error("choose between `replicas` and `suites` of policy {name}: give one of them")]
-    BothKinds {
+    ReplicasAndSuites {
         /// Name of the route.
         name: RouteName,
     },
@@ -65,7 +65,7 @@ pub enum ConfigError {
     },
     /// A server is given twice as a replica.
     #[error("tell two replicas of policy {name} apart: {replica} is given twice")]
-    ReplicaTwice {
+    DuplicateReplica {
         /// Name of the route.
         name: RouteName,
         /// Replica as written.
@@ -90,11 +90,11 @@ pub enum ConfigError {
     Name(#[from] RouteNameError),
     /// Two routes have the same name.
     #[error("tell two routes named {name} apart: give each its own name")]
-    Twice {
+    DuplicateRoute {
         /// The name.
         name: RouteName,
     },
-    /// The text is not a back-end.
+    /// The text does not specify a back-end.
     #[error(transparent)]
     Backend(#[from] BackendSpecError),
     /// A TLS server is given without a certificate authority.

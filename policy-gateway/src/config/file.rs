@@ -97,7 +97,7 @@ fn route(name: &str, table: Table) -> Result<RouteSpec, ConfigError> {
         Some(secs) => return Err(ConfigError::AnswerWithin { name, secs }),
     };
     let checkpoints = match (table.replicas.is_empty(), table.suites.is_empty()) {
-        (false, false) => return Err(ConfigError::BothKinds { name }),
+        (false, false) => return Err(ConfigError::ReplicasAndSuites { name }),
         (_, true) => CheckpointSpecs::One(backends(&table.replicas)?),
         (true, false) => {
             let suites = table.suites.into_iter();

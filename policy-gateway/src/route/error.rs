@@ -2,13 +2,13 @@
 
 use std::time::Duration;
 
-use policy_backends::{BackendError, sessions::MAX_SESSION_BYTES, told::told};
+use policy_backends::{BackendError, sessions::MAX_SESSION_BYTES, shorten::shorten};
 use policy_protocol::ActionFault;
 use thiserror::Error;
 use tonic::{Code, Status};
 use transport::{chain, is_outage_code};
 
-use crate::{config::RouteName, held::MAX_HELD_BYTES};
+use crate::{config::RouteName, observation_budget::MAX_OBSERVATION_BYTES};
 
 /// Reason why a route did not answer.
 #[derive(Debug, Error)]
@@ -94,13 +94,13 @@ pub enum RouteError {
     #[error(
         "this gateway holds {} MiB of observations that wait for their answers; try again later, \
          or give policies more replicas",
-        MAX_HELD_BYTES >> 20
+        MAX_OBSERVATION_BYTES >> 20
     )]
     Overloaded,
 }
 
-/// Formats the message after the route's name. The replica is named exactly once, here or by its
-/// error.
+/// Formats the message after the route's name. Adds the replica unless its error names it, so that
+/// the message names the replica exactly once.
 fn replica_problem(replica: &str, source: &BackendError) -> String {
     let problem = source.to_string();
     let address = replica.split_once("://").map_or(replica, |(_, rest)| rest);
@@ -130,14 +130,14 @@ impl RouteError {
 }
 
 impl RouteError {
-    /// Returns the error and its causes in one line, shortened by [`told`].
-    pub fn words(&self) -> String {
-        told(&chain(self))
+    /// Returns the error and its causes in one line, shortened by [`shorten`].
+    pub fn one_line(&self) -> String {
+        shorten(&chain(self))
     }
 }
 
 impl From<RouteError> for Status {
     fn from(error: RouteError) -> Self {
-        Self::new(error.code(), error.words())
+        Self::new(error.code(), error.one_line())
     }
 }

@@ -23,7 +23,8 @@ pub struct Pool {
     suite: String,
     replicas: Vec<Arc<Replica>>,
     batching: Batching,
-    /// Description by the first replica to answer; the others must agree with it.
+    /// Description by the first replica to answer; the other replicas must have the same
+    /// description.
     agreed: Mutex<Option<Agreed>>,
     sessions_assigned: AtomicU64,
     /// Number of sessions whose Reset is in flight.
@@ -58,8 +59,8 @@ impl Pool {
         }
     }
 
-    /// Reserves a place for a session's Reset if the replicas can answer that session in time, in
-    /// addition to the `open` ones. The caller must prevent concurrent calls.
+    /// Reserves capacity for a session's Reset if the replicas can answer this session in time, in
+    /// addition to the given number of open sessions. The caller must prevent concurrent calls.
     pub fn reserve_session(self: &Arc<Self>, open: usize) -> Option<Opening> {
         let sessions = open + self.opening.load(Ordering::Relaxed);
         if self.capacity().is_some_and(|capacity| sessions >= capacity) {
@@ -70,7 +71,7 @@ impl Pool {
     }
 
     /// Returns the number of sessions that the replicas can answer in time together; `None` if the
-    /// pace of a replica is unknown, or all are out.
+    /// pace of a replica is unknown, or all replicas are out.
     pub fn capacity(&self) -> Option<usize> {
         let up = self.replicas.iter().filter(|replica| !replica.is_out());
         let capacities = up.map(|replica| replica.capacity());
@@ -97,8 +98,8 @@ impl Pool {
             .max()
     }
 
-    /// Returns true if another pool counts towards the same capacity: the pools of a suite before
-    /// and after a reload do.
+    /// Returns true if the sessions of both pools count towards the same capacity, as those of a
+    /// suite's pools before and after a reload do.
     pub fn shares_with(&self, other: &Self) -> bool {
         self.suite == other.suite
     }
@@ -151,8 +152,8 @@ impl Pool {
     }
 
     /// Returns the replica with the fewest queries in flight that is not out; among equals, a
-    /// replica where the session is open, then the one whose last new session is oldest. If all
-    /// are out, returns the first one, whose error names the cause.
+    /// replica where the session is open, then the replica whose last new session is oldest. If
+    /// all are out, returns a replica that is out, whose error names the cause.
     fn least_loaded(
         &self,
         session: &str,
@@ -170,11 +171,12 @@ impl Pool {
         })
     }
 
-    /// Reads a replica's description, and compares it with that of the first replica.
+    /// Reads a replica's description, and compares it with the description by the first replica to
+    /// answer.
     ///
     /// # Errors
     /// If the replica does not answer, or its description is invalid or differs from the first
-    /// one.
+    /// description.
     pub async fn describe(
         &self,
         replica: &Replica,
@@ -185,7 +187,7 @@ impl Pool {
                 self.agree(replica, described)
             })
             .await?;
-        // A gateway behind this one knows the actual batch mode.
+        // If the replica is another gateway, it has set the actual batch mode already.
         if described.batch_mode.is_empty() {
             let batch_size = description::batch_size(&described);
             described.batch_mode = self.batching.describe(batch_size);
@@ -196,7 +198,7 @@ impl Pool {
         Ok(Arc::new(described))
     }
 
-    /// Checks that a description agrees with the first one.
+    /// Checks that a description agrees with the first description.
     fn agree(&self, replica: &Replica, described: &DescribeResponse) -> Result<(), String> {
         let mut agreed = self.agreed.lock().unwrap_or_else(PoisonError::into_inner);
         let by = replica.to_string();
@@ -218,8 +220,8 @@ fn contains(replicas: &[Arc<Replica>], replica: &Arc<Replica>) -> bool {
 
 impl fmt::Display for Pool {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (at, replica) in self.replicas.iter().enumerate() {
-            let separator = if at == 0 { "" } else { ", " };
+        for (index, replica) in self.replicas.iter().enumerate() {
+            let separator = if index == 0 { "" } else { ", " };
             write!(f, "{separator}{replica}")?;
         }
         Ok(())

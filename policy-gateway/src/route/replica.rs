@@ -2,7 +2,8 @@
 //! answers, so that everything returned from here is safe to forward to a robot.
 //!
 //! A query is first *queued*, then *sent*. In the queue, only the caller's patience limits the
-//! wait, and a caller that gives up frees its place. A sent query fails when the server is silent.
+//! wait, and the query of a caller that gives up is removed. A sent query fails when the server has
+//! answered no query for the longest allowed time.
 
 use std::{
     fmt,
@@ -15,7 +16,7 @@ use std::{
 
 use policy_backends::{
     Backend, BackendError, BackendSpec, Cause, UnusableBackend, description, open,
-    recorder::Recorder, told::told,
+    recorder::Recorder, shorten::shorten,
 };
 use proto::policy::{DescribeResponse, InferRequest, InferResponse, ResetRequest};
 use tokio::sync::Semaphore;
@@ -25,14 +26,14 @@ use crate::{
     batch::batcher::Batcher,
     config::{AccessFiles, Batching, RouteSpec},
     health::{Answered, Call, Health},
-    pace::{Silent, Watch},
+    pace::{NoAnswer, Watch},
 };
 
-/// Concurrent single queries per server. The server computes them one by one; queries waiting
-/// behind them need no second copy of their observation.
+/// Concurrent single queries per server, which computes them one by one. Further queries wait in
+/// the gateway, so that the server holds no copies of their observations.
 pub const MAX_CALLS: usize = 64;
-/// Sessions that a replica may have regardless of its pace: the throughput of a server that answers
-/// several queries at once cannot be measured with fewer.
+/// Sessions that a replica may have regardless of its pace: with fewer sessions, the throughput of
+/// a server that answers several queries at once cannot be measured.
 const MIN_SESSIONS: usize = 4;
 /// Longest time per control step of a rollout: most of the 10 s that a coordinator allows
 /// (`--step-ceiling-secs`).
@@ -128,8 +129,8 @@ impl Replica {
         })
     }
 
-    /// Returns true if a new replica with these settings would be the same. Never true with access
-    /// files, whose content may have changed.
+    /// Returns true if a new replica with these settings would equal this replica. Never true with
+    /// access files, whose content may have changed.
     pub fn has_settings(&self, spec: &BackendSpec, route: &RouteSpec) -> bool {
         let settings = (spec, &self.access, route.answer_within, route.batching);
         self.access == AccessFiles::default()
@@ -151,7 +152,7 @@ impl Replica {
         self.last_assigned.store(number, Ordering::Relaxed);
     }
 
-    /// Returns the longest time for which the server may be silent.
+    /// Returns the longest time for which the server may answer no query.
     pub fn answer_within(&self) -> Duration {
         self.answer_within
     }
@@ -186,7 +187,7 @@ impl Replica {
     }
 
     /// Reads the policy's description, for `suite` unless that is empty. `agrees` reports how a
-    /// valid description differs from the expected one.
+    /// valid description differs from the expected description.
     ///
     /// # Errors
     /// If the replica does not answer, or its description is invalid or unexpected.
@@ -204,9 +205,9 @@ impl Replica {
             fault,
         })?;
         if let Err(difference) = agrees(&described) {
-            let difference = told(&difference);
-            self.record_outage(Cause::Disagrees(difference.clone()));
-            return Err(BackendError::Disagrees { difference });
+            let difference = shorten(&difference);
+            self.record_outage(Cause::DescriptionDiffers(difference.clone()));
+            return Err(BackendError::DescriptionDiffers { difference });
         }
         self.answered(Answered::Other);
         let batch_size = match self.batching {
@@ -250,7 +251,7 @@ impl Replica {
         task: &str,
     ) -> Result<InferResponse, BackendError> {
         self.load.fetch_add(1, Ordering::Relaxed);
-        let _under_way = LoadGuard(&self.load);
+        let _in_flight = LoadGuard(&self.load);
         let session = request.session.clone();
         let call = Call::InSession(&session);
         let guard = self.admit(call)?;
@@ -270,7 +271,7 @@ impl Replica {
             answer.and_then(
                 |response| match policy_protocol::actions(&response, horizon) {
                     Ok(_) => Ok(response),
-                    Err(fault) => Err(BackendError::Nonsense { fault }),
+                    Err(fault) => Err(BackendError::InvalidActions { fault }),
                 },
             );
         match checked {
@@ -295,7 +296,7 @@ impl Replica {
                 if was_up {
                     self.log_outage(&cause);
                 }
-                BackendError::Sick {
+                BackendError::Broken {
                     backend: self.to_string(),
                     cause,
                 }
@@ -311,7 +312,7 @@ impl Replica {
     ) -> Result<InferResponse, BackendError> {
         let patience = self.queue_timeout();
         let Ok(_turn) = tokio::time::timeout(patience, self.calls.acquire()).await else {
-            return Err(BackendError::Crowded {
+            return Err(BackendError::Overloaded {
                 backend: self.to_string(),
                 waited: patience,
             });
@@ -346,18 +347,19 @@ impl Replica {
             call,
             has_ended: false,
         });
-        guard.map_err(|(cause, retry_in)| BackendError::Out {
+        guard.map_err(|(cause, retry_in)| BackendError::OutOfService {
             backend: self.to_string(),
             cause,
             retry_in,
         })
     }
 
+    /// Converts the answer of a server that is silent to a timeout.
     fn unless_silent<T>(
         &self,
-        answer: Result<Result<T, BackendError>, Silent>,
+        answer: Result<Result<T, BackendError>, NoAnswer>,
     ) -> Result<T, BackendError> {
-        answer.unwrap_or_else(|Silent| {
+        answer.unwrap_or_else(|NoAnswer| {
             Err(BackendError::TimedOut {
                 backend: self.to_string(),
                 limit: self.answer_within,
@@ -368,17 +370,17 @@ impl Replica {
     /// Records what an answer shows about the server's health, and returns the answer.
     fn record_health<T>(&self, answer: Result<T, BackendError>) -> Result<T, BackendError> {
         match &answer {
-            Err(BackendError::TimedOut { .. }) => self.record_outage(Cause::Silent),
+            Err(BackendError::TimedOut { .. }) => self.record_outage(Cause::NoAnswer),
             Err(error) if is_no_evidence(error) => {}
             Err(BackendError::Unreachable { trouble, .. }) => {
                 let problem = trouble.to_string();
                 self.record_outage(match trouble.found.is_final() {
-                    true => Cause::Misplaced(problem),
+                    true => Cause::Misconfigured(problem),
                     false => Cause::Unreachable(problem),
                 });
             }
-            Err(error @ BackendError::Barred { .. }) => {
-                self.record_outage(Cause::Distrust(error.to_string()));
+            Err(error @ BackendError::TokenRejected { .. }) => {
+                self.record_outage(Cause::TokenRejected(error.to_string()));
             }
             // A temporary refusal also shows that the server is up.
             Err(error) if error.is_outage() => self.answered(Answered::Other),
@@ -394,7 +396,7 @@ impl Replica {
     }
 
     fn record_outage(&self, cause: Cause) {
-        let cause = cause.told();
+        let cause = cause.shortened();
         if self.health().failed(cause.clone(), Instant::now()) {
             self.log_outage(&cause);
         }
@@ -420,14 +422,14 @@ fn is_no_evidence(error: &BackendError) -> bool {
     matches!(
         error,
         BackendError::QueueFull { .. }
-            | BackendError::Crowded { .. }
+            | BackendError::Overloaded { .. }
             | BackendError::BatchLost
-            | BackendError::Out { .. }
+            | BackendError::OutOfService { .. }
     )
 }
 
-/// Returns the number of sessions that get their answers in time from a server with `per_query`
-/// per query, if all of them query at once.
+/// Returns the number of sessions that get their answers in time if all of them query at once, from
+/// a server that takes `per_query` for each query.
 fn capacity(patience: Duration, execute: u32, per_query: Duration) -> usize {
     let longest = patience.min(MAX_STEP_WAIT * execute.max(1));
     let sessions = longest.as_secs_f64() / per_query.as_secs_f64().max(1e-9);

@@ -105,7 +105,8 @@ async fn send_query_over(
 ) -> Result<(), Status> {
     let file = tempfile::NamedTempFile::new().expect("a file");
     let text = format!(
-        "[policy.x]\nreplicas = [\"{scheme}://localhost:{}\"]\nca = {ca:?}\ntoken_file = {token_file:?}\n",
+        "[policy.x]\nreplicas = [\"{scheme}://localhost:{}\"]\nca = {ca:?}\n\
+         token_file = {token_file:?}\n",
         server.port
     );
     std::fs::write(file.path(), text).expect("written");
@@ -126,14 +127,14 @@ async fn a_tls_server_accepts_valid_credentials_and_invalid_ones_are_named() {
         .expect("valid credentials");
 
     credentials.write("other-token", &format!("worker {WRONG}\n"));
-    let stranger = send_query(&server, &ca, &credentials.path("other-token")).await;
-    let stranger = stranger.expect_err("a token that it does not know");
-    assert_eq!(stranger.code(), Code::Unavailable);
-    assert!(stranger.message().contains("`token_file`"), "{stranger}");
-    assert!(!stranger.message().contains(WRONG), "{stranger}");
+    let refused = send_query(&server, &ca, &credentials.path("other-token")).await;
+    let refused = refused.expect_err("a token that the server does not know");
+    assert_eq!(refused.code(), Code::Unavailable);
+    assert!(refused.message().contains("`token_file`"), "{refused}");
+    assert!(!refused.message().contains(WRONG), "{refused}");
 
-    let others = Credentials::new();
-    let untrusted = send_query(&server, &others.path("ca.pem"), &token).await;
+    let other_credentials = Credentials::new();
+    let untrusted = send_query(&server, &other_credentials.path("ca.pem"), &token).await;
     let untrusted = untrusted.expect_err("another authority");
     assert_eq!(untrusted.code(), Code::Unavailable);
     for part in ["not signed by the authority", "`ca` of the policy"] {
@@ -164,15 +165,16 @@ async fn an_expired_certificate_is_named() {
 }
 
 /// The server has no WebSocket, so a trusted connection fails after the TLS handshake, and an
-/// untrusted one during it.
+/// untrusted connection fails during the handshake.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn over_websocket_too_only_a_server_of_the_given_authority_is_trusted() {
     let credentials = Credentials::new();
     let server = credentials.serve(2099);
     let (ca, token) = (credentials.path("ca.pem"), credentials.path("token"));
-    let others = Credentials::new();
+    let other_ca = Credentials::new();
+    let other_ca = other_ca.path("ca.pem");
     for scheme in ["wss", "vla-evals"] {
-        let untrusted = send_query_over(scheme, &server, &others.path("ca.pem"), &token).await;
+        let untrusted = send_query_over(scheme, &server, &other_ca, &token).await;
         let untrusted = untrusted.expect_err("another authority");
         assert!(untrusted.message().contains("not signed by"), "{untrusted}");
         let trusted = send_query_over(scheme, &server, &ca, &token).await;

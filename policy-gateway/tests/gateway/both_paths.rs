@@ -44,8 +44,8 @@ fn numbers() -> impl Strategy<Value = f32> {
 }
 
 fn answers() -> impl Strategy<Value = InferResponse> {
-    let whole = (0..=HORIZON as usize + 1).prop_map(|actions| 7 * actions);
-    let count = prop_oneof![3 => whole, 1 => 0..30_usize];
+    let whole_actions = (0..=HORIZON as usize + 1).prop_map(|actions| 7 * actions);
+    let count = prop_oneof![3 => whole_actions, 1 => 0..30_usize];
     let numbers = count.prop_flat_map(|count| prop::collection::vec(numbers(), count));
     let width = prop_oneof![9 => Just(7_u32), 1 => 0..9_u32];
     (numbers, width).prop_map(|(numbers, width)| chunk(&numbers, width))
@@ -117,8 +117,8 @@ fn compare_verdicts<T: PartialEq + std::fmt::Debug, E: std::fmt::Display>(
 }
 
 /// Regression: the gateway refused numbers beyond 1,000, which the worker clipped if the campaign's
-/// endpoint was the policy server itself, so that failures of a broken network were counted as the
-/// task's.
+/// endpoint was the policy server itself, so that failures of a broken network were counted as
+/// failed tasks.
 #[test]
 fn a_worker_judges_answers_alike_with_and_without_a_gateway() {
     let runtime = Runtime::new().expect("a runtime");
@@ -179,9 +179,9 @@ fn a_worker_judges_descriptions_alike_with_and_without_a_gateway() {
     let config = Config::new(vec![route]).expect("one route");
 
     let workers = RefCell::new([server.address, gateway.address].map(worker));
-    let judged = TestRunner::default().run(&descriptions(), |about| {
-        let fault = policy_protocol::description(&about).err();
-        *scripted.lock().expect("no panic") = about;
+    let judged = TestRunner::default().run(&descriptions(), |description| {
+        let fault = policy_protocol::description(&description).err();
+        *scripted.lock().expect("no panic") = description;
         // Drops the previous description, which the policy would otherwise have to match.
         handle.reload(&config).expect("the same route");
         let [direct, through] = workers

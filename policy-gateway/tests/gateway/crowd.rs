@@ -143,8 +143,8 @@ fn end(session: &str) -> EndRequest {
 }
 
 /// Regression: the time that a query waited for its turn counted toward the time limit of its
-/// answer, one time-out was taken for a silent server, and all sessions were given up. The times
-/// are a 25th of those of 128 slots with 0.4 s per query.
+/// answer, a single time-out was taken for an outage of the server, and all sessions were given up.
+/// The times are a 25th of those of 128 slots with 0.4 s per query.
 #[tokio::test(flavor = "multi_thread")]
 async fn many_slots_at_a_slow_server_finish_their_episodes() {
     let server = serve(SlowServer::new(Duration::from_millis(16))).await;
@@ -177,7 +177,8 @@ async fn wait_for_count(count: &AtomicUsize, expected: usize) {
 
 #[tokio::test(flavor = "multi_thread")]
 async fn a_query_whose_caller_has_disconnected_is_never_computed() {
-    // Of eight queries, all or only two batches are at the server; the others wait in the gateway.
+    // Of eight queries, all are at a server without batches; two batches are at a server with
+    // batches, and the remaining queries wait in the gateway.
     for (max_batch, calls) in [(1, 8), (2, 2)] {
         let policy = SlowServer {
             max_batch,

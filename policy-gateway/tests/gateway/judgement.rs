@@ -55,15 +55,12 @@ fn policy_with_shifted_gripper() -> Planted {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn the_exit_code_is_0_or_1_and_the_output_fits_80_columns() {
-    let (sound, flips) = (
+    let (sound, flipped, never_opening) = (
         serve(Planted::sound()).await,
         serve(policy_with_flipped_frames()).await,
-    );
-    let (sound, flips, unopened) = (
-        url(&sound),
-        url(&flips),
         serve(policy_with_shifted_gripper()).await,
     );
+    let (sound, flipped) = (url(&sound), url(&flipped));
     let cases: [(&[&str], i32, &str, &str); 4] = [
         (
             &["compare", &sound, &sound],
@@ -72,7 +69,7 @@ async fn the_exit_code_is_0_or_1_and_the_output_fits_80_columns() {
             "the same",
         ),
         (
-            &["compare", &sound, &flips],
+            &["compare", &sound, &flipped],
             1,
             "FAIL  frame orientation: B answers as A does",
             "not the same",
@@ -84,7 +81,7 @@ async fn the_exit_code_is_0_or_1_and_the_output_fits_80_columns() {
             "no fault found",
         ),
         (
-            &["doctor", &url(&unopened), "--episodes", "3"],
+            &["doctor", &url(&never_opening), "--episodes", "3"],
             1,
             "FAIL  the gripper opens: its number",
             "faults found: see FAIL above",
@@ -122,13 +119,13 @@ async fn unreachable_servers_exit_with_1_and_usage_errors_with_2() {
         "{}",
         unreachable.stderr
     );
-    let wrong: [&[&str]; 4] = [
+    let invalid: [&[&str]; 4] = [
         &["compare", "builtin:noop"],
         &["compare", "builtin:noop", "http://h:1"],
         &["doctor", "builtin:noop", "--suite", "libero_90"],
         &["doctor", "builtin:noop", "--answer-within", "0"],
     ];
-    for arguments in wrong {
+    for arguments in invalid {
         assert_eq!(run_to_end(arguments).await.status, Some(2), "{arguments:?}");
     }
 }
@@ -149,19 +146,20 @@ fn documented(command: &str) -> BTreeSet<String> {
     section.lines().filter_map(key).collect()
 }
 
-fn keys(value: &Value, at: &str, found: &mut BTreeSet<String>) {
+/// Collects the keys of a value whose own key is `path`.
+fn keys(value: &Value, path: &str, found: &mut BTreeSet<String>) {
     match value {
         Value::Object(fields) => {
             for (name, field) in fields {
-                let separator = if at.is_empty() { "" } else { "." };
-                let name = format!("{at}{separator}{name}");
+                let separator = if path.is_empty() { "" } else { "." };
+                let name = format!("{path}{separator}{name}");
                 keys(field, &name, found);
                 found.insert(name);
             }
         }
         Value::Array(items) => {
             for item in items {
-                keys(item, &format!("{at}[]"), found);
+                keys(item, &format!("{path}[]"), found);
             }
         }
         _ => {}
@@ -170,11 +168,11 @@ fn keys(value: &Value, at: &str, found: &mut BTreeSet<String>) {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn json_has_the_keys_that_are_documented() {
-    let mut other = policy_with_flipped_frames();
-    other.described.execute = 4;
-    let (sound, other) = (serve(Planted::sound()).await, serve(other).await);
-    let (sound, other) = (url(&sound), url(&other));
-    let compare = ["compare", &sound, &other, "--json"];
+    let mut flipped = policy_with_flipped_frames();
+    flipped.described.execute = 4;
+    let (sound, flipped) = (serve(Planted::sound()).await, serve(flipped).await);
+    let (sound, flipped) = (url(&sound), url(&flipped));
+    let compare = ["compare", &sound, &flipped, "--json"];
     let doctor = ["doctor", &sound, "--episodes", "3", "--json"];
     for (arguments, command, verdict) in [
         (&compare[..], "policy-gateway compare", "is_same"),
@@ -189,7 +187,7 @@ async fn json_has_the_keys_that_are_documented() {
     }
 }
 
-/// Records an episode of two observations with noise in their frames.
+/// Records three episodes of two observations with noise in their frames.
 async fn record(folder: &std::path::Path) {
     let server = serve(Planted::sound()).await;
     let route: RouteSpec = format!("x={}", url(&server)).parse().expect("a route");
@@ -208,7 +206,7 @@ async fn record(folder: &std::path::Path) {
                 width: SIDE as u32,
                 height: SIDE as u32,
                 rgb: (0..3 * (SIDE * SIDE) as u64)
-                    .map(|at| (127.0 + 100.0 * hash(&[key, slot, at / 40])) as u8)
+                    .map(|index| (127.0 + 100.0 * hash(&[key, slot, index / 40])) as u8)
                     .collect::<Vec<u8>>()
                     .into(),
             };
@@ -238,16 +236,16 @@ async fn record(folder: &std::path::Path) {
 }
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
-async fn recorded_observations_replace_synthetic_ones() {
+async fn recorded_observations_replace_synthetic_observations() {
     let folder = tempfile::tempdir().expect("a folder");
     record(folder.path()).await;
     let recorded = folder.path().to_str().expect("UTF-8");
-    let (sound, flips) = (
+    let (sound, flipped) = (
         serve(Planted::sound()).await,
         serve(policy_with_flipped_frames()).await,
     );
-    let (sound, flips) = (url(&sound), url(&flips));
-    let compared = run_to_end(&["compare", &sound, &flips, "--recorded", recorded]).await;
+    let (sound, flipped) = (url(&sound), url(&flipped));
+    let compared = run_to_end(&["compare", &sound, &flipped, "--recorded", recorded]).await;
     assert_eq!(compared.status, Some(1), "{}", compared.stderr);
     let words: Vec<&str> = compared.stdout.split_whitespace().collect();
     let words = words.join(" ");
@@ -280,20 +278,20 @@ fn hostile() -> Scripted {
 
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn no_command_prints_control_sequences() {
-    let (one, sound) = (serve(hostile()).await, serve(Planted::sound()).await);
-    let (one, sound) = (url(&one), url(&sound));
+    let (hostile, sound) = (serve(hostile()).await, serve(Planted::sound()).await);
+    let (hostile, sound) = (url(&hostile), url(&sound));
     let cases: [&[&str]; 3] = [
-        &["check", &one],
-        &["doctor", &one],
-        &["compare", &sound, &one],
+        &["check", &hostile],
+        &["doctor", &hostile],
+        &["compare", &sound, &hostile],
     ];
     let mut printed = String::new();
     for arguments in cases {
         let ended = run_to_end(arguments).await;
         assert_eq!(ended.status, Some(1), "{arguments:?}: {}", ended.stderr);
         for text in [&ended.stdout, &ended.stderr] {
-            let obeyed = |c: char| (c.is_control() && c != '\n') || c == '\u{202e}';
-            assert!(!text.contains(obeyed), "{arguments:?}: {text:?}");
+            let controls_terminal = |c: char| (c.is_control() && c != '\n') || c == '\u{202e}';
+            assert!(!text.contains(controls_terminal), "{arguments:?}: {text:?}");
         }
         printed += &ended.stdout;
     }

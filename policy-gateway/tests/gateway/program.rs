@@ -59,7 +59,7 @@ async fn the_program_names_its_port_serves_and_stops_on_sigterm() {
     assert!(child.wait().expect("the program ends").success());
 }
 
-// Two threads, as above.
+// Two threads: the client's connection is served while the test waits for a line of the log.
 #[tokio::test(flavor = "multi_thread", worker_threads = 2)]
 async fn sighup_reloads_the_configuration_unless_it_is_invalid() {
     let file = tempfile::NamedTempFile::new().expect("a file");
@@ -122,7 +122,7 @@ fn usage_errors_exit_with_2_and_name_the_remedy() {
 }
 
 #[tokio::test]
-async fn a_port_that_is_taken_exits_with_1_and_names_it() {
+async fn a_taken_port_is_named_and_the_exit_code_is_1() {
     let holder = std::net::TcpListener::bind("127.0.0.1:0").expect("a free port");
     let taken = holder.local_addr().expect("a bound address").to_string();
     let output = program(&["--listen", &taken, "--route", "x=builtin:noop"])
@@ -236,7 +236,7 @@ fn listening_to_other_machines_requires_tls_or_insecure() {
 
 /// Regression: the default was 7071, but every page says 7412.
 #[test]
-fn the_default_port_is_the_documented_one() {
+fn the_default_port_is_the_documented_port() {
     let help = program(&["--help"]).output().expect("the program runs");
     let help = String::from_utf8(help.stdout).expect("text");
     assert!(help.contains("[default: 127.0.0.1:7412]"), "{help}");

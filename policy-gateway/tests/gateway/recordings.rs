@@ -77,14 +77,14 @@ async fn a_recorded_session_is_answered_again_and_the_first_difference_is_named(
     let mut client = gateway.client().await;
     client.reset(reset("x", "s")).await.expect("recorded");
     for (query, answer) in (0..).zip(&recorded) {
-        let again = send_query(&mut client, query, observation(query)).await;
-        assert_eq!(&again.expect("recorded"), answer);
+        let replayed = send_query(&mut client, query, observation(query)).await;
+        assert_eq!(&replayed.expect("recorded"), answer);
     }
 
     client.reset(reset("x", "s")).await.expect("recorded");
-    let mut other = observation(0);
-    other.images[0].rgb = [[0; 3], [0; 3], [0, 9, 9], [0; 3]].concat().into();
-    let refused = send_query(&mut client, 0, other)
+    let mut changed = observation(0);
+    changed.images[0].rgb = [[0; 3], [0; 3], [0, 9, 9], [0; 3]].concat().into();
+    let refused = send_query(&mut client, 0, changed)
         .await
         .expect_err("another observation");
     assert_eq!(refused.code(), Code::Internal);

@@ -47,9 +47,9 @@ fn replicas(servers: &[&Running]) -> String {
 
 #[tokio::test]
 async fn sessions_of_a_stateful_policy_are_distributed_and_stay_on_their_replica() {
-    let one = server_answering(stateful(), 0.1).await;
-    let two = server_answering(stateful(), 0.2).await;
-    let gateway = gateway(&[&replicas(&[&one, &two])]).await;
+    let first = server_answering(stateful(), 0.1).await;
+    let second = server_answering(stateful(), 0.2).await;
+    let gateway = gateway(&[&replicas(&[&first, &second])]).await;
     let mut client = gateway.client().await;
     let mut replica_numbers = vec![];
     for session in ["a", "b", "c", "d"] {
@@ -69,11 +69,8 @@ async fn sessions_of_a_stateful_policy_are_distributed_and_stay_on_their_replica
         }
     }
     // A session of a stateful policy may not move to another replica.
-    let (stopped, lost_session) = (
-        one,
-        replica_numbers.iter().position(|number| *number == 0.1),
-    );
-    stopped.stop().await;
+    first.stop().await;
+    let lost_session = replica_numbers.iter().position(|number| *number == 0.1);
     let lost_session = ["a", "b", "c", "d"][lost_session.expect("a session on the first replica")];
     let lost = client
         .infer(infer("x", lost_session, 4))
@@ -90,13 +87,13 @@ async fn a_stateless_policys_query_moves_to_another_replica_after_a_reset_there(
             .ok_or_else(|| tonic::Status::internal("no Reset"))?;
         Ok(chunk(&[seed as f32; 7], 7))
     };
-    let one = serve(Scripted::new(description("p", 1), by_seed)).await;
-    let two = serve(Scripted::new(description("p", 1), by_seed)).await;
-    let gateway = gateway(&[&replicas(&[&one, &two])]).await;
+    let first = serve(Scripted::new(description("p", 1), by_seed)).await;
+    let second = serve(Scripted::new(description("p", 1), by_seed)).await;
+    let gateway = gateway(&[&replicas(&[&first, &second])]).await;
     let mut client = gateway.client().await;
     client.reset(reset("x", "s")).await.expect("an episode");
     assert_eq!(number(&mut client, "s", 0).await, 7.0);
-    one.stop().await;
+    first.stop().await;
     assert_eq!(number(&mut client, "s", 1).await, 7.0);
     // New sessions go to the remaining server, too.
     for session in ["t", "u", "v"] {
@@ -111,16 +108,16 @@ async fn a_replica_with_other_weights_is_refused_by_name_and_the_others_serve() 
         checkpoint_digest: digest.to_owned(),
         ..description("p", 1)
     };
-    let one = server_answering(digest("aaaa"), 0.1).await;
-    let two = server_answering(digest("bbbb"), 0.2).await;
-    let route = replicas(&[&one, &two]);
+    let first = server_answering(digest("aaaa"), 0.1).await;
+    let second = server_answering(digest("bbbb"), 0.2).await;
+    let route = replicas(&[&first, &second]);
     let gateway = gateway(&[&route]).await;
     let mut client = gateway.client().await;
     for session in ["a", "b", "c"] {
         client.reset(reset("x", session)).await.expect("an episode");
         assert_eq!(number(&mut client, session, 0).await, 0.1);
     }
-    one.stop().await;
+    first.stop().await;
     let refused = client
         .reset(reset("x", "d"))
         .await
@@ -223,8 +220,8 @@ async fn a_reload_applies_to_new_sessions_only() {
     assert_eq!(number(&mut client, "after", 0).await, 0.2);
 
     // A policy that is removed from the configuration serves its open sessions to their end.
-    let other = Config::new(vec![route("y=builtin:noop")]).expect("routes");
-    gateway.reload(&other).expect("addresses");
+    let without_x = Config::new(vec![route("y=builtin:noop")]).expect("routes");
+    gateway.reload(&without_x).expect("addresses");
     assert_eq!(number(&mut client, "before", 2).await, 0.1);
     let refused = client
         .reset(reset("x", "late"))
@@ -268,8 +265,8 @@ async fn a_deterministic_policy_sends_each_seed_to_one_replica() {
 #[tokio::test]
 async fn a_replica_that_is_down_from_the_start_is_skipped() {
     let nowhere = unused_address().await;
-    let one = server_answering(description("p", 1), 0.1).await;
-    let route = format!("x=grpc://{nowhere},grpc://{}", one.address);
+    let first = server_answering(description("p", 1), 0.1).await;
+    let route = format!("x=grpc://{nowhere},grpc://{}", first.address);
     let gateway = gateway(&[&route]).await;
     let mut client = gateway.client().await;
     client

@@ -68,8 +68,8 @@ async fn a_gateway_behind_a_gateway_looks_like_a_policy() {
 
 #[tokio::test]
 async fn the_only_policy_needs_no_name_and_several_are_listed() {
-    let one = gateway(&["noop=builtin:noop"]).await;
-    let described = one
+    let with_one_policy = gateway(&["noop=builtin:noop"]).await;
+    let described = with_one_policy
         .client()
         .await
         .describe(describe(""))
@@ -77,8 +77,8 @@ async fn the_only_policy_needs_no_name_and_several_are_listed() {
         .expect("the only policy");
     assert_eq!(described.get_ref().name, "noop");
 
-    let two = gateway(&["stand=builtin:noop", "work=builtin:expert"]).await;
-    let mut client = two.client().await;
+    let with_two_policies = gateway(&["stand=builtin:noop", "work=builtin:expert"]).await;
+    let mut client = with_two_policies.client().await;
     let unnamed = client
         .describe(describe(""))
         .await
@@ -101,7 +101,7 @@ async fn the_only_policy_needs_no_name_and_several_are_listed() {
 }
 
 #[tokio::test]
-async fn a_caller_of_another_protocol_version_is_refused_naming_both() {
+async fn a_caller_of_another_protocol_version_is_refused_naming_both_versions() {
     let gateway = gateway(&["noop=builtin:noop"]).await;
     let request = DescribeRequest {
         protocol_version: 99,
@@ -115,8 +115,8 @@ async fn a_caller_of_another_protocol_version_is_refused_naming_both() {
         .expect_err("version 99");
     assert_eq!(refused.code(), Code::FailedPrecondition);
     assert!(refused.message().contains("version 99"), "{refused}");
-    let ours = format!("version {};", proto::PROTOCOL_VERSION);
-    assert!(refused.message().contains(&ours), "{refused}");
+    let own_version = format!("version {};", proto::PROTOCOL_VERSION);
+    assert!(refused.message().contains(&own_version), "{refused}");
 }
 
 #[tokio::test]
@@ -151,7 +151,10 @@ async fn one_query_of_a_batch_fails_alone_and_results_keep_their_order() {
         .into_iter()
         .map(|result| result.result)
         .collect();
-    let answered = |result: &_| matches!(result, Some(infer_result::Result::Response(answer)) if answer.actions == NOOP_ACTION);
+    let answered = |result: &_| {
+        matches!(result, Some(infer_result::Result::Response(answer))
+            if answer.actions == NOOP_ACTION)
+    };
     assert!(
         answered(&results[0]) && answered(&results[2]),
         "{results:?}"

@@ -41,7 +41,7 @@ impl Episode {
 
 /// Regression: the name of a session was made of rollout, replicate and attempt number, which are
 /// the same in two campaigns or coordinators. Since the gateway answers a repeated query from
-/// memory, one rollout executed another's actions.
+/// memory, one rollout executed the actions of another rollout.
 #[tokio::test(flavor = "multi_thread")]
 async fn equal_rollouts_of_two_campaigns_get_their_own_answers() {
     let described = DescribeResponse {
@@ -113,13 +113,15 @@ impl Policy for RecordingPolicy {
         request: Request<ResetRequest>,
     ) -> Result<Response<ResetResponse>, Status> {
         let session = request.into_inner().session;
-        self.events.send(format!("begin {session}")).expect("heard");
+        let event = format!("begin {session}");
+        self.events.send(event).expect("the test receives events");
         Ok(Response::new(ResetResponse {}))
     }
 
     async fn end(&self, request: Request<EndRequest>) -> Result<Response<EndResponse>, Status> {
         let session = request.into_inner().session;
-        self.events.send(format!("end {session}")).expect("heard");
+        let event = format!("end {session}");
+        self.events.send(event).expect("the test receives events");
         match self.implements_end {
             true => Ok(Response::new(EndResponse {})),
             false => Err(Status::unimplemented("a server of the first release")),
@@ -134,7 +136,7 @@ impl Policy for RecordingPolicy {
 #[tokio::test]
 async fn the_end_of_an_episode_reaches_its_server_and_closes_its_session() {
     for implements_end in [true, false] {
-        let (events, mut heard) = mpsc::unbounded_channel();
+        let (events, mut receiver) = mpsc::unbounded_channel();
         let server = serve(RecordingPolicy {
             events,
             implements_end,
@@ -158,12 +160,13 @@ async fn the_end_of_an_episode_reaches_its_server_and_closes_its_session() {
             .expect("a repeated end is accepted");
         client.end(end("never opened")).await.expect("no error");
         client.end(end("two")).await.expect("an end");
-        let mut all = vec![];
-        while !all.contains(&"end two".to_owned()) || !all.contains(&"end one".to_owned()) {
-            all.push(heard.recv().await.expect("the server runs"));
+        let mut received = vec![];
+        while !received.contains(&"end two".to_owned()) || !received.contains(&"end one".to_owned())
+        {
+            received.push(receiver.recv().await.expect("the server runs"));
         }
-        all.sort();
-        assert_eq!(all, ["begin one", "begin two", "end one", "end two"]);
+        received.sort();
+        assert_eq!(received, ["begin one", "begin two", "end one", "end two"]);
         // A server that does not implement the call stays healthy.
         client.reset(reset("x", "one")).await.expect("an episode");
         client.infer(infer("x", "one", 0)).await.expect("an answer");

@@ -45,7 +45,8 @@ async fn run(gateway: Gateway, address: SocketAddr) -> Running {
     Running::new(address, stop, task)
 }
 
-/// Starts a gateway with these routes on a free port; returns it with its handle for reloading.
+/// Starts a gateway with these routes on a free port; returns the running gateway and a handle that
+/// reloads it.
 pub(crate) async fn reloadable(routes: Vec<RouteSpec>) -> (Running, Gateway) {
     let config = Config::new(routes).expect("routes that can be served");
     let gateway = Gateway::new(&config).expect("addresses");

@@ -62,14 +62,14 @@ impl Server {
             while let Ok((stream, _)) = listener.accept().await {
                 let (answer, event_sender) = (Arc::clone(&answer), event_sender.clone());
                 connections.spawn(async move {
-                    let note = event_sender.clone();
+                    let header_sender = event_sender.clone();
                     // The closure's type is fixed by the library.
                     #[allow(clippy::result_large_err)]
                     let record_header = |request: &Request, response: Response| {
                         let header = request.headers().get("authorization");
                         let header =
                             header.map(|header| header.to_str().expect("ASCII").to_owned());
-                        drop(note.send(ServerEvent::Connected(header)));
+                        drop(header_sender.send(ServerEvent::Connected(header)));
                         Ok(response)
                     };
                     // The probe after a failure is no WebSocket handshake.
@@ -153,13 +153,13 @@ fn action(numbers: Vec<Value>, number: u64) -> Answer {
     message("action", payload, number)
 }
 
-/// Greets, and answers observations with the given function.
+/// Returns the reactions of a server that greets, and answers observations with the given function.
 fn answering(
-    observed: impl Fn(u64) -> Answer + Send + Sync + 'static,
+    answer_observation: impl Fn(u64) -> Answer + Send + Sync + 'static,
 ) -> impl Fn(&str, u64) -> Answer + Send + Sync + 'static {
     move |kind, number| match kind {
         "hello" => greeting(number),
-        "observation" => observed(number),
+        "observation" => answer_observation(number),
         _ => Answer::Nothing,
     }
 }
@@ -224,16 +224,16 @@ async fn an_invalid_answer_is_named_and_ends_the_episode_if_necessary() {
             Code::Internal,
         ),
     ];
-    for (answer, words, afterwards) in cases {
+    for (answer, words, second_code) in cases {
         let server = Server::start(answering(answer)).await;
         let gateway = server.behind_a_gateway().await;
         let mut client = gateway.client().await;
         client.reset(reset("x", "s")).await.expect("an episode");
-        let wrong = query(&mut client, "s", 0).await.expect_err(words);
-        assert_eq!(wrong.code(), Code::Internal, "{wrong}");
-        assert!(wrong.message().contains(words), "{wrong}");
-        let again = query(&mut client, "s", 0).await.expect_err(words);
-        assert_eq!(again.code(), afterwards, "{words}: {again}");
+        let first = query(&mut client, "s", 0).await.expect_err(words);
+        assert_eq!(first.code(), Code::Internal, "{first}");
+        assert!(first.message().contains(words), "{first}");
+        let second = query(&mut client, "s", 0).await.expect_err(words);
+        assert_eq!(second.code(), second_code, "{words}: {second}");
     }
 }
 
@@ -306,8 +306,8 @@ async fn a_late_answer_is_not_the_answer_to_another_query() {
     while events.last() != Some(&ServerEvent::Disconnected) {
         events.push(server.events.recv().await.expect("a server"));
     }
-    let asked = ServerEvent::Received("observation".to_owned());
-    assert!(events.contains(&asked), "{events:?}");
+    let observation = ServerEvent::Received("observation".to_owned());
+    assert!(events.contains(&observation), "{events:?}");
 }
 
 #[tokio::test]
@@ -342,9 +342,9 @@ async fn a_token_is_sent_to_a_proxy_in_front_of_the_server() {
     let (gateway, _) = reloadable(config.routes().to_vec()).await;
     let mut client = gateway.client().await;
     client.describe(describe("x")).await.expect("a description");
-    let shown = Some("Bearer secret-of-the-proxy-0123".to_owned());
+    let header = Some("Bearer secret-of-the-proxy-0123".to_owned());
     assert_eq!(
         server.events.recv().await,
-        Some(ServerEvent::Connected(shown))
+        Some(ServerEvent::Connected(header))
     );
 }

@@ -9,7 +9,7 @@ use std::{
     time::{Duration, Instant},
 };
 
-use policy_gateway::{config::RouteSpec, health::SICK_WAITS};
+use policy_gateway::{config::RouteSpec, health::BROKEN_WAITS};
 use proto::policy::{
     DescribeRequest, DescribeResponse, InferBatchRequest, InferBatchResponse, InferRequest,
     InferResponse, ResetRequest, ResetResponse, policy_client::PolicyClient, policy_server::Policy,
@@ -35,7 +35,7 @@ async fn behind_a_gateway(server: &Running) -> Running {
 }
 
 #[tokio::test]
-async fn a_broken_accelerator_is_out_with_its_first_error_until_a_query_is_answered() {
+async fn a_broken_server_is_out_from_its_first_error_until_a_query_is_answered() {
     let broken = Arc::new(AtomicBool::new(true));
     let queries = Arc::new(AtomicU32::new(0));
     let (is_broken, count) = (Arc::clone(&broken), Arc::clone(&queries));
@@ -67,11 +67,11 @@ async fn a_broken_accelerator_is_out_with_its_first_error_until_a_query_is_answe
     );
 
     broken.store(false, Ordering::SeqCst);
-    let deadline = Instant::now() + SICK_WAITS.longest;
+    let deadline = Instant::now() + BROKEN_WAITS.longest;
     while let Err(status) = one_query(&mut client, "again").await {
         assert_eq!(status.code(), Code::Unavailable, "{status}");
         assert!(Instant::now() < deadline, "{status}");
-        tokio::time::sleep(SICK_WAITS.first / 10).await;
+        tokio::time::sleep(BROKEN_WAITS.first / 10).await;
     }
     one_query(&mut client, "milk")
         .await
@@ -155,7 +155,7 @@ async fn a_silent_server_is_out_after_the_limit_and_later_queries_fail_at_once()
 }
 
 #[tokio::test]
-async fn a_server_that_answers_after_the_limit_is_out_like_a_silent_one() {
+async fn a_server_that_answers_after_the_limit_is_out_like_a_silent_server() {
     expect_outage_after_the_limit(DelayedPolicy(Some(Duration::from_millis(600)))).await;
 }
 

@@ -80,15 +80,15 @@ fn configuration(messages: &mut Messages) {
             path: path(), source: Box::new(ConfigError::NoRoute),
         },
         ConfigError::NoReplica { .. } => ConfigError::NoReplica { name: name() },
-        ConfigError::BothKinds { .. } => ConfigError::BothKinds { name: name() },
+        ConfigError::ReplicasAndSuites { .. } => ConfigError::ReplicasAndSuites { name: name() },
         ConfigError::TooManyReplicas { .. } => ConfigError::TooManyReplicas { name: name() },
-        ConfigError::ReplicaTwice { .. } => ConfigError::ReplicaTwice {
+        ConfigError::DuplicateReplica { .. } => ConfigError::DuplicateReplica {
             name: name(), replica: "grpc://h:1".to_owned(),
         },
         ConfigError::AnswerWithin { .. } => ConfigError::AnswerWithin { name: name(), secs: 0.0 },
         ConfigError::Form { .. } => "pi05".parse::<RouteSpec>().expect_err("no back-end"),
         ConfigError::Name(_) => ConfigError::Name(no_name()),
-        ConfigError::Twice { .. } => ConfigError::Twice { name: name() },
+        ConfigError::DuplicateRoute { .. } => ConfigError::DuplicateRoute { name: name() },
         ConfigError::Backend(_) => ConfigError::Backend(no_back_end()),
         ConfigError::NoAuthority { .. } => ConfigError::NoAuthority {
             name: name(), replica: "https://h:1".to_owned(),
@@ -106,7 +106,7 @@ fn configuration(messages: &mut Messages) {
             UnusableBackend::Access(AccessError::Host { host: text() })
         },
         UnusableBackend::Recording(_) => {
-            UnusableBackend::Recording(RecordingError::None { folder: path() })
+            UnusableBackend::Recording(RecordingError::NoRecordings { folder: path() })
         },
         UnusableBackend::Weights(_) => UnusableBackend::Weights(WeightsFileError::Unreadable {
             path: path(), source: io_error(),
@@ -118,10 +118,10 @@ fn configuration(messages: &mut Messages) {
     variants!(messages, RecordingError,
         RecordingError::Io { .. } => RecordingError::Io { path: path(), source: io_error() },
         RecordingError::Broken { .. } => RecordingError::Broken { path: path() },
-        RecordingError::None { .. } => RecordingError::None { folder: path() },
+        RecordingError::NoRecordings { .. } => RecordingError::NoRecordings { folder: path() },
         RecordingError::TooMany { .. } => RecordingError::TooMany { folder: path() },
-        RecordingError::Policies { .. } => RecordingError::Policies {
-            one: path(), other: path(), difference: "their horizons differ".to_owned(),
+        RecordingError::DifferentPolicies { .. } => RecordingError::DifferentPolicies {
+            first: path(), other: path(), difference: "their horizons differ".to_owned(),
         },
     );
 }
@@ -144,7 +144,7 @@ fn checks(messages: &mut Messages) {
         DescriptionFault::Horizon { .. } => DescriptionFault::Horizon { horizon: 0 },
         DescriptionFault::Execute { .. } => DescriptionFault::Execute { execute: 9, horizon: 8 },
         DescriptionFault::StateField { .. } => DescriptionFault::StateField { field: 99 },
-        DescriptionFault::Version { .. } => DescriptionFault::Version { theirs: 2 },
+        DescriptionFault::Version { .. } => DescriptionFault::Version { given: 2 },
         DescriptionFault::Camera { .. } => DescriptionFault::Camera { name: text() },
         DescriptionFault::FrameSide { .. } => DescriptionFault::FrameSide {
             camera: text(), width: 0, height: 256,
@@ -164,11 +164,11 @@ fn checks(messages: &mut Messages) {
     variants!(messages, AnswerError,
         AnswerError::NoMessage => AnswerError::NoMessage,
         AnswerError::NoActions => AnswerError::NoActions,
-        AnswerError::Array(_) => AnswerError::Array(ArrayError::None),
+        AnswerError::Array(_) => AnswerError::Array(ArrayError::NotAnArray),
         AnswerError::Shape { .. } => AnswerError::Shape { shape: vec![3] },
     );
     variants!(messages, ArrayError,
-        ArrayError::None => ArrayError::None,
+        ArrayError::NotAnArray => ArrayError::NotAnArray,
         ArrayError::Dtype { .. } => ArrayError::Dtype { dtype: "<i8".to_owned() },
     );
     variants!(messages, VlaEvalAnswerError,
@@ -177,8 +177,8 @@ fn checks(messages: &mut Messages) {
         VlaEvalAnswerError::OutOfStep { .. } => VlaEvalAnswerError::OutOfStep { number: 3, asked: 4 },
         VlaEvalAnswerError::Policy(_) => VlaEvalAnswerError::Policy(text()),
         VlaEvalAnswerError::Start(_) => VlaEvalAnswerError::Start(text()),
-        VlaEvalAnswerError::None => VlaEvalAnswerError::None,
-        VlaEvalAnswerError::Array(_) => VlaEvalAnswerError::Array(ArrayError::None),
+        VlaEvalAnswerError::NoActions => VlaEvalAnswerError::NoActions,
+        VlaEvalAnswerError::Array(_) => VlaEvalAnswerError::Array(ArrayError::NotAnArray),
         VlaEvalAnswerError::Shape { .. } => VlaEvalAnswerError::Shape { shape: vec![2, 3, 7] },
         VlaEvalAnswerError::Chunk { .. } => VlaEvalAnswerError::Chunk { count: 8 },
         VlaEvalAnswerError::Single { .. } => VlaEvalAnswerError::Single { execute: 8 },
@@ -192,25 +192,25 @@ fn back_ends(messages: &mut Messages) {
     let why = || "nothing listens there; start it".to_owned();
     for cause in [
         Cause::Unreachable(why()),
-        Cause::Misplaced(why()),
-        Cause::Distrust(why()),
-        Cause::Disagrees("describes itself otherwise".to_owned()),
-        Cause::Silent,
-        Cause::Repeats("ValueError: shape".to_owned()),
+        Cause::Misconfigured(why()),
+        Cause::TokenRejected(why()),
+        Cause::DescriptionDiffers("describes itself otherwise".to_owned()),
+        Cause::NoAnswer,
+        Cause::RepeatedError("ValueError: shape".to_owned()),
         Cause::Broken("CUDA error".to_owned()),
     ] {
         match &cause {
             Cause::Unreachable(_)
-            | Cause::Misplaced(_)
-            | Cause::Distrust(_)
-            | Cause::Disagrees(_)
-            | Cause::Silent
-            | Cause::Repeats(_)
+            | Cause::Misconfigured(_)
+            | Cause::TokenRejected(_)
+            | Cause::DescriptionDiffers(_)
+            | Cause::NoAnswer
+            | Cause::RepeatedError(_)
             | Cause::Broken(_) => {}
         }
         messages.add(
             "BackendError",
-            BackendError::Sick {
+            BackendError::Broken {
                 backend: backend(),
                 cause,
             },
@@ -220,28 +220,30 @@ fn back_ends(messages: &mut Messages) {
         BackendError::Unreachable { .. } => BackendError::Unreachable {
             address: address(), trouble: trouble(),
         },
-        BackendError::Barred { .. } => BackendError::Barred {
+        BackendError::TokenRejected { .. } => BackendError::TokenRejected {
             address: address(), reason: "it answered HTTP 401".to_owned(),
         },
-        BackendError::Out { .. } => BackendError::Out {
+        BackendError::OutOfService { .. } => BackendError::OutOfService {
             backend: backend(), cause: Cause::Unreachable(why()),
             retry_in: Duration::from_secs(1),
         },
         BackendError::TimedOut { .. } => BackendError::TimedOut {
             backend: backend(), limit: Duration::from_secs(1),
         },
-        BackendError::Sick { .. } => BackendError::Sick {
-            backend: backend(), cause: Cause::Silent,
+        BackendError::Broken { .. } => BackendError::Broken {
+            backend: backend(), cause: Cause::NoAnswer,
         },
         BackendError::Description { .. } => BackendError::Description {
             policy: text(), fault: DescriptionFault::Nameless,
         },
-        BackendError::Disagrees { .. } => BackendError::Disagrees {
+        BackendError::DescriptionDiffers { .. } => BackendError::DescriptionDiffers {
             difference: "has another checkpoint".to_owned(),
         },
-        BackendError::Nonsense { .. } => BackendError::Nonsense { fault: ActionFault::Empty },
+        BackendError::InvalidActions { .. } => BackendError::InvalidActions {
+            fault: ActionFault::Empty,
+        },
         BackendError::QueueFull { .. } => BackendError::QueueFull { queued: 64 },
-        BackendError::Crowded { .. } => BackendError::Crowded {
+        BackendError::Overloaded { .. } => BackendError::Overloaded {
             backend: backend(), waited: Duration::from_secs(55),
         },
         BackendError::BatchLost => BackendError::BatchLost,
@@ -249,7 +251,7 @@ fn back_ends(messages: &mut Messages) {
         BackendError::Refused { .. } => BackendError::Refused {
             address: address(), status: Box::new(Status::internal("")),
         },
-        BackendError::Unsuited { .. } => BackendError::Unsuited {
+        BackendError::UnsupportedPolicy { .. } => BackendError::UnsupportedPolicy {
             address: address(), reason: "it answers poses; serve motions".to_owned(),
         },
         BackendError::SessionLost => BackendError::SessionLost,
@@ -317,28 +319,30 @@ fn conformance(messages: &mut Messages) {
 
 fn examination(messages: &mut Messages) {
     let url = || "grpc://h:1".to_owned();
-    let recordings = || RecordingError::None { folder: path() };
+    let recordings = || RecordingError::NoRecordings { folder: path() };
     variants!(messages, ExaminationError,
         ExaminationError::Backend(_) => ExaminationError::Backend(UnusableBackend::Access(
             AccessError::Host { host: text() },
         )),
         ExaminationError::Recording(_) => ExaminationError::Recording(recordings()),
-        ExaminationError::Silent { .. } => ExaminationError::Silent { url: url() },
+        ExaminationError::NoAnswer { .. } => ExaminationError::NoAnswer { url: url() },
         ExaminationError::Answer { .. } => ExaminationError::Answer {
             url: url(), problem: "nothing listens there; start it".to_owned(),
         },
         ExaminationError::Description { .. } => ExaminationError::Description {
             url: url(), fault: DescriptionFault::Nameless,
         },
-        ExaminationError::Nonsense { .. } => ExaminationError::Nonsense {
+        ExaminationError::InvalidActions { .. } => ExaminationError::InvalidActions {
             url: url(), fault: ActionFault::Empty,
         },
-        ExaminationError::Lacking { .. } => ExaminationError::Lacking {
+        ExaminationError::MissingInput { .. } => ExaminationError::MissingInput {
             url: url(), missing: MissingInput::Privileged,
         },
     );
     variants!(messages, CommandError,
         CommandError::Access(_) => CommandError::Access(AccessError::Host { host: text() }),
-        CommandError::Examination(_) => CommandError::Examination(ExaminationError::Silent { url: url() }),
+        CommandError::Examination(_) => {
+            CommandError::Examination(ExaminationError::NoAnswer { url: url() })
+        },
     );
 }

@@ -314,7 +314,7 @@ fn reports(messages: &mut Messages) {
         NotMeasurable::NoDesign => NotMeasurable::NoDesign,
         NotMeasurable::NoNominal => NotMeasurable::NoNominal,
         NotMeasurable::NoCondition => NotMeasurable::NoCondition,
-        NotMeasurable::OtherCondition { .. } => NotMeasurable::OtherCondition {
+        NotMeasurable::ConditionNotRun { .. } => NotMeasurable::ConditionNotRun {
             given: "sensor", valid: "camera, robot".to_owned(),
         },
     );

@@ -11,7 +11,7 @@ pub(crate) fn add(messages: &mut Messages) {
         WeightsFileError::Unreadable { .. } => WeightsFileError::Unreadable {
             path: path(), source: io_error(),
         },
-        WeightsFileError::Wrong { .. } => WeightsFileError::Wrong {
+        WeightsFileError::InvalidWeights { .. } => WeightsFileError::InvalidWeights {
             path: path(), source: WeightsError::Name,
         },
     );

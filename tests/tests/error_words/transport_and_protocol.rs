@@ -125,7 +125,7 @@ fn protocol(messages: &mut Messages) {
         },
         SpecError::Execution { .. } => SpecError::Execution {
             given: "hold:2".parse().expect("a model"),
-            of_rows: "overlap:4".parse().expect("a model"),
+            row_model: "overlap:4".parse().expect("a model"),
         },
         SpecError::Latency { .. } => SpecError::Latency {
             given: "hold:2".parse().expect("a model"),
@@ -160,7 +160,7 @@ fn protocol(messages: &mut Messages) {
             needed: "whole_tasks",
         },
         StopError::Replicates { .. } => StopError::Replicates { given: 2 },
-        StopError::Follows { .. } => StopError::Follows { field: "explains" },
+        StopError::Derived { .. } => StopError::Derived { field: "explains" },
         StopError::Missing { .. } => StopError::Missing { rollout: id() },
     );
     variants!(messages, LineProblem,

@@ -26,7 +26,7 @@ pub enum Axis {
 }
 
 impl Axis {
-    /// All axes, in the reference's order.
+    /// All axes, in the order of the reference implementation.
     pub const ALL: [Self; 6] = [
         Self::Camera,
         Self::Lighting,
@@ -82,7 +82,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn the_error_for_an_unknown_axis_lists_the_six() {
+    fn the_error_for_an_unknown_axis_lists_the_six_axes() {
         let error = "camrea".parse::<Axis>().expect_err("no such axis");
         assert_eq!(
             error.to_string(),

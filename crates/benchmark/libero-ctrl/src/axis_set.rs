@@ -93,8 +93,8 @@ impl FromIterator<Axis> for AxisSet {
 
 impl Ord for AxisSet {
     fn cmp(&self, other: &Self) -> std::cmp::Ordering {
-        // Sets are ordered by size, then by the lowest bit in which they differ, the earliest axis
-        // that only one of them has: that set comes first.
+        // The smaller set comes first. Of two sets of equal size, the set comes first that has the
+        // lowest bit in which they differ, that is, the earliest axis that the other set lacks.
         let by_axes = || other.0.reverse_bits().cmp(&self.0.reverse_bits());
         self.len().cmp(&other.len()).then_with(by_axes)
     }
@@ -108,7 +108,7 @@ impl PartialOrd for AxisSet {
 
 const EMPTY: &str = "none";
 
-/// The names of all sets, by their bits.
+/// Names of all sets; the index of a name is the set's bits.
 static NAMES: LazyLock<[String; 64]> = LazyLock::new(|| {
     std::array::from_fn(|bits| {
         let names: Vec<&str> = AxisSet(bits as u8).axes().map(Axis::name).collect();

@@ -43,16 +43,16 @@ pub struct CampaignSpec {
     pub policy: PolicyRoute,
     /// The rollouts to run.
     pub rollouts: Rollouts,
-    /// Source of random elements.
+    /// Source of the random elements of perturbations.
     pub realisation: Realisation,
     /// Number of runs of every rollout, each with a different policy seed.
     pub replicates: u32,
     /// Rollouts to record on video.
     pub record: Record,
-    /// Asset pack and renderer required of workers; unspecified ones are fixed by the first
-    /// result.
+    /// Asset pack and renderer required of workers. The first result fixes them if they are
+    /// unspecified.
     pub wanted: Wanted,
-    /// Rule for stopping early; without one the campaign runs to its end.
+    /// Rule for stopping early; without a rule, all rollouts run.
     pub stop: Option<Stop>,
     /// Behaviour of the robot while a response of its policy is pending.
     pub execution: Execution,
@@ -76,7 +76,8 @@ pub enum Rollouts {
 }
 
 impl Rollouts {
-    /// Returns the name of the campaign whose outcomes determine the rollouts, if any.
+    /// Returns the name of the campaign whose outcomes determine the rollouts; `None` if the
+    /// specification itself determines the rollouts.
     pub fn source(&self) -> Option<&str> {
         match self {
             Self::Design(_) | Self::Manifest(_) | Self::Variants(_) | Self::SuiteFile(_) => None,
@@ -95,8 +96,8 @@ impl Rollouts {
         }
     }
 
-    /// Returns the execution model of a campaign whose specification has none: the one that all
-    /// rows of its manifest share, or [`Execution::Wait`].
+    /// Returns the execution model of a campaign whose specification names none: the model that
+    /// the rows of its manifest share, apart from latency rows, or [`Execution::Wait`].
     pub fn execution(&self) -> Execution {
         match self {
             Self::Manifest(rows) => {
@@ -168,10 +169,10 @@ impl CampaignSpec {
                 if let Some(row) = rows.iter().find(|row| row.id.variant().is_some()) {
                     return Err(SpecError::VariantRow { id: row.id });
                 }
-                let of_rows = self.rollouts.execution();
-                if !of_rows.is_wait() && of_rows != self.execution {
+                let row_model = self.rollouts.execution();
+                if !row_model.is_wait() && row_model != self.execution {
                     let given = self.execution.clone();
-                    return Err(SpecError::Execution { given, of_rows });
+                    return Err(SpecError::Execution { given, row_model });
                 }
                 let mut ids = rows.iter().map(|row| row.id);
                 let has_latency = ids.any(|id| id.condition() == Condition::Latency);
@@ -214,20 +215,21 @@ impl CampaignSpec {
         }
         if let Some(stop) = &self.stop {
             stop.check(self.replicates)?;
-            let follows = |field| StopError::Follows { field };
+            let derived = |field| StopError::Derived { field };
             match &self.rollouts {
                 Rollouts::Design(design) if design.axes.len() < 2 => {
                     return Err(StopError::NotSimultaneous.into());
                 }
                 Rollouts::Design(_) | Rollouts::Variants(_) | Rollouts::SuiteFile(_) => {}
                 Rollouts::Manifest(rows) => stop::check_rows(rows)?,
-                Rollouts::Explanation(_) => return Err(follows("explains").into()),
-                Rollouts::Thresholds(_) => return Err(follows("thresholds").into()),
+                Rollouts::Explanation(_) => return Err(derived("explains").into()),
+                Rollouts::Thresholds(_) => return Err(derived("thresholds").into()),
             }
         }
         Ok(())
     }
 
+    /// Rejects the reference realisation, which `field` excludes.
     fn check_matched(&self, field: &'static str) -> Result<(), SpecError> {
         match self.realisation {
             Realisation::Matched => Ok(()),
@@ -287,7 +289,7 @@ struct SpecText {
     suite_file: Option<Box<SuiteFile>>,
     #[serde(default)]
     realisation: Realisation,
-    #[serde(default = "one")]
+    #[serde(default = "default_replicates")]
     replicates: u32,
     #[serde(default)]
     record: Record,
@@ -311,7 +313,7 @@ enum TextError {
     )]
     Missing(&'static str),
     #[error("`{other}` and `{field}` both define the rollouts: remove one of them")]
-    Beside {
+    ConflictingSources {
         other: &'static str,
         field: &'static str,
     },
@@ -433,9 +435,9 @@ fn check_single_source(text: &SpecText) -> Result<(), TextError> {
     let Some(&(field, _)) = exclusive.iter().find(|(_, is_written)| *is_written) else {
         return Ok(());
     };
-    let is_other = |(name, is_written): &&(&str, bool)| *is_written && *name != field;
-    match written.iter().find(is_other) {
-        Some(&(other, _)) => Err(TextError::Beside { other, field }),
+    let is_conflicting = |(name, is_written): &&(&str, bool)| *is_written && *name != field;
+    match written.iter().find(is_conflicting) {
+        Some(&(other, _)) => Err(TextError::ConflictingSources { other, field }),
         None => Ok(()),
     }
 }
@@ -475,7 +477,7 @@ fn placebo_radius(given: Option<f64>) -> Result<Level, DesignError> {
     }
 }
 
-fn one() -> u32 {
+fn default_replicates() -> u32 {
     1
 }
 

@@ -1,5 +1,5 @@
 //! Condition of a rollout (its perturbed axes) and realisation of its random elements.
-//! Strengths are in `level` and `presets`.
+//! `level` and `presets` define the strengths of perturbations.
 
 use std::fmt;
 use std::str::FromStr;
@@ -8,7 +8,7 @@ use crate::axis::{Axis, LATENCY};
 use crate::axis_set::AxisSet;
 use crate::names::{UnknownName, serde_as_text};
 
-/// Name of the condition of LIBERO's family.
+/// Name of the condition of every rollout of LIBERO's family.
 const VARIANT: &str = "variant";
 
 /// Perturbed axes of a rollout.
@@ -18,15 +18,15 @@ pub enum Condition {
     Clean,
     /// One axis alone.
     Single(Axis),
-    /// The latency axis: delayed responses without further perturbation. No [`AxisSet`] contains
-    /// it.
+    /// The latency axis, which no [`AxisSet`] contains: delayed responses without further
+    /// perturbation.
     Latency,
     /// Two to five axes; constructed by [`Self::of`].
     Subset(AxisSet),
     /// Simultaneous: all axes of the campaign at once. Rollout ids use the published name
     /// `combination`.
     Combination,
-    /// A rollout of LIBERO's family, perturbed or not: its id names the change.
+    /// A rollout of LIBERO's family, perturbed or not; its id names the variant.
     Variant,
 }
 
@@ -143,10 +143,10 @@ impl FromStr for Realisation {
     type Err = UnknownName;
 
     fn from_str(text: &str) -> Result<Self, UnknownName> {
-        let both = [Self::Matched, Self::Reference];
-        both.into_iter()
+        let all = [Self::Matched, Self::Reference];
+        all.into_iter()
             .find(|realisation| realisation.name() == text)
-            .ok_or_else(|| UnknownName::new("realisation", text, &both.map(Self::name)))
+            .ok_or_else(|| UnknownName::new("realisation", text, &all.map(Self::name)))
     }
 }
 

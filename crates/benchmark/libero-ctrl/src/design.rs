@@ -215,8 +215,8 @@ impl Design {
         }
         self.check_placebo()?;
         let has_paraphrases = |level: &Level| level.is_named() || *level == Level::L0;
-        let unnamed = self.levels.iter().find(|level| !has_paraphrases(level));
-        if let (true, Some(&level)) = (self.axes.contains(&Axis::Language), unnamed) {
+        let unparaphrased = self.levels.iter().find(|level| !has_paraphrases(level));
+        if let (true, Some(&level)) = (self.axes.contains(&Axis::Language), unparaphrased) {
             return Err(DesignError::NoParaphrase { level });
         }
         let mut levels = self.levels.iter().filter(|level| **level != Level::L0);
@@ -329,8 +329,8 @@ impl Design {
         for subset in &self.subsets {
             text.push_str(subset.name());
         }
-        // Own directions, latency and the placebo are appended only if present, for the same
-        // reason.
+        // Task-specific directions, latency and the placebo are appended only if present, for the
+        // same reason.
         if self.directions == Directions::Own {
             text.push_str("own directions");
         }
@@ -361,14 +361,15 @@ impl Design {
 
     /// Returns an upper bound of the number of rows.
     fn max_rows(&self) -> usize {
-        let at_level = |level: &Level| {
+        let configs_at = |level: &Level| {
             let configs = self.configs.iter();
             configs
                 .filter(|&&config| self.runs_config(*level, config))
                 .count()
         };
-        let units: usize = self.levels.iter().map(at_level).sum();
-        let rows_per_task = units * self.conditions().len() + usize::from(INIT_STATES_PER_TASK);
+        let config_levels: usize = self.levels.iter().map(configs_at).sum();
+        let rows_per_task =
+            config_levels * self.conditions().len() + usize::from(INIT_STATES_PER_TASK);
         self.tasks.len() * rows_per_task
     }
 }
@@ -473,7 +474,7 @@ mod tests {
     }
 
     #[test]
-    fn a_subset_has_two_axes_of_the_design_or_more_but_not_all() {
+    fn a_subset_has_at_least_two_but_not_all_axes_of_the_design() {
         let check = |text: &str, axes: &[Axis]| {
             let design = Design {
                 axes: axes.to_vec(),

@@ -20,8 +20,8 @@ const SUITE: &str = "suite-";
 
 /// Identifier of the design that results belong to: `v0.1` for exactly LIBERO-CTRL v0.1,
 /// otherwise `custom-` and a checksum of the design, `manifest-` and a checksum of the
-/// imported rows, or `explains-`, `thresholds-`, `variants-` or `suite-` and a checksum of that
-/// specification.
+/// imported rows, or `explains-`, `thresholds-`, `variants-` or `suite-` and a checksum of the
+/// specification's field that defines the rollouts.
 /// Results of different designs are never pooled.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct DesignVersion(String);
@@ -32,7 +32,7 @@ impl DesignVersion {
         Self(V0_1.to_owned())
     }
 
-    /// Returns the version of another design, from a text that identifies it.
+    /// Returns the version of a design other than v0.1, from a text that identifies the design.
     pub(crate) fn custom(text: &str) -> Self {
         Self(format!("{CUSTOM}{:08x}", crc32fast::hash(text.as_bytes())))
     }
@@ -64,8 +64,8 @@ impl DesignVersion {
         Self::of_derived(SUITE, file)
     }
 
-    /// Returns the version of the same rollouts under an execution model, which differs for every
-    /// model except `wait`.
+    /// Returns the version of the same rollouts under an execution model: this version for `wait`,
+    /// and a distinct version for every other model.
     pub(crate) fn under(self, execution: &Execution) -> Self {
         if execution.is_wait() {
             return self;

@@ -1,6 +1,6 @@
-//! Directions and initial states of configurations, drawn from the seed of a design. Shared
-//! directions of configurations 0 to 9 are the protocol's presets; those beyond, and all
-//! task-specific ones, are drawn on the unit sphere.
+//! Directions and initial states of configurations, drawn from the seed of a design. The shared
+//! directions of configurations 0 to 9 are the protocol's presets; the shared directions of later
+//! configurations, and all task-specific directions, are drawn on the unit sphere.
 
 use serde::{Deserialize, Serialize};
 
@@ -16,16 +16,16 @@ pub const MAX_CONFIGS: u16 = 1_000;
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Directions {
-    /// Shared by all tasks: a configuration has the same direction in each task, the
-    /// protocol's for 0 to 9. Results then hold for these directions only.
+    /// Shared by all tasks: a configuration has the same direction in each task, which is the
+    /// protocol's preset for configurations 0 to 9. Results then hold for these directions only.
     #[default]
     Shared,
-    /// Drawn separately for each task from the design's seed, including the first ten.
-    /// Results then generalise to all directions, because the configurations are a sample of them.
+    /// Drawn separately for each task from the design's seed, also for configurations 0 to 9.
+    /// Results then generalise to all directions, of which the configurations are a sample.
     Own,
 }
 
-/// Part of every key; it must change whenever the drawn values change.
+/// Part of the key of every random stream; it must change whenever the drawn values change.
 const VERSION: &str = "libero-ctrl/configurations/1";
 
 /// Returns the direction of a configuration in the normalised coordinates of an axis: a
@@ -70,15 +70,16 @@ pub(crate) fn init_id(task: TaskRef, config: u16, design_seed: u64) -> u16 {
     if let Some(&init_id) = evaluated.get(index) {
         return init_id;
     }
-    let mut others: Vec<u16> = (0..INIT_STATES_PER_TASK)
+    let mut remaining: Vec<u16> = (0..INIT_STATES_PER_TASK)
         .filter(|init_id| !evaluated.contains(init_id))
         .collect();
     let mut rng = named_rng(design_seed, &format!("{task}/init"));
-    for last in (1..others.len()).rev() {
-        let other = (rng.random() * (last + 1) as f64) as usize;
-        others.swap(last, other);
+    // The shuffle of Fisher and Yates.
+    for last in (1..remaining.len()).rev() {
+        let drawn = (rng.random() * (last + 1) as f64) as usize;
+        remaining.swap(last, drawn);
     }
-    others[index - evaluated.len()]
+    remaining[index - evaluated.len()]
 }
 
 fn named_rng(design_seed: u64, name: &str) -> MatchedRng {
@@ -100,18 +101,18 @@ mod tests {
         let draw = |task: TaskRef, axis, config, seed| {
             direction(Directions::Own, task, axis, config, seed)
         };
-        let [one, other] =
+        let [task, other_task] =
             ["libero_goal/3", "libero_goal/4"].map(|text| text.parse().expect("a task"));
         for config in [0, 10] {
-            let direction = draw(one, Axis::Camera, config, 1);
+            let direction = draw(task, Axis::Camera, config, 1);
             let length = direction.iter().map(|x| x * x).sum::<f64>().sqrt();
             assert!(
                 (length - 1.0).abs() < 1e-12 && direction[2] >= 0.0,
                 "{direction:?}"
             );
-            assert_ne!(direction, draw(other, Axis::Camera, config, 1));
-            assert_ne!(direction, draw(one, Axis::Camera, config, 2));
-            assert_ne!(direction, draw(one, Axis::Lighting, config, 1));
+            assert_ne!(direction, draw(other_task, Axis::Camera, config, 1));
+            assert_ne!(direction, draw(task, Axis::Camera, config, 2));
+            assert_ne!(direction, draw(task, Axis::Lighting, config, 1));
             assert_ne!(direction, shared(Axis::Camera, config, 1));
         }
     }

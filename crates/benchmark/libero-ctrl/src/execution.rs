@@ -44,7 +44,8 @@ pub enum Execution {
     },
 }
 
-/// Delays of responses, control steps: a constant, or a distribution from which each is drawn.
+/// Delays of responses, control steps: a constant, or a distribution from which the delay of each
+/// response is drawn.
 #[derive(Clone, Debug, PartialEq, Eq, Hash)]
 pub struct Delays {
     /// Pairs of steps and weight, sorted by steps; not empty.
@@ -130,7 +131,8 @@ impl Delays {
         Self::weighted([(steps, 1)]).ok()
     }
 
-    /// Creates a distribution; the weights of equal delays are added. The error is a clause.
+    /// Creates a distribution; the weights of equal delays are added. The error is a clause for the
+    /// message of [`ExecutionError`] or [`LatencyFileError`].
     fn weighted(given: impl IntoIterator<Item = (u16, u32)>) -> Result<Self, String> {
         let mut weighted = std::collections::BTreeMap::<u16, u32>::new();
         for (steps, weight) in given {
@@ -150,17 +152,18 @@ impl Delays {
             2..=MAX_DISTINCT_DELAYS => Ok(Self {
                 weighted: weighted.into_iter().collect(),
             }),
-            many => Err(format!(
-                "{many} different delays are given, at most {MAX_DISTINCT_DELAYS} are possible"
+            count => Err(format!(
+                "{count} different delays are given, at most {MAX_DISTINCT_DELAYS} are possible"
             )),
         }
     }
 
     /// Creates the distribution of measured latencies from pairs of control steps and counts.
-    /// Weights are in thousandths, at least one.
+    /// The weight of a latency is its share of all counts in thousandths, at least one thousandth.
     ///
     /// # Errors
-    /// If there is no latency, one is too long, or there are too many distinct ones.
+    /// If there is no latency, a latency exceeds [`MAX_DELAY`], or there are more than 32 distinct
+    /// latencies.
     pub fn measured(
         counts: impl IntoIterator<Item = (u16, u64)>,
     ) -> Result<Self, LatencyFileError> {
@@ -178,7 +181,7 @@ impl Delays {
     /// control steps, `{"delay_steps": {"3": 812, "4": 188}}`. Other fields are ignored.
     ///
     /// # Errors
-    /// If the JSON does not have this form, or as for [`Self::measured`].
+    /// If the JSON does not have this form, or [`Self::measured`] refuses the latencies.
     pub fn from_json(text: &str) -> Result<Self, LatencyFileError> {
         #[derive(Deserialize)]
         struct File {
@@ -200,8 +203,9 @@ impl Delays {
         self.weighted[self.weighted.len() - 1].0
     }
 
-    /// Returns the delay of the response to a query. It is the same for all rollouts of a task from
-    /// the same initial state, regardless of the perturbation, so that delays are matched too.
+    /// Returns the delay of the response to a query. The delay is the same in all rollouts of a
+    /// task from the same initial state, regardless of the perturbation, so that paired rollouts
+    /// have the same delays.
     pub fn of_query(&self, task: TaskRef, init_id: u16, query: u32) -> u16 {
         if let [(only, _)] = self.weighted[..] {
             return only;
@@ -284,7 +288,7 @@ impl FromStr for Execution {
     }
 }
 
-/// Parses delays; the error is a clause.
+/// Parses delays; the error is a clause for the message of [`ExecutionError`].
 fn delays(text: &str) -> Result<Delays, String> {
     let number = |text: &str| -> Result<u32, String> {
         // Rejects signs and spaces, so that each model has only one text.

@@ -43,9 +43,10 @@ impl CampaignSpec {
 }
 
 impl Design {
-    /// Returns the design's rows, paired units first: by configuration, then by task, the
-    /// nominal rollout followed by all conditions of the configuration, so that interim
-    /// paired figures cover all tasks early. The other nominal rollouts come last.
+    /// Returns the design's rows in paired units: the nominal rollout of a task and configuration,
+    /// followed by the perturbed rollouts of the same task and configuration. The units are in the
+    /// order of configurations, then of tasks, so that interim paired figures cover all tasks
+    /// early. Nominal rollouts from the remaining initial states come last.
     ///
     /// # Errors
     /// If the design is invalid.
@@ -73,8 +74,8 @@ impl Design {
         }
         if self.nominal == Nominal::All {
             for &task in &self.tasks {
-                let rest = (0..INIT_STATES_PER_TASK).filter(|&id| nominal.insert((task, id)));
-                rows.extend(rest.map(|init_id| clean_row(task, init_id)));
+                let remaining = (0..INIT_STATES_PER_TASK).filter(|&id| nominal.insert((task, id)));
+                rows.extend(remaining.map(|init_id| clean_row(task, init_id)));
             }
         }
         Ok(rows)
@@ -143,7 +144,7 @@ impl Design {
             row.execution = execution_at(level).expect("a validated design has delays");
         }
         if axes.contains(Axis::Language) {
-            // There are ten variants; configurations beyond ten repeat them.
+            // A level has ten paraphrases; configurations from 10 on repeat them.
             let paraphrase = paraphrase(task, level, config % PRESETS);
             row.instruction = paraphrase.text;
             row.variant_id = Some(paraphrase.variant_id);
@@ -247,7 +248,7 @@ mod tests {
 
     #[test]
     fn a_subset_has_the_parameters_of_its_axes_in_other_conditions() {
-        let whole = Design {
+        let without_subsets = Design {
             nominal: Nominal::None,
             levels: vec![Level::L2],
             tasks: select("libero_goal/3"),
@@ -258,7 +259,7 @@ mod tests {
             subsets: ["camera+language", "lighting+robot+sensor"]
                 .map(|set| set.parse().expect("a set"))
                 .to_vec(),
-            ..whole.clone()
+            ..without_subsets.clone()
         };
         let rows = design.expand().expect("rows");
         let row = |condition: &str| {
@@ -286,7 +287,7 @@ mod tests {
         let others = rows
             .iter()
             .filter(|row| !matches!(row.id.condition(), Condition::Subset(_)));
-        assert!(others.eq(whole.expand().expect("rows").iter()));
+        assert!(others.eq(without_subsets.expand().expect("rows").iter()));
         let text = crate::manifest::to_text(&rows);
         assert_eq!(crate::manifest::parse(&text), Ok(rows));
     }
@@ -338,12 +339,13 @@ mod tests {
         let (placebo, others): (Vec<_>, Vec<_>) = rows.iter().partition(|row| row.id.is_placebo());
         let ids: Vec<String> = placebo.iter().map(|row| row.id.to_string()).collect();
         assert_eq!((ids.len(), ids[0].as_str()), (7, "goal/t3/camera/L0/c04"));
-        let without = Design {
+        let without_placebo = Design {
             levels: vec![Level::L2],
             placebo: Placebo::default(),
             ..design.clone()
         };
-        assert!(others.into_iter().eq(&without.expand().expect("rows")));
+        let rows_without_placebo = without_placebo.expand().expect("rows");
+        assert!(others.into_iter().eq(&rows_without_placebo));
         for row in &placebo {
             let id = row.id;
             let condition = id.condition();
@@ -417,7 +419,7 @@ mod tests {
     }
 
     #[test]
-    fn the_whole_design_has_10_400_rows() {
+    fn the_design_of_v0_1_has_10_400_rows() {
         let rows = Design::v0_1().expand().expect("rows");
         let clean = rows.iter().filter(|row| row.id.config().is_none());
         assert_eq!((clean.count(), rows.len()), (2_000, 10_400));

@@ -1,4 +1,4 @@
-//! The latency axis, an addition to the six of the protocol: the policy's responses are delayed by
+//! The latency axis, an addition to the protocol's six axes: the policy's responses are delayed by
 //! whole control steps. The axis perturbs no value of the scene. Its rows run under the execution
 //! model `overlap` with the delay of their level. Simultaneous perturbation excludes the axis.
 
@@ -13,11 +13,11 @@ use crate::names::{UnknownName, serde_as_text};
 /// Control steps of delay per unit of radius: L1, L2 and L3 are 1, 2 and 4 steps.
 pub const STEPS_PER_RADIUS: f64 = 0.5;
 
-/// Returns the delay of the latency axis at a level, control steps; `None` if it is not a whole
-/// number from 1 on.
+/// Returns the delay of the latency axis at a level, control steps; `None` unless the delay is a
+/// whole number of at least 1.
 pub fn delay_at(level: Level) -> Option<u16> {
     let steps = level.radius() * STEPS_PER_RADIUS;
-    // The largest radius is 100.
+    // The delay fits, because the largest radius is 100.
     (steps >= 1.0 && steps.fract() == 0.0).then_some(steps as u16)
 }
 

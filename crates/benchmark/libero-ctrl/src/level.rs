@@ -11,16 +11,16 @@ use crate::names::{UnknownName, serde_as_text};
 ///
 /// LIBERO-CTRL names four radii; radius 4, for example, is written `L2`. Any other radius
 /// is written as a number with up to six decimals, such as `r2.5`. Levels are ordered by
-/// radius. `L0` is the level of nominal rollouts and, for perturbed ones, the placebo level,
-/// whose radius is stored in the rows ([`crate::Placebo`]).
+/// radius. `L0` is the level of nominal rollouts and, for perturbed rollouts, the placebo
+/// level, whose radius is stored in the rows ([`crate::Placebo`]).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Level {
-    // An integer, so that a level equals the one parsed from its text.
+    // An integer, so that a level equals the level parsed from its text.
     radius_micros: u32,
 }
 
 impl Level {
-    /// Radius 0 for nominal rollouts; the placebo level for perturbed ones.
+    /// Radius 0 for nominal rollouts; the placebo level for perturbed rollouts.
     pub const L0: Self = Self::of_whole_radius(0);
     /// Radius 2.
     pub const L1: Self = Self::of_whole_radius(2);
@@ -32,8 +32,8 @@ impl Level {
     /// The protocol's levels of perturbed rollouts.
     pub const PERTURBED: [Self; 3] = [Self::L1, Self::L2, Self::L3];
 
-    /// Returns the level of a radius, rounded to six decimals; `None` if the radius is out
-    /// of range, see [`Self::from_str`].
+    /// Returns the level of a radius, rounded to six decimals; `None` if the rounded radius is
+    /// not from 0.001 to 100.
     pub fn of_radius(radius: f64) -> Option<Self> {
         let radius_micros = (radius * f64::from(MICROS)).round();
         let valid = f64::from(MIN_MICROS)..=f64::from(MAX_MICROS);
@@ -154,7 +154,7 @@ mod tests {
     }
 
     #[test]
-    fn equal_radii_are_one_level() {
+    fn texts_of_equal_radii_are_the_same_level() {
         assert_eq!("r4".parse(), Ok(Level::L2));
         assert_eq!("r2.000".parse(), Ok(Level::L1));
         assert_eq!("r2.50".parse::<Level>(), "r2.5".parse());

@@ -1,5 +1,5 @@
-//! Manifests in JSON Lines: one row per line, in the reference's format. Parses,
-//! validates, writes and compares texts; the caller opens files, and `row` defines
+//! Manifests in JSON Lines: one row per line, in the format of the reference implementation.
+//! Parses, validates, writes and compares manifests; the caller opens files, and `row` defines
 //! the rows.
 //!
 //! An imported manifest is authoritative: its values and instructions are run unchanged, under the
@@ -20,14 +20,14 @@ use crate::row::{MAX_ROWS, ManifestRow};
 use crate::suite::TaskRef;
 use crate::wording::JsonError;
 
-/// Largest number of errors listed; the others are counted.
+/// Largest number of errors listed; further errors are only counted.
 const MAX_LISTED: usize = 20;
 
 /// Largest relative deviation of the radius of a row's parameters from that of its level;
 /// the published directions have only four or five decimals.
 const RADIUS_TOLERANCE: f64 = 2e-3;
 
-/// Rounding error of a parameter: half a unit in the last decimal, which matters at small
+/// Rounding error of a parameter: half a unit of its sixth decimal, which matters at small
 /// radii.
 const ROUNDING: f64 = 0.5e-6;
 
@@ -131,8 +131,8 @@ pub enum Difference {
 impl fmt::Display for Difference {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::OnlyLeft(id) => write!(f, "{id}: only in the first"),
-            Self::OnlyRight(id) => write!(f, "{id}: only in the second"),
+            Self::OnlyLeft(id) => write!(f, "{id}: only in the first manifest"),
+            Self::OnlyRight(id) => write!(f, "{id}: only in the second manifest"),
             Self::Value {
                 id,
                 column,
@@ -227,7 +227,7 @@ impl ManifestErrors {
         &self.listed
     }
 
-    /// Returns the number of refused lines, listed or not.
+    /// Returns the number of errors, including those that are not listed.
     pub fn count(&self) -> usize {
         self.count
     }
@@ -260,7 +260,7 @@ impl fmt::Display for ManifestErrors {
 
 impl std::error::Error for ManifestErrors {}
 
-/// Checks rows against each other.
+/// Checks each row by itself and against the earlier rows.
 #[derive(Default)]
 struct Checker {
     lines_of_ids: BTreeMap<RolloutId, usize>,
@@ -294,10 +294,11 @@ impl Checker {
         }
     }
 
-    /// Compares the execution model with that of the first row; the latency axis has its own.
+    /// Compares the execution model with that of the first row. Rows of the latency axis are not
+    /// compared: their level sets their model.
     fn check_execution(&mut self, line: usize, row: &ManifestRow) {
-        let of_first = (row.execution.clone(), line);
-        let (expected, first) = self.execution.get_or_insert(of_first).clone();
+        let of_this_row = (row.execution.clone(), line);
+        let (expected, first) = self.execution.get_or_insert(of_this_row).clone();
         if expected != row.execution {
             let problem = LineProblem::Execution {
                 id: row.id,
@@ -447,7 +448,7 @@ mod tests {
     }
 
     #[test]
-    fn rows_of_a_configuration_that_could_not_be_compared_are_refused() {
+    fn rows_that_differ_from_their_configuration_are_refused() {
         let rows = rows();
         let unit = &rows[1..8];
         assert!(check(unit).is_ok());
@@ -501,7 +502,7 @@ mod tests {
             "{all}"
         );
         assert!(
-            all.contains(&format!("{removed}: only in the first")),
+            all.contains(&format!("{removed}: only in the first manifest")),
             "{all}"
         );
     }

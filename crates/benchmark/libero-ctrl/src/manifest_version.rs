@@ -9,12 +9,12 @@ use crate::row::ManifestRow;
 
 impl DesignVersion {
     /// Returns the version of imported rows, independent of their order. Rows identical to
-    /// those of v0.1 have the version v0.1; the reference's own manifest does not, because
-    /// its paraphrases differ.
+    /// those of v0.1 have the version v0.1. The manifest of the reference implementation has
+    /// another version, because its paraphrases differ.
     pub fn of_manifest(rows: &[ManifestRow]) -> Self {
         let version = Self::of_rows(rows);
-        let mut others = rows.iter();
-        match others.find(|row| row.id.condition() != Condition::Latency) {
+        let mut iterator = rows.iter();
+        match iterator.find(|row| row.id.condition() != Condition::Latency) {
             Some(row) => version.under(&row.execution),
             None => version,
         }
@@ -29,8 +29,8 @@ impl DesignVersion {
             manifest::to_text(&rows)
         };
         let imported = text(rows);
-        let whole = Design::v0_1().expand().expect("v0.1 is a design");
-        if rows.len() == whole.len() && imported == text(&whole) {
+        let v0_1 = Design::v0_1().expand().expect("v0.1 is a design");
+        if rows.len() == v0_1.len() && imported == text(&v0_1) {
             return Self::v0_1();
         }
         Self::manifest(&imported)

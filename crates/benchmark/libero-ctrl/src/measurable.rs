@@ -27,7 +27,7 @@ pub enum NotMeasurable {
     NoCondition,
     /// The campaign does not run the condition.
     #[error("it does not run the condition {given}; its conditions are {valid}")]
-    OtherCondition {
+    ConditionNotRun {
         /// The requested condition.
         given: &'static str,
         /// Conditions that the campaign runs, formatted for the message.
@@ -40,7 +40,7 @@ impl Thresholds {
     ///
     /// # Errors
     /// If they cannot; see [`NotMeasurable`].
-    pub fn can_be_of(&self, rollouts: &Rollouts) -> Result<(), NotMeasurable> {
+    pub fn check_measurable(&self, rollouts: &Rollouts) -> Result<(), NotMeasurable> {
         let Rollouts::Design(design) = rollouts else {
             return Err(NotMeasurable::NoDesign);
         };
@@ -51,13 +51,13 @@ impl Thresholds {
         if valid.is_empty() || design.levels.iter().all(|level| *level == Level::L0) {
             return Err(NotMeasurable::NoCondition);
         }
-        let other = self
+        let not_run = self
             .conditions
             .iter()
             .find(|condition| !valid.contains(condition));
-        match other {
+        match not_run {
             None => Ok(()),
-            Some(given) => Err(NotMeasurable::OtherCondition {
+            Some(given) => Err(NotMeasurable::ConditionNotRun {
                 given: given.label(),
                 valid: valid
                     .iter()
@@ -89,7 +89,7 @@ mod tests {
     }
 
     #[test]
-    fn conditions_that_cannot_be_measured_are_refused_with_the_valid_ones() {
+    fn conditions_that_cannot_be_measured_are_refused_with_the_valid_conditions() {
         let design = Design {
             axes: vec![Axis::Camera, Axis::Robot],
             ..Design::v0_1()
@@ -97,15 +97,15 @@ mod tests {
         let check = |change: fn(&mut Design), conditions: &[Condition]| {
             let mut design = design.clone();
             change(&mut design);
-            thresholds(conditions).can_be_of(&Rollouts::Design(design))
+            thresholds(conditions).check_measurable(&Rollouts::Design(design))
         };
-        let both = [Condition::Single(Axis::Camera), Condition::Combination];
-        assert_eq!(check(|_| (), &both), Ok(()));
+        let run = [Condition::Single(Axis::Camera), Condition::Combination];
+        assert_eq!(check(|_| (), &run), Ok(()));
         assert_eq!(check(|_| (), &[]), Ok(()));
         let subset = Condition::of(AxisSet::from_iter([Axis::Camera, Axis::Sensor]));
-        for other in [Condition::Single(Axis::Sensor), Condition::Clean, subset] {
+        for not_run in [Condition::Single(Axis::Sensor), Condition::Clean, subset] {
             let error =
-                check(|_| (), &[other]).expect_err("a condition that the campaign does not run");
+                check(|_| (), &[not_run]).expect_err("a condition that the campaign does not run");
             let valid = "its conditions are camera, robot, simultaneous";
             assert!(error.to_string().contains(valid), "{error}");
         }
@@ -115,7 +115,7 @@ mod tests {
         assert_eq!(result, Err(NotMeasurable::NoCondition));
         let result = check(|design| design.levels = vec![Level::L0], &[]);
         assert_eq!(result, Err(NotMeasurable::NoCondition));
-        let imported = thresholds(&[]).can_be_of(&Rollouts::Manifest(Vec::new()));
+        let imported = thresholds(&[]).check_measurable(&Rollouts::Manifest(Vec::new()));
         assert_eq!(imported, Err(NotMeasurable::NoDesign));
     }
 }

@@ -1,4 +1,4 @@
-//! Error for unknown names: quotes the name and lists the valid ones.
+//! Error for unknown names: quotes the name and lists the valid names.
 
 /// Error: the name is unknown.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]

@@ -1,4 +1,5 @@
-//! Task of a suite file, as its manifest rows carry it: a worker needs the row and the task's files.
+//! Description of a suite file's task, part of every manifest row of the task. A worker needs no
+//! suite file: the row and the task's files suffice.
 
 use serde::{Deserialize, Serialize};
 
@@ -35,7 +36,8 @@ pub struct Changes {
     /// Number of a corruption of LIBERO-Plus, 1 to 50; `None` for unchanged pictures.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub noise: Option<u8>,
-    /// SHA-256 of the BDDL file followed by the states, hex; `None` if any files will do.
+    /// SHA-256 of the BDDL file followed by the states, hex; `None` if the contents of the files
+    /// are not checked.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub sha256: Option<String>,
 }
@@ -60,7 +62,7 @@ pub struct OwnTask {
 }
 
 impl OwnTask {
-    /// Returns a path that leaves its folder, if there is one.
+    /// Returns the first path of the task that leaves its folder; `None` if all stay inside.
     pub(crate) fn path_outside(&self) -> Option<&str> {
         let mut paths = [&self.folder, &self.bddl, &self.states].into_iter();
         paths.find(|path| !stays_inside(path)).map(String::as_str)

@@ -4,12 +4,12 @@
 //!
 //! The sentences are this project's own. Like the presets of the metric axes,
 //! variant j is the same change in every task, and the levels are cumulative by
-//! construction, because each is built from the choices of the one below:
+//! construction, because each level keeps the choices of the level below:
 //!
 //! - **L1, vocabulary**: the task's construction in its canonical word order,
 //!   with variant j of every verb, noun and preposition.
 //! - **L2, local structure**: the same words in structure j of the construction
-//!   (relative clauses, fronted places, other attachments and orders).
+//!   (relative clauses, fronted places, changed attachments and word orders).
 //! - **L3, frame**: the same words in the same structure inside frame j
 //!   (question, need, goal, subordinate clause), which sets the verbs' form.
 //!
@@ -125,18 +125,18 @@ mod tests {
     fn every_level_uses_the_vocabulary_of_l1() {
         let rules = rules();
         for (task, variant) in variants() {
-            let described = &rules.tasks[&task];
-            let plain = &rules.constructions[&described.construction].plain;
+            let task_rules = &rules.tasks[&task];
+            let plain = &rules.constructions[&task_rules.construction].plain;
             for level in Level::PERTURBED {
                 let text = sentence(task, level, variant);
-                for list in lists(described, plain) {
+                for list in lists(task_rules, plain) {
                     let is_used = match (rules.verbs.get(list), rules.words.get(list)) {
                         (Some(verbs), None) => verbs
                             .entry(variant)
                             .split('/')
                             .any(|form| form.split('~').all(|part| text.contains(part))),
                         (None, Some(words)) => text.contains(words.entry(variant)),
-                        _ => panic!("`{list}` is not one list"),
+                        _ => panic!("`{list}` is not the name of exactly one list"),
                     };
                     assert!(is_used, "`{text}` uses nothing of `{list}`");
                 }

@@ -129,7 +129,7 @@ parameters! {
 }
 
 /// Perturbation of one rollout: the parameters of each perturbed axis. All are absent
-/// in a nominal rollout and in one that perturbs only language, whose perturbation is the
+/// in a nominal rollout and in a rollout that perturbs only language, whose perturbation is the
 /// row's instruction.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -261,7 +261,8 @@ pub enum PerturbError {
     },
     /// The parameters are for different axes than the condition's.
     #[error(
-        "read `perturb` of condition {condition}: it has parameters of {given}, give the parameters of its own axes"
+        "read `perturb` of condition {condition}: it has parameters of {given}, give the \
+         parameters of the condition's axes"
     )]
     OtherAxes {
         /// The row's condition.

@@ -105,7 +105,7 @@ pub fn round6(value: f64) -> f64 {
 }
 
 impl Suite {
-    /// Step budget of the policy, control steps. That of a task of a suite file is in the file.
+    /// Step budget of the policy, control steps. A suite file defines the budget of its tasks.
     pub fn max_steps(self) -> u32 {
         self.presets().max_steps
     }
@@ -116,7 +116,7 @@ impl Suite {
         self.presets().demo_action_rms
     }
 
-    /// Returns LIBERO's figures; those of the longest suite for [`Self::Own`].
+    /// Returns the suite's presets; for [`Self::Own`], those of LIBERO's longest suite.
     fn presets(self) -> &'static SuitePresets {
         let longest = Self::ALL.len() - 1;
         &presets().suites[self.ordinal().unwrap_or(longest)]
@@ -250,8 +250,8 @@ mod tests {
         assert_eq!(Suite::Goal.demo_action_rms(), [0.739, 0.143]);
     }
 
-    /// The parameters of `spatial/t0/combination/L1/c01` and two that lie on a
-    /// decimal tie, as the reference's manifest writes them.
+    /// The parameters of `spatial/t0/combination/L1/c01` and two parameters that lie on a
+    /// decimal tie, as the manifest of the reference implementation writes them.
     #[test]
     fn parameters_equal_the_references_digits() {
         fn values<const N: usize>(axis: Axis, level: Level, config: u16) -> [f64; N] {
@@ -281,7 +281,7 @@ mod tests {
     }
 
     #[test]
-    fn rounding_is_pythons() {
+    fn round6_rounds_like_python() {
         assert_eq!(round6(0.5e-6), 0.0);
         assert_eq!(round6(1.25), 1.25);
         assert_eq!(round6(2.675_000_5), 2.675);

@@ -1,5 +1,5 @@
 //! Privileged state of the simulator, the observation of scripted experts. Other crates read
-//! it from a simulator and send it.
+//! it from a simulator and send it to policies.
 
 use std::fmt;
 
@@ -8,7 +8,7 @@ use std::fmt;
 pub struct Privileged {
     /// Objects, fixtures, and region sites.
     pub entities: Vec<Entity>,
-    /// Joints of objects and fixtures, free joints left out: name, m or rad.
+    /// Name and position, m or rad, of each joint of objects and fixtures except free joints.
     pub joints: Vec<(String, f64)>,
     /// Predicates that must all hold.
     pub goal: Vec<Predicate>,
@@ -54,7 +54,7 @@ pub enum EntityKind {
 /// A predicate over names: `(On a b)`.
 #[derive(Debug, Clone, PartialEq, Eq)]
 pub struct Predicate {
-    /// Lower case: `on`, `in`, `open`, `close`, `turnon`, `turnoff`.
+    /// Name in lower case: `on`, `in`, `open`, `close`, `turnon`, `turnoff`.
     pub name: String,
     /// Names of the arguments, one or two.
     pub arguments: Vec<String>,

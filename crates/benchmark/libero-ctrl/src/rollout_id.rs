@@ -21,16 +21,18 @@ const PATTERN: &str = "SUITE/tN/CONDITION/LEVEL/cNN, for example spatial/t0/came
 /// because seeds are derived from it. The parser also accepts `spatial/t0/clean/L0/c07` and the
 /// paper's terms, as in `spatial/t0/nominal/i07` and `spatial/t0/simultaneous/L2/c00`.
 ///
-/// A rollout of LIBERO's family has the benchmark's name of the change and an initial state:
-/// `goal/t8/plus:noise_30/i00`, `goal/t3/pro:swap/i07`, `goal/t8/plus:unperturbed/i00`. One of a
-/// suite file has the task's position in the file, and its suite: `own/t17/own:libero_90/i03`.
+/// A rollout of LIBERO's family has the benchmark, the benchmark's name of the change, and an
+/// initial state: `goal/t8/plus:noise_30/i00`, `goal/t3/pro:swap/i07`,
+/// `goal/t8/plus:unperturbed/i00`. A rollout of a suite file has the position of the task in the
+/// file, and the name of the task's suite: `own/t17/own:libero_90/i03`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct RolloutId {
     task: TaskRef,
     condition: Condition,
     level: Level,
     number: u16,
-    /// Name of a rollout of LIBERO's family; `None` for one of LIBERO-CTRL.
+    /// Name of the variant of LIBERO's family or of the suite of a suite file; `None` for a
+    /// rollout of LIBERO-CTRL.
     variant: Option<VariantName>,
 }
 
@@ -60,7 +62,8 @@ impl RolloutId {
     /// Creates the id of a perturbed rollout.
     ///
     /// # Errors
-    /// If the condition is clean, see [`Self::clean`], or that of LIBERO's family.
+    /// If the condition is [`Condition::Clean`] or [`Condition::Variant`], whose ids
+    /// [`Self::clean`] and [`Self::of_variant`] create.
     pub fn perturbed(
         task: TaskRef,
         condition: Condition,
@@ -107,12 +110,14 @@ impl RolloutId {
         has_config(self.condition).then_some(self.number)
     }
 
-    /// Returns the name of a rollout of LIBERO's family; `None` for one of LIBERO-CTRL.
+    /// Returns the name of the variant of LIBERO's family or of the suite of a suite file; `None`
+    /// for a rollout of LIBERO-CTRL.
     pub const fn variant(&self) -> Option<VariantName> {
         self.variant
     }
 
-    /// Returns the name of the suite that is sent to a policy: LIBERO's, or that of a suite file.
+    /// Returns the name of the suite that is sent to a policy: that of LIBERO's suite, or the name
+    /// in the suite file.
     pub fn suite_name(&self) -> &str {
         match &self.variant {
             Some(name) if name.benchmark().is_none() => name.change(),

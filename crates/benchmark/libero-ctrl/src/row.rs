@@ -22,11 +22,12 @@ use crate::suite::{INIT_STATES_PER_TASK, Suite};
 /// Largest number of rows of a campaign, designed or imported.
 pub const MAX_ROWS: usize = 250_000;
 
-/// Everything that a worker needs to run a rollout, except for what differs between
+/// Everything that a worker needs to run a rollout, except the values that differ between
 /// replicates.
 ///
-/// Serialises to the reference's row format, which repeats suite, task, axis, level,
-/// configuration and split; when parsed, these must agree with the id.
+/// Serialises to the row format of the reference implementation, whose columns repeat suite, task,
+/// axis, level, configuration and split; when a row is parsed, these columns must agree with the
+/// id.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(try_from = "FlatRow", into = "FlatRow")]
 pub struct ManifestRow {
@@ -35,7 +36,7 @@ pub struct ManifestRow {
     /// Index of the initial state in the design: the configuration, or the initial state
     /// itself in a clean row.
     pub init_slot: u16,
-    /// Index of the initial state among the task's released ones.
+    /// Index of the initial state among the task's released initial states.
     pub init_id: u16,
     /// The policy's instruction, verbatim.
     pub instruction: String,
@@ -51,8 +52,9 @@ pub struct ManifestRow {
     pub placebo_radius: Option<Level>,
     /// Behaviour of the robot while a response of its policy is pending.
     pub execution: Execution,
-    /// Name of the protocol of a row of LIBERO's family; `None` for all other rows. The
-    /// instruction of such a row is empty if only the BDDL file has it.
+    /// Name of the protocol of a row of LIBERO's family or of a suite file; `None` for a row of
+    /// LIBERO-CTRL. If a row has a protocol and only the BDDL file has the instruction,
+    /// `instruction` is empty.
     pub protocol: Option<String>,
     /// Task of a suite file; `None` for all other rows.
     pub own: Option<Box<OwnTask>>,
@@ -124,7 +126,7 @@ impl ManifestRow {
     }
 }
 
-/// Error: the row contradicts itself.
+/// Error: a column of the row is invalid or contradicts another column.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum RowError {
     /// A column contradicts the rollout id.
@@ -150,7 +152,7 @@ pub enum RowError {
     /// The placebo radius is missing in a placebo row, given in any other row, or out of range.
     #[error(
         "read row {id}: `placebo_radius` is {}, write {} to {} in perturbed rows at L0, and \
-         leave it out of others",
+         leave it out of other rows",
         radius_text(*given), PLACEBO_RADII[0], PLACEBO_RADII[1]
     )]
     Placebo {
@@ -180,9 +182,11 @@ pub enum RowError {
         /// The row's policy seed.
         given: u64,
     },
-    /// A row of LIBERO's family or of a suite file lacks its protocol, or another row has one.
+    /// A row of LIBERO's family or of a suite file lacks its protocol, or a row of LIBERO-CTRL has
+    /// a protocol.
     #[error(
-        "read row {id}: `protocol` is {}; write one in rows of LIBERO-Plus, LIBERO-PRO, LIBERO-Para \
+        "read row {id}: `protocol` is {}; write a protocol in rows of LIBERO-Plus, LIBERO-PRO, \
+         LIBERO-Para \
          and suite files only",
         given.as_deref().unwrap_or("missing")
     )]
@@ -192,7 +196,7 @@ pub enum RowError {
         /// The row's protocol.
         given: Option<String>,
     },
-    /// A row of a suite file lacks its task, or another row has one.
+    /// A row of a suite file lacks its task, or a row of another benchmark has such a task.
     #[error(
         "read row {id}: `own` is {}; write a task in rows of suite files only",
         if *is_given { "given" } else { "missing" }
@@ -225,7 +229,8 @@ pub enum RowError {
     },
 }
 
-/// Columns of the reference's row, in its order.
+/// Serialised form of a row: the columns of the reference implementation in their order there,
+/// with this project's optional columns.
 #[derive(Clone, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct FlatRow {
@@ -409,7 +414,6 @@ mod tests {
         ManifestRow::new(id, id.number(), 6, perturbation)
     }
 
-    /// The row has exactly the columns of the reference's rows.
     #[test]
     fn a_single_axis_row_has_the_references_columns() {
         let row = row("goal/t0/actuation/L1/c01", &[Axis::Actuation]);
@@ -474,7 +478,7 @@ mod tests {
         check("policy_seed", json!(7), "write 0");
         check("colour", json!("red"), "unknown field `colour`");
         check("perturb", json!({"blur_sigma": 1.0}), "is missing");
-        check("placebo_radius", json!(0.02), "leave it out of others");
+        check("placebo_radius", json!(0.02), "leave it out of other rows");
         let mut placebo = valid.clone();
         placebo["level"] = json!("L0");
         placebo["rollout_id"] = json!("goal/t0/sensor/L0/c09");

@@ -19,12 +19,13 @@ pub struct NoSuchRow {
     pub problem: String,
 }
 
-/// Returns the row of an id in LIBERO-CTRL v0.1 or, for configurations beyond it, in the
-/// design with seed 0. A combination perturbs all six axes or, at unnamed radii, which have
+/// Returns the row of an id in LIBERO-CTRL v0.1 or, for configurations that v0.1 does not have, in
+/// the design with seed 0. A combination perturbs all six axes or, at unnamed radii, which have
 /// no paraphrases, the five metric axes.
 ///
 /// # Errors
-/// If there is no such configuration or initial state.
+/// If the id is of LIBERO's family or of a suite file, or the protocol has no such configuration,
+/// initial state or condition at the level.
 pub fn row_of(id: RolloutId) -> Result<ManifestRow, NoSuchRow> {
     let problem = |problem: String| NoSuchRow { id, problem };
     if id.variant().is_some() {

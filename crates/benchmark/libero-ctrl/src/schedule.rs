@@ -2,12 +2,12 @@
 //! and the command of each control step. Counts control steps and reads no clock.
 //!
 //! The response to a query at step t with a delay of N steps takes effect at step t + N. Under
-//! `wait` and `hold`, its first action is executed then, and the next query is due after
-//! `execute` actions, or after all. Under `overlap`, action i belongs to step t + i, so that the
-//! first N are dropped; with L actions in the response, the next query is due at
-//! t + max(N, min(execute, L − N)): after `execute` steps, or earlier, so that the next response
-//! takes effect before the current one ends, but never while a response is pending. Without a
-//! remaining action the arm holds still.
+//! `wait` and `hold`, the first action of the response is executed at step t + N, and the next
+//! query is due after `execute` actions, or after the last action of a shorter response. Under
+//! `overlap`, action i belongs to step t + i, so that the first N actions are dropped; with L
+//! actions in the response, the next query is due at t + max(N, min(execute, L − N)): after
+//! `execute` steps, or earlier, so that the next response takes effect before the current response
+//! ends, but never while a response is pending. When no action remains, the arm holds still.
 
 use crate::execution::Execution;
 use crate::suite::TaskRef;
@@ -20,13 +20,14 @@ pub type Action = [f64; ACTION_WIDTH];
 
 /// Index of the gripper in an action.
 const GRIPPER: usize = ACTION_WIDTH - 1;
-/// Command that keeps the gripper open, as while the scene settles.
+/// Gripper command that keeps the gripper open, as in the steps in which the scene settles.
 const OPEN: f64 = -1.0;
 
 /// Schedule of one rollout.
 #[derive(Clone, Debug)]
 pub struct Schedule {
     execution: Execution,
+    /// Number of actions of each response that are executed.
     execute: u32,
     task: TaskRef,
     init_id: u16,
@@ -61,8 +62,8 @@ struct Answer {
 pub struct Query {
     /// Number of control steps until the response takes effect.
     pub delay: u32,
-    /// Commands scheduled for the next steps: the first `delay` are executed regardless of the
-    /// response; those after them are the rest of the previous response.
+    /// Commands scheduled for the next steps. The first `delay` commands are executed regardless of
+    /// the response; the later commands are the remaining actions of the previous response.
     pub under_way: Vec<Action>,
 }
 
@@ -98,8 +99,8 @@ impl Schedule {
         Self { gripper, ..self }
     }
 
-    /// Returns the query that is due before the next step, if any. It stays due until it is
-    /// answered.
+    /// Returns the query that is due before the next step; `None` if no query is due. A query stays
+    /// due until [`Self::answer`] is called.
     pub fn due(&self) -> Option<Query> {
         (self.step >= self.next_query).then(|| {
             let delay = self.delay();
@@ -111,8 +112,8 @@ impl Schedule {
             let gripper = remaining
                 .last()
                 .map_or(self.gripper, |action| action[GRIPPER]);
-            // The arm holds still from the end of the current response until the next one takes
-            // effect.
+            // The arm holds still from the end of the current response until the next response
+            // takes effect.
             if under_way.len() < delay as usize {
                 under_way.resize(delay as usize, hold(gripper));
             }
@@ -123,9 +124,9 @@ impl Schedule {
     /// Sets the response to the due query.
     pub fn answer(&mut self, mut actions: Vec<Action>) {
         let (step, delay) = (self.step, self.delay());
-        // The size of a message limits the number of actions.
+        // The count fits, because the size of a message limits the number of actions.
         let mut count = actions.len() as u32;
-        let (first_step, next) = match self.execution {
+        let (first_step, steps_to_query) = match self.execution {
             Execution::Wait | Execution::Hold(_) => {
                 actions.truncate(self.execute as usize);
                 count = count.min(self.execute);
@@ -146,7 +147,7 @@ impl Schedule {
             actions,
         });
         self.queries += 1;
-        self.next_query = step + next.max(1);
+        self.next_query = step + steps_to_query.max(1);
     }
 
     /// Returns the command of the next step and advances the schedule.

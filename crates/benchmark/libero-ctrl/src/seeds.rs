@@ -11,9 +11,9 @@ pub fn rollout_seed(id: &RolloutId) -> u32 {
 }
 
 /// Returns the seed passed to the policy at Reset: for replicate 0 the rollout's seed, for
-/// replicate k ≥ 1 the CRC-32 of `{id}#r{k}`. Replicates differ in nothing else. A variant of
+/// replicate k ≥ 1 the CRC-32 of `{id}#r{k}`. Replicates differ in this seed only. A variant of
 /// LIBERO's family has the seed of its task's nominal rollout, so that a policy that samples
-/// draws the same in both.
+/// draws the same random numbers in both rollouts.
 pub fn policy_seed(id: &RolloutId, replicate: u32) -> u64 {
     let id = match id.variant() {
         Some(_) => RolloutId::clean(id.task(), id.number()),
@@ -30,13 +30,13 @@ pub fn policy_seed(id: &RolloutId, replicate: u32) -> u64 {
 /// the elements that are fixed for the rollout, `default_rng(seed + 1)` the noise of each
 /// step. If several axes are perturbed, the metric axis with index k adds 1000·k.
 pub fn reference_seed(id: &RolloutId, axis: Axis) -> u64 {
-    let part = match id.condition() {
+    let index = match id.condition() {
         Condition::Subset(_) | Condition::Combination => {
-            Axis::METRIC.iter().position(|&other| other == axis)
+            Axis::METRIC.iter().position(|&metric| metric == axis)
         }
         Condition::Clean | Condition::Single(_) | Condition::Latency | Condition::Variant => None,
     };
-    u64::from(rollout_seed(id)) + 1000 * part.unwrap_or(0) as u64
+    u64::from(rollout_seed(id)) + 1000 * index.unwrap_or(0) as u64
 }
 
 #[cfg(test)]
@@ -59,7 +59,7 @@ mod tests {
     }
 
     #[test]
-    fn parts_of_a_combination_have_seeds_a_thousand_apart() {
+    fn axes_of_a_combination_have_seeds_a_thousand_apart() {
         let combination = id("long/t5/combination/L3/c08");
         let seed = u64::from(rollout_seed(&combination));
         assert_eq!(reference_seed(&combination, Axis::Camera), seed);

@@ -56,7 +56,8 @@ pub enum SpecError {
         /// The text given.
         given: String,
     },
-    /// A campaign derived from the outcomes of another has a realisation other than `matched`.
+    /// A campaign derived from the outcomes of another campaign has a realisation other than
+    /// `matched`.
     #[error(
         "read campaign specification: `{field}` with `realisation` reference, in which each \
          condition perturbs an axis differently: write matched"
@@ -65,14 +66,14 @@ pub enum SpecError {
         /// The field that names the source campaign.
         field: &'static str,
     },
-    /// A radius outside its range.
+    /// A radius, or the tolerance of a radius, is out of range.
     #[error(
         "read campaign specification: `{field}` is {given}, valid are {} to {}", valid[0], valid[1]
     )]
     Radius {
         /// The field.
         field: &'static str,
-        /// The radius given.
+        /// The number given.
         given: f64,
         /// Valid range.
         valid: [f64; 2],
@@ -80,15 +81,15 @@ pub enum SpecError {
     /// The execution model differs from that of the manifest's rows.
     #[error(
         "read campaign specification: `execution` is {given}, but the rows of its manifest have \
-         `{of_rows}`: remove `execution` from the specification or from the rows"
+         `{row_model}`: remove `execution` from the specification or from the rows"
     )]
     Execution {
         /// The campaign's model.
         given: Execution,
         /// Model of the rows.
-        of_rows: Execution,
+        row_model: Execution,
     },
-    /// The latency axis in a campaign whose execution model is not `wait`.
+    /// The campaign has the latency axis and an execution model other than `wait`.
     #[error(
         "read campaign specification: axis `latency` with `execution` {given}: its rollouts are \
          compared with rollouts without delay; remove `execution` or the axis"
@@ -97,13 +98,13 @@ pub enum SpecError {
         /// The campaign's model.
         given: Execution,
     },
-    /// The rule cannot end the campaign.
+    /// The stop rule cannot end the campaign.
     #[error("read campaign specification: {0}")]
     Stop(StopError),
     /// The design is invalid.
     #[error("read campaign specification: {0}")]
     Design(DesignError),
-    /// The variants exclude another field.
+    /// A campaign of LIBERO's family or of a suite file has a field that it excludes.
     #[error("read campaign specification: {0}")]
     Variants(VariantsError),
     /// The selection of variants is invalid.
@@ -112,7 +113,7 @@ pub enum SpecError {
         /// Problem and remedy, as `libero-family` formats them.
         problem: String,
     },
-    /// A row of LIBERO's family or of a suite file in a manifest.
+    /// The manifest has a row of LIBERO's family or of a suite file.
     #[error(
         "read campaign specification: row {id} of its manifest is of another benchmark, whose \
          campaigns are specified with `variants` or `suite_file`: remove the row"

@@ -13,17 +13,17 @@ use crate::row::ManifestRow;
 use crate::stop_rule::{Clause, Measure, StopRule};
 use crate::suite::TaskRef;
 
-/// Early stop of a campaign. Its configurations run in an order that is drawn before any
-/// outcome is known, and it ends as soon as the rule holds at every level.
+/// Early stop of a campaign. The configurations run in an order that is drawn before any
+/// outcome is known, and the campaign ends as soon as the rule holds at every level.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Stop {
     /// Condition under which the campaign ends.
     pub rule: StopRule,
-    /// Seed of the order.
+    /// Seed of the random order of configurations.
     #[serde(default)]
     pub seed: u64,
-    /// Strata of the order.
+    /// Strata of the random order of configurations.
     #[serde(default)]
     pub strata: Strata,
 }
@@ -44,7 +44,7 @@ pub enum Strata {
 
 impl Strata {
     /// Returns the default strata for a rule.
-    pub fn usual(rule: &StopRule) -> Self {
+    pub fn default_for(rule: &StopRule) -> Self {
         match rule.is_about_new_tasks() {
             true => Self::WholeTasks,
             false => Self::default(),
@@ -100,11 +100,11 @@ pub enum StopError {
     },
     /// The rollouts of the campaign are derived from the outcomes of another campaign.
     #[error("`stop` with `{field}`, whose campaigns end without a stop rule: remove `stop`")]
-    Follows {
+    Derived {
         /// The field that names the source campaign.
         field: &'static str,
     },
-    /// An imported configuration lacks a rollout that others have.
+    /// An imported configuration lacks a rollout that the stop rule needs.
     #[error(
         "`stop` needs every configuration under the same conditions at every level: {rollout} is \
          not in the manifest; add it, or remove `stop`"
@@ -142,9 +142,9 @@ impl Stop {
     }
 }
 
-/// Checks that every configuration has the simultaneous rollout and one per single axis at
-/// every level. The rule would never count an incomplete configuration, nor any configuration
-/// drawn after it.
+/// Checks that every configuration has the simultaneous rollout and one rollout per single axis at
+/// every level. The stop rule would never count an incomplete configuration, nor any configuration
+/// drawn after that configuration.
 pub(crate) fn check_rows(rows: &[ManifestRow]) -> Result<(), StopError> {
     let mut axes: BTreeSet<Axis> = BTreeSet::new();
     let mut levels: BTreeSet<Level> = BTreeSet::new();

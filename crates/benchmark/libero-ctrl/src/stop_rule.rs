@@ -121,7 +121,7 @@ impl StopRule {
     /// the rule would never hold.
     ///
     /// # Errors
-    /// If a measure is missing; the error names the first.
+    /// If a measure is missing; the error names the first missing measure.
     pub fn check(&self, measures: &[Measure]) -> Result<(), UnknownName> {
         let mut needed = self.clauses.iter().map(|clause| clause.measure());
         match needed.find(|measure| !measures.contains(measure)) {
@@ -176,7 +176,7 @@ impl fmt::Display for Clause {
 impl FromStr for Clause {
     type Err = UnknownName;
 
-    /// Parses a clause; spaces are optional where the parts stay distinct.
+    /// Parses a clause; spaces are optional where the clause is unambiguous without them.
     fn from_str(text: &str) -> Result<Self, UnknownName> {
         let unknown = || unknown(text);
         if let Some(width) = text.trim().strip_prefix("width(") {

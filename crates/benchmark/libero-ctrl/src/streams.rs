@@ -4,7 +4,7 @@
 //! In the `matched` realisation the key of a stream consists of the configuration and
 //! the axis, without the condition and the replicate: an axis alone and the same axis
 //! in a combination realise the same perturbation, step for step, and replicates
-//! differ only in the policy's seed. The simulator decides what to draw from the
+//! differ only in the policy's seed. The simulator defines which values are drawn from the
 //! streams.
 
 use std::f64::consts::PI;
@@ -21,8 +21,8 @@ use crate::rollout_id::RolloutId;
 use crate::seeds::reference_seed;
 use crate::suite::TaskRef;
 
-/// Part of every key. It must change whenever the draws or their order change, so that old
-/// and new results are never mixed.
+/// Part of the key of every matched stream. It must change whenever the draws or their order
+/// change, so that old and new results are never mixed.
 const STREAM_VERSION: &str = "libero-ctrl/v0.1/matched/1";
 
 /// The source of one axis's random elements in one rollout.
@@ -77,7 +77,7 @@ impl MatchedStream {
     }
 
     /// Returns the generator of the draws at control step `step` on `lane`, for
-    /// example a camera. It does not depend on draws at other steps and lanes.
+    /// example a camera. The draws do not depend on draws at other steps and lanes.
     pub fn at(&self, step: u32, lane: u32) -> MatchedRng {
         self.rng(1 + (u64::from(lane) << 32 | u64::from(step)))
     }
@@ -127,19 +127,19 @@ mod tests {
         let alone = matched("long/t5/sensor/L3/c08", Axis::Sensor);
         let combined = matched("long/t5/combination/L3/c08", Axis::Sensor);
         assert_eq!(alone, combined);
-        for other in [
+        for different in [
             matched("long/t5/combination/L3/c08", Axis::Actuation),
             matched("long/t5/sensor/L2/c08", Axis::Sensor),
             matched("long/t5/sensor/L3/c07", Axis::Sensor),
             matched("long/t4/sensor/L3/c08", Axis::Sensor),
             matched("goal/t5/sensor/L3/c08", Axis::Sensor),
         ] {
-            assert_ne!(alone, other);
+            assert_ne!(alone, different);
         }
     }
 
     #[test]
-    fn steps_and_lanes_are_reached_in_any_order() {
+    fn draws_of_a_step_and_lane_do_not_depend_on_earlier_draws() {
         let stream = matched("goal/t0/sensor/L1/c00", Axis::Sensor);
         let first = stream.at(3, 1).standard_normal();
         stream.at(0, 0).standard_normal();

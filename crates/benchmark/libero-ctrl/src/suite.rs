@@ -23,8 +23,8 @@ pub enum Suite {
     Goal,
     /// `libero_10`, the paper's Long: ten two-stage tasks.
     Long,
-    /// The tasks of a suite file, by their position in it. Not
-    /// one of LIBERO's suites: [`Self::ALL`] and the parser do not have it.
+    /// The tasks of a suite file, by their position in the file. This is no suite of LIBERO, so
+    /// that neither [`Self::ALL`] nor the parser includes it.
     Own,
 }
 
@@ -55,7 +55,7 @@ impl Suite {
     }
 
     /// Returns the suite's tasks in the benchmark's order; none for [`Self::Own`], whose tasks only
-    /// a suite file has.
+    /// a suite file lists.
     pub fn tasks(self) -> impl Iterator<Item = TaskRef> {
         let count = match self {
             Self::Own => 0,

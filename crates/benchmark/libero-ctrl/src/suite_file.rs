@@ -1,5 +1,6 @@
-//! Suite files: tasks of a further benchmark as data. A file names the BDDL file and the initial
-//! states of every task, and the rules under which they run. `docs/FAMILY.md` describes the fields.
+//! Suite files: benchmarks that users define as data. A file names the BDDL file and the initial
+//! states of every task, and the rules under which the tasks run. `docs/FAMILY.md` describes the
+//! fields.
 
 use std::collections::BTreeSet;
 use std::fmt::Write;
@@ -15,17 +16,17 @@ use crate::suite::{INIT_STATES_PER_TASK, TaskRef, instruction_of_name};
 use crate::variant_name::{MAX_CHANGE_BYTES, VariantName};
 use crate::wording::JsonError;
 
-/// Stands for the task's name in the paths of a suite.
+/// Placeholder for the task's name in the paths of a suite.
 const NAME: char = '*';
-/// Most tasks of a file, which is also the limit of their positions in rollout ids.
+/// Largest number of tasks of a file, whose positions must fit a byte in rollout ids.
 const MAX_TASKS: usize = 256;
 /// Largest step budget, control steps.
 const MAX_BUDGET: u32 = 100_000;
-/// Most control steps before the policy starts.
+/// Largest number of control steps before the policy starts.
 const MAX_WAITS: u32 = 1000;
-/// Longest prompt, bytes, as in results.
+/// Length limit of a prompt, bytes, which is also that of instructions in results.
 const MAX_PROMPT_BYTES: usize = 4096;
-/// Digits of a file's digest in names of protocols.
+/// Number of digits of a file's digest in the name of its protocol.
 const DIGEST_DIGITS: usize = 16;
 /// Highest number of a corruption of LIBERO-Plus.
 const MAX_NOISE: u8 = 50;
@@ -34,9 +35,9 @@ const MAX_NOISE: u8 = 50;
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "kebab-case")]
 pub enum SuitePrompt {
-    /// The words of the file's name, as in LIBERO.
+    /// The words of the task's name, as in LIBERO.
     Name,
-    /// The BDDL file's sentence, in lower case.
+    /// The instruction in the task's BDDL file, in lower case.
     Bddl,
 }
 
@@ -69,7 +70,7 @@ pub struct SuiteFile {
     pub waits: u32,
     /// Step budget of the policy, control steps.
     pub budget: u32,
-    /// Trials of each task, from the first initial states. Not part of the digest.
+    /// Number of trials of each task; trial i starts from initial state i. Not part of the digest.
     #[serde(default = "all_states")]
     pub trials: u16,
     /// The suites.
@@ -84,9 +85,9 @@ pub struct FileSuite {
     pub name: String,
     /// Path of the BDDL files in the folder, with `*` in place of the task's name.
     pub bddl: String,
-    /// Path of the initial states, likewise.
+    /// Path of the initial states in the folder, with `*` in place of the task's name.
     pub states: String,
-    /// Step budget of the policy, if it is not the file's.
+    /// Step budget of the policy; `None` for [`SuiteFile::budget`].
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<u32>,
     /// The tasks.
@@ -97,9 +98,9 @@ pub struct FileSuite {
 #[derive(Debug, Clone, PartialEq, Serialize, Deserialize)]
 #[serde(from = "TaskText", into = "TaskText")]
 pub struct FileTask {
-    /// Name of its files.
+    /// Name of the task's files, without folder and ending.
     pub name: String,
-    /// Prompt, in place of the file's source of prompts.
+    /// Prompt; `None` for the prompt of the suite file's source, [`SuiteFile::prompt`].
     pub prompt: Option<String>,
     /// Further conditions.
     pub changes: Changes,
@@ -221,7 +222,7 @@ impl SuiteFile {
         let tasks = self.tasks().count();
         if !(1..=MAX_TASKS).contains(&tasks) {
             let remedy = format!("write 1 to {MAX_TASKS} tasks; divide larger files");
-            return Err(value("suites", &format!("{tasks} tasks"), &remedy));
+            return Err(invalid("suites", &format!("{tasks} tasks"), &remedy));
         }
         let mut names = BTreeSet::new();
         let mut tasks = Vec::new();
@@ -229,21 +230,21 @@ impl SuiteFile {
             let field = |name: &str| format!("suites[{index}].{name}");
             check_name(&field("name"), &suite.name)?;
             if !names.insert(&suite.name) {
-                let remedy = "another suite has this name; choose another";
-                return Err(value(&field("name"), &quoted(&suite.name), remedy));
+                let remedy = "another suite has this name; choose another name";
+                return Err(invalid(&field("name"), &quoted(&suite.name), remedy));
             }
             for (name, path) in [("bddl", &suite.bddl), ("states", &suite.states)] {
                 check_path(&field(name), path)?;
                 if !path.contains(NAME) && suite.tasks.len() > 1 {
                     let remedy = "write * in place of the task's name";
-                    return Err(value(&field(name), &quoted(path), remedy));
+                    return Err(invalid(&field(name), &quoted(path), remedy));
                 }
             }
             if let Some(budget) = suite.budget {
                 check_range(&field("budget"), budget, 1, MAX_BUDGET)?;
             }
-            for (place, task) in suite.tasks.iter().enumerate() {
-                let field = |name: &str| field(&format!("tasks[{place}].{name}"));
+            for (task_index, task) in suite.tasks.iter().enumerate() {
+                let field = |name: &str| field(&format!("tasks[{task_index}].{name}"));
                 task.check(&field)?;
                 let instruction = self.instruction(task);
                 let budget = suite.budget.unwrap_or(self.budget);
@@ -251,7 +252,7 @@ impl SuiteFile {
                 if tasks.contains(&conditions) {
                     let remedy = "an earlier task has the same files and conditions, and would \
                                   count twice; remove one";
-                    return Err(value(&field("name"), &quoted(&task.name), remedy));
+                    return Err(invalid(&field("name"), &quoted(&task.name), remedy));
                 }
                 tasks.push(conditions);
             }
@@ -265,8 +266,8 @@ impl SuiteFile {
         self.folder.clone().unwrap_or_else(default_folder)
     }
 
-    /// Returns the SHA-256 of the file's content, hex. The formatting of the file and the number of
-    /// trials do not count.
+    /// Returns the SHA-256 of the file's content, hex, which does not depend on the formatting of
+    /// the file and the number of trials.
     pub fn digest(&self) -> String {
         let content = Self {
             trials: 0,
@@ -280,8 +281,9 @@ impl SuiteFile {
         })
     }
 
-    /// Returns the name of the rules in results: the file's name and the first digits of its
-    /// digest, as in `libero_90@0123456789abcdef`. Results of two files are never pooled.
+    /// Returns the name of the protocol in results: the benchmark's name and the first digits of
+    /// the file's digest, as in `libero_90@0123456789abcdef`. Results of two protocols are never
+    /// pooled.
     pub fn protocol(&self) -> String {
         format!("{}@{}", self.name, &self.digest()[..DIGEST_DIGITS])
     }
@@ -346,7 +348,7 @@ impl FileTask {
     fn check(&self, field: &dyn Fn(&str) -> String) -> Result<(), SuiteFileError> {
         if self.name.contains(['/', '\\', NAME]) {
             let remedy = "write the name of its files, without folder and ending";
-            return Err(value(&field("name"), &quoted(&self.name), remedy));
+            return Err(invalid(&field("name"), &quoted(&self.name), remedy));
         }
         check_path(&field("name"), &self.name)?;
         if self
@@ -355,12 +357,12 @@ impl FileTask {
             .is_some_and(|text| text.trim().is_empty())
         {
             let remedy = "write a sentence, or leave the field out";
-            return Err(value(&field("prompt"), "empty", remedy));
+            return Err(invalid(&field("prompt"), "empty", remedy));
         }
         let prompt = self.prompt.as_deref().unwrap_or_default();
         if prompt.len() > MAX_PROMPT_BYTES || prompt.contains(char::is_control) {
             let remedy = format!("write at most {MAX_PROMPT_BYTES} bytes on one line");
-            return Err(value(
+            return Err(invalid(
                 &field("prompt"),
                 "too long or of several lines",
                 &remedy,
@@ -377,7 +379,7 @@ impl FileTask {
             if *scale == 0 || angles.into_iter().any(|angle| *angle >= 360) {
                 let remedy = "write horizontal and vertical angle, distance, pan and tilt: angles \
                               of 0 to 359 degrees, and a distance above 0 per cent";
-                return Err(value(&field("view"), &format!("{view:?}"), remedy));
+                return Err(invalid(&field("view"), &format!("{view:?}"), remedy));
             }
         }
         let is_angle = |angle: &f64| angle.abs() <= std::f64::consts::TAU;
@@ -385,7 +387,7 @@ impl FileTask {
             && !posture.iter().all(is_angle)
         {
             let remedy = "write seven angles in rad, from -2π to 2π";
-            return Err(value(&field("posture"), &format!("{posture:?}"), remedy));
+            return Err(invalid(&field("posture"), &format!("{posture:?}"), remedy));
         }
         if let Some(noise) = noise {
             let most = MAX_NOISE.into();
@@ -402,7 +404,7 @@ impl FileTask {
         {
             let remedy = "write the 64 digits that `cat TASK.bddl TASK.pruned_init | sha256sum` \
                           prints";
-            return Err(value(&field("sha256"), &quoted(text), remedy));
+            return Err(invalid(&field("sha256"), &quoted(text), remedy));
         }
         Ok(())
     }
@@ -416,7 +418,7 @@ fn quoted(text: &str) -> String {
     format!("`{text}`")
 }
 
-fn value(field: &str, given: &str, remedy: &str) -> SuiteFileError {
+fn invalid(field: &str, given: &str, remedy: &str) -> SuiteFileError {
     SuiteFileError::Value {
         field: field.to_owned(),
         given: given.to_owned(),
@@ -432,7 +434,7 @@ fn check_name(field: &str, name: &str) -> Result<(), SuiteFileError> {
     );
     match VariantName::own(name) {
         Ok(_) => Ok(()),
-        Err(_) => Err(value(field, &quoted(name), &remedy)),
+        Err(_) => Err(invalid(field, &quoted(name), &remedy)),
     }
 }
 
@@ -442,7 +444,7 @@ fn check_path(field: &str, path: &str) -> Result<(), SuiteFileError> {
         true => Ok(()),
         false => {
             let remedy = "write a relative path with / and without . and ..";
-            Err(value(field, &quoted(path), remedy))
+            Err(invalid(field, &quoted(path), remedy))
         }
     }
 }
@@ -452,7 +454,7 @@ fn check_range(field: &str, given: u32, least: u32, most: u32) -> Result<(), Sui
         true => Ok(()),
         false => {
             let remedy = format!("write {least} to {most}");
-            Err(value(field, &given.to_string(), &remedy))
+            Err(invalid(field, &given.to_string(), &remedy))
         }
     }
 }

@@ -11,15 +11,15 @@ pub const TOLERANCES: [f64; 2] = [0.01, 100.0];
 /// Valid range of [`Thresholds::max_radius`].
 pub const MAX_RADII: [f64; 2] = [2.0, 100.0];
 
-/// Parameters of a campaign that measures the thresholds of another one: it runs that
-/// campaign's configurations at further radii. The campaign starts without manifest rows, because
-/// its radii follow from the outcomes of both campaigns.
+/// Parameters of a campaign that measures the thresholds of another campaign, the source: it runs
+/// the source's configurations at further radii. The measuring campaign starts without manifest
+/// rows, because its radii follow from the outcomes of both campaigns.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 pub struct Thresholds {
-    /// The campaign whose configurations are run at further radii.
+    /// Name of the source campaign.
     pub campaign: String,
-    /// Conditions of that campaign that are measured; empty for all of them.
+    /// Conditions of the source campaign that are measured; empty for all its conditions.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub conditions: Vec<Condition>,
     /// Largest width of a finished bracket between success and failure, in units of radius.
@@ -28,7 +28,7 @@ pub struct Thresholds {
     /// The largest radius that is run.
     #[serde(default = "default_max_radius")]
     pub max_radius: f64,
-    /// Largest number of rollouts; without it, every configuration is measured.
+    /// Largest number of rollouts; `None` if every configuration is measured.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub budget: Option<u32>,
     /// Seed of the order in which configurations are measured.

@@ -9,9 +9,9 @@ use std::str::FromStr;
 use crate::benchmark::Benchmark;
 use crate::names::UnknownName;
 
-/// Longest change, bytes.
+/// Length limit of the name of a change, bytes.
 pub(crate) const MAX_CHANGE_BYTES: usize = 31;
-/// Stands in place of a benchmark in ids of suite files.
+/// Text in place of a benchmark's tag in the ids of a suite file's rollouts.
 const OWN: &str = "own";
 
 /// Benchmark and change of a variant. Stored inline, so that rollout ids remain `Copy`.

@@ -26,7 +26,7 @@ pub struct Variants {
     /// Dimensions of LIBERO-Plus; empty for all.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub dimensions: Vec<String>,
-    /// Difficulties of LIBERO-Plus, 1 to 5, and 0 for those without; empty for all.
+    /// Difficulties of LIBERO-Plus, 1 to 5, and 0 for variants without a difficulty; empty for all.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub difficulties: Vec<u8>,
     /// Types of paraphrase of LIBERO-Para, or names of its sentences; empty for all.
@@ -54,7 +54,7 @@ pub struct VariantsError {
 }
 
 impl VariantsError {
-    /// Returns the first field of a specification that variants exclude, if there is any.
+    /// Returns the first field of a specification that variants exclude; `None` if all are allowed.
     pub(crate) fn excluded(
         realisation: Realisation,
         replicates: u32,

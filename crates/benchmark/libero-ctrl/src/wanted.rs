@@ -1,4 +1,5 @@
-//! Requirements of a campaign on its workers. The first result fixes those left unspecified.
+//! Requirements of a campaign on its workers. The first result fixes requirements that are left
+//! unspecified.
 
 use std::fmt;
 
@@ -50,7 +51,7 @@ impl RendererKind {
     }
 }
 
-/// Writes "assets `libero` and renderer `software`"; nothing without requirements.
+/// Writes "assets `libero` and renderer `software`"; empty if there are no requirements.
 impl fmt::Display for Wanted {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         let assets = self.assets.iter().map(|name| format!("assets `{name}`"));

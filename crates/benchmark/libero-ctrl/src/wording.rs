@@ -17,7 +17,7 @@ impl JsonError {
         &self.problem
     }
 
-    /// Line and column, from 1.
+    /// Returns the line and column, from 1; `None` if the error concerns the whole text.
     pub fn place(&self) -> Option<(usize, usize)> {
         self.place
     }
@@ -26,12 +26,12 @@ impl JsonError {
 impl From<serde_json::Error> for JsonError {
     fn from(error: serde_json::Error) -> Self {
         let message = error.to_string();
-        let bare = match message.rfind(" at line ") {
+        let without_place = match message.rfind(" at line ") {
             Some(end) => &message[..end],
             None => &message,
         };
         Self {
-            problem: plain_words(bare),
+            problem: plain_words(without_place),
             place: (error.line() > 0).then(|| (error.line(), error.column())),
         }
     }

@@ -25,9 +25,9 @@ fn level_of_micros(micros: u32) -> String {
 }
 
 fn any_level() -> impl Strategy<Value = Level> {
-    let other = (1_000..=100_000_000_u32)
+    let unnamed = (1_000..=100_000_000_u32)
         .prop_map(|micros| level_of_micros(micros).parse().expect("a level"));
-    prop_oneof![select(Level::PERTURBED.to_vec()), other]
+    prop_oneof![select(Level::PERTURBED.to_vec()), unnamed]
 }
 
 prop_compose! {
@@ -71,7 +71,7 @@ proptest! {
     })]
 
     #[test]
-    fn any_radius_is_parsed_from_its_text_alone_and_in_an_id(
+    fn the_level_of_any_radius_is_parsed_from_its_text_and_from_a_rollout_id(
         micros in 1_000..=100_000_000_u32,
         config in any::<u16>(),
     ) {
@@ -88,7 +88,7 @@ proptest! {
     }
 
     #[test]
-    fn parameters_have_the_radius_and_the_same_direction_at_every_radius(
+    fn parameters_have_the_radius_of_the_level_and_one_direction_at_all_levels(
         axis in select(Axis::METRIC.to_vec()),
         level in any_level(),
         config in 0..MAX_CONFIGS,
@@ -148,15 +148,15 @@ proptest! {
 
     #[test]
     fn custom_designs_have_the_same_version_only_if_they_have_the_same_rows(
-        one in any_design(),
-        other in any_design(),
+        first in any_design(),
+        second in any_design(),
     ) {
-        prop_assert!(one.version().as_str().starts_with("custom-"));
-        let have_same_rows = one.expand() == other.expand();
-        prop_assert_eq!(one.version() == other.version(), have_same_rows);
-        let text = serde_json::to_string(&campaign(Rollouts::Design(one.clone())));
+        prop_assert!(first.version().as_str().starts_with("custom-"));
+        let have_same_rows = first.expand() == second.expand();
+        prop_assert_eq!(first.version() == second.version(), have_same_rows);
+        let text = serde_json::to_string(&campaign(Rollouts::Design(first.clone())));
         let read = CampaignSpec::from_json(&text.expect("JSON")).expect("reads back");
-        prop_assert_eq!(read.version(), one.version());
+        prop_assert_eq!(read.version(), first.version());
     }
 }
 
@@ -187,7 +187,7 @@ fn drawn_directions_are_uniform_on_the_sphere() {
 }
 
 #[test]
-fn fifty_configurations_cover_all_initial_states_before_one_repeats() {
+fn the_first_fifty_configurations_cover_all_initial_states() {
     let design = Design {
         tasks: vec!["libero_goal/3".parse().expect("a task")],
         axes: vec![Axis::Camera],

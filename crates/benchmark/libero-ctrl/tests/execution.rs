@@ -63,11 +63,14 @@ fn drawn_delays_have_the_frequencies_of_the_distribution() {
     let first: Vec<u16> = (0..9)
         .map(|query| delays.of_query(task, 3, query))
         .collect();
-    let other: Vec<u16> = (0..9)
+    let of_other_state: Vec<u16> = (0..9)
         .map(|query| delays.of_query(task, 4, query))
         .collect();
-    assert_ne!(first, other, "each initial state has its own delays");
-    // Pins the stream: other draws need a new version of the stream's key.
+    assert_ne!(
+        first, of_other_state,
+        "each initial state has its own delays"
+    );
+    // Pins the stream: if these values change, the version in the stream's key must change.
     assert_eq!(first, [2, 9, 2, 2, 2, 2, 2, 2, 2]);
 }
 

@@ -1,4 +1,4 @@
-//! Compares both generators with vectors that NumPy wrote, for every seed of the reference file.
+//! Compares both generators with values that NumPy drew, for every seed of the reference file.
 
 use std::path::PathBuf;
 

@@ -19,13 +19,13 @@ fn design(axes: Vec<Axis>, task: TaskRef, level: Level, config: u16) -> Design {
     }
 }
 
-/// The protocol's levels and others.
+/// Draws one of the protocol's levels or an unnamed radius.
 fn level() -> impl Strategy<Value = Level> {
-    let other = (1..100_000_u32).prop_map(|millis| {
+    let unnamed = (1..100_000_u32).prop_map(|millis| {
         let text = format!("r{}.{:03}", millis / 1_000, millis % 1_000);
         text.parse().expect("a level")
     });
-    prop_oneof![select(Level::PERTURBED.to_vec()), other]
+    prop_oneof![select(Level::PERTURBED.to_vec()), unnamed]
 }
 
 fn row(rows: &[ManifestRow], condition: Condition) -> &ManifestRow {
@@ -42,7 +42,7 @@ proptest! {
     })]
 
     #[test]
-    fn an_axis_is_realised_alike_alone_and_in_any_combination(
+    fn an_axis_has_the_same_perturbation_alone_and_in_any_combination(
         axes in subsequence(Axis::METRIC.to_vec(), 2..=5),
         task in select(TaskRef::all().collect::<Vec<_>>()),
         level in level(),

@@ -10,9 +10,10 @@ use sha2::{Digest, Sha256};
 const MAX_CHARS: usize = 160;
 
 /// SHA-256 over `TASK VARIANT_ID TEXT\n` of all sentences, so that no edit of the data is
-/// overlooked: results before and after it would be pooled under one design. After a deliberate
-/// change, print the sentences (`cargo test -p libero-ctrl --test paraphrases -- --ignored
-/// --nocapture`), read the changed ones, and write the digest that the failing test prints here.
+/// overlooked: results before and after the edit would be pooled under one design. After a
+/// deliberate change, print the sentences (`cargo test -p libero-ctrl --test paraphrases --
+/// --ignored --nocapture`), read the changed sentences, and write here the digest that the failing
+/// test prints.
 const DIGEST: &str = "9f0453463c67776c6cf0d85e7408cf93ce29aa134419c8b8a8ef7b2577e2a23b";
 
 /// Words that a sentence must contain: one alternative of every row.
@@ -181,7 +182,7 @@ fn every_task_level_and_configuration_has_a_named_sentence() {
     assert_eq!(paraphrase(first, Level::L1, 1).variant_id, "t0/L1/v01");
 }
 
-/// Covers all levels at once, so that no level repeats a sentence of another.
+/// Covers all levels at once, so that no level repeats a sentence of another level.
 #[test]
 fn the_thirty_sentences_of_a_task_are_distinct() {
     for task in TaskRef::all() {

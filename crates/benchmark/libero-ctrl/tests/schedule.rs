@@ -7,7 +7,7 @@ use libero_ctrl::{Action, Command, Execution, Schedule, TaskRef};
 use proptest::prelude::*;
 
 const STEPS: usize = 120;
-const INIT: u16 = 7;
+const INIT_ID: u16 = 7;
 
 fn task() -> TaskRef {
     TaskRef::all().next().expect("a task")
@@ -36,7 +36,7 @@ struct Run {
 
 fn run(execution: &str, execute: usize, lengths: &[usize]) -> Run {
     let execution: Execution = execution.parse().expect("an execution model");
-    let mut schedule = Schedule::new(execution, execute, task(), INIT);
+    let mut schedule = Schedule::new(execution, execute, task(), INIT_ID);
     let mut run_result = Run {
         queries: Vec::new(),
         commands: Vec::new(),
@@ -56,7 +56,7 @@ fn run(execution: &str, execute: usize, lengths: &[usize]) -> Run {
 
 /// Returns the timeline under `wait`: up to `execute` actions of each response, one after the
 /// other.
-fn waiting(execute: usize, lengths: &[usize]) -> Vec<Option<(u32, usize)>> {
+fn timeline_of_wait(execute: usize, lengths: &[usize]) -> Vec<Option<(u32, usize)>> {
     let mut timeline = Vec::new();
     for query in 0.. {
         for index in 0..length(lengths, query).min(execute) {
@@ -90,8 +90,8 @@ fn timeline(
         };
         timeline[step + delay..].fill(None);
         let count = used.len();
-        for (later, index) in used.enumerate() {
-            timeline[step + delay + later] = Some((query, index));
+        for (offset, index) in used.enumerate() {
+            timeline[step + delay + offset] = Some((query, index));
         }
         step += match overlaps {
             true => delay.max(count.min(execute)).max(1),
@@ -102,11 +102,11 @@ fn timeline(
     (query_steps, timeline)
 }
 
-/// Returns the commands of a timeline: where no action is executed, the arm rests and the gripper
-/// keeps its last command.
-fn commands(line: &[Option<(u32, usize)>]) -> Vec<Action> {
+/// Returns the commands of a timeline: in a step without an action, the arm holds still and the
+/// gripper keeps its last command.
+fn commands(timeline: &[Option<(u32, usize)>]) -> Vec<Action> {
     let mut gripper = -1.0;
-    let command = line.iter().map(|source| {
+    let command = timeline.iter().map(|source| {
         let command = match *source {
             Some((query, index)) => action(query, index),
             None => [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, gripper],
@@ -120,31 +120,31 @@ fn commands(line: &[Option<(u32, usize)>]) -> Vec<Action> {
 fn check(text: &str, execute: usize, lengths: &[usize]) -> Result<(), TestCaseError> {
     let execution: Execution = text.parse().expect("an execution model");
     let overlaps = matches!(execution, Execution::Overlap { .. });
-    let of_query = |query| {
+    let delay_of = |query| {
         let delays = execution.delays();
-        usize::from(delays.map_or(0, |delays| delays.of_query(task(), INIT, query)))
+        usize::from(delays.map_or(0, |delays| delays.of_query(task(), INIT_ID, query)))
     };
-    let (query_steps, line) = timeline(overlaps, &of_query, execute, lengths);
+    let (query_steps, expected) = timeline(overlaps, &delay_of, execute, lengths);
     let run_result = run(text, execute, lengths);
     let sources: Vec<_> = run_result
         .commands
         .iter()
         .map(|command| command.source)
         .collect();
-    prop_assert_eq!(&sources, &line);
-    let given: Vec<Action> = run_result
+    prop_assert_eq!(&sources, &expected);
+    let executed: Vec<Action> = run_result
         .commands
         .iter()
         .map(|command| command.action)
         .collect();
-    prop_assert_eq!(&given, &commands(&line));
+    prop_assert_eq!(&executed, &commands(&expected));
     let steps: Vec<usize> = run_result.queries.iter().map(|(step, ..)| *step).collect();
     prop_assert_eq!(steps, query_steps);
     for (query, (step, delay, under_way)) in run_result.queries.iter().enumerate() {
-        prop_assert_eq!(*delay as usize, of_query(query as u32));
+        prop_assert_eq!(*delay as usize, delay_of(query as u32));
         // The commands sent with the query are those executed until its response takes effect.
         let until = STEPS.min(step + *delay as usize);
-        prop_assert_eq!(&under_way[..until - step], &given[*step..until]);
+        prop_assert_eq!(&under_way[..until - step], &executed[*step..until]);
     }
     Ok(())
 }
@@ -177,7 +177,7 @@ proptest! {
         execute in 1_usize..20,
         lengths in prop::collection::vec(1_usize..20, 1..5),
     ) {
-        let expected = waiting(execute, &lengths);
+        let expected = timeline_of_wait(execute, &lengths);
         for model in ["wait", "hold:0", "overlap:0", "overlap:0,rtc"] {
             let run_result = run(model, execute, &lengths);
             let sources = run_result.commands.iter().map(|command| command.source);

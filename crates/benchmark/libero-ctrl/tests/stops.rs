@@ -35,10 +35,10 @@ fn a_rule_is_written_with_its_seed_and_does_not_change_the_version() {
     let stop = r#""stop":{"rule":"width(I) < 0.2","seed":0,"strata":"suites"}"#;
     assert!(text.contains(stop), "{text}");
     assert_eq!(CampaignSpec::from_json(&text).as_ref(), Ok(&stopping));
-    let without = read(&spec(&[("stop", Value::Null)])).expect("a specification");
-    let text = serde_json::to_string(&without).expect("JSON");
+    let without_rule = read(&spec(&[("stop", Value::Null)])).expect("a specification");
+    let text = serde_json::to_string(&without_rule).expect("JSON");
     assert!(!text.contains("stop"), "{text}");
-    assert_eq!(stopping.version(), without.version());
+    assert_eq!(stopping.version(), without_rule.version());
 }
 
 #[test]

@@ -116,7 +116,7 @@ impl Quat {
         }
     }
 
-    /// Composes rotations: `first`, then this one.
+    /// Composes rotations: `first`, then this rotation.
     pub(crate) fn after(self, first: Self) -> Self {
         Self {
             w: self.w * first.w - self.v.dot(first.v),
@@ -204,8 +204,8 @@ pub(crate) fn footprint(quat: Quat, half: Vec3) -> Footprint {
     }
 }
 
-/// Returns the horizontal part of the most upright body axis: zero if a body axis is vertical;
-/// otherwise it points to the low side of the tilted body.
+/// Returns the horizontal part of the most upright body axis: zero if a body axis is vertical,
+/// otherwise a vector towards the low side of the tilted body.
 pub(crate) fn lean(quat: Quat) -> Vec3 {
     let most_upright = AXES
         .map(|axis| quat.rotate(axis))

@@ -1,4 +1,4 @@
-//! Plans skills from goal predicates, in an order in which they do not undo each other.
+//! Plans skills from goal predicates, in an order in which no skill undoes an earlier skill.
 
 use std::collections::VecDeque;
 
@@ -37,7 +37,7 @@ impl Skill {
         }
     }
 
-    /// Returns true if the skill can continue with the object between the fingers.
+    /// Returns true if the skill manipulates the object or handle that is between the fingers.
     fn can_continue(&self, world: &World) -> bool {
         let object = match self {
             Self::Transfer(transfer) => transfer.object(),
@@ -51,7 +51,7 @@ impl Skill {
             Self::LetGo => return false,
         };
         let mut at_grip = world.objects_at_grip(BETWEEN_M);
-        at_grip.any(|between| between.name == object)
+        at_grip.any(|object_at_grip| object_at_grip.name == object)
     }
 }
 
@@ -61,6 +61,8 @@ const CLEAR_OF_HANDLE_M: f64 = 0.06;
 /// between the fingers, m.
 const BETWEEN_M: f64 = 0.005;
 
+/// Returns the command that opens the fingers and backs the hand out from a handle; `None` if the
+/// hand is free.
 fn let_go(world: &World) -> Option<Command> {
     let handle = world.handle_at_grip(CLEAR_OF_HANDLE_M);
     let is_open = world.opening > OPEN_M;
@@ -82,8 +84,9 @@ fn let_go(world: &World) -> Option<Command> {
 }
 
 /// Replans after another controller has driven the robot: like [`plan`], but the skill of the
-/// held object comes first, so that it is not dropped, and each skill resumes at the phase that
-/// the world shows. Grasps are taken from `earlier`, the previous plan.
+/// held object comes first, so that the object is not dropped, and the first skill resumes at the
+/// phase that follows from the state of the scene. Grasps are taken from `earlier`, the previous
+/// plan.
 ///
 /// # Errors
 /// As for [`plan`].
@@ -93,24 +96,24 @@ pub(crate) fn resume(
     earlier: &VecDeque<Skill>,
 ) -> Result<Vec<Skill>, ExpertError> {
     let mut skills = plan(world)?;
-    let mut held = None;
-    for (at, skill) in skills.iter().enumerate() {
+    let mut holding_skill = None;
+    for (index, skill) in skills.iter().enumerate() {
         if let Skill::Transfer(transfer) = skill
             && transfer.holds(world, motion)?
         {
-            held = Some(at);
+            holding_skill = Some(index);
             break;
         }
     }
-    if let Some(at) = held {
+    if let Some(index) = holding_skill {
         // A closed drawer must be pulled open before an object can go into it.
         let is_pull = |skill: &Skill| match skill {
             Skill::Routine(routine) => matches!(routine.task(), RoutineTask::PullDrawer { .. }),
             _ => false,
         };
         let first = skills.iter().rposition(is_pull).map_or(0, |pull| pull + 1);
-        if first < at {
-            skills[first..=at].rotate_right(1);
+        if first < index {
+            skills[first..=index].rotate_right(1);
         }
     }
     let earlier_transfer = |object: &str| {
@@ -136,20 +139,21 @@ pub(crate) fn resume(
     Ok(skills)
 }
 
-/// Plans the skills that achieve `world`'s goal, in order: opening comes before putting
-/// objects in, closing after. Predicates that already hold are skipped.
+/// Plans the skills that achieve `world`'s goal, in order: drawers are opened and stoves turned on
+/// before objects are placed, and drawers and doors are closed afterwards. Predicates that already
+/// hold are skipped.
 ///
 /// # Errors
 /// If the expert has no skill for a predicate, or the scene lacks an argument.
 pub(crate) fn plan(world: &World) -> Result<Vec<Skill>, ExpertError> {
-    let (mut before, mut between, mut after) = (Vec::new(), Vec::new(), Vec::new());
+    let (mut opening, mut placing, mut closing) = (Vec::new(), Vec::new(), Vec::new());
     for predicate in &world.goal {
         let arguments: Vec<&str> = predicate.arguments.iter().map(String::as_str).collect();
         match (predicate.name.as_str(), arguments.as_slice()) {
-            ("open", [region]) => before.extend(open(world, region, routine::DRAWER_OPEN_M)?),
-            ("turnon", [stove]) => before.extend(turn_on(world, stove)?),
-            ("close", [target]) => after.extend(close(world, target)?),
-            ("on", [object, on]) => between.extend(put_on(world, predicate, object, on)?),
+            ("open", [region]) => opening.extend(open(world, region, routine::DRAWER_OPEN_M)?),
+            ("turnon", [stove]) => opening.extend(turn_on(world, stove)?),
+            ("close", [target]) => closing.extend(close(world, target)?),
+            ("on", [object, target]) => placing.extend(put_on(world, predicate, object, target)?),
             ("in", [object, region]) => {
                 let place = Place {
                     relation: Relation::In,
@@ -158,9 +162,9 @@ pub(crate) fn plan(world: &World) -> Result<Vec<Skill>, ExpertError> {
                 };
                 let put = transfer(world, object, place)?;
                 if put.is_some() {
-                    before.extend(open(world, region, routine::DRAWER_AJAR_M)?);
+                    opening.extend(open(world, region, routine::DRAWER_AJAR_M)?);
                 }
-                between.extend(put);
+                placing.extend(put);
             }
             _ => {
                 let goal = format!("{} {}", predicate.name, predicate.arguments.join(" "));
@@ -168,13 +172,13 @@ pub(crate) fn plan(world: &World) -> Result<Vec<Skill>, ExpertError> {
             }
         }
     }
-    before.append(&mut between);
-    before.append(&mut after);
-    Ok(before)
+    opening.append(&mut placing);
+    opening.append(&mut closing);
+    Ok(opening)
 }
 
-/// Plans to open the drawer of `region` to `to`, m, if the region is in a drawer that is not
-/// open.
+/// Plans to open the drawer of `region` to the joint position `to`, m; `None` if the region is in
+/// no drawer, or in an open drawer.
 fn open(world: &World, region: &str, to: f64) -> Result<Option<Skill>, ExpertError> {
     let joint = drawer_joint(region);
     let Some(position) = joint.and_then(|joint| world.joint(&joint).ok()) else {
@@ -223,21 +227,21 @@ fn put_on(
     world: &World,
     predicate: &Predicate,
     object: &str,
-    on: &str,
+    target: &str,
 ) -> Result<Option<Skill>, ExpertError> {
     let slot = slot(&world.goal, predicate);
     let mut place = Place {
         relation: Relation::On,
-        target: on.to_owned(),
+        target: target.to_owned(),
         slot,
     };
-    if let Some(other) = sharer(&world.goal, predicate) {
+    if let Some(other) = other_object_at_target(&world.goal, predicate) {
         place.slot = free_slot(world, &place, object, other)?;
     }
-    if routine::must_be_dragged(world.entity(object)?) && world.entity(on)?.is_region() {
+    if routine::must_be_dragged(world.entity(object)?) && world.entity(target)?.is_region() {
         let task = RoutineTask::Drag {
             object: object.to_owned(),
-            region: on.to_owned(),
+            region: target.to_owned(),
         };
         let is_placed = place.holds(world, world.entity(object)?)?;
         return Ok((!is_placed).then(|| Skill::Routine(Routine::new(task))));
@@ -245,8 +249,8 @@ fn put_on(
     transfer(world, object, place)
 }
 
-/// Side of the target if two objects share it: -1 for the first, 1 for the second;
-/// otherwise 0.
+/// Returns the side of the target on which the predicate's object is placed, if exactly two
+/// predicates of the goal have this target: -1 for the first, 1 for the second; otherwise 0.
 fn slot(goal: &[Predicate], predicate: &Predicate) -> f64 {
     let shares_target = |other: &&Predicate| {
         other.name == predicate.name && other.arguments.last() == predicate.arguments.last()
@@ -259,22 +263,22 @@ fn slot(goal: &[Predicate], predicate: &Predicate) -> f64 {
     }
 }
 
-/// Returns the other object whose target is the same.
-fn sharer<'a>(goal: &'a [Predicate], predicate: &Predicate) -> Option<&'a str> {
-    let shares = |other: &&Predicate| {
+/// Returns the name of the other object that the goal puts at the same target.
+fn other_object_at_target<'a>(goal: &'a [Predicate], predicate: &Predicate) -> Option<&'a str> {
+    let shares_target = |other: &&Predicate| {
         *other != predicate
             && other.name == predicate.name
             && other.arguments.last() == predicate.arguments.last()
     };
     goal.iter()
-        .find(shares)?
+        .find(shares_target)?
         .arguments
         .first()
         .map(String::as_str)
 }
 
-/// Returns the place's own side of the target, or the opposite one if `other` is already at the
-/// target and leaves more room there.
+/// Returns the side of the target that `place` has, or the opposite side if `other` is already at
+/// the target and leaves more room on the opposite side.
 fn free_slot(world: &World, place: &Place, object: &str, other: &str) -> Result<f64, ExpertError> {
     let (object, other) = (world.entity(object)?, world.entity(other)?);
     if !place.holds(world, other)? {

@@ -27,37 +27,43 @@ const RIM_POINTS: u32 = 24;
 /// Ratio of length to width above which a body is assumed to have a handle along its length,
 /// so that it is held only at its two long sides.
 const ROUND_RATIO: f64 = 1.12;
-/// Pinch positions relative to an object's centre, as shares of its wide side; those off the
-/// centre avoid neighbours.
-const OFF_CENTRE: [f64; 5] = [0.0, 0.25, -0.25, 0.5, -0.5];
+/// Pinch positions relative to an object's centre, as shares of half its wide side; positions off
+/// the centre avoid neighbours.
+const PINCH_POSITIONS: [f64; 5] = [0.0, 0.25, -0.25, 0.5, -0.5];
 /// Reach of an open finger from the grip point, m.
 const FINGER_REACH_M: f64 = 0.058;
-/// Penalties of a grasp, in equivalent rotation of the hand: a closing direction a quarter turn
-/// from the required one, rad; a part of the hand in collision, rad; a finger in a wall, an
-/// overstretched arm, and a rim point on the low side of a tilted body, rad per m.
-const ASKEW_WEIGHT: f64 = 3.0;
-const COLLISION_WEIGHT: f64 = 4.0;
-const WALL_WEIGHT: f64 = 140.0;
-const STRETCH_WEIGHT: f64 = 60.0;
-const TILT_WEIGHT: f64 = 150.0;
+// Penalties of a grasp, each converted to an equivalent rotation of the hand.
 
-/// Penalty on the hand's distance from a grasp, rad per m, and the distance at which it
-/// is capped, m.
+/// Penalty on a closing direction a quarter turn from the required direction, rad.
+const ASKEW_WEIGHT: f64 = 3.0;
+/// Penalty on each part of the hand in collision, rad.
+const COLLISION_WEIGHT: f64 = 4.0;
+/// Penalty on the depth of a finger in a wall, rad per m.
+const WALL_WEIGHT: f64 = 140.0;
+/// Penalty on the distance of the grip point beyond the arm's reach, rad per m.
+const STRETCH_WEIGHT: f64 = 60.0;
+/// Penalty on a grip point on the low side of a tilted body, rad per m and sine of the tilt.
+const TILT_WEIGHT: f64 = 150.0;
+/// Penalty on the hand's distance from a grasp, rad per m.
 const AWAY_WEIGHT: f64 = 6.0;
+/// Distance of the hand from a grasp beyond which the penalty does not increase, m.
 const AWAY_M: f64 = 0.15;
-/// Penalty on a change of grasp, rad, and the distances within which two grasps count as the same.
+/// Penalty on a change of grasp, rad.
 const CHANGE_COST: f64 = 0.5;
 /// Penalty on a grasp that the hand could not reach, rad: as for three parts in collision.
 const BLOCKED_COST: f64 = 12.0;
+/// Largest distances, m and rad, of two grasps that count as the same grasp.
 const ALIKE_M: f64 = 0.02;
 const ALIKE_RAD: f64 = 0.3;
 
-/// A part of the open hand relative to the grip point, m: position along the closing
-/// direction, half sizes along and across it, and height of the lower end (Panda hand of
-/// robosuite 1.4.0).
+/// A part of the open hand as a box, relative to the grip point, m (Panda hand of robosuite
+/// 1.4.0).
 struct Part {
+    /// Position of the centre along the closing direction.
     at: f64,
+    /// Half sizes along and across the closing direction.
     half: (f64, f64),
+    /// Height of the lower end.
     bottom: f64,
 }
 
@@ -88,13 +94,14 @@ const HAND: [Part; 4] = [
 /// point below the top of the knob, m.
 const KNOBS: [(&str, f64); 1] = [("moka_pot", 0.006)];
 
-/// Categories with an upright handle, with the direction of the handle in body axes. The
-/// following constants are the distances of the grip point from the handle's end and below
-/// the object's top, m.
+/// Categories with an upright handle, with the direction of the handle in body axes.
 const HANDLES: [(&str, Vec3); 1] = [("white_yellow_mug", Vec3::new(1.0, 0.0, 0.0))];
+/// Horizontal distance of the grip point from the outer end of the handle, m.
 const HANDLE_INSET_M: f64 = 0.01;
+/// Depth of the grip point below the top of an object that is held by its handle, m.
 const HANDLE_DEPTH_M: f64 = 0.042;
 
+/// Pose of the hand at an object, relative to the object.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Grasp {
     /// Grip point from the centre of the object's box, world axes, m.
@@ -106,7 +113,8 @@ pub(crate) struct Grasp {
 }
 
 impl Grasp {
-    /// Returns true if both are about the same grasp of an object that has hardly moved.
+    /// Returns true if the two grasps differ so little that they are the same grasp, of an object
+    /// that has hardly moved meanwhile.
     fn is_like(&self, other: &Self) -> bool {
         let turned = half_turn(self.closing - other.closing).abs();
         (self.offset - other.offset).norm() <= ALIKE_M && turned <= ALIKE_RAD
@@ -127,7 +135,7 @@ pub(crate) enum GraspRequirement {
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct Purpose<'a> {
     pub(crate) requirement: GraspRequirement,
-    /// Destination: horizontally of the object's origin, vertically of its lowest point.
+    /// Destination of the object: horizontal position of its origin, height of its lowest point.
     pub(crate) destination: Vec3,
     /// Object or fixture at the destination, which the hand may touch.
     pub(crate) owner: &'a str,
@@ -156,8 +164,8 @@ pub(crate) fn choices(world: &World, object: &Entity, purpose: Purpose<'_>) -> V
 
 /// Returns the best grasp of `object` for the current position of the hand: ranked like
 /// [`choices`], with penalties on the distance from the hand and on a change from `earlier`, so
-/// that the choice does not oscillate. A grasp like `blocked`, which the hand could not reach, comes
-/// last.
+/// that the choice does not oscillate. A grasp like `blocked`, which the hand could not reach, is
+/// ranked last.
 ///
 /// `None` if there is no grasp.
 pub(crate) fn nearest(
@@ -206,7 +214,7 @@ fn by_handle(object: &Entity, shape: Footprint, direction: Vec3) -> Grasp {
 fn pinches(object: &Entity, shape: Footprint) -> Vec<Grasp> {
     let height = grip_height(object, PINCH_DEPTH_M);
     let along = Vec3::heading(shape.narrow_angle + FRAC_PI_2) * shape.wide;
-    let across = OFF_CENTRE.map(|share| Grasp {
+    let across = PINCH_POSITIONS.map(|share| Grasp {
         offset: (along * share).at_height(height),
         closing: shape.narrow_angle,
         strain: share.abs(),
@@ -253,7 +261,7 @@ fn cost(world: &World, object: &Entity, purpose: Purpose<'_>, grasp: &Grasp) -> 
         GraspRequirement::Across(way) => ASKEW_WEIGHT * Vec3::heading(grasp.closing).dot(way).abs(),
         GraspRequirement::Any | GraspRequirement::Handle => 0.0,
     };
-    // Grip points.
+    // Grip points at the object and at the destination.
     let at_object = object.centre + grasp.offset;
     let at_destination = (purpose.destination + at_object - object.pos)
         .at_height(purpose.destination.z + at_object.z - object.bottom());
@@ -269,7 +277,7 @@ fn cost(world: &World, object: &Entity, purpose: Purpose<'_>, grasp: &Grasp) -> 
     turning + askew + grasp.strain + collisions + into_wall + stretch + downhill
 }
 
-/// Returns the number of parts of the open hand that would collide with a solid selected by
+/// Returns the number of collisions between parts of the open hand and the solids selected by
 /// `among`, with the grip point at `grip`. The container of the object does not count, because
 /// [`into_wall`] checks its walls.
 fn collisions(world: &World, grip: Vec3, closing: f64, among: impl Fn(&Solid) -> bool) -> usize {

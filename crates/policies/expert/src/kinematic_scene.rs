@@ -7,11 +7,13 @@ use libero_ctrl::{Entity, EntityKind, Predicate, Privileged};
 use crate::geometry::{Quat, Vec3};
 use crate::world::World;
 
-/// The controller's spring (OSC_POSE of LIBERO: kp 150, critically damped),
-/// its goal per unit of action, and the simulator's step.
+/// Stiffness of the controller's spring, which is critically damped (OSC_POSE of LIBERO: kp 150).
 const STIFFNESS: f64 = 150.0;
+/// Distance of the spring's goal from the hand per unit of action, m.
 const UNIT_M: f64 = 0.05;
+/// Number of simulation steps per control step.
 const SUBSTEPS: u32 = 25;
+/// Duration of a simulation step, s.
 const SUBSTEP_SECS: f64 = 0.002;
 /// Rotation per step at full action, rad; approximate.
 const STEP_RAD: f64 = 0.15;
@@ -50,7 +52,7 @@ impl KinematicScene {
         }
     }
 
-    /// Creates a mug, and an oven with an open front into which it is to be put.
+    /// Creates a scene with a mug, and an oven with an open front; the goal is the mug in the oven.
     pub(crate) fn mug_before_oven() -> Self {
         Self::new("in", &["mug_1", "oven_1_inside"])
             .object("mug_1", [0.0, 0.0, 0.05], MUG_M)

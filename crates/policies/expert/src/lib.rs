@@ -1,7 +1,7 @@
 //! A deterministic scripted policy for LIBERO's tasks that observes the simulator's
 //! privileged state instead of cameras. It exercises the whole service with rollouts
-//! that mostly succeed, and provides demonstrations for visual policies; it is not a
-//! baseline for them. Skills are in the modules; this file runs them in sequence.
+//! that mostly succeed, and provides demonstrations for visual policies, for which it is not a
+//! baseline. The modules define skills; this file runs the skills in sequence.
 
 #![allow(missing_docs, reason = "names and messages are self-explanatory")]
 
@@ -32,12 +32,12 @@ pub use motion::Action;
 
 /// Number of steps after which a hand far from its target counts as stuck.
 const PATIENCE_STEPS: u32 = 20;
-/// Distances from the target beyond which the hand is far from it, m and rad.
+/// Distances from the target beyond which the hand counts as far, m and rad.
 const FAR_M: f64 = 0.012;
 const FAR_RAD: f64 = 0.25;
 /// Number of steps of a stuck hand's retreat: up in the first half, back to rest in the second.
 const BACKING_STEPS: u32 = 32;
-/// Height of the target of an upward step above the hand, m.
+/// Height of the target above the hand in the first half of the retreat, m.
 const STEP_M: f64 = 0.05;
 
 /// State of the scripted policy in one rollout. A clone continues like the original.
@@ -78,7 +78,8 @@ impl Expert {
     /// Reports that the robot did not execute the last action. The next action is then
     /// replanned from the state alone: the remaining goals, the held object and the phase of
     /// its skill. Without this call, the other controller's steps would count as the expert's
-    /// own, and a hand that hesitates would be mistaken for one in contact.
+    /// own, and a hand that the other controller holds still would be mistaken for a hand that an
+    /// object has stopped.
     pub fn interrupt(&mut self) {
         self.is_interrupted = true;
     }
@@ -168,7 +169,7 @@ mod tests {
     }
 
     #[test]
-    fn an_episode_is_the_same_twice_and_every_action_is_in_range() {
+    fn episodes_are_deterministic_and_every_action_is_in_range() {
         let actions = episode(250);
         assert_eq!(actions, episode(250));
         assert_eq!(actions.len(), 250);
@@ -185,11 +186,11 @@ mod tests {
         let mut expert = Expert::default();
         (0..steps).any(|step| {
             let action = expert.act(&scene.state).expect("an action");
-            let other = override_action(step, action);
-            if other.is_some() {
+            let replacement = override_action(step, action);
+            if replacement.is_some() {
                 expert.interrupt();
             }
-            scene.apply(other.unwrap_or(action));
+            scene.apply(replacement.unwrap_or(action));
             let world = scene.world();
             goal::plan(&world).expect("a plan").is_empty() && world.opening > motion::OPEN_M
         })
@@ -244,10 +245,10 @@ mod tests {
             "the expert lifts the bowl"
         );
         // A new expert takes over a grasp that it has not observed.
-        let mut newcomer = Expert::default();
+        let mut new_expert = Expert::default();
         for _ in 0..4 {
-            newcomer.interrupt();
-            let action = newcomer.act(&scene.state).expect("an action");
+            new_expert.interrupt();
+            let action = new_expert.act(&scene.state).expect("an action");
             scene.apply([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0]);
             if action[6] > 0.0 {
                 return;

@@ -18,8 +18,8 @@ pub type Action = [f32; 7];
 /// Size of one unit of action: m and rad (LIBERO's OSC_POSE settings).
 const UNIT_M: f64 = 0.05;
 const UNIT_RAD: f64 = 0.5;
-/// Stiffens the position spring. The controller is critically damped at one;
-/// two still settles without visible overshoot.
+/// Gain of the position error, which stiffens the spring. The controller is critically damped at a
+/// gain of 1; a gain of 2 still settles without visible overshoot.
 const POSITION_GAIN: f64 = 2.0;
 /// Number of steps by which the position is extrapolated, to damp the stiffer spring and
 /// the delay of a step.
@@ -39,20 +39,23 @@ const HIGH_M: f64 = 0.05;
 /// Displacement per step below which the hand counts as stopped, m.
 const STILL_M: f64 = 0.0008;
 
-/// Tolerances of a hand on a straight path: distance before or beyond it, m, and angle, rad.
+/// Tolerances of a hand on a straight path: distance before its start or beyond its end, m, and
+/// angle, rad.
 const ALONG_M: f64 = 0.015;
 const ALIGNED_RAD: f64 = 0.25;
-/// Angle from the half turn of an orientation within which the hand keeps the half turn, rad.
+/// Largest angle between the hand and the half turn of [`pointing_down`] at which
+/// [`pointing_down_like`] returns the half turn, rad.
 const SYMMETRIC_RAD: f64 = 0.3;
 /// Opening beyond which the fingers count as open, m; the hand opens to 0.08 m.
 pub(crate) const OPEN_M: f64 = 0.065;
 /// Range of the opening, m, in which fingers at rest hold an object.
 const GRASPED_M: (f64, f64) = (0.0015, 0.0765);
-/// Distance, m, within which a hand counts as stuck if it stays there for [`TRAIL_STEPS`].
+/// A hand counts as stuck if it stays within this distance, m, for [`TRAIL_STEPS`].
 const STUCK_M: f64 = 0.02;
 const TRAIL_STEPS: usize = 16;
-/// Change of the opening per step below which fingers at an object hold it, m: the object shifts
-/// between them while the hand moves. Free fingers move by three times as much.
+/// Change of the opening per step, m, below which fingers hold a mechanism: a held mechanism shifts
+/// between the fingers while the hand moves. The opening of free fingers changes by three times as
+/// much.
 const HOLDING_M: f64 = 0.002;
 /// Number of steps without motion after which the fingers count as at rest.
 const AT_REST_STEPS: u32 = 2;
@@ -80,8 +83,8 @@ impl HandPose {
     }
 
     /// Returns true if the hand is on the straight path from this pose to `goal`: at most
-    /// `aside` m beside it, at most slightly before or beyond it, and oriented like either
-    /// pose.
+    /// `aside` m beside the path, at most [`ALONG_M`] before its start or beyond its end, and
+    /// oriented like one of the two poses.
     pub(crate) fn is_on_path_to(self, goal: HandPose, world: &World, aside: f64) -> bool {
         let turned = self.turn_from(world).min(goal.turn_from(world));
         self.is_straight_to(goal, world, aside) && turned < ALIGNED_RAD
@@ -106,8 +109,9 @@ impl HandPose {
 }
 
 /// Returns the orientation of a hand that points down and closes along the horizontal direction
-/// `angle`: of the two symmetric ones, the orientation nearer to the robot's rest pose, in which
-/// the hand closes along the world's y. The last joint's range includes a quarter turn either way.
+/// `angle`. Of the two symmetric orientations, this is the orientation nearer to the robot's rest
+/// pose, in which the hand closes along the world's y. It is at most a quarter turn from the rest
+/// pose, which is within the range of the last joint.
 pub(crate) fn pointing_down(angle: f64) -> Quat {
     let rest = Quat {
         w: 0.0,
@@ -116,8 +120,9 @@ pub(crate) fn pointing_down(angle: f64) -> Quat {
     Quat::turn(Vec3::UP, half_turn(angle - FRAC_PI_2)).after(rest)
 }
 
-/// Returns [`pointing_down`] or its half turn, whichever is nearer to the hand's orientation. The
-/// two are equal in rank at a quarter turn, where the slightest turn of an object would swap them.
+/// Returns [`pointing_down`] or its half turn, whichever is nearer to the hand's orientation. At a
+/// quarter turn from the rest pose, [`pointing_down`] alone would jump by half a turn with the
+/// slightest rotation of an object.
 pub(crate) fn pointing_down_like(world: &World, angle: f64) -> Quat {
     let quat = pointing_down(angle);
     let turn = quat.after(world.grip_quat.inverse()).rotation_vector();
@@ -159,8 +164,8 @@ pub(crate) fn servo(world: &World, motion: &Motion, command: &Command) -> Action
         .quat
         .after(world.grip_quat.inverse())
         .rotation_vector();
-    // Saturated separately, so that a long descent leaves full authority for the horizontal
-    // position.
+    // Horizontal and vertical components are saturated separately, so that a long descent does not
+    // slow the horizontal correction.
     let across = saturate(shift.at_height(0.0), 1.0);
     let upward = shift.z.clamp(-command.pace, command.pace);
     let turn = saturate(turn * (1.0 / UNIT_RAD), 1.0);
@@ -243,14 +248,15 @@ fn highest_on_the_way(world: &World, goal: Vec3, load: HandLoad) -> Option<f64> 
             solid.gap_from_above(p) < CORRIDOR_M
         })
     };
-    let others = world.solids().iter().filter(|solid| !load.is_load(solid));
-    others
+    let obstacles = world.solids().iter().filter(|solid| !load.is_load(solid));
+    obstacles
         .filter(crossed)
         .map(Solid::top)
         .max_by(f64::total_cmp)
 }
 
-/// Returns the horizontal direction out from under a solid above the held object.
+/// Returns the horizontal direction out from under the solid above the held object; `None` if no
+/// solid is above it.
 fn way_from_under(world: &World, load: HandLoad) -> Option<Vec3> {
     let HandLoad::With(object) = load else {
         return None;
@@ -278,6 +284,7 @@ pub(crate) fn is_partly_open(world: &World) -> bool {
 /// Tracks the motion of the hand and the fingers over steps.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct Motion {
+    /// Grip point and opening of the fingers in the last observation.
     last: Option<(Vec3, f64)>,
     per_step: Vec3,
     still_steps: u32,
@@ -340,8 +347,8 @@ impl Motion {
         self.opening_change > STILL_M
     }
 
-    /// Returns true if fingers at a grasp should close: they are open, or have only just
-    /// stopped closing.
+    /// Returns true if fingers at a grasp should close: they are open, still closing, or have only
+    /// just stopped.
     pub(crate) fn may_close(&self, world: &World) -> bool {
         let has_just_stopped =
             self.opening_change < STILL_M && self.finger_still_steps < AT_REST_STEPS;
@@ -385,7 +392,7 @@ mod tests {
     }
 
     #[test]
-    fn a_gentle_pace_limits_the_way_down_and_not_the_way_across() {
+    fn a_low_pace_limits_the_vertical_action_and_not_the_horizontal() {
         let world = scene().world();
         let far = command(&world, Vec3::new(0.4, 0.0, -0.4), 0.3);
         let action = servo(&world, &Motion::default(), &far);

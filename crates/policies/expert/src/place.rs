@@ -21,7 +21,8 @@ const COVERED_FLOOR_GAP_M: f64 = 0.02;
 const COVERED_RUN_M: f64 = 0.13;
 /// Gap between two objects that share a target, m.
 const NEIGHBOUR_GAP_M: f64 = 0.004;
-/// Distance from the straight path to its place within which a held object continues on it, m.
+/// Distance of a held object from the straight path to its place within which the object continues
+/// on the path, m.
 const ON_PATH_M: f64 = 0.02;
 /// Tolerance of the object's position at its place, m.
 const AT_PLACE_M: f64 = 0.005;
@@ -36,7 +37,7 @@ pub(crate) struct Place {
     pub(crate) relation: Relation,
     /// Object or region.
     pub(crate) target: String,
-    /// Side of the target's centre, if two objects share it: -1 or 1; 0 is the centre
+    /// Side of the target's centre, if two objects share the target: -1 or 1; 0 is the centre
     /// itself.
     pub(crate) slot: f64,
 }
@@ -141,7 +142,8 @@ impl Place {
         })
     }
 
-    /// Returns the name of the target's object or fixture: for a region, of what it is on.
+    /// Returns the name of the target; for a region, the name of the object or fixture that carries
+    /// the region.
     ///
     /// # Errors
     /// If the scene lacks the target.
@@ -203,7 +205,7 @@ impl Spot {
 
     /// Returns true if an object that cannot be moved further is near enough to its place to be
     /// released, given the remaining displacement to the place. The front of a covered region may
-    /// stop the hand a little before.
+    /// stop the hand a little before the place.
     pub(crate) fn can_release_blocked(&self, to_rest: Vec3) -> bool {
         matches!(self.entry, Entry::Through(_)) && to_rest.horizontal_norm() < ON_PATH_M
     }

@@ -1,7 +1,7 @@
 //! Manipulation without carrying: drawers, the stove's knob, the microwave's door, and
-//! flat objects that are pushed. Each is a short sequence of stages, whose poses follow the
-//! mechanism as it moves. Bounding boxes do not show the movable part of a fixture, so the
-//! necessary dimensions of LIBERO's fixture models are constants here.
+//! flat objects that are pushed. Each manipulation is a short sequence of stages, whose poses
+//! follow the mechanism as it moves. Bounding boxes do not show the movable part of a fixture, so
+//! the necessary dimensions of LIBERO's fixture models are constants here.
 
 use std::f64::consts::FRAC_PI_2;
 
@@ -20,7 +20,7 @@ pub(crate) const OPEN_M: f64 = -0.14;
 /// so that the hand has room beneath.
 pub(crate) const DRAWER_OPEN_M: f64 = -0.155;
 pub(crate) const DRAWER_AJAR_M: f64 = -0.118;
-/// Joint position at which a drawer is safely closed, m; it counts as closed above 0.
+/// Joint position at which a drawer is safely closed, m; a drawer counts as closed above 0.
 const DRAWER_CLOSED_M: f64 = 0.003;
 /// Tilt of the hand when it reaches for a handle from the front, and when it pushes a drawer
 /// shut with the fingertips ahead of the palm, rad.
@@ -30,17 +30,17 @@ const PUSH_TILT: f64 = 0.6;
 const KNOB_ON: f64 = 0.8;
 /// Depth of the grip point below the top of the knob's ridge, m.
 const KNOB_DEPTH_M: f64 = 0.018;
-/// Position of the microwave's hinge, and height of the top of its door above its origin, m, both
-/// in the microwave's own axes.
+/// Position of the hinge of the microwave's door, and height of the top of the door, m, both from
+/// the microwave's origin along its axes.
 const HINGE: Vec3 = Vec3::new(-0.1725, -0.088, 0.0);
 const DOOR_TOP_M: f64 = 0.188;
 /// Contact point of the hand, m: distance from the hinge along the door, depth below the top
-/// of the door (so that the palm passes above the handle), and distance in front of its
-/// middle.
+/// of the door (so that the palm passes above the handle), and distance in front of the plane
+/// through the middle of the door.
 const DOOR_REACH_M: f64 = 0.17;
 const DOOR_DEPTH_M: f64 = 0.05;
 const DOOR_FRONT_M: f64 = 0.044;
-/// Angle to which the microwave's door is closed, rad; it counts as closed above -0.005 rad.
+/// Angle to which the microwave's door is closed, rad; the door counts as closed above -0.005 rad.
 const DOOR_CLOSED: f64 = -0.003;
 /// Lead of the hand's goal over a mechanism, m and rad, which pulls the mechanism along.
 const LEAD_M: f64 = 0.05;
@@ -50,15 +50,19 @@ const STANDOFF_M: f64 = 0.09;
 /// Tolerances for proceeding to the next stage, m and rad.
 const NEAR_M: f64 = 0.01;
 const NEAR_RAD: f64 = 0.1;
+/// Number of steps in which the fingers open or close.
 const FINGER_STEPS: u32 = 8;
 /// Number of steps after which a stage without progress ends.
 const PATIENCE_STEPS: u32 = 80;
-/// Tolerances for recognising the stage, m: distance of the hand from its path; distances from a
-/// handle or knob at which the hand closes and at which it holds; and height above the contact
-/// point at which it presses.
+// Tolerances with which a resumed routine recognises its stage.
+
+/// Largest distance of the hand from the path between two stages, m.
 const ASIDE_M: f64 = 0.02;
+/// Distance from a handle or knob within which the hand closes, m.
 const AT_M: f64 = 0.012;
+/// Distance from a handle or knob within which partly open fingers hold it, m.
 const HELD_M: f64 = 0.025;
+/// Height above the contact point within which the hand presses on a flat object, m.
 const PRESSING_M: f64 = 0.006;
 /// Share of full vertical speed near obstacles.
 const GENTLE: f64 = 0.4;
@@ -107,7 +111,7 @@ enum Until {
     AtPoseOrStopped,
     /// The given number of steps has passed.
     Steps(u32),
-    /// The mechanism has reached its target position.
+    /// The flag is true: the mechanism has reached its target position, or the hand has lost it.
     ConditionHolds(bool),
 }
 
@@ -199,7 +203,7 @@ impl RoutineTask {
                 }
             }
             Self::PushDrawer { .. } => u32::from(is_on_the_way),
-            // The pose at the door turns by half a turn as the door closes.
+            // The orientation is not compared: it changes by half a turn as the door closes.
             Self::PushDoor { .. } => u32::from(from.is_straight_to(to, world, ASIDE_M)),
             Self::Drag { object, .. } => {
                 let entity = world.entity(object)?;
@@ -243,6 +247,7 @@ pub(crate) fn knob_is_on(position: f64) -> bool {
 
 /// Current state of a drawer.
 struct Drawer {
+    /// Joint position, m.
     position: f64,
     handle: Vec3,
     /// Horizontal direction out of the cabinet's front.
@@ -273,7 +278,7 @@ fn pull_drawer(
     to: f64,
 ) -> Result<Option<Stage>, ExpertError> {
     let drawer = Drawer::find(world, region)?;
-    // The fingers close from above and below the bar.
+    // The fingers close on the bar of the handle from above and below.
     let upright = pointing_down(drawer.out.y.atan2(drawer.out.x));
     let quat = tilted(upright, drawer.out * -1.0, PULL_TILT);
     let at = |away: f64| HandPose {
@@ -509,8 +514,12 @@ mod tests {
             let (world, motion) = with_hand(scene(), at_knob, openings);
             task.current_stage(&world, &motion).unwrap()
         };
-        assert_eq!(stage_after(&[0.026, 0.026, 0.027]), 3, "shifts");
-        assert_eq!(stage_after(&[0.06, 0.05, 0.04]), 2, "closes");
+        assert_eq!(
+            stage_after(&[0.026, 0.026, 0.027]),
+            3,
+            "the knob shifts between the fingers"
+        );
+        assert_eq!(stage_after(&[0.06, 0.05, 0.04]), 2, "the fingers close");
         assert_eq!(
             stage_after(&[0.0; 5]),
             0,

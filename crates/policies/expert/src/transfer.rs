@@ -19,15 +19,16 @@ const RETREAT_M: f64 = 0.05;
 const NEAR_M: f64 = 0.008;
 const NEAR_RAD: f64 = 0.06;
 /// Tolerances for recognising a descending hand: angle from the grasp, rad, and height above
-/// it at which the hand may have been stopped, m.
+/// the grasp at which an object may have stopped the hand, m.
 const TURNED_RAD: f64 = 0.15;
 const STOPPED_M: f64 = 0.015;
-/// Angle from the grasp up to which closing fingers go on closing, rad: an object may turn between
-/// them.
+/// Angle of the hand from the grasp up to which closing fingers go on closing, rad: an object may
+/// turn between the fingers.
 const CLOSING_RAD: f64 = 0.6;
 /// Distance from the grip point to an object's box within which the object can be held, m.
 const BESIDE_M: f64 = 0.005;
-/// Horizontal distance from its place within which a held object continues its descent, m.
+/// Horizontal distance of a held object from its place within which the object continues its
+/// descent, m.
 const OVER_REST_M: f64 = 0.02;
 /// Distance from the grasp within which the fingers close, m.
 const DEEP_M: f64 = 0.003;
@@ -37,6 +38,7 @@ const LOST_M: f64 = 0.03;
 const LIFT_M: f64 = 0.03;
 /// Smallest and largest number of steps to wait for the fingers to close.
 const CLOSING_STEPS: (u32, u32) = (5, 12);
+/// Number of steps in which the fingers open.
 const OPENING_STEPS: u32 = 5;
 /// Number of steps after which a phase near obstacles ends regardless of progress, and after
 /// which a movement through free space is given up.
@@ -153,12 +155,13 @@ impl Transfer {
         let is_at_rest = is_over_rest && spot.can_release(world, object);
         let is_blocked = spot.can_release_blocked(to_rest)
             && (motion.still_steps() >= BLOCKED_STEPS.0 || motion.opens());
-        // Opening fingers go on until they are clear of the object.
+        // Fingers that have begun to open continue until they are clear of the object.
         let may_open = world.opening < OPEN_M || motion.opens();
         let is_released = (is_at_rest || is_blocked) && may_open;
         let phase = if world.gap_to(object) < BESIDE_M && is_released {
             let hand = upright_hand(world);
-            // A stopped object is still pushed while the fingers open, lest it moves back.
+            // An object stopped before its place is pushed on while the fingers open, so that it
+            // does not move back.
             let ahead = if is_at_rest {
                 Vec3::default()
             } else {
@@ -181,13 +184,14 @@ impl Transfer {
         } else {
             let grasp = self.nearest_grasp(world, object)?;
             match current_phase(grasp, world, object, motion) {
-                // Another controller's hand never runs out of steps above a grasp.
+                // Each resumption restarts the count of steps, so that a hand that cannot reach its
+                // grasp is recognised by its steps without motion.
                 Phase::Descend(_)
                     if motion.still_steps() % BLOCKED_STEPS.1 == BLOCKED_STEPS.1 - 1 =>
                 {
                     self.blocked = Some(grasp);
-                    let other = self.nearest_grasp(world, object)?;
-                    current_phase(other, world, object, motion)
+                    let next_grasp = self.nearest_grasp(world, object)?;
+                    current_phase(next_grasp, world, object, motion)
                 }
                 phase => phase,
             }
@@ -208,8 +212,8 @@ impl Transfer {
         Ok(grasp)
     }
 
-    /// Returns the hold of the object: that of `earlier` if the object has not slipped since,
-    /// otherwise a new one from the current poses.
+    /// Returns the hold of the object: the hold of `earlier` if the object has not slipped since,
+    /// otherwise a new hold from the current poses.
     fn hold(&self, earlier: Option<&Self>, world: &World, object: &Entity) -> Hold {
         if let Some(Phase::Lift(hold) | Phase::Carry(hold) | Phase::Lower(hold)) =
             earlier.map(|earlier| earlier.phase)
@@ -411,7 +415,8 @@ impl Hold {
     }
 }
 
-/// Returns the pose of the hand, upright.
+/// Returns the current position of the hand, with the orientation that points down and is nearest
+/// to the hand's current orientation.
 fn upright_hand(world: &World) -> HandPose {
     let closing = world.grip_quat.rotate(Vec3::new(1.0, 0.0, 0.0));
     HandPose {
@@ -420,15 +425,15 @@ fn upright_hand(world: &World) -> HandPose {
     }
 }
 
-/// Returns true if the object has not been lifted since the fingers closed. An object that moves
-/// sideways at once is torn out of the hand by what surrounds it.
+/// Returns true if the object has not yet been lifted since the fingers closed. If the hand moved
+/// sideways before lifting, surrounding objects would tear the object out of the hand.
 fn is_lifting(earlier: Option<&Transfer>, world: &World, hold: Hold) -> bool {
     let phase = earlier.map(|earlier| earlier.phase);
     let has_closed = matches!(phase, Some(Phase::Close(_) | Phase::Lift(_)));
     has_closed && world.grip.z < hold.lifted_from.z + LIFT_M
 }
 
-/// Derives the phase before the object is held from the position of the hand.
+/// Derives the phase of a hand that does not yet hold the object from the pose of the hand.
 fn current_phase(grasp: Grasp, world: &World, object: &Entity, motion: &Motion) -> Phase {
     let quat = pointing_down_like(world, grasp.closing);
     let grip = Grip { grasp, quat };

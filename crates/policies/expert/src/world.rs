@@ -10,7 +10,8 @@ use crate::geometry::{Quat, Vec3};
 pub(crate) struct Entity {
     pub(crate) name: String,
     pub(crate) kind: EntityKind,
-    /// Category of an object or fixture; for a region, the instance it is on.
+    /// Category of an object or fixture; for a region, the name of the object or fixture that
+    /// carries the region.
     pub(crate) category: String,
     /// Origin of the body, which goal predicates measure.
     pub(crate) pos: Vec3,
@@ -85,7 +86,7 @@ const COMFORTABLE_REACH_M: f64 = 0.65;
 
 /// Largest coordinate or extent, m: LIBERO's rooms are a few metres wide.
 const LARGEST_M: f64 = 100.0;
-/// Largest component of a unit quaternion, with room for its rounding.
+/// Largest component of a unit quaternion, with a margin for rounding.
 const LARGEST_OF_UNIT: f64 = 1.001;
 /// Largest number of objects, fixtures and regions of a scene.
 const MAX_ENTITIES: usize = 1_000;
@@ -166,7 +167,7 @@ impl World {
     }
 
     /// Distance by which the arm exceeds its comfortable reach with the hand pointing
-    /// down at `grip`, m; 0 within.
+    /// down at `grip`, m; 0 within the reach.
     pub(crate) fn overstretch(&self, grip: Vec3) -> f64 {
         let from_shoulder = grip - self.shoulder;
         let across = from_shoulder.horizontal_norm() - WRIST_BACK_M;
@@ -174,7 +175,7 @@ impl World {
         (reach - COMFORTABLE_REACH_M).max(0.0)
     }
 
-    /// Distance of the grip point from the object's box, m; negative within.
+    /// Distance of the grip point from the object's box, m; negative inside the box.
     pub(crate) fn gap_to(&self, object: &Entity) -> f64 {
         ((self.grip - object.centre).abs() - object.half).max_coordinate()
     }
@@ -189,7 +190,8 @@ impl World {
     }
 
     /// Returns the horizontal direction out of the cabinet's front if the hand is at a drawer's
-    /// handle with its fingers towards the cabinet, at most `away` m in front of it.
+    /// handle with its fingers towards the cabinet, at most `away` m in front of or behind the
+    /// handle.
     pub(crate) fn handle_at_grip(&self, away: f64) -> Option<Vec3> {
         let pointing = self.grip_quat.rotate(Vec3::UP);
         self.regions().find_map(|region| {
@@ -265,7 +267,7 @@ pub(crate) struct Solid {
     pub(crate) owner: String,
     pub(crate) centre: Vec3,
     pub(crate) quat: Quat,
-    /// Half extents along its own axes.
+    /// Half extents along the box's own axes.
     pub(crate) half: Vec3,
 }
 
@@ -282,13 +284,14 @@ impl Solid {
         self.quat.inverse().rotate(Vec3::UP).abs().dot(self.half)
     }
 
-    /// Distance of `p` from the box along the axis of greatest separation, m; negative within.
+    /// Distance of `p` from the box along the axis of greatest separation, m; negative inside the
+    /// box.
     pub(crate) fn gap(&self, p: Vec3) -> f64 {
         let offset = self.quat.inverse().rotate(p - self.centre);
         (offset.abs() - self.half).max_coordinate()
     }
 
-    /// Horizontal distance of `p` from the box, as for [`Self::gap`].
+    /// Horizontal distance of `p` from the box, measured as in [`Self::gap`].
     pub(crate) fn gap_from_above(&self, p: Vec3) -> f64 {
         self.gap(p.at_height(self.centre.z))
     }
@@ -360,9 +363,9 @@ fn drawer(cabinet: &Entity, region: &Entity, out: Vec3) -> [Solid; 2] {
     ]
 }
 
-/// Checks that values are in range. Paths are sampled every few centimetres, so that an
-/// absurdly large number would take minutes.
-fn within(
+/// Checks that the magnitudes of values are at most `largest`. Paths are sampled every few
+/// centimetres, so that planning to an absurdly distant point would take minutes.
+fn check_range(
     values: &[f64],
     largest: f64,
     owner: &str,
@@ -381,13 +384,13 @@ fn within(
 }
 
 fn vec3(values: &[f64; 3], owner: &str, field: &'static str) -> Result<Vec3, ExpertError> {
-    within(values, LARGEST_M, owner, field)?;
+    check_range(values, LARGEST_M, owner, field)?;
     let [x, y, z] = *values;
     Ok(Vec3::new(x, y, z))
 }
 
 fn quat(values: &[f64; 4], owner: &str) -> Result<Quat, ExpertError> {
-    within(values, LARGEST_OF_UNIT, owner, "quat")?;
+    check_range(values, LARGEST_OF_UNIT, owner, "quat")?;
     let [w, x, y, z] = *values;
     let v = Vec3::new(x, y, z);
     Ok(Quat { w, v })

@@ -29,13 +29,13 @@ pub trait Backend: fmt::Display + Send + Sync {
     /// See [`BackendError`], as for every method here.
     async fn describe(&self, suite: &str) -> Result<DescribeResponse, BackendError>;
 
-    /// Starts an episode; restarts one that is open.
+    /// Starts an episode; restarts the episode if its session is open.
     ///
     /// # Errors
     /// See [`BackendError`].
     async fn reset(&self, request: ResetRequest) -> Result<(), BackendError>;
 
-    /// Ends an episode. Back-ends without state per episode do nothing; errors are ignored.
+    /// Ends an episode and ignores errors. Back-ends without state per episode do nothing.
     async fn end(&self, _session: &str) {}
 
     /// Answers one observation. The answer is not checked.
@@ -62,8 +62,8 @@ pub trait Backend: fmt::Display + Send + Sync {
 }
 
 /// Reason why a back-end did not answer. Its gRPC code tells a worker whether the infrastructure
-/// failed (`UNAVAILABLE`, `DEADLINE_EXCEEDED`, `RESOURCE_EXHAUSTED`: not charged to the rollout)
-/// or the policy.
+/// failed (`UNAVAILABLE`, `DEADLINE_EXCEEDED`, `RESOURCE_EXHAUSTED`: not charged to the rollout),
+/// or whether the policy failed.
 #[derive(Clone, Debug, Error)]
 pub enum BackendError {
     /// The connection failed or broke, or leads to another service.
@@ -79,18 +79,18 @@ pub enum BackendError {
         "the policy server at {address} rejects this gateway's token: {reason}; put a token that \
          it accepts into the `token_file` of the policy, then reload the configuration (SIGHUP)"
     )]
-    Barred {
+    TokenRejected {
         /// host:port.
         address: String,
         /// Reason that the server gave.
         reason: String,
     },
-    /// The server is out of service; only probes are sent until one is answered.
+    /// The server is out of service; only probes are sent until the server answers a probe.
     #[error("{backend} {cause}; it is tried again in {:.1} s", retry_in.as_secs_f64())]
-    Out {
+    OutOfService {
         /// Back-end as configured.
         backend: String,
-        /// Reason why the server is out.
+        /// Reason why the server is out of service.
         cause: Cause,
         /// Time until the next attempt.
         retry_in: Duration,
@@ -104,11 +104,11 @@ pub enum BackendError {
         limit: Duration,
     },
     /// The server's error shows that the server is broken, not the query.
-    #[error("{backend} is out, because it {cause}")]
-    Sick {
+    #[error("{backend} is out of service, because it {cause}")]
+    Broken {
         /// Back-end as configured.
         backend: String,
-        /// Reason why the server is out.
+        /// Reason why the server is out of service.
         cause: Cause,
     },
     /// The policy's description cannot be used.
@@ -119,18 +119,19 @@ pub enum BackendError {
         /// Fault of the description.
         fault: DescriptionFault,
     },
-    /// The description differs from the earlier one, or from that of the other replicas.
+    /// The server's description differs from its earlier description, or from that of the other
+    /// replicas.
     #[error(
         "it {difference}; put the same weights everywhere, then reload the gateway's \
          configuration (SIGHUP)"
     )]
-    Disagrees {
-        /// The difference, and the description compared with.
+    DescriptionDiffers {
+        /// The difference, and the description with which the server's was compared.
         difference: String,
     },
     /// The answer is not a valid chunk of actions.
     #[error("{fault}")]
-    Nonsense {
+    InvalidActions {
         /// Fault of the answer.
         fault: ActionFault,
     },
@@ -146,7 +147,7 @@ pub enum BackendError {
          or give its route more replicas",
         waited.as_secs_f64()
     )]
-    Crowded {
+    Overloaded {
         /// Back-end as configured.
         backend: String,
         /// Time spent in the queue.
@@ -155,7 +156,7 @@ pub enum BackendError {
     /// The batch ended unanswered, through no fault of its queries.
     #[error("the batch ended without an answer to this query")]
     BatchLost,
-    /// The number of answers differs from that of the batch's queries.
+    /// The number of answers differs from the number of queries in the batch.
     #[error("it answered a batch of {asked} with {answered} results")]
     BatchSize {
         /// Number of queries sent.
@@ -173,7 +174,7 @@ pub enum BackendError {
     },
     /// The server's policy cannot be run under LIBERO-CTRL's conventions.
     #[error("the policy server at {address} cannot be run here: {reason}")]
-    Unsuited {
+    UnsupportedPolicy {
         /// host:port.
         address: String,
         /// Reason, with the remedy.
@@ -205,18 +206,18 @@ impl BackendError {
     pub fn code(&self) -> Code {
         match self {
             Self::Unreachable { .. }
-            | Self::Barred { .. }
-            | Self::Out { .. }
-            | Self::Sick { .. }
-            | Self::Disagrees { .. }
+            | Self::TokenRejected { .. }
+            | Self::OutOfService { .. }
+            | Self::Broken { .. }
+            | Self::DescriptionDiffers { .. }
             | Self::BatchLost
             | Self::SessionLost => Code::Unavailable,
-            Self::QueueFull { .. } | Self::Crowded { .. } => Code::ResourceExhausted,
+            Self::QueueFull { .. } | Self::Overloaded { .. } => Code::ResourceExhausted,
             Self::TimedOut { .. } => Code::DeadlineExceeded,
             // Servers in most languages report an uncaught exception as `UNKNOWN`.
             Self::Refused { status, .. } if status.code() == Code::Unknown => Code::Internal,
             Self::Refused { status, .. } => status.code(),
-            Self::Unsuited { .. }
+            Self::UnsupportedPolicy { .. }
             | Self::OutOfOrder { .. }
             | Self::Description {
                 fault: DescriptionFault::Version { .. },
@@ -224,7 +225,7 @@ impl BackendError {
             } => Code::FailedPrecondition,
             Self::Policy { .. }
             | Self::Description { .. }
-            | Self::Nonsense { .. }
+            | Self::InvalidActions { .. }
             | Self::BatchSize { .. } => Code::Internal,
         }
     }

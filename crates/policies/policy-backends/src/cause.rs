@@ -1,59 +1,64 @@
-//! Reasons problem a policy server is out.
+//! Reasons why a policy server is out of service.
 
 use std::fmt;
 
-use crate::told::told;
+use crate::shorten::shorten;
 
-/// Reason problem a server is out.
+/// Reason why a server is out of service.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Cause {
     /// The connection failed.
     Unreachable(String),
     /// The settings are wrong, for example the address of another server.
-    Misplaced(String),
+    Misconfigured(String),
     /// The server rejected the gateway's credentials.
-    Distrust(String),
-    /// The description differs from the earlier one, or from that of the other replicas.
-    Disagrees(String),
+    TokenRejected(String),
+    /// The server's description differs from its earlier description, or from that of the other
+    /// replicas.
+    DescriptionDiffers(String),
     /// The server did not answer in time.
-    Silent,
+    NoAnswer,
     /// Different tasks got the same error.
-    Repeats(String),
+    RepeatedError(String),
     /// The server's process cannot recover from an error.
     Broken(String),
 }
 
 impl Cause {
-    /// Returns the cause with its text shortened by [`told`], which bounds memory and log entries.
-    pub fn told(self) -> Self {
+    /// Returns the cause with its text shortened by [`shorten`], which bounds memory and log
+    /// entries.
+    pub fn shortened(self) -> Self {
         match self {
-            Self::Unreachable(problem) => Self::Unreachable(told(&problem)),
-            Self::Misplaced(problem) => Self::Misplaced(told(&problem)),
-            Self::Distrust(error) => Self::Distrust(told(&error)),
-            Self::Disagrees(difference) => Self::Disagrees(told(&difference)),
-            Self::Silent => Self::Silent,
-            Self::Repeats(error) => Self::Repeats(told(&error)),
-            Self::Broken(error) => Self::Broken(told(&error)),
+            Self::Unreachable(problem) => Self::Unreachable(shorten(&problem)),
+            Self::Misconfigured(problem) => Self::Misconfigured(shorten(&problem)),
+            Self::TokenRejected(error) => Self::TokenRejected(shorten(&error)),
+            Self::DescriptionDiffers(difference) => Self::DescriptionDiffers(shorten(&difference)),
+            Self::NoAnswer => Self::NoAnswer,
+            Self::RepeatedError(error) => Self::RepeatedError(shorten(&error)),
+            Self::Broken(error) => Self::Broken(shorten(&error)),
         }
     }
 
     /// Returns true if only an answered query shows that the server has recovered.
     pub fn needs_query(&self) -> bool {
-        matches!(self, Self::Silent | Self::Repeats(_) | Self::Broken(_))
+        matches!(
+            self,
+            Self::NoAnswer | Self::RepeatedError(_) | Self::Broken(_)
+        )
     }
 }
 
 impl fmt::Display for Cause {
-    /// Writes the reason; reads after the server's name.
+    /// Writes the reason as a predicate, whose subject is the server's name.
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
-            Self::Unreachable(problem) | Self::Misplaced(problem) => {
+            Self::Unreachable(problem) | Self::Misconfigured(problem) => {
                 write!(f, "cannot be reached: {problem}")
             }
-            Self::Distrust(error) => write!(f, "cannot be queried: {error}"),
-            Self::Disagrees(difference) => f.write_str(difference),
-            Self::Silent => f.write_str("did not answer in time"),
-            Self::Repeats(error) => write!(f, "gave different tasks the same error: {error}"),
+            Self::TokenRejected(error) => write!(f, "cannot be queried: {error}"),
+            Self::DescriptionDiffers(difference) => f.write_str(difference),
+            Self::NoAnswer => f.write_str("did not answer in time"),
+            Self::RepeatedError(error) => write!(f, "gave different tasks the same error: {error}"),
             Self::Broken(error) => write!(
                 f,
                 "gave an error from which its process does not recover (restart it): {error}"

@@ -3,23 +3,23 @@
 
 use proto::policy::DescribeResponse;
 
-/// Most queries in one `InferBatch`.
+/// Largest number of queries in one `InferBatch`.
 pub const MAX_BATCH_QUERIES: usize = 64;
 
 /// Returns the batch size for a policy, limited by its description and by the largest message.
 pub fn batch_size(described: &DescribeResponse) -> usize {
     let cameras = described.cameras.iter();
     let pixels = cameras.map(|camera| u64::from(camera.width) * u64::from(camera.height));
-    // Half of a message is left for readings, which are small.
+    // Frames may fill half of a message; the other half is more than enough for the readings.
     let query_bytes = 3 * pixels.sum::<u64>().max(1);
     let fitting = proto::MAX_MESSAGE_BYTES as u64 / 2 / query_bytes;
     let declared = u64::from(described.max_batch).min(MAX_BATCH_QUERIES as u64);
     declared.min(fitting).max(1) as usize
 }
 
-/// Describes the first difference between two descriptions. The batch size is ignored, because it
-/// may differ between replicas.
-pub fn difference(one: &DescribeResponse, other: &DescribeResponse) -> Option<String> {
+/// Describes the first difference of a description from the expected description; `None` if they
+/// are equal. The batch size is ignored, because it may differ between replicas.
+pub fn difference(expected: &DescribeResponse, given: &DescribeResponse) -> Option<String> {
     let fields = |described: &DescribeResponse| {
         [
             ("name", described.name.clone()),
@@ -48,13 +48,13 @@ pub fn difference(one: &DescribeResponse, other: &DescribeResponse) -> Option<St
             .find(|setting| setting.name == name);
         named.map_or_else(|| "not given".to_owned(), |setting| setting.value.clone())
     };
-    let names = one.settings.iter().chain(&other.settings);
+    let names = expected.settings.iter().chain(&given.settings);
     let names = names.map(|setting| setting.name.as_str());
-    fields(one)
+    fields(expected)
         .into_iter()
-        .zip(fields(other))
-        .map(|((field, was), (_, is))| (field, was, is))
-        .chain(names.map(|name| (name, setting(one, name), setting(other, name))))
-        .find(|(_, was, is)| was != is)
-        .map(|(field, was, is)| format!("its {field} is {is:?}, not {was:?}"))
+        .zip(fields(given))
+        .map(|((field, expected), (_, given))| (field, expected, given))
+        .chain(names.map(|name| (name, setting(expected, name), setting(given, name))))
+        .find(|(_, expected, given)| expected != given)
+        .map(|(field, expected, given)| format!("its {field} is {given:?}, not {expected:?}"))
 }

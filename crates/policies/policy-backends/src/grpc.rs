@@ -1,6 +1,6 @@
 //! Back-end of remote policy servers that implement `rollout.policy.v1`, including other gateways.
-//! Opens the connection at the first query and reopens a broken one. Deadlines, back-off and
-//! checks of the answers belong to the replica.
+//! Opens the connection at the first query and reopens a broken connection. The gateway's replicas
+//! implement deadlines, back-off and checks of the answers.
 
 use std::{fmt, str::FromStr, time::Duration};
 
@@ -28,7 +28,7 @@ const TCP_KEEPALIVE: Duration = Duration::from_secs(15);
 pub struct GrpcAddress {
     /// `host:port`.
     pub authority: String,
-    /// Name of the policy; empty selects the server's only one.
+    /// Name of the policy; empty selects the only policy of the server.
     pub policy: String,
     /// True for TLS.
     pub encrypted: bool,
@@ -147,8 +147,8 @@ impl GrpcBackend {
     async fn error(&self, status: Status) -> BackendError {
         let address = self.address.authority.clone();
         match self.peer.diagnose(&status).await {
-            // An older server did answer, so its policy is at fault, not the connection.
-            Some(trouble) if trouble.found == ProbeResult::LacksCall => BackendError::Refused {
+            // A server of an older version did answer, so the connection is not at fault.
+            Some(trouble) if trouble.error == ProbeResult::LacksCall => BackendError::Refused {
                 address,
                 status: Box::new(Status::new(status.code(), trouble.to_string())),
             },
@@ -162,7 +162,7 @@ impl GrpcBackend {
             ) =>
             {
                 let reason = status.message().to_owned();
-                BackendError::Barred { address, reason }
+                BackendError::TokenRejected { address, reason }
             }
             None => BackendError::Refused {
                 address,

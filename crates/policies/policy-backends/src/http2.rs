@@ -5,6 +5,6 @@
 pub const STREAM_WINDOW_BYTES: u32 = 8 << 20;
 /// HTTP/2 window of one connection, bytes.
 pub const CONNECTION_WINDOW_BYTES: u32 = 32 << 20;
-/// Largest HTTP/2 frame, bytes: an observation fits in one. The default of 16 KiB would split it
-/// into two dozen, each with its own write and wake-up of the reader.
+/// Largest HTTP/2 frame, bytes: an observation fits in one frame. The default of 16 KiB would split
+/// an observation into two dozen frames, each with its own write and wake-up of the reader.
 pub const MAX_FRAME_BYTES: u32 = 1 << 20;

@@ -1,5 +1,6 @@
-//! Clients of policy servers, one module per protocol, and the policies that need no server: all
-//! behind the trait [`Backend`], which a [`BackendSpec`] names and [`open()`] creates.
+//! Back-ends: clients of policy servers, one module per protocol, and the policies that need no
+//! server. Each back-end implements the trait [`Backend`]; a [`BackendSpec`] specifies a back-end,
+//! and [`open()`] creates the back-end.
 //!
 //! A back-end neither checks answers nor retries: the gateway does. The tools that examine a server
 //! thus receive its answers unchanged.
@@ -22,8 +23,8 @@ pub mod recorder;
 pub mod recording;
 pub mod replay;
 pub mod sessions;
+pub mod shorten;
 pub mod spec;
-pub mod told;
 pub mod vla_eval;
 mod websocket;
 
@@ -32,6 +33,6 @@ pub use cause::Cause;
 pub use open::{UnusableBackend, open};
 pub use spec::BackendSpec;
 
-/// Default of the longest wait for an answer: shorter than a worker's, so that the gateway detects
-/// a silent server first.
+/// Default of the gateway's longest wait for an answer: shorter than a worker's, so that the
+/// gateway detects a server that does not answer before the worker does.
 pub const DEFAULT_ANSWER_WITHIN: Duration = Duration::from_secs(50);

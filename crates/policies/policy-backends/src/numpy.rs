@@ -27,7 +27,7 @@ pub struct Array {
 pub enum ArrayError {
     /// The value is not an array.
     #[error("its actions are not an array of numbers")]
-    None,
+    NotAnArray,
     /// The array's element type is not supported.
     #[error("its actions have dtype {dtype:?}, not <f4 or <f8")]
     Dtype {
@@ -78,7 +78,7 @@ pub(super) fn numbers(value: &ValueRef<'_>) -> Result<Array, ArrayError> {
     let dtype = lookup(value, "dtype").and_then(as_text);
     let data = lookup(value, "data").and_then(as_bytes);
     let (Some(shape), Some(dtype), Some(data)) = (shape, dtype, data) else {
-        return Err(ArrayError::None);
+        return Err(ArrayError::NotAnArray);
     };
     let numbers: Option<Vec<f32>> = match dtype {
         "<f4" => elements(data).map(|elements| {
@@ -99,12 +99,12 @@ pub(super) fn numbers(value: &ValueRef<'_>) -> Result<Array, ArrayError> {
             });
         }
     };
-    let numbers = numbers.ok_or(ArrayError::None)?;
+    let numbers = numbers.ok_or(ArrayError::NotAnArray)?;
     let count = shape
         .iter()
         .try_fold(1_usize, |count, side| count.checked_mul(*side));
     if count != Some(numbers.len()) {
-        return Err(ArrayError::None);
+        return Err(ArrayError::NotAnArray);
     }
     Ok(Array { shape, numbers })
 }

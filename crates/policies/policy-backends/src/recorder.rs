@@ -30,7 +30,7 @@ pub struct RecordInto {
     pub max_bytes: u64,
 }
 
-/// Back-end that is recorded, with the open recordings.
+/// A recorded back-end and its open recordings.
 pub struct Recorder {
     inner: Arc<dyn Backend>,
     /// Open recordings, shared with the blocking threads that write them.

@@ -3,7 +3,7 @@
 //!
 //! ```text
 //! the line "rollout recording 1\n", and then messages of rollout.policy.v1, each
-//! behind its length in bytes as a varint (protobuf's delimited form):
+//! preceded by its length in bytes as a varint (protobuf's delimited form):
 //!   DescribeResponse   the policy's description
 //!   ResetRequest       the episode
 //!   InferRequest, InferResponse   … one pair per query, in the order of sending
@@ -27,7 +27,7 @@ use thiserror::Error;
 const FIRST_LINE: &[u8] = b"rollout recording 1\n";
 /// Extension of complete recordings.
 pub const SUFFIX: &str = "recording";
-/// Most recordings in a folder.
+/// Largest number of recordings in a folder.
 pub const MAX_FILES: usize = 100_000;
 
 /// Query with its answer.
@@ -202,7 +202,7 @@ impl Reader {
 /// Returns the recordings of a folder, sorted by name.
 ///
 /// # Errors
-/// If the folder cannot be read, or holds no recording, or more than [`MAX_FILES`].
+/// If the folder cannot be read, or holds no recording, or more than [`MAX_FILES`] recordings.
 pub fn files(folder: &Path) -> Result<Vec<PathBuf>, RecordingError> {
     let entries = std::fs::read_dir(folder).map_err(|source| io_error(folder, source))?;
     let mut files = vec![];
@@ -223,7 +223,7 @@ pub fn files(folder: &Path) -> Result<Vec<PathBuf>, RecordingError> {
     files.sort();
     match files.is_empty() {
         false => Ok(files),
-        true => Err(RecordingError::None {
+        true => Err(RecordingError::NoRecordings {
             folder: folder.to_owned(),
         }),
     }
@@ -253,7 +253,7 @@ pub enum RecordingError {
         "find a recording in {folder:?}: `policy-gateway record --output` makes them, one \
          .{SUFFIX} file per session that has ended"
     )]
-    None {
+    NoRecordings {
         /// Path of the folder.
         folder: PathBuf,
     },
@@ -265,13 +265,13 @@ pub enum RecordingError {
     },
     /// The recordings are of different policies.
     #[error(
-        "replay {one:?} and {other:?} as one policy: {difference}; give each policy a folder of \
+        "replay {first:?} and {other:?} as one policy: {difference}; give each policy a folder of \
          its own"
     )]
-    Policies {
+    DifferentPolicies {
         /// Path of the first recording.
-        one: PathBuf,
-        /// Path of a recording that differs.
+        first: PathBuf,
+        /// Path of a recording whose description differs.
         other: PathBuf,
         /// Description of the difference.
         difference: String,
@@ -327,8 +327,8 @@ mod tests {
         let partial = write(folder.path(), 0).partial();
         std::fs::remove_file(&partial).expect("removed");
         std::os::unix::fs::symlink(&other, &partial).expect("a link");
-        let whole = write(folder.path(), 1).finish().expect("written");
-        assert!(!whole.is_symlink());
+        let complete = write(folder.path(), 1).finish().expect("written");
+        assert!(!complete.is_symlink());
         assert_eq!(std::fs::read(&other).expect("read"), b"unrelated");
     }
 
@@ -338,7 +338,7 @@ mod tests {
         let writer = write(folder.path(), 2);
         assert!(matches!(
             files(folder.path()),
-            Err(RecordingError::None { .. })
+            Err(RecordingError::NoRecordings { .. })
         ));
         writer.finish().expect("finished");
         let [path] = &files(folder.path()).expect("a recording")[..] else {

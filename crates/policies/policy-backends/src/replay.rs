@@ -1,9 +1,9 @@
-//! Back-end that answers from recordings: an observation that equals the recorded one of the same
-//! episode gets the recorded actions. For any other observation, the error names the first
-//! difference. Replay needs neither computation nor a server.
+//! Back-end that answers from recordings: an observation that equals the recorded observation of
+//! the same query of the same episode gets the recorded actions. For any other observation, the
+//! error names the first difference. Replay needs neither computation nor a server.
 //!
 //! An episode is identified by suite, instruction and seed. If there are several recordings of an
-//! episode, the one with the query's observation is used.
+//! episode, the recording that contains the query's observation is used.
 
 use std::{
     fmt,
@@ -51,17 +51,18 @@ impl Replay {
     /// Opens the recordings of a folder.
     ///
     /// # Errors
-    /// If there are no recordings, one is damaged, or they are of different policies.
+    /// If there are no recordings, a recording is damaged, or the recordings are of different
+    /// policies.
     pub fn open(folder: &Path) -> Result<Self, RecordingError> {
         let mut described: Option<(PathBuf, DescribeResponse)> = None;
         let mut recorded = vec![];
         for path in recording::files(folder)? {
             let reader = Reader::open(&path)?;
-            let (one, first) =
+            let (first, expected) =
                 described.get_or_insert_with(|| (path.clone(), reader.described.clone()));
-            if let Some(difference) = description::difference(first, &reader.described) {
-                return Err(RecordingError::Policies {
-                    one: one.clone(),
+            if let Some(difference) = description::difference(expected, &reader.described) {
+                return Err(RecordingError::DifferentPolicies {
+                    first: first.clone(),
                     other: path,
                     difference,
                 });
@@ -110,8 +111,8 @@ impl Backend for Replay {
         let read = move || paths.into_iter().map(RecordedEpisode::read).collect();
         let read: Result<Vec<_>, RecordingError> = tokio::task::spawn_blocking(read)
             .await
-            .map_err(|error| policy(&error))?;
-        let episodes = read.map_err(|error| policy(&format!("failed to {error}")))?;
+            .map_err(|error| policy_error(&error))?;
+        let episodes = read.map_err(|error| policy_error(&format!("failed to {error}")))?;
         self.sessions().open(&request.session, Arc::new(episodes));
         Ok(())
     }
@@ -131,7 +132,7 @@ impl Backend for Replay {
                 let path = path.unwrap_or_default();
                 let compare = move || difference(&path, query.query_index, &observation);
                 let compared = tokio::task::spawn_blocking(compare).await;
-                let difference = compared.map_err(|error| policy(&error))?;
+                let difference = compared.map_err(|error| policy_error(&error))?;
                 Err(BackendError::Policy {
                     message: difference.unwrap_or_else(|error| format!("failed to {error}")),
                 })
@@ -174,13 +175,14 @@ fn digest(observation: &Observation) -> [u8; 32] {
     Sha256::digest(observation.encode_to_vec()).into()
 }
 
-fn policy(error: &dyn fmt::Display) -> BackendError {
+fn policy_error(error: &dyn fmt::Display) -> BackendError {
     BackendError::Policy {
         message: error.to_string(),
     }
 }
 
-/// Describes the first difference between an observation and the recorded one.
+/// Describes the first difference between an observation and the recorded observation of the same
+/// query.
 fn difference(path: &Path, query_index: u32, sent: &Observation) -> Result<String, RecordingError> {
     let mut reader = Reader::open(path)?;
     let mut pairs = 0;
@@ -189,7 +191,7 @@ fn difference(path: &Path, query_index: u32, sent: &Observation) -> Result<Strin
             let recorded = pair.query.observation.unwrap_or_default();
             let difference = first_difference(&recorded, sent);
             return Ok(format!(
-                "the observation is not the recorded one ({}): {difference}",
+                "the observation is not the recorded observation ({}): {difference}",
                 path.display()
             ));
         }
@@ -209,42 +211,42 @@ fn first_difference(recorded: &Observation, sent: &Observation) -> String {
             counts.0, counts.1
         );
     }
-    for (was, is) in recorded.images.iter().zip(&sent.images) {
+    for (recorded, sent) in recorded.images.iter().zip(&sent.images) {
         let shape =
             |image: &proto::policy::Image| (image.camera.clone(), image.width, image.height);
-        if shape(was) != shape(is) {
+        if shape(recorded) != shape(sent) {
             return format!(
                 "frame {:?} was recorded, and {:?} was sent",
-                shape(was),
-                shape(is)
+                shape(recorded),
+                shape(sent)
             );
         }
-        let levels = was.rgb.iter().zip(&is.rgb);
-        let differing = levels.clone().filter(|(was, is)| was != is).count();
-        if let Some(at) = levels.clone().position(|(was, is)| was != is) {
+        let levels = recorded.rgb.iter().zip(&sent.rgb);
+        let differing = levels.clone().filter(|(old, new)| old != new).count();
+        if let Some(index) = levels.clone().position(|(old, new)| old != new) {
             let (column, row) = (
-                at / 3 % is.width.max(1) as usize,
-                at / 3 / is.width.max(1) as usize,
+                index / 3 % sent.width.max(1) as usize,
+                index / 3 / sent.width.max(1) as usize,
             );
             return format!(
                 "{differing} of {} numbers of {:?} differ, first at column {column} of row {row} \
                  ({} was recorded, {} was sent)",
-                is.rgb.len(),
-                is.camera,
-                was.rgb[at],
-                is.rgb[at],
+                sent.rgb.len(),
+                sent.camera,
+                recorded.rgb[index],
+                sent.rgb[index],
             );
         }
     }
     let pairs = recorded.state.clone().into_iter().zip(sent.state.clone());
-    let differs = |(was, is): &(StateReading, StateReading)| was != is;
+    let differs = |(recorded, sent): &(StateReading, StateReading)| recorded != sent;
     match pairs.into_iter().find(differs) {
-        Some((was, is)) => format!(
+        Some((recorded, sent)) => format!(
             "{} was recorded as {:?}, and {} was sent as {:?}",
-            was.field().as_str_name(),
-            was.values,
-            is.field().as_str_name(),
-            is.values
+            recorded.field().as_str_name(),
+            recorded.values,
+            sent.field().as_str_name(),
+            sent.values
         ),
         None => "the simulator's states or the numbers of readings differ".to_owned(),
     }

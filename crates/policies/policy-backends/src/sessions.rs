@@ -3,8 +3,8 @@
 
 use std::collections::HashMap;
 
-/// Sessions kept per route: twice the 2,000 slots that a coordinator is designed for, so that a
-/// discarded session has usually ended.
+/// Largest number of sessions kept per route: twice the 2,000 slots that a coordinator is designed
+/// for, so that a discarded session has usually ended.
 pub const MAX_SESSIONS: usize = 4096;
 /// Longest session name accepted, bytes.
 pub const MAX_SESSION_BYTES: usize = 512;
@@ -34,8 +34,8 @@ impl<V> SessionTable<V> {
         }
     }
 
-    /// Opens a session, replacing one of the same name. If the table is full, discards the session
-    /// idle for longest.
+    /// Opens a session, replacing a session of the same name. If the table is full, discards the
+    /// session idle for longest.
     pub fn open(&mut self, session: &str, value: V) -> &mut V {
         if !self.entries.contains_key(session) && self.entries.len() >= self.capacity {
             self.discard_idlest();

@@ -73,7 +73,7 @@ impl fmt::Display for BackendSpec {
     }
 }
 
-/// The text is not a back-end. Reads after "failed to …".
+/// The text does not specify a back-end. Reads after "failed to …".
 #[derive(Debug, Error)]
 pub enum BackendSpecError {
     /// The text is not a known kind of back-end.

@@ -3,8 +3,9 @@
 //! the actions. Also manages the connections. `hello` negotiates the observations, `state` and
 //! `image` compute them, `message` encodes and decodes.
 //!
-//! Such a server identifies a session with a connection, which holds its chunks, histories and
-//! ensembles. So every episode has its own connection, which is closed when the episode ends.
+//! Such a server treats each connection as a session, and keeps the action chunks, histories and
+//! ensembles of the session. So every episode has its own connection, which is closed when the
+//! episode ends.
 
 use std::{
     fmt,
@@ -41,8 +42,8 @@ mod image;
 mod message;
 mod state;
 
-/// Most concurrent episodes per server, each with a connection; a further one replaces the episode
-/// that was idle for longest.
+/// Largest number of concurrent episodes per server, each with a connection; a further episode
+/// replaces the episode that was idle for longest.
 pub const MAX_EPISODES: usize = 512;
 /// Time without a query after which an episode counts as ended.
 pub const ENDED_AFTER: Duration = Duration::from_secs(600);
@@ -54,7 +55,7 @@ pub struct VlaEvalBackend {
     address: VlaEvalAddress,
     server: Server,
     episodes: Mutex<SessionTable<OpenEpisode>>,
-    /// Connections after their HELLO, without an episode so far.
+    /// Connections that have exchanged HELLO messages and have no episode yet.
     idle: Mutex<Vec<Link>>,
 }
 
@@ -128,11 +129,11 @@ impl VlaEvalBackend {
                     .to_owned(),
             ),
         };
-        terms.map_err(|reason| self.unsuited(reason))
+        terms.map_err(|reason| self.unsupported(reason))
     }
 
-    fn unsuited(&self, reason: String) -> BackendError {
-        BackendError::Unsuited {
+    fn unsupported(&self, reason: String) -> BackendError {
+        BackendError::UnsupportedPolicy {
             address: self.server.authority().to_owned(),
             reason,
         }
@@ -188,8 +189,8 @@ impl Link {
 #[tonic::async_trait]
 impl Backend for VlaEvalBackend {
     async fn describe(&self, _suite: &str) -> Result<DescribeResponse, BackendError> {
-        // Opens a new connection each time, because HELLO shows whether it is still the same
-        // server.
+        // Opens a new connection each time, because the HELLO shows whether the server is still
+        // the same.
         let link = self.connect().await?;
         let described = link.terms.described.clone();
         let mut idle = self.idle();
@@ -207,7 +208,7 @@ impl Backend for VlaEvalBackend {
             ..
         } = request;
         if let Some(served) = link.terms.suite.as_ref().filter(|served| **served != suite) {
-            return Err(self.unsuited(format!(
+            return Err(self.unsupported(format!(
                 "it has a checkpoint for {served}, and the episode is of {suite}; give the policy \
                  a server per suite"
             )));
@@ -320,13 +321,15 @@ fn observation(
             .iter()
             .flat_map(|number| number.to_le_bytes())
             .collect();
-        let of_controller = state::controller_states(position, hand, fingers);
-        let of_controller = of_controller.iter().flat_map(|number| number.to_le_bytes());
+        let controller_states = state::controller_states(position, hand, fingers);
+        let controller_states = controller_states
+            .iter()
+            .flat_map(|number| number.to_le_bytes());
         entries.extend([
             entry("states", array(Keys::Text, "<f8", &[8], states)),
             entry(
                 "controller_states",
-                array(Keys::Text, "<f4", &[8], of_controller.collect()),
+                array(Keys::Text, "<f4", &[8], controller_states.collect()),
             ),
         ]);
     }

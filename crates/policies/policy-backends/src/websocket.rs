@@ -24,7 +24,7 @@ use crate::{
 };
 
 /// Largest message of a server, bytes. The longest chunk of actions has 58 kB, and metadata and
-/// HELLO less; a decoded message takes up to forty times as much memory.
+/// HELLO are shorter; a decoded message takes up to forty times as much memory as its bytes.
 const MAX_MESSAGE_BYTES: usize = 1 << 20;
 /// Longest wait for handshake and first message: a server may not answer while it computes.
 const GREETING_TIMEOUT: Duration = Duration::from_secs(30);
@@ -184,7 +184,7 @@ impl Server {
             tungstenite::Error::Http(response)
                 if matches!(response.status().as_u16(), 401 | 403) =>
             {
-                BackendError::Barred {
+                BackendError::TokenRejected {
                     address: self.host_port.authority.clone(),
                     reason: format!("it answered HTTP {}", response.status()),
                 }

@@ -2,7 +2,7 @@
 
 use crate::server::Action;
 
-/// Actions for each situation, averaged over seeds if there were several.
+/// A server's actions for each situation, averaged over the seeds with which it was queried.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Answers {
     /// Chunks by situation; each is a list of actions.
@@ -18,29 +18,29 @@ impl Answers {
     pub(crate) fn averaged(answers: Vec<Vec<Vec<Action>>>) -> Self {
         let mut chunks = vec![];
         let mut squares = [0.0; 7];
-        let mut freedom = 0_usize;
+        let mut degrees_of_freedom = 0_usize;
         for seeds in answers {
             let rows = seeds.iter().map(Vec::len).min().unwrap_or(0);
             let count = seeds.len() as f64;
-            let mean = |row: usize, at: usize| {
-                seeds.iter().map(|chunk| chunk[row][at]).sum::<f64>() / count
+            let mean = |row: usize, component: usize| {
+                seeds.iter().map(|chunk| chunk[row][component]).sum::<f64>() / count
             };
             let means: Vec<Action> = (0..rows)
-                .map(|row| std::array::from_fn(|at| mean(row, at)))
+                .map(|row| std::array::from_fn(|component| mean(row, component)))
                 .collect();
             for chunk in &seeds {
                 for (row, mean) in chunk.iter().zip(&means) {
-                    for at in 0..7 {
-                        squares[at] += (row[at] - mean[at]).powi(2);
+                    for component in 0..7 {
+                        squares[component] += (row[component] - mean[component]).powi(2);
                     }
                 }
             }
-            freedom += rows * seeds.len().saturating_sub(1);
+            degrees_of_freedom += rows * seeds.len().saturating_sub(1);
             chunks.push(means);
         }
         Self {
             chunks,
-            spread: squares.map(|square| (square / freedom.max(1) as f64).sqrt()),
+            spread: squares.map(|square| (square / degrees_of_freedom.max(1) as f64).sqrt()),
         }
     }
 
@@ -48,15 +48,17 @@ impl Answers {
     /// action.
     pub(crate) fn largest_difference(&self, other: &Self) -> (f64, usize) {
         let pairs = self.chunks.iter().zip(&other.chunks);
-        let rows = pairs.flat_map(|(one, other)| one.iter().zip(other));
-        let numbers = rows.flat_map(|(a, b)| (0..7).map(move |at| ((a[at] - b[at]).abs(), at)));
-        numbers.fold((0.0, 0), |most, next| match next.0 > most.0 {
+        let rows = pairs.flat_map(|(chunk, other_chunk)| chunk.iter().zip(other_chunk));
+        let differences = rows.flat_map(|(a, b)| {
+            (0..7).map(move |component| ((a[component] - b[component]).abs(), component))
+        });
+        differences.fold((0.0, 0), |largest, next| match next.0 > largest.0 {
             true => next,
-            false => most,
+            false => largest,
         })
     }
 
-    /// Returns the number of compared values.
+    /// Returns the number of components of all actions.
     pub(crate) fn numbers(&self) -> usize {
         self.chunks.iter().map(|chunk| 7 * chunk.len()).sum()
     }
@@ -80,9 +82,9 @@ mod tests {
 
     #[test]
     fn the_largest_difference_is_returned_with_its_component() {
-        let one = Answers::averaged(vec![vec![vec![[0.0; 7]]]]);
-        let mut other = one.clone();
-        other.chunks[0][0][4] = -0.5;
-        assert_eq!(one.largest_difference(&other), (0.5, 4));
+        let answers = Answers::averaged(vec![vec![vec![[0.0; 7]]]]);
+        let mut changed = answers.clone();
+        changed.chunks[0][0][4] = -0.5;
+        assert_eq!(answers.largest_difference(&changed), (0.5, 4));
     }
 }

@@ -91,12 +91,12 @@ pub enum CommandError {
 }
 
 impl Compare {
-    /// Compares two servers, and passes each line of output to `say`. Returns true if they answer
+    /// Compares two servers, and passes each line of output to `print`. Returns true if they answer
     /// alike.
     ///
     /// # Errors
     /// If a server cannot be queried.
-    pub async fn run(&self, say: &dyn Fn(&str)) -> Result<bool, CommandError> {
+    pub async fn run(&self, print: &dyn Fn(&str)) -> Result<bool, CommandError> {
         let access = self.options.access()?;
         let recorded = self.options.recorded()?;
         let suite = self.options.suite_of(recorded.as_deref());
@@ -109,16 +109,16 @@ impl Compare {
         let described = [&a, &b].map(|server| DescribedServer::new(&server.url, &server.described));
         if !self.options.json {
             for (letter, server) in ["A", "B"].iter().zip(&described) {
-                say(&server.line(letter));
+                print(&server.line(letter));
             }
         }
         let comparison = compare(a, b, situations).await?;
         if self.options.json {
             let [a, b] = described;
-            say(&json(&ComparisonJson::new(a, b, &comparison)));
+            print(&json(&ComparisonJson::new(a, b, &comparison)));
         } else {
             for line in report::comparison(&comparison) {
-                say(&line);
+                print(&line);
             }
         }
         Ok(comparison.differences.is_empty())
@@ -126,12 +126,12 @@ impl Compare {
 }
 
 impl Doctor {
-    /// Diagnoses a server, and passes each line of output to `say`. Returns true if nothing is
+    /// Diagnoses a server, and passes each line of output to `print`. Returns true if nothing is
     /// wrong.
     ///
     /// # Errors
     /// If the server cannot be queried.
-    pub async fn run(&self, say: &dyn Fn(&str)) -> Result<bool, CommandError> {
+    pub async fn run(&self, print: &dyn Fn(&str)) -> Result<bool, CommandError> {
         let access = self.options.access()?;
         let recorded = self.options.recorded()?;
         let suite = self.options.suite_of(recorded.as_deref());
@@ -142,7 +142,7 @@ impl Doctor {
         });
         let described = DescribedServer::new(&server.url, &server.described);
         if !self.options.json {
-            say(&described.line(""));
+            print(&described.line(""));
         }
         let measures = Measures {
             answer_within: Duration::from_secs(self.answer_within),
@@ -151,17 +151,17 @@ impl Doctor {
         let mut findings = vec![];
         let mut report = |finding: &Finding| {
             if !self.options.json {
-                say(&report::finding(finding));
+                print(&report::finding(finding));
             }
             findings.push(finding.clone());
         };
-        let sound = diagnosis::examine(&server, &situations, measures, &mut report).await?;
+        let is_sound = diagnosis::examine(&server, &situations, measures, &mut report).await?;
         match self.options.json {
-            true => say(&json(&ExaminationJson::new(described, &findings))),
-            false if sound => say("no fault found"),
-            false => say("faults found: see FAIL above"),
+            true => print(&json(&ExaminationJson::new(described, &findings))),
+            false if is_sound => print("no fault found"),
+            false => print("faults found: see FAIL above"),
         }
-        Ok(sound)
+        Ok(is_sound)
     }
 }
 
@@ -176,7 +176,8 @@ impl CommonOptions {
         Ok(situations.transpose()?)
     }
 
-    /// Returns the suite of the first queries: the recording's, if there is one.
+    /// Returns the suite for which the servers describe themselves: that of the first recorded
+    /// situation, or `--suite` without recordings.
     fn suite_of(&self, recorded: Option<&[Situation]>) -> String {
         let first = recorded.and_then(|situations| situations.first());
         first.map_or_else(

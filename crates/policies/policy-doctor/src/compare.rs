@@ -7,7 +7,7 @@ use serde::Serialize;
 use crate::{
     answers::Answers,
     descriptions::{self, DescriptionDifference},
-    difference::{self, Difference, Kind, LargestDifference, NUMBERS, size},
+    difference::{self, COMPONENT_NAMES, Difference, Kind, LargestDifference, size},
     fit::{Limit, fit},
     randomness::{REPEATABLE, Randomness},
     search::{Explanation, SearchResult, SearchSetup},
@@ -25,7 +25,7 @@ const STANDARD_ERRORS: f64 = 2.5;
 const MAX_UNEXPLAINED_BY_SIZE: f64 = 0.4;
 /// Share of the answers' variation below which differences count as rounding.
 const ROUNDING: f64 = 0.02;
-/// Common default seeds.
+/// Seeds that servers commonly have as a default.
 const COMMON_SEEDS: [u64; 5] = [0, 1, 7, 42, 1000];
 
 /// Result of a comparison.
@@ -39,13 +39,13 @@ pub struct Comparison {
     pub note: String,
 }
 
-/// Answers of both servers to the same queries.
-struct Both {
+/// Answers of two servers to the same queries.
+struct AnswerPair {
     a: Answers,
     b: Answers,
 }
 
-impl Both {
+impl AnswerPair {
     async fn query(
         servers: &ServerPair,
         seeds: &(dyn Fn(usize) -> Vec<u64> + Sync),
@@ -66,7 +66,9 @@ impl Both {
     fn differ_by_rounding(&self) -> bool {
         let remaining = fit(&self.a, &self.b, &[f64::INFINITY; 7]).remaining;
         let deviations = standard_deviations(&self.b);
-        (0..7).all(|at| remaining[at] <= (ROUNDING * deviations[at]).max(REPEATABLE))
+        (0..7).all(|component| {
+            remaining[component] <= (ROUNDING * deviations[component]).max(REPEATABLE)
+        })
     }
 }
 
@@ -81,14 +83,14 @@ pub async fn compare(
 ) -> Result<Comparison, ExaminationError> {
     let descriptions = descriptions::differences(&a.described, &b.described);
     let servers = ServerPair::new(a, b, situations)?;
-    let both = Both::query(&servers, &|_| vec![SEED]).await?;
+    let pair = AnswerPair::query(&servers, &|_| vec![SEED]).await?;
     let randomness = [
-        Randomness::measure(&servers, Side::A, &both.a).await?,
-        Randomness::measure(&servers, Side::B, &both.b).await?,
+        Randomness::measure(&servers, Side::A, &pair.a).await?,
+        Randomness::measure(&servers, Side::B, &pair.b).await?,
     ];
     let mut differences = seed_differences(&servers, randomness);
     let (answer_differences, note) = match randomness.iter().all(Randomness::is_repeatable) {
-        true => compare_paired(&servers, &both, randomness).await?,
+        true => compare_paired(&servers, &pair, randomness).await?,
         false => compare_means(&servers, randomness).await?,
     };
     for difference in answer_differences {
@@ -114,7 +116,7 @@ fn seed_differences(servers: &ServerPair, randomness: [Randomness; 2]) -> Vec<Di
         if !randomness.is_repeatable() && !servers.described(side).unseeded {
             let text = format!(
                 "{letter} answers the same observation and seed differently every time, by up to \
-                 {}, and does not declare it: its noise does not come from the seed.",
+                 {}, and does not declare this: its noise does not come from the seed.",
                 size(randomness.repeat_difference)
             );
             return vec![Difference::new(Kind::Seed, text)];
@@ -139,13 +141,13 @@ fn seed_differences(servers: &ServerPair, randomness: [Randomness; 2]) -> Vec<Di
 /// Compares answers with the same seed.
 async fn compare_paired(
     servers: &ServerPair,
-    both: &Both,
+    pair: &AnswerPair,
     randomness: [Randomness; 2],
 ) -> Result<(Vec<Difference>, String), ExaminationError> {
     let is_random = randomness
         .iter()
         .any(|randomness| randomness.seed_difference > REPEATABLE);
-    let largest = both.largest_difference();
+    let largest = pair.largest_difference();
     let seeds = |_: usize| vec![SEED];
     let setup = SearchSetup {
         servers,
@@ -155,55 +157,55 @@ async fn compare_paired(
         // tried.
         allows_several: !is_random,
     };
-    let unchanged = fit(&both.a, &both.b, &setup.floor);
+    let unchanged = fit(&pair.a, &pair.b, &setup.floor);
     if is_random
         && !unchanged.explains
-        && let Some(found) = other_seed(servers, both).await?
+        && let Some(found) = find_other_seed(servers, pair).await?
     {
-        let note = comparison_note(servers, &both.a, "with one seed each");
+        let note = comparison_note(servers, &pair.a, "with one seed each");
         return Ok((vec![found], note));
     }
-    match setup.search(&both.a, &both.b).await? {
+    match setup.search(&pair.a, &pair.b).await? {
         SearchResult::Explained(explanation) => {
             let note = format!(
                 "{}; the largest difference, with unchanged observations, is {}",
-                comparison_note(servers, &both.a, "with the same seed"),
+                comparison_note(servers, &pair.a, "with the same seed"),
                 size(largest.value)
             );
             Ok((difference::explained(&explanation, largest), note))
         }
-        SearchResult::Unexplained(_) if both.differ_by_rounding() => {
+        SearchResult::Unexplained(_) if pair.differ_by_rounding() => {
             let note = format!(
                 "{}; they differ by up to {}, less than {ROUNDING} of their own variation, as \
                  after rounding (bfloat16), through JPEG or on another processor",
-                comparison_note(servers, &both.a, "with the same seed"),
+                comparison_note(servers, &pair.a, "with the same seed"),
                 size(largest.value)
             );
             Ok((vec![], note))
         }
         SearchResult::Unexplained(_) if is_random => compare_means(servers, randomness).await,
         SearchResult::Unexplained(closest) => {
-            let found = not_explained(both, largest, &closest);
-            let note = comparison_note(servers, &both.a, "with the same seed");
+            let found = not_explained(pair, largest, &closest);
+            let note = comparison_note(servers, &pair.a, "with the same seed");
             Ok((found, note))
         }
     }
 }
 
-/// Checks whether one server's answers with a seed equal the other's with another seed.
-async fn other_seed(
+/// Finds a seed with which one server gives the answers that the other server gives with [`SEED`].
+async fn find_other_seed(
     servers: &ServerPair,
-    both: &Both,
+    pair: &AnswerPair,
 ) -> Result<Option<Difference>, ExaminationError> {
     let all = servers.situations();
     let near = [("one more than", SEED + 1), ("one less than", SEED - 1)];
-    let usual = COMMON_SEEDS.map(|seed| ("", seed));
-    for (relation, seed) in near.into_iter().chain(usual) {
+    let common = COMMON_SEEDS.map(|seed| ("", seed));
+    for (relation, seed) in near.into_iter().chain(common) {
         for (side, letter, other) in [(Side::A, "A", "B"), (Side::B, "B", "A")] {
             let changed = servers.query(side, &[], 1, |_| vec![seed]).await?;
             let (unchanged, first) = match side {
-                Side::A => (&both.b, &changed),
-                Side::B => (&both.a, &changed),
+                Side::A => (&pair.b, &changed),
+                Side::B => (&pair.a, &changed),
             };
             if unchanged.largest_difference(first).0 > REPEATABLE {
                 continue;
@@ -220,7 +222,7 @@ async fn other_seed(
             let text = format!(
                 "{other} answers with seed {SEED} as {letter} does with {other_seed}. With the \
                  same seed they differ by up to {}; with these seeds, by {}.",
-                size(both.largest_difference().value),
+                size(pair.largest_difference().value),
                 size(remaining)
             );
             return Ok(Some(Difference::new(Kind::Seed, text)));
@@ -239,30 +241,30 @@ async fn compare_means(
         let first = SEED + 100 + (situation * SEEDS_PER_MEAN) as u64;
         (first..first + SEEDS_PER_MEAN as u64).collect()
     };
-    let both = Both::query(servers, &seeds).await?;
+    let pair = AnswerPair::query(servers, &seeds).await?;
     let setup = SearchSetup {
         servers,
         seeds: &seeds,
-        floor: floor(&both, randomness),
+        floor: floor(&pair, randomness),
         allows_several: true,
     };
-    let largest = both.largest_difference();
+    let largest = pair.largest_difference();
     let noise =
         randomness.map(|randomness| randomness.seed_difference.max(randomness.repeat_difference));
     let note = format!(
         "{}; the means differ by up to {}, and single answers to the same observation by {}",
         comparison_note(
             servers,
-            &both.a,
+            &pair.a,
             &format!("{SEEDS_PER_MEAN} answers to each averaged")
         ),
         size(largest.value),
         size(noise[0].max(noise[1])),
     );
-    let mut differences = match setup.search(&both.a, &both.b).await? {
+    let mut differences = match setup.search(&pair.a, &pair.b).await? {
         SearchResult::Explained(explanation) => difference::explained(&explanation, largest),
-        SearchResult::Unexplained(_) if both.differ_by_rounding() => vec![],
-        SearchResult::Unexplained(closest) => not_explained(&both, largest, &closest),
+        SearchResult::Unexplained(_) if pair.differ_by_rounding() => vec![],
+        SearchResult::Unexplained(closest) => not_explained(&pair, largest, &closest),
     };
     if differences.is_empty() && randomness.iter().all(Randomness::follows_seed) {
         let text = format!(
@@ -279,19 +281,20 @@ async fn compare_means(
     Ok((differences, note))
 }
 
-/// Returns the distance between means that randomness explains, by component.
-fn floor(both: &Both, randomness: [Randomness; 2]) -> Limit {
+/// Returns the largest distance between means that randomness explains, by component.
+fn floor(pair: &AnswerPair, randomness: [Randomness; 2]) -> Limit {
     let [a, b] = randomness
         .map(|randomness| randomness.seed_difference > REPEATABLE || !randomness.is_repeatable());
-    std::array::from_fn(|at| {
-        let (of_a, of_b) = (both.a.spread[at].powi(2), both.b.spread[at].powi(2));
+    std::array::from_fn(|component| {
+        let variance_of = |answers: &Answers| answers.spread[component].powi(2);
+        let (variance_a, variance_b) = (variance_of(&pair.a), variance_of(&pair.b));
         // Noise that is the same for every seed does not average out: it shifts all means alike.
         let shared_noise = match (a, b) {
-            (true, false) => 2.0 * of_a,
-            (false, true) => 2.0 * of_b,
+            (true, false) => 2.0 * variance_a,
+            (false, true) => 2.0 * variance_b,
             _ => 0.0,
         };
-        let error = ((of_a + of_b) / SEEDS_PER_MEAN as f64 + shared_noise).sqrt();
+        let error = ((variance_a + variance_b) / SEEDS_PER_MEAN as f64 + shared_noise).sqrt();
         (STANDARD_ERRORS * error).max(REPEATABLE)
     })
 }
@@ -300,7 +303,7 @@ fn floor(both: &Both, randomness: [Randomness; 2]) -> Limit {
 /// frame size is accepted with a larger remainder, because no two libraries resize frames to the
 /// same bits.
 fn not_explained(
-    both: &Both,
+    pair: &AnswerPair,
     largest: LargestDifference,
     closest: &Explanation,
 ) -> Vec<Difference> {
@@ -311,25 +314,25 @@ fn not_explained(
             .sum::<f64>()
             .sqrt()
     };
-    let unchanged = fit(&both.a, &both.b, &[f64::INFINITY; 7]).remaining;
+    let unchanged = fit(&pair.a, &pair.b, &[f64::INFINITY; 7]).remaining;
     let mut changes = closest.changes.iter();
     let is_scaled = changes.any(|(_, variant)| variant.topic() == Topic::Size);
     match is_scaled && norm(&closest.fit.remaining) < MAX_UNEXPLAINED_BY_SIZE * norm(&unchanged) {
         true => difference::explained_by_observations(closest, largest),
-        false => vec![unexplained(both, largest, closest)],
+        false => vec![unexplained(pair, largest, closest)],
     }
 }
 
-fn unexplained(both: &Both, largest: LargestDifference, closest: &Explanation) -> Difference {
+fn unexplained(pair: &AnswerPair, largest: LargestDifference, closest: &Explanation) -> Difference {
     let remaining = closest.fit.remaining.iter().copied().fold(0.0, f64::max);
     let attempt = difference::attempt(closest);
     let mut text = format!(
         "their answers differ by up to {} ({}), and none of the differences that are tried \
          explains it.",
         size(largest.value),
-        NUMBERS[largest.component],
+        COMPONENT_NAMES[largest.component],
     );
-    for (letter, answers) in [("A", &both.a), ("B", &both.b)] {
+    for (letter, answers) in [("A", &pair.a), ("B", &pair.b)] {
         if standard_deviations(answers)
             .iter()
             .all(|number| *number <= REPEATABLE)
@@ -352,16 +355,16 @@ fn unexplained(both: &Both, largest: LargestDifference, closest: &Explanation) -
 fn standard_deviations(answers: &Answers) -> Limit {
     let rows: Vec<_> = answers.chunks.iter().flatten().collect();
     let count = rows.len().max(1) as f64;
-    std::array::from_fn(|at| {
-        let mean = rows.iter().map(|row| row[at]).sum::<f64>() / count;
-        let squares = rows.iter().map(|row| (row[at] - mean).powi(2));
+    std::array::from_fn(|component| {
+        let mean = rows.iter().map(|row| row[component]).sum::<f64>() / count;
+        let squares = rows.iter().map(|row| (row[component] - mean).powi(2));
         (squares.sum::<f64>() / count).sqrt()
     })
 }
 
-fn comparison_note(servers: &ServerPair, answers: &Answers, how: &str) -> String {
+fn comparison_note(servers: &ServerPair, answers: &Answers, method: &str) -> String {
     format!(
-        "compared {} numbers of the answers to {} observations, {how}",
+        "compared {} numbers of the answers to {} observations, {method}",
         answers.numbers(),
         servers.situations(),
     )

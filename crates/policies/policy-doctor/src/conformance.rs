@@ -21,7 +21,7 @@ pub(crate) mod verdict;
 
 /// Seed of the reference episode.
 const SEED: u64 = 1;
-/// Seed of episodes whose answers may differ from the reference's.
+/// Seed of episodes whose answers may differ from those of the reference episode.
 const OTHER_SEED: u64 = 2;
 /// Concurrent episodes in the measurement of throughput.
 const CONCURRENCY: u32 = 8;

@@ -10,16 +10,16 @@ pub struct DescriptionDifference {
     pub what: String,
     /// Value of the first server.
     pub a: String,
-    /// Value of the other server.
+    /// Value of the second server.
     pub b: String,
 }
 
-/// Returns all differences between descriptions that can matter to actions.
+/// Returns all differences between descriptions that can affect actions.
 pub(crate) fn differences(
     a: &DescribeResponse,
     b: &DescribeResponse,
 ) -> Vec<DescriptionDifference> {
-    let sides = facts(a).into_iter().zip(facts(b));
+    let sides = fields(a).into_iter().zip(fields(b));
     let mut differences: Vec<DescriptionDifference> = sides
         .filter(|((_, a), (_, b))| a != b)
         .map(|((what, a), (_, b))| DescriptionDifference {
@@ -59,7 +59,8 @@ pub(crate) fn differences(
     differences
 }
 
-fn facts(described: &DescribeResponse) -> [(&'static str, String); 9] {
+/// Returns the names and values of the compared fields, except the settings.
+fn fields(described: &DescribeResponse) -> [(&'static str, String); 9] {
     let yes_or_no = |flag: bool| if flag { "yes" } else { "no" }.to_owned();
     let cameras = described.cameras.iter();
     let cameras: Vec<String> = cameras

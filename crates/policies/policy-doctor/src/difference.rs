@@ -10,7 +10,7 @@ use crate::{
 };
 
 /// Names of an action's seven components.
-pub(crate) const NUMBERS: [&str; 7] = [
+pub(crate) const COMPONENT_NAMES: [&str; 7] = [
     "x",
     "y",
     "z",
@@ -156,10 +156,11 @@ pub(crate) fn explained_by_observations(
 fn of_observations(explanation: &Explanation) -> Vec<Difference> {
     let changes = explanation.changes.iter();
     changes
-        .map(|(side, variant)| Difference::new(kind(variant), variant_words(*side, variant)))
+        .map(|(side, variant)| Difference::new(kind(variant), describe_variant(*side, variant)))
         .collect()
 }
 
+/// Appends the largest differences without and with the explanation to each description.
 fn with_sizes(
     mut differences: Vec<Difference>,
     explanation: &Explanation,
@@ -176,7 +177,7 @@ fn with_sizes(
             "{} Unchanged, their answers differ by up to {} ({}); with this change, by {}.",
             difference.text,
             size(largest.value),
-            NUMBERS[largest.component],
+            COMPONENT_NAMES[largest.component],
             size(remaining),
         );
     }
@@ -219,7 +220,7 @@ fn letter(side: Side) -> &'static str {
     }
 }
 
-fn variant_words(side: Side, variant: &Variant) -> String {
+fn describe_variant(side: Side, variant: &Variant) -> String {
     let (changed, other) = match side {
         Side::A => ("A", "B"),
         Side::B => ("B", "A"),
@@ -248,11 +249,11 @@ pub(crate) fn of_actions(fit: &Fit) -> Vec<Difference> {
         );
         differences.push(Difference::new(Kind::ChunkOffset, text));
     }
-    let is_affine = |at: &usize| matches!(fit.maps[*at], Map::Affine { .. });
+    let is_affine = |component: &usize| matches!(fit.maps[*component], Map::Affine { .. });
     let arm: Vec<usize> = (0..GRIPPER).filter(is_affine).collect();
     match fit.maps[GRIPPER] {
         Map::Gripper(convention) => {
-            let text = convention_words(convention);
+            let text = describe_convention(convention);
             differences.push(Difference::new(Kind::GripperConvention, text));
         }
         Map::Affine { scale, offset } if arm.is_empty() => {
@@ -263,10 +264,10 @@ pub(crate) fn of_actions(fit: &Fit) -> Vec<Difference> {
     }
     if !arm.is_empty() {
         let all = (0..7).filter(is_affine);
-        let each = all.filter_map(|at| match fit.maps[at] {
+        let each = all.filter_map(|component| match fit.maps[component] {
             Map::Affine { scale, offset } => Some(format!(
                 "{} = {}",
-                NUMBERS[at],
+                COMPONENT_NAMES[component],
                 scaled("A's", scale, offset)
             )),
             _ => None,
@@ -288,7 +289,7 @@ fn scaled(name: &str, scale: f64, offset: f64) -> String {
     }
 }
 
-fn convention_words(convention: Convention) -> &'static str {
+fn describe_convention(convention: Convention) -> &'static str {
     match convention {
         Convention::Inverted => "B's gripper is A's × -1: one opens where the other closes.",
         Convention::ZeroToOne => {

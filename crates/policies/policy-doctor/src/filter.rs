@@ -39,7 +39,7 @@ impl Filter {
         }
         // `cell` is the small frame's cell that covers a position of the large frame; `positions`
         // are those of the large frame that a cell is computed from.
-        let cell = |at: usize, axis: usize| (2 * at + 1) * small[axis] / (2 * large[axis]);
+        let cell = |index: usize, axis: usize| (2 * index + 1) * small[axis] / (2 * large[axis]);
         let begin = |cell: usize, axis: usize| cell * large[axis] / small[axis];
         let positions = |cell: usize, axis: usize| match self {
             Self::Nearest => {
@@ -57,7 +57,7 @@ impl Filter {
                     .clone()
                     .map(move |column| 3 * (line + column) + channel)
             });
-            let sum: usize = levels.map(|at| usize::from(image.rgb[at])).sum();
+            let sum: usize = levels.map(|index| usize::from(image.rgb[index])).sum();
             ((sum + count / 2) / count) as u8
         };
         let mut cells = Vec::with_capacity(3 * small[0] * small[1]);
@@ -69,8 +69,8 @@ impl Filter {
         let mut restored = Vec::with_capacity(image.rgb.len());
         for row in 0..large[1] {
             for column in 0..large[0] {
-                let at = 3 * (cell(row, 1) * small[0] + cell(column, 0));
-                restored.extend_from_slice(&cells[at..at + 3]);
+                let index = 3 * (cell(row, 1) * small[0] + cell(column, 0));
+                restored.extend_from_slice(&cells[index..index + 3]);
             }
         }
         image.rgb = restored.into();

@@ -6,7 +6,7 @@ use crate::{answers::Answers, server::Action};
 
 /// Index of the gripper in an action.
 pub(crate) const GRIPPER: usize = 6;
-/// Smallest scale of an affine map; a smaller one means that the answers are unrelated.
+/// Smallest scale of an affine map; a smaller scale means that the answers are unrelated.
 const LEAST_SCALE: f64 = 1e-3;
 
 /// Map of one component of an action.
@@ -91,8 +91,8 @@ pub(crate) type Limit = Action;
 /// Map from one server's actions to the other's.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Fit {
-    /// Index of the first server's action that corresponds to the second server's first action. A
-    /// negative value is the index for exchanged servers.
+    /// k if the first server's action k corresponds to the second server's action 0, and −k if the
+    /// second server's action k corresponds to the first server's action 0.
     pub shift: i32,
     /// Map of each component.
     pub maps: [Map; 7],
@@ -114,7 +114,8 @@ impl Fit {
         self.cost() == 0
     }
 
-    /// Returns true if the remaining difference is within another limit.
+    /// Returns true if the remaining difference is within `limit`, which may differ from the limit
+    /// with which the fit was made.
     pub(crate) fn is_within(&self, limit: &Limit) -> bool {
         self.remaining
             .iter()
@@ -132,19 +133,19 @@ impl Fit {
     }
 }
 
-/// Returns the simplest map from `one` to `other` within `limit`; if there is none, the best one
-/// without a shift.
-pub(crate) fn fit(one: &Answers, other: &Answers, limit: &Limit) -> Fit {
-    let aligned = at_shift(one, other, 0, limit);
+/// Returns the simplest map from `first` to `second` whose remaining difference is within `limit`;
+/// if no map is, the best map without a shift.
+pub(crate) fn fit(first: &Answers, second: &Answers, limit: &Limit) -> Fit {
+    let aligned = fit_at_shift(first, second, 0, limit);
     if aligned.explains && aligned.is_identity() {
         return aligned;
     }
-    let pairs = one.chunks.iter().zip(&other.chunks);
+    let pairs = first.chunks.iter().zip(&second.chunks);
     let shortest = pairs.map(|(a, b)| a.len().min(b.len())).min().unwrap_or(0);
     // At least half of the chunk must remain to be compared.
     let furthest = (shortest / 2) as i32;
     let shifts = (1..=furthest).flat_map(|by| [by, -by]);
-    let shifted = shifts.map(|shift| at_shift(one, other, shift, limit));
+    let shifted = shifts.map(|shift| fit_at_shift(first, second, shift, limit));
     let explaining = shifted.filter(|fit| fit.explains);
     let simplest = explaining.min_by(|a, b| {
         let by_remainder = || a.remainder(limit).total_cmp(&b.remainder(limit));
@@ -156,11 +157,12 @@ pub(crate) fn fit(one: &Answers, other: &Answers, limit: &Limit) -> Fit {
     }
 }
 
-fn at_shift(one: &Answers, other: &Answers, shift: i32, limit: &Limit) -> Fit {
-    let (skip_one, skip_other) = (shift.max(0) as usize, (-shift).max(0) as usize);
-    let chunks = one.chunks.iter().zip(&other.chunks);
+/// Returns the simplest map from `first` to `second` with the given [`Fit::shift`].
+fn fit_at_shift(first: &Answers, second: &Answers, shift: i32, limit: &Limit) -> Fit {
+    let (skip_first, skip_second) = (shift.max(0) as usize, (-shift).max(0) as usize);
+    let chunks = first.chunks.iter().zip(&second.chunks);
     let rows: Vec<(&Action, &Action)> = chunks
-        .flat_map(|(a, b)| a.iter().skip(skip_one).zip(b.iter().skip(skip_other)))
+        .flat_map(|(a, b)| a.iter().skip(skip_first).zip(b.iter().skip(skip_second)))
         .collect();
     let mut fit = Fit {
         shift,
@@ -168,22 +170,25 @@ fn at_shift(one: &Answers, other: &Answers, shift: i32, limit: &Limit) -> Fit {
         remaining: [0.0; 7],
         explains: true,
     };
-    for at in 0..7 {
-        let numbers: Vec<(f64, f64)> = rows.iter().map(|(a, b)| (a[at], b[at])).collect();
+    for component in 0..7 {
+        let numbers: Vec<(f64, f64)> = rows
+            .iter()
+            .map(|(a, b)| (a[component], b[component]))
+            .collect();
         let mut simplest = (Map::Same, remaining_difference(&numbers, Map::Same));
-        if simplest.1 > limit[at] {
+        if simplest.1 > limit[component] {
             let conventions = Convention::ALL.map(Map::Gripper);
-            let conventions = conventions.into_iter().filter(|_| at == GRIPPER);
+            let conventions = conventions.into_iter().filter(|_| component == GRIPPER);
             for map in conventions.chain(affine(&numbers)) {
                 let remaining = remaining_difference(&numbers, map);
-                // Maps are ordered by cost, so the first within the limit is the simplest.
-                if simplest.1 > limit[at] && remaining < simplest.1 {
+                // Maps are ordered by cost, so the first map within the limit is the simplest.
+                if simplest.1 > limit[component] && remaining < simplest.1 {
                     simplest = (map, remaining);
                 }
             }
         }
-        fit.explains &= simplest.1 <= limit[at];
-        (fit.maps[at], fit.remaining[at]) = simplest;
+        fit.explains &= simplest.1 <= limit[component];
+        (fit.maps[component], fit.remaining[component]) = simplest;
     }
     fit
 }
@@ -227,11 +232,12 @@ mod tests {
 
     /// Returns eight chunks of four actions without a pattern.
     fn answers() -> Answers {
-        let number = |situation: usize, row: usize, at: usize| {
-            ((situation * 37 + row * 11 + at * 5) as f64 * 1.7).sin() * 0.8
+        let number = |situation: usize, row: usize, component: usize| {
+            ((situation * 37 + row * 11 + component * 5) as f64 * 1.7).sin() * 0.8
         };
         let chunk = |situation: usize| {
-            (0..4).map(move |row| std::array::from_fn(|at| number(situation, row, at)))
+            (0..4)
+                .map(move |row| std::array::from_fn(|component| number(situation, row, component)))
         };
         Answers {
             chunks: (0..8).map(|situation| chunk(situation).collect()).collect(),
@@ -240,9 +246,9 @@ mod tests {
     }
 
     fn changed(change: impl Fn(&mut Action)) -> Answers {
-        let mut other = answers();
-        other.chunks.iter_mut().flatten().for_each(change);
-        other
+        let mut changed = answers();
+        changed.chunks.iter_mut().flatten().for_each(change);
+        changed
     }
 
     #[test]

@@ -59,19 +59,19 @@ const LAYOUTS: [&[Part]; 10] = [
 /// Travel of a finger joint, m.
 const FINGER_TRAVEL: f64 = 0.04;
 
-/// Returns the layouts of the same width as `fields` that may have been confused with it, without
-/// `fields` itself. The other server's layout comes first.
-pub(crate) fn confusable(fields: &[StateField], of_other: &[StateField]) -> Vec<Vec<Part>> {
+/// Returns the layouts of the same width as `fields` with which `fields` may have been confused.
+/// `other_fields`, the layout of the other server, comes first if it has this width.
+pub(crate) fn confusable(fields: &[StateField], other_fields: &[StateField]) -> Vec<Vec<Part>> {
     let parts: Vec<Part> = fields.iter().map(|&field| Field(field)).collect();
     let width = width(&parts);
     if width == 0 {
         return vec![];
     }
-    let mut layouts = vec![of_other.iter().map(|&field| Field(field)).collect()];
-    for (at, part) in parts.iter().enumerate() {
+    let mut layouts = vec![other_fields.iter().map(|&field| Field(field)).collect()];
+    for (index, part) in parts.iter().enumerate() {
         for &alternative in alternatives(*part) {
             let mut layout = parts.clone();
-            layout[at] = alternative;
+            layout[index] = alternative;
             layouts.push(layout);
         }
     }
@@ -114,7 +114,7 @@ fn width(parts: &[Part]) -> usize {
     parts.iter().map(|part| part.width()).sum()
 }
 
-/// Returns the values of these parts; `None` if the situation lacks one.
+/// Returns the values of these parts; `None` if the situation lacks the values of a part.
 pub(crate) fn numbers(parts: &[Part], situation: &Situation) -> Option<Vec<f64>> {
     let mut numbers = vec![];
     for part in parts {
@@ -166,7 +166,7 @@ impl Part {
             }
             Self::RotationColumns => {
                 let m = pose::matrix(quaternion()?);
-                [0, 3, 6, 1, 4, 7, 2, 5, 8].map(|at| m[at]).to_vec()
+                [0, 3, 6, 1, 4, 7, 2, 5, 8].map(|index| m[index]).to_vec()
             }
             Self::FingersUnsigned => fingers()?.map(f64::abs).to_vec(),
             Self::FingersSwapped => fingers()?.into_iter().rev().collect(),
@@ -184,10 +184,10 @@ pub(crate) struct Parts<'a>(pub &'a [Part]);
 
 impl fmt::Display for Parts<'_> {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        for (at, part) in self.0.iter().enumerate() {
-            f.write_str(match at {
+        for (index, part) in self.0.iter().enumerate() {
+            f.write_str(match index {
                 0 => "",
-                _ if at + 1 == self.0.len() => " and ",
+                _ if index + 1 == self.0.len() => " and ",
                 _ => ", ",
             })?;
             part.fmt(f)?;
@@ -255,15 +255,15 @@ mod tests {
         for fields in declared {
             let parts: Vec<Part> = fields.iter().map(|&field| Field(field)).collect();
             let declared = numbers(&parts, &situation()).expect("the situation has every reading");
-            let others = confusable(&fields, &[]);
-            assert!(others.len() > 1, "{fields:?}");
-            for other in others {
+            let layouts = confusable(&fields, &[]);
+            assert!(layouts.len() > 1, "{fields:?}");
+            for layout in layouts {
                 let numbers =
-                    numbers(&other, &situation()).expect("the situation has every reading");
-                assert_eq!(numbers.len(), declared.len(), "{}", Parts(&other));
+                    numbers(&layout, &situation()).expect("the situation has every reading");
+                assert_eq!(numbers.len(), declared.len(), "{}", Parts(&layout));
                 let pairs = numbers.iter().zip(&declared);
                 let difference = pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max);
-                assert!(difference > 0.005, "{}", Parts(&other));
+                assert!(difference > 0.005, "{}", Parts(&layout));
             }
         }
         assert!(confusable(&[], &[EefPos]).is_empty());

@@ -1,8 +1,8 @@
 //! Examination of policy servers, for the commands `check`, `compare` and `doctor` of
 //! `policy-gateway`. [`conformance`] checks that a server conforms to the policy protocol. The
 //! other modules are for conforming servers whose rollouts fail: [`compare`] finds differences
-//! between the pipelines of two servers, [`diagnosis`] common mistakes of one server. Both query
-//! servers in synthetic or recorded situations, and judge only the answers.
+//! between the pipelines of two servers, and [`diagnosis`] finds common mistakes of one server.
+//! These two query servers in synthetic or recorded situations, and judge only the answers.
 //!
 //! `situation` is the input of a query, from [`synthetic`] or `recorded`; `variant`, `filter` and
 //! `layout` modify it; [`server`] and `server_pair` send queries; `fit` and `search` explain

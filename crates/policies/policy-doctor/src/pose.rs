@@ -3,8 +3,8 @@
 /// A unit quaternion, x y z w.
 pub type Quaternion = [f64; 4];
 
-/// Returns axis times angle, rad, with the angle in 0..2π: a quaternion and its antipode differ,
-/// as in robosuite.
+/// Returns axis times angle, rad, with the angle in 0..2π, so that a quaternion and its antipode
+/// have different vectors, as in robosuite.
 pub fn axis_angle([x, y, z, w]: Quaternion) -> [f64; 3] {
     let sine = (x * x + y * y + z * z).sqrt();
     if sine == 0.0 {
@@ -82,8 +82,11 @@ pub fn roll_pitch_yaw(quaternion: Quaternion) -> [f64; 3] {
 mod tests {
     use super::*;
 
-    fn close(one: &[f64], other: &[f64]) -> bool {
-        one.iter().zip(other).all(|(a, b)| (a - b).abs() < 1e-9)
+    fn close(actual: &[f64], expected: &[f64]) -> bool {
+        actual
+            .iter()
+            .zip(expected)
+            .all(|(a, b)| (a - b).abs() < 1e-9)
     }
 
     #[test]

@@ -23,7 +23,7 @@ pub(crate) struct Randomness {
 }
 
 impl Randomness {
-    /// Repeats a server's queries with the same seed and with another one; `answers` are the
+    /// Repeats a server's queries with the same seed and with another seed; `answers` are the
     /// answers to the first queries, with [`SEED`].
     ///
     /// # Errors
@@ -33,13 +33,13 @@ impl Randomness {
         side: Side,
         answers: &Answers,
     ) -> Result<Self, ExaminationError> {
-        let again = servers.query(side, &[], SITUATIONS, |_| vec![SEED]).await?;
-        let other = servers
+        let same_seed = servers.query(side, &[], SITUATIONS, |_| vec![SEED]).await?;
+        let other_seed = servers
             .query(side, &[], SITUATIONS, |_| vec![SEED + 1])
             .await?;
         Ok(Self {
-            repeat_difference: again.largest_difference(answers).0,
-            seed_difference: other.largest_difference(answers).0,
+            repeat_difference: same_seed.largest_difference(answers).0,
+            seed_difference: other_seed.largest_difference(answers).0,
         })
     }
 

@@ -10,20 +10,21 @@ use crate::situation::Situation;
 /// possible, and evenly spaced within each session.
 ///
 /// # Errors
-/// If there is no recording, or one is damaged.
+/// If there is no recording, or a recording is damaged.
 pub(crate) fn situations(folder: &Path, count: usize) -> Result<Vec<Situation>, RecordingError> {
     let files = recording::files(folder)?;
     let mut situations = vec![];
-    for at in 0..count.min(files.len()) {
-        let file = &files[at * files.len() / count.min(files.len())];
-        // The first sessions contribute one more if `count` is no multiple of their number.
+    for index in 0..count.min(files.len()) {
+        let file = &files[index * files.len() / count.min(files.len())];
+        // If `count` is no multiple of the number of sessions, the first sessions contribute one
+        // situation more than the last.
         let sessions = count.min(files.len());
-        let share = count / sessions + usize::from(at < count % sessions);
+        let share = count / sessions + usize::from(index < count % sessions);
         situations.extend(of_session(file, share)?);
     }
     match situations.is_empty() {
         false => Ok(situations),
-        true => Err(RecordingError::None {
+        true => Err(RecordingError::NoRecordings {
             folder: folder.to_owned(),
         }),
     }
@@ -36,15 +37,15 @@ fn of_session(file: &Path, count: usize) -> Result<Vec<Situation>, RecordingErro
         queries += 1;
     }
     let count = count.min(queries);
-    let selected: Vec<usize> = (0..count).map(|at| at * queries / count).collect();
+    let selected: Vec<usize> = (0..count).map(|index| index * queries / count).collect();
     let mut reader = Reader::open(file)?;
     let mut situations = vec![];
-    let mut at = 0;
+    let mut query = 0;
     while let Some(pair) = reader.pair()? {
-        if selected.contains(&at) {
+        if selected.contains(&query) {
             situations.push(situation(&reader, pair));
         }
-        at += 1;
+        query += 1;
     }
     Ok(situations)
 }

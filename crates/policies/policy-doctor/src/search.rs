@@ -9,7 +9,7 @@ use crate::{
     variant::{Topic, Variant},
 };
 
-/// Most changes to observations in one explanation.
+/// Largest number of changes to observations in one explanation.
 const MAX_CHANGES: usize = 3;
 /// Largest share of the remaining difference that another change may leave in order to be
 /// accepted.
@@ -23,9 +23,9 @@ const MAX_UNEXPLAINED: f64 = 0.1;
 pub(crate) struct SearchSetup<'a> {
     /// The servers and the situations.
     pub servers: &'a ServerPair,
-    /// Seeds of a situation; answers to several are averaged.
+    /// Seeds of a situation; the answers with several seeds are averaged.
     pub seeds: &'a (dyn Fn(usize) -> Vec<u64> + Sync),
-    /// Largest difference that counts as none.
+    /// Largest difference that counts as equality.
     pub floor: Limit,
     /// True if several simultaneous differences are searched for.
     pub allows_several: bool,
@@ -51,7 +51,7 @@ impl Explanation {
 pub(crate) enum SearchResult {
     /// This explanation makes the answers alike.
     Explained(Explanation),
-    /// No explanation makes the answers alike; this one leaves the smallest difference.
+    /// No explanation makes the answers alike; this explanation leaves the smallest difference.
     Unexplained(Explanation),
 }
 
@@ -82,14 +82,14 @@ impl SearchSetup<'_> {
                 break;
             }
             limit = next_limit;
-            let (one, other) = self.answers(&explained.changes, a, b).await?;
-            let fit = fit(&one, &other, &limit);
+            let (changed_a, changed_b) = self.answers(&explained.changes, a, b).await?;
+            let fit = fit(&changed_a, &changed_b, &limit);
             let changes = explained.changes.clone();
             match self
                 .extend(&Explanation { changes, fit }, &limit, a, b)
                 .await?
             {
-                SearchResult::Explained(more) => explained = more,
+                SearchResult::Explained(extended) => explained = extended,
                 SearchResult::Unexplained(_) => break,
             }
         }
@@ -98,7 +98,9 @@ impl SearchSetup<'_> {
 
     /// Returns the largest remainder that counts as explained for a difference of this size.
     fn limit(&self, difference: Limit) -> Limit {
-        std::array::from_fn(|at| self.floor[at].max(MAX_UNEXPLAINED * difference[at]))
+        std::array::from_fn(|component| {
+            self.floor[component].max(MAX_UNEXPLAINED * difference[component])
+        })
     }
 
     /// Finds the simplest explanation that extends `start`.
@@ -109,7 +111,7 @@ impl SearchSetup<'_> {
         a: &Answers,
         b: &Answers,
     ) -> Result<SearchResult, ExaminationError> {
-        // No change to the observations could be simpler.
+        // An explanation with a change to the observations costs at least 1, too.
         if start.fit.explains && start.fit.cost() <= 1 {
             return Ok(SearchResult::Explained(start.clone()));
         }
@@ -129,8 +131,8 @@ impl SearchSetup<'_> {
         for _ in 0..depth {
             let mut candidates = vec![];
             for changes in self.extensions(&closest.changes) {
-                let (one, other) = self.answers(&changes, a, b).await?;
-                let fit = fit(&one, &other, limit);
+                let (changed_a, changed_b) = self.answers(&changes, a, b).await?;
+                let fit = fit(&changed_a, &changed_b, limit);
                 candidates.push(Explanation { changes, fit });
             }
             explanations.extend(
@@ -139,16 +141,16 @@ impl SearchSetup<'_> {
                     .filter(|candidate| candidate.fit.explains)
                     .cloned(),
             );
-            let simplest = explanations.iter().min_by(|one, other| {
-                let by_remainder = || remainder(one).total_cmp(&remainder(other));
-                one.cost().cmp(&other.cost()).then_with(by_remainder)
+            let simplest = explanations.iter().min_by(|first, second| {
+                let by_remainder = || remainder(first).total_cmp(&remainder(second));
+                first.cost().cmp(&second.cost()).then_with(by_remainder)
             });
             if let Some(simplest) = simplest {
                 return Ok(SearchResult::Explained(simplest.clone()));
             }
             let nearest = candidates
                 .into_iter()
-                .min_by(|one, other| remainder(one).total_cmp(&remainder(other)));
+                .min_by(|first, second| remainder(first).total_cmp(&remainder(second)));
             match nearest {
                 Some(nearest)
                     if remainder(&nearest) < MAX_REMAINDER_PER_CHANGE * remainder(&closest) =>
@@ -161,7 +163,8 @@ impl SearchSetup<'_> {
         Ok(SearchResult::Unexplained(closest))
     }
 
-    /// Returns all extensions of `changes` by one change, on a topic that `changes` does not have.
+    /// Returns all extensions of `changes` by one change whose topic is not among those of
+    /// `changes`.
     fn extensions(&self, changes: &[(Side, Variant)]) -> Vec<Vec<(Side, Variant)>> {
         let used: Vec<Topic> = changes.iter().map(|(_, variant)| variant.topic()).collect();
         let mut extensions = vec![];
@@ -178,22 +181,24 @@ impl SearchSetup<'_> {
         extensions
     }
 
-    /// Returns both servers' answers under these changes.
+    /// Returns both servers' answers under these changes; `a` and `b` are the answers without
+    /// changes.
     async fn answers(
         &self,
         changes: &[(Side, Variant)],
         a: &Answers,
         b: &Answers,
     ) -> Result<(Answers, Answers), ExaminationError> {
-        let one = self.changed(Side::A, changes).await?;
-        let other = self.changed(Side::B, changes).await?;
+        let changed_a = self.changed(Side::A, changes).await?;
+        let changed_b = self.changed(Side::B, changes).await?;
         Ok((
-            one.unwrap_or_else(|| a.clone()),
-            other.unwrap_or_else(|| b.clone()),
+            changed_a.unwrap_or_else(|| a.clone()),
+            changed_b.unwrap_or_else(|| b.clone()),
         ))
     }
 
-    /// Returns one server's answers under its changes; `None` if `changes` holds no change for it.
+    /// Returns one server's answers under its changes; `None` if `changes` holds no change for this
+    /// server.
     async fn changed(
         &self,
         side: Side,

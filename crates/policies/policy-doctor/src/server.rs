@@ -46,7 +46,7 @@ pub(crate) struct Episode<'a> {
 }
 
 /// Answer with its latency.
-pub(crate) struct Timed {
+pub(crate) struct TimedAnswer {
     /// Answer of the server, unchecked.
     pub(crate) response: InferResponse,
     /// Time from the query to the answer.
@@ -123,7 +123,7 @@ impl Episode<'_> {
     pub(crate) async fn query(
         &mut self,
         observation: Observation,
-    ) -> Result<Timed, ExaminationError> {
+    ) -> Result<TimedAnswer, ExaminationError> {
         let request = InferRequest {
             policy: String::new(),
             session: self.session.clone(),
@@ -134,7 +134,7 @@ impl Episode<'_> {
         self.next_query += 1;
         let sent = Instant::now();
         let response = in_time(&self.server.url, self.server.backend.infer(request)).await?;
-        Ok(Timed {
+        Ok(TimedAnswer {
             response,
             latency: sent.elapsed(),
         })
@@ -143,14 +143,14 @@ impl Episode<'_> {
     /// Sends the next query, and returns the checked actions of its answer.
     ///
     /// # Errors
-    /// As [`Episode::query`], or if the answer is not a valid chunk of actions.
+    /// If [`Episode::query`] fails, or the answer is not a valid chunk of actions.
     pub(crate) async fn actions(
         &mut self,
         observation: Observation,
     ) -> Result<Vec<Action>, ExaminationError> {
         let answer = self.query(observation).await?;
         let actions = self.server.actions(&answer.response);
-        actions.map_err(|fault| ExaminationError::Nonsense {
+        actions.map_err(|fault| ExaminationError::InvalidActions {
             url: self.server.url.clone(),
             fault,
         })
@@ -159,7 +159,7 @@ impl Episode<'_> {
     /// Ends the episode. Errors are ignored.
     pub(crate) async fn end(self) {
         let end = self.server.backend.end(&self.session);
-        // A server may ignore the end of an episode.
+        // A server may not implement `End`.
         let _ = tokio::time::timeout(Duration::from_secs(5), end).await;
     }
 }
@@ -169,7 +169,7 @@ async fn in_time<T>(
     answer: impl Future<Output = Result<T, BackendError>>,
 ) -> Result<T, ExaminationError> {
     let answer = tokio::time::timeout(ANSWER_TIMEOUT, answer).await;
-    let answer = answer.map_err(|_| ExaminationError::Silent {
+    let answer = answer.map_err(|_| ExaminationError::NoAnswer {
         url: url.to_owned(),
     })?;
     answer.map_err(|error| ExaminationError::Answer {
@@ -189,7 +189,7 @@ pub enum ExaminationError {
     Recording(#[from] RecordingError),
     /// The server does not answer in time.
     #[error("get an answer from {url} within {} s", ANSWER_TIMEOUT.as_secs())]
-    Silent {
+    NoAnswer {
         /// URL as given.
         url: String,
     },
@@ -211,7 +211,7 @@ pub enum ExaminationError {
     },
     /// The server's answer is not a valid chunk of actions.
     #[error("compare the answers of {url}: {fault}; `policy-gateway doctor {url}` shows more")]
-    Nonsense {
+    InvalidActions {
         /// URL as given.
         url: String,
         /// Fault of the answer.
@@ -222,7 +222,7 @@ pub enum ExaminationError {
         "query {url} with recorded observations: it needs {missing}, which the recordings lack; \
          record a policy that needs them, too, or leave --recorded out"
     )]
-    Lacking {
+    MissingInput {
         /// URL as given.
         url: String,
         /// Missing input.

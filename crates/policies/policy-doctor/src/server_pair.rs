@@ -13,8 +13,8 @@ use crate::{
 /// First seed, which is no program's default.
 pub(crate) const SEED: u64 = 4_711;
 /// Queries per episode, all with the same observation, for stateful policies that answer one
-/// action at a time from a chunk: a single answer would show only its first action.
-const HELD_QUERIES: u32 = 4;
+/// action at a time from a chunk: a single answer would show only the first action of the chunk.
+const REPEATED_QUERIES: u32 = 4;
 
 /// Identifies one of the two servers.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,6 +33,7 @@ pub(crate) struct ServerPair {
     /// Unchanged observations of all situations, by server.
     observations_a: Vec<Observation>,
     observations_b: Vec<Observation>,
+    /// Number of queries per episode.
     queries: u32,
 }
 
@@ -50,22 +51,22 @@ impl ServerPair {
             let observations = situations
                 .iter()
                 .map(|situation| situation.observation(&server.described));
-            observations
-                .collect::<Result<_, _>>()
-                .map_err(|missing| ExaminationError::Lacking {
+            observations.collect::<Result<_, _>>().map_err(|missing| {
+                ExaminationError::MissingInput {
                     url: server.url.clone(),
                     missing,
-                })
+                }
+            })
         };
         let (observations_a, observations_b) = (observations(&a)?, observations(&b)?);
         let described = [&a.described, &b.described];
-        let is_single = described.iter().all(|description| description.horizon == 1);
-        let is_held = is_single && described.iter().any(|description| description.stateful);
+        let are_single = described.iter().all(|description| description.horizon == 1);
+        let is_repeated = are_single && described.iter().any(|description| description.stateful);
         Ok(Self {
             observations_a,
             observations_b,
             situations,
-            queries: if is_held { HELD_QUERIES } else { 1 },
+            queries: if is_repeated { REPEATED_QUERIES } else { 1 },
             a,
             b,
         })
@@ -121,13 +122,13 @@ impl ServerPair {
             Side::B => &self.observations_b,
         };
         let mut all = vec![];
-        for (at, situation) in self.situations.iter().take(count).enumerate() {
-            let mut observation = observations[at].clone();
+        for (index, situation) in self.situations.iter().take(count).enumerate() {
+            let mut observation = observations[index].clone();
             for variant in variants {
                 variant.apply(situation, &mut observation);
             }
             let mut answers = vec![];
-            for seed in seeds(at) {
+            for seed in seeds(index) {
                 answers.push(self.chunk(side, situation, &observation, seed).await?);
             }
             all.push(answers);

@@ -33,7 +33,7 @@ pub enum MissingInput {
         /// Name of the camera.
         camera: String,
     },
-    /// No reading of this field, nor of one from which it can be derived.
+    /// No reading of this field, nor of a field from which the reading can be derived.
     #[error("the robot reading {}", field.as_str_name())]
     Reading {
         /// Field of the robot's state.

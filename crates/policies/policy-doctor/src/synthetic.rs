@@ -19,16 +19,16 @@ const CLOSE_UP: usize = 5;
 /// Generates situations for a suite, with frames of these cameras.
 pub fn situations(suite: Suite, cameras: &[&str]) -> Vec<Situation> {
     let tasks: Vec<TaskRef> = suite.tasks().collect();
-    let situation = |at: usize| {
-        let mut random = Random(at as u64 + 1);
-        let hand = Hand::at_random(&mut random, at);
-        let frames = cameras.iter().map(|camera| frame(camera, at));
+    let situation = |index: usize| {
+        let mut random = Random(index as u64 + 1);
+        let hand = Hand::generate(&mut random, index);
+        let frames = cameras.iter().map(|camera| frame(camera, index));
         Situation {
             suite: suite.name().to_owned(),
-            instruction: tasks[at % tasks.len()].instruction(),
+            instruction: tasks[index % tasks.len()].instruction(),
             frames: frames.collect(),
             readings: hand.readings(&mut random),
-            privileged: Some(privileged(&hand, at)),
+            privileged: Some(privileged(&hand, index)),
         }
     };
     (0..COUNT).map(situation).collect()
@@ -78,8 +78,8 @@ struct Hand {
 impl Hand {
     /// Generates a hand that points roughly downwards. The sign of w, which distinguishes the two
     /// quaternions of an orientation, alternates between situations.
-    fn at_random(random: &mut Random, at: usize) -> Self {
-        let sign = if at.is_multiple_of(2) { 1.0 } else { -1.0 };
+    fn generate(random: &mut Random, index: usize) -> Self {
+        let sign = if index.is_multiple_of(2) { 1.0 } else { -1.0 };
         let [y, z, w] = [0.15, 0.3, 0.12].map(|size| size * random.number());
         let quaternion = [1.0, y, z, sign * (0.08 + w.abs())];
         let norm = quaternion
@@ -119,7 +119,7 @@ impl Hand {
 }
 
 /// Returns the privileged scene of the conformance check, with its box moved.
-fn privileged(hand: &Hand, at: usize) -> PrivilegedState {
+fn privileged(hand: &Hand, index: usize) -> PrivilegedState {
     let described = DescribeResponse {
         privileged: true,
         ..DescribeResponse::default()
@@ -127,11 +127,11 @@ fn privileged(hand: &Hand, at: usize) -> PrivilegedState {
     let mut state = scene::observation(&described, 0)
         .privileged
         .unwrap_or_default();
-    let mut random = Random(1000 + at as u64);
+    let mut random = Random(1000 + index as u64);
     let moved = [0.06 * random.number(), 0.06 * random.number(), 0.0];
     if let Some(object) = state.entities.first_mut() {
-        for place in [&mut object.pos, &mut object.centre] {
-            place
+        for position in [&mut object.pos, &mut object.centre] {
+            position
                 .iter_mut()
                 .zip(moved)
                 .for_each(|(number, shift)| *number += shift);
@@ -150,8 +150,9 @@ struct TableObject {
     colour: [f64; 3],
 }
 
-fn objects(random: &mut Random, at: usize) -> Vec<TableObject> {
-    // Only the first object is colourful, so that a policy that searches for colour finds one.
+fn objects(random: &mut Random, index: usize) -> Vec<TableObject> {
+    // Only the first object is colourful, so that a policy that searches for colour finds exactly
+    // one object.
     let colours = [
         [225.0, 35.0, 45.0],
         [150.0, 110.0, 75.0],
@@ -167,7 +168,7 @@ fn objects(random: &mut Random, at: usize) -> Vec<TableObject> {
             colour,
         })
         .collect();
-    let (first, size) = (&mut objects[0], if at == CLOSE_UP { 0.2 } else { 0.055 });
+    let (first, size) = (&mut objects[0], if index == CLOSE_UP { 0.2 } else { 0.055 });
     (first.half, first.is_round) = ([size, 0.9 * size], true);
     // Draws the colourful object last, in front of the others.
     objects.rotate_left(1);
@@ -175,19 +176,19 @@ fn objects(random: &mut Random, at: usize) -> Vec<TableObject> {
 }
 
 /// Renders a camera's frame: a lit table with grain and spots, and objects on it.
-fn frame(camera: &str, at: usize) -> Image {
+fn frame(camera: &str, index: usize) -> Image {
     let name = camera
         .bytes()
         .fold(17, |sum, byte| mix(sum ^ u64::from(byte)));
-    let mut random = Random(name ^ at as u64);
-    let objects = objects(&mut random, at);
+    let mut random = Random(name ^ index as u64);
+    let objects = objects(&mut random, index);
     let light = [random.number(), random.number()].map(|number| 25.0 * number);
-    let spots = spots(name ^ at as u64);
+    let spots = spots(name ^ index as u64);
     let mut rgb = Vec::with_capacity(3 * SIDE * SIDE);
     for row in 0..SIDE {
         for column in 0..SIDE {
             let place = [column, row].map(|pixel| (pixel as f64 + 0.5) / SIDE as f64);
-            let grain = mix(name ^ (at * SIDE * SIDE + row * SIDE + column) as u64);
+            let grain = mix(name ^ (index * SIDE * SIDE + row * SIDE + column) as u64);
             let lit = 40.0 * (place[1] - 0.4)
                 + light[0] * place[0]
                 + light[1] * place[0] * place[1]
@@ -225,9 +226,9 @@ fn spots(key: u64) -> impl Fn(usize, usize) -> f64 {
             t * t * (3.0 - 2.0 * t)
         };
         let (x, y) = (column / cell, row / cell);
-        let between = |one: f64, other: f64, share: f64| one + (other - one) * share;
-        let across = |y: usize| between(corner(x, y), corner(x + 1, y), ease(column));
-        between(across(y), across(y + 1), ease(row)) - 0.5
+        let interpolate = |from: f64, to: f64, share: f64| from + (to - from) * share;
+        let across = |y: usize| interpolate(corner(x, y), corner(x + 1, y), ease(column));
+        interpolate(across(y), across(y + 1), ease(row)) - 0.5
     };
     move |column, row| 36.0 * layer(48, column, row) + 24.0 * layer(11, column, row)
 }
@@ -239,16 +240,16 @@ mod tests {
     #[test]
     fn situations_are_reproducible_and_differ_from_each_other() {
         let cameras = ["agentview", "robot0_eye_in_hand"];
-        let one = situations(Suite::Goal, &cameras);
-        let again = situations(Suite::Goal, &cameras);
-        assert_eq!(one.len(), COUNT);
-        for (at, (situation, again)) in one.iter().zip(&again).enumerate() {
-            assert_eq!(situation.frames, again.frames);
+        let generated = situations(Suite::Goal, &cameras);
+        let regenerated = situations(Suite::Goal, &cameras);
+        assert_eq!(generated.len(), COUNT);
+        for (index, situation) in generated.iter().enumerate() {
+            assert_eq!(situation.frames, regenerated[index].frames);
             assert_ne!(situation.frames[0].rgb, situation.frames[1].rgb);
-            for other in &one[..at] {
-                assert_ne!(situation.frames[0].rgb, other.frames[0].rgb);
-                assert_ne!(situation.readings, other.readings);
-                assert_ne!(situation.instruction, other.instruction);
+            for earlier in &generated[..index] {
+                assert_ne!(situation.frames[0].rgb, earlier.frames[0].rgb);
+                assert_ne!(situation.readings, earlier.readings);
+                assert_ne!(situation.instruction, earlier.instruction);
             }
         }
     }

@@ -1,5 +1,4 @@
-//! Modifies observations as another pipeline would, by one common mistake at a time. Pure
-//! functions.
+//! Modifies an observation as a pipeline with one common mistake would. Pure functions.
 
 use std::fmt;
 
@@ -15,7 +14,7 @@ use crate::{
 /// Change to an observation.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) enum Variant {
-    /// Rotates or flips the frames of one camera, or of all if `None`.
+    /// Rotates or flips the frames of one camera, or of all cameras if `None`.
     Turned(Turn, Option<String>),
     /// Scales frames to this width and height, and back.
     Resized([u32; 2], Filter),
@@ -47,8 +46,8 @@ pub(crate) enum Turn {
 /// Rule that selects one of the two quaternions of an orientation.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum SignRule {
-    /// The other quaternion.
-    Other,
+    /// The negated quaternion.
+    Negated,
     /// The quaternion with w ≥ 0.
     PositiveW,
 }
@@ -75,15 +74,15 @@ const SIDES: [u32; 7] = [64, 84, 112, 128, 160, 192, 224];
 
 impl Variant {
     /// Returns all variants that can affect a server with this description. `other` is the
-    /// description of the server that it is compared with.
+    /// description of the server with which the server is compared.
     pub(crate) fn all(described: &DescribeResponse, other: &DescribeResponse) -> Vec<Self> {
         let mut variants = vec![];
         let cameras = &described.cameras;
-        let each = || cameras.iter().map(|camera| Some(camera.name.clone()));
+        let single_cameras = || cameras.iter().map(|camera| Some(camera.name.clone()));
         let groups: Vec<Option<String>> = match cameras.len() {
             0 => vec![],
             1 => vec![None],
-            _ => [None].into_iter().chain(each()).collect(),
+            _ => [None].into_iter().chain(single_cameras()).collect(),
         };
         let is_square = cameras.iter().all(|camera| camera.width == camera.height);
         for turn in Turn::ALL {
@@ -91,8 +90,8 @@ impl Variant {
                 variants.extend(groups.iter().map(|group| Self::Turned(turn, group.clone())));
             }
         }
-        if let [one, two, ..] = &cameras[..]
-            && (one.width, one.height) == (two.width, two.height)
+        if let [first, second, ..] = &cameras[..]
+            && (first.width, first.height) == (second.width, second.height)
         {
             variants.push(Self::CamerasSwapped);
         }
@@ -101,12 +100,12 @@ impl Variant {
         }
         let orientations = [StateField::EefQuatXyzw, StateField::EefAxisAngle];
         if described.state().any(|field| orientations.contains(&field)) {
-            variants.push(Self::Sign(SignRule::Other));
+            variants.push(Self::Sign(SignRule::Negated));
             variants.push(Self::Sign(SignRule::PositiveW));
         }
         let fields: Vec<StateField> = described.state().collect();
-        let fields_of_other: Vec<StateField> = other.state().collect();
-        let layouts = layout::confusable(&fields, &fields_of_other);
+        let other_fields: Vec<StateField> = other.state().collect();
+        let layouts = layout::confusable(&fields, &other_fields);
         variants.extend(layouts.into_iter().map(Self::State));
         variants.extend(sizes(described, other));
         variants
@@ -132,13 +131,13 @@ impl Variant {
         }
     }
 
-    /// Returns true if applying the variant twice changes nothing, so that applying it to either of
-    /// two servers is equivalent.
+    /// Returns true if applying the variant twice changes nothing, so that applying it to either
+    /// server's observations has the same result.
     pub(crate) fn is_its_own_inverse(&self) -> bool {
         match self {
             Self::Turned(turn, _) => !matches!(turn, Turn::Left | Turn::Right),
             Self::Resized(..) | Self::Sign(SignRule::PositiveW) | Self::State(_) => false,
-            Self::CamerasSwapped | Self::ColoursReversed | Self::Sign(SignRule::Other) => true,
+            Self::CamerasSwapped | Self::ColoursReversed | Self::Sign(SignRule::Negated) => true,
         }
     }
 
@@ -158,8 +157,8 @@ impl Variant {
                 }
             }
             Self::CamerasSwapped => {
-                if let [one, two, ..] = &mut observation.images[..] {
-                    std::mem::swap(&mut one.rgb, &mut two.rgb);
+                if let [first, second, ..] = &mut observation.images[..] {
+                    std::mem::swap(&mut first.rgb, &mut second.rgb);
                 }
             }
             Self::ColoursReversed => {
@@ -200,10 +199,10 @@ fn sizes(described: &DescribeResponse, other: &DescribeResponse) -> Vec<Variant>
     let Some([width, height]) = size(described) else {
         return vec![];
     };
-    let usual = SIDES.map(|side| [side, side]);
-    let others = size(other).into_iter().chain(usual);
+    let common_sizes = SIDES.map(|side| [side, side]);
+    let candidates = size(other).into_iter().chain(common_sizes);
     let mut sizes: Vec<[u32; 2]> = vec![];
-    for [w, h] in others {
+    for [w, h] in candidates {
         if w < width && h < height && !sizes.contains(&[w, h]) {
             sizes.push([w, h]);
         }
@@ -239,8 +238,8 @@ impl Turn {
         for row in 0..height {
             for column in 0..width {
                 let (row, column) = from(row, column);
-                let at = 3 * (row * width + column);
-                turned.extend_from_slice(&image.rgb[at..at + 3]);
+                let start = 3 * (row * width + column);
+                turned.extend_from_slice(&image.rgb[start..start + 3]);
             }
         }
         image.rgb = turned.into();
@@ -257,10 +256,10 @@ impl SignRule {
         if self == Self::PositiveW && quaternion[3] >= 0.0 {
             return;
         }
-        let other = quaternion.map(|number| -number);
+        let negated = quaternion.map(|number| -number);
         match field {
-            StateField::EefQuatXyzw => values.copy_from_slice(&other),
-            _ => values.copy_from_slice(&pose::axis_angle(other)),
+            StateField::EefQuatXyzw => values.copy_from_slice(&negated),
+            _ => values.copy_from_slice(&pose::axis_angle(negated)),
         }
     }
 }
@@ -290,7 +289,7 @@ impl fmt::Display for Variant {
             }
             Self::CamerasSwapped => f.write_str("the frames of the two cameras exchanged"),
             Self::ColoursReversed => f.write_str("frames in blue, green, red (BGR)"),
-            Self::Sign(SignRule::Other) => f.write_str("the quaternion's sign flipped"),
+            Self::Sign(SignRule::Negated) => f.write_str("the quaternion's sign flipped"),
             Self::Sign(SignRule::PositiveW) => {
                 f.write_str("the quaternion's sign chosen so that w is not negative")
             }
@@ -311,7 +310,7 @@ mod tests {
             (Turn::UpsideDown, [3, 4, 1, 2]),
             (Turn::Mirrored, [2, 1, 4, 3]),
             (Turn::Half, [4, 3, 2, 1]),
-            // The upper right corner becomes the upper left one.
+            // The upper right corner becomes the upper left corner.
             (Turn::Left, [3, 1, 4, 2]),
             (Turn::Right, [2, 4, 1, 3]),
         ] {
@@ -332,7 +331,7 @@ mod tests {
         assert_eq!(values, unchanged);
 
         let mut rotation = vec![3.0, 0.0, 0.0];
-        SignRule::Other.apply(StateField::EefAxisAngle, &mut rotation);
+        SignRule::Negated.apply(StateField::EefAxisAngle, &mut rotation);
         assert!((rotation[0] - (3.0 - 2.0 * std::f64::consts::PI)).abs() < 1e-9);
     }
 }

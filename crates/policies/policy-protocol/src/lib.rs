@@ -1,6 +1,6 @@
 //! Validation of a policy server's responses: its description, and its chunks of
-//! actions. Worker and gateway both apply it, so that a response is judged the same
-//! whether a campaign's endpoint is a gateway or the policy server itself.
+//! actions. Worker and gateway apply the same validation, so that a response is judged the
+//! same whether a campaign's endpoint is a gateway or the policy server itself.
 //!
 //! Numbers beyond ±1 and up to [`LARGEST_NUMBER`] are accepted: the worker clips them
 //! and counts the clipped actions in the result.
@@ -18,7 +18,7 @@ pub const ACTION_WIDTH: usize = 7;
 pub const MAX_HORIZON: u32 = 1040;
 /// Largest side of a frame that a policy may request, pixels.
 pub const MAX_FRAME_SIDE: u32 = 1024;
-/// Most frames of one observation. All of them, at the largest size, fit a message.
+/// Largest number of frames of one observation; that many frames of the largest size fit a message.
 pub const MAX_CAMERAS: usize = 8;
 const _: () = assert!(
     MAX_CAMERAS * 3 * (MAX_FRAME_SIDE * MAX_FRAME_SIDE) as usize <= proto::MAX_MESSAGE_BYTES
@@ -30,8 +30,8 @@ pub const CAMERAS: [&str; 2] = ["agentview", "robot0_eye_in_hand"];
 const QUOTED_CHARS: usize = 64;
 
 /// Largest magnitude of a number in an action. Policies that return millimetres, degrees or
-/// pixels by mistake stay below it; their actions are clipped and counted. Larger numbers
-/// come from a broken network; clipping them would report its failure as a failed task.
+/// pixels by mistake stay below this limit; their actions are clipped and counted. Larger
+/// numbers come from a broken network; clipping them would report its failure as a failed task.
 pub const LARGEST_NUMBER: f32 = 1e3;
 
 /// One action in wire format.
@@ -64,15 +64,15 @@ pub fn actions(response: &InferResponse, horizon: u32) -> Result<&[WireAction], 
         });
     }
     let is_number = |number: &f32| number.is_finite() && number.abs() <= LARGEST_NUMBER;
-    let Some(at) = response
+    let Some(index) = response
         .actions
         .iter()
         .position(|number| !is_number(number))
     else {
         return Ok(actions);
     };
-    let (action, component) = (at / ACTION_WIDTH, at % ACTION_WIDTH);
-    let value = response.actions[at];
+    let (action, component) = (index / ACTION_WIDTH, index % ACTION_WIDTH);
+    let value = response.actions[index];
     Err(if value.is_finite() {
         ActionFault::TooLarge {
             action,
@@ -103,7 +103,7 @@ pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault>
     } = *described;
     if protocol_version != PROTOCOL_VERSION {
         return Err(DescriptionFault::Version {
-            theirs: protocol_version,
+            given: protocol_version,
         });
     }
     if described.name.is_empty() {
@@ -126,15 +126,15 @@ pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault>
     if !(1..=horizon).contains(&execute) {
         return Err(DescriptionFault::Execute { execute, horizon });
     }
-    // Every reading but `Unspecified` may come once, so this loop is short for any answer.
-    for (place, &field) in described.state.iter().enumerate() {
+    // A list of any length is checked fast: the loop ends at the first unknown or repeated reading.
+    for (index, &field) in described.state.iter().enumerate() {
         if matches!(
             StateField::try_from(field),
             Err(_) | Ok(StateField::Unspecified)
         ) {
             return Err(DescriptionFault::StateField { field });
         }
-        if described.state[..place].contains(&field) {
+        if described.state[..index].contains(&field) {
             return Err(DescriptionFault::RepeatedStateField { field });
         }
     }
@@ -142,9 +142,9 @@ pub fn description(described: &DescribeResponse) -> Result<(), DescriptionFault>
     if count > MAX_CAMERAS {
         return Err(DescriptionFault::Cameras { count });
     }
-    for (place, camera) in described.cameras.iter().enumerate() {
+    for (index, camera) in described.cameras.iter().enumerate() {
         check_camera(camera)?;
-        if described.cameras[..place].contains(camera) {
+        if described.cameras[..index].contains(camera) {
             return Err(DescriptionFault::RepeatedCamera {
                 camera: camera.name.clone(),
                 width: camera.width,
@@ -218,10 +218,10 @@ pub enum ActionFault {
 #[derive(Clone, Debug, PartialEq, Eq, Error)]
 pub enum DescriptionFault {
     #[error(
-        "it uses policy protocol version {theirs}, and this program uses version \
+        "it uses policy protocol version {given}, and this program uses version \
          {PROTOCOL_VERSION}; upgrade the older side"
     )]
-    Version { theirs: u32 },
+    Version { given: u32 },
     /// The name is empty, so that results could not be attributed.
     #[error("it has no name")]
     Nameless,
@@ -358,7 +358,7 @@ mod tests {
         };
         check(
             &|description| description.protocol_version = 9,
-            DescriptionFault::Version { theirs: 9 },
+            DescriptionFault::Version { given: 9 },
         );
         check(
             &|description| description.name.clear(),

@@ -41,12 +41,12 @@ fn measure(
     // Caches and the allocator are warm from the second call on.
     network.act(queries)?;
     let (mut cpu_times, mut wall_times) = (Vec::new(), Vec::new());
-    let share = 1e3 / queries.len() as f64;
+    let ms_per_query = 1e3 / queries.len() as f64;
     for _ in 0..calls {
         let (start, wall) = (processor_seconds(), Instant::now());
         network.act(queries)?;
-        wall_times.push(wall.elapsed().as_secs_f64() * share);
-        cpu_times.push((processor_seconds() - start) * share);
+        wall_times.push(wall.elapsed().as_secs_f64() * ms_per_query);
+        cpu_times.push((processor_seconds() - start) * ms_per_query);
     }
     println!(
         "{:?} products, batch of {}, CPU time per query, ms: {}; wall time: {}",
@@ -66,13 +66,13 @@ fn processor_seconds() -> f64 {
 
 fn spread(mut times: Vec<f64>) -> String {
     times.sort_by(f64::total_cmp);
-    let at = |share: f64| times[((times.len() - 1) as f64 * share) as usize];
+    let quantile = |share: f64| times[((times.len() - 1) as f64 * share) as usize];
     format!(
         "median {:.2} (least {:.2}, 5 % {:.2}, 95 % {:.2}, most {:.2})",
-        at(0.5),
-        at(0.0),
-        at(0.05),
-        at(0.95),
-        at(1.0)
+        quantile(0.5),
+        quantile(0.0),
+        quantile(0.05),
+        quantile(0.95),
+        quantile(1.0)
     )
 }

@@ -29,6 +29,7 @@ pub(crate) struct Workspace {
     skipped: Vec<f32>,
 }
 
+/// Channels and stride of a block.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Shape {
     pub(crate) inputs: usize,

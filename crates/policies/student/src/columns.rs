@@ -38,7 +38,7 @@ pub(crate) struct Rows<'a> {
     pub(crate) columns: Matrix<'a>,
     /// Index of the first row among the convolution's inputs.
     pub(crate) input: usize,
-    /// Index of the first column among the result's places.
+    /// Index of the first column among the positions of the output.
     pub(crate) place: usize,
 }
 
@@ -134,11 +134,11 @@ impl<'a> Phases<'a> {
     /// phase, and its shift in rows down and in columns to the right.
     fn input_values(&self, channel: usize, y: usize, x: usize) -> (&'a [f32], isize, isize) {
         let stride = self.stride;
-        let divide = |at: usize| {
-            // The window's first row and column are one before its centre.
-            let at = at as isize - 1;
-            let phase = at.rem_euclid(stride as isize) as usize;
-            (phase, at.div_euclid(stride as isize))
+        let divide = |index: usize| {
+            // The first row and column of the window are one before those of its centre.
+            let offset = index as isize - 1;
+            let phase = offset.rem_euclid(stride as isize) as usize;
+            (phase, offset.div_euclid(stride as isize))
         };
         let ((row, down), (column, right)) = (divide(y), divide(x));
         let phase = (channel * stride + row) * stride + column;
@@ -238,7 +238,7 @@ mod tests {
         };
         for stride in [1, 2] {
             let side = 8 / stride;
-            let whole = expected(planes, 3, stride);
+            let all_columns = expected(planes, 3, stride);
             let mut split_planes = Vec::new();
             split(planes, stride, &mut split_planes);
             let phases = Phases {
@@ -249,10 +249,10 @@ mod tests {
             // Stale contents from an earlier use.
             let mut found = vec![9.0; 1000];
             gather(phases, 0..3, 0..side, &mut found);
-            assert_eq!(found, whole, "stride {stride}");
+            assert_eq!(found, all_columns, "stride {stride}");
             for rows in [0..1, 1..3, side - 1..side] {
                 gather(phases, 1..3, rows.clone(), &mut found);
-                let lines = whole.chunks(side * side).skip(WINDOW);
+                let lines = all_columns.chunks(side * side).skip(WINDOW);
                 let part = |line: &[f32]| line[rows.start * side..rows.end * side].to_vec();
                 let part: Vec<f32> = lines.flat_map(part).collect();
                 assert_eq!(found, part, "stride {stride}, rows {rows:?}");

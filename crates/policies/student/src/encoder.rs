@@ -11,6 +11,7 @@ use crate::points::{self, POINTS};
 use crate::product::{Matrix, Products};
 use crate::weights::Tensors;
 
+/// Channels of the stem, the first convolution.
 const STEM: usize = 32;
 const BLOCKS: [Shape; 3] = [
     Shape {
@@ -56,7 +57,7 @@ pub(crate) struct Films([Vec<f32>; 3]);
 pub(crate) struct Scratch {
     picture: Vec<f32>,
     planes: [Vec<f32>; 2],
-    /// Planes of the first block, if points are located in them too.
+    /// Planes of the first block, if [`Encoder::fine`] is present.
     fine: Vec<f32>,
     work: Workspace,
 }
@@ -94,7 +95,7 @@ impl Encoder {
         })
     }
 
-    /// Modulation of this encoder's blocks by texts (a row per query).
+    /// Returns the modulation of this encoder's blocks by texts (a row per query).
     pub(crate) fn films(&self, products: Products, texts: &[f32]) -> Films {
         let films = |block: &Block| block.film.apply(products, texts);
         Films(self.blocks.each_ref().map(films))
@@ -128,7 +129,7 @@ impl Encoder {
         });
         self.stem_norm.relu(planes);
         let blocks = self.blocks.iter().zip(films.0.iter().zip(BLOCKS));
-        for (at, (block, (films, shape))) in blocks.enumerate() {
+        for (index, (block, (films, shape))) in blocks.enumerate() {
             let input = Planes {
                 values: planes,
                 side,
@@ -137,7 +138,7 @@ impl Encoder {
             block.apply(products, input, film, work, next);
             std::mem::swap(planes, next);
             side /= shape.stride;
-            if at == 0 && self.fine.is_some() {
+            if index == 0 && self.fine.is_some() {
                 fine.clone_from(planes);
             }
         }
@@ -162,19 +163,19 @@ impl Encoder {
         for bias in &self.points_bias {
             scores.extend(std::iter::repeat_n(bias, places));
         }
-        let all = |planes, channels, places| Rows {
+        let all_rows = |planes, channels, places| Rows {
             columns: Matrix::new(planes, channels, places),
             input: 0,
             place: 0,
         };
-        let features = all(features, FEATURES, places);
+        let features = all_rows(features, FEATURES, places);
         self.points.add(products, features, scores);
         let Some(convolution) = &self.fine else {
             return points::locate::<{ points::SIDE }>(scores, located);
         };
         let mut scores = points::enlarged(scores);
         let channels = BLOCKS[0].outputs;
-        let fine = all(fine, channels, fine.len() / channels);
+        let fine = all_rows(fine, channels, fine.len() / channels);
         convolution.add(products, fine, &mut scores);
         points::locate::<{ 2 * points::SIDE }>(&scores, located);
     }

@@ -41,8 +41,8 @@ mod tests {
 
     #[test]
     fn each_lane_is_summed_before_lanes_are_added_by_halving() {
-        // A large number in lane 0 absorbs a small one of the same lane, but not the sum of
-        // small ones in other lanes.
+        // A large number in lane 0 absorbs a small number in the same lane, but not the sum of
+        // small numbers in another lane.
         let mut values = [0.0; 32];
         values[0] = 1.0e8;
         values[16] = 1.0;

@@ -34,10 +34,10 @@
 //! `matrixmultiply` computes the products. Its kernels for AVX-512, for AVX2 with FMA,
 //! and for NEON compute exactly the sums above. Its kernels for older processors round
 //! every product first and are never used: without AVX2 or FMA, a plain loop of
-//! [`f32::mul_add`] computes the same bits ([`Products`]). Intel's processors have both
-//! since Haswell (2013), AMD's since Excavator (2015). On older ones, which need a build
-//! without the target features of `.cargo/config.toml`, a query takes seconds instead of
-//! milliseconds.
+//! [`f32::mul_add`] computes the same bits ([`Products`]). Intel's processors have AVX2 and
+//! FMA since Haswell (2013), AMD's since Excavator (2015). On older processors, which need a
+//! build without the target features of `.cargo/config.toml`, a query takes seconds instead
+//! of milliseconds.
 //!
 //! Tests compare the product with the plain loop on the machine they run on, and a
 //! whole network with fixed bits (`tests/bits.rs`).

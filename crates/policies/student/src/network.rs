@@ -16,6 +16,8 @@ const TEXT: usize = 128;
 const STATE_WIDTH: usize = 64;
 /// Width of the head's input: both cameras, the robot's state and the instruction.
 const WIDTH: usize = 2 * encoder::WIDTH + STATE_WIDTH + TEXT;
+/// Width of the head's hidden layers in format `rollout-student/1`, whose points are located
+/// on a grid of 16 x 16.
 const HEAD: usize = 384;
 /// Width of the head's hidden layers in format `rollout-student/2`, whose points are located
 /// on a grid of 32 x 32.
@@ -121,7 +123,7 @@ impl Network {
     /// # Errors
     ///
     /// If the size of a picture is not [`PICTURE_BYTES`](crate::PICTURE_BYTES), or if a
-    /// reading or an output is not finite. No query is answered then.
+    /// reading or an output is not finite. In these cases, no query is answered.
     pub fn act(&self, queries: &[Query<'_>]) -> Result<Vec<Chunk>, QueryError> {
         let outputs = self.outputs(queries)?;
         Ok(outputs.iter().map(Output::chunk).collect())
@@ -159,9 +161,9 @@ impl Network {
             let (state, text) = rest.split_at_mut(STATE_WIDTH);
             let rgb = [queries[index].agentview, queries[index].wrist];
             let encoded = pictures.chunks_exact_mut(encoder::WIDTH);
-            for (at, encoded) in encoded.enumerate() {
-                let films = (&films[at], index);
-                cameras[at].encode(self.products, rgb[at], films, &mut scratch, encoded);
+            for (camera, encoded) in encoded.enumerate() {
+                let films = (&films[camera], index);
+                cameras[camera].encode(self.products, rgb[camera], films, &mut scratch, encoded);
             }
             state.copy_from_slice(&states[index * STATE_WIDTH..][..STATE_WIDTH]);
             text.copy_from_slice(&texts[index * TEXT..][..TEXT]);

@@ -74,13 +74,13 @@ impl GroupNorm {
     fn each_channel(&self, values: &mut [f32], mut each: impl FnMut(usize, &mut [f32], f32, f32)) {
         let channels = self.weight.len();
         let size = values.len() / channels;
-        for (index, group) in values.chunks_exact_mut(values.len() / GROUPS).enumerate() {
+        for (group_index, group) in values.chunks_exact_mut(values.len() / GROUPS).enumerate() {
             let mean = lanes::mean(group);
             let squares = lanes::sum(group, |value| (value - mean) * (value - mean));
             let variance = squares / group.len() as f32;
             let inverse = 1.0 / (variance + EPSILON).sqrt();
-            for (at, plane) in group.chunks_exact_mut(size).enumerate() {
-                let channel = index * (channels / GROUPS) + at;
+            for (index, plane) in group.chunks_exact_mut(size).enumerate() {
+                let channel = group_index * (channels / GROUPS) + index;
                 let scale = self.weight[channel] * inverse;
                 let shift = self.bias[channel] - mean * scale;
                 each(channel, plane, scale, shift);

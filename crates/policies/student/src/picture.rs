@@ -38,10 +38,10 @@ pub(crate) fn planes(rgb: &[u8], planes: &mut Vec<f32>) {
                 let sum: u16 = four.into_iter().map(u16::from).sum();
                 VALUES[usize::from((sum + 2) / 4)]
             };
-            let at = row * SIDE + column;
-            red[at] = value(0);
-            green[at] = value(1);
-            blue[at] = value(2);
+            let index = row * SIDE + column;
+            red[index] = value(0);
+            green[index] = value(1);
+            blue[index] = value(2);
         }
     }
 }
@@ -54,24 +54,24 @@ mod tests {
     #[test]
     fn planes_start_with_the_top_row_and_average_four_bytes() {
         let mut rgb = vec![0; PICTURE_BYTES];
-        // The picture's upper right corner: the last row on the wire, its last
-        // two pixels; and the row below.
+        // The four pixels of the upper right corner: the last two of the top row, which is the last
+        // row on the wire, and the last two of the row below.
         let pixel = |x: usize, y: usize| (y * PICTURE_SIDE + x) * 3;
-        for (at, byte) in [
+        for (start, byte) in [
             (pixel(254, 255), 255),
             (pixel(255, 255), 1),
             (pixel(254, 254), 1),
             (pixel(255, 254), 1),
         ] {
             // Green.
-            rgb[at + 1] = byte;
+            rgb[start + 1] = byte;
         }
         let mut found = Vec::new();
         planes(&rgb, &mut found);
         // (255 + 1 + 1 + 1 + 2) / 4 = 65
         assert_eq!(found[SIDE * SIDE + SIDE - 1], 65.0 / 127.5 - 1.0);
-        let others = found.iter().filter(|value| **value != -1.0).count();
-        assert_eq!(others, 1);
+        let bright = found.iter().filter(|value| **value != -1.0).count();
+        assert_eq!(bright, 1);
     }
 
     #[test]

@@ -44,8 +44,8 @@ pub(crate) fn enlarged(planes: &[f32]) -> Vec<f32> {
 
 /// Returns the higher of two scores; the first if they are equal, also for zeros of different
 /// signs.
-fn higher(one: f32, other: f32) -> f32 {
-    if other > one { other } else { one }
+fn higher(first: f32, second: f32) -> f32 {
+    if second > first { second } else { first }
 }
 
 /// Returns the sum of weights times coordinates, which range from -1 to 1.

@@ -2,20 +2,20 @@
 //!
 //! `C` becomes `C + A B`. Each element of `C` is computed independently:
 //!
-//! 1. The inner dimension is cut into runs of [`RUN`]; the last one may be shorter.
+//! 1. The inner dimension is cut into runs of [`RUN`]; the last run may be shorter.
 //! 2. A run is summed from +0 in ascending order, each step a fused multiply-add.
 //! 3. The run's sum is added to the element.
 //!
 //! Products are always added to `C`, which never holds -0. When overwriting `C`, the
 //! library's AVX-512 kernel would keep a sum of -0, which underflowing products can
-//! leave, while its AVX2 kernel returns +0. Adding either to an element other than -0
+//! leave, while its AVX2 kernel returns +0. Adding -0 or +0 to an element other than -0
 //! gives the same result.
 
 /// Length of the runs of the inner dimension that are summed before `C` is updated. The
 /// value is the library's own; the tests below fail if it changes.
 const RUN: usize = 256;
 
-/// Implementation of a network's matrix products. All give the same bits.
+/// Implementation of a network's matrix products. All implementations give the same bits.
 #[derive(Debug, Clone, Copy, PartialEq, Eq)]
 pub enum Products {
     /// `matrixmultiply`, with the processor's fused multiply-adds.
@@ -216,8 +216,8 @@ mod tests {
 
     /// Computes an element by the definition in the module documentation.
     fn by_definition(a: Matrix<'_>, b: Matrix<'_>, c: f32, row: usize, column: usize) -> f32 {
-        let places: Vec<usize> = (0..a.columns).collect();
-        places.chunks(256).fold(c, |element, run| {
+        let inner: Vec<usize> = (0..a.columns).collect();
+        inner.chunks(256).fold(c, |element, run| {
             let sum = run.iter().fold(0.0_f32, |sum, k| {
                 a.at(row, *k).mul_add(b.at(*k, column), sum)
             });
@@ -246,7 +246,7 @@ mod tests {
             bits(&c)
         };
         let expected: Vec<f32> = (0..rows * columns)
-            .map(|at| by_definition(a, b, start[at], at / columns, at % columns))
+            .map(|index| by_definition(a, b, start[index], index / columns, index % columns))
             .collect();
         let size = [rows, depth, columns];
         assert_eq!(
@@ -260,13 +260,13 @@ mod tests {
 
     #[test]
     fn products_are_sums_of_fused_steps_in_the_documented_order() {
-        // The network's depths, and others on both sides of a run's end.
-        for (at, depth) in [1, 27, 96, 128, 255, 256, 257, 288, 432, 512, 832, 1152]
+        // The network's depths, and depths on both sides of the end of a run.
+        for (index, depth) in [1, 27, 96, 128, 255, 256, 257, 288, 432, 512, 832, 1152]
             .into_iter()
             .enumerate()
         {
-            check(48, depth, 40, at as u64, true);
-            check(3, depth, 384, 100 + at as u64, false);
+            check(48, depth, 40, index as u64, true);
+            check(3, depth, 384, 100 + index as u64, false);
         }
         // Exceeds the library's blocks of 64 rows and 1024 columns.
         check(130, 300, 1030, 7, true);

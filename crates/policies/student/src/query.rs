@@ -12,7 +12,7 @@ pub(crate) const ARM: usize = 6;
 /// Number of components of the robot's state.
 pub(crate) const STATE: usize = 14;
 
-/// Chunk of actions: for each, translation (3) and rotation (3) of the hand, from -1 to 1,
+/// Chunk of actions. An action has translation (3) and rotation (3) of the hand, from -1 to 1,
 /// and the gripper: 1 closes it, -1 opens it.
 pub type Chunk = [[f32; ARM + 1]; ACTIONS];
 
@@ -35,7 +35,7 @@ pub struct Query<'a> {
 }
 
 impl Query<'_> {
-    /// Validates the query. `query` is its index in the batch, for the error.
+    /// Validates the query. `query` is the query's index in the batch, for the error.
     pub(crate) fn check(&self, query: usize) -> Result<(), QueryError> {
         for (camera, picture) in [("agentview", self.agentview), ("wrist", self.wrist)] {
             if picture.len() != PICTURE_BYTES {
@@ -54,8 +54,8 @@ impl Query<'_> {
         ];
         for (reading, values) in readings {
             // Checked after conversion: a finite f64 may be infinite as f32.
-            let wrong = values.iter().position(|value| !(*value as f32).is_finite());
-            if let Some(place) = wrong {
+            let not_finite = values.iter().position(|value| !(*value as f32).is_finite());
+            if let Some(place) = not_finite {
                 return Err(QueryError::State {
                     query,
                     reading,
@@ -83,7 +83,7 @@ impl Query<'_> {
 pub struct Output {
     /// Arm components of each action, not clamped to -1..1.
     pub arm: [[f32; ARM]; ACTIONS],
-    /// Score per action for a closed gripper; above 0 it closes.
+    /// Score per action for a closed gripper; above 0 the gripper closes.
     pub gripper_logits: [f32; ACTIONS],
 }
 

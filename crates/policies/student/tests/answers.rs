@@ -26,8 +26,9 @@ fn actions_are_limited_and_the_gripper_opens_or_closes() {
 
 #[test]
 fn every_input_changes_the_answer() {
-    let (network, owned, other) = (network(), OwnedQuery::random(0), OwnedQuery::random(1));
-    let (query, other) = (owned.query(), other.query());
+    let (network, owned) = (network(), OwnedQuery::random(0));
+    let other_owned = OwnedQuery::random(1);
+    let (query, other) = (owned.query(), other_owned.query());
     let changed = [
         Query {
             agentview: other.agentview,
@@ -54,20 +55,21 @@ fn every_input_changes_the_answer() {
             ..query
         },
     ];
-    let alone = network.outputs(&[query]).expect("an answer")[0];
+    let unchanged = network.outputs(&[query]).expect("an answer")[0];
     for (index, output) in network
         .outputs(&changed)
         .expect("answers")
         .iter()
         .enumerate()
     {
-        assert_ne!(*output, alone, "change {index}");
+        assert_ne!(*output, unchanged, "change {index}");
     }
-    let same = Query {
+    let same_words = Query {
         instruction: "PUT the black-bowl on the plate.",
         ..query
     };
-    assert_eq!(network.outputs(&[same]).expect("an answer")[0], alone);
+    let output = network.outputs(&[same_words]).expect("an answer")[0];
+    assert_eq!(output, unchanged);
 }
 
 #[test]
@@ -96,11 +98,11 @@ fn pictures_of_other_sizes_are_refused() {
         "query 1: the picture of wrist has 49152 bytes; expected are 196608, 256 × 256 pixels of \
          3 bytes: request frames of that size"
     );
-    let none = Query {
+    let empty = Query {
         agentview: &[],
         ..query
     };
-    let refusal = network.act(&[none]).expect_err("a refusal").to_string();
+    let refusal = network.act(&[empty]).expect_err("a refusal").to_string();
     assert!(refusal.starts_with("query 0: the picture of agentview has 0 bytes"));
 }
 

@@ -6,7 +6,7 @@ use std::path::Path;
 use safetensors::{Dtype, SafeTensors};
 use student::{Network, PICTURE_BYTES, PICTURE_SIDE, Query};
 
-/// Tolerance of numbers up to 1, and relative tolerance of larger ones.
+/// Tolerance of numbers up to 1, and relative tolerance of larger numbers.
 const TOLERANCE: f32 = 1e-4;
 
 #[test]

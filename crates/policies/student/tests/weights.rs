@@ -24,10 +24,10 @@ fn weights_have_a_name_and_a_digest() {
     assert_eq!(network.name(), "student");
     assert_eq!(network.parameters(), 1_741_432);
     assert_eq!(network.digest().len(), 64);
-    let mut other = bytes.clone();
-    *other.last_mut().expect("a byte") ^= 1;
-    let other = Network::from_safetensors(&other).expect("weights");
-    assert_ne!(network.digest(), other.digest());
+    let mut changed = bytes.clone();
+    *changed.last_mut().expect("a byte") ^= 1;
+    let changed = Network::from_safetensors(&changed).expect("weights");
+    assert_ne!(network.digest(), changed.digest());
 }
 
 #[test]

@@ -100,7 +100,7 @@ fn a_manifest_replaces_a_design() {
     assert_eq!(CampaignSpec::from_json(&text).expect("reads back"), spec);
 
     json["configs"] = serde_json::json!([0]);
-    let error = CampaignSpec::from_json(&json.to_string()).expect_err("both");
+    let error = CampaignSpec::from_json(&json.to_string()).expect_err("two sources of rollouts");
     assert!(
         error.to_string().contains("`configs` and `manifest`"),
         "{error}"
@@ -147,7 +147,9 @@ fn a_campaign_has_the_execution_model_of_its_manifest() {
     assert_eq!(given.expand().expect("rows"), rows);
     assert_eq!(given.version(), read.version());
     assert_ne!(
-        imported(&without_model, None).expect("waits").version(),
+        imported(&without_model, None)
+            .expect("a specification")
+            .version(),
         read.version()
     );
 
@@ -194,18 +196,18 @@ fn latency_is_a_further_axis_that_combinations_exclude() {
     let combined = others
         .iter()
         .find(|row| row.id.condition() == Condition::Combination);
-    let both = AxisSet::from_iter([Axis::Camera, Axis::Robot]);
-    assert_eq!(combined.expect("a row").axes(), both);
-    let without: Vec<ManifestRow> = others.into_iter().cloned().collect();
+    let camera_and_robot = AxisSet::from_iter([Axis::Camera, Axis::Robot]);
+    assert_eq!(combined.expect("a row").axes(), camera_and_robot);
+    let other_rows: Vec<ManifestRow> = others.into_iter().cloned().collect();
     let axes = serde_json::json!(["camera", "robot"]);
     let levels = serde_json::json!(["L0", "L1", "L3", "r6"]);
-    let waits = spec(&[("axes", axes), ("levels", levels)]).expect("a specification");
+    let without_latency = spec(&[("axes", axes), ("levels", levels)]).expect("a specification");
     assert_eq!(
-        waits.expand().expect("rows"),
-        without,
+        without_latency.expand().expect("rows"),
+        other_rows,
         "the other rows are the same as without latency"
     );
-    assert_ne!(late.version(), waits.version());
+    assert_ne!(late.version(), without_latency.version());
 
     // In a manifest, latency rows have their own execution models.
     let text = manifest::to_text(&rows);
@@ -263,7 +265,7 @@ fn an_explanation_replaces_a_design_and_starts_without_rows() {
     let error = CampaignSpec::from_json(&json.to_string()).expect_err("unmatched");
     assert!(error.to_string().contains("write matched"), "{error}");
     json["levels"] = serde_json::json!(["L2"]);
-    let error = CampaignSpec::from_json(&json.to_string()).expect_err("both");
+    let error = CampaignSpec::from_json(&json.to_string()).expect_err("two sources of rollouts");
     assert!(
         error.to_string().contains("`levels` and `explains`"),
         "{error}"
@@ -297,7 +299,7 @@ fn thresholds_replace_a_design_and_have_defaults() {
     check("tolerance", 0.0, "tolerance` is 0, valid are 0.01 to 100");
     check("max_radius", 101.0, "is 101, valid are 2 to 100");
     json["explains"] = serde_json::json!({"campaign": "first"});
-    let error = CampaignSpec::from_json(&json.to_string()).expect_err("both");
+    let error = CampaignSpec::from_json(&json.to_string()).expect_err("two sources of rollouts");
     assert!(
         error.to_string().contains("`thresholds` and `explains`"),
         "{error}"
@@ -392,7 +394,7 @@ fn errors_for_invalid_names_and_numbers_list_the_valid_ones() {
 }
 
 #[test]
-fn a_suite_file_alone_sets_the_rollouts() {
+fn a_suite_file_replaces_a_design_and_forbids_replicates() {
     let file = serde_json::json!({
         "name": "drawers", "start": "initial-state", "prompt": "name", "seed": 0, "waits": 10,
         "budget": 300, "trials": 2,

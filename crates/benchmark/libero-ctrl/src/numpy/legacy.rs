@@ -68,8 +68,8 @@ impl LegacyRng {
         low + (high - low) * self.random_sample()
     }
 
-    /// `randn()`: a standard normal by Marsaglia's polar method. Every second
-    /// call returns the other half of a pair and consumes nothing.
+    /// `randn()`: a standard normal by Marsaglia's polar method, which yields pairs. Every second
+    /// call returns the cached second value of a pair and consumes no word.
     pub fn randn(&mut self) -> f64 {
         if std::mem::take(&mut self.0.has_gauss) {
             return std::mem::take(&mut self.0.gauss);
@@ -88,7 +88,7 @@ impl LegacyRng {
     }
 
     /// `randint(n)`: uniform in `0..n`, by rejection from the smallest bit
-    /// mask that covers the range. `randint(1)` is 0 and consumes nothing.
+    /// mask that covers the range. `randint(1)` is 0 and consumes no word.
     ///
     /// # Panics
     /// If `n` is 0.
@@ -175,14 +175,14 @@ mod tests {
     }
 
     #[test]
-    fn randint_of_one_consumes_nothing() {
-        let mut with = LegacyRng::seed(1);
-        let mut without = with.clone();
-        assert_eq!(with.randint(1), 0);
-        assert_eq!(with.random_sample(), without.random_sample());
+    fn randint_of_one_consumes_no_word() {
+        let mut rng = LegacyRng::seed(1);
+        let mut clone = rng.clone();
+        assert_eq!(rng.randint(1), 0);
+        assert_eq!(rng.random_sample(), clone.random_sample());
     }
 
-    /// First, second, 397th and last word, sum of all, position, cached normal.
+    /// First, second, 397th and last word, sum of all words, position, `has_gauss`, `gauss`.
     type Summary = ([u32; 4], u64, usize, bool, f64);
 
     fn summary(rng: &LegacyRng) -> Summary {

@@ -92,8 +92,8 @@ impl<'r> Renderer<'r> {
         }
     }
 
-    /// Splits a mark into the name of a list of verbs and the rest. `put` stands for the
-    /// list that the task names.
+    /// Splits a mark into the name of a list of verbs and the text after the name. `put` stands
+    /// for the list that the task names.
     fn verb_name<'m>(&self, mark: &'m str) -> (&'m str, &'m str)
     where
         'r: 'm,

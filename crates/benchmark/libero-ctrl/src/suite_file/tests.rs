@@ -36,7 +36,7 @@ fn rows_have_the_rules_and_the_conditions_of_their_tasks() {
     assert_eq!((task.start, task.seed), (Beginning::InitialState, 7));
     assert_eq!(task.changes.noise, Some(30));
     assert_eq!(task.changes.view, Some([0, 15, 100, 0, 350]));
-    let facts = rows
+    let instructions_and_steps = rows
         .iter()
         .step_by(2)
         .map(|row| (row.instruction.as_str(), row.settle_steps, row.max_steps));
@@ -45,7 +45,7 @@ fn rows_have_the_rules_and_the_conditions_of_their_tasks() {
         ("open the drawer", 10, 300),
         ("push it", 10, 500),
     ];
-    assert_eq!(facts.collect::<Vec<_>>(), expected);
+    assert_eq!(instructions_and_steps.collect::<Vec<_>>(), expected);
     for row in rows {
         let text = serde_json::to_string(&row).expect("JSON");
         assert_eq!(
@@ -56,10 +56,11 @@ fn rows_have_the_rules_and_the_conditions_of_their_tasks() {
         let error = serde_json::from_str::<ManifestRow>(&outside).expect_err(&outside);
         assert!(error.to_string().contains("without . and .."), "{error}");
     }
-    let bddl = FILE.replace(r#""prompt": "name""#, r#""prompt": "bddl""#);
-    let bddl = SuiteFile::from_json(&bddl).expect("a suite file").rows();
-    assert_eq!(bddl[0].instruction, "");
-    assert_eq!(bddl[2].instruction, "open the drawer");
+    let bddl_prompts = FILE.replace(r#""prompt": "name""#, r#""prompt": "bddl""#);
+    let rows = SuiteFile::from_json(&bddl_prompts).expect("a suite file");
+    let rows = rows.rows();
+    assert_eq!(rows[0].instruction, "");
+    assert_eq!(rows[2].instruction, "open the drawer");
 }
 
 #[test]
@@ -68,10 +69,10 @@ fn the_digest_is_of_the_content_without_the_number_of_trials() {
     let written = SuiteFile::from_json(FILE).expect("a suite file");
     let written = serde_json::to_string(&written).expect("JSON");
     assert_eq!(digest(&written), digest(FILE));
-    let more = FILE.replace(r#""trials": 2"#, r#""trials": 3"#);
-    assert_eq!(digest(&more), digest(FILE));
-    let other = FILE.replace(r#""seed": 7"#, r#""seed": 8"#);
-    assert_ne!(digest(&other), digest(FILE));
+    let more_trials = FILE.replace(r#""trials": 2"#, r#""trials": 3"#);
+    assert_eq!(digest(&more_trials), digest(FILE));
+    let other_seed = FILE.replace(r#""seed": 7"#, r#""seed": 8"#);
+    assert_ne!(digest(&other_seed), digest(FILE));
     let protocol = SuiteFile::from_json(FILE).expect("a suite file").protocol();
     assert_eq!(protocol, format!("drawers@{}", &digest(FILE)[..16]));
 }

@@ -130,7 +130,7 @@ fn hand_at_grasp(turned: f64) -> KinematicScene {
 }
 
 /// Returns the motion of a hand whose fingers had these openings, m.
-fn seen(scene: &mut KinematicScene, openings: &[f64]) -> Motion {
+fn motion_after(scene: &mut KinematicScene, openings: &[f64]) -> Motion {
     let mut motion = Motion::default();
     for opening in openings {
         scene.state.gripper_opening = *opening;
@@ -139,7 +139,7 @@ fn seen(scene: &mut KinematicScene, openings: &[f64]) -> Motion {
     motion
 }
 
-/// Returns the phase in which a transfer resumes after `earlier`.
+/// Returns a transfer that has resumed after `earlier`.
 fn resumed(earlier: Option<&Transfer>, scene: &KinematicScene, motion: &Motion) -> Transfer {
     let mut transfer = can_into_basket();
     let world = scene.world();
@@ -150,11 +150,11 @@ fn resumed(earlier: Option<&Transfer>, scene: &KinematicScene, motion: &Motion) 
 #[test]
 fn fingers_that_turn_the_object_go_on_closing() {
     let mut scene = hand_at_grasp(0.4);
-    let motion = seen(&mut scene, &[0.04, 0.03, 0.02]);
+    let motion = motion_after(&mut scene, &[0.04, 0.03, 0.02]);
     let phase = resumed(None, &scene, &motion).phase;
     assert!(matches!(phase, Phase::Close(_)), "{phase:?}");
     // The same hand with fingers that open leaves the grasp.
-    let motion = seen(&mut scene, &[0.02, 0.03, 0.04]);
+    let motion = motion_after(&mut scene, &[0.02, 0.03, 0.04]);
     let phase = resumed(None, &scene, &motion).phase;
     assert!(matches!(phase, Phase::Approach(_)), "{phase:?}");
 }
@@ -162,14 +162,14 @@ fn fingers_that_turn_the_object_go_on_closing() {
 #[test]
 fn an_object_is_lifted_after_the_fingers_have_closed() {
     let mut scene = hand_at_grasp(0.0);
-    let motion = seen(&mut scene, &[0.03, 0.02]);
+    let motion = motion_after(&mut scene, &[0.03, 0.02]);
     let closing = resumed(None, &scene, &motion);
     assert!(matches!(closing.phase, Phase::Close(_)), "{closing:?}");
-    let motion = seen(&mut scene, &[0.02; 5]);
+    let motion = motion_after(&mut scene, &[0.02; 5]);
     let lifting = resumed(Some(&closing), &scene, &motion);
     assert!(matches!(lifting.phase, Phase::Lift(_)), "{lifting:?}");
-    for at in [&mut scene.state.grip_pos, &mut scene.state.entities[0].pos] {
-        at[2] += 2.0 * LIFT_M;
+    for position in [&mut scene.state.grip_pos, &mut scene.state.entities[0].pos] {
+        position[2] += 2.0 * LIFT_M;
     }
     scene.state.entities[0].centre[2] += 2.0 * LIFT_M;
     let carrying = resumed(Some(&lifting), &scene, &motion);
@@ -177,7 +177,7 @@ fn an_object_is_lifted_after_the_fingers_have_closed() {
 }
 
 #[test]
-fn a_hand_stopped_above_its_grasp_takes_another() {
+fn a_hand_stopped_above_its_grasp_chooses_another_grasp() {
     let mut scene = hand_at_grasp(0.0);
     scene.state.grip_pos[2] += 2.0 * STOPPED_M;
     let (mut earlier, mut motion) = (None, Motion::default());
@@ -218,27 +218,27 @@ fn an_object_stopped_before_its_covered_place_is_released_and_pushed_on() {
             [0.0, 0.4, 0.2],
             [0.15, 0.1, 0.001],
         );
-    let before = 0.014;
+    let distance_before_place = 0.014;
     let world = scene.world();
     let rest = transfer.place.spot(&world, world.entity("mug_1").unwrap());
     let rest = rest.unwrap().rest;
     let mug = &mut scene.state.entities[0];
     (mug.pos, mug.centre) = (
-        [rest.x, rest.y - before, rest.z],
-        [rest.x, rest.y - before, rest.z + 0.05],
+        [rest.x, rest.y - distance_before_place, rest.z],
+        [rest.x, rest.y - distance_before_place, rest.z + 0.05],
     );
     scene.state.grip_pos = mug.centre;
-    let motion = seen(&mut scene, &[0.02; 6]);
+    let motion = motion_after(&mut scene, &[0.02; 6]);
     let world = scene.world();
     transfer.resume(None, &world, &motion).expect("a phase");
     let Phase::Release { hand, .. } = transfer.phase else {
         panic!("{transfer:?}");
     };
     assert!(
-        (hand.pos.y - world.grip.y - before).abs() < 1e-9,
+        (hand.pos.y - world.grip.y - distance_before_place).abs() < 1e-9,
         "{hand:?}"
     );
-    // A hand that still moves goes on.
+    // A hand that still moves continues to lower the object.
     let mut motion = motion;
     scene.state.grip_pos[1] += 0.002;
     motion.observe(&scene.world());
@@ -260,7 +260,7 @@ fn fingers_that_release_an_object_open_fully() {
     can.pos = [rest.x, rest.y, rest.z + can.half_extents[2]];
     can.centre = can.pos;
     scene.state.grip_pos = can.pos;
-    let motion = seen(&mut scene, &[0.06, 0.067, 0.07]);
+    let motion = motion_after(&mut scene, &[0.06, 0.067, 0.07]);
     let phase = resumed(None, &scene, &motion).phase;
     assert!(matches!(phase, Phase::Release { .. }), "{phase:?}");
 }

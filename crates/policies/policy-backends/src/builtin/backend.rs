@@ -54,6 +54,7 @@ impl Instance {
     }
 }
 
+/// Returns the error of a policy that panicked; `when` is a phrase such as "at this query".
 fn panicked(when: &str) -> BackendError {
     BackendError::Policy {
         message: format!("it panicked {when} of this session"),
@@ -70,7 +71,7 @@ impl BuiltinBackend {
         }
     }
 
-    fn episode(&self, session: &str) -> Option<Arc<Mutex<Instance>>> {
+    fn instance(&self, session: &str) -> Option<Arc<Mutex<Instance>>> {
         let mut sessions = self.sessions.lock().unwrap_or_else(PoisonError::into_inner);
         sessions.get(session).cloned()
     }
@@ -83,18 +84,18 @@ impl Backend for BuiltinBackend {
     }
 
     async fn reset(&self, request: ResetRequest) -> Result<(), BackendError> {
-        let episode = Instance {
+        let instance = Instance {
             policy: (self.policy.start)(&request),
             next_query: 0,
         };
         let mut sessions = self.sessions.lock().unwrap_or_else(PoisonError::into_inner);
-        sessions.open(&request.session, Arc::new(Mutex::new(episode)));
+        sessions.open(&request.session, Arc::new(Mutex::new(instance)));
         Ok(())
     }
 
     async fn infer(&self, request: InferRequest) -> Result<InferResponse, BackendError> {
-        let episode = self
-            .episode(&request.session)
+        let instance = self
+            .instance(&request.session)
             .ok_or(BackendError::SessionLost)?;
         let stateful = self.policy.described.stateful;
         // The set aborts its task when dropped, so that a query without a caller never starts.
@@ -102,10 +103,10 @@ impl Backend for BuiltinBackend {
         answering.spawn_blocking(move || {
             // Only a panic inside the policy poisons the lock; the instance's state is then
             // unreliable.
-            let mut episode = episode
+            let mut instance = instance
                 .lock()
                 .map_err(|_| panicked("at an earlier query"))?;
-            episode.answer(stateful, request)
+            instance.answer(stateful, request)
         });
         let answered = answering.join_next().await;
         answered

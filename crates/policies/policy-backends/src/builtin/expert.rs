@@ -31,8 +31,8 @@ impl BuiltinPolicy for expert::Expert {
         let state = observation.privileged.as_ref();
         let state =
             state.ok_or("the observation lacks the privileged state that the expert requests")?;
-        let acted = self.act(&read(state)?);
-        acted
+        let action = self.act(&read(state)?);
+        action
             .map(|action| vec![action])
             .map_err(|error| error.to_string())
     }

@@ -26,7 +26,7 @@ pub trait BuiltinPolicy: Send {
     ///
     /// # Errors
     /// If the observation lacks a requested input or shows a scene that the policy cannot handle;
-    /// the text says which.
+    /// the text names the input or the fault of the scene.
     fn infer(&mut self, query_index: u32, observation: &Observation)
     -> Result<Vec<Action>, String>;
 }

@@ -42,7 +42,7 @@ impl Weights {
         }
     }
 
-    /// Returns the name of the asset pack used in training, as in provenance.
+    /// Returns the name that provenance gives the asset pack used in training.
     fn training_pack(self) -> &'static str {
         match self {
             Self::Libero | Self::LiberoRandomised => "libero",
@@ -81,7 +81,7 @@ pub enum WeightsFileError {
     },
     /// The file does not hold weights of this network.
     #[error("use {path:?}")]
-    Wrong {
+    InvalidWeights {
         /// Path of the file.
         path: PathBuf,
         /// Fault of the weights.
@@ -98,10 +98,11 @@ pub(crate) fn read(path: &Path) -> Result<Policy, WeightsFileError> {
         path: path.to_owned(),
         source,
     })?;
-    let network = Network::from_safetensors(&bytes).map_err(|source| WeightsFileError::Wrong {
-        path: path.to_owned(),
-        source,
-    })?;
+    let network =
+        Network::from_safetensors(&bytes).map_err(|source| WeightsFileError::InvalidWeights {
+            path: path.to_owned(),
+            source,
+        })?;
     let file = path.file_name().unwrap_or_default().to_string_lossy();
     let checkpoint = format!("student:{file}");
     Ok(policy(Arc::new(network), checkpoint))
@@ -183,23 +184,23 @@ impl BuiltinPolicy for Student {
 }
 
 /// Returns the frame at an index of [`CAMERAS`], row 0 at the bottom.
-fn picture(observation: &Observation, at: usize) -> Result<&[u8], String> {
-    let camera = CAMERAS[at];
-    let found = observation.images.get(at);
+fn picture(observation: &Observation, index: usize) -> Result<&[u8], String> {
+    let camera = CAMERAS[index];
+    let found = observation.images.get(index);
     let found = found.filter(|image| image.camera == camera);
     found.map(|image| &*image.rgb).ok_or_else(|| {
-        format!("picture {at} of the observation is not from the requested camera `{camera}`")
+        format!("picture {index} of the observation is not from the requested camera `{camera}`")
     })
 }
 
 /// Returns the reading at an index of [`STATE`].
-fn reading<const N: usize>(observation: &Observation, at: usize) -> Result<[f64; N], String> {
-    let found = observation.state.get(at);
+fn reading<const N: usize>(observation: &Observation, index: usize) -> Result<[f64; N], String> {
+    let found = observation.state.get(index);
     let values = found.and_then(|reading| reading.values.as_slice().try_into().ok());
     values.ok_or_else(|| {
         format!(
-            "reading {at} of the observation is not the requested {} with {N} numbers",
-            STATE[at].as_str_name()
+            "reading {index} of the observation is not the requested {} with {N} numbers",
+            STATE[index].as_str_name()
         )
     })
 }

@@ -142,11 +142,11 @@ mod tests {
         let cases = [
             (vec![0xdf], AnswerError::NoMessage),
             (numpy::encode(&map([])), AnswerError::NoActions),
-            (actions(Value::from(3)), ArrayError::None.into()),
+            (actions(Value::from(3)), ArrayError::NotAnArray.into()),
             // The shape declares more values than were sent.
             (
                 actions(array("<f4", &[2, 7], vec![0; 28])),
-                ArrayError::None.into(),
+                ArrayError::NotAnArray.into(),
             ),
             (
                 actions(array("<i8", &[1, 7], vec![0; 56])),

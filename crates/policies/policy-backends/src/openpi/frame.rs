@@ -21,7 +21,8 @@ struct Window {
 
 /// Resizes an RGB frame; sizes are width and height in pixels. Implements the two passes of
 /// Pillow's bilinear filter, along rows and then along columns, with rounding to integers in
-/// between. Inlined, because the package that resizes many frames is optimised further than this one.
+/// between. Inlined, so that a crate that resizes many frames compiles this function at its own,
+/// higher optimisation level.
 #[inline]
 pub fn resize(rgb: &[u8], from: [usize; 2], to: [usize; 2]) -> Vec<u8> {
     if from == to {
@@ -49,8 +50,8 @@ fn mix<'a>(windows: &'a [Window], lines: &'a [u8], stride: usize) -> impl Iterat
     })
 }
 
-/// Computes the triangle filter around each output pixel. It reaches to either side by one pixel
-/// of the coarser grid.
+/// Computes the triangle filter around each output pixel. The filter extends by one pixel of the
+/// coarser grid to either side.
 fn windows(from: usize, to: usize) -> Vec<Window> {
     let scale = from as f64 / to as f64;
     let support = scale.max(1.0);

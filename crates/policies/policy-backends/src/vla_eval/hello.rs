@@ -22,10 +22,11 @@ const STATE: [StateField; 4] = [
     StateField::EefRotation,
     StateField::GripperPos,
 ];
-/// Parameters of vla-eval's LIBERO benchmark that the campaign determines here. The benchmark
-/// ignores unknown parameters.
+/// Parameters of vla-eval's LIBERO benchmark that a campaign sets, whatever the server requests.
+/// The benchmark ignores unknown parameters.
 const CAMPAIGN_PARAMETERS: [&str; 4] = ["seed", "env_seed", "max_steps", "num_steps_wait"];
-/// Longest recorded value of a setting, bytes; the digest covers the whole HELLO.
+/// Length to which the recorded value of a setting is truncated, bytes; the digest covers the whole
+/// HELLO.
 const RECORDED_BYTES: usize = 512;
 
 /// Negotiated conditions of a server's episodes.
@@ -154,8 +155,8 @@ pub(super) fn terms(hello: &ValueRef<'_>, address: &VlaEvalAddress) -> Result<Te
     })
 }
 
-/// Refuses actions that LIBERO's robot would misinterpret. Mere differences in the declaration
-/// (such as Euler angles) are accepted, as in LIBERO's benchmark.
+/// Refuses actions that LIBERO's robot would misinterpret. Other declarations that differ from
+/// LIBERO's (such as Euler angles) are accepted, as in vla-eval's LIBERO benchmark.
 fn check_actions(hello: &ValueRef<'_>) -> Result<(), String> {
     let format = |part| {
         let spec = lookup(lookup(hello, "action_spec")?, part)?;

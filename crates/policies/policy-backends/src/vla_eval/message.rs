@@ -64,7 +64,7 @@ pub(super) fn task(suite: &str, instruction: &str) -> Value {
 struct Reply<'a, 'b> {
     kind: &'b str,
     payload: &'b ValueRef<'a>,
-    /// Sequence number of the client's message that this one answers.
+    /// Sequence number of the client's message that the server answers.
     number: u64,
 }
 
@@ -86,14 +86,14 @@ pub(super) fn hello_payload(bytes: &[u8]) -> Option<Value> {
     Some(reply.payload.to_owned())
 }
 
-/// Decodes the answer to the observation in message `asked`. Returns the actions to execute: the
-/// only one, or the first `execute` of a chunk.
+/// Decodes the answer to the observation in the message with sequence number `asked`. Returns the
+/// actions to execute: the only action, or the first `execute` actions of a chunk.
 ///
-/// Gripper values from 0 up become 1 (closed), negative ones -1 (open), as in vla-eval's LIBERO
-/// benchmark.
+/// Gripper values from 0 up become 1 (closed) and negative values -1 (open), as in vla-eval's
+/// LIBERO benchmark.
 ///
 /// # Errors
-/// If the answer holds no such actions.
+/// If the answer does not hold the actions to execute.
 pub fn answer(bytes: &[u8], asked: u64, execute: u32) -> Result<InferResponse, AnswerError> {
     let message = numpy::read(bytes);
     let reply = message.as_ref().and_then(reply);
@@ -125,9 +125,9 @@ fn error_text(payload: &ValueRef<'_>) -> String {
 
 fn actions(payload: &ValueRef<'_>, execute: u32) -> Result<InferResponse, AnswerError> {
     let actions = lookup(payload, "actions").or_else(|| lookup(payload, "action"));
-    let actions = actions.ok_or(AnswerError::None)?;
+    let actions = actions.ok_or(AnswerError::NoActions)?;
     let Array { shape, numbers } = match actions {
-        ValueRef::Array(items) => number_list(items).ok_or(ArrayError::None)?,
+        ValueRef::Array(items) => number_list(items).ok_or(ArrayError::NotAnArray)?,
         other => numpy::numbers(other)?,
     };
     let (count, width) = match *shape {
@@ -143,7 +143,7 @@ fn actions(payload: &ValueRef<'_>, execute: u32) -> Result<InferResponse, Answer
     let mut actions = numbers[..count * width].to_vec();
     if width == ACTION_WIDTH {
         let grippers = actions.iter_mut().skip(width - 1).step_by(width);
-        // Values that are not finite stay as they are: the checks report them.
+        // Values that are not finite stay as they are: the gateway's checks report them.
         for gripper in grippers.filter(|gripper| gripper.is_finite()) {
             *gripper = if *gripper < 0.0 { -1.0 } else { 1.0 };
         }
@@ -198,7 +198,8 @@ pub enum AnswerError {
         /// Error message of the server.
         String,
     ),
-    /// An error at the start of the episode, to which the server sends no other answer.
+    /// The server reported an error at the start of the episode, which it does not acknowledge
+    /// otherwise; the error arrives in place of the answer to the first query.
     #[error("{0}")]
     Start(
         /// Error message of the server.
@@ -206,7 +207,7 @@ pub enum AnswerError {
     ),
     /// The answer lacks the entry `actions`.
     #[error("its answer has no \"actions\"")]
-    None,
+    NoActions,
     /// The entry `actions` is not an array of numbers.
     #[error(transparent)]
     Array(#[from] ArrayError),

@@ -1,14 +1,14 @@
 //! Computes the robot's state as vla-eval's LIBERO benchmark does (modules
 //! `benchmarks.libero.benchmark` and `rotation`), in the same precision. Pure functions.
 
-/// Sine of half the angle below which the rotation counts as none.
+/// Sine of half the angle below which a rotation counts as the identity.
 const NO_ROTATION: f64 = 1e-8;
 
 /// Returns `states`: position (m), the hand's axis-angle (rad, rounded to single precision as in
 /// vla-eval) and finger joints (m).
 ///
 /// If `flips_quaternion`, a quaternion with negative w is replaced by its antipode, so that the
-/// angle is at most π; otherwise it is up to 2π, as in robosuite.
+/// angle is at most π; otherwise the angle is up to 2π, as in robosuite.
 pub(super) fn states(
     position: [f64; 3],
     quaternion_xyzw: [f64; 4],
@@ -27,9 +27,9 @@ pub(super) fn states(
 
 /// Returns `controller_states`: the same quantities for the site that robosuite's controller
 /// moves, in single precision. The site has the position of `states`, and is rotated against the
-/// hand by −90° about its z axis. vla-eval reads these values at the end of a control step. Here
-/// they are of the instant of observation, up to 50 ms earlier, because LIBERO's readings and
-/// frames lag.
+/// hand by −90° about the hand's z axis. vla-eval reads these values at the end of a control step.
+/// This function gets the readings of an observation, which are up to 50 ms earlier, because
+/// LIBERO's readings and frames lag.
 ///
 /// `hand` is the hand's rotation matrix in row-major order.
 pub(super) fn controller_states(position: [f64; 3], hand: [f64; 9], fingers: [f64; 2]) -> [f32; 8] {

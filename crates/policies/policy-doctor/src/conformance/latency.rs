@@ -37,7 +37,7 @@ pub struct Latency {
     /// Control steps per second, the unit of delays.
     pub control_hz: u32,
     /// Number of answers by delay in control steps, rounded up: an answer takes effect in the first
-    /// step after it.
+    /// control step after its arrival.
     pub delay_steps: BTreeMap<u16, u64>,
     /// True if the server uses the commands that are executed until its answer takes effect.
     pub real_time_chunking: bool,
@@ -73,8 +73,8 @@ impl Latency {
     fn from_latencies(mut latencies: Vec<Duration>) -> Self {
         latencies.sort();
         let percentile = |hundredths: usize| {
-            let place = (latencies.len() * hundredths).div_ceil(100).max(1) - 1;
-            let latency = latencies.get(place).copied().unwrap_or_default();
+            let index = (latencies.len() * hundredths).div_ceil(100).max(1) - 1;
+            let latency = latencies.get(index).copied().unwrap_or_default();
             latency.as_secs_f64() * 1000.0
         };
         let mut delay_steps = BTreeMap::new();
@@ -105,7 +105,7 @@ impl Latency {
     }
 
     /// Describes the latency and the use of real-time chunking in a sentence.
-    pub fn in_words(&self) -> String {
+    pub fn describe(&self) -> String {
         let step = |milliseconds: f64| steps(Duration::from_secs_f64(milliseconds / 1000.0));
         let steps =
             |milliseconds: f64| terminal::counted(step(milliseconds).into(), "control step");
@@ -148,7 +148,7 @@ mod tests {
         assert_eq!(counts, [(1, 2), (2, 1), (3, 3), (4, 3), (9, 1)]);
         assert_eq!(latency.median_ms.round(), 149.0);
         assert_eq!(latency.slowest_ms.round(), 420.0);
-        let words = latency.in_words();
+        let words = latency.describe();
         assert!(
             words.contains("median 149 ms, 3 control steps at 20 Hz"),
             "{words}"

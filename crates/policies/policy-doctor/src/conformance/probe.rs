@@ -137,7 +137,7 @@ impl Probe {
         }
     }
 
-    /// Checks that the health service answers for policies.
+    /// Checks that the health service reports SERVING for the policy service.
     ///
     /// # Errors
     /// If the server answers with an unexpected status.
@@ -202,17 +202,18 @@ impl Probe {
         Ok((answers, retries))
     }
 
-    /// Plays two episodes in alternation; returns the answers of the episode with `seed`.
+    /// Plays two episodes in alternation, with `seed` and `other_seed`; returns the answers of the
+    /// episode with `seed`.
     ///
     /// # Errors
     /// If the server answers with an error instead of actions.
     pub(super) async fn interleaved(
         &self,
         seed: u64,
-        other: u64,
+        other_seed: u64,
     ) -> Result<Vec<InferResponse>, Status> {
         self.reset("mine", seed).await?;
-        self.reset("other's", other).await?;
+        self.reset("other's", other_seed).await?;
         let mut answers = vec![];
         for query_index in 0..QUERIES {
             self.infer("other's", query_index).await?;
@@ -221,7 +222,7 @@ impl Probe {
         Ok(answers)
     }
 
-    /// Plays half an episode with the seed `other`, then restarts the session with `seed`; returns
+    /// Plays half an episode with `other_seed`, then restarts the session with `seed`; returns
     /// the answers after the restart.
     ///
     /// # Errors
@@ -229,9 +230,9 @@ impl Probe {
     pub(super) async fn restarted(
         &self,
         seed: u64,
-        other: u64,
+        other_seed: u64,
     ) -> Result<Vec<InferResponse>, Status> {
-        self.reset("restarted", other).await?;
+        self.reset("restarted", other_seed).await?;
         for query_index in 0..QUERIES / 2 {
             self.infer("restarted", query_index).await?;
         }

@@ -12,7 +12,7 @@ pub(super) const QUERIES: u32 = 5;
 pub struct Target {
     /// `http://HOST:PORT` or `grpc://HOST:PORT`.
     pub url: String,
-    /// Name of the policy; empty selects the server's only one.
+    /// Name of the policy; empty selects the only policy of the server.
     pub policy: String,
     /// Suite of the synthetic task, one of `scene::TASKS`.
     pub suite: String,
@@ -36,7 +36,7 @@ pub enum ConformanceError {
     /// TLS cannot be set up for the URL.
     #[error(transparent)]
     Access(#[from] AccessError),
-    /// No policy server can be reached.
+    /// No policy server can be reached at the URL.
     #[error("reach the policy server at {url}: {trouble}")]
     Connect {
         /// URL as given.

@@ -7,11 +7,11 @@ use proto::policy::{DescribeResponse, InferResponse};
 use tonic::Status;
 use transport::status_text;
 
-/// Largest absolute value that a worker plausibly clips; a larger one means that the policy
-/// answers in other units.
+/// Largest absolute value of an action that a worker clips without harm; a larger value means that
+/// the policy answers in other units.
 pub(crate) const LARGEST_PLAUSIBLE: f32 = 2.0;
-/// Largest difference between actions in a batch and alone. Kernels for other batch sizes sum in
-/// another order, which changes low-order bits.
+/// Largest difference between the actions for a query in a batch and for the same query alone.
+/// Kernels for other batch sizes sum in another order, which changes low-order bits.
 pub(crate) const BATCH_TOLERANCE: f32 = 1e-3;
 
 /// Result of one point.
@@ -75,10 +75,11 @@ pub(crate) fn description(
 /// Checks the shape of every answer of an episode, in order of query index.
 pub(crate) fn shapes(answers: &[InferResponse], horizon: u32) -> Verdict {
     let faults = answers.iter().enumerate();
-    let mut faults = faults
-        .filter_map(|(at, answer)| Some((at, policy_protocol::actions(answer, horizon).err()?)));
+    let mut faults = faults.filter_map(|(query, answer)| {
+        Some((query, policy_protocol::actions(answer, horizon).err()?))
+    });
     match faults.next() {
-        Some((at, fault)) => fail(format!("at query {at}, {fault}")),
+        Some((query, fault)) => fail(format!("at query {query}, {fault}")),
         None => pass(""),
     }
 }
@@ -104,24 +105,28 @@ pub(crate) fn range(answers: &[InferResponse]) -> Verdict {
 pub(crate) fn same(expected: &[InferResponse], found: &[InferResponse]) -> Verdict {
     match first_difference(expected, found) {
         None => pass(""),
-        Some(at) => fail(format!("at query {at} the actions differ")),
+        Some(query) => fail(format!("at query {query} the actions differ")),
     }
 }
 
 /// Checks that answers depend on the seed just as the policy declares.
-pub(crate) fn seeds(stochastic: bool, one: &[InferResponse], other: &[InferResponse]) -> Verdict {
-    match (stochastic, first_difference(one, other)) {
+pub(crate) fn seeds(
+    stochastic: bool,
+    seed_1: &[InferResponse],
+    seed_2: &[InferResponse],
+) -> Verdict {
+    match (stochastic, first_difference(seed_1, seed_2)) {
         (true, Some(_)) | (false, None) => pass(""),
         (true, None) => {
             fail("it declares itself stochastic, but seeds 1 and 2 give the same actions")
         }
-        (false, Some(at)) => fail(format!(
-            "it declares itself deterministic, but seeds 1 and 2 differ at query {at}"
+        (false, Some(query)) => fail(format!(
+            "it declares itself deterministic, but seeds 1 and 2 differ at query {query}"
         )),
     }
 }
 
-/// Checks that answers in a batch equal those given alone.
+/// Checks that answers to queries in a batch equal the answers to the same queries sent alone.
 pub(crate) fn batch(alone: &[InferResponse], batched: &[InferResponse]) -> Verdict {
     if first_difference(alone, batched).is_none() {
         return pass("bit for bit");
@@ -167,7 +172,7 @@ fn numbers(answers: &[InferResponse]) -> impl Iterator<Item = f32> {
 }
 
 /// Returns the first query at which two episodes differ.
-fn first_difference(one: &[InferResponse], other: &[InferResponse]) -> Option<usize> {
+fn first_difference(first: &[InferResponse], second: &[InferResponse]) -> Option<usize> {
     let bits = |answer: &InferResponse| -> Vec<u32> {
         answer
             .actions
@@ -175,21 +180,25 @@ fn first_difference(one: &[InferResponse], other: &[InferResponse]) -> Option<us
             .map(|number| number.to_bits())
             .collect()
     };
-    let pairs = one.iter().zip(other);
+    let pairs = first.iter().zip(second);
     let differing = pairs.clone().position(|(a, b)| bits(a) != bits(b));
-    differing.or((one.len() != other.len()).then_some(pairs.len()))
+    differing.or((first.len() != second.len()).then_some(pairs.len()))
 }
 
 fn percentiles(latencies: &[Duration]) -> String {
     let mut sorted = latencies.to_vec();
     sorted.sort_unstable();
-    let at = |share: f64| {
+    let percentile = |share: f64| {
         let index = (share * sorted.len() as f64).ceil() as usize;
         sorted
             .get(index.max(1) - 1)
             .map_or(f64::NAN, |latency| latency.as_secs_f64() * 1e3)
     };
-    format!("p50 {:.2} ms, p99 {:.2} ms", at(0.5), at(0.99))
+    format!(
+        "p50 {:.2} ms, p99 {:.2} ms",
+        percentile(0.5),
+        percentile(0.99)
+    )
 }
 
 #[cfg(test)]

@@ -54,7 +54,7 @@ impl<'a> DiagnosedServer<'a> {
         Ok(Self {
             server,
             situations,
-            observations: observations.map_err(|missing| ExaminationError::Lacking {
+            observations: observations.map_err(|missing| ExaminationError::MissingInput {
                 url: server.url.clone(),
                 missing,
             })?,
@@ -78,9 +78,9 @@ impl<'a> DiagnosedServer<'a> {
         let mut first: Vec<Vec<Action>> = vec![];
         let situation = &self.situations[0];
         let (suite, instruction) = (&situation.suite, &situation.instruction);
-        for at in 0..self.situations.len() {
-            let observation = self.observations[at].clone();
-            let response = self.query(at, observation, Some(instruction)).await?;
+        for index in 0..self.situations.len() {
+            let observation = self.observations[index].clone();
+            let response = self.query(index, observation, Some(instruction)).await?;
             let actions = answered.record(self.server, &response);
             for earlier in &first {
                 let difference = largest_difference(earlier, &actions);
@@ -88,11 +88,11 @@ impl<'a> DiagnosedServer<'a> {
             }
             first.push(actions);
         }
-        for (at, earlier) in first.iter().enumerate().take(self.tried_situations()) {
-            let observation = self.observations[at].clone();
-            let response = self.query(at, observation, Some(instruction)).await?;
-            let again = answered.record(self.server, &response);
-            let difference = largest_difference(earlier, &again);
+        for (index, earlier) in first.iter().enumerate().take(self.tried_situations()) {
+            let observation = self.observations[index].clone();
+            let response = self.query(index, observation, Some(instruction)).await?;
+            let repeated = answered.record(self.server, &response);
+            let difference = largest_difference(earlier, &repeated);
             answered.noise = answered.noise.max(difference);
         }
         let mut episode = self.server.episode(suite, instruction, SEED).await?;
@@ -112,13 +112,13 @@ impl<'a> DiagnosedServer<'a> {
     ) -> Result<f64, ExaminationError> {
         let flipped = Variant::Turned(Turn::UpsideDown, Some(camera.to_owned()));
         let mut largest = 0.0_f64;
-        for at in 0..self.tried_situations() {
+        for index in 0..self.tried_situations() {
             let unchanged = self
-                .actions(at, self.observations[at].clone(), None)
+                .actions(index, self.observations[index].clone(), None)
                 .await?;
-            let mut changed = self.observations[at].clone();
-            flipped.apply(&self.situations[at], &mut changed);
-            let to_flipped = self.actions(at, changed.clone(), None).await?;
+            let mut changed = self.observations[index].clone();
+            flipped.apply(&self.situations[index], &mut changed);
+            let to_flipped = self.actions(index, changed.clone(), None).await?;
             for image in changed
                 .images
                 .iter_mut()
@@ -126,7 +126,7 @@ impl<'a> DiagnosedServer<'a> {
             {
                 image.rgb = vec![0; image.rgb.len()].into();
             }
-            let to_black = self.actions(at, changed, None).await?;
+            let to_black = self.actions(index, changed, None).await?;
             for answer in [to_flipped, to_black] {
                 largest = largest.max(largest_difference(&unchanged, &answer));
             }
@@ -141,18 +141,18 @@ impl<'a> DiagnosedServer<'a> {
     ) -> Result<(f64, usize), ExaminationError> {
         let mut largest = 0.0_f64;
         let mut count = 0;
-        for at in 0..self.tried_situations() {
-            let situation = &self.situations[at];
+        for index in 0..self.tried_situations() {
+            let situation = &self.situations[index];
             let suite: Suite = situation.suite.parse().unwrap_or(Suite::Object);
             let tasks = suite.tasks().map(|task| task.instruction());
-            let others = tasks.filter(|task| *task != situation.instruction);
-            let other = others.skip(at).step_by(4).take(2);
+            let other_tasks = tasks.filter(|task| *task != situation.instruction);
+            let instructions = other_tasks.skip(index).step_by(4).take(2);
             let unchanged = self
-                .actions(at, self.observations[at].clone(), None)
+                .actions(index, self.observations[index].clone(), None)
                 .await?;
-            for instruction in other {
-                let observation = self.observations[at].clone();
-                let answer = self.actions(at, observation, Some(&instruction)).await?;
+            for instruction in instructions {
+                let observation = self.observations[index].clone();
+                let answer = self.actions(index, observation, Some(&instruction)).await?;
                 largest = largest.max(largest_difference(&unchanged, &answer));
                 count += 1;
             }
@@ -162,13 +162,16 @@ impl<'a> DiagnosedServer<'a> {
 
     /// Plays a short episode; returns the total latency of its queries.
     pub(super) async fn episode(&mut self) -> Result<Duration, ExaminationError> {
-        let at = self.latencies.len();
-        let situation = &self.situations[at % self.situations.len()];
+        let index = self.latencies.len();
+        let situation = &self.situations[index % self.situations.len()];
         let (suite, instruction) = (&situation.suite, &situation.instruction);
-        let mut episode = self.server.episode(suite, instruction, at as u64).await?;
+        let mut episode = self
+            .server
+            .episode(suite, instruction, index as u64)
+            .await?;
         let mut total_latency = Duration::ZERO;
         for query in 0..EPISODE_QUERIES {
-            let observation = &self.observations[(at + query) % self.observations.len()];
+            let observation = &self.observations[(index + query) % self.observations.len()];
             let answer = episode.query(observation.clone()).await?;
             self.latencies.push(answer.latency);
             total_latency += answer.latency;
@@ -184,13 +187,13 @@ impl<'a> DiagnosedServer<'a> {
 
     async fn actions(
         &mut self,
-        at: usize,
+        index: usize,
         observation: Observation,
         instruction: Option<&str>,
     ) -> Result<Vec<Action>, ExaminationError> {
-        let response = self.query(at, observation, instruction).await?;
+        let response = self.query(index, observation, instruction).await?;
         let actions = self.server.actions(&response);
-        actions.map_err(|fault| ExaminationError::Nonsense {
+        actions.map_err(|fault| ExaminationError::InvalidActions {
             url: self.server.url.clone(),
             fault,
         })
@@ -199,11 +202,11 @@ impl<'a> DiagnosedServer<'a> {
     /// Sends one query in its own episode.
     async fn query(
         &mut self,
-        at: usize,
+        index: usize,
         observation: Observation,
         instruction: Option<&str>,
     ) -> Result<InferResponse, ExaminationError> {
-        let situation = &self.situations[at];
+        let situation = &self.situations[index];
         let instruction = instruction.unwrap_or(&situation.instruction);
         let mut episode = self
             .server
@@ -233,7 +236,7 @@ impl Answered {
     }
 }
 
-fn largest_difference(one: &[Action], other: &[Action]) -> f64 {
-    let numbers = one.iter().flatten().zip(other.iter().flatten());
-    numbers.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
+fn largest_difference(first: &[Action], second: &[Action]) -> f64 {
+    let pairs = first.iter().flatten().zip(second.iter().flatten());
+    pairs.map(|(a, b)| (a - b).abs()).fold(0.0, f64::max)
 }

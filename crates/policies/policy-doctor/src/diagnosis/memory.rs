@@ -69,12 +69,13 @@ fn port_of_this_machine(url: &str) -> Option<u16> {
 /// Returns the sockets that listen at a port, in the form of the links in a process's fd folder.
 fn sockets(port: u16) -> Vec<String> {
     let tables = ["/proc/net/tcp", "/proc/net/tcp6"].map(fs::read_to_string);
-    let of_port = format!(":{port:04X}");
+    let address_suffix = format!(":{port:04X}");
     let lines = tables.iter().flatten().flat_map(|table| table.lines());
     lines
         .filter_map(|line| {
             let fields: Vec<&str> = line.split_whitespace().collect();
-            let is_listening = fields.get(1)?.ends_with(&of_port) && *fields.get(3)? == LISTENING;
+            let is_listening =
+                fields.get(1)?.ends_with(&address_suffix) && *fields.get(3)? == LISTENING;
             is_listening.then(|| fields.get(9).map(|inode| format!("socket:[{inode}]")))?
         })
         .collect()

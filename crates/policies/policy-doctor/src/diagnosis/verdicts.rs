@@ -1,5 +1,5 @@
-//! Verdicts of the diagnosis, as pure functions of a server's answers. Each states the
-//! observation, its usual meaning and the remedy.
+//! Verdicts of the diagnosis, as pure functions of a server's answers. Each failure states what was
+//! observed, its usual cause and the remedy.
 
 use std::time::Duration;
 
@@ -15,12 +15,13 @@ use crate::{
 
 /// Largest difference between values that count as equal.
 const SAME: f64 = 1e-6;
-/// Memory per episode below which growth is ignored, bytes; logs and allocators cause that much.
-const KEPT_BYTES: u64 = 200 << 10;
-/// Slowdown that indicates growing memory: each third of the episodes takes longer than the one
-/// before by this factor, and the last takes longer than the first by `SLOWER_IN_ALL`.
-const SLOWER: f64 = 1.25;
-const SLOWER_IN_ALL: Duration = Duration::from_millis(50);
+/// Growth of memory per episode that is ignored, bytes; logs and allocators cause that much.
+const IGNORED_GROWTH_BYTES: u64 = 200 << 10;
+/// Slowdown that indicates growing memory: the median episode of the second third takes longer than
+/// that of the first by this factor, and that of the last third longer than that of the second.
+const MIN_SLOWDOWN: f64 = 1.25;
+/// Smallest slowdown from the first to the last third that indicates growing memory.
+const MIN_TOTAL_SLOWDOWN: Duration = Duration::from_millis(50);
 
 /// Variation of answers with a change of the input, and without.
 #[derive(Clone, Copy, Debug)]
@@ -149,14 +150,14 @@ pub(super) fn frames(changes: &[(String, Change)]) -> Verdict {
         .collect();
     if !unused.is_empty() {
         let are_all_unused = unused.len() == changes.len();
-        let rest = match are_all_unused {
+        let other_cameras = match are_all_unused {
             true => "",
             false => "; frames of the other cameras do",
         };
         return fail(format!(
-            "frames of {} that are flipped vertically, or black, change no action{rest}. Usually \
-             an image slot of the network stays empty: compare the names of cameras and slots, or \
-             do not request these frames.",
+            "frames of {} that are flipped vertically, or black, change no action{other_cameras}. \
+             Usually an image slot of the network stays empty: compare the names of cameras and \
+             slots, or do not request these frames.",
             unused.join(" and ")
         ));
     }
@@ -172,7 +173,7 @@ pub(super) fn frames(changes: &[(String, Change)]) -> Verdict {
 /// Checks that the policy declares that it reads instructions.
 ///
 /// # Errors
-/// If the policy does not declare it; the text says what it declares instead.
+/// If the policy does not declare this; the text says what the policy declares instead.
 pub(super) fn reads_language(described: &DescribeResponse) -> Result<(), &'static str> {
     match described.language() {
         Language::FreeForm | Language::CanonicalOnly => Ok(()),
@@ -220,23 +221,23 @@ pub(super) fn latency(latencies: &[Duration], answer_within: Duration) -> Verdic
     };
     let mut sorted = later.to_vec();
     sorted.sort_unstable();
-    let at = |share: f64| {
-        let place = (share * sorted.len() as f64).ceil() as usize;
-        sorted.get(place.max(1) - 1).copied().unwrap_or(*first)
+    let percentile = |share: f64| {
+        let rank = (share * sorted.len() as f64).ceil() as usize;
+        sorted.get(rank.max(1) - 1).copied().unwrap_or(*first)
     };
-    let (median, late) = (at(0.5), at(0.99));
+    let (median, p99) = (percentile(0.5), percentile(0.99));
     let slowest = latencies.iter().max().copied().unwrap_or_default();
     let ms = |duration: Duration| duration.as_secs_f64() * 1e3;
     let figures = format!(
         "first {:.1} ms, then median {:.1} ms, 99th percentile {:.1} ms of {} queries",
         ms(*first),
         ms(median),
-        ms(late),
+        ms(p99),
         sorted.len()
     );
     let limit = answer_within.as_secs_f64();
     if slowest > answer_within {
-        let advice = match *first == slowest && late <= answer_within {
+        let advice = match *first == slowest && p99 <= answer_within {
             true => "Compile and warm up before the server listens",
             false => "Serve it from a faster device",
         };
@@ -244,7 +245,7 @@ pub(super) fn latency(latencies: &[Duration], answer_within: Duration) -> Verdic
             "{figures}. A gateway treats a server that needs more than {limit} s as out. {advice}, \
              or raise answer_within_secs."
         ))
-    } else if late > answer_within / 2 {
+    } else if p99 > answer_within / 2 {
         pass(format!("{figures}; a gateway waits {limit} s"))
     } else {
         pass(figures)
@@ -263,7 +264,7 @@ pub(super) fn memory(process: &str, resident: &[u64]) -> Verdict {
     let [begin, middle, end] = [count - 1 - 2 * third, count - 1 - third, count - 1];
     let grown = |from: usize, to: usize| resident[to].saturating_sub(resident[from]);
     let mib = |bytes: u64| bytes as f64 / f64::from(1 << 20);
-    let allowed = KEPT_BYTES * third as u64;
+    let allowed = IGNORED_GROWTH_BYTES * third as u64;
     if grown(begin, middle) > allowed && grown(middle, end) > allowed {
         return fail(format!(
             "{process} grew from {:.0} to {:.0} MiB over the last {} of {count} episodes, {:.2} \
@@ -288,17 +289,18 @@ pub(super) fn slowing(durations: &[Duration]) -> Verdict {
     if third == 0 {
         return skip("too few episodes were played");
     }
-    let median = |at: usize| {
-        let mut sorted = durations[at * third..(at + 1) * third].to_vec();
+    let median = |index: usize| {
+        let mut sorted = durations[index * third..(index + 1) * third].to_vec();
         sorted.sort_unstable();
         sorted[third / 2]
     };
     let [first, second, last] = [0, 1, 2].map(median);
-    let is_slower =
-        |one: Duration, other: Duration| other.as_secs_f64() > SLOWER * one.as_secs_f64();
+    let is_slower = |earlier: Duration, later: Duration| {
+        later.as_secs_f64() > MIN_SLOWDOWN * earlier.as_secs_f64()
+    };
     let count = durations.len();
     let ms = |duration: Duration| duration.as_secs_f64() * 1e3;
-    if is_slower(first, second) && is_slower(second, last) && last - first > SLOWER_IN_ALL {
+    if is_slower(first, second) && is_slower(second, last) && last - first > MIN_TOTAL_SLOWDOWN {
         return fail(format!(
             "episodes take longer and longer: medians of {:.0}, {:.0} and {:.0} ms by thirds of \
              {count}, though every episode was ended (End). Usually the server searches state that \
@@ -339,28 +341,28 @@ mod tests {
     #[test]
     fn steady_growth_is_a_leak_and_growth_at_the_start_is_not() {
         let mib = |number: f64| (number * f64::from(1 << 20)) as u64;
-        let leaking: Vec<u64> = (0..30).map(|at| mib(100.0 + f64::from(at))).collect();
+        let leaking: Vec<u64> = (0..30).map(|index| mib(100.0 + f64::from(index))).collect();
         assert!(fails(&memory("process 7", &leaking), "1.00 MiB each"));
         let starting: Vec<u64> = (0..30)
-            .map(|at| mib(100.0 + 40.0 * f64::from(at.min(12))))
+            .map(|index| mib(100.0 + 40.0 * f64::from(index.min(12))))
             .collect();
         assert!(passes(&memory("process 7", &starting)));
-        let once: Vec<u64> = (0..30)
-            .map(|at| mib(if at < 25 { 100.0 } else { 180.0 }))
+        let one_jump: Vec<u64> = (0..30)
+            .map(|index| mib(if index < 25 { 100.0 } else { 180.0 }))
             .collect();
-        assert!(passes(&memory("process 7", &once)));
+        assert!(passes(&memory("process 7", &one_jump)));
     }
 
     #[test]
     fn steadily_slower_episodes_fail_and_one_slow_episode_does_not() {
         let durations = |millis: fn(u64) -> u64| {
             (0..30)
-                .map(|at| Duration::from_millis(millis(at)))
+                .map(|index| Duration::from_millis(millis(index)))
                 .collect()
         };
-        let growing: Vec<Duration> = durations(|at| 20 + 10 * at);
+        let growing: Vec<Duration> = durations(|index| 20 + 10 * index);
         assert!(fails(&slowing(&growing), "longer and longer"));
-        let jumping: Vec<Duration> = durations(|at| if at == 20 { 900 } else { 20 });
+        let jumping: Vec<Duration> = durations(|index| if index == 20 { 900 } else { 20 });
         assert!(passes(&slowing(&jumping)));
     }
 
@@ -377,12 +379,14 @@ mod tests {
 
     #[test]
     fn one_opening_action_passes_and_values_of_zero_to_one_fail_with_a_conversion() {
-        let with = |number: f64| {
+        let with_gripper = |number: f64| {
             let mut action = [0.1; 7];
             action[GRIPPER] = number;
             action
         };
-        assert!(passes(&gripper(&[with(0.5), with(-0.2)])));
-        assert!(fails(&gripper(&[with(0.0), with(1.0)]), "1 - 2 g"));
+        let opening = [with_gripper(0.5), with_gripper(-0.2)];
+        assert!(passes(&gripper(&opening)));
+        let zero_to_one = [with_gripper(0.0), with_gripper(1.0)];
+        assert!(fails(&gripper(&zero_to_one), "1 - 2 g"));
     }
 }

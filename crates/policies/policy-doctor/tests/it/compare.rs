@@ -33,12 +33,13 @@ fn url(server: &Running) -> String {
     format!("grpc://{}", server.address)
 }
 
-/// Compares two policies in either order; returns the comparison with the second policy as B.
-async fn both_ways(one: Planted, other: Planted, expected: &[Kind]) -> Comparison {
-    let (one, other) = (serve(one).await, serve(other).await);
-    let found = compared(&url(&one), &url(&other)).await;
-    let back = compared(&url(&other), &url(&one)).await;
-    for comparison in [&found, &back] {
+/// Compares two policies in both orders, and asserts that the expected kinds of differences are
+/// reported. Returns the comparison with the second policy as B.
+async fn compare_in_both_orders(first: Planted, second: Planted, expected: &[Kind]) -> Comparison {
+    let (first, second) = (serve(first).await, serve(second).await);
+    let found = compared(&url(&first), &url(&second)).await;
+    let reversed = compared(&url(&second), &url(&first)).await;
+    for comparison in [&found, &reversed] {
         let kinds: Vec<Kind> = comparison
             .differences
             .iter()
@@ -51,7 +52,7 @@ async fn both_ways(one: Planted, other: Planted, expected: &[Kind]) -> Compariso
 
 /// Asserts that a mistake is named with these words, and that nothing else is reported.
 async fn assert_named(mistaken: Planted, kind: Kind, words: &str) {
-    let found = both_ways(Planted::sound(), mistaken, &[kind]).await;
+    let found = compare_in_both_orders(Planted::sound(), mistaken, &[kind]).await;
     let text = &found.differences[0].text;
     assert!(text.contains(words), "{words:?} in {text}");
 }
@@ -97,9 +98,9 @@ async fn vertically_flipped_frames_are_named() {
         "frames flipped vertically",
     )
     .await;
-    let one = Planted::sound().preparing(|input| upside_down(&mut input.frames[1]));
+    let one_camera = Planted::sound().preparing(|input| upside_down(&mut input.frames[1]));
     let words = "frames of robot0_eye_in_hand flipped vertically";
-    assert_named(one, Kind::FrameOrientation, words).await;
+    assert_named(one_camera, Kind::FrameOrientation, words).await;
 }
 
 #[tokio::test]
@@ -160,9 +161,9 @@ async fn joints_in_place_of_a_pose_are_named() {
         StateField::GripperPos,
     ];
     let joints = [StateField::JointPos, StateField::GripperPos];
-    let (posed, jointed) = (Planted::sound(), Planted::sound());
-    let (posed, jointed) = (posed.with_state(&pose), jointed.with_state(&joints));
-    let found = both_ways(posed, jointed, &[Kind::StateDefinition]).await;
+    let with_pose = Planted::sound().with_state(&pose);
+    let with_joints = Planted::sound().with_state(&joints);
+    let found = compare_in_both_orders(with_pose, with_joints, &[Kind::StateDefinition]).await;
     let text = &found.differences[0].text;
     assert!(
         text.contains("seven joint angles and two finger joints"),
@@ -179,9 +180,9 @@ async fn a_quaternion_of_the_other_sign_is_named() {
         pose::axis_angle(quaternion.map(|number| sign * number))
     });
     assert_named(positive, Kind::QuaternionSign, "so that w is not negative").await;
-    let other =
+    let negated =
         rotation(|vector| pose::axis_angle(pose::from_axis_angle(vector).map(|number| -number)));
-    assert_named(other, Kind::QuaternionSign, "quaternion's sign flipped").await;
+    assert_named(negated, Kind::QuaternionSign, "quaternion's sign flipped").await;
 }
 
 #[tokio::test]
@@ -193,8 +194,8 @@ async fn a_gripper_in_another_convention_is_named() {
         "one opens where the other closes",
     )
     .await;
-    let share = acting(|action| action[6] = (action[6] + 1.0) / 2.0);
-    assert_named(share, Kind::GripperConvention, "B = (A + 1) / 2").await;
+    let zero_to_one = acting(|action| action[6] = (action[6] + 1.0) / 2.0);
+    assert_named(zero_to_one, Kind::GripperConvention, "B = (A + 1) / 2").await;
 }
 
 #[tokio::test]
@@ -205,14 +206,19 @@ async fn a_gripper_in_another_scale_is_named() {
 
 #[tokio::test]
 async fn actions_un_normalised_with_other_statistics_are_named() {
-    let moved = acting(|action| {
-        for (at, number) in action[..6].iter_mut().enumerate() {
-            *number = *number * (0.4 + 0.2 * at as f64) - 0.05;
+    let scaled = acting(|action| {
+        for (component, number) in action[..6].iter_mut().enumerate() {
+            *number = *number * (0.4 + 0.2 * component as f64) - 0.05;
         }
     });
-    assert_named(moved, Kind::UnNormalisation, "x = A's × 0.400 - 0.050").await;
-    let one = acting(|action| action[2] *= 3.0);
-    assert_named(one, Kind::UnNormalisation, "shifted: z = A's × 3.000.").await;
+    assert_named(scaled, Kind::UnNormalisation, "x = A's × 0.400 - 0.050").await;
+    let one_scaled = acting(|action| action[2] *= 3.0);
+    assert_named(
+        one_scaled,
+        Kind::UnNormalisation,
+        "shifted: z = A's × 3.000.",
+    )
+    .await;
 }
 
 #[tokio::test]
@@ -240,8 +246,8 @@ async fn differences_in_seed_use_are_named() {
         (|input| input.seed ^= 0x55, "different noise"),
     ];
     for (change, words) in cases {
-        let honest = Planted::drawing(0.2);
-        let found = both_ways(honest, seeding(change), &[Kind::Seed]).await;
+        let sound = Planted::drawing(0.2);
+        let found = compare_in_both_orders(sound, seeding(change), &[Kind::Seed]).await;
         let text = &found.differences[0].text;
         assert!(text.contains(words), "{words:?} in {text}");
     }
@@ -253,31 +259,31 @@ async fn a_mistake_is_named_despite_noise_of_different_seeds() {
         input.seed ^= 0x55;
         input.frames.iter_mut().for_each(upside_down);
     });
-    both_ways(Planted::drawing(0.05), flipping, &[Kind::FrameOrientation]).await;
+    compare_in_both_orders(Planted::drawing(0.05), flipping, &[Kind::FrameOrientation]).await;
 }
 
 #[tokio::test]
 async fn simultaneous_mistakes_are_all_named() {
-    let both = Planted::sound()
+    let two_mistakes = Planted::sound()
         .preparing(|input| input.frames.iter_mut().for_each(upside_down))
         .finishing(|actions| actions.iter_mut().for_each(|action| action[6] = -action[6]));
     let expected = [Kind::FrameOrientation, Kind::GripperConvention];
-    both_ways(Planted::sound(), both, &expected).await;
-    let both = Planted::sound().preparing(|input| {
+    compare_in_both_orders(Planted::sound(), two_mistakes, &expected).await;
+    let two_mistakes = Planted::sound().preparing(|input| {
         input.frames.iter_mut().for_each(upside_down);
         input.state[6..]
             .iter_mut()
             .for_each(|number| *number = number.abs());
     });
     let expected = [Kind::FrameOrientation, Kind::StateDefinition];
-    both_ways(Planted::sound(), both, &expected).await;
+    compare_in_both_orders(Planted::sound(), two_mistakes, &expected).await;
 }
 
 #[tokio::test]
 async fn other_weights_have_no_explanation() {
-    let other = Planted::sound().preparing(|input| input.instruction.push('!'));
+    let other_function = Planted::sound().preparing(|input| input.instruction.push('!'));
     assert_named(
-        other,
+        other_function,
         Kind::Unexplained,
         "none of the differences that are tried",
     )
@@ -296,7 +302,7 @@ async fn description_differences_are_reported_and_are_no_mistakes() {
         let quaternion: [f64; 4] = input.state[3..7].try_into().expect("four numbers");
         input.state.splice(3..7, pose::axis_angle(quaternion));
     });
-    let found = both_ways(Planted::sound(), converting, &[]).await;
+    let found = compare_in_both_orders(Planted::sound(), converting, &[]).await;
     assert_eq!(found.descriptions[0].what, "state");
 }
 
@@ -310,7 +316,7 @@ async fn no_difference_is_reported_for_servers_that_answer_alike() {
         one_by_one
     };
     for policy in [&SOUND[..], &[one_by_one]].concat() {
-        both_ways(policy(), policy(), &[]).await;
+        compare_in_both_orders(policy(), policy(), &[]).await;
     }
     for builtin in ["builtin:expert", "builtin:noop"] {
         let comparison = compared(builtin, builtin).await;

@@ -69,11 +69,11 @@ async fn batches_that_are_declared_must_be_served() {
 
 #[tokio::test]
 async fn a_session_that_was_never_opened_must_not_be_answered() {
-    let obliging = |query: Query| {
+    let answering_without_reset = |query: Query| {
         proper(&Query {
             seed: query.seed.or(Some(0)),
             ..query
         })
     };
-    check(stochastic(), obliging, &[Unopened]).await;
+    check(stochastic(), answering_without_reset, &[Unopened]).await;
 }

@@ -72,12 +72,12 @@ async fn unused_frames_are_found_by_camera() {
 
 #[tokio::test]
 async fn a_gripper_that_never_opens_is_found() {
-    let share = Planted::sound().finishing(|actions| {
+    let zero_to_one = Planted::sound().finishing(|actions| {
         actions
             .iter_mut()
             .for_each(|action| action[6] = (action[6] + 1.0) / 2.0);
     });
-    finds(share, &[Point::Gripper], "answer 1 - 2 g").await;
+    finds(zero_to_one, &[Point::Gripper], "answer 1 - 2 g").await;
 }
 
 #[tokio::test]

@@ -23,8 +23,8 @@ pub(crate) type Action = [f64; 7];
 pub(crate) const SIDE: usize = 128;
 /// Samples along a side of a frame, similar to a network's patches.
 const PATCHES: usize = 32;
-/// Number of actions computed beyond the horizon, for mistakes that skip some.
-const BEYOND: usize = 4;
+/// Number of actions computed beyond the horizon, for mistakes that skip the first actions.
+const EXTRA_ACTIONS: usize = 4;
 
 /// Input of the policy's network.
 pub(crate) struct NetworkInput {
@@ -89,7 +89,7 @@ impl Planted {
         Self { noise, ..policy }
     }
 
-    /// Requests another state.
+    /// Replaces the state fields that the policy requests.
     pub(crate) fn with_state(mut self, fields: &[StateField]) -> Self {
         self.described.state = fields.iter().map(|&field| field.into()).collect();
         self
@@ -104,7 +104,7 @@ impl Planted {
         Self { prepare, ..self }
     }
 
-    /// Changes the output of the network, which has [`BEYOND`] actions more than the answer.
+    /// Changes the output of the network, which has [`EXTRA_ACTIONS`] actions more than the answer.
     pub(crate) fn finishing(
         self,
         finish: impl Fn(&mut Vec<Action>) + Send + Sync + 'static,
@@ -130,7 +130,7 @@ impl Planted {
         (self.prepare)(&mut input);
         let query = u64::from(request.query_index);
         let horizon = self.described.horizon as usize;
-        let mut actions = network(&input, query, horizon + BEYOND, self.noise);
+        let mut actions = network(&input, query, horizon + EXTRA_ACTIONS, self.noise);
         (self.finish)(&mut actions);
         let actions = actions.into_iter().take(horizon).flatten();
         Ok(InferResponse {
@@ -159,13 +159,13 @@ fn network(input: &NetworkInput, query: u64, count: usize, noise: f64) -> Vec<Ac
         let scale = 2.5 / (3.0 * (PATCHES * PATCHES) as f64).sqrt();
         for patch in 0..PATCHES * PATCHES {
             let (row, column) = (patch / PATCHES, patch % PATCHES);
-            let middle = |at: usize, of: usize| (2 * at + 1) * of / (2 * PATCHES);
-            let at = 3 * (middle(row, height) * width + middle(column, width));
+            let middle = |index: usize, side: usize| (2 * index + 1) * side / (2 * PATCHES);
+            let start = 3 * (middle(row, height) * width + middle(column, width));
             for channel in 0..3 {
-                let level = f64::from(frame.rgb[at + channel]) / 127.5 - 1.0;
-                let place = (slot * PATCHES * PATCHES + patch) * 3 + channel;
+                let level = f64::from(frame.rgb[start + channel]) / 127.5 - 1.0;
+                let input = (slot * PATCHES * PATCHES + patch) * 3 + channel;
                 for (feature, sum) in features.iter_mut().enumerate() {
-                    *sum += scale * level * weight(place, feature);
+                    *sum += scale * level * weight(input, feature);
                 }
             }
         }
@@ -173,28 +173,28 @@ fn network(input: &NetworkInput, query: u64, count: usize, noise: f64) -> Vec<Ac
     let text = input.instruction.bytes().map(u64::from).collect::<Vec<_>>();
     for (feature, sum) in features.iter_mut().enumerate() {
         let feature = feature as u64;
-        for (at, number) in input.state.iter().enumerate() {
-            let phase = 3.0 * hash(&[1, at as u64, feature]);
+        for (index, number) in input.state.iter().enumerate() {
+            let phase = 3.0 * hash(&[1, index as u64, feature]);
             *sum += 0.25 * (2.0 * number + phase).sin();
         }
         *sum += 0.4 * hash(&[&[2, feature], &text[..]].concat());
     }
-    let number = |row: usize, at: usize| {
-        let wave = (features[at] + (0.3 + 0.1 * at as f64) * row as f64).sin();
-        let deviation = noise * hash(&[3, input.seed, query, row as u64, at as u64]);
-        0.7 * (wave + 0.5 * features[7 + at]).tanh() + deviation
+    let number = |row: usize, component: usize| {
+        let wave = (features[component] + (0.3 + 0.1 * component as f64) * row as f64).sin();
+        let deviation = noise * hash(&[3, input.seed, query, row as u64, component as u64]);
+        0.7 * (wave + 0.5 * features[7 + component]).tanh() + deviation
     };
     (0..count)
-        .map(|row| std::array::from_fn(|at| number(row, at)))
+        .map(|row| std::array::from_fn(|component| number(row, component)))
         .collect()
 }
 
-/// Returns a weight of the network, which is different for each position.
-fn weight(place: usize, feature: usize) -> f64 {
+/// Returns the weight of a sampled pixel value for a feature; all weights are different.
+fn weight(input: usize, feature: usize) -> f64 {
     static WEIGHTS: std::sync::OnceLock<Vec<f64>> = std::sync::OnceLock::new();
-    let all = 2 * PATCHES * PATCHES * 3 * 14;
-    let weights = WEIGHTS.get_or_init(|| (0..all as u64).map(|at| hash(&[4, at])).collect());
-    weights[place * 14 + feature]
+    let count = 2 * PATCHES * PATCHES * 3 * 14;
+    let weights = || -> Vec<f64> { (0..count as u64).map(|index| hash(&[4, index])).collect() };
+    WEIGHTS.get_or_init(weights)[input * 14 + feature]
 }
 
 /// Reverses the order of a frame's rows.
@@ -203,15 +203,16 @@ pub(crate) fn upside_down(frame: &mut Image) {
     frame.rgb = rows.flatten().copied().collect::<Vec<u8>>().into();
 }
 
-/// Halves a frame by averaging four pixels, and doubles it by repeating them.
+/// Halves the sides of a frame by averaging squares of four pixels, and doubles the sides again by
+/// repeating each mean.
 pub(crate) fn halved_and_doubled(frame: &mut Image) {
     let width = frame.width as usize;
     let old = frame.rgb.clone();
     let level = |row: usize, column: usize, channel: usize| {
         u32::from(old[3 * (row * width + column) + channel])
     };
-    let number = |at: usize| {
-        let (row, column, channel) = (at / 3 / width, at / 3 % width, at % 3);
+    let number = |index: usize| {
+        let (row, column, channel) = (index / 3 / width, index / 3 % width, index % 3);
         let (row, column) = (row & !1, column & !1);
         let four = [(0, 0), (0, 1), (1, 0), (1, 1)];
         let sum: u32 = four

@@ -1,5 +1,5 @@
 //! Policy servers on free loopback ports whose answers are defined by the test, and the points of
-//! the policy protocol on which a server fails. The gateway's tests use them too.
+//! the policy protocol on which a server fails. The gateway's tests include this file, too.
 
 use std::{
     collections::HashMap,
@@ -52,14 +52,14 @@ impl Running {
 
 /// Starts a policy server that is not a gateway, on a free port.
 pub(crate) async fn serve(policy: impl Policy) -> Running {
-    serve_any(Any(Box::new(policy))).await
+    serve_any(AnyPolicy(Box::new(policy))).await
 }
 
 /// A policy of any type, so that the server is compiled only once.
-struct Any(Box<dyn Policy>);
+struct AnyPolicy(Box<dyn Policy>);
 
 #[tonic::async_trait]
-impl Policy for Any {
+impl Policy for AnyPolicy {
     async fn describe(
         &self,
         request: Request<DescribeRequest>,
@@ -93,9 +93,9 @@ impl Policy for Any {
     }
 }
 
-async fn serve_any(policy: Any) -> Running {
+async fn serve_any(policy: AnyPolicy) -> Running {
     let (health, health_service) = tonic_health::server::health_reporter();
-    health.set_serving::<PolicyServer<Any>>().await;
+    health.set_serving::<PolicyServer<AnyPolicy>>().await;
     let listener = TcpListener::bind("127.0.0.1:0").await.expect("a free port");
     let address = listener.local_addr().expect("a bound address");
     let (stop, stopped) = oneshot::channel();

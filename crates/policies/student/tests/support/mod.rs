@@ -144,13 +144,13 @@ pub struct OwnedQuery {
 }
 
 impl OwnedQuery {
-    /// Generates patches of colour with noise, a pose, and one of a few instructions.
+    /// Generates pictures of coloured patches with noise, a state, and one of a few instructions.
     pub fn random(seed: u64) -> Self {
         let mut random = Random(seed);
         let mut picture = || {
             let patches: Vec<u8> = (0..8 * 8 * 3).map(|_| random.next() as u8).collect();
-            let byte = |at: usize| {
-                let (row, column, channel) = (at / 768, at / 3 % 256, at % 3);
+            let byte = |index: usize| {
+                let (row, column, channel) = (index / 768, index / 3 % 256, index % 3);
                 let patch = patches[((row / 32) * 8 + column / 32) * 3 + channel];
                 patch.wrapping_add(random.next() as u8 & 15)
             };

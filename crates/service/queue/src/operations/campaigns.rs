@@ -241,7 +241,7 @@ impl Context<'_> {
             });
         }
         if let Rollouts::Thresholds(thresholds) = derived {
-            let possible = thresholds.can_be_of(&spec.rollouts);
+            let possible = thresholds.check_measurable(&spec.rollouts);
             possible.map_err(|problem| QueueError::NoThresholds {
                 campaign: source.name,
                 problem,

@@ -6,7 +6,7 @@ use tokio::sync::{Semaphore, SemaphorePermit};
 
 /// Limit of observations in flight, bytes: 682 pairs of 256 × 256 frames, more than ten machines
 /// of 64 slots send at a time.
-pub const MAX_HELD_BYTES: usize = 256 << 20;
+pub const MAX_OBSERVATION_BYTES: usize = 256 << 20;
 /// Smallest size counted for a query, bytes, so that queries without frames are limited, too.
 pub const MIN_QUERY_BYTES: usize = 64 << 10;
 
@@ -16,7 +16,7 @@ pub struct ObservationBudget(Semaphore);
 
 impl Default for ObservationBudget {
     fn default() -> Self {
-        Self(Semaphore::new(MAX_HELD_BYTES))
+        Self(Semaphore::new(MAX_OBSERVATION_BYTES))
     }
 }
 
@@ -58,7 +58,7 @@ mod tests {
     #[test]
     fn memory_is_reserved_up_to_the_limit_and_released_after_answers() {
         let budget = ObservationBudget::default();
-        let large = query(MAX_HELD_BYTES - MIN_QUERY_BYTES);
+        let large = query(MAX_OBSERVATION_BYTES - MIN_QUERY_BYTES);
         let first = budget.reserve(&large).expect("memory");
         let second = budget
             .reserve(&query(0))
