@@ -148,7 +148,7 @@ impl GrpcBackend {
         let address = self.address.authority.clone();
         match self.peer.diagnose(&status).await {
             // A server of an older version did answer, so the connection is not at fault.
-            Some(trouble) if trouble.error == ProbeResult::LacksCall => BackendError::Refused {
+            Some(trouble) if trouble.found == ProbeResult::LacksCall => BackendError::Refused {
                 address,
                 status: Box::new(Status::new(status.code(), trouble.to_string())),
             },
