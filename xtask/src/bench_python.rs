@@ -1,4 +1,4 @@
-//! `cargo xtask bench python`: times LIBERO's environments in Python here and in the original, in
+//! `cargo xtask bench python`: times this project's Python environments and the original's, in
 //! turn. `python/bench/speed.py` and docs/PYTHON.md describe the measurement.
 
 use std::path::{Path, PathBuf};
@@ -13,10 +13,10 @@ use crate::original::Original;
 use crate::setup;
 use crate::wheel::{self, Profile};
 
-/// Program without Python, against which Python's overhead is measured.
+/// Program that steps the same environments from Rust; the difference is Python's overhead.
 const WITHOUT_PYTHON: &str = "bench_environments";
-/// Pairs of runs per round, in turn: their difference is smaller than a shared machine's drift
-/// from one minute to the next.
+/// Number of pairs of runs per round, one run from Python and one from Rust. They alternate,
+/// because the difference between them is smaller than a shared machine's drift within a minute.
 const PAIRS: usize = 5;
 
 /// Options of `cargo xtask bench python`.
@@ -37,7 +37,7 @@ pub(crate) struct Options {
     /// Folder of the reference data. [default: ../shared/oracle beside this checkout]
     #[arg(long)]
     oracle: Option<PathBuf>,
-    /// LIBERO's assets folder. [default: the one that LIBERO's assets are fetched into]
+    /// LIBERO's assets folder. [default: the folder of `worker assets fetch`]
     #[arg(long)]
     assets: Option<PathBuf>,
 }
@@ -52,15 +52,20 @@ struct Row {
 
 /// Outputs of the programs of one round.
 struct Round {
+    /// A single environment of this project.
     ours: Value,
+    /// A single environment of the original.
     theirs: Value,
+    /// Environments of the original, each in its own process.
     processes: Value,
     pairs: Vec<Pair>,
 }
 
-/// Runs of the same environments from Python and from Rust.
+/// Outputs of two runs of the same environments of this project.
 struct Pair {
+    /// Environments in threads of one Python process.
     threads: Value,
+    /// Environments in a program without Python.
     without_python: Value,
 }
 
@@ -100,7 +105,7 @@ const ROWS: [Row; 6] = [
         values_of: |round| compare_values(&round.processes, &round.pairs[0].threads, "further_mb"),
     },
     Row {
-        name: "the same without Python",
+        name: "environments without Python",
         target: ">= 0.95",
         unit: "obs/s",
         values_of: |round| {
@@ -202,7 +207,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
             theirs: theirs("one")?,
             processes: theirs("processes")?,
         });
-        // Prints after every round, which takes minutes, so that an interrupted run has results.
+        // A round takes minutes; printing after each leaves results of an interrupted run.
         println!("after round {number}");
         print(&rounds)?;
     }
@@ -212,7 +217,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
 fn print(rounds: &[Round]) -> Result<()> {
     println!(
         "{:<32} {:>10} {:>10} {:<6} {:>8} {:<13} target",
-        "", "here", "there", "", "ratio", "  spread"
+        "", "here", "original", "", "ratio", "  spread"
     );
     for row in &ROWS {
         let all = rounds

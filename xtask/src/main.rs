@@ -1,5 +1,5 @@
-//! The project's commands: `cargo xtask setup|demo|check|test|dist|parity` and others. Each
-//! performs its own prerequisites, each of them once.
+//! The project's commands: `cargo xtask setup|demo|check|test|dist|parity` and others. Each command
+//! first completes its prerequisites, and skips those that an earlier command has completed.
 
 #![forbid(unsafe_code)]
 
@@ -52,7 +52,7 @@ enum Command {
     },
     /// Run a small campaign end to end and print its paired table.
     Demo(demo::Options),
-    /// Check format, lints, documentation and unit tests: minutes, for every save.
+    /// Check format, lints, documentation and unit tests, in minutes.
     Check,
     /// Run all tests and lints, or a suite of them by name.
     Test {
@@ -89,7 +89,7 @@ enum Command {
 
 #[derive(Subcommand)]
 enum Bench {
-    /// A fresh clone to the demo's report, a changed line to its verdict, and `.ci/run`.
+    /// Waits for the demo's report, for `.ci/run`, and for the tests of a changed line.
     Build(bench_build::Options),
     /// The paired report of 62,400 rollouts, six policies with all intervals.
     Report {
@@ -117,11 +117,11 @@ enum Bench {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
-    /// The same rollout here and in the original LIBERO, in turn.
+    /// The same rollout in this simulator and in the original LIBERO, in turn.
     Compare(bench::Compare),
-    /// Environments in Python, here and in the original, in turn.
+    /// This project's environments in Python and the original's, in turn.
     Python(bench_python::Options),
-    /// Rollouts for reinforcement learning, here and in the original, in turn.
+    /// Rollouts for reinforcement learning, in our and the original's environments.
     Training(bench_training::Options),
     /// A whole machine: runs `worker bench`.
     Machine {
@@ -130,7 +130,7 @@ enum Bench {
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
-    /// Memory and start of slots whose scenes lie in files.
+    /// Memory and start time of slots whose compiled scenes are files.
     Scenes {
         /// Passed on: [--slots N] [--tasks SUITE/N,…] [--assets PACK_OR_PATH]
         /// [--scenes DIR|off] [--python FILE].
@@ -144,13 +144,13 @@ enum Bench {
         arguments: Vec<String>,
     },
     /// A million jobs of four campaigns under 2,000 slots over TLS, with a coordinator that is
-    /// killed and restored; a figure shows what grows. A release build.
+    /// killed and restored; a figure shows memory, disk use and times. A release build.
     Soak {
         /// Passed on: [--jobs N] [--slots N] [--workers N] [--minutes N] [--figure FILE].
         #[arg(trailing_var_arg = true, allow_hyphen_values = true)]
         arguments: Vec<String>,
     },
-    /// The gateway before a simulated policy server, as a release build.
+    /// The gateway in front of a simulated policy server, as a release build.
     Gateway {
         /// Passed on: [--slots N] [--batch-millis N] [--max-batch N] [--rate N]
         /// [--secs N] [--rounds N], or `slots --address HOST:PORT`.
@@ -213,8 +213,8 @@ fn wheels(output: Option<&Path>) -> anyhow::Result<()> {
     wheel::run(&root(), &cache, output)
 }
 
-/// Runs the queue's benchmark, which needs no simulator and so no setup. Built for release,
-/// because SQLite dominates, which the development profile hardly optimises.
+/// Runs the queue's benchmark, which needs no simulator and so no setup. Uses the release profile,
+/// because SQLite takes most of the time and the development profile hardly optimises it.
 fn bench_queue(arguments: &[String]) -> anyhow::Result<()> {
     let mut program = cargo::cargo(&root());
     program.args(["run", "--quiet", "--release", "--package", "coordinator"]);

@@ -31,12 +31,12 @@ pub(crate) fn capture(command: &mut Command) -> Result<String> {
         .output()
         .with_context(|| format!("start `{}`", command_line(command)))?;
     if !output.status.success() {
-        let complaint = String::from_utf8_lossy(&output.stderr);
+        let stderr = String::from_utf8_lossy(&output.stderr);
         bail!(
             "run `{}`: {}\n{}",
             command_line(command),
             output.status,
-            complaint.trim_end()
+            stderr.trim_end()
         );
     }
     Ok(String::from_utf8_lossy(&output.stdout)

@@ -16,7 +16,7 @@ const COMPARED_WITH: [&str; 2] = ["openpi-client==0.1.2", "vla-eval==0.8.0"];
 /// Requirement of `docs/PYTHON.md` beyond those of the package.
 const NOTEBOOK_REQUIREMENT: &str = "pandas>=2";
 
-/// Written into a complete folder of packages; holds the list of its requirements.
+/// File that marks a folder of packages as complete; holds the list of their requirements.
 const STAMP: &str = "requirements-of.toml";
 
 /// Creates a virtual environment with the policies package in editable mode; returns its

@@ -7,10 +7,10 @@ use anyhow::{Context, Result};
 
 use crate::process::capture;
 
-/// Written into a complete environment; holds the list of its packages.
+/// File that marks an environment as complete; holds the list of its packages.
 const STAMP: &str = "installed.txt";
 
-/// Creates a virtual environment with these packages, unless it exists.
+/// Creates a virtual environment with these packages, unless a complete one exists.
 ///
 /// # Errors
 /// If the packages cannot be installed.

@@ -145,7 +145,7 @@ impl Table {
         Some(&self.files[*self.by_path.get(path)?])
     }
 
-    /// Returns the files that a model references, without the model itself.
+    /// Returns the paths of the files that a model references, without the model's own path.
     pub fn references(&self, model: &str) -> &[&'static str] {
         self.references.get(model).map_or(&[], Vec::as_slice)
     }
@@ -157,7 +157,7 @@ impl Table {
     }
 }
 
-/// Parses the rows below the header; `None` for a row with another number of columns.
+/// Parses the rows below the header; `None` for a row that does not have `N` columns.
 fn rows<const N: usize>(text: &'static str) -> impl Iterator<Item = Option<[&'static str; N]>> {
     let lines = text.lines().skip(1);
     lines.map(|line| line.split('\t').collect::<Vec<_>>().try_into().ok())

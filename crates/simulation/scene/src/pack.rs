@@ -14,7 +14,7 @@ use sha2::{Digest, Sha256};
 use crate::error::SceneError;
 use crate::sources::{AssetRoot, RootKind, Sources};
 
-/// The built-in pack: its files and their paths inside the pack.
+/// Files of the built-in pack with their paths inside the pack, written by `build.rs`.
 mod builtin {
     include!(concat!(env!("OUT_DIR"), "/primitives.rs"));
 }
@@ -113,7 +113,7 @@ impl AssetPack {
         Ok(Self::custom(pack.dir, digest, differences.collect()))
     }
 
-    /// Opens a folder that has more than LIBERO's files, as LIBERO-PRO's models need. The pack's
+    /// Opens a folder that has LIBERO's files and others, such as LIBERO-PRO's models. The pack's
     /// name is `custom`, and its digest covers all files.
     ///
     /// # Errors
@@ -145,7 +145,7 @@ impl AssetPack {
         self.verified.as_ref()
     }
 
-    /// Returns true for the pack whose files are fetched on demand.
+    /// Returns true for the pack `libero`, whose files are fetched on demand.
     pub fn is_managed(&self) -> bool {
         self.is_managed
     }

@@ -13,8 +13,8 @@ pub(crate) struct Matrix {
     pub(crate) values: Vec<f64>,
 }
 
-/// Value on the unpickler's stack. Copies share their contents, so that nested tuples that a file
-/// reads from the memo again and again take no more memory.
+/// Value on the unpickler's stack. Copies share their contents, so that a file that reads nested
+/// tuples from the memo again and again does not use more memory.
 #[derive(Clone)]
 enum Value {
     None,
@@ -101,6 +101,7 @@ pub(crate) fn read_matrix(bytes: &[u8]) -> Result<Matrix, String> {
     })
 }
 
+/// Stack machine that executes a pickle's opcodes.
 struct Machine<'a> {
     input: &'a [u8],
     stack: Vec<Value>,

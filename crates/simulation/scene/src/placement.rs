@@ -23,19 +23,20 @@ pub struct FixturePose {
     pub quat: [f64; 4],
 }
 
-/// Attempts at placing one object before the original redraws everything.
+/// Number of attempts at placing one object, after which the original draws the whole placement
+/// again.
 const MAX_ATTEMPTS: usize = 5000;
 /// Draws of the whole placement after which a scene counts as too crowded. The original's wrapper
 /// never gives up; a scene with enough room needs one or two draws.
 pub const MAX_DRAWS: usize = 1000;
-/// Number of arm joints. A reset draws one normal number for each, even though LIBERO scales this
-/// noise by zero.
+/// Number of arm joints. A reset draws one normal number for each joint as noise, even though
+/// LIBERO scales the noise by zero.
 const ARM_JOINTS: usize = 7;
 /// Rounds of joint samples in the first seeded reset: the original has appended all joint samplers
 /// to its list twice by then, at construction and in the reset itself.
 const CAMPAIGN_JOINT_ROUNDS: usize = 2;
 
-/// Everything that a reset of a task samples, in drawing order.
+/// Samplers of everything that a reset of a task draws at random, in the order of the draws.
 #[derive(Debug, Clone)]
 pub struct Samplers {
     joints: Vec<JointSampler>,
@@ -56,7 +57,7 @@ pub struct JointSampler {
 #[derive(Debug, Clone)]
 pub struct PoseSampler {
     instance: String,
-    /// Region or object, for messages.
+    /// Name of the region or object where the instance is placed, for messages.
     place: String,
     base: Base,
     /// Rectangles relative to the base, m, by their bounds in x and y.
@@ -64,7 +65,7 @@ pub struct PoseSampler {
     /// Height of the underside above the base, m.
     z_offset: f64,
     footprint: Footprint,
-    /// True if the pose must be free of overlap with everything placed before.
+    /// True if the instance must not overlap any instance that was placed before.
     avoids_others: bool,
     rotation: Rotation,
     /// Object or fixture to move.

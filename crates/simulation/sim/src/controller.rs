@@ -50,7 +50,7 @@ pub enum ActionFrame {
     Absolute,
 }
 
-/// Both controllers with their state between steps.
+/// Controllers of the arm and of the gripper, with their state between steps.
 #[derive(Clone)]
 pub struct Controller {
     site: usize,
@@ -88,7 +88,7 @@ struct ArmState {
 }
 
 impl Controller {
-    /// Creates the controllers for a model. `reset` is its state at the reset pose, after
+    /// Creates the controllers for a model. `reset` is the model's state at the reset pose, after
     /// [`Data::forward`].
     pub fn new(model: &Model, reset: &Data) -> Result<Self, SimError> {
         let site = model.id(ObjectKind::Site, GRIP_SITE)?;
@@ -118,8 +118,8 @@ impl Controller {
         })
     }
 
-    /// Returns the end-effector's pose as it was last read: position, m, and rotation matrix, row
-    /// by row, in the world frame.
+    /// Returns the end-effector's pose that the controller read last: position, m, and rotation
+    /// matrix, row by row, in the world frame.
     pub fn last_pose(&self) -> ([f64; 3], [f64; 9]) {
         let (pos, matrix) = &self.last_pose;
         let row_by_row = std::array::from_fn(|index| matrix[(index / 3, index % 3)]);
@@ -140,8 +140,8 @@ impl Controller {
         self.uses_reset_arm = true;
     }
 
-    /// Sets the goal from a new action; `data` is after the first half of a step (positions and
-    /// velocities are up to date).
+    /// Sets the goal from a new action. `data` must be the state after [`Data::step1`], in which
+    /// positions and velocities are up to date.
     pub fn set_goal(&mut self, model: &Model, data: &Data, action: &[f64; 7], frame: ActionFrame) {
         if frame == ActionFrame::Absolute {
             let [x, y, z, axis_angle @ ..] = *action;
@@ -174,8 +174,8 @@ impl Controller {
         }
     }
 
-    /// Computes the controls of one simulation step; `data` is after the first half of a step.
-    /// Returns false if the arm's inertia cannot be inverted.
+    /// Computes the controls of one simulation step. `data` must be the state after
+    /// [`Data::step1`]. Returns false if the arm's inertia cannot be inverted.
     #[must_use]
     pub fn run(&mut self, model: &Model, data: &mut Data, action: &[f64; 7]) -> bool {
         let arm = if std::mem::take(&mut self.uses_reset_arm) {

@@ -133,7 +133,8 @@ pub(crate) enum Canvas {
 }
 
 impl Canvas {
-    /// Creates a canvas for a model, its prepared data, and pictures up to this size, pixels.
+    /// Creates a canvas for a model and for pictures up to this size, pixels. `prepared` returns
+    /// the software renderer's data of the model.
     pub(crate) fn new(
         drawer: &Drawer,
         model: &mut Model,

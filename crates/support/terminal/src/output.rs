@@ -32,7 +32,7 @@ fn in_colour(is_terminal: bool, no_color: Option<OsString>) -> bool {
 /// Prints a line to standard output.
 ///
 /// # Errors
-/// If it cannot be written; see [`reader_is_gone`].
+/// If the line cannot be written; see [`reader_is_gone`].
 pub fn print_line(text: &str) -> io::Result<()> {
     print(&format!("{text}\n"))
 }
@@ -41,7 +41,7 @@ pub fn print_line(text: &str) -> io::Result<()> {
 /// `print!`, it does not panic when the pipe is closed.
 ///
 /// # Errors
-/// If it cannot be written; see [`reader_is_gone`].
+/// If the text cannot be written; see [`reader_is_gone`].
 pub fn print(text: &str) -> io::Result<()> {
     let mut stdout = io::stdout().lock();
     stdout.write_all(printable(text).as_bytes())?;
@@ -52,7 +52,7 @@ pub fn print(text: &str) -> io::Result<()> {
 /// the next output.
 ///
 /// # Errors
-/// If it cannot be written; see [`reader_is_gone`].
+/// If the control sequence cannot be written; see [`reader_is_gone`].
 pub fn clear_lines(count: usize) -> io::Result<()> {
     write!(io::stdout().lock(), "\x1b[{count}A\r\x1b[J")
 }
@@ -119,7 +119,7 @@ mod tests {
     }
 
     #[test]
-    fn words_are_wrapped_at_80_columns_below_their_indent() {
+    fn text_is_wrapped_at_80_columns_and_indented_from_the_second_line_on() {
         let words = "seven letters ".repeat(12);
         let text = wrapped("FAIL  it answers:", 6, &words);
         let lines: Vec<&str> = text.lines().collect();

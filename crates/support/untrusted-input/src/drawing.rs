@@ -9,7 +9,7 @@ use raster::{
 
 use crate::script;
 
-/// Kinds of messages, by the method number of a call.
+/// Kinds of messages; the method number of a script's call selects one.
 const QUALITY: u8 = 0;
 const MESH: u8 = 1;
 const PLANE: u8 = 2;
@@ -49,7 +49,7 @@ pub(crate) fn draw(input: &[u8]) -> bool {
         drawing.add_to_model(kind, bytes);
     }
     for (kind, bytes) in messages() {
-        drawing.step(kind, bytes);
+        drawing.run_command(kind, bytes);
     }
     !drawing.is_refused
 }
@@ -72,7 +72,7 @@ impl Drawing {
             scene: Scene {
                 geoms: Vec::new(),
                 lights: Vec::new(),
-                camera: CAMERA_AT_REST,
+                camera: DEFAULT_CAMERA,
                 sky: None,
                 reflections: true,
                 shadows: None,
@@ -107,7 +107,8 @@ impl Drawing {
         }
     }
 
-    fn step(&mut self, kind: u8, mut bytes: Bytes<'_>) {
+    /// Changes the scene, or draws it; ignores model data.
+    fn run_command(&mut self, kind: u8, mut bytes: Bytes<'_>) {
         match kind {
             GEOM => {
                 let at = usize::from(bytes.byte());
@@ -186,7 +187,7 @@ impl Drawing {
     }
 }
 
-const CAMERA_AT_REST: Camera = Camera {
+const DEFAULT_CAMERA: Camera = Camera {
     pos: [1.2, 0.2, 0.9],
     forward: [-0.8, -0.1, -0.6],
     up: [-0.6, 0.0, 0.8],
@@ -199,7 +200,7 @@ const CAMERA_AT_REST: Camera = Camera {
     orthographic: false,
 };
 
-/// Reader of a message. Past its end it yields zeros.
+/// Reader of a message's values; yields zeros after the end of the message.
 struct Bytes<'a>(&'a [u8]);
 
 impl Bytes<'_> {
@@ -211,7 +212,7 @@ impl Bytes<'_> {
         *first
     }
 
-    /// Reads the upper half of an `f32`. The precision suffices, and any two bytes are a number;
+    /// Reads the upper two bytes of an `f32`. The precision suffices, any two bytes are valid, and
     /// half of all values are huge, tiny or NaN.
     fn number(&mut self) -> f32 {
         f32::from_bits(u32::from_le_bytes([0, 0, self.byte(), self.byte()]))

@@ -37,7 +37,8 @@ impl Samplers {
     ///
     /// # Errors
     /// [`SceneError::Inconsistent`] where the original fails too: the initial state places an
-    /// object twice or on an instance that is not placed, or opens one that cannot be opened.
+    /// object twice, places it on an instance that is not placed, or opens an instance that cannot
+    /// be opened.
     pub(crate) fn new(
         problem: &Problem,
         arena: &Arena,

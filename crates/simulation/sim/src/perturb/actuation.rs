@@ -19,7 +19,7 @@ pub struct ActuationStage {
     gain: f64,
     misalignment: Rotation3<f64>,
     bias: [f64; ARM],
-    /// Weight of the new command in the lagged one; 1 without lag.
+    /// Weight of the new action in the lagged action; 1 without lag.
     responsiveness: f64,
     noise_sigma: [f64; ARM],
     noise: StepNoise,

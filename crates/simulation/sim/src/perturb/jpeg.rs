@@ -99,8 +99,8 @@ impl Plane {
         }
     }
 
-    /// Averages 2 × 2 samples, padded on the right to whole blocks. The rounding alternates along a
-    /// row, padding included, so that it has no bias.
+    /// Averages 2 × 2 samples, and pads the result on the right to whole blocks. Rounding
+    /// alternates between up and down along a row and its padding, so that it has no bias.
     fn halved(&self) -> Self {
         let (width, height) = (self.width.div_ceil(2), self.height.div_ceil(2));
         let stride = width.next_multiple_of(SIDE);
@@ -199,7 +199,7 @@ fn to_planes(rgb: &[u8], width: usize, height: usize) -> [Plane; 3] {
             })
             .collect(),
     };
-    // The differences round half down, so that white stays below 256.
+    // The blue and red differences are rounded half down, so that none of them reaches 256.
     let centre = (128 << 16) + HALF - 1;
     [
         convert([fixed(0.299), fixed(0.587), fixed(0.114)], HALF),

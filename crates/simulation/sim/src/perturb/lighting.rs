@@ -14,7 +14,7 @@ const OVERHEAD_M: f64 = 1e-9;
 pub struct Light {
     /// Position, m.
     pub position: [f64; 3],
-    /// Unit direction of its beam.
+    /// Unit direction of the light's beam.
     pub direction: [f64; 3],
     /// Diffuse colour, red, green and blue.
     pub diffuse: [f64; 3],

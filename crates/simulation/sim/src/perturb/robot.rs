@@ -4,11 +4,11 @@
 use libero_ctrl::RobotShift;
 use nalgebra::{Matrix3, Matrix6, Rotation3, SMatrix, SVector, UnitQuaternion, Vector3, Vector6};
 
-/// Joints of the arm.
+/// Number of the arm's joints.
 pub const JOINTS: usize = 7;
 /// Damping λ of the least squares.
 const DAMPING: f64 = 0.08;
-/// Iterations after which the best posture so far is taken.
+/// Number of iterations after which the search stops with the last posture.
 const MAX_ITERATIONS: u32 = 200;
 /// Position error that counts as converged, m.
 const POSITION_TOLERANCE_M: f64 = 2e-4;

@@ -48,7 +48,7 @@ impl FrameSource {
 #[derive(Debug)]
 pub struct Frame<'a> {
     pub source: FrameSource,
-    /// Control step of the policy for which it was rendered, from 0.
+    /// Control step of the policy for which the picture was rendered, from 0.
     pub step: u32,
     /// Pixels per row.
     pub width: usize,
@@ -170,7 +170,7 @@ impl SensorStage {
             }
             FrameNoise::Reference(frames) => {
                 let index = step as usize * FrameSource::ALL.len() + source.lane() as usize;
-                let mut rng = frames.at(index, values.len());
+                let mut rng = frames.generator_at(index, values.len());
                 for value in values {
                     *value += rng.normal(0.0, sigma);
                 }
@@ -198,7 +198,8 @@ impl NumpyFrames {
         }
     }
 
-    fn at(&mut self, index: usize, values_per_frame: usize) -> DefaultRng {
+    /// Returns the generator at the start of the picture with this index.
+    fn generator_at(&mut self, index: usize, values_per_frame: usize) -> DefaultRng {
         if self.values_per_frame != values_per_frame {
             self.values_per_frame = values_per_frame;
             self.starts = vec![self.first.clone()];
