@@ -51,7 +51,7 @@ impl Original {
         let tools = oracle.join("tools");
         ensure!(
             tools.join("baseline.py").is_file(),
-            "find the original's scripts in {}: give the folder of the reference data with --oracle",
+            "find the original's scripts in {}: give the reference data's folder with --oracle",
             tools.display()
         );
         let assets = assets.canonicalize().with_context(|| {

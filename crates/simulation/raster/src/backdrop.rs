@@ -32,10 +32,10 @@ pub(crate) enum Start {
 #[derive(Default)]
 pub(crate) struct Backdrop {
     last: Option<(Scene, [usize; 2])>,
-    /// Per geom: number of frames at rest so far, and number required for caching.
+    /// For each geom: number of frames at rest so far, and number of frames required for caching.
     rested: Vec<u16>,
     needed: Vec<u16>,
-    /// True per geom if it is in the cached picture.
+    /// For each geom: true if the geom is in the cached picture.
     is_cached: Vec<bool>,
     /// True if a picture is cached.
     has_picture: bool,
@@ -66,7 +66,7 @@ impl Backdrop {
                 && last.geoms.len() == count
         });
         if !is_same_view {
-            // Frees the picture: cameras that move rarely rest long enough for another one.
+            // Frees the cached picture: a moving camera rarely rests long enough for a new one.
             *self = Self {
                 last: Some((scene.clone(), size)),
                 rested: vec![0; count],

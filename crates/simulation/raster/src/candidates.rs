@@ -24,8 +24,8 @@ const ROOM: usize = CLUSTER + LANES;
 const _: () = assert!(CLUSTER <= u64::BITS as usize, "a bit for each triangle");
 
 impl Candidates {
-    /// Selects the candidates. `is_beyond` is true if any position lies outside the view frustum;
-    /// triangles that extend there are kept for clipping.
+    /// Selects the candidates. `is_beyond` is true if any position lies outside the view frustum.
+    /// Triangles that extend beyond the frustum are kept for clipping.
     #[inline(always)]
     pub(crate) fn find(
         instance: &Instance,

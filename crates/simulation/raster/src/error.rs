@@ -84,7 +84,7 @@ pub enum DrawError {
         texture: usize,
         /// Bytes that were given.
         given: usize,
-        /// Bytes of its largest level.
+        /// Bytes of the texture's largest level.
         needed: usize,
     },
 }

@@ -97,7 +97,7 @@ fn fill_large(lane: usize, setup: &Setup, area: Area, drawing: &mut Drawing<'_>)
     touched
 }
 
-/// Fills a triangle whose products fit in 32 bits.
+/// Fills a triangle whose edge functions fit in 32 bits.
 #[inline(never)]
 fn fill_medium(lane: usize, setup: &Setup, area: Area, drawing: &mut Drawing<'_>) -> bool {
     let (x, y, _) = area;

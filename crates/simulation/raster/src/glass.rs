@@ -15,9 +15,9 @@ use crate::window::{BoundingWindow, Window};
 const OPAQUE_FROM: f64 = 0.995;
 /// Distance assumed for planes when sorting.
 const PLANE_DISTANCE: f32 = 1e10;
-/// Limits on the pixels and on the layers blended at once, one layer per triangle and pair of
-/// pixels: a mesh may have any number of overlapping triangles. This bounds the memory of a frame
-/// to some hundred megabytes.
+/// Largest number of pixels and of layers that are blended at once. There is a layer for each
+/// triangle in each pair of pixels, and a mesh may have any number of overlapping triangles. The
+/// limits keep the memory of a frame to some hundred megabytes.
 const MAX_PIXELS: i32 = 1 << 17;
 const MAX_LAYERS: usize = 1 << 21;
 
@@ -213,11 +213,16 @@ fn colour(
     order.sort_unstable();
     let mut painted = vec![(Fragment::default(), 0); order.len()];
     let mut positions = order.into_iter();
-    shade::colour(pass.model, pass.largest, lists, |fragment, colour| {
-        if let Some((_, position)) = positions.next() {
-            painted[position] = (*fragment, colour);
-        }
-    });
+    shade::colour(
+        pass.model,
+        pass.largest_levels,
+        lists,
+        |fragment, colour| {
+            if let Some((_, position)) = positions.next() {
+                painted[position] = (*fragment, colour);
+            }
+        },
+    );
     painted
 }
 

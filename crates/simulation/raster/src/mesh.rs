@@ -40,7 +40,7 @@ impl Corner {
 #[derive(Debug, Default)]
 pub struct Mesh {
     pub(crate) clusters: Vec<Cluster>,
-    /// Positions, cluster by cluster, each padded to a multiple of eight.
+    /// Positions, cluster by cluster; those of each cluster are padded to a multiple of eight.
     pub(crate) xs: Values<f32>,
     pub(crate) ys: Values<f32>,
     pub(crate) zs: Values<f32>,
@@ -66,7 +66,7 @@ pub(crate) struct Sphere {
     pub(crate) radius: f32,
 }
 
-/// Up to 64 triangles.
+/// Up to [`CLUSTER`] neighbouring triangles.
 #[derive(Debug, Clone, Copy)]
 pub(crate) struct Cluster {
     pub(crate) bounds: Sphere,
@@ -154,7 +154,7 @@ impl MeshBuilder {
 struct Piece {
     order: u32,
     pos: [Vec3; 3],
-    /// Unit normal of its plane; zero if degenerate.
+    /// Unit normal of the triangle's plane; zero if the triangle is degenerate.
     facing: Vec3,
     /// Centre, and normal times a weight: the dimensions along which triangles are split.
     key: [f32; 6],
@@ -439,7 +439,7 @@ fn normal_cone(pieces: &[Piece]) -> (Vec3, f32) {
         }
     }
     let length = dot(sum, sum).sqrt();
-    // No cone is useful if the normals cancel or a triangle has none.
+    // No cone is useful if the normals cancel or a triangle has no normal.
     if length.is_nan() || length <= 1e-3 || pieces.iter().any(|piece| piece.facing == [0.0; 3]) {
         return NO_CONE;
     }

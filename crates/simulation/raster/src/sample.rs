@@ -49,7 +49,7 @@ pub(crate) fn cube(texels: Texels<'_>, place: Place, [beside, over]: [Place; 2])
     if levels.is_single {
         return first;
     }
-    between(
+    mix_colours(
         first,
         sample_cube_level(texels, &levels.second, &face),
         levels.share,
@@ -298,11 +298,11 @@ fn flat_in_floats(texels: Texels<'_>, levels: &Levels, s: F, t: F) -> Colour {
     if levels.is_single {
         return first;
     }
-    between(first, sample_level(&levels.second), levels.share)
+    mix_colours(first, sample_level(&levels.second), levels.share)
 }
 
 #[inline(always)]
-fn between(first: Colour, second: Colour, share: F) -> Colour {
+fn mix_colours(first: Colour, second: Colour, share: F) -> Colour {
     [0, 1, 2, 3].map(|channel| mix(first[channel], second[channel], share))
 }
 
@@ -458,8 +458,8 @@ struct EdgePlace<'a> {
     shares: [f32; 2],
 }
 
-/// Blends with the texels of the neighbouring face beyond an edge; at a corner, blends the three
-/// texels that meet there.
+/// Blends the four texels around a place, of which those beyond an edge are on a neighbouring face.
+/// At a corner of the cube, blends the three texels that meet there.
 #[inline(never)]
 fn blend_over_edge(cube: Texels<'_>, at: &EdgePlace<'_>) -> [f32; CHANNELS] {
     let side = at.level.width as i32;
@@ -508,7 +508,8 @@ fn texel(cube: Texels<'_>, level: &Level, face: i32, x: i32, y: i32) -> [f32; CH
         .map(|part| f32::from(part) * OVER_255)
 }
 
-/// Returns the texel beyond an edge: face, column, row.
+/// Returns the face, column and row of the texel that lies beyond an edge of `face`, where `x` or
+/// `y` is out of range.
 fn neighbour(side: i32, face: i32, x: i32, y: i32) -> (i32, i32, i32) {
     // Coordinates across each face from -`side` to `side`, in half texels, clamped to the edge.
     let on_face = |index: i32| (2 * index + 1 - side).clamp(-side, side);

@@ -1,5 +1,5 @@
 //! State of an environment in robosuite's terms: reset without an initial state, the state as one
-//! vector, and observation on request. Also snapshots, which hold the complete state.
+//! vector, and observation on request. Snapshots hold the complete state of an environment.
 
 use libero_ctrl::numpy::LegacyRng;
 use scene::placement::MAX_DRAWS;
@@ -128,8 +128,8 @@ impl Environment {
         self.record_all();
     }
 
-    /// Returns the end-effector as the controller last read it: position, m, and rotation matrix,
-    /// row by row, in the world frame.
+    /// Returns the end-effector's pose that the controller read last: position, m, and rotation
+    /// matrix, row by row, in the world frame.
     pub fn controller_pose(&self) -> ([f64; 3], [f64; 9]) {
         self.controller.last_pose()
     }

@@ -57,7 +57,8 @@ pub(crate) fn draw(input: &[u8]) -> bool {
 /// A model, a scene and the canvas.
 struct Drawing {
     model: Model,
-    largest: Vec<Vec<u8>>,
+    /// For each texture: the bytes of its largest mipmap level.
+    largest_levels: Vec<Vec<u8>>,
     scene: Scene,
     canvas: Canvas,
     frames: usize,
@@ -68,7 +69,7 @@ impl Drawing {
     fn new(quality: Quality) -> Option<Self> {
         Some(Self {
             model: Model::new(quality).ok()?,
-            largest: Vec::new(),
+            largest_levels: Vec::new(),
             scene: Scene {
                 geoms: Vec::new(),
                 lights: Vec::new(),
@@ -95,7 +96,7 @@ impl Drawing {
                 match Texture::new(kind, width, height, channels, &texels) {
                     Ok(texture) => {
                         self.model.textures.push(texture.into());
-                        self.largest.push(texels);
+                        self.largest_levels.push(texels);
                     }
                     Err(error) => {
                         assert!(!error.to_string().is_empty());
@@ -146,11 +147,11 @@ impl Drawing {
 
     /// Draws on the reused canvas and on a new one, and compares the frames.
     fn draw(&mut self, [width, height]: [usize; 2]) {
-        let largest: Vec<&[u8]> = self.largest.iter().map(Vec::as_slice).collect();
+        let levels: Vec<&[u8]> = self.largest_levels.iter().map(Vec::as_slice).collect();
         let mut fresh = Canvas::new();
-        let redrawn = fresh.draw(&self.model, &largest, &self.scene, [width, height]);
+        let redrawn = fresh.draw(&self.model, &levels, &self.scene, [width, height]);
         let size = [width, height];
-        let drawn = self.canvas.draw(&self.model, &largest, &self.scene, size);
+        let drawn = self.canvas.draw(&self.model, &levels, &self.scene, size);
         match (drawn, redrawn) {
             (Ok(drawn), Ok(redrawn)) => {
                 assert_eq!(drawn.len(), width * height * 3);
@@ -158,7 +159,7 @@ impl Drawing {
                 let at = first_difference.map(|byte| (byte / 3 % width, byte / 3 / width));
                 assert_eq!(at, None, "a pixel depends on an earlier frame");
                 let [depths, redrawn_depths] = [&mut self.canvas, &mut fresh].map(|canvas| {
-                    let depths = canvas.depths(&self.model, &largest, &self.scene, size);
+                    let depths = canvas.depths(&self.model, &levels, &self.scene, size);
                     depths.expect("depths of a valid scene")
                 });
                 assert!(

@@ -5,7 +5,7 @@ use std::ops::Range;
 
 use raster::{Camera, Canvas, Geom, Light, LightKind, Scene, Shadows, Shape, TextureUse};
 
-use crate::scenes::{geom, largest, model};
+use crate::scenes::{geom, largest_levels, model};
 
 /// Returns a scene of geoms on an empty background, seen from above and orthographically, without
 /// lights. A pixel of a picture with this side is one unit wide; the origin is in its middle.
@@ -36,7 +36,7 @@ fn from_above(side: usize, geoms: Vec<Geom>) -> Scene {
 fn red(side: usize, scene: &Scene) -> Vec<Vec<u8>> {
     let mut canvas = Canvas::new();
     let frame = canvas
-        .draw(&model(), &largest(), scene, [side, side])
+        .draw(&model(), &largest_levels(), scene, [side, side])
         .expect("a frame");
     let red: Vec<u8> = frame.chunks_exact(3).map(|pixel| pixel[0]).collect();
     red.chunks_exact(side).map(<[u8]>::to_vec).collect()
@@ -125,8 +125,9 @@ fn every_pixel_of_a_cube_has_its_own_level_of_detail() {
     );
 }
 
-/// Two lights cast the shadow of a floating box on a larger one: a directional light a short one to
-/// the right, a spot light one below the box. The maps are so coarse that every texel shows.
+/// Two lights cast shadows of a floating box on a larger box. The shadow of the directional light
+/// is short and to the right, that of the spot light is below the floating box. The maps are so
+/// coarse that every texel shows.
 #[test]
 fn shadows_have_the_texels_of_the_lights_maps() {
     let light = |kind, dir, pos, diffuse| Light {

@@ -81,7 +81,7 @@ pub struct SceneFolder {
     pub(super) room: std::sync::atomic::AtomicU64,
 }
 
-/// An opened file with trusted permissions, and with a header that has its name and length.
+/// An opened file with trusted permissions, whose header has the file's name and length.
 struct Opened {
     file: File,
     checksum: u128,
@@ -105,11 +105,11 @@ impl SceneFolder {
         }
     }
 
-    /// Creates the folder, or checks that it is trusted. It may be read-only: another user may have
-    /// filled it.
+    /// Creates the folder, or checks that it is trusted. The folder may be read-only: another user
+    /// may have filled it.
     ///
     /// # Errors
-    /// If it cannot be created or is not trusted.
+    /// If the folder cannot be created or is not trusted.
     pub fn check(&self) -> Result<(), SceneFileError> {
         if self.exists_and_is_trusted()? {
             return Ok(());
@@ -347,8 +347,8 @@ impl SceneFolder {
         written.map_err(|source| failure("write", path, source))
     }
 
-    /// Returns true if these files in their current state were checked since this machine booted;
-    /// marks them as used.
+    /// Returns true if the checksums of these files in their current state were checked since this
+    /// machine booted. Then also marks the scene as used.
     fn was_checked(&self, name: &Name, stamps: &str) -> bool {
         let Some(record) = self.check_record_path(name) else {
             return false;
@@ -374,7 +374,8 @@ impl SceneFolder {
         false
     }
 
-    /// Records the check. If that fails, the files are checked again next time.
+    /// Records that the files' checksums were checked. If the record cannot be written, the files
+    /// are checked again next time.
     fn record_check(&self, name: &Name, stamps: &str) {
         let Some(record) = self.check_record_path(name) else {
             return;
