@@ -170,8 +170,8 @@ def study(world):
 
 def png(colour, joint):
     """Returns a square picture of 64 pixels with a one-pixel joint along two edges, so that a
-    repeated texture shows tiles. It has one bit per pixel and is stored uncompressed: the output of
-    zlib differs between versions, and the pack must be the same everywhere."""
+    repeated texture shows tiles. The picture has one bit per pixel and is stored uncompressed: the
+    output of zlib differs between versions, and the pack must be the same everywhere."""
     rows = [b"\xff" * 8] + [b"\x80" + b"\0" * 7] * 63
     pixels = b"".join(b"\0" + row for row in rows)
     stored = b"\x78\x01\x01" + struct.pack("<HH", len(pixels), len(pixels) ^ 0xFFFF) + pixels

@@ -94,7 +94,7 @@ def document(model, root, extent, density, extra_classes=None):
 
 
 def write_colours(asset, colours):
-    """Writes a material for each colour. It has a one-coloured texture rather than `rgba`, because
+    """Writes a material for each colour. A material has a one-coloured texture rather than `rgba`, because
     MuJoCo limits the light on a surface before it applies a texture, but after it applies `rgba`. A
     colour therefore looks the same in the brightest arena and under the lighting perturbation."""
     for name, rgb in sorted(set(colours)):

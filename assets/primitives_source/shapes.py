@@ -94,7 +94,8 @@ def standing_along_y(shapes):
 def octagon(radius, bottom, top):
     """An invisible octagonal prism (`radius` to its corners) made of four intersecting boxes,
     because contacts between boxes are stable. Two of the boxes are half a millimetre shorter at
-    either end, so that only the other two carry the weight: half the contacts, and as steady."""
+    each end, so that only the other two carry the weight: that halves the number of contacts, and
+    objects stand as steadily."""
     long, short = radius * math.cos(math.pi / 8), radius * math.sin(math.pi / 8)
     bars = [slab(long, short, bottom + inset, top - inset) for inset in (0, 0.0005, 0, 0.0005)]
     return [piece for number, bar in enumerate(bars) for piece in turned([bar], "z", 45 * number)]

@@ -19,7 +19,7 @@ const PROGRAM: &str = "bench_rollout";
 /// Options of `cargo xtask bench compare`.
 #[derive(clap::Args)]
 pub(crate) struct Compare {
-    /// The task, SUITE/N, for which the reference has contact-rich actions.
+    /// The task, SUITE/N; the reference data must have recorded actions of it.
     #[arg(long)]
     task: String,
     /// Control steps between two queries of the policy.
@@ -31,14 +31,14 @@ pub(crate) struct Compare {
     /// Number of rounds; each round runs every program in turn.
     #[arg(long, default_value_t = 3, value_parser = clap::value_parser!(u32).range(1..))]
     rounds: u32,
-    /// Rollouts that each program times in a round, after an untimed one; their median is the
-    /// round's figure.
+    /// Rollouts that each program times in a round, after an untimed rollout; the median of their
+    /// times is the round's result.
     #[arg(long, default_value_t = 1, value_parser = clap::value_parser!(u32).range(1..))]
     rollouts: u32,
     /// Renderer of this simulator: `software` or `gl`. The original draws through OpenGL.
     #[arg(long, default_value = "software")]
     renderer: String,
-    /// Folder of the reference data, with its `tools` and `contact`. [default:
+    /// Folder of the reference data, with the subfolders `tools` and `contact`. [default:
     /// ../shared/oracle beside this checkout]
     #[arg(long)]
     oracle: Option<PathBuf>,
@@ -68,8 +68,8 @@ pub(crate) fn compare(root: &Path, options: &Compare) -> Result<()> {
     let actions = actions_of(&oracle, &options.task)?;
     if !actions.is_file() {
         println!(
-            "skipped: no recorded actions of {} at {}; choose a task of the reference, or give \
-             its folder with --oracle",
+            "skipped: no recorded actions of {} at {}; choose a task of the reference data, or \
+             give the data's folder with --oracle",
             options.task,
             actions.display()
         );
@@ -246,7 +246,7 @@ fn cores() -> Result<u32> {
     Ok(u32::try_from(cores.get())?)
 }
 
-/// Describes the processor and its cores, for the record beside the figures.
+/// Describes the processor and its cores, to be printed with the measured times.
 pub(crate) fn machine() -> Result<String> {
     let cpuinfo = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
     let model = cpuinfo

@@ -15,9 +15,9 @@ use crate::process::capture;
 
 #[derive(Clone, Copy, PartialEq, Eq, clap::ValueEnum)]
 pub(crate) enum Wait {
-    /// A fresh clone to the demo's report.
+    /// From a fresh clone to the demo's report.
     Demo,
-    /// A line changed in the queue, to the verdict of the queue's tests.
+    /// From a changed line in the queue to the verdict of the queue's tests.
     Line,
     /// `.ci/run` in a fresh clone: every check that a change must pass.
     Ci,
@@ -35,8 +35,8 @@ impl Wait {
 
     fn name(self) -> &'static str {
         match self {
-            Self::Demo => "fresh clone to the demo's report",
-            Self::Line => "one line of the queue to its tests' verdict",
+            Self::Demo => "from a fresh clone to the demo's report",
+            Self::Line => "from a changed line in the queue to the verdict of the queue's tests",
             Self::Ci => "`.ci/run` in a fresh clone",
         }
     }

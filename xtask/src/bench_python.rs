@@ -13,10 +13,12 @@ use crate::original::Original;
 use crate::setup;
 use crate::wheel::{self, Profile};
 
-/// Program that steps the same environments from Rust; the difference is Python's overhead.
+/// Program that steps the same environments from Rust; the difference in speed is Python's
+/// overhead.
 const WITHOUT_PYTHON: &str = "bench_environments";
-/// Number of pairs of runs per round, one run from Python and one from Rust. They alternate,
-/// because the difference between them is smaller than a shared machine's drift within a minute.
+/// Number of pairs of runs per round, one run from Python and one from Rust. Both kinds of runs
+/// alternate, because the difference in their speed is smaller than the change of a shared
+/// machine's speed within a minute.
 const PAIRS: usize = 5;
 
 /// Options of `cargo xtask bench python`.
@@ -170,7 +172,7 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
             &steps,
         ]);
         command.env("ROLLOUT_ASSETS", &assets);
-        // A single thread renders the original's frames, as it does ours.
+        // A single thread renders a frame of the original, as in this project.
         command.env("LP_NUM_THREADS", "1");
         last_json(&mut command)
     };
@@ -207,7 +209,8 @@ pub(crate) fn run(root: &Path, options: &Options) -> Result<()> {
             theirs: theirs("one")?,
             processes: theirs("processes")?,
         });
-        // A round takes minutes; printing after each leaves results of an interrupted run.
+        // A round takes minutes. Printing after each round leaves results if the run is
+        // interrupted.
         println!("after round {number}");
         print(&rounds)?;
     }

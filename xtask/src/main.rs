@@ -54,7 +54,7 @@ enum Command {
     Demo(demo::Options),
     /// Check format, lints, documentation and unit tests, in minutes.
     Check,
-    /// Run all tests and lints, or a suite of them by name.
+    /// Run all tests and lints, or only the named suites.
     Test {
         /// Suites to run, separated by commas. [default: all; with filters,
         /// `rust`]
@@ -89,7 +89,7 @@ enum Command {
 
 #[derive(Subcommand)]
 enum Bench {
-    /// Waits for the demo's report, for `.ci/run`, and for the tests of a changed line.
+    /// How long one waits for the demo's report, `.ci/run`, and the tests of a changed line.
     Build(bench_build::Options),
     /// The paired report of 62,400 rollouts, six policies with all intervals.
     Report {
@@ -234,8 +234,8 @@ fn bench_soak(arguments: &[String]) -> anyhow::Result<()> {
     process::run(program.args(arguments))
 }
 
-/// Runs the gateway's benchmark, which needs no simulator either: the real program under the load
-/// of an example.
+/// Runs the gateway's benchmark, which needs no simulator: the real program under the load of an
+/// example.
 fn bench_gateway(arguments: &[String]) -> anyhow::Result<()> {
     let package = ["--release", "--package", "policy-gateway"];
     let mut gateway = cargo::cargo(&root());
@@ -269,18 +269,18 @@ mod tests {
     fn documented() -> (Vec<String>, Vec<String>) {
         let pages = std::fs::read_dir(root().join("docs")).expect("the pages");
         let pages = pages.map(|page| page.expect("a page").path());
-        let others = ["README.md", "policies/README.md", "fuzz/README.md"];
-        let all = pages.chain(others.map(|page| root().join(page)));
+        let readmes = ["README.md", "policies/README.md", "fuzz/README.md"];
+        let all = pages.chain(readmes.map(|page| root().join(page)));
         let pages = all.filter(|page| page.extension().is_some_and(|extension| extension == "md"));
         let (mut commands, mut mentions) = (Vec::new(), Vec::new());
         for page in pages {
             let text = std::fs::read_to_string(page).expect("a page");
-            let mut code = false;
+            let mut in_code_block = false;
             let mut sentences = String::new();
             for line in text.lines() {
                 if line.starts_with("```") {
-                    code = !code;
-                } else if code {
+                    in_code_block = !in_code_block;
+                } else if in_code_block {
                     commands.extend(line.find("cargo xtask").map(|at| line[at..].to_owned()));
                 } else {
                     sentences.push_str(line.trim());

@@ -29,8 +29,8 @@ const PACKAGES: [&str; 15] = [
     "future",
     "matplotlib",
 ];
-/// The original's packages, installed without their dependencies: [`PACKAGES`] suffices, and they
-/// require versions that do not exist for newer Pythons.
+/// The original's packages. They are installed without the dependencies that they declare, whose
+/// versions do not exist for newer Pythons; [`PACKAGES`] suffices.
 const ORIGINAL: [&str; 2] = ["robosuite==1.4.0", "hf-libero==0.1.4"];
 /// File that marks an environment as complete; holds the list of its packages.
 const STAMP: &str = "installed.txt";
@@ -129,7 +129,8 @@ fn install(dir: &Path, python: &Path) -> Result<&'static str> {
     Ok("installed")
 }
 
-/// Writes LIBERO's settings with its paths; without them LIBERO would ask on standard input.
+/// Writes LIBERO's settings, which hold the paths of its folders. Without settings, LIBERO would
+/// ask for the paths on standard input.
 fn write_settings(package: &Path, settings: &Path) -> Result<()> {
     let folder = |key: &str, name: &str| format!("{key}: {}\n", package.join(name).display());
     let all = [

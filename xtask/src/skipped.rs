@@ -1,9 +1,9 @@
 //! Reports tests that were skipped because this machine lacks reference data or a tool.
 //!
-//! Such a test passes after printing a line that begins with `skipped`, in upper or lower case, to
-//! standard output or standard error. Nextest hides the output of passed tests but keeps it in its
-//! report.
-//! A documented command that no test runs is listed on a line that begins with `not run`.
+//! A skipped test passes after printing a line that begins with `skipped`, in upper or lower case,
+//! to standard output or standard error. A test of documented commands prints a line that begins
+//! with `not run` for each command that no test runs. Nextest hides the output of passed tests but
+//! keeps it in its report.
 
 use std::path::Path;
 

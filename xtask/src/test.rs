@@ -47,8 +47,8 @@ pub(crate) enum Suite {
     Demo,
 }
 
-/// Tests `raster` with the checks that the profile `dev` omits. The second package selects the
-/// features of shared dependencies with which they are already compiled.
+/// Tests `raster` with the checks that the profile `dev` omits. The package `workspace-hack`
+/// selects the features with which shared dependencies are already compiled.
 #[rustfmt::skip]
 const OVERFLOW_CHECKS: [&str; 8] = [
     "--config", "profile.dev.package.raster.overflow-checks=true",
@@ -97,7 +97,7 @@ pub(crate) fn run(root: &Path, suites: &[Suite], filters: &[String]) -> Result<(
     })
 }
 
-/// Removes the suites of a lane from `suites`, and returns the removed ones.
+/// Removes the suites of a lane from `suites`, and returns the removed suites.
 fn take(suites: &mut Vec<Suite>, lane: &[Suite]) -> Vec<Suite> {
     suites
         .extract_if(.., |suite| lane.contains(suite))
@@ -121,8 +121,8 @@ impl Tests<'_> {
         suites.iter().try_for_each(|suite| self.run_one(*suite))
     }
 
-    /// Runs a suite, and prints its outcome. Errors are printed here, because several suites may
-    /// fail beside each other.
+    /// Runs a suite, and prints its outcome. Errors are printed here, because several suites that
+    /// run in parallel may fail.
     fn run_one(&self, suite: Suite) -> Result<()> {
         let start = Instant::now();
         let outcome = self.suite(suite);
@@ -256,8 +256,8 @@ impl Tests<'_> {
     }
 }
 
-/// Returns the number of tests at a time: one for each core, and one of the group `waiting` of
-/// .config/nextest.toml.
+/// Returns the number of tests that run at the same time: one for each core, and one of the group
+/// `waiting` of .config/nextest.toml.
 fn threads() -> Result<usize> {
     let cores = std::thread::available_parallelism().context("count the cores")?;
     Ok(cores.get() + 1)
@@ -267,8 +267,8 @@ fn threads() -> Result<usize> {
 /// minute.
 const ALL_TESTS: [&str; 2] = ["--workspace", "--tests"];
 
-/// Builds the tests, and returns the arguments with which nextest runs them without cargo. The
-/// lints hold cargo's lock while the tests run.
+/// Builds the tests, and returns the arguments with which nextest runs them without cargo, whose
+/// lock the lints hold while the tests run.
 fn build_tests(root: &Path) -> Result<Vec<PathBuf>> {
     let folder = root.join("target/nextest");
     fs::create_dir_all(&folder).with_context(|| format!("make {}", folder.display()))?;

@@ -150,7 +150,7 @@ text = pathlib.Path(sys.argv[1]).read_text()
 sys.exit(JsonStrictValidator(SchemaVersion.V1_5).validate_str(text) and 'violates the schema')
 ";
 
-/// Checks that every program prints the release and commit; returns them.
+/// Checks that every program prints the release and the commit; returns what they print.
 fn check_versions(root: &Path, bare: &BareRoot) -> Result<String> {
     let mut git = Command::new("git");
     git.current_dir(root)

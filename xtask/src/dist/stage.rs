@@ -25,8 +25,8 @@ const SHELLS: [(&str, &str, &str, &str); 3] = [
     ("fish", "fish/vendor_completions.d", "", ".fish"),
 ];
 
-/// Extensions of the files that scenes are made from. All other files in these folders, twice as
-/// large together, are read by no program.
+/// Extensions of the files that scenes are made from. No program reads the other files of the
+/// source folders, which together are twice as large.
 const SCENE_EXTENSIONS: [&str; 5] = ["bddl", "obj", "pruned_init", "stl", "xml"];
 
 /// Folders of the archive for documents, and for the files that scenes are made from.
@@ -65,7 +65,7 @@ pub(super) fn fill(
         let bill = serde_json::to_string_pretty(&bill::cyclonedx(&crates, &parts))?;
         std::fs::write(to.join(BILL), bill + "\n")?;
         Ok(format!(
-            "of {} crates, {} others",
+            "of {} crates, {} other components",
             crates.len(),
             parts.len()
         ))

@@ -14,7 +14,8 @@ use crate::mujoco::{Data, Model, ObjectKind};
 pub const ARM_JOINTS: usize = 7;
 /// Controlled site, between the fingertips.
 pub const GRIP_SITE: &str = "gripper0_grip_site";
-/// Arm joints at a reset, rad (`MountedPanda.init_qpos`); LIBERO-Plus has other robots.
+/// Angles of the arm's joints at a reset, rad (`MountedPanda.init_qpos`). Robots of LIBERO-Plus
+/// have other angles.
 pub const RESET_JOINTS: [f64; ARM_JOINTS] = [
     0.0,
     -1.61037389e-01,
@@ -30,7 +31,7 @@ pub const SUBSTEPS: usize = 25;
 /// Goal displacement of a full-scale action: m, rad (`osc_pose.json`).
 const TRANSLATION_SCALE: f64 = 0.05;
 const ROTATION_SCALE: f64 = 0.5;
-/// Stiffness, 1/s²; damping is critical.
+/// Stiffness of the end-effector's pose, 1/s²; damping is critical.
 const STIFFNESS: f64 = 150.0;
 /// Stiffness of the null-space posture, 1/s²; damping is critical.
 const POSTURE_STIFFNESS: f64 = 10.0;
@@ -43,7 +44,7 @@ type ArmMatrix = SMatrix<f64, ARM_JOINTS, ARM_JOINTS>;
 /// Interpretation of the first six numbers of an action.
 #[derive(Debug, Clone, Copy, PartialEq, Eq, Default)]
 pub enum ActionFrame {
-    /// Displacement, as a fraction of the largest one: 0.05 m, 0.5 rad (`use_delta`).
+    /// Displacement, as a fraction of the largest displacement: 0.05 m, 0.5 rad (`use_delta`).
     #[default]
     Relative,
     /// Pose in the world frame: m, and axis times angle, rad.
@@ -168,7 +169,8 @@ impl Controller {
         };
         self.goal_pos = pos + Vector3::new(delta[0], delta[1], delta[2]);
         let rotation = Vector3::new(delta[3], delta[4], delta[5]);
-        // An action without a rotation keeps the previous goal, not the arm's current orientation.
+        // An action without a rotation keeps the previous goal orientation, rather than the arm's
+        // current orientation.
         if rotation != Vector3::zeros() {
             self.goal_orientation = rotation_of(rotation) * orientation;
         }

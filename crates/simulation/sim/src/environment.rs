@@ -172,7 +172,7 @@ impl Environment {
     }
 
     /// Simulates one control step: 50 ms in 25 simulation steps. Returns true if the goal holds
-    /// after it.
+    /// after the step.
     pub fn step(&mut self, action: &[f64; 7]) -> Result<bool, SimError> {
         self.step_in(action, ActionFrame::Relative)
     }
@@ -344,7 +344,7 @@ impl Environment {
         output
     }
 
-    /// Makes the current state the observed one.
+    /// Records the current state as the observed instant.
     pub(crate) fn record_all(&mut self) {
         for burner in &mut self.burners {
             burner.observed_opacity = burner.opacity;

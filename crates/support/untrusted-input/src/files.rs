@@ -22,8 +22,8 @@ pub(crate) fn manifest(input: &[u8]) -> bool {
         return false;
     };
     let written = manifests::to_text(&rows);
-    let again = manifests::parse(&written).expect("a written manifest");
-    assert_eq!(again, rows, "{written}");
+    let parsed = manifests::parse(&written).expect("a written manifest");
+    assert_eq!(parsed, rows, "{written}");
     true
 }
 
@@ -32,8 +32,8 @@ pub(crate) fn campaign_spec(input: &[u8]) -> bool {
         return false;
     };
     let written = serde_json::to_string(&spec).expect("JSON");
-    let again = CampaignSpec::from_json(&written);
-    assert_eq!(again.as_ref(), Ok(&spec), "{written}");
+    let parsed = CampaignSpec::from_json(&written);
+    assert_eq!(parsed.as_ref(), Ok(&spec), "{written}");
     true
 }
 
@@ -105,7 +105,7 @@ pub(crate) fn token_file(input: &[u8]) -> bool {
     })
 }
 
-/// Two results: one in the reference implementation's format, one in that of an export.
+/// Two results: one in the reference implementation's format, one in the format of an export.
 const ROWS: &str = concat!(
     r#"{"rollout_id": "goal/t0/camera/L2/c01", "success": true, "steps": 113, "axis": "camera", "#,
     r#""level": "L2", "suite": "libero_goal", "task_id": 0, "init_id": 6, "config": 1, "#,

@@ -20,7 +20,7 @@ mod script;
 pub struct Target {
     /// Name, which is also that of the program in `fuzz/fuzz_targets`.
     pub name: &'static str,
-    /// Runs one input; returns true if no part of it was refused.
+    /// Runs one input; returns true if no part of the input was refused.
     pub run: fn(&[u8]) -> bool,
     /// Valid inputs to start from.
     pub seeds: fn() -> Vec<Vec<u8>>,

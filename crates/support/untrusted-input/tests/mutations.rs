@@ -1,5 +1,5 @@
 //! Runs every parser and handler on nearly valid inputs: the seed inputs, and random mutations of
-//! them. A fuzzer finds more (`fuzz/README.md`), but these tests run everywhere.
+//! them. A fuzzer finds more faults (`fuzz/README.md`), but these tests run everywhere.
 //! `ROLLOUT_HOSTILE_SEEDS=1000-1099` repeats the mutations with each of these random seeds.
 
 use std::ops::RangeInclusive;
@@ -51,14 +51,14 @@ fn the_seeds_are_accepted() {
 #[test]
 fn mutated_files_do_not_crash_their_parsers() {
     let services = ["rpc", "rpc_policy"];
-    let readers = TARGETS.into_iter();
-    for target in readers.filter(|target| !services.contains(&target.name)) {
+    let targets = TARGETS.into_iter();
+    for target in targets.filter(|target| !services.contains(&target.name)) {
         check_mutations(target, INPUTS);
     }
 }
 
 #[test]
-fn mutated_messages_do_not_crash_the_coordinator_and_refused_ones_change_nothing() {
+fn mutated_messages_do_not_crash_the_coordinator_and_refused_messages_change_nothing() {
     check_mutations(untrusted_input::named("rpc"), DATABASE_INPUTS);
 }
 

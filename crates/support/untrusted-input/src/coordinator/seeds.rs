@@ -100,7 +100,7 @@ pub(crate) fn seeds() -> Vec<Vec<u8>> {
         ("OperatorService/ImportCampaign", import.encode_to_vec()),
     ];
     let mut seeds: Vec<Vec<u8>> = single_calls.iter().map(|call| calls(&[call])).collect();
-    // A video is accepted only after its outcome.
+    // A video is accepted only after its rollout's outcome.
     let committed = [
         calls(&[&heartbeat(), &commit()]),
         upload().concat(),
