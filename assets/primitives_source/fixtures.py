@@ -15,7 +15,7 @@ DENSITY = 100
 CHEST = Extent(bottom=-0.045, top=0.045, radius=0.045, site_size=0.05)
 
 # Mass in kg and moment of inertia in kg m² that LIBERO gives to everything that slides or turns:
-# large, so that a push moves it slowly.
+# large, so that pushed parts move slowly.
 HEAVY = (3, 1)
 
 HALF_ABOUT_Y = (0, 0, 1, 0)
@@ -44,7 +44,7 @@ def cabinet(body, front, handle):
 
 
 def drawer(level, bottom, region, front, handle):
-    """An open box behind a front with a bar handle; `bottom` is the height of its underside."""
+    """An open box behind a front with a bar handle; `bottom` is the height of the box's underside."""
     top, grip = bottom + 0.0640, bottom + 0.0300
     bar = [(x, -0.1016, grip) for x in (-0.0473, 0.0417)]
     posts = [((x, -0.0780, grip), (x, -0.1016, grip)) for x in (-0.0356, 0.0292)]
@@ -66,7 +66,7 @@ def drawer(level, bottom, region, front, handle):
 
 
 def flat_stove():
-    """One burner and a knob that turns it on; LIBERO lights the site `burner` when it is on."""
+    """One burner and a knob that turns it on; LIBERO shows the site `burner` while the burner is on."""
     grate = [capsule((x, -0.058, 0.0232), (x, 0.058, 0.0232), 0.0022, GREY) for x in (-0.03, 0, 0.03)]
     burner = Part(
         "burner",
@@ -133,7 +133,7 @@ def microwave():
         parts=[door],
         collision_class="housing",
     )
-    # Soft contacts with a margin, between the oven and other bodies but not among its own parts.
+    # Soft contacts with a margin, between the oven and other bodies but not among the oven's own parts.
     contact = {"group": "0", "contype": "0", "margin": "0.001", "solref": "0.02 1", "solimp": "0.8 0.9 0.01"}
     classes = {
         "housing": {**contact, "density": number(density_for(3, housing))},
@@ -161,8 +161,8 @@ def wine_rack():
 
 
 def desk_caddy():
-    """A desk organiser with a deep compartment at either end and, between them, a low one at the
-    front (-x) and a book-sized one at the back."""
+    """A desk organiser with a deep compartment at each end and, between them, a low compartment at
+    the front (-x) and a book-sized compartment at the back."""
     def board(low, high):
         return box(low, high, CARDBOARD)
 
@@ -177,7 +177,7 @@ def desk_caddy():
     return Part(
         "object",
         [
-            # The floor is thick (15 mm suffice), so that a book standing on it is inside the goal's region.
+            # The floor is thick, so that a book standing on it is inside the goal's region; 15 mm would suffice.
             slab(0.0755, 0.2169, 0.0014, 0.0200, BROWN),
             board((0.0628, -0.2156, 0.0200), (0.0708, 0.2120, 0.1680)),
             board((-0.0709, -0.0631, 0.0200), (-0.0628, 0.2120, 0.0741)),

@@ -111,7 +111,7 @@ def write_classes(mujoco, classes):
 
 
 def write_shapes(body, shapes, collision_class="solid"):
-    """Writes colliding shapes as geoms of class `collision_class`, and visible ones as geoms of `drawn`."""
+    """Writes colliding shapes as geoms of class `collision_class`, and visible shapes as geoms of class `drawn`."""
     for shape in shapes:
         place = {"type": shape.kind, "size": numbers(shape.size), "pos": numbers(shape.pos)}
         if number(shape.quat[0]) != "1":

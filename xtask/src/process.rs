@@ -13,7 +13,7 @@ pub(crate) fn command_line(command: &Command) -> String {
         .join(" ")
 }
 
-/// Runs a command with its output on this terminal. Fails if its exit status is not 0.
+/// Runs a command with its output on this terminal. Fails if the command's exit status is not 0.
 pub(crate) fn run(command: &mut Command) -> Result<()> {
     let status = command
         .status()
@@ -24,8 +24,8 @@ pub(crate) fn run(command: &mut Command) -> Result<()> {
     Ok(())
 }
 
-/// Runs a command and returns its standard output. If it fails, the error includes its standard
-/// error.
+/// Runs a command and returns its standard output. If the command fails, the error includes its
+/// standard error.
 pub(crate) fn capture(command: &mut Command) -> Result<String> {
     let output = command
         .output()

@@ -110,8 +110,8 @@ impl std::fmt::Display for Running {
     }
 }
 
-/// Returns the address announced in a program's log. A worker has none, and counts as started at
-/// its first line.
+/// Returns the address announced in a program's log. A worker announces no address, and counts as
+/// started at its first line.
 fn announced_url(log: &Path, name: &str) -> Result<Option<String>> {
     for line in BufReader::new(File::open(log)?).lines() {
         let line = line?;

@@ -10,7 +10,7 @@ use crate::process::capture;
 /// File that marks an environment as complete; holds the list of its packages.
 const STAMP: &str = "installed.txt";
 
-/// Creates a virtual environment with these packages, unless a complete one exists.
+/// Creates a virtual environment with these packages, unless a complete environment exists.
 ///
 /// # Errors
 /// If the packages cannot be installed.

@@ -49,7 +49,7 @@ pub(crate) enum Profile {
 /// Installs the build tools of the wheels, and returns the folder of their programs.
 ///
 /// # Errors
-/// If they cannot be installed.
+/// If the tools cannot be installed.
 pub(crate) fn tools(cache: &Path) -> Result<PathBuf> {
     let dir = cache.join("wheel-tools");
     step("build tools of the wheels", || {

@@ -17,7 +17,7 @@ use super::release::PROGRAMS;
 /// Path of the unpacked archive inside the root.
 pub(super) const PREFIX: &str = "/opt/rollout";
 
-/// User id of the programs, which owns nothing but [`DATA`].
+/// User id that the programs run as; this user owns nothing but [`DATA`].
 pub(super) const USER: u32 = 65_532;
 
 /// Folder that the programs' user may write to.
@@ -94,7 +94,8 @@ impl BareRoot {
         Ok(())
     }
 
-    /// Returns the reason why the root cannot be entered on this machine; `None` if it can.
+    /// Returns the reason why the root cannot be entered on this machine; `None` if it can be
+    /// entered.
     pub(super) fn entry_problem(&self) -> Option<String> {
         capture(
             Command::new("unshare")

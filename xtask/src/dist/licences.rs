@@ -20,7 +20,7 @@ const NAMES: [&str; 6] = [
 ];
 
 /// Depth to which a crate's folder is searched for licence files, since C libraries inside a crate
-/// have their own.
+/// have their own licence files.
 const DEPTH: usize = 3;
 
 /// Separator between licence texts.

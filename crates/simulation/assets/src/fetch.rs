@@ -95,7 +95,7 @@ impl Fetch<'_> {
         })
     }
 
-    /// Returns the files that are missing or altered, and the number of altered ones.
+    /// Returns the files that are missing or altered, and the number of altered files.
     fn files_to_fetch<'f>(
         &self,
         wanted: &[&'f FileFacts],

@@ -149,7 +149,7 @@ impl Client {
         })
     }
 
-    /// Requests a byte range. The server may send the whole file instead; check the status code.
+    /// Requests a byte range. The server may send the whole file instead; the status code tells.
     pub(crate) fn get_range(
         &self,
         address: &Address,
@@ -254,7 +254,7 @@ impl<R: Read> Read for MinimumRateReader<R> {
 }
 
 /// Reads the certificates that are set in the environment variables; they replace the built-in
-/// ones.
+/// certificates.
 fn certificates() -> Result<Option<RootCerts>, AssetsError> {
     let named = CERTIFICATES.iter().filter_map(std::env::var_os);
     let Some(path) = named.map(PathBuf::from).find(|path| path.is_file()) else {

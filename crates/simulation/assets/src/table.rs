@@ -68,7 +68,7 @@ const LIBERO_FAMILY: Text = Text {
 };
 
 impl FileFacts {
-    /// Returns true if the file is a whole wheel rather than a member of one.
+    /// Returns true if the file is a whole wheel rather than a member of a wheel.
     pub(crate) fn is_a_wheel(&self) -> bool {
         self.stored == self.bytes
     }
@@ -151,7 +151,7 @@ impl Table {
     }
 
     /// Returns the pack's digest: SHA-256 over the names and contents of all files, hex. An
-    /// incomplete pack has the digest of the complete one.
+    /// incomplete pack has the digest of the complete pack.
     pub fn digest(&self) -> &str {
         self.digest
     }

@@ -66,7 +66,7 @@ struct Stamp {
 }
 
 impl VerifiedFolder {
-    /// Describes the folder of a pack with files of `table`, without reading it.
+    /// Describes the folder of a pack with files of `table`, without reading the folder.
     pub fn new(table: &'static Table, folder: &Path) -> Self {
         Self {
             table,

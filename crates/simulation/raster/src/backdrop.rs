@@ -31,6 +31,7 @@ pub(crate) enum Start {
 /// Tracks geoms at rest, and caches a picture of them.
 #[derive(Default)]
 pub(crate) struct Backdrop {
+    /// Scene and size, pixels, of the previous frame.
     last: Option<(Scene, [usize; 2])>,
     /// For each geom: number of frames at rest so far, and number of frames required for caching.
     rested: Vec<u16>,
@@ -48,7 +49,7 @@ pub(crate) struct Backdrop {
 }
 
 impl Backdrop {
-    /// Compares a scene with the previous one.
+    /// Compares a scene with the previous frame's scene, and returns the way to begin the drawing.
     pub(crate) fn compare(&mut self, scene: &Scene, size: [usize; 2]) -> Start {
         // A moving geom's shadow may fall on every geom at rest.
         if scene.casting_lights().contains(&true) {
@@ -124,7 +125,7 @@ impl Backdrop {
         self.samples.clone_from(&picture.samples);
     }
 
-    /// Makes a picture equal to the cached one.
+    /// Makes a picture equal to the cached picture.
     pub(crate) fn restore_all(&self, picture: &mut Picture) {
         let size = self.last.as_ref().map_or([0; 2], |(_, size)| *size);
         picture.instances.clone_from(&self.instances);
@@ -139,7 +140,8 @@ impl Backdrop {
         visible.invalidate_bounds();
     }
 
-    /// Restores a window of the cached picture in a picture that equals it elsewhere.
+    /// Restores a window of the cached picture in a picture that equals the cached picture
+    /// elsewhere.
     pub(crate) fn restore(&self, picture: &mut Picture, window: Option<Window>) {
         let visible = &mut picture.visible;
         for row in window

@@ -49,9 +49,9 @@ struct Scratch {
     work: Workspace,
 }
 
-/// Longest side of a shadow map, texels; the longest of OpenGL's textures.
+/// Longest side of a shadow map, texels: the longest side of OpenGL's textures.
 const MAX_SHADOW_SIDE: usize = 1 << 14;
-/// Frames that a thread keeps: those of the two cameras of an environment.
+/// Number of frames that a thread keeps: one for each of the two cameras of an environment.
 const KEPT_FRAMES: usize = 2;
 
 static FRAMES: AtomicU64 = AtomicU64::new(0);

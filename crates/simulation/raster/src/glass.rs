@@ -21,7 +21,8 @@ const PLANE_DISTANCE: f32 = 1e10;
 const MAX_PIXELS: i32 = 1 << 17;
 const MAX_LAYERS: usize = 1 << 21;
 
-/// Returns the translucent geoms, which include planes seen from behind, nearest first.
+/// Returns the indices of the translucent geoms, which include planes seen from behind, nearest
+/// first.
 pub(crate) fn translucent_geoms(scene: &Scene, view: &View) -> Vec<usize> {
     let mut found: Vec<(f32, usize)> = Vec::new();
     for (index, geom) in scene.geoms.iter().enumerate() {
@@ -136,8 +137,8 @@ fn blend(picture: &mut Picture, painted: &[Painted]) -> Option<Window> {
     window
 }
 
-/// Returns the fragments of a geom in front of the visible samples, in drawing order; `None` if
-/// they exceed the limit of layers.
+/// Returns the fragments of a geom in front of the visible samples, in drawing order; `None` if the
+/// geom exceeds the limit of layers.
 fn paint(
     picture: &mut Picture,
     pass: Pass<'_>,
@@ -226,7 +227,7 @@ fn colour(
     painted
 }
 
-/// Blends a colour over another by its opacity, in 8 bits.
+/// Blends the colour `over` over the colour `under` by the opacity of `over`, in 8 bits.
 fn blended(under: u32, over: u32) -> u32 {
     let (under, over) = (under.to_le_bytes(), over.to_le_bytes());
     let opacity = over[3];

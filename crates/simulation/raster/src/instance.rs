@@ -307,14 +307,14 @@ pub(crate) fn is_behind(head: Vec3, geom: &Geom) -> bool {
 
 fn mapping(geom: &Geom, used: &TextureUse, model: &Model) -> Mapping {
     let kind = model.textures[used.texture].kind;
-    let is_own_size = matches!(geom.shape, Shape::Mesh(_) | Shape::Plane(_));
+    let has_own_size = matches!(geom.shape, Shape::Mesh(_) | Shape::Plane(_));
     match kind {
         TextureKind::Flat { .. } if used.by_corner => Mapping::Corners,
         TextureKind::Flat { .. } => {
             let mut scale = used.repeat;
             for (axis, scale) in scale.iter_mut().enumerate() {
                 let size = geom.size[axis];
-                if is_own_size && size > 0.0 {
+                if has_own_size && size > 0.0 {
                     *scale = (f64::from(*scale) / f64::from(size).max(1e-15)) as f32;
                 }
                 if used.uniform && size > 0.0 {

@@ -126,6 +126,7 @@ pub(crate) struct Shading<'a> {
     lights: &'a [EyeLight],
     /// Colour without any light.
     base: Vec3,
+    /// For each light: its ambient, diffuse and specular colours times the material's colours.
     products: [[Vec3; 3]; MAX_LIGHTS],
     /// For each light: true if the light adds only its ambient part to corners that face away from
     /// it. Requires finite values, since infinity times zero is not zero.
@@ -265,7 +266,7 @@ pub(crate) fn shade(shading: &Shading<'_>, pos: Vec3x8, normal: Vec3x8) -> Vec3x
     colour.map(|part| part.max(zero).min(one))
 }
 
-/// Returns the attenuation of a light; `None` if it is not attenuated.
+/// Returns the attenuation of a light; `None` if the light is not attenuated.
 #[inline(always)]
 fn attenuated(light: &EyeLight, to_light: Vec3x8, over_distance: F) -> Option<F> {
     let splat = |value: f32| F::splat(value);

@@ -194,7 +194,7 @@ impl Matrix {
     }
 
     /// Returns the inverse of the upper left 3 × 3 part, row by row; `None` if that part is
-    /// singular. If Mesa considers the part a rotation, it is transposed instead.
+    /// singular. If Mesa considers the part a rotation, returns the transpose instead.
     pub(crate) fn inverse_of_linear_part(&self) -> Option<[f32; 9]> {
         let m = &self.0;
         let (c1, c2, c3): (Vec3, Vec3, Vec3) =

@@ -13,8 +13,8 @@ use crate::values::{Blob, Values};
 
 /// Maximum number of triangles in a cluster, so that the indices of their corners fit in a byte.
 pub(crate) const CLUSTER: usize = 64;
-/// Weight of the difference in normals against distance when clusters are split, in radii of the
-/// mesh.
+/// Weight of a difference in normals relative to a distance when triangles are split into clusters,
+/// in radii of the mesh.
 const FACING_WEIGHT: f32 = 0.35;
 
 /// A corner of a triangle.
@@ -550,7 +550,7 @@ mod tests {
     }
 
     #[test]
-    fn a_cluster_faces_away_from_behind_only() {
+    fn a_cluster_faces_away_only_from_an_eye_behind_it() {
         let mut builder = MeshBuilder::default();
         builder.triangle([
             corner(0.0, 0.0, 0.0),

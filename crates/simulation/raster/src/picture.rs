@@ -66,7 +66,7 @@ impl Picture {
     }
 
     /// Rasterises the instances from `first` on, keeping the nearest surface at each sample. Near
-    /// instances are rasterised first, since they occlude much of the distant ones.
+    /// instances are rasterised first, since they occlude much of the distant instances.
     pub(crate) fn rasterise(&mut self, pass: Pass<'_>, first: usize, work: &mut Workspace) {
         work.order.clear();
         work.order.extend(first..self.instances.len());

@@ -84,7 +84,7 @@ pub(crate) struct Lists {
     /// Surfaces to compute in one cluster.
     requests: Vec<SurfaceRequest>,
     vertices: Box<Vertices>,
-    /// Fragments by texture; the last list holds those without a texture.
+    /// Fragments by texture; the last list holds the fragments without a texture.
     pub(crate) fragments: Vec<Vec<Fragment>>,
 }
 
@@ -193,7 +193,7 @@ impl Listing<'_> {
         self.list.push(Fragment::new(x, y, samples, self.surface));
     }
 
-    /// Makes a record the current one; returns false if it is not listed.
+    /// Makes a record the current record; returns false if the record is not listed.
     #[inline(always)]
     fn select_record(&mut self, id: u32) -> bool {
         if id == NOTHING || (id as usize) < self.lists.first {

@@ -97,8 +97,8 @@ impl Texels<'_> {
         }
     }
 
-    /// Returns eight texels and their successors, each pair with one load; `None` if they are in
-    /// different byte slices, or too close to the end.
+    /// Returns eight texels and their successors, each pair with one load; `None` if the pairs are
+    /// in different byte slices, or one is too close to a slice's end.
     #[inline(always)]
     pub(crate) fn eight_pairs(self, at: &[i32; LANES]) -> Option<[[u32; LANES]; 2]> {
         let largest = self.texture.largest as i32;
@@ -205,8 +205,8 @@ impl Texture {
     /// Creates a texture from smaller levels that were computed earlier, without copying them.
     ///
     /// # Errors
-    /// If the largest level is not a texture, or the smaller levels do not have the size that it
-    /// requires.
+    /// If the sizes are not those of a texture, or the smaller levels do not have the number of
+    /// bytes that these sizes require.
     pub fn with_smaller(
         kind: TextureKind,
         [width, height, channels]: [usize; 3],
@@ -223,7 +223,7 @@ impl Texture {
         }
     }
 
-    /// Creates a texture with the sizes of its levels, without bytes of the smaller ones.
+    /// Creates a texture with the sizes of its levels, without the bytes of the smaller levels.
     fn with_sizes(kind: TextureKind, [width, height, channels]: [usize; 3], images: usize) -> Self {
         let first = Level::new(width, height / images, 0, images);
         let next = |last: &Level| last.next(images);
@@ -315,7 +315,7 @@ impl Level {
         self.start + images * self.width * self.height
     }
 
-    /// Returns the next smaller level; `None` after the last one.
+    /// Returns the next smaller level; `None` after the last level.
     fn next(&self, images: usize) -> Option<Self> {
         let half = |side: usize| (side / 2).max(1);
         let is_last = self.width == 1 && self.height == 1;

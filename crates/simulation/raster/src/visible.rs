@@ -27,7 +27,7 @@ pub(crate) struct Record {
     pub(crate) instance: u32,
     /// Index in the mesh, or among the clipped triangles if `vertices` is [`CLIPPED`].
     pub(crate) triangle: u32,
-    /// Index in the mesh at which its cluster's vertices start, or [`CLIPPED`].
+    /// Index in the mesh at which the vertices of the triangle's cluster start, or [`CLIPPED`].
     pub(crate) vertices: u32,
 }
 
@@ -192,11 +192,11 @@ impl Visible {
 pub(crate) struct Layer {
     /// Indices of instance and triangle in drawing order.
     pub(crate) rank: (u32, u32),
-    /// Index of its record.
+    /// Index of the triangle's record.
     pub(crate) id: u32,
     pub(crate) x: u16,
     pub(crate) y: u16,
-    /// Bits of the first pixel's samples, then the second's.
+    /// Bits of the first pixel's samples, then of the second pixel's samples.
     pub(crate) samples: u32,
 }
 

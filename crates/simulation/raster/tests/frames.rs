@@ -18,7 +18,7 @@ fn digest(frame: &[u8]) -> String {
         .collect()
 }
 
-/// First eight bytes of the SHA-256 of the room's frames, by size. They change only with
+/// First eight bytes of the SHA-256 of the room's frames, by size. The frames change only with
 /// `raster::NAME`, not with the processor or with the instructions that the code is compiled for.
 const GOLDEN: [(usize, usize, &str); 5] = [
     (256, 256, "4ba14bd951c34ccc"),
@@ -272,7 +272,7 @@ fn canvases_that_take_turns_on_two_threads_draw_the_same_as_new_canvases() {
     let mut canvases: [(f32, Canvas); 4] = [0.0, 0.1, 0.2, 0.3].map(|ball| (ball, Canvas::new()));
     for step in 0..12 {
         for (at, (ball, canvas)) in canvases.iter_mut().enumerate() {
-            // At rest for some steps, so that the ball is cached, too.
+            // The ball is at rest for some steps, so that it is cached, too.
             let scene = moved(step / 5, *ball);
             let expected = Canvas::new()
                 .draw(&model, &largest_levels(), &scene, [64, 48])

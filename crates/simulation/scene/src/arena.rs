@@ -12,9 +12,9 @@ pub struct Arena {
     pub problem: &'static str,
     /// Model file inside an asset pack.
     pub file: Cow<'static, str>,
-    /// Texture file that replaces the one of the model's floor.
+    /// Texture file that replaces the texture of the model's floor.
     pub floor_texture: Cow<'static, str>,
-    /// Texture file that replaces the one of the model's walls.
+    /// Texture file that replaces the texture of the model's walls.
     pub wall_texture: Cow<'static, str>,
     /// Category of the fixture that represents the workspace itself; no separate model is loaded
     /// for it.

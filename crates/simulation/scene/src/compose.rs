@@ -53,7 +53,7 @@ impl Scene {
     }
 
     /// Verifies the meshes and textures that the MJCF references against the digests of
-    /// LIBERO's files, if the pack is named `libero`. Call it before compiling.
+    /// LIBERO's files, if the pack is named `libero`. To be called before compiling.
     ///
     /// # Errors
     /// If a file differs from LIBERO's.

@@ -1,5 +1,5 @@
 //! Task files of the LIBERO family, fetched as wheels. The files that LIBERO does not have are
-//! unpacked into a folder next to that of LIBERO's task files.
+//! unpacked into a folder next to the folder of LIBERO's task files.
 
 use std::collections::BTreeSet;
 use std::fs::{self, File};

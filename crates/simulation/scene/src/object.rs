@@ -119,8 +119,8 @@ pub(crate) fn build(
     })
 }
 
-/// Drops geoms in neither the collision group 0 nor the visual group 1, and names unnamed geoms
-/// `g<i>`, counting all geoms.
+/// Drops geoms that are neither in the collision group 0 nor in the visual group 1, and names
+/// unnamed geoms `g<i>`, counting all geoms.
 fn filter_and_name_geoms(body: &mut Element) {
     fn visit(element: &mut Element, count: &mut usize) {
         element.children.retain_mut(|child| {

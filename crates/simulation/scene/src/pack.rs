@@ -130,7 +130,7 @@ impl AssetPack {
     }
 
     /// Returns the SHA-256 over the names and contents of all files, hex. An incomplete
-    /// `libero` pack has the digest of the complete one.
+    /// `libero` pack has the digest of the complete pack.
     pub fn digest(&self) -> &str {
         &self.digest
     }

@@ -9,7 +9,7 @@ use crate::element::Element;
 use crate::error::SceneError;
 use crate::sources::{AssetRoot, FileRef};
 
-/// Attributes that hold the name of an element or a reference to one.
+/// Attributes that hold an element's name or a reference to an element.
 const NAMED_ATTRIBUTES: &[&str] = &[
     "class",
     "childclass",

@@ -238,16 +238,17 @@ impl PoseSampler {
         };
         for _ in 0..attempts {
             let range = &self.ranges[rng.randint(self.ranges.len() as u32) as usize];
-            // With a large radius the bounds are in reverse order; the original draws regardless.
+            // If the radius is large, the bounds are in reverse order; the original nevertheless
+            // draws between them.
             let [x, y] = range.map(|[low, high]| rng.uniform(low, high));
             let pos = [
                 x + origin[0] + site[0],
                 y + origin[1] + site[1],
                 self.z_offset + origin[2] + site[2] - self.footprint.bottom,
             ];
-            let mut others = placed.iter().zip(samplers);
+            let mut obstacles = placed.iter().zip(samplers);
             if !self.avoids_others
-                || others.all(|(pose, other)| self.is_clear(pos, pose.pos, other.footprint))
+                || obstacles.all(|(pose, sampler)| self.is_clear(pos, pose.pos, sampler.footprint))
             {
                 let quat = self.rotation.sample(rng);
                 return Ok(Pose { pos, quat });
@@ -260,10 +261,11 @@ impl PoseSampler {
         })
     }
 
-    fn is_clear(&self, pos: [f64; 3], other_pos: [f64; 3], other: Footprint) -> bool {
-        let distance = (pos[0] - other_pos[0]).hypot(pos[1] - other_pos[1]);
-        let is_beside = distance > other.radius + self.footprint.radius;
-        let is_above = pos[2] - other_pos[2] > other.top - self.footprint.bottom;
+    /// Returns true if the instance at `pos` does not overlap an obstacle.
+    fn is_clear(&self, pos: [f64; 3], obstacle_pos: [f64; 3], obstacle: Footprint) -> bool {
+        let distance = (pos[0] - obstacle_pos[0]).hypot(pos[1] - obstacle_pos[1]);
+        let is_beside = distance > obstacle.radius + self.footprint.radius;
+        let is_above = pos[2] - obstacle_pos[2] > obstacle.top - self.footprint.bottom;
         is_beside || is_above
     }
 }

@@ -396,7 +396,7 @@ impl Environment {
     }
 
     /// Updates the burners like the original: the opacity of a burner that disagrees with its knob
-    /// becomes 1 minus its previous value.
+    /// becomes 1 minus the previous opacity.
     pub(crate) fn update_burners(&mut self) {
         let qpos = self.data.qpos(&self.model);
         for burner in &mut self.burners {

@@ -237,7 +237,7 @@ mod tests {
     fn opengl(test: &str) -> Option<[Drawer; 2]> {
         let open = || Drawer::open(Renderer::Gl(GlDevice::Auto));
         match (open(), open()) {
-            (Ok(one), Ok(other)) => Some([one, other]),
+            (Ok(first), Ok(second)) => Some([first, second]),
             (Err(error), _) | (_, Err(error)) => {
                 println!("skipped {test}: {error}");
                 None
@@ -264,14 +264,16 @@ mod tests {
 
     #[test]
     fn each_canvas_is_drawn_and_freed_in_its_own_context() {
-        let Some([one, other]) = opengl("each_canvas_is_drawn_and_freed_in_its_own_context") else {
+        let drawers = opengl("each_canvas_is_drawn_and_freed_in_its_own_context");
+        let Some([first_drawer, second_drawer]) = drawers else {
             return;
         };
         let (mut model, mut data) = scene();
-        let mut first = canvas(&one, &mut model);
+        let mut first = canvas(&first_drawer, &mut model);
         let picture = first.draw(view(&model, &mut data)).expect("a picture");
-        let mut second = canvas(&other, &mut model);
-        assert!(first.is_usable_for(&one, 64, 48) && !first.is_usable_for(&other, 64, 48));
+        let mut second = canvas(&second_drawer, &mut model);
+        assert!(first.is_usable_for(&first_drawer, 64, 48));
+        assert!(!first.is_usable_for(&second_drawer, 64, 48));
         for _ in 0..2 {
             for canvas in [&mut first, &mut second] {
                 let again = canvas.draw(view(&model, &mut data)).expect("a picture");
@@ -279,7 +281,7 @@ mod tests {
             }
         }
         drop(second);
-        drop(other);
+        drop(second_drawer);
         let again = first.draw(view(&model, &mut data)).expect("a picture");
         assert!(again == picture, "the picture has changed");
     }

@@ -1,4 +1,5 @@
-//! Reset without an initial state, like robosuite's `reset`: LIBERO's samplers place everything.
+//! Reset without an initial state, like robosuite's `reset`: LIBERO's samplers place all objects
+//! and fixtures.
 
 use libero_ctrl::numpy::LegacyRng;
 use scene::SceneError;

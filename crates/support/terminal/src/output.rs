@@ -16,8 +16,8 @@ pub fn log(default_level: &str) {
     tracing_subscriber::fmt()
         .with_env_filter(filter)
         .with_writer(io::stderr)
-        // Otherwise a log on a full disk would make the subscriber print its error to the same
-        // place, and panic.
+        // Otherwise, if the log is on a full disk, the subscriber would print its error to the same
+        // log, and panic.
         .log_internal_errors(false)
         .with_ansi(in_colour(io::stderr().is_terminal(), var_os("NO_COLOR")))
         .with_target(false)
@@ -38,7 +38,7 @@ pub fn print_line(text: &str) -> io::Result<()> {
 }
 
 /// Prints to standard output, without terminal control sequences (see [`printable`]). Unlike
-/// `print!`, it does not panic when the pipe is closed.
+/// `print!`, this function does not panic when the pipe is closed.
 ///
 /// # Errors
 /// If the text cannot be written; see [`reader_is_gone`].
@@ -126,8 +126,8 @@ mod tests {
         assert!(lines.len() > 1 && lines.iter().all(|line| line.chars().count() <= 80));
         assert!(lines[0].starts_with("FAIL  it answers: seven"));
         assert!(lines[1..].iter().all(|line| line.starts_with("      ")));
-        let again: Vec<&str> = text.split_whitespace().skip(3).collect();
-        assert_eq!(again, words.split_whitespace().collect::<Vec<_>>());
+        let wrapped_words: Vec<&str> = text.split_whitespace().skip(3).collect();
+        assert_eq!(wrapped_words, words.split_whitespace().collect::<Vec<_>>());
         let long = "x".repeat(100);
         assert_eq!(wrapped("", 2, &long), long);
     }

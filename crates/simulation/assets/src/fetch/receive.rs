@@ -248,8 +248,8 @@ impl<'a> Receiver<'a> {
     }
 }
 
-/// Unpacks a received file; returns a description of its difference from the table, or `None` if it
-/// matches.
+/// Unpacks a received file; returns a description of the file's difference from the table, or
+/// `None` if the file matches the table.
 fn unpack(member: &Member<'_>, part: &Path, whole: &Path) -> Result<Option<String>, AssetsError> {
     let source = OpenOptions::new()
         .read(true)

@@ -66,7 +66,7 @@ fn part(picture: &[Vec<u8>], x: Range<usize>, y: Range<usize>) -> Vec<Vec<u8>> {
 /// Mesa applies the top-left rule and takes the first row of a frame buffer object as the top row;
 /// in MuJoCo, the first row is the lowest.
 #[test]
-fn samples_on_left_and_lower_edges_are_inside_and_those_on_other_edges_are_outside() {
+fn samples_on_left_and_lower_edges_are_inside_and_samples_on_other_edges_are_outside() {
     // The first box extends from 0.375 to 2.875 along both axes, the second from 4.875 to 7.375
     // along x and from 4.625 to 7.125 along y. Every edge lies on samples.
     let small = red_of_glowing(
@@ -97,8 +97,8 @@ fn samples_on_left_and_lower_edges_are_inside_and_those_on_other_edges_are_outsi
     assert_eq!(part(&large, 42..44, 42..44), [[128, 0], [0, 0]]);
 }
 
-/// A flat texture has one level of detail per square of four pixels. A cube has one per pixel,
-/// because its faces are chosen per pixel.
+/// A flat texture has one level of detail per square of four pixels. A cube has one level of detail
+/// per pixel, because its faces are chosen per pixel.
 #[test]
 fn every_pixel_of_a_cube_has_its_own_level_of_detail() {
     const CUBE: usize = 3;
@@ -126,8 +126,8 @@ fn every_pixel_of_a_cube_has_its_own_level_of_detail() {
 }
 
 /// Two lights cast shadows of a floating box on a larger box. The shadow of the directional light
-/// is short and to the right, that of the spot light is below the floating box. The maps are so
-/// coarse that every texel shows.
+/// is short and to the right; the shadow of the spot light is below the floating box. The maps are
+/// so coarse that every texel shows.
 #[test]
 fn shadows_have_the_texels_of_the_lights_maps() {
     let light = |kind, dir, pos, diffuse| Light {

@@ -197,8 +197,8 @@ impl<'a> Plan<'a> {
                 let (base, _) = self.site(predicate, region, false)?;
                 (base, vec![[[0.0; 2]; 2]], 0.0)
             }
-            Place::OnObject(other) => (
-                Base::Top(self.placed_index(predicate, other)?),
+            Place::OnObject(carrier) => (
+                Base::Top(self.placed_index(predicate, carrier)?),
                 vec![[[0.0; 2]; 2]],
                 OBJECT_Z_OFFSET,
             ),

@@ -93,7 +93,7 @@ impl Data {
         );
     }
 
-    /// Copies another state of the same model into this one.
+    /// Copies another state of the same model into this state.
     pub fn copy_from(&mut self, model: &Model, other: &Self) {
         self.assert_made_for(model);
         other.assert_made_for(model);

@@ -147,8 +147,8 @@ impl Model {
         ))))
     }
 
-    /// Returns another model of this compilation, whose own arrays are copies of this model's
-    /// current ones.
+    /// Returns another model of this compilation, whose own arrays are copies of this model's own
+    /// arrays.
     #[must_use]
     pub fn share(&self) -> Self {
         let mut other = Self::from_compilation(Arc::clone(&self.compilation));

@@ -127,7 +127,7 @@ impl Plane {
     }
 
     /// Doubles the size with a triangle filter: 9/16 of the nearest sample, 3/16 of each of its two
-    /// neighbours, 1/16 of the diagonal one.
+    /// neighbours, 1/16 of the diagonal neighbour.
     fn doubled(&self, width: usize, height: usize) -> Self {
         let mut samples = Vec::with_capacity(width * height);
         for y in 0..height {
@@ -247,7 +247,7 @@ mod tests {
     /// The expected digests are the first eight bytes of the SHA-256 of Pillow 13's results for the
     /// same pictures, most of whose sides are not multiples of the block size.
     #[test]
-    fn pictures_with_incomplete_blocks_equal_pillows() {
+    fn pictures_with_incomplete_blocks_equal_pillows_results() {
         let check = |width: usize, height: usize, quality, expected: &str| {
             let mut rgb: Vec<u8> = (0..width * height * 3)
                 .map(|i| (i * i % 251) as u8)

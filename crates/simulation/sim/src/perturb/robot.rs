@@ -105,7 +105,7 @@ impl Target {
         }
     }
 
-    /// Position error, m, then orientation error as a rotation vector, rad.
+    /// Returns the position error, m, and then the orientation error as a rotation vector, rad.
     fn error(&self, state: &ArmState) -> Vector6<f64> {
         let position = self.position - state.position;
         let rotation = rotation_vector(&(self.rotation * state.rotation.transpose()));
@@ -115,7 +115,7 @@ impl Target {
     }
 }
 
-/// Jᵀ (J Jᵀ + λ² I)⁻¹ e. The bracket is positive definite for any J.
+/// Returns Jᵀ (J Jᵀ + λ² I)⁻¹ e. The bracket is positive definite for any J.
 fn damped_step(jacobian: &Jacobian, error: &Vector6<f64>) -> JointVector {
     let damped = jacobian * jacobian.transpose() + Matrix6::identity() * (DAMPING * DAMPING);
     let solved = damped

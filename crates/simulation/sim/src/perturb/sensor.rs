@@ -452,15 +452,15 @@ mod tests {
     #[test]
     fn single_axis_and_combination_give_equal_pictures_in_any_order() {
         let corruption = SensorCorruption::from(STRONG);
-        let mut alone = stage("goal/t3/sensor/L3/c02", &corruption);
+        let mut single_axis = stage("goal/t3/sensor/L3/c02", &corruption);
         let mut combined = stage("goal/t3/combination/L3/c02", &corruption);
-        assert_eq!(alone.realised(), combined.realised());
+        assert_eq!(single_axis.realised(), combined.realised());
         let requests = [
             (FrameSource::Wrist, 4),
             (FrameSource::Agentview, 0),
             (FrameSource::Agentview, 4),
         ];
-        let pictures = requests.map(|(source, step)| corrupted(&mut alone, source, step));
+        let pictures = requests.map(|(source, step)| corrupted(&mut single_axis, source, step));
         let expected = corrupted(&mut combined, FrameSource::Agentview, 4);
         assert_eq!(pictures[2], expected);
         assert_ne!(

@@ -33,6 +33,7 @@ static TEXTURES: Cache<Texture> = LazyLock::new(Mutex::default);
 pub(super) struct Material {
     pub(super) texture: usize,
     pub(super) repeat: [f32; 2],
+    /// True if `repeat` is per metre rather than per geom.
     pub(super) uniform: bool,
 }
 
@@ -47,7 +48,7 @@ pub(crate) struct Prepared {
 }
 
 /// Serialised rendering data of a model: each mesh, and for each texture the largest mipmap level
-/// and the smaller ones.
+/// and the smaller levels.
 pub(crate) struct PreparedBytes {
     pub(crate) meshes: Vec<Bytes>,
     pub(crate) textures: Vec<[Bytes; 2]>,

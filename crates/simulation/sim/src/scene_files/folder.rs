@@ -24,7 +24,7 @@ const MAX_LOCK_WAIT: Duration = Duration::from_secs(60);
 const POLL: Duration = Duration::from_millis(10);
 /// Permissions of a finished file.
 const READ_ONLY: u32 = 0o444;
-/// Permission bits for writing by others.
+/// Permission bits that let users other than the owner write.
 const OTHERS_WRITE: u32 = 0o022;
 /// User id of root, whose files are always trusted.
 const ROOT: u32 = 0;
