@@ -27,7 +27,7 @@ pub(crate) fn environment(dir: &Path, packages: &[&str]) -> Result<&'static str>
     Ok("installed")
 }
 
-/// Creates an empty virtual environment, replacing an existing one.
+/// Creates an empty virtual environment, replacing an existing environment.
 ///
 /// # Errors
 /// If the environment cannot be created.

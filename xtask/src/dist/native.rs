@@ -71,7 +71,7 @@ impl Elf {
         self.needed(to)
     }
 
-    /// Copies those of the needed libraries that belong to the compiler, and returns their names.
+    /// Copies the needed libraries that belong to the compiler, and returns their names.
     /// All other needed libraries must belong to glibc or lie in the folder `lib` already.
     pub(super) fn provide_libraries(
         &self,

@@ -68,7 +68,7 @@ impl Fetch<'_> {
         let incoming = self.into.folder().join(INCOMING);
         fs::create_dir_all(&incoming).map_err(|source| write_error(&incoming, source))?;
         let _lock = self.lock()?;
-        // Another process may have fetched the files while this one waited for the lock.
+        // Another process may have fetched the files while this process waited for the lock.
         let (to_fetch, replaced) = self.files_to_fetch(wanted)?;
         let mut progress = Progress {
             files: 0,

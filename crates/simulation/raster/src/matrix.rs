@@ -79,8 +79,8 @@ impl Matrix {
         ])
     }
 
-    /// Creates a reversed-depth perspective: 1 at the near plane, 0 at the far plane. The sides are
-    /// those of the near plane's rectangle.
+    /// Creates a reversed-depth perspective: 1 at the near plane, 0 at the far plane. The first
+    /// four numbers are the sides of the near plane's rectangle.
     pub(crate) fn perspective(
         [left, right]: [f32; 2],
         [bottom, top]: [f32; 2],

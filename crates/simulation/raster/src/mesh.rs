@@ -40,7 +40,7 @@ impl Corner {
 #[derive(Debug, Default)]
 pub struct Mesh {
     pub(crate) clusters: Vec<Cluster>,
-    /// Positions, cluster by cluster; those of each cluster are padded to a multiple of eight.
+    /// Positions, cluster by cluster; each cluster's positions are padded to a multiple of eight.
     pub(crate) xs: Values<f32>,
     pub(crate) ys: Values<f32>,
     pub(crate) zs: Values<f32>,
@@ -87,7 +87,7 @@ impl Cluster {
     pub(crate) fn faces_away_from(&self, eye: Vec3) -> bool {
         let to = minus(self.bounds.center, eye);
         let distance = dot(to, to).sqrt();
-        // Tolerates rounding, including that of poses, for triangles seen edge-on.
+        // Tolerates rounding, including the rounding of poses, for triangles seen edge-on.
         dot(to, self.axis) > (self.sine + 2e-3) * distance + 1.01 * self.bounds.radius
     }
 

@@ -304,7 +304,7 @@ fn zeros_of_both_signs_are_distinguished() {
 }
 
 /// A translucent geom with more layers than are blended at once is drawn in parts. The expected
-/// digest is that of a frame whose layers were all blended at once.
+/// digest belongs to a frame whose layers were all blended at once.
 #[test]
 fn translucent_geoms_blended_in_parts_give_the_same_frame() {
     let mut builder = MeshBuilder::default();

@@ -35,7 +35,7 @@ pub struct Scene {
     pub regions: Vec<RegionSite>,
     /// Predicates that must hold for success.
     pub goal: Vec<Predicate>,
-    /// Fixture poses in campaigns; they replace those of the model.
+    /// Fixture poses in campaigns; they replace the poses in the model.
     pub fixture_poses: Vec<FixturePose>,
     /// Samplers of a reset without an initial state.
     pub samplers: Samplers,

@@ -113,8 +113,8 @@ impl AssetPack {
         Ok(Self::custom(pack.dir, digest, differences.collect()))
     }
 
-    /// Opens a folder that has LIBERO's files and others, such as LIBERO-PRO's models. The pack's
-    /// name is `custom`, and its digest covers all files.
+    /// Opens a folder that has LIBERO's files and other files, such as LIBERO-PRO's models. The
+    /// pack's name is `custom`, and its digest covers all files.
     ///
     /// # Errors
     /// If the folder cannot be read.

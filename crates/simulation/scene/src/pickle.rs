@@ -61,8 +61,8 @@ impl Value {
     }
 }
 
-/// Limit on the number of opcodes, four times that of a released file. Bounds the nesting of values
-/// and the number of decoded texts.
+/// Limit on the number of opcodes: four times as many as in a released file. Bounds the nesting of
+/// values and the number of decoded texts.
 const MAX_OPCODES: usize = 256;
 
 /// Unpickles a matrix.

@@ -276,14 +276,14 @@ mod tests {
         assert!(!first.is_usable_for(&second_drawer, 64, 48));
         for _ in 0..2 {
             for canvas in [&mut first, &mut second] {
-                let again = canvas.draw(view(&model, &mut data)).expect("a picture");
-                assert!(again == picture, "the picture has changed");
+                let redrawn = canvas.draw(view(&model, &mut data)).expect("a picture");
+                assert!(redrawn == picture, "the picture has changed");
             }
         }
         drop(second);
         drop(second_drawer);
-        let again = first.draw(view(&model, &mut data)).expect("a picture");
-        assert!(again == picture, "the picture has changed");
+        let redrawn = first.draw(view(&model, &mut data)).expect("a picture");
+        assert!(redrawn == picture, "the picture has changed");
     }
 
     #[test]

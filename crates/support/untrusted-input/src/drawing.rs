@@ -145,7 +145,7 @@ impl Drawing {
         }
     }
 
-    /// Draws on the reused canvas and on a new one, and compares the frames.
+    /// Draws on the reused canvas and on a new canvas, and compares the frames.
     fn draw(&mut self, [width, height]: [usize; 2]) {
         let levels: Vec<&[u8]> = self.largest_levels.iter().map(Vec::as_slice).collect();
         let mut fresh = Canvas::new();

@@ -18,7 +18,7 @@ mod script;
 /// A parser or service under test.
 #[derive(Clone, Copy, Debug)]
 pub struct Target {
-    /// Name, which is also that of the program in `fuzz/fuzz_targets`.
+    /// Name, which is also the name of the program in `fuzz/fuzz_targets`.
     pub name: &'static str,
     /// Runs one input; returns true if no part of the input was refused.
     pub run: fn(&[u8]) -> bool,

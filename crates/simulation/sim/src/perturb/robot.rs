@@ -51,8 +51,8 @@ pub struct IkSolution {
     pub iterations: u32,
 }
 
-/// Finds the posture whose end-effector pose is that of `nominal` displaced by `shift`: translated
-/// in the world frame, and rotated in place by a rotation vector applied on the left.
+/// Finds the posture whose end-effector pose is the pose at `nominal` displaced by `shift`:
+/// translated in the world frame, and rotated in place by a rotation vector applied on the left.
 ///
 /// `kinematics` returns the end-effector at a posture. Joint limits may keep the solution from
 /// reaching the target; the residual is the remaining distance.

@@ -15,7 +15,7 @@ use super::{LoadedScene, Name, Preparation, digits, layout, name_text};
 use crate::mujoco::Model;
 use crate::render::{Prepared, PreparedBytes, digest_of_texture};
 
-/// Limit of the files' total size, GiB, unless `$ROLLOUT_SCENES_GIB` sets another.
+/// Limit of the files' total size, GiB, unless `$ROLLOUT_SCENES_GIB` sets another limit.
 const LIMIT_GIB: u64 = 16;
 /// Longest wait for another process that compiles or writes a scene. Compiling takes seconds, and a
 /// worker treats a slot without progress for minutes as stuck.
@@ -172,8 +172,7 @@ impl SceneFolder {
         Ok(assemble(&sections, textures))
     }
 
-    /// Stores a scene and those of its textures that are missing; evicts other scenes if there is
-    /// no room.
+    /// Stores a scene and its missing textures; evicts other scenes if there is no room.
     ///
     /// # Errors
     /// If files cannot be written; no incomplete file is left under a final name.

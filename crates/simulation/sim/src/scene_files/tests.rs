@@ -410,10 +410,10 @@ fn a_read_only_folder_is_read_and_never_written() {
                 access_files_as(12_345);
             }
             assert_eq!(fixture.obtain(), (false, true));
-            let other = fixture.folder.obtain(&OTHER_NAME, || compile(0.1));
-            let other = other.expect("a scene");
-            assert!(!matches!(other.prepared, Preparation::InFile(_)));
-            assert!(behaviour(other) == fixture.expected);
+            let unstored = fixture.folder.obtain(&OTHER_NAME, || compile(0.1));
+            let unstored = unstored.expect("a scene");
+            assert!(!matches!(unstored.prepared, Preparation::InFile(_)));
+            assert!(behaviour(unstored) == fixture.expected);
         });
         reader.join().expect("the reader's assertions hold");
     });

@@ -34,8 +34,8 @@ pub(super) struct TestCoordinator {
 }
 
 impl TestCoordinator {
-    /// Opens a data folder like a starting coordinator. The random seed differs from that of the
-    /// start that created the database, since attempt ids are never reused.
+    /// Opens a data folder like a starting coordinator. The random seed differs from the seed of
+    /// the start that created the database, since attempt ids are never reused.
     pub(super) async fn in_folder(data: &Path) -> TestCoordinator {
         let starts = u64::from(data.join(DATABASE_FILE).exists());
         let coordinator = Coordinator::open(Config {
